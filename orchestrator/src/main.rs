@@ -1,0 +1,2 @@
+//! The metasense command.
+fn main() {}

@@ -1,0 +1,5 @@
+//! Every type of metasense that crosses a process or disk boundary, and nothing else.
+
+pub mod record;
+pub mod spec;
+pub mod wire;

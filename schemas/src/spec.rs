@@ -1,0 +1,480 @@
+//! What a person writes: the sweep file, and the trial that one point of it resolves to.
+//!
+//! Units: mm, N, s, Mg; angles in degrees here (radians everywhere else). Physics and names: `worker/numerics/MODEL.md`.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A sweep: one scene, one way to train it, and the axes along which it is varied.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SweepSpec {
+    /// Names the database (`results/NAME.sqlite`) and the sweep in it.
+    pub name: String,
+    /// The body: layout, sizes, material.
+    pub body: Body,
+    /// The clock of forces and signals.
+    #[serde(default)]
+    pub time: Time,
+    /// How the equations of motion are integrated.
+    #[serde(default)]
+    pub solver: Solver,
+    /// Where and how the body is read.
+    #[serde(default)]
+    pub sensors: Sensors,
+    /// The force histories.
+    pub stimuli: Stimuli,
+    /// The network and its training.
+    #[serde(default)]
+    pub brain: Brain,
+    /// The outer loop over the body's design.
+    #[serde(default)]
+    pub optimise: Optimise,
+    /// The comparison of initial and optimised body at the end, the same for every protocol.
+    #[serde(default)]
+    pub evaluation: Evaluation,
+    /// The limits of a castable design.
+    #[serde(default)]
+    pub feasible: Feasible,
+    /// The axes of the sweep.
+    pub sweep: Sweep,
+    /// Limits of the run itself; no part of what a trial is.
+    #[serde(default)]
+    pub run: Run,
+}
+
+/// The layout of a body's units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum LayoutKind {
+    /// `columns` × `rows` units on a square grid.
+    Planar,
+    /// The units of a square lattice whose centres lie inside a disc, `columns` across.
+    Circular,
+}
+
+/// Which units are held.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Clamp {
+    /// `"bottom"`: the bottom row (planar); `"hub"`: the innermost units (circular).
+    Rule(ClampRule),
+    /// Unit indices.
+    Units(Vec<usize>),
+}
+
+/// A named set of clamped units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ClampRule {
+    /// The bottom row of a planar body.
+    Bottom,
+    /// The innermost 2 × 2 units, or the one, of a circular body.
+    Hub,
+}
+
+/// Sizes and material of a body.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Planar or circular.
+    #[serde(default = "planar")]
+    pub layout: LayoutKind,
+    /// Which units are held; by default the bottom row (planar) or the hub (circular).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clamp: Option<Clamp>,
+    /// Linear strain measures (node displacements stay exact).
+    #[serde(default)]
+    pub linearised: bool,
+    /// Input panels by unit, instead of the rule in MODEL.md.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panel_units: Option<Vec<usize>>,
+    /// Units along x; across the diameter where circular.
+    pub columns: usize,
+    /// Units along y; where circular: left out, or equal to `columns`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rows: Option<usize>,
+    /// Pitch of the units (mm).
+    pub spacing: f64,
+    /// Length of a ligament at rest (mm).
+    pub ligament_length: f64,
+    /// Angle of the rotated squares of the initial design (degrees).
+    #[serde(default = "initial_angle")]
+    pub initial_angle: f64,
+    /// Plane density (Mg/mm²).
+    pub density: f64,
+    /// ζ: damping of a degree of freedom relative to its own critical one.
+    #[serde(default = "damping_ratio")]
+    pub damping_ratio: f64,
+    /// Ligament stiffnesses.
+    pub stiffness: Stiffness,
+    /// Contact between neighbouring units; left out: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contact: Option<Contact>,
+}
+
+fn planar() -> LayoutKind {
+    LayoutKind::Planar
+}
+fn initial_angle() -> f64 {
+    25.0
+}
+fn damping_ratio() -> f64 {
+    0.02
+}
+
+/// Ligament stiffnesses.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Stiffness {
+    /// k_l (N/mm).
+    pub stretch: f64,
+    /// k_s (N/mm).
+    pub shear: f64,
+    /// k_θ (N·mm/rad).
+    pub bend: f64,
+}
+
+/// Contact between the edges that face each other across a ligament.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Contact {
+    /// k_c (N·mm/rad²).
+    pub stiffness: f64,
+    /// ψ_min (degrees).
+    pub min_angle: f64,
+    /// ψ_c (degrees).
+    pub cutoff_angle: f64,
+}
+
+impl Default for Contact {
+    fn default() -> Self {
+        Self { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 5.0 }
+    }
+}
+
+/// The clock of forces and signals.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Time {
+    /// Length of a sample (s).
+    pub duration: f64,
+    /// T: instants t_n = n·duration/T, n = 1…T.
+    pub samples: usize,
+}
+
+impl Default for Time {
+    fn default() -> Self {
+        Self { duration: 1.0, samples: 200 }
+    }
+}
+
+/// An integrator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// Tsitouras 5(4), error control a sample.
+    Tsit5,
+}
+
+/// How the equations of motion are integrated.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Solver {
+    /// The integrator.
+    pub method: Method,
+    /// Tolerance: absolute and relative, of the integrator's own error norm.
+    pub tolerance: f64,
+}
+
+impl Default for Solver {
+    fn default() -> Self {
+        Self { method: Method::Tsit5, tolerance: 1e-6 }
+    }
+}
+
+/// The frame in which accelerations are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Frame {
+    /// Fixed axes.
+    #[default]
+    World,
+    /// Turning with the unit, as a glued chip reads.
+    Body,
+}
+
+/// Where and how the body is read.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Sensors {
+    /// World or body frame.
+    pub frame: Frame,
+    /// Lists of units instead of `sweep.placements`; a trial with M sensors takes every list of M units.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub placements: Option<Vec<Vec<usize>>>,
+}
+
+/// Kind of force histories.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum StimuliKind {
+    /// Smooth bell pulses.
+    Bell,
+}
+
+/// The force histories. Intervals are `[least, most]` of a uniform draw per sample and panel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Stimuli {
+    /// What kind of histories.
+    pub kind: StimuliKind,
+    /// N: samples that train and test the brain.
+    #[serde(default = "stimuli_samples")]
+    pub samples: usize,
+    /// How many of the N are the test set.
+    #[serde(default = "stimuli_test")]
+    pub test: usize,
+    /// Further samples that neither loop ever sees.
+    #[serde(default = "stimuli_holdout")]
+    pub holdout: usize,
+    /// Amplitude A (N).
+    #[serde(default = "amplitude")]
+    pub amplitude: [f64; 2],
+    /// Width W (s).
+    #[serde(default = "width")]
+    pub width: [f64; 2],
+    /// Onset O (s).
+    #[serde(default = "onset")]
+    pub onset: [f64; 2],
+    /// Peak position p, as a part of the width.
+    #[serde(default = "peak")]
+    pub peak: [f64; 2],
+    /// Power q.
+    #[serde(default = "power")]
+    pub power: [f64; 2],
+}
+
+fn stimuli_samples() -> usize {
+    300
+}
+fn stimuli_test() -> usize {
+    30
+}
+fn stimuli_holdout() -> usize {
+    60
+}
+fn amplitude() -> [f64; 2] {
+    [0.15, 0.5]
+}
+fn width() -> [f64; 2] {
+    [0.06, 0.25]
+}
+fn onset() -> [f64; 2] {
+    [0.0, 0.5]
+}
+fn peak() -> [f64; 2] {
+    [0.35, 0.65]
+}
+fn power() -> [f64; 2] {
+    [1.5, 4.0]
+}
+
+/// The network's training.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Brain {
+    /// Full-batch Adam iterations of one training.
+    pub iterations: usize,
+    /// Adam's rate.
+    pub learning_rate: f64,
+}
+
+impl Default for Brain {
+    fn default() -> Self {
+        Self { iterations: 1000, learning_rate: 1e-2 }
+    }
+}
+
+/// How body and brain are trained together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Protocol {
+    /// A fresh network each outer step, trained to its optimum; direct and implicit gradient.
+    Paper,
+}
+
+/// Which terms of the gradient of the test loss are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum GradientTerms {
+    /// Direct and implicit term.
+    Implicit,
+    /// The direct term alone.
+    Direct,
+}
+
+/// The outer loop over the body's design.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Optimise {
+    /// How body and brain are trained together.
+    pub protocol: Protocol,
+    /// Outer steps.
+    pub iterations: usize,
+    /// Adam's rate on α (mm).
+    pub learning_rate: f64,
+    /// Terms of the gradient; means something for `protocol = "paper"` alone. By default `"implicit"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient: Option<GradientTerms>,
+}
+
+impl Default for Optimise {
+    fn default() -> Self {
+        Self { protocol: Protocol::Paper, iterations: 100, learning_rate: 0.1, gradient: None }
+    }
+}
+
+/// Learning-rate schedule of the final comparison.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// Falls to 0 by a cosine.
+    Cosine,
+    /// The paper's.
+    Constant,
+}
+
+/// The comparison at the end.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Evaluation {
+    /// Fresh networks a body.
+    pub seeds: usize,
+    /// Rate schedule of their training.
+    pub schedule: Schedule,
+}
+
+impl Default for Evaluation {
+    fn default() -> Self {
+        Self { seeds: 1, schedule: Schedule::Cosine }
+    }
+}
+
+/// Limits of a castable design (degrees, mm).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Feasible {
+    /// Least interior angle of a unit (degrees).
+    pub min_block_angle: f64,
+    /// Greatest interior angle of a unit (degrees).
+    pub max_block_angle: f64,
+    /// Least void angle at a ligament (degrees).
+    pub min_void_angle: f64,
+    /// Least angle between a ligament and an edge (degrees).
+    pub min_ligament_angle: f64,
+    /// Least edge of a unit (mm).
+    pub min_edge: f64,
+    /// Least distance between units (mm).
+    pub clearance: f64,
+    /// Least distance where ligaments are involved (mm).
+    pub ligament_clearance: f64,
+}
+
+impl Default for Feasible {
+    fn default() -> Self {
+        Self {
+            min_block_angle: 25.0,
+            max_block_angle: 170.0,
+            min_void_angle: 5.0,
+            min_ligament_angle: 10.0,
+            min_edge: 3.0,
+            clearance: 1.0,
+            ligament_clearance: 0.5,
+        }
+    }
+}
+
+/// The axes of the sweep; lists multiply.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Sweep {
+    /// K: numbers of input panels.
+    pub panels: Vec<usize>,
+    /// M: numbers of sensors.
+    pub sensors: Vec<usize>,
+    /// How many seeded placements.
+    #[serde(default = "one_placement")]
+    pub placements: usize,
+    /// Seeds of stimuli, split and networks.
+    #[serde(default = "one_seed")]
+    pub seeds: Vec<u64>,
+    /// Points left out: those that agree with every key of an entry.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub exclude: Vec<serde_json::Map<String, serde_json::Value>>,
+    /// Further axes: any key of the spec by its path, for instance `"body.columns"`.
+    #[serde(flatten)]
+    pub axes: std::collections::BTreeMap<String, Vec<serde_json::Value>>,
+}
+
+fn one_placement() -> usize {
+    1
+}
+fn one_seed() -> Vec<u64> {
+    vec![1]
+}
+
+/// Limits of the run itself.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Run {
+    /// Worker processes; by default one a core.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub workers: Option<usize>,
+    /// Threads a worker; by default 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub threads: Option<usize>,
+}
+
+/// One point of a sweep.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Point {
+    /// K.
+    pub panels: usize,
+    /// M.
+    pub sensors: usize,
+    /// Which placement.
+    pub placement: usize,
+    /// Seed of stimuli, split and networks.
+    pub seed: u64,
+}
+
+/// Everything that a trial is. Its hash names it for ever.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrialSpec {
+    /// The body.
+    pub body: Body,
+    /// The clock.
+    pub time: Time,
+    /// The integrator.
+    pub solver: Solver,
+    /// The frame.
+    pub sensors: Sensors,
+    /// The stimuli.
+    pub stimuli: Stimuli,
+    /// The brain.
+    pub brain: Brain,
+    /// The outer loop.
+    pub optimise: Optimise,
+    /// The final comparison.
+    pub evaluation: Evaluation,
+    /// The limits.
+    pub feasible: Feasible,
+    /// Where in the sweep.
+    pub point: Point,
+    /// Input panels, by unit.
+    pub panel_units: Vec<usize>,
+    /// Sensors, by unit.
+    pub sensor_units: Vec<usize>,
+}

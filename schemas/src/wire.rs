@@ -1,0 +1,1 @@
+//! What goes through shared memory: lives for one build, checked on connecting.

@@ -1,0 +1,6 @@
+//! The maths of metasense: body, dynamics, stimuli, brain, feasible designs, nested optimisation.
+//!
+//! No I/O, no clock, no environment, no randomness but a seed passed in. Physics and conventions: `MODEL.md`.
+
+pub mod random;
+pub mod simd;
