@@ -1,1 +1,6 @@
-//! Skeleton.
+//! metasense: trains bodies of flexible metamaterial together with the neural networks that read them.
+
+pub mod cli;
+pub mod exit;
+pub mod plan;
+pub mod store;

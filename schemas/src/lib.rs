@@ -1,5 +1,6 @@
 //! Every type of metasense that crosses a process or disk boundary, and nothing else.
 
+pub mod database;
 pub mod record;
 pub mod spec;
 pub mod wire;

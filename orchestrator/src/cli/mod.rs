@@ -1,0 +1,91 @@
+//! The command line: one file a command.
+
+mod query;
+mod rows;
+
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand};
+
+use crate::exit::{EXIT_CODES, Exit};
+use crate::store::StoreError;
+
+pub use rows::{Format, print_rows};
+
+/// Trains bodies of flexible metamaterial together with the neural networks that read them, many variants at a time.
+///
+/// A sweep is a spec file (TOML); it expands into trials; each trial trains one body with its brain. `run` works through
+/// the trials with worker processes and keeps everything in one SQLite file; stopped or killed, the same command goes on.
+#[derive(Debug, Parser)]
+#[command(version, after_help = EXIT_CODES, max_term_width = 100)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Query(query::Args),
+}
+
+/// Carries a command out.
+///
+/// # Errors
+/// Bad input and failed I/O, each with its exit code.
+pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
+    match cli.command {
+        Command::Query(args) => block_on(query::execute(args)),
+    }
+}
+
+/// Runs a command that waits for the database, in a runtime of its own.
+fn block_on<T>(future: impl Future<Output = Result<T, Error>>) -> Result<T, Error> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .map_err(|source| Error::Io { doing: "starting", path: PathBuf::from("the runtime"), source })?;
+    runtime.block_on(future)
+}
+
+/// Why a command could not be carried out.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The database.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A file.
+    #[error("{doing} {}", path.display())]
+    Io {
+        /// What was being done.
+        doing: &'static str,
+        /// To which file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The terminal or pipe that we write to.
+    #[error("writing the output")]
+    Output(#[from] std::io::Error),
+    /// Arguments that do not go together.
+    #[error("{0}")]
+    Usage(String),
+}
+
+impl Error {
+    /// The exit code.
+    #[must_use]
+    pub fn exit(&self) -> Exit {
+        match self {
+            Self::Store(e) if e.is_bad_input() => Exit::BadInput,
+            Self::Usage(_) => Exit::BadInput,
+            Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
+        }
+    }
+
+    /// Whether the reader of our output has gone.
+    #[must_use]
+    pub fn is_broken_pipe(&self) -> bool {
+        matches!(self, Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe)
+    }
+}

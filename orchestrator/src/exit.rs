@@ -1,0 +1,34 @@
+//! The exit codes, all of them.
+
+use std::process::ExitCode;
+
+/// How the program ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Exit {
+    /// All that was asked is done.
+    Done = 0,
+    /// A check did not hold, or trials have failed.
+    Failed = 1,
+    /// The command line, the spec or the database named is at fault; nothing was started.
+    BadInput = 2,
+    /// Reading or writing failed on the way: disk full, database locked or damaged.
+    Io = 3,
+    /// Stopped on request; the same command goes on from there.
+    Interrupted = 4,
+}
+
+/// The codes with their meaning, as `--help` shows them.
+pub const EXIT_CODES: &str = "\
+Exit codes:
+  0  all that was asked is done
+  1  a check did not hold, or trials have failed (`status` names them and why)
+  2  the command line, the spec or the database is at fault; nothing was started
+  3  reading or writing failed on the way (disk full, database locked or damaged)
+  4  stopped on request; the same command goes on from there";
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(exit as u8)
+    }
+}

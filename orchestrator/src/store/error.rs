@@ -1,0 +1,120 @@
+//! What can go wrong with a database, and what to do about it.
+
+use std::path::{Path, PathBuf};
+
+/// A failure of the store.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The file or its folder cannot be written.
+    #[error("cannot write the database {}; choose another with --db", path.display())]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Another run holds it.
+    #[error("the database {} is in use by another run; wait for it, or choose another file with --db", path.display())]
+    InUse {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Some other program's.
+    #[error("{} is not a metasense database; choose another file with --db", path.display())]
+    NotOurs {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Written by a newer program.
+    #[error(
+        "the database {} has version {version}, this program knows versions up to {known}: update metasense, or choose \
+         another file with --db",
+        path.display()
+    )]
+    Newer {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        version: i64,
+        /// The newest that this program knows.
+        known: usize,
+    },
+    /// There is no such file.
+    #[error("there is no database {}; `metasense run SPEC` makes one", path.display())]
+    Missing {
+        /// The file.
+        path: PathBuf,
+    },
+    /// SQLite refused.
+    #[error("{doing} the database {}{}", path.display(), hint(source))]
+    Sql {
+        /// The file.
+        path: PathBuf,
+        /// What was being done.
+        doing: &'static str,
+        /// What SQLite said.
+        source: sqlx::Error,
+    },
+    /// What was asked of the database is not SQL that it answers.
+    #[error("the query failed: {message}")]
+    Query {
+        /// What SQLite said.
+        message: String,
+    },
+    /// A record of an attempt that is no longer the current one.
+    #[error("trial {hash}: attempt {attempt} is not the current one; its record was dropped")]
+    Stale {
+        /// The trial.
+        hash: String,
+        /// The attempt.
+        attempt: i64,
+    },
+    /// No such trial.
+    #[error("the database {} holds no trial {hash}", path.display())]
+    UnknownTrial {
+        /// The file.
+        path: PathBuf,
+        /// The trial.
+        hash: String,
+    },
+    /// A stored value that this program cannot read.
+    #[error("trial {hash}: the stored {what} cannot be read: {message}")]
+    Unreadable {
+        /// The trial.
+        hash: String,
+        /// Which value.
+        what: &'static str,
+        /// Why.
+        message: String,
+    },
+}
+
+impl StoreError {
+    pub(super) fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
+        let code = source.as_database_error().and_then(|e| e.code().map(|c| c.into_owned()));
+        match code.as_deref() {
+            Some("26") => Self::NotOurs { path: path.to_owned() },
+            _ => Self::Sql { path: path.to_owned(), doing, source },
+        }
+    }
+
+    /// Whether what was asked for is at fault, rather than the disk.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        !matches!(self, Self::Sql { .. } | Self::Stale { .. } | Self::Unreadable { .. })
+    }
+}
+
+/// What to do, by SQLite's primary result code.
+fn hint(source: &sqlx::Error) -> &'static str {
+    let code = source.as_database_error().and_then(|e| e.code()).and_then(|c| c.parse::<u32>().ok());
+    match code.map(|c| c & 0xff) {
+        Some(5 | 6) => " failed: another program holds a lock on it; end that program and run again",
+        Some(8) => " failed: it is read-only; allow writing, or choose another file with --db",
+        Some(10) => " failed: the disk reports an error",
+        Some(11) => " failed: the file is damaged; restore it from a copy",
+        Some(13) => " failed: the disk is full; make room and run again, nothing recorded is lost",
+        Some(14) => " failed: it cannot be opened; check the folder and its permissions",
+        _ => " failed",
+    }
+}

@@ -1,0 +1,134 @@
+//! The store: one SQLite file a database, one writer, any number of readers.
+//!
+//! Journal in WAL mode with `synchronous = FULL`: what a method has returned from is on disk, and survives `kill -9`
+//! and power loss alike. The price is one fsync a transaction, which `begin_batch` … `commit_batch` shares between
+//! many records. A lock on the file keeps a second writer out for as long as a `Store` lives.
+
+mod error;
+mod npy;
+mod read;
+mod write;
+
+use std::collections::HashMap;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use metasense_schemas::database::{APPLICATION_ID, MIGRATIONS};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
+
+pub use error::StoreError;
+pub use npy::npy_bytes;
+pub use read::{Reader, Table};
+pub use write::{Array, Values};
+
+/// The writer. All methods are cancel-safe only as a whole: drop the store, not a call.
+#[derive(Debug)]
+pub struct Store {
+    connection: SqliteConnection,
+    path: PathBuf,
+    ids: HashMap<String, i64>,
+    in_batch: bool,
+    // Last field: SQLite's own locks on the file would go with an earlier close.
+    _lock: File,
+}
+
+impl Store {
+    /// Opens or creates a database, brings it to the newest version and puts trials that a dead run left `running`
+    /// back to `pending`.
+    ///
+    /// # Errors
+    /// Unwritable, not ours, of a newer version, or in use by another run.
+    pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
+        let path = path.as_ref().to_owned();
+        let lock = lock(&path)?;
+        let at = |source| StoreError::sql(&path, "opening", source);
+        let mut connection = SqliteConnectOptions::new()
+            .filename(&path)
+            .busy_timeout(Duration::from_secs(10))
+            .foreign_keys(true)
+            .disable_statement_logging()
+            .connect()
+            .await
+            .map_err(at)?;
+        let version = check_version(&mut connection, &path).await?;
+        for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {
+            sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
+        }
+        migrate(&mut connection, version).await.map_err(at)?;
+        let mut store = Self { connection, path, ids: HashMap::new(), in_batch: false, _lock: lock };
+        store.release_orphans().await?;
+        Ok(store)
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Folds the journal into the file and closes it, so that one file alone is left.
+    ///
+    /// # Errors
+    /// Where SQLite fails to.
+    pub async fn close(self) -> Result<(), StoreError> {
+        let Self { connection, path, _lock, .. } = self;
+        connection.close().await.map_err(|source| StoreError::sql(&path, "closing", source))
+    }
+}
+
+/// Makes the folder and the file where they are missing, and keeps other writers out.
+fn lock(path: &Path) -> Result<File, StoreError> {
+    let unwritable = |source| StoreError::Unwritable { path: path.to_owned(), source };
+    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).map_err(unwritable)?;
+    }
+    let file = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(path)
+        .map_err(unwritable)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(StoreError::InUse { path: path.to_owned() }),
+        Err(TryLockError::Error(source)) => Err(unwritable(source)),
+    }
+}
+
+/// The version of a database, 0 for an empty file.
+async fn check_version(connection: &mut SqliteConnection, path: &Path) -> Result<usize, StoreError> {
+    let at = |source| StoreError::sql(path, "reading the version of", source);
+    let application: i32 =
+        sqlx::query_scalar("PRAGMA application_id").fetch_one(&mut *connection).await.map_err(at)?;
+    let version: i64 =
+        sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await.map_err(at)?;
+    let tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_schema")
+        .fetch_one(&mut *connection)
+        .await
+        .map_err(at)?;
+    if application != APPLICATION_ID && (application != 0 || tables != 0) {
+        return Err(StoreError::NotOurs { path: path.to_owned() });
+    }
+    match usize::try_from(version) {
+        Ok(version) if version <= MIGRATIONS.len() => Ok(version),
+        _ => Err(StoreError::Newer { path: path.to_owned(), version, known: MIGRATIONS.len() }),
+    }
+}
+
+/// Brings a database from `version` to the newest, all or nothing.
+async fn migrate(connection: &mut SqliteConnection, version: usize) -> sqlx::Result<()> {
+    let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+    for sql in &MIGRATIONS[version..] {
+        sqlx::raw_sql(*sql).execute(&mut *transaction).await?;
+    }
+    if version < MIGRATIONS.len() {
+        let mark =
+            format!("PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {}", MIGRATIONS.len());
+        // Numbers of our own only.
+        sqlx::raw_sql(AssertSqlSafe(mark)).execute(&mut *transaction).await?;
+    }
+    transaction.commit().await
+}

@@ -1,0 +1,102 @@
+//! Read-only questions to a database, also while a run writes to it.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde_json::Value;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow};
+use sqlx::{AssertSqlSafe, Column, ConnectOptions, Executor, Row, SqlSafeStr, Statement, TypeInfo, ValueRef};
+
+use super::{Store, StoreError, check_version};
+use metasense_schemas::database::MIGRATIONS;
+
+/// A read-only connection.
+#[derive(Debug)]
+pub struct Reader {
+    connection: SqliteConnection,
+    path: PathBuf,
+}
+
+/// An answer.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Table {
+    /// Names of the columns.
+    pub columns: Vec<String>,
+    /// Rows of as many values; a blob stands as the text `blob of N bytes`.
+    pub rows: Vec<Vec<Value>>,
+}
+
+impl Reader {
+    /// Opens a database to read; one of an older version is upgraded first.
+    ///
+    /// # Errors
+    /// Missing, not ours, of a newer version.
+    pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
+        let path = path.as_ref().to_owned();
+        if !path.is_file() {
+            return Err(StoreError::Missing { path });
+        }
+        let mut connection = connect(&path).await?;
+        let version = check_version(&mut connection, &path).await?;
+        if version < MIGRATIONS.len() {
+            drop(connection);
+            Store::open(&path).await?.close().await?;
+            connection = connect(&path).await?;
+        }
+        Ok(Self { connection, path })
+    }
+
+    /// Answers one statement. A write is refused.
+    ///
+    /// # Errors
+    /// With SQLite's message.
+    pub async fn query(&mut self, sql: &str) -> Result<Table, StoreError> {
+        let path = &self.path;
+        let wrong = |source: sqlx::Error| match &source {
+            sqlx::Error::Database(e) => StoreError::Query { message: e.message().to_owned() },
+            _ => StoreError::sql(path, "querying", source),
+        };
+        // The user's own statement, on a connection that cannot write.
+        let sql = AssertSqlSafe(sql.to_owned()).into_sql_str();
+        let statement = self.connection.prepare(sql).await.map_err(wrong)?;
+        let columns = statement.columns().iter().map(|c| c.name().to_owned()).collect();
+        let rows = statement.query().fetch_all(&mut self.connection).await.map_err(wrong)?;
+        Ok(Table { columns, rows: rows.iter().map(values).collect() })
+    }
+}
+
+/// Read-only; where the folder cannot hold the journal's index (a read-only medium), as an unchanging file.
+async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
+    let options = SqliteConnectOptions::new()
+        .filename(path)
+        .read_only(true)
+        .busy_timeout(Duration::from_secs(10))
+        .pragma("query_only", "ON")
+        .disable_statement_logging();
+    let at = |source| StoreError::sql(path, "opening", source);
+    let mut connection = options.clone().connect().await.map_err(at)?;
+    match connection.execute("SELECT count(*) FROM sqlite_schema").await {
+        Ok(_) => Ok(connection),
+        Err(e) if e.as_database_error().and_then(|e| e.code()).is_some_and(|c| c == "14") => {
+            options.immutable(true).connect().await.map_err(at)
+        }
+        Err(source) => Err(at(source)),
+    }
+}
+
+fn values(row: &SqliteRow) -> Vec<Value> {
+    (0..row.len()).map(|i| value(row, i)).collect()
+}
+
+fn value(row: &SqliteRow, i: usize) -> Value {
+    let raw = row.try_get_raw(i).expect("a column of this row");
+    if raw.is_null() {
+        return Value::Null;
+    }
+    match raw.type_info().name() {
+        "INTEGER" => Value::from(row.get_unchecked::<i64, _>(i)),
+        "REAL" => Value::from(row.get_unchecked::<f64, _>(i)),
+        "BLOB" => Value::from(format!("blob of {} bytes", row.get_unchecked::<&[u8], _>(i).len())),
+        _ => Value::from(row.get_unchecked::<String, _>(i)),
+    }
+}

@@ -1,0 +1,590 @@
+//! The writer's methods: sweeps, attempts, steps with their checkpoints, results.
+
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense_schemas::spec::SweepSpec;
+use sqlx::{Connection, Executor, Row};
+
+use super::{Store, StoreError, npy_bytes};
+use crate::plan::Trial;
+
+/// The first byte of a stored checkpoint; a checkpoint behind another byte is not used, its trial starts anew.
+const CHECKPOINT_VERSION: u8 = 1;
+
+/// The version of this program, as attempts and sweeps record it.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// An array to keep with a trial.
+#[derive(Debug, Clone, Copy)]
+pub struct Array<'a> {
+    /// Its name within the trial, for instance `signals_initial`.
+    pub name: &'a str,
+    /// Its shape, outermost index first.
+    pub shape: &'a [usize],
+    /// Its values, in C order.
+    pub values: Values<'a>,
+}
+
+/// The values of an array.
+#[derive(Debug, Clone, Copy)]
+pub enum Values<'a> {
+    /// Double precision.
+    F64(&'a [f64]),
+    /// Single precision.
+    F32(&'a [f32]),
+    /// Small integers, for instance a split.
+    U8(&'a [u8]),
+}
+
+impl Store {
+    /// From here to `commit_batch`, records share one transaction: durable, and to be spoken of, only after that.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn begin_batch(&mut self) -> Result<(), StoreError> {
+        assert!(!self.in_batch, "batches do not nest");
+        self.execute("BEGIN IMMEDIATE", "beginning to write to").await?;
+        self.in_batch = true;
+        Ok(())
+    }
+
+    /// Ends a batch: all of it is on disk.
+    ///
+    /// # Errors
+    /// Where SQLite fails, as on a full disk: none of the batch was recorded.
+    pub async fn commit_batch(&mut self) -> Result<(), StoreError> {
+        assert!(self.in_batch, "no batch was begun");
+        self.in_batch = false;
+        let done = self.execute("COMMIT", "committing to").await;
+        if done.is_err() {
+            // A failed COMMIT may leave the transaction open; a failed ROLLBACK says that it did not.
+            let _ = self.connection.execute("ROLLBACK").await;
+        }
+        done
+    }
+
+    async fn execute(&mut self, sql: &'static str, doing: &'static str) -> Result<(), StoreError> {
+        match self.connection.execute(sql).await {
+            Ok(_) => Ok(()),
+            Err(source) => Err(StoreError::sql(&self.path, doing, source)),
+        }
+    }
+
+    /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn begin_sweep(
+        &mut self,
+        spec: &SweepSpec,
+        text: &str,
+        trials: &[Trial],
+    ) -> Result<(), StoreError> {
+        let path = self.path.clone();
+        let at = |source| StoreError::sql(&path, "recording the sweep in", source);
+        let known: Option<i64> = sqlx::query_scalar(
+            "SELECT s.id FROM sweep s WHERE s.name = ? AND s.text = ?
+             AND ? = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)",
+        )
+        .bind(&spec.name)
+        .bind(text)
+        .bind(trials.len() as i64)
+        .fetch_optional(&mut self.connection)
+        .await
+        .map_err(at)?;
+        if known.is_none() {
+            let resolved = serde_json::to_string(spec).expect("a spec is JSON");
+            let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(at)?;
+            let sweep: i64 = sqlx::query_scalar(
+                "INSERT INTO sweep (name, text, spec, version, created_at)
+                 VALUES (?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
+                 ON CONFLICT DO UPDATE SET spec = excluded.spec, version = excluded.version RETURNING id",
+            )
+            .bind(&spec.name)
+            .bind(text)
+            .bind(resolved)
+            .bind(VERSION)
+            .fetch_one(&mut *tx)
+            .await
+            .map_err(at)?;
+            for trial in trials {
+                insert_trial(&mut tx, sweep, trial).await.map_err(at)?;
+            }
+            tx.commit().await.map_err(at)?;
+        }
+        let rows =
+            sqlx::query("SELECT id, hash FROM trial").fetch_all(&mut self.connection).await.map_err(at)?;
+        self.ids = rows.into_iter().map(|row| (row.get(1), row.get(0))).collect();
+        Ok(())
+    }
+
+    /// Hashes of the trials that are done or have failed for good.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn settled(&mut self) -> Result<Vec<String>, StoreError> {
+        sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
+            .fetch_all(&mut self.connection)
+            .await
+            .map_err(|source| StoreError::sql(&self.path, "reading", source))
+    }
+
+    /// Where a trial can go on; `None` where it starts anew.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
+        let id = self.id(hash)?;
+        let bytes: Option<Vec<u8>> = sqlx::query_scalar("SELECT bytes FROM checkpoint WHERE trial_id = ?")
+            .bind(id)
+            .fetch_optional(&mut self.connection)
+            .await
+            .map_err(|source| StoreError::sql(&self.path, "reading a checkpoint from", source))?;
+        Ok(bytes.and_then(|bytes| match bytes.split_first() {
+            Some((&CHECKPOINT_VERSION, rest)) => postcard::from_bytes(rest).ok(),
+            _ => None,
+        }))
+    }
+
+    /// Begins an attempt at a trial and returns its number, from 1.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn begin_attempt(&mut self, hash: &str) -> Result<u32, StoreError> {
+        let id = self.id(hash)?;
+        let own = self.own_transaction("beginning an attempt in").await?;
+        let number = self.insert_attempt(id).await;
+        self.end_own(own, number, "beginning an attempt in").await
+    }
+
+    async fn insert_attempt(&mut self, id: i64) -> sqlx::Result<u32> {
+        // An attempt that was not ended by name was superseded.
+        sqlx::query(
+            "UPDATE attempt SET state = 'failed', reason = coalesce(reason, 'superseded'),
+               ended_at = strftime('%Y-%m-%dT%H:%M:%fZ')
+             WHERE trial_id = ? AND state = 'running'",
+        )
+        .bind(id)
+        .execute(&mut self.connection)
+        .await?;
+        sqlx::query("UPDATE trial SET state = 'running', reason = NULL WHERE id = ?")
+            .bind(id)
+            .execute(&mut self.connection)
+            .await?;
+        sqlx::query_scalar(
+            "INSERT INTO attempt (trial_id, number, version, started_at)
+             SELECT ?1, 1 + coalesce(max(number), 0), ?2, strftime('%Y-%m-%dT%H:%M:%fZ')
+             FROM attempt WHERE trial_id = ?1 RETURNING number",
+        )
+        .bind(id)
+        .bind(VERSION)
+        .fetch_one(&mut self.connection)
+        .await
+    }
+
+    /// Records an outer step and the checkpoint behind it, together.
+    ///
+    /// # Errors
+    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    pub async fn record_step(
+        &mut self,
+        hash: &str,
+        attempt: u32,
+        step: &StepRecord,
+        checkpoint: &Checkpoint,
+    ) -> Result<(), StoreError> {
+        let doing = "recording a step in";
+        let id = self.id(hash)?;
+        let own = self.own_transaction(doing).await?;
+        let current = match self.touch(id, attempt, 1).await {
+            Ok(true) => self.insert_step(id, attempt, step, checkpoint).await.map(|()| true),
+            other => other,
+        };
+        match self.end_own(own, current, doing).await? {
+            true => Ok(()),
+            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
+        }
+    }
+
+    /// Counts steps of the current attempt; false where it is not the current one.
+    async fn touch(&mut self, id: i64, attempt: u32, steps: i64) -> sqlx::Result<bool> {
+        let done = sqlx::query(
+            "UPDATE attempt SET steps = steps + ? WHERE trial_id = ? AND number = ? AND state = 'running'",
+        )
+        .bind(steps)
+        .bind(id)
+        .bind(attempt)
+        .execute(&mut self.connection)
+        .await?;
+        Ok(done.rows_affected() == 1)
+    }
+
+    async fn insert_step(
+        &mut self,
+        id: i64,
+        attempt: u32,
+        step: &StepRecord,
+        checkpoint: &Checkpoint,
+    ) -> sqlx::Result<()> {
+        let implicit = step.implicit.as_ref();
+        let (work, seconds) = (&step.counters, &step.seconds);
+        sqlx::query(
+            "INSERT OR REPLACE INTO step VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?,
+             ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))",
+        )
+        .bind(id)
+        .bind(step.step)
+        .bind(attempt)
+        .bind(finite(step.loss_test))
+        .bind(finite(step.loss_train))
+        .bind(finite(step.error_test))
+        .bind(finite(step.error_train))
+        .bind(finite(step.gradient_norm))
+        .bind(finite(step.step_length))
+        .bind(&step.projection)
+        .bind(finite(step.projection_distance))
+        .bind(implicit.map(|i| i.iterations))
+        .bind(finite(implicit.map(|i| i.residual)))
+        .bind(finite(implicit.map(|i| i.smallest_curvature)))
+        .bind(implicit.map(|i| &i.outcome))
+        .bind(&step.outcome)
+        .bind(step.fresh_samples as i64)
+        .bind(work.force_evaluations as i64)
+        .bind(work.steps as i64)
+        .bind(work.rejected as i64)
+        .bind(work.brain_iterations as i64)
+        .bind(work.hessian_products as i64)
+        .bind(work.projection_iterations as i64)
+        .bind(seconds.simulate)
+        .bind(seconds.train)
+        .bind(seconds.differentiate)
+        .bind(seconds.implicit)
+        .bind(seconds.project)
+        .bind(seconds.store)
+        .execute(&mut self.connection)
+        .await?;
+        let mut bytes = vec![CHECKPOINT_VERSION];
+        bytes.extend(postcard::to_stdvec(checkpoint).expect("a checkpoint is plain data"));
+        sqlx::query("INSERT OR REPLACE INTO checkpoint (trial_id, step, bytes) VALUES (?, ?, ?)")
+            .bind(id)
+            .bind(checkpoint.step)
+            .bind(bytes)
+            .execute(&mut self.connection)
+            .await?;
+        Ok(())
+    }
+
+    /// Records the result of a trial with its arrays, and drops its checkpoint: done.
+    ///
+    /// # Errors
+    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    pub async fn finish(
+        &mut self,
+        hash: &str,
+        attempt: u32,
+        result: &TrialResult,
+        arrays: &[Array<'_>],
+    ) -> Result<(), StoreError> {
+        let doing = "recording a result in";
+        let id = self.id(hash)?;
+        let own = self.own_transaction(doing).await?;
+        let current = match self.end_attempt(id, attempt, "done", None).await {
+            Ok(true) => self.insert_result(id, result, arrays).await.map(|()| true),
+            other => other,
+        };
+        match self.end_own(own, current, doing).await? {
+            true => Ok(()),
+            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
+        }
+    }
+
+    async fn insert_result(
+        &mut self,
+        id: i64,
+        result: &TrialResult,
+        arrays: &[Array<'_>],
+    ) -> sqlx::Result<()> {
+        sqlx::query(
+            "UPDATE trial SET state = 'done', reason = NULL, error_initial = ?, error_optimised = ?,
+               train_error_initial = ?, train_error_optimised = ?, holdout_error_initial = ?,
+               holdout_error_optimised = ?, best_step = ?, seconds_evaluation = ?, simd = ?, solver = ?, result = ?,
+               finished_at = strftime('%Y-%m-%dT%H:%M:%fZ')
+             WHERE id = ?",
+        )
+        .bind(mean(&result.initial, |n| n.error_test))
+        .bind(mean(&result.optimised, |n| n.error_test))
+        .bind(mean(&result.initial, |n| n.error_train))
+        .bind(mean(&result.optimised, |n| n.error_train))
+        .bind(mean(&result.initial, |n| n.error_holdout))
+        .bind(mean(&result.optimised, |n| n.error_holdout))
+        .bind(result.best_step)
+        .bind(finite(Some(result.seconds_evaluation)))
+        .bind(&result.simd)
+        .bind(&result.solver)
+        .bind(without_bulk(result))
+        .bind(id)
+        .execute(&mut self.connection)
+        .await?;
+        for (body, evaluation) in [("initial", &result.initial), ("optimised", &result.optimised)] {
+            self.insert_evaluation(id, body, evaluation).await?;
+        }
+        for array in arrays {
+            let bytes = match array.values {
+                Values::F64(values) => npy_bytes(array.shape, values),
+                Values::F32(values) => npy_bytes(array.shape, values),
+                Values::U8(values) => npy_bytes(array.shape, values),
+            };
+            self.insert_artifact(id, array.name, array.shape, bytes).await?;
+        }
+        sqlx::query("DELETE FROM checkpoint WHERE trial_id = ?")
+            .bind(id)
+            .execute(&mut self.connection)
+            .await?;
+        Ok(())
+    }
+
+    async fn insert_evaluation(
+        &mut self,
+        id: i64,
+        body: &str,
+        evaluation: &BodyEvaluation,
+    ) -> sqlx::Result<()> {
+        for (seed, network) in evaluation.networks.iter().enumerate() {
+            sqlx::query("INSERT OR REPLACE INTO network VALUES (?, ?, ?, ?, ?, ?, ?, ?)")
+                .bind(id)
+                .bind(body)
+                .bind(seed as i64)
+                .bind(finite(network.error_train))
+                .bind(finite(network.error_test))
+                .bind(finite(network.error_holdout))
+                .bind(network.losses.len() as i64)
+                .bind(&network.outcome)
+                .execute(&mut self.connection)
+                .await?;
+            for iteration in thinned(network.losses.len()) {
+                sqlx::query("INSERT OR REPLACE INTO curve VALUES (?, ?, ?, ?, ?)")
+                    .bind(id)
+                    .bind(body)
+                    .bind(seed as i64)
+                    .bind(iteration as i64)
+                    .bind(finite(Some(network.losses[iteration - 1].into())))
+                    .execute(&mut self.connection)
+                    .await?;
+            }
+            if !network.losses.is_empty() {
+                let (name, shape) = (format!("losses_{body}_{seed}"), [network.losses.len()]);
+                self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &network.losses)).await?;
+            }
+        }
+        let shape = [evaluation.design.len()];
+        self.insert_artifact(id, &format!("alpha_{body}"), &shape, npy_bytes(&shape, &evaluation.design))
+            .await
+    }
+
+    async fn insert_artifact(
+        &mut self,
+        id: i64,
+        name: &str,
+        shape: &[usize],
+        npy: Vec<u8>,
+    ) -> sqlx::Result<()> {
+        sqlx::query("INSERT OR REPLACE INTO artifact (trial_id, name, shape, bytes) VALUES (?, ?, ?, ?)")
+            .bind(id)
+            .bind(name)
+            .bind(serde_json::to_string(shape).expect("numbers are JSON"))
+            .bind(npy)
+            .execute(&mut self.connection)
+            .await?;
+        Ok(())
+    }
+
+    /// Ends an attempt by name. The trial goes back to `pending`; `fail` settles it.
+    ///
+    /// # Errors
+    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    pub async fn give_up_attempt(
+        &mut self,
+        hash: &str,
+        attempt: u32,
+        reason: &str,
+    ) -> Result<(), StoreError> {
+        self.end(hash, attempt, reason, "pending").await
+    }
+
+    /// Ends an attempt and its trial: failed for good.
+    ///
+    /// # Errors
+    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    pub async fn fail(&mut self, hash: &str, attempt: u32, reason: &str) -> Result<(), StoreError> {
+        self.end(hash, attempt, reason, "failed").await
+    }
+
+    async fn end(&mut self, hash: &str, attempt: u32, reason: &str, state: &str) -> Result<(), StoreError> {
+        let doing = "recording the end of an attempt in";
+        let id = self.id(hash)?;
+        let own = self.own_transaction(doing).await?;
+        let current = match self.end_attempt(id, attempt, "failed", Some(reason)).await {
+            Ok(true) => sqlx::query(
+                "UPDATE trial SET state = ?1, reason = ?2,
+                   finished_at = CASE ?1 WHEN 'failed' THEN strftime('%Y-%m-%dT%H:%M:%fZ') END WHERE id = ?3",
+            )
+            .bind(state)
+            .bind(reason)
+            .bind(id)
+            .execute(&mut self.connection)
+            .await
+            .map(|_| true),
+            other => other,
+        };
+        match self.end_own(own, current, doing).await? {
+            true => Ok(()),
+            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
+        }
+    }
+
+    async fn end_attempt(
+        &mut self,
+        id: i64,
+        attempt: u32,
+        state: &str,
+        reason: Option<&str>,
+    ) -> sqlx::Result<bool> {
+        let done = sqlx::query(
+            "UPDATE attempt SET state = ?, reason = ?, ended_at = strftime('%Y-%m-%dT%H:%M:%fZ')
+             WHERE trial_id = ? AND number = ? AND state = 'running'",
+        )
+        .bind(state)
+        .bind(reason)
+        .bind(id)
+        .bind(attempt)
+        .execute(&mut self.connection)
+        .await?;
+        Ok(done.rows_affected() == 1)
+    }
+
+    /// A run that was killed leaves attempts `running`; the lock says that none of them still is.
+    pub(super) async fn release_orphans(&mut self) -> Result<(), StoreError> {
+        let own = self.own_transaction("tidying").await?;
+        let mut done = Ok(());
+        for sql in [
+            "UPDATE attempt SET state = 'failed', reason = 'orchestrator_lost',
+               ended_at = strftime('%Y-%m-%dT%H:%M:%fZ') WHERE state = 'running'",
+            "UPDATE trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running'",
+        ] {
+            if done.is_ok() {
+                done = sqlx::query(sql).execute(&mut self.connection).await.map(|_| ());
+            }
+        }
+        self.end_own(own, done, "tidying").await
+    }
+
+    fn id(&self, hash: &str) -> Result<i64, StoreError> {
+        self.ids
+            .get(hash)
+            .copied()
+            .ok_or_else(|| StoreError::UnknownTrial { path: self.path.clone(), hash: hash.to_owned() })
+    }
+
+    /// Begins a transaction unless a batch holds one already; says whether it did.
+    async fn own_transaction(&mut self, doing: &'static str) -> Result<bool, StoreError> {
+        if !self.in_batch {
+            self.execute("BEGIN IMMEDIATE", doing).await?;
+        }
+        Ok(!self.in_batch)
+    }
+
+    /// Ends what `own_transaction` began: commits a success, takes back anything else.
+    async fn end_own<T>(
+        &mut self,
+        own: bool,
+        done: sqlx::Result<T>,
+        doing: &'static str,
+    ) -> Result<T, StoreError> {
+        let done = match done {
+            Ok(value) if own => self.connection.execute("COMMIT").await.map(|_| value),
+            other => other,
+        };
+        if own && done.is_err() {
+            let _ = self.connection.execute("ROLLBACK").await;
+        }
+        done.map_err(|source| StoreError::sql(&self.path, doing, source))
+    }
+}
+
+async fn insert_trial(
+    connection: &mut sqlx::SqliteConnection,
+    sweep: i64,
+    trial: &Trial,
+) -> sqlx::Result<()> {
+    let spec = &trial.spec;
+    let id: i64 = sqlx::query_scalar(
+        "INSERT INTO trial (hash, spec, layout, columns, rows, units, panels, sensors, placement, seed, protocol,
+           design_parameters, brain_parameters, cost, created_at)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
+         ON CONFLICT (hash) DO UPDATE SET cost = excluded.cost RETURNING id",
+    )
+    .bind(&trial.hash)
+    .bind(serde_json::to_string(spec).expect("a trial is JSON"))
+    .bind(name_of(&spec.body.layout))
+    .bind(spec.body.columns as i64)
+    .bind(spec.body.rows.unwrap_or(spec.body.columns) as i64)
+    .bind(trial.units as i64)
+    .bind(spec.point.panels as i64)
+    .bind(spec.point.sensors as i64)
+    .bind(spec.point.placement as i64)
+    .bind(spec.point.seed as i64)
+    .bind(name_of(&spec.optimise.protocol))
+    .bind(trial.design_parameters as i64)
+    .bind(trial.brain_parameters as i64)
+    .bind(trial.cost)
+    .fetch_one(&mut *connection)
+    .await?;
+    sqlx::query("INSERT OR REPLACE INTO sweep_trial (sweep_id, trial_id, position) VALUES (?, ?, ?)")
+        .bind(sweep)
+        .bind(id)
+        .bind(trial.order as i64)
+        .execute(connection)
+        .await?;
+    Ok(())
+}
+
+/// The name that a unit variant has in the spec.
+fn name_of(value: &impl serde::Serialize) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(name)) => name,
+        other => panic!("not a unit variant: {other:?}"),
+    }
+}
+
+/// Non-finite numbers are stored as absent, on purpose; the outcome column says why.
+fn finite(value: Option<f64>) -> Option<f64> {
+    value.filter(|v| v.is_finite())
+}
+
+/// Mean over the networks that have the error.
+fn mean(body: &BodyEvaluation, error: impl Fn(&NetworkEvaluation) -> Option<f64>) -> Option<f64> {
+    let errors: Vec<f64> = body.networks.iter().filter_map(error).filter(|e| e.is_finite()).collect();
+    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+}
+
+/// The result as JSON; designs and loss curves have their own places.
+fn without_bulk(result: &TrialResult) -> String {
+    let mut small = result.clone();
+    for body in [&mut small.initial, &mut small.optimised] {
+        body.design.clear();
+        body.networks.iter_mut().for_each(|network| network.losses.clear());
+    }
+    serde_json::to_string(&small).expect("a result is JSON")
+}
+
+/// Iterations, from 1, at which a curve of `n` points is kept: all of a short one, some 200 of a long one, closer
+/// together where a loss falls fastest.
+fn thinned(n: usize) -> Vec<usize> {
+    const KEPT: usize = 200;
+    if n <= KEPT {
+        return (1..=n).collect();
+    }
+    let mut kept: Vec<usize> =
+        (0..KEPT).map(|i| (n as f64).powf(i as f64 / (KEPT - 1) as f64).round() as usize).collect();
+    kept.dedup();
+    kept
+}

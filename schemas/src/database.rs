@@ -1,0 +1,26 @@
+//! The database: what marks it, how each version grows out of the one before, and the views that users build on.
+
+/// `PRAGMA application_id`: "mtsn".
+pub const APPLICATION_ID: i32 = 0x6d74_736e;
+
+/// Entry v − 1 makes version v (`PRAGMA user_version`) out of version v − 1. Entries are never changed, only added.
+pub const MIGRATIONS: &[&str] = &[include_str!("../migrations/0001.sql")];
+
+/// The stable views, and what a row of each is.
+pub const VIEWS: &[(&str, &str)] = &[
+    (
+        "v_trial",
+        "a trial: what it is, its state, headline errors (%, mean over evaluation networks), seconds",
+    ),
+    (
+        "v_step",
+        "an outer step: losses, errors, gradient, projection, implicit term, work, where the time went (s)",
+    ),
+    ("v_network", "a fresh network on the initial or the optimised body, with its errors (%)"),
+    (
+        "v_curve",
+        "a point of such a network's training loss (normalised); thinned, whole curves are artifacts",
+    ),
+    ("v_attempt", "an attempt at a trial, how it ended and why"),
+    ("v_error_time", "best test error so far (%) against seconds spent, step by step"),
+];

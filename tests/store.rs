@@ -1,0 +1,188 @@
+//! The store keeps what it was given, once, and nothing of a stale attempt.
+
+use metasense::plan::Trial;
+use metasense::store::{Array, Reader, Store, StoreError, Values};
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense_schemas::spec::{SweepSpec, TrialSpec};
+use serde_json::json;
+
+const BODY: &str = r#"{"columns": 6, "rows": 6, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
+    "stiffness": {"stretch": 3.0, "shear": 0.5, "bend": 1.0}}"#;
+
+fn sweep() -> SweepSpec {
+    let body: serde_json::Value = serde_json::from_str(BODY).unwrap();
+    serde_json::from_value(json!({"name": "s", "body": body, "stimuli": {"kind": "bell"},
+        "sweep": {"panels": [2], "sensors": [1]}}))
+    .unwrap()
+}
+
+fn trial(order: usize) -> Trial {
+    let sweep = serde_json::to_value(sweep()).unwrap();
+    let mut spec = json!({"point": {"panels": 2, "sensors": 1, "placement": order, "seed": 1},
+        "panel_units": [31, 34], "sensor_units": [21]});
+    for key in ["body", "time", "solver", "sensors", "stimuli", "brain", "optimise", "evaluation", "feasible"]
+    {
+        spec[key] = sweep[key].clone();
+    }
+    let spec: TrialSpec = serde_json::from_value(spec).unwrap();
+    let hash = format!("{order:032x}");
+    Trial { hash, spec, order, units: 36, design_parameters: 168, brain_parameters: 13_122, cost: 1.0 }
+}
+
+fn result() -> TrialResult {
+    let network = |error: f64| NetworkEvaluation {
+        error_test: Some(error),
+        error_holdout: Some(error + 1.0),
+        losses: (1..=1000).map(|i| 1.0 / i as f32).collect(),
+        outcome: "ok".into(),
+        ..Default::default()
+    };
+    let body = |error| BodyEvaluation {
+        design: vec![0.5; 168],
+        networks: vec![network(error), network(error + 2.0)],
+        ..Default::default()
+    };
+    TrialResult { initial: body(20.0), optimised: body(10.0), best_step: 3, ..Default::default() }
+}
+
+async fn value(db: &std::path::Path, sql: &str) -> serde_json::Value {
+    let mut reader = Reader::open(db).await.unwrap();
+    reader.query(sql).await.unwrap().rows[0][0].clone()
+}
+
+/// A trial's whole life, read back through the views and through a second opening.
+#[tokio::test]
+async fn what_is_recorded_is_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("new/s.sqlite");
+    let trials = [trial(0), trial(1)];
+    let mut store = Store::open(&db).await.unwrap();
+    store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
+    store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
+    let hash = &trials[0].hash;
+    assert_eq!(store.checkpoint(hash).await.unwrap(), None);
+    assert_eq!(store.begin_attempt(hash).await.unwrap(), 1);
+    let step = StepRecord { error_test: Some(f64::NAN), outcome: "ok".into(), ..Default::default() };
+    let checkpoint = Checkpoint { step: 1, design: vec![0.25; 168], ..Default::default() };
+    store.record_step(hash, 1, &step, &checkpoint).await.unwrap();
+    assert_eq!(store.checkpoint(hash).await.unwrap().as_ref(), Some(&checkpoint));
+
+    // A dead run: its attempt is closed, its trial goes on.
+    drop(store);
+    let mut store = Store::open(&db).await.unwrap();
+    store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
+    assert_eq!(value(&db, "SELECT reason FROM v_attempt").await, "orchestrator_lost");
+    assert_eq!(store.begin_attempt(hash).await.unwrap(), 2);
+    let stale = store.record_step(hash, 1, &step, &checkpoint).await;
+    assert!(matches!(stale, Err(StoreError::Stale { attempt: 1, .. })), "{stale:?}");
+    let forces =
+        Array { name: "forces", shape: &[1, 2, 3], values: Values::F64(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) };
+    store.finish(hash, 2, &result(), &[forces]).await.unwrap();
+    assert_eq!(store.settled().await.unwrap(), [hash.clone()]);
+    assert_eq!(store.checkpoint(hash).await.unwrap(), None);
+
+    let other = &trials[1].hash;
+    store.begin_batch().await.unwrap();
+    let attempt = store.begin_attempt(other).await.unwrap();
+    store.give_up_attempt(other, attempt, "worker_killed(9)").await.unwrap();
+    let attempt = store.begin_attempt(other).await.unwrap();
+    store.fail(other, attempt, "non_finite").await.unwrap();
+    store.commit_batch().await.unwrap();
+    store.close().await.unwrap();
+
+    assert_eq!(std::fs::read_dir(db.parent().unwrap()).unwrap().count(), 1, "one file alone is left");
+    for (sql, expected) in [
+        ("SELECT count(*) FROM v_trial", json!(2)),
+        ("SELECT error_initial FROM v_trial WHERE state = 'done'", json!(21.0)),
+        ("SELECT holdout_error_optimised FROM v_trial WHERE state = 'done'", json!(12.0)),
+        ("SELECT sweep FROM v_trial LIMIT 1", json!("s")),
+        ("SELECT reason FROM v_trial WHERE state = 'failed'", json!("non_finite")),
+        ("SELECT count(*) FROM v_step", json!(1)),
+        ("SELECT error_test IS NULL FROM v_step", json!(1)),
+        (
+            "SELECT group_concat(state || coalesce(reason, '')) FROM v_attempt",
+            json!("failedorchestrator_lost,done,failedworker_killed(9),failednon_finite"),
+        ),
+        ("SELECT count(*) FROM v_network", json!(4)),
+        ("SELECT min(loss) FROM v_curve", json!(f64::from(1.0f32 / 1000.0))),
+        ("SELECT count(*) FROM v_error_time", json!(1)),
+        ("SELECT group_concat(name) FROM artifact WHERE shape = '[1,2,3]'", json!("forces")),
+        ("SELECT spec->>'$.body.columns' FROM v_trial LIMIT 1", json!(6)),
+    ] {
+        assert_eq!(value(&db, sql).await, expected, "{sql}");
+    }
+}
+
+#[tokio::test]
+async fn only_one_writer_at_a_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("s.sqlite");
+    let store = Store::open(&db).await.unwrap();
+    let second = Store::open(&db).await;
+    assert!(matches!(second, Err(StoreError::InUse { .. })), "{second:?}");
+    drop(store);
+    Store::open(&db).await.unwrap();
+}
+
+#[tokio::test]
+async fn foreign_and_newer_databases_are_refused_untouched() {
+    let folder = tempfile::tempdir().unwrap();
+    let foreign = folder.path().join("notes.txt");
+    std::fs::write(
+        &foreign,
+        "no database at all, but long enough to be taken for one at first sight".repeat(20),
+    )
+    .unwrap();
+    let before = std::fs::read(&foreign).unwrap();
+    assert!(matches!(Store::open(&foreign).await, Err(StoreError::NotOurs { .. })));
+    assert_eq!(std::fs::read(&foreign).unwrap(), before);
+
+    let newer = folder.path().join("newer.sqlite");
+    Store::open(&newer).await.unwrap().close().await.unwrap();
+    let mut bytes = std::fs::read(&newer).unwrap();
+    bytes[60..64].copy_from_slice(&99u32.to_be_bytes()); // user_version in the header
+    std::fs::write(&newer, &bytes).unwrap();
+    let refused = Store::open(&newer).await;
+    assert!(matches!(refused, Err(StoreError::Newer { version: 99, .. })), "{refused:?}");
+    assert_eq!(std::fs::read(&newer).unwrap(), bytes);
+}
+
+/// 16 trials a batch, each with its attempt, a step and a result, beside a reader that never rests.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("s.sqlite");
+    let trials: Vec<Trial> = (0..400).map(trial).collect();
+    let mut store = Store::open(&db).await.unwrap();
+    store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let path = db.clone();
+    let reading = tokio::spawn(async move {
+        let mut stopped = stopped;
+        let mut queries = 0;
+        let mut reader = Reader::open(&path).await.unwrap();
+        while stopped.try_recv().is_err() {
+            reader.query("SELECT count(*), sum(seconds), max(error_initial) FROM v_trial").await.unwrap();
+            queries += 1;
+        }
+        queries
+    });
+    let small = TrialResult::default();
+    let start = std::time::Instant::now();
+    for batch in trials.chunks(16) {
+        store.begin_batch().await.unwrap();
+        for trial in batch {
+            let attempt = store.begin_attempt(&trial.hash).await.unwrap();
+            store
+                .record_step(&trial.hash, attempt, &StepRecord::default(), &Checkpoint::default())
+                .await
+                .unwrap();
+            store.finish(&trial.hash, attempt, &small, &[]).await.unwrap();
+        }
+        store.commit_batch().await.unwrap();
+    }
+    println!("{:.0} trials/s", 400.0 / start.elapsed().as_secs_f64());
+    stop.send(()).unwrap();
+    assert!(reading.await.unwrap() > 0);
+    assert_eq!(store.settled().await.unwrap().len(), 400);
+}
