@@ -1,1 +1,3 @@
-//! Skeleton.
+//! The process around the maths of metasense: job in, records out, heartbeat, stop.
+
+pub mod run;
