@@ -2,5 +2,6 @@
 
 pub mod database;
 pub mod record;
+pub mod source;
 pub mod spec;
 pub mod wire;

@@ -478,3 +478,47 @@ pub struct TrialSpec {
     /// Sensors, by unit.
     pub sensor_units: Vec<usize>,
 }
+
+impl TrialSpec {
+    /// Names the trial: 32 hex digits of BLAKE3 over its JSON with sorted keys and no blanks.
+    ///
+    /// A key added to the spec later must be left out of the JSON at its default (`skip_serializing_if`), so that the
+    /// trials of older databases keep their names.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        let mut text = String::with_capacity(2048);
+        write_canonical(&serde_json::to_value(self).expect("a trial is JSON"), &mut text);
+        blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
+    }
+}
+
+/// JSON with sorted keys, whatever order the map type keeps.
+fn write_canonical(value: &serde_json::Value, text: &mut String) {
+    match value {
+        serde_json::Value::Object(map) => {
+            let mut entries: Vec<_> = map.iter().collect();
+            entries.sort_unstable_by_key(|(key, _)| *key);
+            text.push('{');
+            for (i, (key, value)) in entries.into_iter().enumerate() {
+                if i > 0 {
+                    text.push(',');
+                }
+                *text += &serde_json::Value::from(key.as_str()).to_string();
+                text.push(':');
+                write_canonical(value, text);
+            }
+            text.push('}');
+        }
+        serde_json::Value::Array(values) => {
+            text.push('[');
+            for (i, value) in values.iter().enumerate() {
+                if i > 0 {
+                    text.push(',');
+                }
+                write_canonical(value, text);
+            }
+            text.push(']');
+        }
+        scalar => *text += &scalar.to_string(),
+    }
+}

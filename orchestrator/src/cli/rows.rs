@@ -87,7 +87,7 @@ fn plain(value: &Value) -> String {
 fn rounded(value: &Value) -> String {
     match value.as_f64().filter(|_| value.is_f64()) {
         None => plain(value),
-        Some(x) if x == 0.0 => "0".into(),
+        Some(0.0) => "0".into(),
         Some(x) if (1e-3..1e6).contains(&x.abs()) => {
             let decimals = (3 - x.abs().log10().floor() as i32).max(0) as usize;
             format!("{x:.decimals$}")
