@@ -2,5 +2,6 @@
 //!
 //! No I/O, no clock, no environment, no randomness but a seed passed in. Physics and conventions: `MODEL.md`.
 
+pub mod brain;
 pub mod random;
 pub mod simd;

@@ -1,0 +1,138 @@
+//! Signals and targets in the layout that the kernels read, and batches of them, which copy nothing.
+
+use super::real::Real;
+use super::shape::Shape;
+
+/// Samples: x (N, T + 2, 3M) with a row of zeros before and after, y (N, T, K), both normalised by the caller.
+#[derive(Debug, Clone)]
+pub struct Data<F> {
+    shape: Shape,
+    samples: usize,
+    x: Vec<F>,
+    y: Vec<F>,
+    output_weights: Vec<F>,
+}
+
+impl<F: Real> Data<F> {
+    /// From x (N, T, 3M) and y (N, T, K).
+    ///
+    /// # Panics
+    /// If the lengths do not belong to one N.
+    pub fn new(shape: Shape, x: &[F], y: &[F]) -> Self {
+        let samples = y.len() / (shape.instants * shape.outputs);
+        let mut data = Self::zeros(shape, samples);
+        assert_eq!(y.len(), samples * shape.instants * shape.outputs, "y of {shape:?}");
+        assert_eq!(x.len(), samples * shape.instants * shape.inputs, "x of {samples} samples of {shape:?}");
+        let (nx, ny) = (shape.instants * shape.inputs, shape.instants * shape.outputs);
+        for n in 0..samples {
+            data.set(n, &x[n * nx..(n + 1) * nx], &y[n * ny..(n + 1) * ny]);
+        }
+        data
+    }
+
+    /// Room for N samples, to be `set`.
+    pub fn zeros(shape: Shape, samples: usize) -> Self {
+        Self {
+            shape,
+            samples,
+            x: vec![F::ZERO; samples * (shape.instants + 2) * shape.inputs],
+            y: vec![F::ZERO; samples * shape.instants * shape.outputs],
+            output_weights: vec![F::from_f64(1.0); shape.outputs],
+        }
+    }
+
+    /// Counts the squared error of output k this many times in the loss: σ_k² makes a loss in normalised units physical.
+    ///
+    /// # Panics
+    /// If there is not one weight an output.
+    #[must_use]
+    pub fn with_output_weights(mut self, weights: &[f64]) -> Self {
+        assert_eq!(weights.len(), self.shape.outputs);
+        self.output_weights = weights.iter().map(|&w| F::from_f64(w)).collect();
+        self
+    }
+
+    /// Overwrites sample n by x (T, 3M) and y (T, K).
+    ///
+    /// # Panics
+    /// If n or a length is out of range.
+    pub fn set(&mut self, n: usize, x: &[F], y: &[F]) {
+        let (c, row) = (self.shape.inputs, (self.shape.instants + 2) * self.shape.inputs);
+        self.x[n * row + c..(n + 1) * row - c].copy_from_slice(x);
+        self.y[n * y.len()..(n + 1) * y.len()].copy_from_slice(y);
+    }
+
+    /// N.
+    pub fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// The network's sizes.
+    pub fn shape(&self) -> Shape {
+        self.shape
+    }
+
+    /// All samples, in order.
+    pub fn all(&self) -> Batch<'_, F> {
+        Batch { data: self, which: None }
+    }
+
+    /// These samples, in this order.
+    ///
+    /// # Panics
+    /// If there is no such sample.
+    pub fn batch<'a>(&'a self, which: &'a [usize]) -> Batch<'a, F> {
+        assert!(which.iter().all(|&n| n < self.samples), "of {} samples: {which:?}", self.samples);
+        Batch { data: self, which: Some(which) }
+    }
+}
+
+/// Some samples of `Data`.
+#[derive(Debug, Clone, Copy)]
+pub struct Batch<'a, F> {
+    data: &'a Data<F>,
+    which: Option<&'a [usize]>,
+}
+
+impl<'a, F: Real> Batch<'a, F> {
+    /// How many.
+    pub fn len(&self) -> usize {
+        self.which.map_or(self.data.samples, <[usize]>::len)
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The network's sizes.
+    pub fn shape(&self) -> Shape {
+        self.data.shape
+    }
+
+    /// Weights of the outputs in the loss.
+    pub(super) fn output_weights(&self) -> &'a [F] {
+        &self.data.output_weights
+    }
+
+    /// Padded x (T + 2, 3M) and y (T, K) of the i-th sample of the batch.
+    pub(super) fn sample(&self, i: usize) -> (&'a [F], &'a [F]) {
+        let n = self.which.map_or(i, |which| which[i]);
+        let shape = self.data.shape;
+        let (nx, ny) = ((shape.instants + 2) * shape.inputs, shape.instants * shape.outputs);
+        (&self.data.x[n * nx..(n + 1) * nx], &self.data.y[n * ny..(n + 1) * ny])
+    }
+
+    /// Mean square of the weighted targets: the loss of a network that answers 0.
+    pub fn target_power(&self) -> f64 {
+        let mut sum = 0.0;
+        for i in 0..self.len() {
+            for row in self.sample(i).1.chunks_exact(self.data.shape.outputs) {
+                for (y, w) in row.iter().zip(&self.data.output_weights) {
+                    sum += y.to_f64() * y.to_f64() * w.to_f64();
+                }
+            }
+        }
+        sum / (self.len() * self.data.shape.instants * self.data.shape.outputs) as f64
+    }
+}

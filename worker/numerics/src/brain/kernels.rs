@@ -1,0 +1,430 @@
+//! The two products that a k = 3 convolution and its derivatives are made of, in register tiles.
+//!
+//! ```text
+//! product: C[t, c] = start + Σ_d A[t·lda + d] B[d, c]   rows t may overlap (lda < depth): no im2col
+//! outer:   C[j, c] += Σ_t A[t·lda + j] B[t, c]
+//! ```
+//! B of `product` comes in panels of two registers' columns, each `depth` rows long, so that a panel stays in L1.
+
+use super::real::Real;
+use super::vector::{Plain, Vector};
+use crate::simd::Width;
+
+/// Columns of activations and packed weights are padded to a multiple of this: the widest panel.
+pub const COLUMNS: usize = 32;
+
+/// What a product starts from.
+#[derive(Clone, Copy)]
+pub enum Start<'a, F> {
+    /// 0.
+    Zero,
+    /// The same row for all t.
+    Bias(&'a [F]),
+    /// What C holds.
+    Add,
+}
+
+/// What happens to a finished sum.
+#[derive(Clone, Copy)]
+pub enum Finish<'a, F> {
+    /// Nothing.
+    Plain,
+    /// max(·, 0).
+    Relu,
+    /// Kept where this, laid out as C, is positive; else 0.
+    Gate(&'a [F]),
+}
+
+/// Operands of `product`.
+pub struct Product<'a, F> {
+    /// A, from its first row.
+    pub a: &'a [F],
+    /// From a row of A to the next.
+    pub lda: usize,
+    /// Rows of A and C.
+    pub rows: usize,
+    /// Length of a row of A.
+    pub depth: usize,
+    /// B in panels.
+    pub panels: &'a [F],
+    /// C, rows of `columns`.
+    pub c: &'a mut [F],
+    /// Columns of B and C, a multiple of `COLUMNS`.
+    pub columns: usize,
+    /// Initial value.
+    pub start: Start<'a, F>,
+    /// Last operation.
+    pub finish: Finish<'a, F>,
+}
+
+/// Operands of `outer`.
+pub struct Outer<'a, F> {
+    /// A, from its first row.
+    pub a: &'a [F],
+    /// From a row of A to the next.
+    pub lda: usize,
+    /// Rows of A and B: the length of the sum.
+    pub rows: usize,
+    /// Rows of C.
+    pub depth: usize,
+    /// B, rows of `columns`.
+    pub b: &'a [F],
+    /// Columns of B and C, a multiple of `COLUMNS`.
+    pub columns: usize,
+    /// C, added to.
+    pub c: &'a mut [F],
+}
+
+/// Operands of `dots`: C[t, k] = bias[k] + Σ_c A[t, c] W[k, c], for few k.
+pub struct Dots<'a, F> {
+    /// A, rows of `columns`.
+    pub a: &'a [F],
+    /// Columns of A and W, a multiple of `COLUMNS`.
+    pub columns: usize,
+    /// Rows of A.
+    pub rows: usize,
+    /// W.
+    pub w: &'a [F],
+    /// One a k.
+    pub bias: &'a [F],
+    /// Rows of as many as `bias`.
+    pub c: &'a mut [F],
+}
+
+/// The kernels of one precision on one instruction set.
+#[derive(Debug, Clone, Copy)]
+pub struct Kernels<F> {
+    panel: usize,
+    product: unsafe fn(&mut Product<F>),
+    outer: unsafe fn(&mut Outer<F>),
+    dots: unsafe fn(&mut Dots<F>),
+    sums: unsafe fn(&[F], &mut [F]),
+}
+
+impl<F: Real> Kernels<F> {
+    /// Columns of a panel.
+    pub fn panel(&self) -> usize {
+        self.panel
+    }
+
+    /// C = start + A·B.
+    ///
+    /// # Panics
+    /// If an operand is too short.
+    pub fn product(&self, mut p: Product<F>) {
+        assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
+        assert!(p.a.len() >= (p.rows - 1) * p.lda + p.depth, "A: {}", p.a.len());
+        assert!(p.panels.len() >= p.columns * p.depth && p.c.len() >= p.rows * p.columns);
+        if let Start::Bias(bias) = p.start {
+            assert!(bias.len() >= p.columns);
+        }
+        if let Finish::Gate(gate) = p.finish {
+            assert!(gate.len() >= p.rows * p.columns);
+        }
+        // SAFETY: lengths checked above; the machine has the instruction set, or these kernels would not exist.
+        unsafe { (self.product)(&mut p) }
+    }
+
+    /// C += Aᵀ·B.
+    ///
+    /// # Panics
+    /// If an operand is too short.
+    pub fn outer(&self, mut p: Outer<F>) {
+        assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
+        assert!(p.a.len() >= (p.rows - 1) * p.lda + p.depth, "A: {}", p.a.len());
+        assert!(p.b.len() >= p.rows * p.columns && p.c.len() >= p.depth * p.columns);
+        // SAFETY: as above.
+        unsafe { (self.outer)(&mut p) }
+    }
+
+    /// C = bias + A·Wᵀ.
+    ///
+    /// # Panics
+    /// If an operand is too short.
+    pub fn dots(&self, mut p: Dots<F>) {
+        assert!(p.columns.is_multiple_of(COLUMNS), "{} columns", p.columns);
+        assert!(p.a.len() >= p.rows * p.columns && p.w.len() >= p.bias.len() * p.columns);
+        assert!(p.c.len() >= p.rows * p.bias.len());
+        // SAFETY: as above.
+        unsafe { (self.dots)(&mut p) }
+    }
+
+    /// Adds the rows of A, as long as `c`, to `c`.
+    ///
+    /// # Panics
+    /// If `c` is no multiple of `COLUMNS` long.
+    pub fn add_rows(&self, a: &[F], c: &mut [F]) {
+        assert!(
+            c.len().is_multiple_of(COLUMNS) && a.len().is_multiple_of(c.len()),
+            "{} {}",
+            a.len(),
+            c.len()
+        );
+        // SAFETY: as above.
+        unsafe { (self.sums)(a, c) }
+    }
+
+    /// Writes B (depth, columns), given by its entries, in panels.
+    pub fn pack(&self, depth: usize, columns: usize, entry: impl Fn(usize, usize) -> F, out: &mut [F]) {
+        for (p, panel) in out[..depth * columns].chunks_exact_mut(depth * self.panel).enumerate() {
+            for (d, row) in panel.chunks_exact_mut(self.panel).enumerate() {
+                for (c, to) in row.iter_mut().enumerate() {
+                    *to = entry(d, p * self.panel + c);
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn product<V: Vector, const R: usize>(p: &mut Product<V::Scalar>) {
+    // A known stride spares the row addresses their registers.
+    // SAFETY: the caller's promise.
+    unsafe {
+        match p.lda {
+            64 => product_by_stride::<V, R>(p, 64),
+            stride => product_by_stride::<V, R>(p, stride),
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn product_by_stride<V: Vector, const R: usize>(p: &mut Product<V::Scalar>, lda: usize) {
+    let panel = 2 * V::LANES;
+    // SAFETY: the caller's promise.
+    unsafe {
+        for column in (0..p.columns).step_by(panel) {
+            let b = p.panels.as_ptr().add(column * p.depth);
+            let mut t = 0;
+            while t + R <= p.rows {
+                product_tile::<V, R>(p, lda, b, t, column);
+                t += R;
+            }
+            while t + 2 <= p.rows {
+                product_tile::<V, 2>(p, lda, b, t, column);
+                t += 2;
+            }
+            if t < p.rows {
+                product_tile::<V, 1>(p, lda, b, t, column);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn product_tile<V: Vector, const R: usize>(
+    p: &mut Product<V::Scalar>,
+    lda: usize,
+    b: *const V::Scalar,
+    t: usize,
+    column: usize,
+) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let ldc = p.columns;
+        let a = p.a.as_ptr().add(t * lda);
+        let c = p.c.as_mut_ptr().add(t * ldc + column);
+        let mut sum = [[V::splat(V::Scalar::ZERO); 2]; R];
+        match p.start {
+            Start::Zero | Start::Bias(_) => {}
+            Start::Add => {
+                for r in 0..R {
+                    sum[r] = [V::load(c.add(r * ldc)), V::load(c.add(r * ldc + V::LANES))];
+                }
+            }
+        }
+        for d in 0..p.depth {
+            let b0 = V::load(b.add(d * 2 * V::LANES));
+            let b1 = V::load(b.add(d * 2 * V::LANES + V::LANES));
+            for r in 0..R {
+                let x = V::splat(*a.add(r * lda + d));
+                sum[r][0] = sum[r][0].plus_product(x, b0);
+                sum[r][1] = sum[r][1].plus_product(x, b1);
+            }
+        }
+        // Last, as in the reference: a trained network may hold a unit at its kink to the last bit.
+        if let Start::Bias(bias) = p.start {
+            let at = bias.as_ptr().add(column);
+            let b = [V::load(at), V::load(at.add(V::LANES))];
+            for r in 0..R {
+                sum[r] = [sum[r][0].plus(b[0]), sum[r][1].plus(b[1])];
+            }
+        }
+        match p.finish {
+            Finish::Plain => {}
+            Finish::Relu => {
+                for r in 0..R {
+                    sum[r] = [sum[r][0].relu(), sum[r][1].relu()];
+                }
+            }
+            Finish::Gate(gate) => {
+                let g = gate.as_ptr().add(t * ldc + column);
+                for r in 0..R {
+                    sum[r][0] = sum[r][0].gate(V::load(g.add(r * ldc)));
+                    sum[r][1] = sum[r][1].gate(V::load(g.add(r * ldc + V::LANES)));
+                }
+            }
+        }
+        for r in 0..R {
+            sum[r][0].store(c.add(r * ldc));
+            sum[r][1].store(c.add(r * ldc + V::LANES));
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn outer<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        for column in (0..p.columns).step_by(2 * V::LANES) {
+            let mut j = 0;
+            while j + R <= p.depth {
+                outer_tile::<V, R>(p, j, column);
+                j += R;
+            }
+            while j + 3 <= p.depth {
+                outer_tile::<V, 3>(p, j, column);
+                j += 3;
+            }
+            while j < p.depth {
+                outer_tile::<V, 1>(p, j, column);
+                j += 1;
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn outer_tile<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>, j: usize, column: usize) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let (ldb, lda) = (p.columns, p.lda);
+        let mut sum = [[V::splat(V::Scalar::ZERO); 2]; R];
+        let mut a = p.a.as_ptr().add(j);
+        let mut b = p.b.as_ptr().add(column);
+        for _ in 0..p.rows {
+            let b0 = V::load(b);
+            let b1 = V::load(b.add(V::LANES));
+            for r in 0..R {
+                let x = V::splat(*a.add(r));
+                sum[r][0] = sum[r][0].plus_product(x, b0);
+                sum[r][1] = sum[r][1].plus_product(x, b1);
+            }
+            a = a.wrapping_add(lda);
+            b = b.wrapping_add(ldb);
+        }
+        let c = p.c.as_mut_ptr().add(j * ldb + column);
+        for r in 0..R {
+            for half in 0..2 {
+                let at = c.add(r * ldb + half * V::LANES);
+                V::load(at).plus(sum[r][half]).store(at);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn dots<V: Vector>(p: &mut Dots<V::Scalar>) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let outputs = p.bias.len();
+        for t in 0..p.rows {
+            let row = p.a.as_ptr().add(t * p.columns);
+            for k in 0..outputs {
+                let w = p.w.as_ptr().add(k * p.columns);
+                let mut sum = [V::splat(V::Scalar::ZERO); 2];
+                for column in (0..p.columns).step_by(2 * V::LANES) {
+                    sum[0] = sum[0].plus_product(V::load(row.add(column)), V::load(w.add(column)));
+                    let next = column + V::LANES;
+                    sum[1] = sum[1].plus_product(V::load(row.add(next)), V::load(w.add(next)));
+                }
+                *p.c.get_unchecked_mut(t * outputs + k) =
+                    *p.bias.get_unchecked(k) + sum[0].plus(sum[1]).sum();
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn sums<V: Vector>(a: &[V::Scalar], c: &mut [V::Scalar]) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let rows = a.len() / c.len();
+        for column in (0..c.len()).step_by(2 * V::LANES) {
+            let mut sum = [[V::splat(V::Scalar::ZERO); 2]; 4];
+            for t in 0..rows {
+                let at = a.as_ptr().add(t * c.len() + column);
+                let into = &mut sum[t % 4];
+                *into = [into[0].plus(V::load(at)), into[1].plus(V::load(at.add(V::LANES)))];
+            }
+            for half in 0..2 {
+                let total = sum[0][half].plus(sum[1][half]).plus(sum[2][half].plus(sum[3][half]));
+                let at = c.as_mut_ptr().add(column + half * V::LANES);
+                V::load(at).plus(total).store(at);
+            }
+        }
+    }
+}
+
+macro_rules! entries {
+    ($name:ident, $vector:ty, $rows:literal, $outer_rows:literal $(, $features:literal)?) => {
+        mod $name {
+            use super::*;
+            type F = <$vector as Vector>::Scalar;
+            $(#[target_feature(enable = $features)])?
+            unsafe fn product(p: &mut Product<F>) {
+                // SAFETY: the caller's promise.
+                unsafe { super::product::<$vector, $rows>(p) }
+            }
+            $(#[target_feature(enable = $features)])?
+            unsafe fn outer(p: &mut Outer<F>) {
+                // SAFETY: the caller's promise.
+                unsafe { super::outer::<$vector, $outer_rows>(p) }
+            }
+            $(#[target_feature(enable = $features)])?
+            unsafe fn dots(p: &mut Dots<F>) {
+                // SAFETY: the caller's promise.
+                unsafe { super::dots::<$vector>(p) }
+            }
+            $(#[target_feature(enable = $features)])?
+            unsafe fn sums(a: &[F], c: &mut [F]) {
+                // SAFETY: the caller's promise.
+                unsafe { super::sums::<$vector>(a, c) }
+            }
+            pub const KERNELS: Kernels<F> =
+                Kernels { panel: 2 * <$vector as Vector>::LANES, product, outer, dots, sums };
+        }
+    };
+}
+
+entries!(plain_f32, Plain<f32>, 4, 4);
+entries!(plain_f64, Plain<f64>, 2, 2);
+#[cfg(target_arch = "x86_64")]
+entries!(avx2_f32, std::arch::x86_64::__m256, 6, 6, "avx2,fma");
+#[cfg(target_arch = "x86_64")]
+entries!(avx2_f64, std::arch::x86_64::__m256d, 6, 6, "avx2,fma");
+#[cfg(target_arch = "x86_64")]
+entries!(avx512_f32, std::arch::x86_64::__m512, 10, 12, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+#[cfg(target_arch = "x86_64")]
+entries!(avx512_f64, std::arch::x86_64::__m512d, 10, 12, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+
+macro_rules! choose {
+    ($name:ident, $type:ty, $plain:ident, $avx2:ident, $avx512:ident) => {
+        /// The kernels of this precision.
+        ///
+        /// # Panics
+        /// If the machine lacks the instruction set.
+        pub fn $name(width: Width) -> Kernels<$type> {
+            assert!(width <= Width::detect(), "this machine has no {}", width.name());
+            #[cfg(target_arch = "x86_64")]
+            match width {
+                Width::Avx512 => return $avx512::KERNELS,
+                Width::Avx2 => return $avx2::KERNELS,
+                Width::Baseline => {}
+            }
+            $plain::KERNELS
+        }
+    };
+}
+choose!(of_f32, f32, plain_f32, avx2_f32, avx512_f32);
+choose!(of_f64, f64, plain_f64, avx2_f64, avx512_f64);

@@ -1,0 +1,30 @@
+//! The brain: a 1D CNN from sensor signals to forces, its training and its second derivatives, in f32 and f64.
+//!
+//! ```text
+//! let data = Data::new(shape, &x, &y);                     x (N, T, 3M), y (N, T, K), normalised
+//! train(&mut weights, &mut adam, data.all(), &cosine(1e-2, 1000), 1000, &mut losses, &mut ws, &pool)
+//! let curvature = Curvature::new(&weights, data.all(), …)   then .product(…), .mixed_product(…), solve_implicit(…)
+//! ```
+//! Weights are flat: b₁, b₂, b₃, w₁, w₂, w₃ (`shape`). Any number of threads gives the same bits.
+
+mod curvature;
+mod data;
+mod kernels;
+mod layout;
+mod metric;
+mod network;
+mod real;
+mod shape;
+mod solve;
+mod train;
+mod vector;
+
+pub use curvature::{Curvature, Matrix};
+pub use data::{Batch, Data};
+pub use kernels::Kernels;
+pub use metric::prediction_error;
+pub use network::{Workspace, full_gradient, input_gradient, loss, loss_gradient, predict};
+pub use real::Real;
+pub use shape::{Shape, initial_weights};
+pub use solve::{Policy, Solve, SolveOutcome, conjugate_gradient, solve_implicit};
+pub use train::{Adam, TrainOutcome, cosine, train};

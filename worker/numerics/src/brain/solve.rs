@@ -1,0 +1,160 @@
+//! The linear system of the implicit term, H z = b, by conjugate gradients that notice when H is not positive.
+//!
+//! A stopped training leaves H singular and indefinite, so what H⁻¹ means is a choice: `Policy`.
+
+use super::curvature::{Curvature, Matrix};
+use super::network::Workspace;
+
+/// What stands for H⁻¹.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Policy {
+    /// Conjugate gradients on H, ended at the iterate before negative curvature.
+    Truncate,
+    /// The same on H + λI.
+    Damped(f64),
+    /// The same on the Gauss–Newton matrix + λI.
+    GaussNewton(f64),
+}
+
+/// How conjugate gradients ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SolveOutcome {
+    /// ‖r‖ ≤ tolerance·‖b‖.
+    Converged,
+    /// Out of iterations.
+    IterationLimit,
+    /// A direction p with pᵀHp ≤ 0; z is the iterate before it.
+    NegativeCurvature,
+    /// NaN or infinity; z is the last finite iterate.
+    NonFinite,
+}
+
+impl SolveOutcome {
+    /// As it stands in the record.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::IterationLimit => "iteration_limit",
+            Self::NegativeCurvature => "negative_curvature",
+            Self::NonFinite => "non_finite",
+        }
+    }
+}
+
+/// The best z so far, and what is known of it.
+#[derive(Debug, Clone)]
+pub struct Solve {
+    /// The iterate.
+    pub z: Vec<f64>,
+    /// Products with the matrix that were taken.
+    pub iterations: usize,
+    /// ‖b − Hz‖/‖b‖ by its recurrence; 0 for b = 0.
+    pub residual: f64,
+    /// The least pᵀHp/pᵀp met, shift included; infinite if none was.
+    pub smallest_curvature: f64,
+    /// How it ended.
+    pub outcome: SolveOutcome,
+}
+
+/// Solves (A + `shift`·I) z = b from z = 0, `apply(v, out)` being out = A v.
+pub fn conjugate_gradient(
+    mut apply: impl FnMut(&[f64], &mut [f64]),
+    b: &[f64],
+    shift: f64,
+    tolerance: f64,
+    limit: usize,
+) -> Solve {
+    let (mut z, mut r, mut p) = (vec![0.0; b.len()], b.to_vec(), b.to_vec());
+    let mut ap = vec![0.0; b.len()];
+    let norm = dot(b, b).sqrt();
+    let mut rr = norm * norm;
+    let mut smallest_curvature = f64::INFINITY;
+    let mut iterations = 0;
+    let outcome = loop {
+        if !rr.is_finite() {
+            break SolveOutcome::NonFinite;
+        }
+        if rr.sqrt() <= tolerance * norm {
+            break SolveOutcome::Converged;
+        }
+        if iterations == limit {
+            break SolveOutcome::IterationLimit;
+        }
+        apply(&p, &mut ap);
+        iterations += 1;
+        ap.iter_mut().zip(&p).for_each(|(ap, p)| *ap += shift * p);
+        let (pap, pp) = (dot(&p, &ap), dot(&p, &p));
+        if !pap.is_finite() {
+            break SolveOutcome::NonFinite;
+        }
+        smallest_curvature = smallest_curvature.min(pap / pp);
+        if pap <= 0.0 {
+            break SolveOutcome::NegativeCurvature;
+        }
+        let alpha = rr / pap;
+        z.iter_mut().zip(&p).for_each(|(z, p)| *z += alpha * p);
+        r.iter_mut().zip(&ap).for_each(|(r, ap)| *r -= alpha * ap);
+        let next = dot(&r, &r);
+        p.iter_mut().zip(&r).for_each(|(p, r)| *p = r + next / rr * *p);
+        rr = next;
+    };
+    let residual = if norm > 0.0 { rr.sqrt() / norm } else { 0.0 };
+    Solve { z, iterations, residual, smallest_curvature, outcome }
+}
+
+/// z of the implicit term: `b` = ∂L_test/∂β, the curvature that of the training loss.
+pub fn solve_implicit(
+    curvature: &Curvature<f64>,
+    b: &[f64],
+    policy: Policy,
+    tolerance: f64,
+    limit: usize,
+    ws: &mut Workspace<f64>,
+    pool: &rayon::ThreadPool,
+) -> Solve {
+    let (matrix, shift) = match policy {
+        Policy::Truncate => (Matrix::Hessian, 0.0),
+        Policy::Damped(lambda) => (Matrix::Hessian, lambda),
+        Policy::GaussNewton(lambda) => (Matrix::GaussNewton, lambda),
+    };
+    conjugate_gradient(|v, out| curvature.product(matrix, v, out, ws, pool), b, shift, tolerance, limit)
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn diagonal<'a>(d: &'a [f64]) -> impl FnMut(&[f64], &mut [f64]) + 'a {
+        move |v, out| out.iter_mut().zip(v).zip(d).for_each(|((o, v), d)| *o = d * v)
+    }
+
+    /// As many iterations as distinct eigenvalues solve it.
+    #[test]
+    fn three_eigenvalues_take_three_iterations() {
+        let solve =
+            conjugate_gradient(diagonal(&[1.0, 1.0, 4.0, 9.0]), &[1.0, 2.0, 4.0, 9.0], 0.0, 1e-10, 20);
+        assert_eq!((solve.outcome, solve.iterations), (SolveOutcome::Converged, 3), "{solve:?}");
+        let error: f64 = solve.z.iter().zip([1.0, 2.0, 1.0, 1.0]).map(|(z, x)| (z - x).abs()).sum();
+        assert!(error < 1e-9, "{error}");
+    }
+
+    /// An indefinite matrix ends it with the iterate before; enough damping cures it; NaN is named, not returned.
+    #[test]
+    fn negative_curvature_and_nan_are_named() {
+        let (d, b) = ([5.0, 1.0, -0.5], [1.0, 1.0, 1.0]);
+        let solve = conjugate_gradient(diagonal(&d), &b, 0.0, 1e-10, 20);
+        assert_eq!(solve.outcome, SolveOutcome::NegativeCurvature, "{solve:?}");
+        assert!(solve.smallest_curvature <= 0.0 && solve.z.iter().all(|z| z.is_finite()), "{solve:?}");
+        let solve = conjugate_gradient(diagonal(&d), &b, 1.0, 1e-10, 20);
+        assert_eq!(solve.outcome, SolveOutcome::Converged, "{solve:?}");
+        let solve = conjugate_gradient(|_, out| out.fill(f64::NAN), &b, 0.0, 1e-10, 20);
+        assert_eq!(solve.outcome, SolveOutcome::NonFinite, "{solve:?}");
+        assert!(solve.z.iter().all(|&z| z == 0.0), "{solve:?}");
+        let solve = conjugate_gradient(diagonal(&d), &[0.0; 3], 0.0, 1e-10, 20);
+        assert_eq!((solve.outcome, solve.iterations), (SolveOutcome::Converged, 0), "{solve:?}");
+    }
+}

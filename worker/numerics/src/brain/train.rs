@@ -1,0 +1,117 @@
+//! Adam (Kingma and Ba 2015) on the network, and the names of what may go wrong.
+
+use super::data::Batch;
+use super::network::{Workspace, loss_gradient};
+use super::real::Real;
+
+/// Moments and count of steps; β₁ = 0.9, β₂ = 0.999, ε = 1e-8 added to the root of the bias-corrected second moment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Adam<F> {
+    /// First moment.
+    pub m: Vec<F>,
+    /// Second moment.
+    pub v: Vec<F>,
+    /// Steps taken.
+    pub t: u64,
+}
+
+impl<F: Real> Adam<F> {
+    /// Moments of zero.
+    pub fn new(weights: usize) -> Self {
+        Self { m: vec![F::ZERO; weights], v: vec![F::ZERO; weights], t: 0 }
+    }
+
+    /// One step down the gradient.
+    ///
+    /// # Panics
+    /// If the lengths differ.
+    pub fn step(&mut self, weights: &mut [F], gradient: &[F], rate: f64) {
+        let n = self.m.len();
+        assert!(weights.len() == n && gradient.len() == n && self.v.len() == n, "{n} moments");
+        self.t += 1;
+        let correction = |beta: f64| 1.0 - beta.powf(self.t as f64);
+        let step = F::from_f64(-rate / correction(0.9));
+        let root = F::from_f64(1.0 / correction(0.999).sqrt());
+        let [b1, b2, a1, a2, epsilon] = [0.9, 0.999, 0.1, 0.001, 1e-8].map(F::from_f64);
+        for i in 0..n {
+            let g = gradient[i];
+            let (m, v) = (b1 * self.m[i] + a1 * g, b2 * self.v[i] + a2 * g * g);
+            (self.m[i], self.v[i]) = (m, v);
+            weights[i] += step * m / (v.sqrt() * root + epsilon);
+        }
+    }
+}
+
+/// How a training ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TrainOutcome {
+    /// As planned.
+    Ok,
+    /// No unit of this hidden layer (1, 2) fired for any sample: its gradient is zero, so it stays so. Training ended there.
+    DeadLayer(usize),
+    /// The loss exceeded a hundred times that of the start and of the answer 0. Training ended there.
+    Diverged,
+    /// NaN or infinity in the loss; the weights are the last whose loss was finite.
+    NonFinite,
+}
+
+impl TrainOutcome {
+    /// As it stands in the record.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::DeadLayer(_) => "dead_layer",
+            Self::Diverged => "diverged",
+            Self::NonFinite => "non_finite",
+        }
+    }
+}
+
+/// Takes Adam steps on the whole batch, at rate `schedule(i)` for i = 0…; appends the loss before each to `losses`.
+///
+/// After `Ok` and `iterations` steps, moments and weights are those of an uninterrupted run: calls can be chained.
+pub fn train<F: Real>(
+    weights: &mut [F],
+    adam: &mut Adam<F>,
+    batch: Batch<F>,
+    schedule: &dyn Fn(usize) -> f64,
+    iterations: usize,
+    losses: &mut Vec<f32>,
+    ws: &mut Workspace<F>,
+    pool: &rayon::ThreadPool,
+) -> TrainOutcome {
+    let shape = batch.shape();
+    let mut gradient = vec![F::ZERO; weights.len()];
+    let mut last = weights.to_vec();
+    let mut ceiling = batch.target_power();
+    losses.reserve(iterations);
+    for i in 0..iterations {
+        let loss = loss_gradient(weights, batch, &mut gradient, ws, pool);
+        if !loss.is_finite() {
+            weights.copy_from_slice(&last);
+            return TrainOutcome::NonFinite;
+        }
+        losses.push(loss as f32);
+        if i == 0 {
+            ceiling = 100.0 * loss.max(ceiling);
+        }
+        if loss > ceiling {
+            return TrainOutcome::Diverged;
+        }
+        let silent = |block| gradient[shape.range(block)].iter().all(|&g| g == F::ZERO);
+        if loss > 0.0 && silent(5) {
+            return TrainOutcome::DeadLayer(2);
+        }
+        if loss > 0.0 && silent(4) && silent(0) {
+            return TrainOutcome::DeadLayer(1);
+        }
+        last.copy_from_slice(weights);
+        adam.step(weights, &gradient, schedule(i));
+    }
+    TrainOutcome::Ok
+}
+
+/// A rate that falls from `rate` to 0 by a cosine over `iterations`.
+pub fn cosine(rate: f64, iterations: usize) -> impl Fn(usize) -> f64 {
+    move |i| 0.5 * rate * (1.0 + (std::f64::consts::PI * i as f64 / iterations as f64).cos())
+}
