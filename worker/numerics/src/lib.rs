@@ -2,6 +2,8 @@
 //!
 //! No I/O, no clock, no environment, no randomness but a seed passed in. Physics and conventions: `MODEL.md`.
 
+pub mod body;
 pub mod brain;
+pub mod dynamics;
 pub mod random;
 pub mod simd;

@@ -1,0 +1,167 @@
+//! Geometry of a design: centroids, arms, areas, masses and moments of inertia of the units, and their transpose.
+//!
+//! ```text
+//! A = ½ Σ q_p × q_p+1,   c = Σ (q_p + q_p+1)(q_p × q_p+1) / 6A,   r_p = q_p − c
+//! m = ρ A,   J = ρ/12 Σ (r_p × r_p+1)(r_p·r_p + r_p·r_p+1 + r_p+1·r_p+1)
+//! ```
+//! The two ends of a ligament move together, so that its reference vector does not depend on the design.
+
+use super::Layout;
+
+/// What the dynamics need to know of a design.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Geometry {
+    /// Absolute node positions (mm).
+    pub vertices: Vec<[[f64; 2]; 4]>,
+    /// Area centroids (mm).
+    pub centroids: Vec<[f64; 2]>,
+    /// r: from the centroid to each node (mm).
+    pub arms: Vec<[[f64; 2]; 4]>,
+    /// Areas (mm²).
+    pub area: Vec<f64>,
+    /// Masses (Mg).
+    pub mass: Vec<f64>,
+    /// Polar moments of inertia about the centroid (Mg·mm²).
+    pub moment: Vec<f64>,
+}
+
+fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+fn sum(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0] + b[0], a[1] + b[1]]
+}
+fn difference(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0] - b[0], a[1] - b[1]]
+}
+fn add_scaled(to: &mut [f64; 2], s: f64, a: [f64; 2]) {
+    to[0] += s * a[0];
+    to[1] += s * a[1];
+}
+
+impl Geometry {
+    /// Geometry of `design` with plane density `density` (Mg/mm²).
+    pub fn new(layout: &Layout, design: &[f64], density: f64) -> Self {
+        let vertices = layout.vertices(design);
+        let n = layout.units();
+        let mut g = Self {
+            vertices,
+            centroids: vec![[0.0; 2]; n],
+            arms: vec![[[0.0; 2]; 4]; n],
+            area: vec![0.0; n],
+            mass: vec![0.0; n],
+            moment: vec![0.0; n],
+        };
+        for u in 0..n {
+            let q: [[f64; 2]; 4] = std::array::from_fn(|p| layout.node(design, u, p));
+            let (mut doubled, mut first) = (0.0, [0.0; 2]);
+            for p in 0..4 {
+                let w = q[(p + 1) % 4];
+                doubled += cross(q[p], w);
+                add_scaled(&mut first, cross(q[p], w), sum(q[p], w));
+            }
+            let centroid = [first[0] / (3.0 * doubled), first[1] / (3.0 * doubled)];
+            let r = q.map(|q| difference(q, centroid));
+            let mut polar = 0.0;
+            for p in 0..4 {
+                let w = r[(p + 1) % 4];
+                polar += cross(r[p], w) * (dot(r[p], r[p]) + dot(r[p], w) + dot(w, w));
+            }
+            g.centroids[u] = sum(layout.centres[u], centroid);
+            g.arms[u] = r;
+            g.area[u] = doubled / 2.0;
+            g.mass[u] = density * g.area[u];
+            g.moment[u] = density * polar / 12.0;
+        }
+        g
+    }
+
+    /// Gradient in α of Σ bar_arms·r + Σ bar_mass·m + Σ bar_moment·J.
+    pub fn vjp(
+        &self,
+        layout: &Layout,
+        density: f64,
+        bar_arms: &[[[f64; 2]; 4]],
+        bar_mass: &[f64],
+        bar_moment: &[f64],
+    ) -> Vec<f64> {
+        let mut design = vec![0.0; layout.design_len()];
+        for u in 0..layout.units() {
+            let (r, mut bar_r) = (self.arms[u], bar_arms[u]);
+            let scale = density * bar_moment[u] / 12.0;
+            for p in 0..4 {
+                let s = (p + 1) % 4;
+                let (a, b) = (r[p], r[s]);
+                let (area, square) = (cross(a, b), dot(a, a) + dot(a, b) + dot(b, b));
+                add_scaled(&mut bar_r[p], scale * square, [b[1], -b[0]]);
+                add_scaled(&mut bar_r[s], scale * square, [-a[1], a[0]]);
+                add_scaled(&mut bar_r[p], scale * area, [2.0 * a[0] + b[0], 2.0 * a[1] + b[1]]);
+                add_scaled(&mut bar_r[s], scale * area, [2.0 * b[0] + a[0], 2.0 * b[1] + a[1]]);
+            }
+            // r = q − c, c = first/(6A), all relative to the unit's reference point
+            let centroid = difference(self.centroids[u], layout.centres[u]);
+            let q = r.map(|r| sum(r, centroid));
+            let mut bar_q = bar_r;
+            let bar_c = bar_r.iter().fold([0.0; 2], |s, r| difference(s, *r));
+            let area = self.area[u];
+            let bar_first = [bar_c[0] / (6.0 * area), bar_c[1] / (6.0 * area)];
+            let bar_area = density * bar_mass[u] - dot(bar_c, centroid) / area;
+            for p in 0..4 {
+                let s = (p + 1) % 4;
+                let (a, b) = (q[p], q[s]);
+                let bar_cross = dot(sum(a, b), bar_first) + 0.5 * bar_area;
+                add_scaled(&mut bar_q[p], cross(a, b), bar_first);
+                add_scaled(&mut bar_q[s], cross(a, b), bar_first);
+                add_scaled(&mut bar_q[p], bar_cross, [b[1], -b[0]]);
+                add_scaled(&mut bar_q[s], bar_cross, [-a[1], a[0]]);
+            }
+            for p in 0..4 {
+                let group = layout.groups[u][p];
+                design[2 * group] += bar_q[p][0];
+                design[2 * group + 1] += bar_q[p][1];
+            }
+        }
+        design
+    }
+
+    /// The two void angles of each ligament at rest, in (−π, π]: from e⁻ of b to e⁺ of a, and from e⁻ of a to e⁺ of b.
+    pub fn void_angles(&self, layout: &Layout) -> Vec<[f64; 2]> {
+        let angle = |ends: [(usize, usize, usize); 2]| {
+            let [e, f] = ends.map(|(u, p, s)| difference(self.arms[u][s], self.arms[u][p]));
+            cross(e, f).atan2(dot(e, f))
+        };
+        void_edges(layout).map(|pair| pair.map(angle)).collect()
+    }
+}
+
+/// For each void angle of each ligament the edges it opens from and to, as (unit, node, other node).
+fn void_edges(layout: &Layout) -> impl Iterator<Item = [[(usize, usize, usize); 2]; 2]> + '_ {
+    layout.ligaments.iter().map(|l| {
+        let next = |e: super::End| (e.unit, e.node, (e.node + 1) % 4);
+        let previous = |e: super::End| (e.unit, e.node, (e.node + 3) % 4);
+        [[previous(l.b), next(l.a)], [previous(l.a), next(l.b)]]
+    })
+}
+
+/// Adds to `bar_arms` the gradient of Σ bar_angles·ψ in the arms.
+pub fn void_angles_vjp(
+    geometry: &Geometry,
+    layout: &Layout,
+    bar_angles: &[[f64; 2]],
+    bar_arms: &mut [[[f64; 2]; 4]],
+) {
+    for (pair, bars) in void_edges(layout).zip(bar_angles) {
+        for (ends, &bar) in pair.iter().zip(bars) {
+            // The angle falls with that of the first edge and rises with that of the second.
+            for (&(u, p, s), sign) in ends.iter().zip([-bar, bar]) {
+                let e = difference(geometry.arms[u][s], geometry.arms[u][p]);
+                let turn = [-e[1] / dot(e, e), e[0] / dot(e, e)];
+                add_scaled(&mut bar_arms[u][s], sign, turn);
+                add_scaled(&mut bar_arms[u][p], -sign, turn);
+            }
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! The body: units and the ligaments between them, and the geometry that a design gives them.
+//!
+//! A layout says who is joined to whom; the design α moves node groups; geometry follows from both.
+
+mod geometry;
+mod layout;
+
+pub use geometry::{Geometry, void_angles_vjp};
+pub use layout::{End, Layout, Ligament};

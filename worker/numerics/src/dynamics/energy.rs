@@ -1,0 +1,94 @@
+//! Energy of one state, its gradient and its derivative in the design: for checks and reports, not for time steps.
+
+use super::ligaments::{Shape, gradient};
+use super::model::{Model, ModelCotangent};
+use super::vector::{Array, Vector};
+use super::{Contact, Scene};
+
+/// Elastic and contact energy (N·mm).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Energy {
+    /// Of the ligaments.
+    pub elastic: f64,
+    /// Of the contacts.
+    pub contact: f64,
+}
+
+/// Energy of a displacement (u, v, θ) of every unit, with the standard library's trigonometry.
+pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energy {
+    let model = Model::new(scene, design);
+    let k = scene.stiffness;
+    let mut sum = Energy { elastic: 0.0, contact: 0.0 };
+    for bar in &model.bars {
+        let (xa, xb) = (displacement[bar.a], displacement[bar.b]);
+        let move_of = |x: [f64; 3], r: [f64; 2]| {
+            let (s, c1) = (x[2].sin(), -2.0 * (0.5 * x[2]).sin().powi(2));
+            [x[0] + c1 * r[0] - s * r[1], x[1] + s * r[0] + c1 * r[1]]
+        };
+        let (ua, ub) = (move_of(xa, bar.arm_a), move_of(xb, bar.arm_b));
+        let du = [ub[0] - ua[0], ub[1] - ua[1]];
+        let ([ex, ey], l) = (bar.e, bar.length);
+        let mean = 0.5 * (xa[2] + xb[2]);
+        let (stretch, slide) = if scene.linearised {
+            (du[0] * ex + du[1] * ey, ex * du[1] - ey * du[0] - l * mean)
+        } else {
+            let d = [du[0] + l * ex, du[1] + l * ey];
+            let n = [mean.cos() * ex - mean.sin() * ey, mean.sin() * ex + mean.cos() * ey];
+            (d[0].hypot(d[1]) - l, l * (n[0] * d[1] - n[1] * d[0]).atan2(n[0] * d[0] + n[1] * d[1]))
+        };
+        let bend = xb[2] - xa[2];
+        sum.elastic += 0.5 * (k.stretch * stretch.powi(2) + k.shear * slide.powi(2) + k.bend * bend.powi(2));
+        if let Some(contact) = scene.contact {
+            sum.contact +=
+                contact_energy(contact, bar.voids[0] - bend) + contact_energy(contact, bar.voids[1] + bend);
+        }
+    }
+    sum
+}
+
+fn contact_energy(contact: Contact, psi: f64) -> f64 {
+    let width = contact.cutoff_angle - contact.min_angle;
+    let x = (psi - contact.cutoff_angle) / width;
+    if !(-1.0..0.0).contains(&x) {
+        return 0.0;
+    }
+    0.5 * contact.stiffness * width.powi(2) * x.powi(2) / (1.0 - x.powi(2))
+}
+
+/// ∂U/∂s, by the kernel that the time steps use.
+pub fn energy_gradient(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    both(scene, design, displacement).0
+}
+
+/// ∂U/∂α at fixed displacement.
+pub fn energy_design_gradient(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Vec<f64> {
+    both(scene, design, displacement).1
+}
+
+fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 3]>, Vec<f64>) {
+    let model = Model::new(scene, design);
+    let n = model.units();
+    let zero = Array::splat(0.0);
+    let x: Vec<[Array; 3]> = displacement.iter().map(|d| d.map(Array::splat)).collect();
+    let (mut turn, mut g) = (vec![[zero; 6]; n], vec![[zero; 3]; n]);
+    let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; n], vec![[zero; 2]; model.bars.len()]);
+    let shape = Shape { arms: &mut arms, voids: &mut voids };
+    let mut margin = zero;
+    let kernel = match (scene.linearised, scene.contact.is_some()) {
+        (false, false) => gradient::<Array, Array, false, false, true>,
+        (false, true) => gradient::<Array, Array, false, true, true>,
+        (true, false) => gradient::<Array, Array, true, false, true>,
+        (true, true) => gradient::<Array, Array, true, true, true>,
+    };
+    kernel(&model, &x, &[], &mut turn, &mut g, &mut [], shape, &mut margin);
+    let mut cotangent = ModelCotangent::new(&model);
+    let first = |v: &Array| v.array()[0];
+    for (to, from) in cotangent.arms.iter_mut().zip(&arms) {
+        *to = from.map(|node| [first(&node[0]), first(&node[1])]);
+    }
+    for (to, from) in cotangent.voids.iter_mut().zip(&voids) {
+        *to = [first(&from[0]), first(&from[1])];
+    }
+    let gradient = g.iter().map(|g| [first(&g[0]), first(&g[1]), first(&g[2])]).collect();
+    (gradient, cotangent.design(&model, &scene.layout, scene.density))
+}

@@ -1,0 +1,156 @@
+//! Gradient of the energy of ligaments and contacts, and its derivative along a direction, in lanes.
+//!
+//! ```text
+//! U = Σ ½ k_l Δl² + ½ k_s (l₀ γ)² + ½ k_θ Δθ² + E_c    (Bordiga et al., Nat. Mater. 23, 1486)
+//! γ = ∠(d) − ∠(R((θ_a+θ_b)/2) d₀),   E_c = ½ k_c w² x²/(1−x²),   x = (ψ − ψ_c)/w,   w = ψ_c − ψ_min
+//! ```
+//! γ is the angle of d seen from the turned reference, so it stays in (−π, π] however far units turn. A void angle is
+//! its value at rest plus the units' relative rotation: continuous, hence on the branch of the rest state.
+
+use super::model::{Bar, Model};
+use super::real::{Real, angle, sin_cos};
+use super::vector::Vector;
+
+/// Scratch of one unit: sin and cos of θ/2, then sin θ and cos θ − 1 with their derivatives.
+pub type Turn<V> = [V; 6];
+
+/// Where a kernel adds cotangents of the arms (node by node) and of the void angles at rest.
+pub struct Shape<'a, V> {
+    /// One entry a unit.
+    pub arms: &'a mut [[[V; 2]; 4]],
+    /// One entry a ligament.
+    pub voids: &'a mut [[V; 2]],
+}
+
+/// Overwrites `g` by ∂U/∂s at `x` and, with duals, `h` by its derivative along `w`. Allocates nothing.
+///
+/// With `SHAPE` adds to `shape` ∂U/∂r and ∂U/∂ψ at rest (plain lanes) or their derivatives along `w` (duals).
+/// With `CONTACT` lowers `margin` to the least ψ − ψ_min. A ligament of length zero gives NaN.
+#[inline(always)]
+pub fn gradient<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool, const SHAPE: bool>(
+    model: &Model,
+    x: &[[V; 3]],
+    w: &[[V; 3]],
+    turn: &mut [Turn<V>],
+    g: &mut [[V; 3]],
+    h: &mut [[V; 3]],
+    shape: Shape<'_, V>,
+    margin: &mut V,
+) {
+    let zero = [V::splat(0.0); 3];
+    let units = model.units();
+    assert!(x.len() == units && turn.len() == units && g.len() == units, "one entry per unit");
+    g.fill(zero);
+    h.fill(zero);
+    for u in 0..units {
+        let theta = R::load(x, w, u)[2];
+        let (sh, ch) = sin_cos(V::splat(0.5) * theta.value());
+        let s = (sh + sh) * ch;
+        let c1 = -((sh + sh) * sh);
+        // d sin θ = cos θ dθ, d(cos θ − 1) = −sin θ dθ
+        let ds = R::from_parts(s, || Vector::mul_add(c1, theta.last(), theta.last()));
+        let dc = R::from_parts(c1, || -(s * theta.last()));
+        turn[u] = [sh, ch, s, c1, ds.last(), dc.last()];
+    }
+    let k = model.stiffness;
+    for (q, bar) in model.bars.iter().enumerate() {
+        let &Bar { a, b, node_a, node_b, arm_a, arm_b, e, length, voids } = bar;
+        let (xa, xb) = (R::load(x, w, a), R::load(x, w, b));
+        let [sha, cha, sa, ca, dsa, dca] = turn[a];
+        let [shb, chb, sb, cb, dsb, dcb] = turn[b];
+        let (sa, ca) = (R::from_parts(sa, || dsa), R::from_parts(ca, || dca));
+        let (sb, cb) = (R::from_parts(sb, || dsb), R::from_parts(cb, || dcb));
+
+        // (R − I) r of both ends, and d − d₀ or d
+        let pa = [ca.scale(arm_a[0]) - sa.scale(arm_a[1]), sa.scale_add(arm_a[0], ca.scale(arm_a[1]))];
+        let pb = [cb.scale(arm_b[0]) - sb.scale(arm_b[1]), sb.scale_add(arm_b[0], cb.scale(arm_b[1]))];
+        let dux = (xb[0] + pb[0]) - (xa[0] + pa[0]);
+        let duy = (xb[1] + pb[1]) - (xa[1] + pa[1]);
+
+        let (gx, gy, shear);
+        if LINEAR {
+            let stretch = dux.scale(k.stretch * e[0]) + duy.scale(k.stretch * e[1]);
+            let slide = duy.scale(e[0]) - dux.scale(e[1]) - (xa[2] + xb[2]).scale(0.5 * length);
+            let slide = slide.scale(k.shear);
+            gx = stretch.scale(e[0]) - slide.scale(e[1]);
+            gy = stretch.scale(e[1]) + slide.scale(e[0]);
+            shear = slide.scale(0.5 * length);
+        } else {
+            let dx = dux + R::constant(length * e[0]);
+            let dy = duy + R::constant(length * e[1]);
+            let square = dx.mul_add(dx, dy * dy);
+            let inverse = square.rsqrt();
+            let inverse_square = inverse * inverse;
+            // The reference turned by the mean rotation, from the half angles
+            let cm = Vector::mul_sub_from(sha, shb, cha * chb);
+            let sm = Vector::mul_add(sha, chb, cha * shb);
+            let nx = Vector::mul_sub_from(sm, V::splat(e[1]), cm * V::splat(e[0]));
+            let ny = Vector::mul_add(cm, V::splat(e[1]), sm * V::splat(e[0]));
+            let (vx, vy) = (dx.value(), dy.value());
+            let along = Vector::mul_add(nx, vx, ny * vy);
+            let across = Vector::mul_sub_from(ny, vx, nx * vy);
+            let gamma = R::from_parts(angle(across, along, square.value() * inverse.value()), || {
+                let swing = Vector::mul_sub_from(vy, dx.last(), vx * dy.last()) * inverse_square.value();
+                swing - V::splat(0.5) * (xa[2].last() + xb[2].last())
+            });
+            let pull = inverse.scale_add(-k.stretch * length, R::constant(k.stretch));
+            let twist = gamma.scale(k.shear * length * length);
+            let side = twist * inverse_square;
+            gx = side.mul_sub_from(dy, pull * dx);
+            gy = side.mul_add(dx, pull * dy);
+            shear = twist.scale(0.5);
+        }
+
+        let mut bend = (xb[2] - xa[2]).scale(k.bend);
+        if CONTACT && let Some(contact) = model.contact {
+            // ψ₁ falls and ψ₂ rises with θ_b − θ_a
+            let relative = (xb[2] - xa[2]).value();
+            let psi = [V::splat(voids[0]) - relative, V::splat(voids[1]) + relative];
+            for (s, sign) in [(0, -1.0), (1, 1.0)] {
+                *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
+                if psi[s].any_less(V::splat(contact.cutoff_angle)) {
+                    let slope = contact_slope(contact, psi[s]);
+                    let moment =
+                        R::from_parts(slope.0, || slope.1 * (xb[2].last() - xa[2].last()) * V::splat(sign));
+                    bend = moment.scale_add(sign, bend);
+                    if SHAPE {
+                        shape.voids[q][s] = shape.voids[q][s] + moment.last();
+                    }
+                }
+            }
+        }
+
+        let (ga, gb) = ([gx, gy], [gx, gy]);
+        let lever_a =
+            (pa[0] + R::constant(arm_a[0])).mul_sub_from(ga[1], (pa[1] + R::constant(arm_a[1])) * ga[0]);
+        let lever_b =
+            (pb[0] + R::constant(arm_b[0])).mul_sub_from(gb[1], (pb[1] + R::constant(arm_b[1])) * gb[0]);
+        let none = R::constant(0.0);
+        R::scatter([none - gx, none - gy, lever_a - shear - bend], g, h, a);
+        R::scatter([gx, gy, bend - shear - lever_b], g, h, b);
+        if SHAPE {
+            // (R − I)ᵀ g at b, its negative at a
+            let to = &mut shape.arms[b][node_b];
+            *to = [to[0] + cb.mul_add(gx, sb * gy).last(), to[1] + sb.mul_sub_from(gx, cb * gy).last()];
+            let to = &mut shape.arms[a][node_a];
+            *to = [to[0] - ca.mul_add(gx, sa * gy).last(), to[1] - sa.mul_sub_from(gx, ca * gy).last()];
+        }
+    }
+}
+
+/// dE_c/dψ = k_c w x/(1−x²)² and d²E_c/dψ² = k_c (1+3x²)/(1−x²)³; zero from ψ_c on and below ψ_min.
+#[inline(always)]
+fn contact_slope<V: Vector>(contact: super::Contact, psi: V) -> (V, V) {
+    let width = contact.cutoff_angle - contact.min_angle;
+    let one = V::splat(1.0);
+    let zero = V::splat(0.0);
+    let x = (psi - V::splat(contact.cutoff_angle)) * V::splat(1.0 / width);
+    let gap = Vector::mul_sub_from(x, x, one);
+    let inverse = one.over(gap);
+    let square = inverse * inverse;
+    let slope = V::splat(contact.stiffness * width) * x * square;
+    let curvature =
+        V::splat(contact.stiffness) * Vector::mul_add(V::splat(3.0) * x, x, one) * square * inverse;
+    let within = |y: V| y.where_less(x, zero, zero).where_less(-one, x, zero);
+    (within(slope), within(curvature))
+}

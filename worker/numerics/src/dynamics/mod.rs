@@ -1,0 +1,283 @@
+//! The body's motion under forces, its sensors' signals, and the gradient of a function of the signals in the design.
+//!
+//! ```text
+//! M s̈ = −∂U/∂s − C ṡ + f(t),   s = (u, v, θ) of every unit, clamped ones held, at rest at t = 0
+//! ```
+//! Samples are integrated eight at a time, one a lane; a sample's result does not depend on the others, on the number
+//! of threads or on which samples are asked for. Gradients are those of the discrete method.
+
+mod dispatch;
+mod energy;
+mod ligaments;
+mod model;
+mod real;
+mod system;
+mod tsit5;
+mod vector;
+
+use crate::body::Layout;
+pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
+pub use model::damping;
+
+/// Stiffnesses of a ligament.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stiffness {
+    /// k_l (N/mm).
+    pub stretch: f64,
+    /// k_s (N/mm).
+    pub shear: f64,
+    /// k_θ (N·mm/rad).
+    pub bend: f64,
+}
+
+/// Contact between the edges that face each other across a ligament.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// k_c (N·mm/rad²).
+    pub stiffness: f64,
+    /// ψ_min (rad): no state has a smaller void angle.
+    pub min_angle: f64,
+    /// ψ_c (rad): no contact from here on.
+    pub cutoff_angle: f64,
+}
+
+/// The frame in which accelerations are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Frame {
+    /// Fixed axes.
+    World,
+    /// Turning with the unit: the acceleration rotated by −θ.
+    Body,
+}
+
+/// Where a force acts: at the centroid of a unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Panel {
+    /// The unit.
+    pub unit: usize,
+    /// Unit vector along which a positive force pushes.
+    pub direction: [f64; 2],
+}
+
+/// Everything of a simulation but design and forces.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scene {
+    /// Units and ligaments.
+    pub layout: Layout,
+    /// Plane density (Mg/mm²).
+    pub density: f64,
+    /// Ligaments.
+    pub stiffness: Stiffness,
+    /// ζ.
+    pub damping_ratio: f64,
+    /// Contact; a scene without does not pay for it.
+    pub contact: Option<Contact>,
+    /// Linear strain measures.
+    pub linearised: bool,
+    /// Held units.
+    pub clamped: Vec<usize>,
+    /// K input panels.
+    pub panels: Vec<Panel>,
+    /// Units of the M sensors.
+    pub sensors: Vec<usize>,
+    /// How sensors read.
+    pub frame: Frame,
+    /// Length of a sample (s).
+    pub duration: f64,
+    /// T.
+    pub instants: usize,
+}
+
+/// How to integrate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Solver {
+    /// The integrator.
+    pub method: Method,
+    /// Tsit5: tolerance of its own error norm, relative and absolute.
+    pub tolerance: f64,
+}
+
+/// Integrators.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// Chosen from the scene and the tolerance.
+    Auto,
+    /// Tsitouras 5(4), error control a sample.
+    Tsit5,
+}
+
+/// Force histories (N, K, T+1), f_k at t_n = n·duration/T, n = 0…T, linear in between.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Forces {
+    /// N.
+    pub samples: usize,
+    /// K.
+    pub panels: usize,
+    /// T.
+    pub instants: usize,
+    /// (N, K, T+1) (N).
+    pub values: Vec<f64>,
+}
+
+impl Forces {
+    /// The histories of sample i, (K, T+1).
+    pub fn sample(&self, i: usize) -> &[f64] {
+        let len = self.panels * (self.instants + 1);
+        &self.values[i * len..][..len]
+    }
+}
+
+/// How a sample ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Reached the end.
+    Ok,
+    /// Took more steps than any reasonable scene needs.
+    StepLimit,
+    /// Steps fell below what the clock resolves.
+    StepTooSmall,
+    /// A state was not a finite number.
+    NonFinite,
+    /// Void angles below the least allowed could not be avoided.
+    ForbiddenContact,
+}
+
+impl Outcome {
+    /// The name by which records know it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::StepLimit => "step_limit",
+            Self::StepTooSmall => "step_too_small",
+            Self::NonFinite => "non_finite",
+            Self::ForbiddenContact => "forbidden_contact",
+        }
+    }
+}
+
+/// Work done, summed over samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counters {
+    /// Evaluations of the forces, plain or with derivatives, per sample.
+    pub force_evaluations: u64,
+    /// Accepted steps.
+    pub steps: u64,
+    /// Rejected steps.
+    pub rejected: u64,
+}
+
+impl std::ops::AddAssign for Counters {
+    fn add_assign(&mut self, other: Self) {
+        self.force_evaluations += other.force_evaluations;
+        self.steps += other.steps;
+        self.rejected += other.rejected;
+    }
+}
+
+/// What a reverse sweep starts from: the state at every instant and the steps in between.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tape {
+    /// One a sample.
+    pub(crate) samples: Vec<SampleTape>,
+}
+
+impl Tape {
+    /// Displacement (u, v, θ) and velocity of every unit of a sample at instant n = 1…T.
+    pub fn state(&self, scene: &Scene, sample: usize, n: usize) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
+        let units = scene.layout.units();
+        let (mut x, mut v) = (vec![[0.0; 3]; units], vec![[0.0; 3]; units]);
+        let free: Vec<usize> = (0..units).filter(|u| !scene.clamped.contains(u)).collect();
+        let state = &self.samples[sample].states[(n - 1) * 6 * free.len()..][..6 * free.len()];
+        for (i, &u) in free.iter().enumerate() {
+            x[u].copy_from_slice(&state[6 * i..][..3]);
+            v[u].copy_from_slice(&state[6 * i + 3..][..3]);
+        }
+        (x, v)
+    }
+}
+
+/// Of one sample.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct SampleTape {
+    /// (T, free units, 6): displacement and velocity at n = 1…T.
+    pub states: Vec<f64>,
+    /// Accepted step sizes (s), empty where steps are equal.
+    pub steps: Vec<f64>,
+    /// How many of them belong to each interval.
+    pub counts: Vec<u32>,
+}
+
+/// A simulation's result.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simulation {
+    /// (N, T, 3M): (a_x, a_y, ω) of each sensor at n = 1…T (mm/s², rad/s); zero after a sample has failed.
+    pub signals: Vec<f64>,
+    /// How each sample ended.
+    pub outcomes: Vec<Outcome>,
+    /// Work done.
+    pub counters: Counters,
+    /// For `pull_back`.
+    pub tape: Option<Tape>,
+}
+
+/// A reverse sweep's result.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gradient {
+    /// Gradient in α of the sum of cotangent · signals.
+    pub design: Vec<f64>,
+    /// Of the samples asked for; one that is not `Ok` adds nothing.
+    pub outcomes: Vec<Outcome>,
+    /// Work done.
+    pub counters: Counters,
+}
+
+/// Integrates all samples and reads the sensors.
+///
+/// # Panics
+/// If lengths or indices of scene, design and forces do not fit together.
+pub fn simulate(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    solver: &Solver,
+    keep_tape: bool,
+    pool: &rayon::ThreadPool,
+) -> Simulation {
+    check(scene, design, forces);
+    dispatch::simulate(crate::simd::Width::detect(), scene, design, forces, solver, keep_tape, pool)
+}
+
+/// Gradient in α of Σ cotangent·signals, cotangent (n, T, 3M) for the n `samples` listed; only those are swept.
+///
+/// # Panics
+/// If the simulation kept no tape, or lengths do not fit together.
+pub fn pull_back(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    solver: &Solver,
+    simulation: &Simulation,
+    samples: &[usize],
+    cotangent: &[f64],
+    pool: &rayon::ThreadPool,
+) -> Gradient {
+    check(scene, design, forces);
+    let len = samples.len() * scene.instants * 3 * scene.sensors.len();
+    assert_eq!(cotangent.len(), len, "length of the cotangent");
+    let width = crate::simd::Width::detect();
+    dispatch::pull_back(width, scene, design, forces, solver, simulation, samples, cotangent, pool)
+}
+
+fn check(scene: &Scene, design: &[f64], forces: &Forces) {
+    let units = scene.layout.units();
+    assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
+    assert_eq!((forces.panels, forces.instants), (scene.panels.len(), scene.instants), "shape of the forces");
+    assert_eq!(
+        forces.values.len(),
+        forces.samples * forces.panels * (forces.instants + 1),
+        "length of the forces"
+    );
+    let named =
+        scene.clamped.iter().chain(&scene.sensors).copied().chain(scene.panels.iter().map(|p| p.unit));
+    assert!(named.into_iter().all(|u| u < units), "a unit beyond the body's {units}");
+}

@@ -1,0 +1,141 @@
+//! A scene with a design, in the form that the kernels read.
+
+use super::{Contact, Scene, Stiffness};
+use crate::body::{Geometry, Layout, void_angles_vjp};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// A ligament with what the kernel needs of its ends.
+#[derive(Debug, Clone, Copy)]
+pub struct Bar {
+    /// Units at the ends.
+    pub a: usize,
+    /// Likewise.
+    pub b: usize,
+    /// Nodes at the ends.
+    pub node_a: usize,
+    /// Likewise.
+    pub node_b: usize,
+    /// Arms from the centroids to the ends (mm).
+    pub arm_a: [f64; 2],
+    /// Likewise.
+    pub arm_b: [f64; 2],
+    /// Unit vector along the reference.
+    pub e: [f64; 2],
+    /// l₀ (mm).
+    pub length: f64,
+    /// Void angles at rest, on the branch [−π/2, 3π/2).
+    pub voids: [f64; 2],
+}
+
+/// A scene with a design.
+#[derive(Debug, Clone)]
+pub struct Model {
+    /// Ligaments.
+    pub bars: Vec<Bar>,
+    /// Stiffnesses.
+    pub stiffness: Stiffness,
+    /// Contact.
+    pub contact: Option<Contact>,
+    /// 1/(m, m, J) of each unit; zero where clamped.
+    pub inverse_mass: Vec<[f64; 3]>,
+    /// C (N·s/mm, N·s/mm, N·mm·s).
+    pub damping: [f64; 3],
+    /// Units that move, in order.
+    pub free: Vec<usize>,
+    /// The design's geometry.
+    pub geometry: Geometry,
+}
+
+/// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) of the square of angle 0, so that damping does not depend on the design.
+pub fn damping(scene: &Scene) -> [f64; 3] {
+    let area = 2.0 * scene.layout.half.powi(2);
+    let (mass, moment) = (scene.density * area, scene.density * area.powi(2) / 6.0);
+    let shift = 2.0 * scene.damping_ratio * (mass * scene.stiffness.shear).sqrt();
+    let turn = 2.0 * scene.damping_ratio * (moment * scene.stiffness.bend).sqrt();
+    [shift, shift, turn]
+}
+
+impl Model {
+    /// The model of `scene` with `design`.
+    pub fn new(scene: &Scene, design: &[f64]) -> Self {
+        let layout = &scene.layout;
+        let geometry = Geometry::new(layout, design, scene.density);
+        let voids = geometry.void_angles(layout);
+        let branch = |psi: f64| if psi < -FRAC_PI_2 { psi + TAU } else { psi };
+        let bar = |(l, voids): (&crate::body::Ligament, &[f64; 2])| {
+            let length = l.reference[0].hypot(l.reference[1]);
+            Bar {
+                a: l.a.unit,
+                b: l.b.unit,
+                node_a: l.a.node,
+                node_b: l.b.node,
+                arm_a: geometry.arms[l.a.unit][l.a.node],
+                arm_b: geometry.arms[l.b.unit][l.b.node],
+                e: [l.reference[0] / length, l.reference[1] / length],
+                length,
+                voids: voids.map(branch),
+            }
+        };
+        let bars = layout.ligaments.iter().zip(&voids).map(bar).collect();
+        let mut inverse_mass: Vec<[f64; 3]> =
+            geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [1.0 / m, 1.0 / m, 1.0 / j]).collect();
+        for &u in &scene.clamped {
+            inverse_mass[u] = [0.0; 3];
+        }
+        Self {
+            bars,
+            stiffness: scene.stiffness,
+            contact: scene.contact,
+            inverse_mass,
+            damping: damping(scene),
+            free: (0..layout.units()).filter(|u| !scene.clamped.contains(u)).collect(),
+            geometry,
+        }
+    }
+
+    /// Number of units.
+    pub fn units(&self) -> usize {
+        self.inverse_mass.len()
+    }
+}
+
+/// Cotangents of what a model takes from its design.
+#[derive(Debug, Clone)]
+pub struct ModelCotangent {
+    /// Of the arms.
+    pub arms: Vec<[[f64; 2]; 4]>,
+    /// Of (m, m, J).
+    pub mass: Vec<[f64; 3]>,
+    /// Of the void angles at rest.
+    pub voids: Vec<[f64; 2]>,
+}
+
+impl ModelCotangent {
+    /// Zero.
+    pub fn new(model: &Model) -> Self {
+        let n = model.units();
+        Self {
+            arms: vec![[[0.0; 2]; 4]; n],
+            mass: vec![[0.0; 3]; n],
+            voids: vec![[0.0; 2]; model.bars.len()],
+        }
+    }
+
+    /// Adds another.
+    pub fn add(&mut self, other: &Self) {
+        let add = |to: &mut [f64], from: &[f64]| to.iter_mut().zip(from).for_each(|(t, f)| *t += f);
+        add(self.arms.as_flattened_mut().as_flattened_mut(), other.arms.as_flattened().as_flattened());
+        add(self.mass.as_flattened_mut(), other.mass.as_flattened());
+        add(self.voids.as_flattened_mut(), other.voids.as_flattened());
+    }
+
+    /// Gradient in the design.
+    pub fn design(mut self, model: &Model, layout: &Layout, density: f64) -> Vec<f64> {
+        if model.contact.is_some() {
+            void_angles_vjp(&model.geometry, layout, &self.voids, &mut self.arms);
+        }
+        let mass: Vec<f64> = self.mass.iter().map(|m| m[0] + m[1]).collect();
+        let moment: Vec<f64> = self.mass.iter().map(|m| m[2]).collect();
+        model.geometry.vjp(layout, density, &self.arms, &mass, &moment)
+    }
+}

@@ -1,0 +1,251 @@
+//! The equations of motion in lanes: accelerations, their transpose, and the sensors, for every integrator.
+
+use super::ligaments::Turn;
+use super::model::{Model, ModelCotangent};
+use super::vector::{LANES, Vector};
+use super::{Forces, Frame, Scene};
+
+/// (u, v, θ), or what belongs to it, of one unit, in lanes.
+pub type Unit<V> = [V; 3];
+
+/// (model, x, scratch, ∂U/∂s, margin): lowers the margin to the least ψ − ψ_min.
+pub type First<V> = unsafe fn(&Model, &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>], &mut V);
+
+/// (model, x, w, scratch, ∂U/∂s, its derivative along w, and where to add that of arms and void angles).
+pub type Second<V> = unsafe fn(
+    &Model,
+    &[Unit<V>],
+    &[Unit<V>],
+    &mut [Turn<V>],
+    &mut [Unit<V>],
+    &mut [Unit<V>],
+    &mut [[[V; 2]; 4]],
+    &mut [[V; 2]],
+);
+
+/// The kernels of one instruction set, for one kind of scene.
+pub struct Kernels<V> {
+    /// Gradient of the energy.
+    pub gradient: First<V>,
+    /// Gradient and second derivatives along a direction.
+    pub second: Second<V>,
+}
+
+/// Cotangents of the model, in lanes, as negatives of the arms' and void angles'.
+pub struct Cotangent<V> {
+    arms: Vec<[[V; 2]; 4]>,
+    voids: Vec<[V; 2]>,
+    mass: Vec<Unit<V>>,
+}
+
+/// A model with scratch, for one block of lanes.
+pub struct System<'a, V> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// With its design.
+    pub model: &'a Model,
+    kernels: Kernels<V>,
+    inverse_mass: Vec<[f64; 3]>,
+    turn: Vec<Turn<V>>,
+    h: Vec<Unit<V>>,
+    w: Vec<Unit<V>>,
+    cotangent: Cotangent<V>,
+}
+
+impl<'a, V: Vector> System<'a, V> {
+    /// Allocates the scratch.
+    #[inline(always)]
+    pub fn new(scene: &'a Scene, model: &'a Model, kernels: Kernels<V>) -> Self {
+        let n = model.units();
+        let zero = V::splat(0.0);
+        Self {
+            scene,
+            model,
+            kernels,
+            inverse_mass: model.inverse_mass.clone(),
+            turn: vec![[zero; 6]; n],
+            h: vec![[zero; 3]; n],
+            w: vec![[zero; 3]; n],
+            cotangent: Cotangent {
+                arms: vec![[[zero; 2]; 4]; n],
+                voids: vec![[zero; 2]; model.bars.len()],
+                mass: vec![[zero; 3]; n],
+            },
+        }
+    }
+
+    /// A zeroed array of one entry a unit.
+    #[inline(always)]
+    pub fn zeros(&self) -> Vec<Unit<V>> {
+        vec![[V::splat(0.0); 3]; self.model.units()]
+    }
+
+    /// Overwrites `a` by M⁻¹(−∂U/∂s − C v + f) and lowers `margin` to the least ψ − ψ_min.
+    #[inline(always)]
+    pub fn acceleration(
+        &mut self,
+        x: &[Unit<V>],
+        v: &[Unit<V>],
+        force: &[V],
+        a: &mut [Unit<V>],
+        margin: &mut V,
+    ) {
+        // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
+        unsafe { (self.kernels.gradient)(self.model, x, &mut self.turn, a, margin) };
+        self.finish(v, force, a);
+    }
+
+    /// Turns a gradient of the energy into accelerations.
+    #[inline(always)]
+    fn finish(&self, v: &[Unit<V>], force: &[V], a: &mut [Unit<V>]) {
+        for (panel, &f) in self.scene.panels.iter().zip(force) {
+            for d in 0..2 {
+                a[panel.unit][d] = a[panel.unit][d] - V::splat(panel.direction[d]) * f;
+            }
+        }
+        for ((a, v), inverse) in a.iter_mut().zip(v).zip(&self.inverse_mass) {
+            for d in 0..3 {
+                let net = V::splat(self.model.damping[d]).mul_add(v[d], a[d]);
+                a[d] = -(V::splat(inverse[d]) * net);
+            }
+        }
+    }
+
+    /// Transpose of `acceleration`: overwrites `bar_x` and `bar_v`, adds to the model's cotangents, leaves the
+    /// acceleration at (x, v) in `a`.
+    #[inline(always)]
+    pub fn acceleration_vjp(
+        &mut self,
+        x: &[Unit<V>],
+        v: &[Unit<V>],
+        force: &[V],
+        bar_a: &[Unit<V>],
+        bar_x: &mut [Unit<V>],
+        bar_v: &mut [Unit<V>],
+        a: &mut [Unit<V>],
+    ) {
+        for ((w, bar), inverse) in self.w.iter_mut().zip(bar_a).zip(&self.inverse_mass) {
+            for d in 0..3 {
+                w[d] = V::splat(inverse[d]) * bar[d];
+            }
+        }
+        let Cotangent { arms, voids, .. } = &mut self.cotangent;
+        // SAFETY: as in `acceleration`.
+        unsafe { (self.kernels.second)(self.model, x, &self.w, &mut self.turn, a, &mut self.h, arms, voids) };
+        self.finish(v, force, a);
+        let zero = V::splat(0.0);
+        for u in 0..self.model.units() {
+            for d in 0..3 {
+                let w = self.w[u][d];
+                bar_x[u][d] = zero - self.h[u][d];
+                bar_v[u][d] = zero - V::splat(self.model.damping[d]) * w;
+                self.cotangent.mass[u][d] = w.mul_sub_from(a[u][d], self.cotangent.mass[u][d]);
+            }
+        }
+    }
+
+    /// Adds the cotangent of the sensors' readings, `bar`[3m + channel], to those of state and acceleration.
+    #[inline(always)]
+    pub fn read_vjp(
+        &self,
+        x: &[Unit<V>],
+        a: &[Unit<V>],
+        bar: &[V],
+        bar_x: &mut [Unit<V>],
+        bar_v: &mut [Unit<V>],
+        bar_a: &mut [Unit<V>],
+    ) {
+        for (m, &u) in self.scene.sensors.iter().enumerate() {
+            let (p, q, o) = (bar[3 * m], bar[3 * m + 1], bar[3 * m + 2]);
+            bar_v[u][2] = bar_v[u][2] + o;
+            let (mut bx, mut by) = (p, q);
+            if self.scene.frame == Frame::Body {
+                let (c, s) = cos_sin(x[u][2]);
+                let read = [c * a[u][0] + s * a[u][1], c * a[u][1] - s * a[u][0]];
+                bar_x[u][2] = bar_x[u][2] + read[1] * p - read[0] * q;
+                (bx, by) = (c * p - s * q, s * p + c * q);
+            }
+            bar_a[u][0] = bar_a[u][0] + bx;
+            bar_a[u][1] = bar_a[u][1] + by;
+        }
+    }
+
+    /// Sums the cotangents over the lanes, in order, and clears them.
+    #[inline(always)]
+    pub fn take_cotangent(&mut self) -> ModelCotangent {
+        let mut sum = ModelCotangent::new(self.model);
+        let total = |v: &mut V| std::mem::replace(v, V::splat(0.0)).array().iter().sum::<f64>();
+        for (to, from) in sum.arms.iter_mut().zip(&mut self.cotangent.arms) {
+            *to = std::array::from_fn(|p| [-total(&mut from[p][0]), -total(&mut from[p][1])]);
+        }
+        for (to, from) in sum.voids.iter_mut().zip(&mut self.cotangent.voids) {
+            *to = [-total(&mut from[0]), -total(&mut from[1])];
+        }
+        for (to, from) in sum.mass.iter_mut().zip(&mut self.cotangent.mass) {
+            *to = std::array::from_fn(|d| total(&mut from[d]));
+        }
+        sum
+    }
+}
+
+/// (cos, sin) by the standard library: once a sensor and instant.
+#[inline(always)]
+pub fn cos_sin<V: Vector>(theta: V) -> (V, V) {
+    let theta = theta.array();
+    (V::new(theta.map(f64::cos)), V::new(theta.map(f64::sin)))
+}
+
+/// The readings of one lane at an instant, into (3M).
+#[inline(always)]
+pub fn read_lane<V: Vector>(
+    scene: &Scene,
+    x: &[Unit<V>],
+    v: &[Unit<V>],
+    a: &[Unit<V>],
+    lane: usize,
+    out: &mut [f64],
+) {
+    for (&u, out) in scene.sensors.iter().zip(out.chunks_exact_mut(3)) {
+        let (ax, ay) = (a[u][0].array()[lane], a[u][1].array()[lane]);
+        let (s, c) = match scene.frame {
+            Frame::World => (0.0, 1.0),
+            Frame::Body => x[u][2].array()[lane].sin_cos(),
+        };
+        out.copy_from_slice(&[c * ax + s * ay, c * ay - s * ax, v[u][2].array()[lane]]);
+    }
+}
+
+/// Writes a lane's state into (free units, 6).
+#[inline(always)]
+pub fn store_lane<V: Vector>(free: &[usize], x: &[Unit<V>], v: &[Unit<V>], lane: usize, out: &mut [f64]) {
+    for (&u, out) in free.iter().zip(out.chunks_exact_mut(6)) {
+        for d in 0..3 {
+            out[d] = x[u][d].array()[lane];
+            out[3 + d] = v[u][d].array()[lane];
+        }
+    }
+}
+
+/// Reads the lanes' states, each (free units, 6), or zero where there is none.
+#[inline(always)]
+pub fn load_lanes<V: Vector>(
+    free: &[usize],
+    states: &[Option<&[f64]>; LANES],
+    x: &mut [Unit<V>],
+    v: &mut [Unit<V>],
+) {
+    for (i, &u) in free.iter().enumerate() {
+        for d in 0..3 {
+            let at = |k: usize| std::array::from_fn(|lane| states[lane].map_or(0.0, |s| s[6 * i + k]));
+            x[u][d] = V::new(at(d));
+            v[u][d] = V::new(at(3 + d));
+        }
+    }
+}
+
+/// f_k of one sample, in interval k at the fraction w of it.
+#[inline(always)]
+pub fn force_at(forces: &Forces, history: &[f64], panel: usize, interval: usize, w: f64) -> f64 {
+    let f = &history[panel * (forces.instants + 1) + interval..][..2];
+    (1.0 - w) * f[0] + w * f[1]
+}

@@ -1,0 +1,542 @@
+//! Tsitouras 5(4) with error control a sample, and its discrete adjoint.
+//!
+//! Ch. Tsitouras, Comput. Math. Appl. 62 (2011) 770–775. As ẋ = v, a step needs the stages' accelerations A alone:
+//!
+//! ```text
+//! V_i = v + h Σ a_ij A_j,   X_i = x + c_i h v + h² Σ ā_ij A_j,   ā = a·a,   A_i = M⁻¹(−∂U(X_i) − C V_i + f)
+//! ```
+//! Lanes step on their own clocks and take up the next sample when one is done. Every instant is hit exactly.
+
+use super::system::{System, Unit, force_at, load_lanes, read_lane, store_lane};
+use super::vector::{LANES, Vector};
+use super::{Counters, Forces, Outcome, SampleTape};
+
+/// a_ij of the seven stages; the last row is also the weights b.
+const A: [[f64; 6]; 7] = [
+    [0.0; 6],
+    [0.161, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [-0.008480655492356989, 0.335480655492357, 0.0, 0.0, 0.0, 0.0],
+    [2.8971530571054935, -6.359448489975075, 4.3622954328695815, 0.0, 0.0, 0.0],
+    [5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525, 0.0, 0.0],
+    [5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383, 0.0],
+    [0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774],
+];
+const C: [f64; 7] = [0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0];
+/// b − b̂.
+const E: [f64; 7] = [
+    -0.001780011052225777,
+    -0.0008164344596567469,
+    0.007880878010261995,
+    -0.1447110071732629,
+    0.5823571654525552,
+    -0.45808210592918697,
+    0.015151515151515152,
+];
+
+/// ā = a·a; row i of stage i.
+const fn squared() -> [[f64; 6]; 7] {
+    let mut s = [[0.0; 6]; 7];
+    let mut i = 0;
+    while i < 7 {
+        let mut m = 0;
+        while m < 6 {
+            let mut j = 0;
+            while j < i {
+                s[i][m] += A[i][j] * A[j][m];
+                j += 1;
+            }
+            m += 1;
+        }
+        i += 1;
+    }
+    s
+}
+const A2: [[f64; 6]; 7] = squared();
+
+/// Σ_j e_j a_jm: the weights of the displacement's error.
+const fn error_squared() -> [f64; 7] {
+    let mut s = [0.0; 7];
+    let mut m = 0;
+    while m < 6 {
+        let mut j = 0;
+        while j < 7 {
+            s[m] += E[j] * A[j][m];
+            j += 1;
+        }
+        m += 1;
+    }
+    s
+}
+const E2: [f64; 7] = error_squared();
+
+/// Attempted steps after which a sample is given up.
+const STEP_LIMIT: u64 = 4_000_000;
+/// A step below this part of an interval is no step.
+const LEAST_STEP: f64 = 1e-11;
+
+/// One sample's results.
+pub struct Slot<'a> {
+    /// (T, 3M).
+    pub signals: &'a mut [f64],
+    /// How it ended.
+    pub outcome: &'a mut Outcome,
+    /// For the reverse sweep.
+    pub tape: Option<&'a mut SampleTape>,
+    /// Its forces.
+    pub index: usize,
+}
+
+/// Where a lane is.
+struct Lane {
+    slot: Option<usize>,
+    interval: usize,
+    /// Time since the interval's beginning.
+    tau: f64,
+    /// Proposed step.
+    proposed: f64,
+    /// This step, and whether it lands on the instant.
+    h: f64,
+    lands: bool,
+    count: u32,
+    attempts: u64,
+    last_error: f64,
+}
+
+/// Integrates the samples of `slots`. Allocates its scratch once.
+#[inline(always)]
+pub fn forward<V: Vector>(
+    mut system: System<'_, V>,
+    forces: &Forces,
+    tolerance: f64,
+    slots: &mut [Slot<'_>],
+) -> Counters {
+    let scene = system.scene;
+    let (instants, panels) = (scene.instants, scene.panels.len());
+    let delta = scene.duration / instants as f64;
+    let free = &system.model.free;
+    let width = 3 * scene.sensors.len();
+    let scale = 1.0 / (6 * free.len().max(1)) as f64;
+    let zero = V::splat(0.0);
+    let one = V::splat(1.0);
+    let (mut x, mut v, mut xs, mut vs) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
+    let mut a: [Vec<Unit<V>>; 7] = std::array::from_fn(|_| system.zeros());
+    let mut force = vec![zero; panels];
+    let mut counters = Counters::default();
+    let mut next = 0;
+    let mut lanes: [Lane; LANES] = std::array::from_fn(|_| Lane {
+        slot: None,
+        interval: 0,
+        tau: 0.0,
+        proposed: 0.0,
+        h: 0.0,
+        lands: false,
+        count: 0,
+        attempts: 0,
+        last_error: 1.0,
+    });
+    loop {
+        // Idle lanes take up the next samples, at rest.
+        for (l, lane) in lanes.iter_mut().enumerate() {
+            if lane.slot.is_none() {
+                clear_lane(&mut x, l);
+                clear_lane(&mut v, l);
+                clear_lane(&mut a[0], l);
+                lane.h = 0.0;
+                if next < slots.len() {
+                    let history = forces.sample(slots[next].index);
+                    let mut first = vec![zero; panels];
+                    for (k, f) in first.iter_mut().enumerate() {
+                        *f = V::splat(force_at(forces, history, k, 0, 0.0));
+                    }
+                    for (panel, f) in scene.panels.iter().zip(&first) {
+                        for d in 0..2 {
+                            let push = panel.direction[d] * system.model.inverse_mass[panel.unit][d];
+                            add_lane(&mut a[0][panel.unit][d], l, push * f.array()[l]);
+                        }
+                    }
+                    *lane = Lane {
+                        slot: Some(next),
+                        proposed: delta / 16.0,
+                        interval: 0,
+                        tau: 0.0,
+                        h: 0.0,
+                        lands: false,
+                        count: 0,
+                        attempts: 0,
+                        last_error: 1.0,
+                    };
+                    next += 1;
+                }
+            }
+            if lane.slot.is_some() {
+                let left = delta - lane.tau;
+                let parts = (left / lane.proposed * (1.0 - 1e-9)).ceil().max(1.0);
+                lane.h = left / parts;
+                lane.lands = parts == 1.0;
+            }
+        }
+        if lanes.iter().all(|l| l.slot.is_none()) {
+            return counters;
+        }
+
+        // Six stages, the last of which is the new state's acceleration
+        let h = V::new(std::array::from_fn(|l| lanes[l].h));
+        let mut margin = one;
+        for i in 1..7 {
+            stage(i, h, &x, &v, &a, &mut xs, &mut vs);
+            for (k, f) in force.iter_mut().enumerate() {
+                *f = V::new(std::array::from_fn(|l| {
+                    let lane = &lanes[l];
+                    lane.slot.map_or(0.0, |s| {
+                        let w =
+                            if lane.lands && C[i] == 1.0 { 1.0 } else { (lane.tau + C[i] * lane.h) / delta };
+                        force_at(forces, forces.sample(slots[s].index), k, lane.interval, w)
+                    })
+                }));
+            }
+            system.acceleration(&xs, &vs, &force, &mut a[i], &mut margin);
+        }
+
+        // Error relative to the tolerance, a lane
+        let mut square = zero;
+        let tol = V::splat(tolerance);
+        let h2 = h * h;
+        for &u in free {
+            for d in 0..3 {
+                let mut ex = zero;
+                let mut ev = zero;
+                for j in 0..7 {
+                    ev = V::splat(E[j]).mul_add(a[j][u][d], ev);
+                    if j < 6 {
+                        ex = V::splat(E2[j]).mul_add(a[j][u][d], ex);
+                    }
+                }
+                let sx = x[u][d].abs().max(xs[u][d].abs()).mul_add(tol, tol);
+                let sv = v[u][d].abs().max(vs[u][d].abs()).mul_add(tol, tol);
+                let (rx, rv) = ((h2 * ex).over(sx), (h * ev).over(sv));
+                square = rx.mul_add(rx, rv.mul_add(rv, square));
+            }
+        }
+        let square = square.array();
+        let margins = margin.array();
+        let mut accepted = [0.0; LANES];
+        for l in 0..LANES {
+            let lane = &mut lanes[l];
+            let Some(s) = lane.slot else { continue };
+            let forbidden = margins[l] < 0.0;
+            let error = (square[l] * scale).sqrt();
+            counters.force_evaluations += 6;
+            lane.attempts += 1;
+            if error <= 1.0 && !forbidden {
+                accepted[l] = 1.0;
+                let growth = 0.9 * error.max(1e-10).powf(-0.7 / 5.0) * lane.last_error.powf(0.4 / 5.0);
+                lane.proposed = (lane.h * growth.clamp(0.2, 5.0)).min(delta);
+                lane.last_error = error.max(1e-4);
+                lane.count += 1;
+                counters.steps += 1;
+            } else {
+                let shrink = 0.9 * error.powf(-0.2);
+                lane.proposed = lane.h * if shrink > 0.2 && !forbidden { shrink.min(0.9) } else { 0.2 };
+                counters.rejected += 1;
+                let end = if lane.proposed >= LEAST_STEP * delta {
+                    (lane.attempts >= STEP_LIMIT).then_some(Outcome::StepLimit)
+                } else if forbidden {
+                    Some(Outcome::ForbiddenContact)
+                } else if error.is_finite() {
+                    Some(Outcome::StepTooSmall)
+                } else {
+                    Some(Outcome::NonFinite)
+                };
+                if let Some(outcome) = end {
+                    *slots[s].outcome = outcome;
+                    lane.slot = None;
+                }
+            }
+        }
+
+        // Accepted lanes move on
+        let accept = V::new(accepted);
+        let (start, end) = a.split_at_mut(6);
+        for u in 0..x.len() {
+            for d in 0..3 {
+                x[u][d] = xs[u][d].where_less(zero, accept, x[u][d]);
+                v[u][d] = vs[u][d].where_less(zero, accept, v[u][d]);
+                start[0][u][d] = end[0][u][d].where_less(zero, accept, start[0][u][d]);
+            }
+        }
+        for l in 0..LANES {
+            let lane = &mut lanes[l];
+            let Some(s) = lane.slot else { continue };
+            if accepted[l] == 0.0 {
+                continue;
+            }
+            let slot = &mut slots[s];
+            lane.tau += lane.h;
+            if let Some(tape) = &mut slot.tape {
+                tape.steps.push(lane.h);
+            }
+            if !lane.lands {
+                if lane.attempts >= STEP_LIMIT {
+                    *slot.outcome = Outcome::StepLimit;
+                    lane.slot = None;
+                }
+                continue;
+            }
+            read_lane(scene, &x, &v, &a[0], l, &mut slot.signals[lane.interval * width..][..width]);
+            if let Some(tape) = &mut slot.tape {
+                store_lane(
+                    free,
+                    &x,
+                    &v,
+                    l,
+                    &mut tape.states[lane.interval * 6 * free.len()..][..6 * free.len()],
+                );
+                tape.counts.push(lane.count);
+            }
+            lane.tau = 0.0;
+            lane.count = 0;
+            lane.interval += 1;
+            if lane.interval == instants {
+                *slot.outcome = Outcome::Ok;
+                lane.slot = None;
+            }
+        }
+    }
+}
+
+fn clear_lane<V: Vector>(x: &mut [Unit<V>], lane: usize) {
+    for v in x.as_flattened_mut() {
+        let mut array = v.array();
+        array[lane] = 0.0;
+        *v = V::new(array);
+    }
+}
+
+fn add_lane<V: Vector>(v: &mut V, lane: usize, y: f64) {
+    let mut array = v.array();
+    array[lane] += y;
+    *v = V::new(array);
+}
+
+/// State of stage i = 1…6 (the last: the new state) from the accelerations of those before.
+#[inline(always)]
+fn stage<V: Vector>(
+    i: usize,
+    h: V,
+    x: &[Unit<V>],
+    v: &[Unit<V>],
+    a: &[Vec<Unit<V>>; 7],
+    xs: &mut [Unit<V>],
+    vs: &mut [Unit<V>],
+) {
+    let (h2, hc) = (h * h, h * V::splat(C[i]));
+    for u in 0..x.len() {
+        for d in 0..3 {
+            let (mut first, mut second) = (V::splat(0.0), V::splat(0.0));
+            for j in 0..i {
+                first = V::splat(A[i][j]).mul_add(a[j][u][d], first);
+                if j + 1 < i {
+                    second = V::splat(A2[i][j]).mul_add(a[j][u][d], second);
+                }
+            }
+            xs[u][d] = h2.mul_add(second, hc.mul_add(v[u][d], x[u][d]));
+            vs[u][d] = h.mul_add(first, v[u][d]);
+        }
+    }
+}
+
+/// What the reverse sweep keeps of one step.
+struct Step<V> {
+    x: Vec<Unit<V>>,
+    v: Vec<Unit<V>>,
+    a: [Vec<Unit<V>>; 7],
+    h: V,
+    tau: [f64; LANES],
+}
+
+/// One sample's part in a reverse sweep.
+pub struct Sweep<'a> {
+    /// Its tape.
+    pub tape: &'a SampleTape,
+    /// Its forces.
+    pub history: &'a [f64],
+    /// (T, 3M).
+    pub cotangent: &'a [f64],
+}
+
+/// Sweeps up to eight samples backwards, adding to the cotangents of `system`.
+#[inline(always)]
+pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &[Sweep<'_>]) -> Counters {
+    let scene = system.scene;
+    let model = system.model;
+    let free = &model.free;
+    let (instants, panels) = (scene.instants, scene.panels.len());
+    let delta = scene.duration / instants as f64;
+    let width = 3 * scene.sensors.len();
+    let zero = V::splat(0.0);
+    let mut counters = Counters::default();
+    let (mut bar_x, mut bar_v) = (system.zeros(), system.zeros());
+    let (mut xs, mut vs) = (system.zeros(), system.zeros());
+    let (mut bar_a, mut acceleration) = (system.zeros(), system.zeros());
+    let mut bars_x: [Vec<Unit<V>>; 6] = std::array::from_fn(|_| system.zeros());
+    let mut bars_v: [Vec<Unit<V>>; 6] = std::array::from_fn(|_| system.zeros());
+    let mut steps: Vec<Step<V>> = Vec::new();
+    let mut force = vec![zero; panels];
+    let mut bar = vec![zero; width];
+    let mut ends: Vec<usize> = sweeps.iter().map(|s| s.tape.steps.len()).collect();
+
+    let forces_at = |force: &mut [V], interval: usize, tau: &[f64; LANES], h: V, c: f64| {
+        let h = h.array();
+        for (k, f) in force.iter_mut().enumerate() {
+            let at = |l: usize| {
+                let w = ((tau[l] + c * h[l]) / delta).min(1.0);
+                sweeps.get(l).map_or(0.0, |s| force_at(forces, s.history, k, interval, w))
+            };
+            *f = V::new(std::array::from_fn(at));
+        }
+    };
+    let state = |n: usize| -> [Option<&[f64]>; LANES] {
+        std::array::from_fn(|l| {
+            let s = sweeps.get(l)?;
+            (n > 0).then(|| &s.tape.states[(n - 1) * 6 * free.len()..][..6 * free.len()])
+        })
+    };
+    for interval in (0..instants).rev() {
+        // The sensors at the interval's end
+        load_lanes(free, &state(interval + 1), &mut xs, &mut vs);
+        for (k, b) in bar.iter_mut().enumerate() {
+            *b = V::new(std::array::from_fn(|l| {
+                sweeps.get(l).map_or(0.0, |s| s.cotangent[interval * width + k])
+            }));
+        }
+        forces_at(&mut force, interval, &[delta; LANES], zero, 0.0);
+        sensors_vjp(
+            system,
+            &xs,
+            &vs,
+            &force,
+            &bar,
+            &mut bar_a,
+            &mut acceleration,
+            &mut bars_x[0],
+            &mut bars_v[0],
+        );
+        add_into(&mut bar_x, &bars_x[0]);
+        add_into(&mut bar_v, &bars_v[0]);
+        counters.force_evaluations += 2 * sweeps.len() as u64;
+
+        // The interval again, keeping every step's accelerations
+        let count = |l: usize| sweeps.get(l).map_or(0, |s| s.tape.counts[interval] as usize);
+        let begins: [usize; LANES] = std::array::from_fn(|l| ends.get(l).map_or(0, |e| e - count(l)));
+        let longest = (0..LANES).map(count).max().unwrap_or(0);
+        load_lanes(free, &state(interval), &mut xs, &mut vs);
+        let mut tau = [0.0; LANES];
+        for n in 0..longest {
+            if steps.len() == n {
+                steps.push(Step {
+                    x: system.zeros(),
+                    v: system.zeros(),
+                    a: std::array::from_fn(|_| system.zeros()),
+                    h: zero,
+                    tau: [0.0; LANES],
+                });
+            }
+            let step = &mut steps[n];
+            let sizes: [f64; LANES] =
+                std::array::from_fn(|l| if n < count(l) { sweeps[l].tape.steps[begins[l] + n] } else { 0.0 });
+            step.h = V::new(sizes);
+            step.tau = tau;
+            step.x.copy_from_slice(&xs);
+            step.v.copy_from_slice(&vs);
+            let mut margin = zero;
+            for i in 0..6 {
+                if i > 0 {
+                    stage(i, step.h, &step.x, &step.v, &step.a, &mut xs, &mut vs);
+                }
+                forces_at(&mut force, interval, &tau, step.h, C[i]);
+                system.acceleration(&xs, &vs, &force, &mut step.a[i], &mut margin);
+            }
+            stage(6, step.h, &step.x, &step.v, &step.a, &mut xs, &mut vs);
+            for l in 0..LANES {
+                tau[l] += sizes[l];
+            }
+        }
+
+        // Backwards
+        for step in steps[..longest].iter().rev() {
+            let h = step.h;
+            let h2 = h * h;
+            for i in (0..6).rev() {
+                for u in 0..bar_a.len() {
+                    for d in 0..3 {
+                        let (mut first, mut second) =
+                            (V::splat(A[6][i]) * bar_v[u][d], V::splat(A2[6][i]) * bar_x[u][d]);
+                        for j in i + 1..6 {
+                            first = V::splat(A[j][i]).mul_add(bars_v[j][u][d], first);
+                            second = V::splat(A2[j][i]).mul_add(bars_x[j][u][d], second);
+                        }
+                        bar_a[u][d] = h2.mul_add(second, h * first);
+                    }
+                }
+                if i > 0 {
+                    stage(i, h, &step.x, &step.v, &step.a, &mut xs, &mut vs);
+                } else {
+                    xs.copy_from_slice(&step.x);
+                    vs.copy_from_slice(&step.v);
+                }
+                forces_at(&mut force, interval, &step.tau, h, C[i]);
+                let (to_x, to_v) = (&mut bars_x[i], &mut bars_v[i]);
+                system.acceleration_vjp(&xs, &vs, &force, &bar_a, to_x, to_v, &mut acceleration);
+            }
+            for u in 0..bar_x.len() {
+                for d in 0..3 {
+                    bar_v[u][d] = h.mul_add(bar_x[u][d], bar_v[u][d]);
+                    for i in 0..6 {
+                        bar_v[u][d] =
+                            (h * V::splat(C[i])).mul_add(bars_x[i][u][d], bar_v[u][d]) + bars_v[i][u][d];
+                        bar_x[u][d] = bar_x[u][d] + bars_x[i][u][d];
+                    }
+                }
+            }
+        }
+        for (l, end) in ends.iter_mut().enumerate() {
+            *end -= count(l);
+            counters.steps += count(l) as u64;
+            counters.force_evaluations += 12 * count(l) as u64;
+        }
+    }
+    counters
+}
+
+#[inline(always)]
+fn add_into<V: Vector>(to: &mut [Unit<V>], from: &[Unit<V>]) {
+    for (t, f) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
+        *t = *t + *f;
+    }
+}
+
+/// Transpose of the sensors' readings at a state: overwrites `to_x` and `to_v`.
+#[inline(always)]
+pub fn sensors_vjp<V: Vector>(
+    system: &mut System<'_, V>,
+    x: &[Unit<V>],
+    v: &[Unit<V>],
+    force: &[V],
+    bar: &[V],
+    bar_a: &mut [Unit<V>],
+    a: &mut [Unit<V>],
+    to_x: &mut [Unit<V>],
+    to_v: &mut [Unit<V>],
+) {
+    let zero = [V::splat(0.0); 3];
+    let mut margin = zero[0];
+    if system.scene.frame == super::Frame::Body {
+        system.acceleration(x, v, force, a, &mut margin);
+    }
+    let (mut direct_x, mut direct_v) = (system.zeros(), system.zeros());
+    bar_a.fill(zero);
+    system.read_vjp(x, a, bar, &mut direct_x, &mut direct_v, bar_a);
+    system.acceleration_vjp(x, v, force, bar_a, to_x, to_v, a);
+    add_into(to_x, &direct_x);
+    add_into(to_v, &direct_v);
+}
