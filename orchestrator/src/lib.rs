@@ -1,5 +1,6 @@
 //! metasense: trains bodies of flexible metamaterial together with the neural networks that read them.
 
+pub mod analysis;
 pub mod cli;
 pub mod exit;
 pub mod plan;

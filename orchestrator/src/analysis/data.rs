@@ -1,0 +1,311 @@
+//! Finished trials as the analysis sees them, and the groups within which they are compared.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::Value;
+
+/// Initial or optimised body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Body {
+    /// The body before the outer loop.
+    Initial,
+    /// The best body of the outer loop.
+    Optimised,
+}
+
+impl Body {
+    /// Both, in order.
+    pub const ALL: [Self; 2] = [Self::Initial, Self::Optimised];
+
+    /// Its name in the database.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Initial => "initial",
+            Self::Optimised => "optimised",
+        }
+    }
+}
+
+/// Which samples an error is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Set {
+    /// The test set, by which the outer loop chooses the body.
+    Test,
+    /// Samples that neither loop has seen.
+    Holdout,
+}
+
+impl Set {
+    /// Both, in order.
+    pub const ALL: [Self; 2] = [Self::Test, Self::Holdout];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Test => "test",
+            Self::Holdout => "holdout",
+        }
+    }
+}
+
+/// What trials share that are compared with one another: sensors and stimuli.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub struct Cluster {
+    /// Sensor placement.
+    pub placement: u64,
+    /// Seed of stimuli, split and networks.
+    pub seed: u64,
+}
+
+/// An error (%) at some place of an axis: a number of sensors, of design parameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// The place on the axis.
+    pub at: f64,
+    /// Placement and seed.
+    pub cluster: Cluster,
+    /// Prediction error (%), above 0.
+    pub error: f64,
+}
+
+/// A point of a loss curve that was kept.
+pub type CurvePoint = (u32, f64);
+
+/// A trial that is done.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Trial {
+    /// Its name.
+    pub hash: String,
+    /// Everything that it is, by path (`body.columns`), as the spec says it.
+    pub setting: BTreeMap<String, Value>,
+    /// K.
+    pub panels: u64,
+    /// M.
+    pub sensors: u64,
+    /// Placement and seed.
+    pub cluster: Cluster,
+    /// Units of the body.
+    pub units: u64,
+    /// Length of α.
+    pub design_parameters: u64,
+    /// Error (%) by body and set, `[initial, optimised][test, holdout]`, mean over the evaluation's networks.
+    pub errors: [[Option<f64>; 2]; 2],
+    /// Training loss against iteration (from 1), by body, then network.
+    pub curves: [Vec<Vec<CurvePoint>>; 2],
+    /// Seconds and best test error so far (%), step by step.
+    pub history: Vec<(f64, f64)>,
+    /// Seconds by part of the outer loop, and of the evaluation.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+impl Trial {
+    /// An error (%), where there is a positive one.
+    #[must_use]
+    pub fn error(&self, body: Body, set: Set) -> Option<f64> {
+        self.errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
+    }
+
+    /// A training protocol's name.
+    #[must_use]
+    pub fn protocol(&self) -> &str {
+        self.setting.get("optimise.protocol").and_then(Value::as_str).unwrap_or("unknown")
+    }
+}
+
+/// A JSON object's leaves by path.
+#[must_use]
+pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
+    fn walk(path: &str, value: &Value, leaves: &mut BTreeMap<String, Value>) {
+        match value {
+            Value::Object(map) => {
+                for (key, value) in map {
+                    let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                    walk(&path, value, leaves);
+                }
+            }
+            other => drop(leaves.insert(path.to_owned(), other.clone())),
+        }
+    }
+    let mut leaves = BTreeMap::new();
+    walk("", value, &mut leaves);
+    leaves
+}
+
+/// Trials that agree in everything but what a question varies.
+#[derive(Debug, Clone)]
+pub struct Group<'a> {
+    /// What sets it apart from the database's other groups, for instance `K = 4, body.columns = 6`.
+    pub label: String,
+    /// Its trials, in the order given.
+    pub trials: Vec<&'a Trial>,
+}
+
+/// What placements and seeds vary.
+const CLUSTER: &[&str] = &["point.placement", "point.seed", "sensor_units", "sensors.placements"];
+
+/// What the number of sensors varies, besides.
+pub const SENSORS: &[&str] = &["point.sensors"];
+
+/// What the complexity of the body varies: the lengths of a circular body shrink as its units grow in number.
+pub const COMPLEXITY: &[&str] = &[
+    "body.columns",
+    "body.rows",
+    "body.spacing",
+    "body.ligament_length",
+    "body.panel_units",
+    "panel_units",
+    "feasible.min_edge",
+    "feasible.clearance",
+    "feasible.ligament_clearance",
+];
+
+/// What the way of training varies.
+pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver."];
+
+/// Groups by everything but placement, seed and the paths named (a path that ends in a dot: all below it), in the order
+/// of their first trials.
+#[must_use]
+pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
+    let ignored = |path: &str| {
+        CLUSTER.iter().chain(but).any(|b| path == *b || (b.ends_with('.') && path.starts_with(b)))
+    };
+    let key = |trial: &Trial| -> Vec<(String, Value)> {
+        trial.setting.iter().filter(|(p, _)| !ignored(p)).map(|(p, v)| (p.clone(), v.clone())).collect()
+    };
+    let mut found: Vec<(Vec<(String, Value)>, Vec<&'a Trial>)> = Vec::new();
+    for trial in trials {
+        let key = key(trial);
+        match found.iter_mut().find(|(k, _)| *k == key) {
+            Some((_, members)) => members.push(trial),
+            None => found.push((key, vec![trial])),
+        }
+    }
+    let keys: Vec<&Vec<(String, Value)>> = found.iter().map(|(k, _)| k).collect();
+    let labels: Vec<String> = keys.iter().map(|k| label(k, &keys)).collect();
+    labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
+}
+
+/// K always; of the rest what differs among the groups. Panel units follow from K and layout and say nothing more.
+fn label(key: &[(String, Value)], all: &[&Vec<(String, Value)>]) -> String {
+    let mut values: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    for (path, value) in all.iter().flat_map(|k| k.iter()) {
+        values.entry(path).or_default().insert(value.to_string());
+    }
+    let count = |path: &str| all.iter().filter(|k| k.iter().any(|(p, _)| p == path)).count();
+    let mut parts = Vec::new();
+    for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
+        if let Some((_, value)) = key.iter().find(|(p, _)| p == path) {
+            parts.push(format!("{name} = {value}"));
+        }
+    }
+    for (path, value) in key {
+        let told = path.starts_with("point.") || path.ends_with("panel_units");
+        if !told && (values[path.as_str()].len() > 1 || count(path) < all.len()) {
+            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            parts.push(format!("{path} = {value}"));
+        }
+    }
+    parts.join(", ")
+}
+
+/// The errors of a group's trials along an axis.
+#[must_use]
+pub fn observations(trials: &[&Trial], body: Body, set: Set, at: fn(&Trial) -> u64) -> Vec<Observation> {
+    trials
+        .iter()
+        .filter_map(|t| {
+            t.error(body, set).map(|error| Observation { at: at(t) as f64, cluster: t.cluster, error })
+        })
+        .collect()
+}
+
+/// The places of the axis, each once, in order.
+#[must_use]
+pub fn places(observations: &[Observation]) -> Vec<f64> {
+    let mut places: Vec<f64> = observations.iter().map(|o| o.at).collect();
+    places.sort_by(f64::total_cmp);
+    places.dedup();
+    places
+}
+
+/// Errors at one place of an axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Level {
+    /// The place.
+    pub at: f64,
+    /// Trials.
+    pub trials: usize,
+    /// Geometric mean of the error (%).
+    pub mean: f64,
+    /// Least error (%).
+    pub least: f64,
+    /// Greatest error (%).
+    pub most: f64,
+}
+
+/// Mean and range of the error at every place.
+#[must_use]
+pub fn levels(observations: &[Observation]) -> Vec<Level> {
+    places(observations)
+        .into_iter()
+        .map(|at| {
+            let errors: Vec<f64> = observations.iter().filter(|o| o.at == at).map(|o| o.error).collect();
+            Level {
+                at,
+                trials: errors.len(),
+                mean: geometric_mean(&errors),
+                least: errors.iter().copied().fold(f64::INFINITY, f64::min),
+                most: errors.iter().copied().fold(0.0, f64::max),
+            }
+        })
+        .collect()
+}
+
+/// exp of the mean logarithm.
+#[must_use]
+pub fn geometric_mean(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v.ln()).sum::<f64>() / values.len() as f64).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn trial(panels: u64, columns: u64, sensors: u64, placement: u64) -> Trial {
+        let spec = json!({"body": {"columns": columns}, "point": {"panels": panels, "sensors": sensors,
+            "placement": placement, "seed": 1}, "sensor_units": [placement]});
+        Trial {
+            setting: flatten(&spec),
+            panels,
+            sensors,
+            cluster: Cluster { placement, seed: 1 },
+            ..Trial::default()
+        }
+    }
+
+    #[test]
+    fn groups_differ_in_what_their_labels_say() {
+        let trials: Vec<Trial> = [(2, 5, 1, 0), (2, 5, 2, 1), (2, 6, 1, 0), (4, 6, 1, 0)]
+            .map(|(k, c, m, p)| trial(k, c, m, p))
+            .to_vec();
+        let trials: Vec<&Trial> = trials.iter().collect();
+        let labels = |but: &[&str]| -> Vec<(String, usize)> {
+            groups(&trials, but).into_iter().map(|g| (g.label, g.trials.len())).collect()
+        };
+        assert_eq!(
+            labels(SENSORS),
+            [
+                ("K = 2, body.columns = 5".to_owned(), 2),
+                ("K = 2, body.columns = 6".to_owned(), 1),
+                ("K = 4, body.columns = 6".to_owned(), 1)
+            ]
+        );
+        assert_eq!(
+            labels(COMPLEXITY),
+            [("K = 2, M = 1".to_owned(), 2), ("K = 2, M = 2".to_owned(), 1), ("K = 4, M = 1".to_owned(), 1)]
+        );
+    }
+}

@@ -1,0 +1,18 @@
+//! What a sweep teaches: pure functions over finished trials. No file, clock or database.
+//!
+//! Errors are prediction errors in %, compared on a logarithmic scale: ratios are what carries over from one scene to
+//! another, and a mean of logarithms is not ruled by the one worst trial. A *cluster* is a (placement, seed) pair: all
+//! of a cluster's trials share sensors and stimuli, so that curves are compared within clusters and intervals are had
+//! by drawing whole placements and seeds anew ([`resample`]).
+
+pub mod data;
+pub mod elbow;
+pub mod paired;
+pub mod resample;
+pub mod run_time;
+pub mod scaling;
+pub mod sensors;
+
+pub use data::{Body, Cluster, Group, Observation, Set, Trial};
+pub use elbow::{Elbow, Verdict, elbow};
+pub use resample::{Interval, Resampling};

@@ -1,0 +1,136 @@
+//! Initial against optimised body, paired by trial.
+//!
+//! The ratio of the two errors of a trial compares bodies under the same stimuli, sensors and initial weights. The mean
+//! of ln(ratio) over trials has a 95 % interval by Student's t, which stays honest with few trials.
+
+use super::data::{CurvePoint, Set, Trial};
+use super::{Body, Interval};
+
+/// A ratio over trials.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ratio {
+    /// Trials that have both values.
+    pub trials: usize,
+    /// Trials whose ratio is above 1.
+    pub above_one: usize,
+    /// Geometric mean; above 1 the optimised body is the better one.
+    pub ratio: f64,
+    /// Its 95 % interval; `None` of a single trial.
+    pub interval: Option<Interval>,
+}
+
+impl Ratio {
+    /// The geometric mean of positive ratios with its interval; `None` of no ratios.
+    #[must_use]
+    pub fn of(ratios: &[f64]) -> Option<Self> {
+        let logs: Vec<f64> = ratios.iter().map(|r| r.ln()).filter(|l| l.is_finite()).collect();
+        let n = logs.len() as f64;
+        if logs.is_empty() {
+            return None;
+        }
+        let mean = logs.iter().sum::<f64>() / n;
+        let interval = (logs.len() > 1).then(|| {
+            let variance = logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (n - 1.0);
+            let half = student(logs.len() - 1) * (variance / n).sqrt();
+            Interval { low: mean - half, high: mean + half }.map(f64::exp)
+        });
+        Some(Self {
+            trials: logs.len(),
+            above_one: logs.iter().filter(|l| **l > 0.0).count(),
+            ratio: mean.exp(),
+            interval,
+        })
+    }
+}
+
+/// 97.5 % quantile of Student's t.
+#[must_use]
+pub fn student(freedom: usize) -> f64 {
+    const TABLE: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
+    if freedom <= TABLE.len() {
+        return TABLE[freedom.max(1) - 1];
+    }
+    // Cornish–Fisher in 1/freedom to third order: off by less than 1e-3 here.
+    let (z, n) = (1.959_964f64, freedom as f64);
+    z + (z.powi(3) + z) / (4.0 * n)
+        + (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / (96.0 * n * n)
+        + (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / (384.0 * n.powi(3))
+}
+
+/// Error of the initial over error of the optimised body.
+#[must_use]
+pub fn error_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
+    let ratios: Vec<f64> = trials
+        .iter()
+        .filter_map(|t| Some(t.error(Body::Initial, set)? / t.error(Body::Optimised, set)?))
+        .collect();
+    Ratio::of(&ratios)
+}
+
+/// The first iteration whose loss is no more than `target`.
+#[must_use]
+pub fn first_at(curve: &[CurvePoint], target: f64) -> Option<u32> {
+    curve.iter().find(|(_, loss)| *loss <= target).map(|(iteration, _)| *iteration)
+}
+
+/// Iterations of training on the initial body over those on the optimised body until both first have the loss that the
+/// worse of the two ends at its best; `None` where a curve is empty.
+#[must_use]
+pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Option<f64> {
+    let least = |curve: &[CurvePoint]| curve.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
+    let target = least(initial).max(least(optimised));
+    Some(f64::from(first_at(initial, target)?) / f64::from(first_at(optimised, target)?))
+}
+
+/// [`iteration_ratio`] over trials, each the geometric mean over its networks.
+#[must_use]
+pub fn iterations(trials: &[&Trial]) -> Option<Ratio> {
+    let ratios: Vec<f64> = trials
+        .iter()
+        .filter_map(|t| {
+            let [initial, optimised] = &t.curves;
+            let networks: Vec<f64> =
+                initial.iter().zip(optimised).filter_map(|(i, o)| iteration_ratio(i, o)).collect();
+            (!networks.is_empty()).then(|| super::data::geometric_mean(&networks))
+        })
+        .collect();
+    Ratio::of(&ratios)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ratio_of_known_pairs_with_student_s_interval() {
+        let logs = [0.5, 0.7, 0.9];
+        let found = Ratio::of(&logs.map(f64::exp)).unwrap();
+        let half = 4.303 * 0.2 / 3f64.sqrt();
+        let interval = found.interval.unwrap();
+        assert!((found.ratio.ln() - 0.7).abs() < 1e-12 && found.above_one == 3, "{found:?}");
+        assert!((interval.low.ln() - (0.7 - half)).abs() < 1e-9, "{interval:?}");
+        assert!((interval.high.ln() - (0.7 + half)).abs() < 1e-9, "{interval:?}");
+        assert_eq!(Ratio::of(&[2.0]).unwrap().interval, None);
+        assert_eq!(Ratio::of(&[]), None);
+    }
+
+    /// Values of a printed table.
+    #[test]
+    fn student_s_quantiles() {
+        for (freedom, quantile) in [(1, 12.706), (10, 2.228), (11, 2.201), (30, 2.042), (120, 1.980)] {
+            assert!((student(freedom) - quantile).abs() < 2e-3, "{freedom}: {}", student(freedom));
+        }
+    }
+
+    /// Loss 1/n on the initial body and 1/(4n) on the optimised one: equal at a quarter of the iterations.
+    #[test]
+    fn a_curve_four_times_as_steep_needs_a_quarter_of_the_iterations() {
+        let curve = |factor: f64| -> Vec<CurvePoint> {
+            (1..=1000).map(|n| (n, 1.0 / (factor * f64::from(n)))).collect()
+        };
+        let (slow, fast) = (curve(1.0), curve(4.0));
+        assert_eq!(iteration_ratio(&slow, &fast), Some(4.0));
+        assert_eq!(iteration_ratio(&fast, &slow), Some(0.25));
+        assert_eq!(iteration_ratio(&slow, &[]), None);
+    }
+}

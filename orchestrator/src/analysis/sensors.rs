@@ -1,0 +1,142 @@
+//! How few sensors the optimised body needs to beat the initial one with the most.
+
+use super::data::{geometric_mean, places};
+use super::{Cluster, Observation, Resampling};
+
+/// The smallest M that suffices.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fewer {
+    /// The most sensors that the initial body was tried with.
+    pub most: f64,
+    /// Error of the initial body with them (%).
+    pub initial_error: f64,
+    /// The least M with which the optimised body's error is lower; `None`: with none that was tried.
+    pub fewest: Option<f64>,
+    /// The optimised body's error with them (%).
+    pub optimised_error: Option<f64>,
+    /// Share of the bootstrap's replicates in which this M or fewer suffice.
+    pub share: Option<f64>,
+}
+
+/// Compares the two bodies' curves of error against M; `None` without errors of both.
+#[must_use]
+pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer> {
+    let most = *places(initial).last()?;
+    let find = |weigh: &dyn Fn(&Observation) -> f64| -> Option<(f64, Option<(f64, f64)>)> {
+        let bar = mean_at(initial, most, weigh)?;
+        let first = places(optimised)
+            .into_iter()
+            .filter_map(|m| mean_at(optimised, m, weigh).map(|e| (m, e)))
+            .find(|&(_, e)| e < bar);
+        Some((bar, first))
+    };
+    let (initial_error, first) = find(&|_| 1.0)?;
+    let clusters: Vec<Cluster> = initial.iter().chain(optimised).map(|o| o.cluster).collect();
+    let replicates = Resampling::new(&clusters).replicates(|weights| {
+        let weigh = |o: &Observation| {
+            clusters.iter().zip(&weights).find(|(c, _)| **c == o.cluster).map_or(0.0, |(_, w)| *w)
+        };
+        find(&weigh).map(|(_, first)| first.map(|(m, _)| m))
+    });
+    let share = first.filter(|_| !replicates.is_empty()).map(|(m, _)| {
+        replicates.iter().filter(|r| r.is_some_and(|r| r <= m)).count() as f64 / replicates.len() as f64
+    });
+    Some(Fewer {
+        most,
+        initial_error,
+        fewest: first.map(|f| f.0),
+        optimised_error: first.map(|f| f.1),
+        share,
+    })
+}
+
+fn mean_at(observations: &[Observation], at: f64, weigh: &dyn Fn(&Observation) -> f64) -> Option<f64> {
+    let (mut sum, mut n) = (0.0, 0.0);
+    for o in observations.iter().filter(|o| o.at == at) {
+        let w = weigh(o);
+        sum += w * o.error.ln();
+        n += w;
+    }
+    (n > 0.0).then(|| (sum / n).exp())
+}
+
+/// Spread of the error over placements, at equal M and seed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// Placements compared.
+    pub placements: usize,
+    /// Standard deviation of ln e over placements, seeds pooled.
+    pub deviation: f64,
+    /// Greatest over least error, geometric mean over seeds.
+    pub ratio: f64,
+}
+
+/// How much it matters where the sensors sit; `None` with a single placement.
+#[must_use]
+pub fn spread(observations: &[Observation]) -> Option<Spread> {
+    let mut seeds: Vec<u64> = observations.iter().map(|o| o.cluster.seed).collect();
+    seeds.sort_unstable();
+    seeds.dedup();
+    let (mut squares, mut freedom, mut ratios, mut placements) = (0.0, 0usize, Vec::new(), 0);
+    for seed in seeds {
+        let errors: Vec<f64> =
+            observations.iter().filter(|o| o.cluster.seed == seed).map(|o| o.error).collect();
+        if errors.len() < 2 {
+            continue;
+        }
+        let mean = geometric_mean(&errors).ln();
+        squares += errors.iter().map(|e| (e.ln() - mean).powi(2)).sum::<f64>();
+        freedom += errors.len() - 1;
+        placements = placements.max(errors.len());
+        ratios.push(
+            errors.iter().copied().fold(0.0, f64::max) / errors.iter().copied().fold(f64::INFINITY, f64::min),
+        );
+    }
+    (freedom > 0).then(|| Spread {
+        placements,
+        deviation: (squares / freedom as f64).sqrt(),
+        ratio: geometric_mean(&ratios),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve(errors: &[f64], scatter: f64) -> Vec<Observation> {
+        (0..4u64)
+            .flat_map(|placement| {
+                errors.iter().enumerate().map(move |(i, e)| Observation {
+                    at: (i + 1) as f64,
+                    cluster: Cluster { placement, seed: 1 },
+                    error: e * (1.0 + scatter * (placement as f64 - 1.5)),
+                })
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_paper_s_finding_two_against_six() {
+        let initial = curve(&[30.0, 22.0, 18.0, 16.0, 15.0, 14.0], 0.02);
+        let optimised = curve(&[16.0, 9.0, 8.0, 7.5, 7.5, 7.5], 0.02);
+        let found = fewer(&initial, &optimised).unwrap();
+        assert_eq!((found.most, found.fewest, found.share), (6.0, Some(2.0), Some(1.0)), "{found:?}");
+    }
+
+    #[test]
+    fn a_body_that_never_wins_is_said_so() {
+        let found = fewer(&curve(&[9.0, 8.0], 0.0), &curve(&[20.0, 10.0], 0.0)).unwrap();
+        assert_eq!((found.fewest, found.share), (None, None));
+    }
+
+    #[test]
+    fn the_spread_of_equal_placements_is_nothing() {
+        let at_one = |scatter| -> Vec<Observation> {
+            curve(&[10.0], scatter).into_iter().filter(|o| o.at == 1.0).collect()
+        };
+        let (even, uneven) = (spread(&at_one(0.0)).unwrap(), spread(&at_one(0.1)).unwrap());
+        assert!(even.deviation < 1e-12 && (even.ratio - 1.0).abs() < 1e-12, "{even:?}");
+        assert!((uneven.ratio - 1.15 / 0.85).abs() < 1e-12 && uneven.placements == 4, "{uneven:?}");
+        assert!(spread(&at_one(0.1)[..1]).is_none());
+    }
+}
