@@ -5,5 +5,6 @@
 pub mod body;
 pub mod brain;
 pub mod dynamics;
+pub mod feasible;
 pub mod random;
 pub mod simd;

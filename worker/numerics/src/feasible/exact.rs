@@ -1,0 +1,367 @@
+//! The judge: which constraints a design breaks, by plain polygon tests on its vertices.
+//!
+//! Shares no code with the projection: no linearisation, no trimming, no margin. Distances are those of
+//! segments (0 where they cross or one polygon holds the other), angles those of `atan2`, lengths are lengths.
+
+#![allow(clippy::neg_cmp_op_on_partial_ord, reason = "a NaN must break a limit, not pass it")]
+
+use super::Limits;
+use crate::body::Layout;
+use std::f64::consts::{PI, TAU};
+use std::fmt;
+
+type Point = [f64; 2];
+
+/// What kind of constraint is broken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// A coordinate is NaN or infinite.
+    NotFinite,
+    /// The edges of a unit cross, or it is turned over.
+    NotSimple,
+    /// An edge of a unit is too short (mm).
+    Edge,
+    /// An interior angle is too small (rad).
+    BlockAngleLow,
+    /// An interior angle is too large (rad).
+    BlockAngleHigh,
+    /// The angle between a ligament and an edge of its unit is too small (rad); negative: it runs through the unit.
+    LigamentAngle,
+    /// A void angle is too small (rad).
+    VoidAngle,
+    /// Two units overlap.
+    Overlap,
+    /// Two units come too close (mm).
+    Clearance,
+    /// A ligament comes too close to a unit that it does not join, or to another ligament (mm).
+    LigamentClearance,
+}
+
+/// One broken constraint of a design.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Violation {
+    /// Which constraint.
+    pub kind: Kind,
+    /// The units concerned; equal where there is one. Of a ligament, the unit of its first end.
+    pub units: [usize; 2],
+    /// Node of the first unit, where the constraint belongs to a node (or to the edge that starts there).
+    pub node: Option<usize>,
+    /// The value found (mm or rad).
+    pub value: f64,
+    /// The limit that it misses (mm or rad).
+    pub limit: f64,
+}
+
+impl Violation {
+    /// By how much the limit is missed (mm or rad), positive; NaN where the value is.
+    pub fn amount(&self) -> f64 {
+        (self.limit - self.value).abs()
+    }
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b] = self.units;
+        let node = self.node.unwrap_or(0);
+        let (value, limit) = (self.value, self.limit);
+        let (degrees, limit_degrees) = (value.to_degrees(), limit.to_degrees());
+        match self.kind {
+            Kind::NotFinite => write!(f, "unit {a}, node {node}: a coordinate is not finite"),
+            Kind::NotSimple => write!(f, "unit {a}: its edges cross, or it is turned over"),
+            Kind::Edge => write!(f, "unit {a}, edge {node}–{}: {value:.4} mm < {limit} mm", (node + 1) % 4),
+            Kind::BlockAngleLow => {
+                write!(f, "unit {a}, node {node}: interior angle {degrees:.3}° < {limit_degrees:.3}°")
+            }
+            Kind::BlockAngleHigh => {
+                write!(f, "unit {a}, node {node}: interior angle {degrees:.3}° > {limit_degrees:.3}°")
+            }
+            Kind::LigamentAngle => {
+                write!(
+                    f,
+                    "unit {a}, node {node}: {degrees:.3}° between edge and ligament < {limit_degrees:.3}°"
+                )
+            }
+            Kind::VoidAngle => {
+                write!(
+                    f,
+                    "units {a} and {b}, node {node} of {a}: void angle {degrees:.3}° < {limit_degrees:.3}°"
+                )
+            }
+            Kind::Overlap => write!(f, "units {a} and {b} overlap"),
+            Kind::Clearance => write!(f, "units {a} and {b}: {value:.4} mm apart < {limit} mm"),
+            Kind::LigamentClearance => {
+                write!(f, "ligament at unit {a}, node {node}, and unit {b}: {value:.4} mm apart < {limit} mm")
+            }
+        }
+    }
+}
+
+/// Every constraint that `design` breaks, sorted by unit; empty: the design can be cast.
+///
+/// # Panics
+/// If the design's length is not the layout's.
+pub fn violations(layout: &Layout, limits: &Limits, design: &[f64]) -> Vec<Violation> {
+    assert_eq!(design.len(), layout.design_len(), "length of the design");
+    let units = layout.vertices(design);
+    let mut found = Vec::new();
+    for (u, corners) in units.iter().enumerate() {
+        for (p, corner) in corners.iter().enumerate() {
+            if !(corner[0].is_finite() && corner[1].is_finite()) {
+                found.push(broken(Kind::NotFinite, [u, u], Some(p), f64::NAN, 0.0));
+            }
+        }
+    }
+    if found.is_empty() {
+        for (u, corners) in units.iter().enumerate() {
+            judge_unit(u, corners, limits, &mut found);
+        }
+        judge_ligaments(layout, &units, limits, &mut found);
+        judge_distances(layout, &units, limits, &mut found);
+        found.sort_by_key(|v| (v.units, v.kind, v.node));
+    }
+    found
+}
+
+fn broken(kind: Kind, units: [usize; 2], node: Option<usize>, value: f64, limit: f64) -> Violation {
+    Violation { kind, units, node, value, limit }
+}
+
+fn minus(a: Point, b: Point) -> Point {
+    [a[0] - b[0], a[1] - b[1]]
+}
+
+fn cross(a: Point, b: Point) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}
+
+fn dot(a: Point, b: Point) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+/// Angle from a to b, counter-clockwise, in [0, 2π).
+fn turn(a: Point, b: Point) -> f64 {
+    let angle = cross(a, b).atan2(dot(a, b));
+    if angle < 0.0 { angle + TAU } else { angle }
+}
+
+fn judge_unit(u: usize, corners: &[Point; 4], limits: &Limits, found: &mut Vec<Violation>) {
+    let area = cross(minus(corners[2], corners[0]), minus(corners[3], corners[1]));
+    let crossing = segments_cross(corners[0], corners[1], corners[2], corners[3])
+        || segments_cross(corners[1], corners[2], corners[3], corners[0]);
+    if crossing || !(area > 0.0) {
+        found.push(broken(Kind::NotSimple, [u, u], None, area, 0.0));
+    }
+    for p in 0..4 {
+        let onward = minus(corners[(p + 1) % 4], corners[p]);
+        let back = minus(corners[(p + 3) % 4], corners[p]);
+        let edge = onward[0].hypot(onward[1]);
+        if !(edge >= limits.min_edge) {
+            found.push(broken(Kind::Edge, [u, u], Some(p), edge, limits.min_edge));
+        }
+        let angle = turn(onward, back);
+        if !(angle >= limits.min_block_angle) {
+            found.push(broken(Kind::BlockAngleLow, [u, u], Some(p), angle, limits.min_block_angle));
+        }
+        if !(angle <= limits.max_block_angle) {
+            found.push(broken(Kind::BlockAngleHigh, [u, u], Some(p), angle, limits.max_block_angle));
+        }
+    }
+}
+
+/// Angles between a ligament that leaves node p along `away` and the edges to the next and to the previous node,
+/// each measured through the void; negative where the ligament runs through the unit.
+fn beside_ligament(corners: &[Point; 4], p: usize, away: Point) -> [f64; 2] {
+    let next = turn(away, minus(corners[(p + 1) % 4], corners[p]));
+    let previous = turn(minus(corners[(p + 3) % 4], corners[p]), away);
+    if next + previous <= TAU {
+        [next, previous]
+    } else if next > previous {
+        [next - TAU, previous]
+    } else {
+        [next, previous - TAU]
+    }
+}
+
+fn judge_ligaments(layout: &Layout, units: &[[Point; 4]], limits: &Limits, found: &mut Vec<Violation>) {
+    for ligament in &layout.ligaments {
+        let (a, b) = (&ligament.a, &ligament.b);
+        let along = ligament.reference;
+        let at_a = beside_ligament(&units[a.unit], a.node, along);
+        let at_b = beside_ligament(&units[b.unit], b.node, [-along[0], -along[1]]);
+        for (end, other, angles) in [(a, b, at_a), (b, a, at_b)] {
+            for angle in angles {
+                if !(angle >= limits.min_ligament_angle) {
+                    let node = Some(end.node);
+                    found.push(broken(
+                        Kind::LigamentAngle,
+                        [end.unit, other.unit],
+                        node,
+                        angle,
+                        limits.min_ligament_angle,
+                    ));
+                }
+            }
+        }
+        // A void lies between the edge onward from one end and the edge back from the other.
+        for (units, node, angle) in [
+            ([a.unit, b.unit], a.node, at_a[0] + at_b[1] - PI),
+            ([b.unit, a.unit], b.node, at_b[0] + at_a[1] - PI),
+        ] {
+            if !(angle >= limits.min_void_angle) {
+                found.push(broken(Kind::VoidAngle, units, Some(node), angle, limits.min_void_angle));
+            }
+        }
+    }
+}
+
+/// A unit or a ligament among those whose distances are judged.
+struct Piece {
+    corners: [Point; 4],
+    count: usize,
+    least: Point,
+    most: Point,
+    /// The unit, or the ligament's two units.
+    units: [usize; 2],
+    /// First node of a ligament.
+    node: Option<usize>,
+}
+
+impl Piece {
+    fn new(points: &[Point], units: [usize; 2], node: Option<usize>) -> Self {
+        let mut corners = [points[0]; 4];
+        corners[..points.len()].copy_from_slice(points);
+        let end = |axis: usize, pick: fn(f64, f64) -> f64| {
+            points.iter().map(|q| q[axis]).reduce(pick).unwrap_or(0.0)
+        };
+        Self {
+            corners,
+            count: points.len(),
+            least: [end(0, f64::min), end(1, f64::min)],
+            most: [end(0, f64::max), end(1, f64::max)],
+            units,
+            node,
+        }
+    }
+
+    fn edges(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
+        let edges = if self.count == 4 { 4 } else { 1 };
+        (0..edges).map(move |p| (self.corners[p], self.corners[(p + 1) % self.count]))
+    }
+
+    /// Winding of the corners about a point is not zero.
+    fn holds(&self, point: Point) -> bool {
+        let mut winding = 0;
+        for (from, to) in self.edges() {
+            let side = cross(minus(to, from), minus(point, from));
+            if from[1] <= point[1] && to[1] > point[1] && side > 0.0 {
+                winding += 1;
+            } else if from[1] > point[1] && to[1] <= point[1] && side < 0.0 {
+                winding -= 1;
+            }
+        }
+        self.count == 4 && winding != 0
+    }
+}
+
+fn judge_distances(layout: &Layout, units: &[[Point; 4]], limits: &Limits, found: &mut Vec<Violation>) {
+    let mut pieces: Vec<Piece> =
+        units.iter().enumerate().map(|(u, corners)| Piece::new(corners, [u, u], None)).collect();
+    for ligament in &layout.ligaments {
+        let (a, b) = (&ligament.a, &ligament.b);
+        let bar = [units[a.unit][a.node], units[b.unit][b.node]];
+        pieces.push(Piece::new(&bar, [a.unit, b.unit], Some(a.node)));
+    }
+    let reach = limits.clearance.max(limits.ligament_clearance).max(0.0);
+    pieces.sort_by(|p, q| p.least[0].total_cmp(&q.least[0]));
+    for (i, one) in pieces.iter().enumerate() {
+        for other in &pieces[i + 1..] {
+            if other.least[0] > one.most[0] + reach {
+                break;
+            }
+            if other.least[1] <= one.most[1] + reach && one.least[1] <= other.most[1] + reach {
+                judge_pair(one, other, limits, found);
+            }
+        }
+    }
+}
+
+fn judge_pair(one: &Piece, other: &Piece, limits: &Limits, found: &mut Vec<Violation>) {
+    let units_only = one.node.is_none() && other.node.is_none();
+    let limit = if units_only { limits.clearance } else { limits.ligament_clearance };
+    if one.node.is_none() != other.node.is_none() {
+        // The angles at its ends keep a ligament clear of the units that it joins.
+        let (unit, bar) = if one.node.is_none() { (one, other) } else { (other, one) };
+        if bar.units.contains(&unit.units[0]) {
+            return;
+        }
+    }
+    let inside = other.corners[..other.count].iter().any(|q| one.holds(*q))
+        || one.corners[..one.count].iter().any(|q| other.holds(*q));
+    let mut distance = if inside { 0.0 } else { f64::INFINITY };
+    for (a0, a1) in one.edges() {
+        for (b0, b1) in other.edges() {
+            distance = distance.min(segment_distance(a0, a1, b0, b1));
+        }
+    }
+    if distance > 0.0 && distance >= limit {
+        return;
+    }
+    if units_only {
+        let kind = if distance > 0.0 { Kind::Clearance } else { Kind::Overlap };
+        let (a, b) = (one.units[0].min(other.units[0]), one.units[0].max(other.units[0]));
+        found.push(broken(kind, [a, b], None, distance, limit));
+    } else {
+        let (bar, thing) = match (one.node, other.node) {
+            (Some(n), Some(m)) if (one.units[0], n) > (other.units[0], m) => (other, one),
+            (Some(_), _) => (one, other),
+            _ => (other, one),
+        };
+        found.push(broken(
+            Kind::LigamentClearance,
+            [bar.units[0], thing.units[0]],
+            bar.node,
+            distance,
+            limit,
+        ));
+    }
+}
+
+/// The segments have a point in common, touching included.
+fn segments_cross(a0: Point, a1: Point, b0: Point, b1: Point) -> bool {
+    let side = |p: Point, q: Point, r: Point| {
+        let turn = cross(minus(q, p), minus(r, p));
+        if turn > 0.0 {
+            1
+        } else if turn < 0.0 {
+            -1
+        } else {
+            0
+        }
+    };
+    let within =
+        |p: Point, q: Point, r: Point| (0..2).all(|c| r[c] >= p[c].min(q[c]) && r[c] <= p[c].max(q[c]));
+    let (s1, s2, s3, s4) = (side(a0, a1, b0), side(a0, a1, b1), side(b0, b1, a0), side(b0, b1, a1));
+    (s1 * s2 < 0 && s3 * s4 < 0)
+        || (s1 == 0 && within(a0, a1, b0))
+        || (s2 == 0 && within(a0, a1, b1))
+        || (s3 == 0 && within(b0, b1, a0))
+        || (s4 == 0 && within(b0, b1, a1))
+}
+
+fn point_distance(p: Point, s0: Point, s1: Point) -> f64 {
+    let along = minus(s1, s0);
+    let length = dot(along, along);
+    let part = if length > 0.0 { (dot(minus(p, s0), along) / length).clamp(0.0, 1.0) } else { 0.0 };
+    let away = [p[0] - s0[0] - part * along[0], p[1] - s0[1] - part * along[1]];
+    dot(away, away).sqrt()
+}
+
+fn segment_distance(a0: Point, a1: Point, b0: Point, b1: Point) -> f64 {
+    if segments_cross(a0, a1, b0, b1) {
+        return 0.0;
+    }
+    point_distance(a0, b0, b1)
+        .min(point_distance(a1, b0, b1))
+        .min(point_distance(b0, a0, a1))
+        .min(point_distance(b1, a0, a1))
+}

@@ -1,0 +1,84 @@
+//! Feasible designs: the limits of what can be cast, the test of them, and the projection onto them.
+//!
+//! `violations` judges by plain polygon tests (`exact.rs`). `project` goes to the nearest feasible design by a short
+//! sequence of convex programs in Clarabel, linearised (`rows.rs`, `program.rs`), and lets the judge have the last word.
+//!
+//! ```text
+//! minimise Σ w (α − target)²   subject to c(α) ≥ 0: angles, edges, distances
+//! ```
+
+mod exact;
+mod program;
+mod project;
+mod random;
+mod rows;
+#[cfg(test)]
+mod tests;
+
+pub use exact::{Kind, Violation};
+pub use project::{Active, Projection, Stage, Status};
+
+use crate::body::Layout;
+
+/// The limits of a castable design (rad, mm).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Least interior angle of a unit.
+    pub min_block_angle: f64,
+    /// Greatest interior angle of a unit.
+    pub max_block_angle: f64,
+    /// Least void angle at a ligament.
+    pub min_void_angle: f64,
+    /// Least angle between a ligament and an edge of its unit.
+    pub min_ligament_angle: f64,
+    /// Least edge of a unit.
+    pub min_edge: f64,
+    /// Least distance between units.
+    pub clearance: f64,
+    /// Least distance between a ligament and a unit that it does not join, or another ligament.
+    pub ligament_clearance: f64,
+}
+
+/// The defaults of a spec.
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            min_block_angle: 25_f64.to_radians(),
+            max_block_angle: 170_f64.to_radians(),
+            min_void_angle: 5_f64.to_radians(),
+            min_ligament_angle: 10_f64.to_radians(),
+            min_edge: 3.0,
+            clearance: 1.0,
+            ligament_clearance: 0.5,
+        }
+    }
+}
+
+/// The feasible designs of one layout.
+pub struct Feasible {
+    layout: Layout,
+    limits: Limits,
+    rows: rows::Rows,
+    program: program::Program,
+    /// Per group: held at its previous shift.
+    fixed: Vec<bool>,
+}
+
+impl Feasible {
+    /// The designs of `layout` within `limits`; the nodes of `fixed_units` stay where the previous design has them.
+    pub fn new(layout: &Layout, limits: Limits, fixed_units: &[usize]) -> Self {
+        let mut fixed = vec![false; layout.group_count];
+        for &unit in fixed_units {
+            for group in layout.groups[unit] {
+                fixed[group] = true;
+            }
+        }
+        let rows = rows::Rows::new(layout, limits);
+        Self { layout: layout.clone(), limits, rows, program: program::Program::default(), fixed }
+    }
+
+    /// Every constraint that `design` breaks, unit by unit; empty: it can be cast. Independent of the projection.
+    pub fn violations(&self, design: &[f64]) -> Vec<Violation> {
+        exact::violations(&self.layout, &self.limits, design)
+    }
+}

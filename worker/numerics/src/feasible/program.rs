@@ -1,0 +1,234 @@
+//! One convex program of the projection, in Clarabel's form.
+//!
+//! ```text
+//! minimise   Σ ½ w (d − d*)² + ½ τ d² + ρ Σ s
+//! subject to value + gradient·d + s ≥ ε     s ≥ 0, present in rows that are violated now (if elastic)
+//! ```
+//! Coordinates that no row touches are solved by hand. Where the active rows are known from the program before, they
+//! are tried as equations (one factorisation instead of a dozen) and taken if multipliers and other rows agree.
+
+use super::rows::{Key, Row};
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT};
+
+/// What a program asks for beside its rows.
+pub(super) struct Ask<'a> {
+    /// d*: from the point of linearisation to the target, per coordinate.
+    pub wish: &'a [f64],
+    /// w, per coordinate.
+    pub weights: &'a [f64],
+    /// Per group: held where it is.
+    pub fixed: &'a [bool],
+    /// τ.
+    pub proximal: f64,
+    /// ρ; none: every row is hard.
+    pub penalty: Option<f64>,
+    /// ε (mm).
+    pub margin: f64,
+}
+
+/// The solution of a program.
+pub(super) struct Step {
+    /// d, per coordinate.
+    pub step: Vec<f64>,
+    /// Rows that hold with equality and push, sorted.
+    pub active: Vec<Key>,
+}
+
+/// Clarabel with the structure of the program before.
+#[derive(Default)]
+pub(super) struct Program {
+    warm: Option<Warm>,
+    /// Interior-point iterations so far.
+    pub iterations: u64,
+    /// Programs solved so far.
+    pub programs: u64,
+}
+
+struct Warm {
+    equations: bool,
+    keys: Vec<(Key, bool)>,
+    columns: Vec<usize>,
+    indices: Vec<usize>,
+    solver: DefaultSolver<f64>,
+}
+
+/// Rounds of exchange between a guess of the active rows and its equations.
+const ROUNDS: usize = 4;
+/// Tolerance of multipliers and of rows in a guess (mm, at mean weight 1).
+const AGREE: f64 = 1e-8;
+
+impl Program {
+    /// The step, or none where Clarabel proved that the rows contradict each other, or gave up.
+    pub fn solve(&mut self, rows: &[Row], ask: &Ask<'_>) -> Option<Step> {
+        let rows = movable(rows, ask);
+        let solved = self.clarabel(&rows, ask, false)?;
+        let active = solved.multipliers.iter().zip(&solved.slacks).zip(&rows);
+        let active = active.filter(|((z, s), _)| z > s).map(|(_, r)| r.key).collect();
+        Some(Step { step: solved.step, active })
+    }
+
+    /// As `solve` with hard rows, from a guess of the active ones.
+    pub fn solve_from(&mut self, rows: &[Row], ask: &Ask<'_>, guess: &[Key]) -> Option<Step> {
+        let all = movable(rows, ask);
+        let mut active: Vec<Key> = guess.to_vec();
+        for _ in 0..ROUNDS {
+            let chosen: Vec<&Row> =
+                all.iter().copied().filter(|r| active.binary_search(&r.key).is_ok()).collect();
+            let Some(solved) = self.clarabel(&chosen, ask, true) else { break };
+            let mut next: Vec<Key> = chosen
+                .iter()
+                .zip(&solved.multipliers)
+                .filter(|(_, z)| **z >= -AGREE)
+                .map(|(r, _)| r.key)
+                .collect();
+            let mut agrees = next.len() == chosen.len();
+            for row in &all {
+                if row.after(&solved.step) < ask.margin - AGREE && active.binary_search(&row.key).is_err() {
+                    next.push(row.key);
+                    agrees = false;
+                }
+            }
+            next.sort_unstable();
+            if agrees {
+                return Some(Step { step: solved.step, active: next });
+            }
+            active = next;
+        }
+        self.solve(rows, ask)
+    }
+
+    fn clarabel(&mut self, rows: &[&Row], ask: &Ask<'_>, equations: bool) -> Option<Solved> {
+        let free_step = |i: usize| {
+            let (d, w) = (ask.wish[i], ask.weights[i]);
+            if ask.fixed[i / 2] { 0.0 } else { d * w / (w + ask.proximal) }
+        };
+        let mut step: Vec<f64> = (0..ask.wish.len()).map(free_step).collect();
+        if rows.is_empty() {
+            return Some(Solved { step, multipliers: Vec::new(), slacks: Vec::new() });
+        }
+        // Local numbers for the groups that rows touch, in order of group.
+        let mut local = vec![usize::MAX; ask.fixed.len()];
+        for &(g, _) in rows.iter().flat_map(|r| r.terms()) {
+            if !ask.fixed[g as usize] {
+                local[g as usize] = 0;
+            }
+        }
+        let groups: Vec<usize> = (0..local.len()).filter(|&g| local[g] == 0).collect();
+        for (i, &g) in groups.iter().enumerate() {
+            local[g] = i;
+        }
+        let slack: Vec<bool> = rows.iter().map(|r| ask.penalty.is_some() && r.value < ask.margin).collect();
+        let elastic: Vec<usize> = (0..rows.len()).filter(|&i| slack[i]).collect();
+        let (free, n) = (2 * groups.len(), 2 * groups.len() + elastic.len());
+        let m = rows.len() + elastic.len();
+
+        // The matrix by columns: count, sum up, fill in order of row.
+        let mut count = vec![0_usize; n + 1];
+        let each = |row: &Row, f: &mut dyn FnMut(usize, f64)| {
+            for &(g, gradient) in row.terms() {
+                let at = local[g as usize];
+                if at != usize::MAX {
+                    f(2 * at, gradient[0]);
+                    f(2 * at + 1, gradient[1]);
+                }
+            }
+        };
+        for row in rows {
+            each(row, &mut |column, _| count[column + 1] += 1);
+        }
+        count[free + 1..].fill(2);
+        for column in 0..n {
+            count[column + 1] += count[column];
+        }
+        let columns = count.clone();
+        let (mut indices, mut values) = (vec![0; columns[n]], vec![0.0; columns[n]]);
+        let mut put = |column: usize, row: usize, value: f64| {
+            indices[count[column]] = row;
+            values[count[column]] = value;
+            count[column] += 1;
+        };
+        for (i, row) in rows.iter().enumerate() {
+            each(row, &mut |column, value| put(column, i, -value));
+        }
+        for (k, &i) in elastic.iter().enumerate() {
+            put(free + k, i, -1.0);
+            put(free + k, rows.len() + k, -1.0);
+        }
+        let mut right: Vec<f64> = rows.iter().map(|r| r.value - ask.margin).collect();
+        right.resize(m, 0.0);
+        let coordinate = |i: usize| 2 * groups[i / 2] + i % 2;
+        let weight = |i: usize| ask.weights[coordinate(i)];
+        let mut diagonal: Vec<f64> = (0..free).map(|i| weight(i) + ask.proximal).collect();
+        let mut linear: Vec<f64> = (0..free).map(|i| -weight(i) * ask.wish[coordinate(i)]).collect();
+        // A little curvature keeps the slacks' block regular.
+        diagonal.resize(n, 1e-6);
+        linear.resize(n, ask.penalty.unwrap_or(0.0));
+
+        let keys: Vec<(Key, bool)> = rows.iter().zip(&slack).map(|(r, s)| (r.key, *s)).collect();
+        let same = |w: &Warm| {
+            w.equations == equations && w.keys == keys && w.columns == columns && w.indices == indices
+        };
+        let mut warm = self.warm.take().filter(same);
+        if let Some(kept) = &mut warm
+            && kept.solver.update_data(&diagonal, &linear, &values, &right).is_err()
+        {
+            warm = None;
+        }
+        let mut warm = match warm {
+            Some(kept) => kept,
+            None => {
+                let quadratic = CscMatrix::new(n, n, (0..=n).collect(), (0..n).collect(), diagonal);
+                let matrix = CscMatrix::new(m, n, columns.clone(), indices.clone(), values);
+                let cone = if equations { ZeroConeT(m) } else { NonnegativeConeT(m) };
+                let solver =
+                    DefaultSolver::new(&quadratic, &linear, &matrix, &right, &[cone], settings()).ok()?;
+                Warm { equations, keys, columns, indices, solver }
+            }
+        };
+        warm.solver.solve();
+        self.programs += 1;
+        self.iterations += u64::from(warm.solver.solution.iterations);
+        let solution = &warm.solver.solution;
+        let solved = match solution.status {
+            SolverStatus::Solved | SolverStatus::AlmostSolved if solution.x.iter().all(|x| x.is_finite()) => {
+                for i in 0..free {
+                    step[coordinate(i)] = solution.x[i];
+                }
+                let (multipliers, slacks) =
+                    (solution.z[..rows.len()].to_vec(), solution.s[..rows.len()].to_vec());
+                Some(Solved { step, multipliers, slacks })
+            }
+            // Infeasible, out of iterations, stalled, broken down: the caller has other ways to go on.
+            _ => None,
+        };
+        self.warm = Some(warm);
+        solved
+    }
+}
+
+struct Solved {
+    step: Vec<f64>,
+    multipliers: Vec<f64>,
+    slacks: Vec<f64>,
+}
+
+fn movable<'a>(rows: &'a [Row], ask: &Ask<'_>) -> Vec<&'a Row> {
+    rows.iter().filter(|r| r.terms().iter().any(|t| !ask.fixed[t.0 as usize])).collect()
+}
+
+fn settings() -> DefaultSettings<f64> {
+    DefaultSettings {
+        verbose: false,
+        max_iter: 100,
+        // Both would forbid later updates of the data, or change the answer with the machine.
+        presolve_enable: false,
+        max_threads: 1,
+        direct_solve_method: "qdldl".to_string(),
+        // Rows are of unit size as they come, and every answer is linearised again.
+        equilibrate_enable: false,
+        iterative_refinement_reltol: 1e-9,
+        iterative_refinement_abstol: 1e-9,
+        ..DefaultSettings::default()
+    }
+}

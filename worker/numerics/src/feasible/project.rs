@@ -1,0 +1,353 @@
+//! The stages of a projection.
+//!
+//! 0. A feasible target is the answer, bit for bit.
+//! 1. *Sequence*: linearise at the target, solve, linearise there, …: a few programs with the near rows alone.
+//! 2. *Path*: from the previous design, steps short enough (proximal term) that linearisation holds, judged by the
+//!    exact penalty `½ Σ w (α − target)² + ρ Σ max(0, ε − c)`; a last sequence polishes.
+//! 3. *Repair*: the same from the target itself, and from a regular body, where there is no feasible previous design.
+//!
+//! Whatever comes out is returned only if the judge of `exact.rs` finds nothing; else the previous design is.
+
+use super::program::{Ask, Step};
+use super::rows::{Key, Row, What};
+use super::{Feasible, Kind};
+
+/// What a projection came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// The target is feasible and came back as it was.
+    Untouched,
+    /// The nearest feasible design that was found.
+    Projected,
+    /// No feasible design was found; the previous one came back, and it is feasible.
+    Kept,
+    /// The target or the weights held NaN or infinity; the previous design came back, and it is feasible.
+    NotFinite,
+    /// No feasible design was found and the previous one, which came back, is none either.
+    Infeasible,
+}
+
+impl Status {
+    /// As records and commands name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Status::Untouched => "untouched",
+            Status::Projected => "projected",
+            Status::Kept => "kept",
+            Status::NotFinite => "not_finite",
+            Status::Infeasible => "infeasible",
+        }
+    }
+
+    /// The design that came back satisfies every constraint.
+    pub fn is_feasible(self) -> bool {
+        !matches!(self, Status::Infeasible)
+    }
+}
+
+/// How far a projection had to go.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// No program was needed.
+    None,
+    /// The sequence from the target.
+    Sequence,
+    /// The path from the previous design.
+    Path,
+    /// The elastic way from an infeasible start.
+    Repair,
+}
+
+/// A constraint that holds the design back.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Active {
+    /// Which constraint.
+    pub kind: Kind,
+    /// The units concerned; equal where there is one.
+    pub units: [usize; 2],
+    /// Node of the first unit.
+    pub node: usize,
+    /// Distance to the limit (mm; angles times their shorter edge).
+    pub slack: f64,
+}
+
+/// The outcome of a projection.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Projection {
+    /// The design that came back.
+    pub design: Vec<f64>,
+    /// What it is.
+    pub status: Status,
+    /// Which stage gave it, or the last one tried.
+    pub stage: Stage,
+    /// Euclidean distance from the target (mm); NaN where the target is not finite.
+    pub distance: f64,
+    /// Constraints within 1e-3 mm of their limits.
+    pub active: Vec<Active>,
+    /// Clarabel's interior-point iterations.
+    pub iterations: u64,
+    /// Convex programs solved.
+    pub programs: u64,
+}
+
+/// Constraints are aimed at with this to spare (mm), so that rounding and the judge agree.
+const MARGIN: f64 = 1e-6;
+/// Rows farther from their limit than this take no part in a sequence (mm).
+const WINDOW: f64 = 0.3;
+/// Weights below this part of their mean are raised to it: v̂ is zero where nothing depends on a shift.
+const LEAST_WEIGHT: f64 = 1e-3;
+/// ρ: above the multipliers met (mm, at mean weight 1).
+const PENALTY: f64 = 100.0;
+/// A coordinate moved by the projection farther than this asks for a second opinion (mm).
+const FAR: f64 = 0.5;
+
+/// Programs of a sequence before it is given up.
+const SEQUENCE_PROGRAMS: usize = 12;
+/// Programs of a path before it ends where it is.
+const PATH_PROGRAMS: usize = 150;
+/// Rows nearer to their limit than this take part in a path (mm).
+const REACH: f64 = 3.0;
+/// Length of the first step of a path (mm, largest coordinate).
+const STRIDE: f64 = 1.0;
+
+/// Where a projection wants to go, in its metric.
+struct Aim<'a> {
+    target: &'a [f64],
+    weights: Vec<f64>,
+}
+
+impl Aim<'_> {
+    fn wish(&self, x: &[f64]) -> Vec<f64> {
+        self.target.iter().zip(x).map(|(t, x)| t - x).collect()
+    }
+
+    /// ½ Σ w (x − target)².
+    fn cost(&self, x: &[f64]) -> f64 {
+        0.5 * self
+            .target
+            .iter()
+            .zip(x)
+            .zip(&self.weights)
+            .map(|((t, x), w)| w * (t - x) * (t - x))
+            .sum::<f64>()
+    }
+}
+
+impl Feasible {
+    /// The feasible design nearest to `target` in the metric `weights` (per coordinate, for instance √v̂ of Adam; none:
+    /// Euclidean), or `previous`; the status says which. Work of an earlier call is reused, results are not.
+    ///
+    /// # Panics
+    /// If a length is not the layout's.
+    pub fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection {
+        let n = self.layout.design_len();
+        assert_eq!([previous.len(), target.len()], [n, n], "lengths of the designs");
+        self.program = super::program::Program::default();
+        let mut target = target.to_vec();
+        for (i, (t, p)) in target.iter_mut().zip(previous).enumerate() {
+            if self.fixed[i / 2] {
+                *t = *p;
+            }
+        }
+        if !target.iter().all(|t| t.is_finite()) {
+            return self.kept(previous, &target, Status::NotFinite, Stage::None);
+        }
+        if self.violations(&target).is_empty() {
+            return self.done(target.clone(), &target, Status::Untouched, Stage::None);
+        }
+        let Some(weights) = metric(n, weights) else {
+            return self.kept(previous, &target, Status::NotFinite, Stage::None);
+        };
+        let aim = Aim { target: &target, weights };
+        let mut stage = Stage::Sequence;
+        let mut best = self.sequence(&aim, target.clone());
+        let near = |x: &Vec<f64>| x.iter().zip(&target).all(|(x, t)| (x - t).abs() <= FAR);
+        if !best.as_ref().is_some_and(near) {
+            let mut starts = Vec::new();
+            let start_is_good = self.violations(previous).is_empty();
+            if start_is_good {
+                starts.push((Stage::Path, previous.to_vec()));
+            }
+            if !start_is_good {
+                starts.push((Stage::Repair, target.clone()));
+            }
+            for (name, start) in starts {
+                let found = self.path(&aim, start);
+                if let Some(x) = found
+                    && best.as_ref().is_none_or(|b| aim.cost(&x) < aim.cost(b))
+                {
+                    (best, stage) = (Some(x), name);
+                }
+            }
+        }
+        match best {
+            Some(x) => self.done(x, &target, Status::Projected, stage),
+            None => self.kept(previous, &target, Status::Kept, Stage::Repair),
+        }
+    }
+
+    /// Sequential quadratic programs from `x`; the design if it converges to a feasible one.
+    fn sequence(&mut self, aim: &Aim<'_>, mut x: Vec<f64>) -> Option<Vec<f64>> {
+        let mut near = self.rows.near(&x, WINDOW, 2.0);
+        let mut rows = self.rows.collect(&near, &x, WINDOW);
+        let mut guess: Option<Vec<Key>> = None;
+        for _ in 0..SEQUENCE_PROGRAMS {
+            let wish = aim.wish(&x);
+            let ask = Ask {
+                wish: &wish,
+                weights: &aim.weights,
+                fixed: &self.fixed,
+                proximal: 0.0,
+                penalty: None,
+                margin: MARGIN,
+            };
+            let solved = match &guess {
+                Some(active) => self.program.solve_from(&rows, &ask, active),
+                None => self.program.solve(&rows, &ask),
+            };
+            let Step { step, active } = solved?;
+            guess = Some(active);
+            for (x, d) in x.iter_mut().zip(&step) {
+                *x += d;
+            }
+            self.rows.refresh(&mut near, &x, WINDOW);
+            rows = self.rows.collect(&near, &x, WINDOW);
+            let small = squares(&step) <= 1e-4 * squares(&aim.wish(&x));
+            if small && rows.iter().all(|r| self.holds(r)) {
+                return self.violations(&x).is_empty().then_some(x);
+            }
+        }
+        None
+    }
+
+    /// A row holds, or nothing that may move can change it.
+    fn holds(&self, row: &Row) -> bool {
+        row.value >= 0.0 || row.terms().iter().all(|t| self.fixed[t.0 as usize])
+    }
+
+    fn shortfall(&self, rows: &[Row]) -> f64 {
+        rows.iter().map(|r| (MARGIN - r.value).max(0.0)).sum()
+    }
+
+    /// Proximal steps on the exact penalty from `x`, then a sequence from where they end.
+    fn path(&mut self, aim: &Aim<'_>, mut x: Vec<f64>) -> Option<Vec<f64>> {
+        let mut near = self.rows.near(&x, REACH, 4.0);
+        let mut rows = self.rows.collect(&near, &x, REACH);
+        let mut merit = aim.cost(&x) + PENALTY * self.shortfall(&rows);
+        let longest = aim.wish(&x).iter().fold(0.0_f64, |m, d| m.max(d.abs()));
+        let mut proximal = (longest / STRIDE - 1.0).max(0.0);
+        let mut feasible: Option<Vec<f64>> = None;
+        for _ in 0..PATH_PROGRAMS {
+            let wish = aim.wish(&x);
+            let ask = Ask {
+                wish: &wish,
+                weights: &aim.weights,
+                fixed: &self.fixed,
+                proximal,
+                penalty: Some(PENALTY),
+                margin: MARGIN,
+            };
+            let Some(Step { step, .. }) = self.program.solve(&rows, &ask) else {
+                proximal = 4.0 * proximal.max(0.25);
+                continue;
+            };
+            let trial: Vec<f64> = x.iter().zip(&step).map(|(x, d)| x + d).collect();
+            let model = aim.cost(&trial) + PENALTY * linear_shortfall(&rows, &step);
+            let mut near_trial = near.clone();
+            self.rows.refresh(&mut near_trial, &trial, REACH);
+            let rows_trial = self.rows.collect(&near_trial, &trial, REACH);
+            let merit_trial = aim.cost(&trial) + PENALTY * self.shortfall(&rows_trial);
+            let (predicted, actual) = (merit - model, merit - merit_trial);
+            if predicted <= 1e-7 * merit || proximal > 1e6 {
+                break;
+            }
+            if actual < 0.1 * predicted {
+                proximal = 3.0 * proximal.max(0.2);
+                continue;
+            }
+            if actual > 0.7 * predicted {
+                proximal = if proximal < 0.05 { 0.0 } else { proximal / 3.0 };
+            }
+            (x, rows, near, merit) = (trial, rows_trial, near_trial, merit_trial);
+            if rows.iter().all(|r| self.holds(r)) {
+                feasible = Some(x.clone());
+            }
+            if actual <= 1e-6 * merit {
+                break;
+            }
+        }
+        // Three ways to end feasible: on from here, straight out from here, or the best on the way.
+        let polished = self.sequence(aim, x.clone());
+        let snapped = self.sequence(&Aim { target: &x, weights: aim.weights.clone() }, x.clone());
+        let feasible = feasible.filter(|f| self.violations(f).is_empty());
+        [polished, snapped, feasible].into_iter().flatten().min_by(|a, b| aim.cost(a).total_cmp(&aim.cost(b)))
+    }
+
+    fn done(&self, design: Vec<f64>, target: &[f64], status: Status, stage: Stage) -> Projection {
+        let wish: Vec<f64> = design.iter().zip(target).map(|(x, t)| x - t).collect();
+        Projection {
+            active: self.active(&design),
+            distance: squares(&wish).sqrt(),
+            design,
+            status,
+            stage,
+            iterations: self.program.iterations,
+            programs: self.program.programs,
+        }
+    }
+
+    fn kept(&self, previous: &[f64], target: &[f64], status: Status, stage: Stage) -> Projection {
+        let status = if self.violations(previous).is_empty() { status } else { Status::Infeasible };
+        self.done(previous.to_vec(), target, status, stage)
+    }
+
+    /// Constraints of `design` within 1e-3 mm of their limits (angles times their shorter edge).
+    pub fn active(&self, design: &[f64]) -> Vec<Active> {
+        if !design.iter().all(|x| x.is_finite()) {
+            return Vec::new();
+        }
+        let rows = self.rows.collect(&self.rows.near(design, 1e-3, 0.0), design, 1e-3);
+        rows.iter().map(|row| self.rows.describe(row)).collect()
+    }
+}
+
+impl super::rows::Rows {
+    fn describe(&self, row: &Row) -> Active {
+        let [first, second, _] = row.key.at.map(|n| n as usize);
+        let unit = first / 4;
+        let (kind, units) = match row.key.kind {
+            What::Edge => (Kind::Edge, [unit, unit]),
+            What::AngleLow => (Kind::BlockAngleLow, [unit, unit]),
+            What::AngleHigh => (Kind::BlockAngleHigh, [unit, unit]),
+            What::Ligament => (Kind::LigamentAngle, [unit, unit]),
+            What::Void => (Kind::VoidAngle, [unit, self.across(first, second)]),
+            What::Corners | What::Side | What::Through if row.bar => {
+                (Kind::LigamentClearance, [unit, second / 4])
+            }
+            What::Corners | What::Side | What::Through => (Kind::Clearance, [unit, second / 4]),
+        };
+        Active { kind, units, node: first % 4, slack: row.value }
+    }
+}
+
+/// The weights at mean 1, none below its least; none if one is not finite.
+fn metric(n: usize, weights: Option<&[f64]>) -> Option<Vec<f64>> {
+    let Some(weights) = weights else { return Some(vec![1.0; n]) };
+    assert_eq!(weights.len(), n, "length of the weights");
+    let mean = weights.iter().sum::<f64>() / n as f64;
+    if !(mean.is_finite() && weights.iter().all(|w| *w >= 0.0)) {
+        return None;
+    }
+    if mean == 0.0 {
+        return Some(vec![1.0; n]);
+    }
+    Some(weights.iter().map(|w| (w / mean).max(LEAST_WEIGHT)).collect())
+}
+
+fn squares(x: &[f64]) -> f64 {
+    x.iter().map(|x| x * x).sum()
+}
+
+fn linear_shortfall(rows: &[Row], step: &[f64]) -> f64 {
+    rows.iter().map(|row| (MARGIN - row.after(step)).max(0.0)).sum()
+}

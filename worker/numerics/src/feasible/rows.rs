@@ -1,0 +1,475 @@
+//! The constraints as the projection sees them: smooth functions c(α) ≥ 0 in mm, with gradients, of near features.
+//!
+//! A node is base + α of its group, so a row touches at most three groups. Angles are scaled by their shorter edge.
+//! Two disjoint convex pieces are held apart by rows for each near (corner, edge) pair, whose gradient at the closest
+//! point is exact; overlapping ones by the edge normal along which they overlap least.
+
+use super::Limits;
+use crate::body::Layout;
+use std::f64::consts::{PI, TAU};
+
+type Point = [f64; 2];
+
+/// Names a row; rows are kept sorted by it, so that equal keys mean equal sparsity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) struct Key {
+    pub kind: What,
+    /// Nodes (4·unit + node) or ligament indices, by kind.
+    pub at: [u32; 3],
+}
+
+/// What a row is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) enum What {
+    /// At node.
+    Edge,
+    /// At node.
+    AngleLow,
+    /// At node.
+    AngleHigh,
+    /// At node; 0 for the edge onward, 1 for the edge back.
+    Ligament,
+    /// At node of the first end; ligament.
+    Void,
+    /// Corner and corner.
+    Corners,
+    /// Corner, and the edge between two.
+    Side,
+    /// As `Side`, of pieces that overlap.
+    Through,
+}
+
+/// One linearised constraint: c(α + d) ≈ value + Σ gradient·d ≥ 0.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Row {
+    pub key: Key,
+    pub value: f64,
+    terms: [(u32, Point); 3],
+    count: usize,
+    /// A ligament is involved.
+    pub bar: bool,
+}
+
+impl Row {
+    /// (group, gradient) of each group that it touches.
+    pub fn terms(&self) -> &[(u32, Point)] {
+        &self.terms[..self.count]
+    }
+
+    /// The linearised value after a step.
+    pub fn after(&self, step: &[f64]) -> f64 {
+        let gain = |&(g, d): &(u32, Point)| d[0] * step[2 * g as usize] + d[1] * step[2 * g as usize + 1];
+        self.value + self.terms().iter().map(gain).sum::<f64>()
+    }
+}
+
+/// A unit (four corners) or a ligament (two).
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    nodes: [u32; 4],
+    count: usize,
+    /// The units it belongs to.
+    units: [u32; 2],
+}
+
+/// A layout, laid out for enumeration of rows.
+#[derive(Debug, Clone)]
+pub(super) struct Rows {
+    limits: Limits,
+    base: Vec<Point>,
+    group: Vec<u32>,
+    pieces: Vec<Piece>,
+    /// Node at a, node at b, direction from a to b.
+    ligaments: Vec<(u32, u32, Point)>,
+    units: usize,
+    cell: f64,
+}
+
+/// Pairs of pieces close enough to matter, valid while nothing moves by more than half of `margin`.
+#[derive(Debug, Clone)]
+pub(super) struct Near {
+    pairs: Vec<(u32, u32)>,
+    origin: Vec<f64>,
+    margin: f64,
+}
+
+const UNIT: [Point; 4] = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
+/// An edge shorter than this has no direction (mm).
+const POINTLIKE: f64 = 1e-9;
+
+fn sub(a: Point, b: Point) -> Point {
+    [a[0] - b[0], a[1] - b[1]]
+}
+fn scale(s: f64, a: Point) -> Point {
+    [s * a[0], s * a[1]]
+}
+fn inner(a: Point, b: Point) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+fn norm(a: Point) -> f64 {
+    inner(a, a).sqrt()
+}
+/// ∂(direction angle)/∂a.
+fn swing(a: Point) -> Point {
+    let square = inner(a, a);
+    [-a[1] / square, a[0] / square]
+}
+/// The angle, moved by multiples of 2π into [centre − π, centre + π).
+fn near_centre(angle: f64, centre: f64) -> f64 {
+    (angle - centre + PI).rem_euclid(TAU) + centre - PI
+}
+
+impl Rows {
+    pub fn new(layout: &Layout, limits: Limits) -> Self {
+        let units = layout.units();
+        let half = layout.half;
+        let base = (0..4 * units)
+            .map(|n| {
+                let (centre, e) = (layout.centres[n / 4], UNIT[n % 4]);
+                [centre[0] + half * e[0], centre[1] + half * e[1]]
+            })
+            .collect();
+        let group = (0..4 * units).map(|n| layout.groups[n / 4][n % 4] as u32).collect();
+        let mut pieces: Vec<Piece> = (0..units as u32)
+            .map(|u| Piece { nodes: std::array::from_fn(|p| 4 * u + p as u32), count: 4, units: [u, u] })
+            .collect();
+        let mut ligaments = Vec::new();
+        for ligament in &layout.ligaments {
+            let (a, b) = (&ligament.a, &ligament.b);
+            let (na, nb) = ((4 * a.unit + a.node) as u32, (4 * b.unit + b.node) as u32);
+            pieces.push(Piece { nodes: [na, nb, nb, nb], count: 2, units: [a.unit as u32, b.unit as u32] });
+            ligaments.push((na, nb, ligament.reference));
+        }
+        let cell = 2.0 * half.abs().max(1e-3);
+        Self { limits, base, group, pieces, ligaments, units, cell }
+    }
+
+    fn place(&self, design: &[f64]) -> Vec<Point> {
+        self.base
+            .iter()
+            .zip(&self.group)
+            .map(|(b, &g)| [b[0] + design[2 * g as usize], b[1] + design[2 * g as usize + 1]])
+            .collect()
+    }
+
+    /// The unit at the other end of ligament `l` from node `n`.
+    pub fn across(&self, n: usize, l: usize) -> usize {
+        let (a, b, _) = self.ligaments[l];
+        (if n == a as usize { b } else { a }) as usize / 4
+    }
+
+    fn gap(&self, a: &Piece, b: &Piece) -> f64 {
+        if a.count == 4 && b.count == 4 { self.limits.clearance } else { self.limits.ligament_clearance }
+    }
+
+    /// Pairs whose boxes come within their gap + `window` after any motion of up to `margin`/2 a coordinate.
+    pub fn near(&self, design: &[f64], window: f64, margin: f64) -> Near {
+        let at = self.place(design);
+        let reach = 0.5 * (self.limits.clearance.max(self.limits.ligament_clearance).max(0.0) + window)
+            + 0.5 * margin;
+        let boxes: Vec<[f64; 4]> = self
+            .pieces
+            .iter()
+            .map(|piece| {
+                let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+                for &n in &piece.nodes[..piece.count] {
+                    let [x, y] = at[n as usize];
+                    b = [b[0].min(x - reach), b[1].min(y - reach), b[2].max(x + reach), b[3].max(y + reach)];
+                }
+                b
+            })
+            .collect();
+        // Pieces by the cell of their lower left corner; one that spans too many cells is compared with all.
+        let index = |x: f64| (x / self.cell).floor().clamp(-1e9, 1e9) as i64;
+        let mut cells: Vec<(i64, i64, u32)> = Vec::with_capacity(4 * boxes.len());
+        let mut large = Vec::new();
+        for (i, b) in boxes.iter().enumerate() {
+            let span = [index(b[0]), index(b[2]), index(b[1]), index(b[3])];
+            if (span[1] - span[0] + 1) * (span[3] - span[2] + 1) > 64 {
+                large.push(i as u32);
+                continue;
+            }
+            for cx in span[0]..=span[1] {
+                for cy in span[2]..=span[3] {
+                    cells.push((cx, cy, i as u32));
+                }
+            }
+        }
+        cells.sort_unstable();
+        let mut pairs = Vec::new();
+        let mut consider = |i: u32, j: u32| {
+            let (i, j) = (i.min(j), i.max(j));
+            let (p, q) = (&boxes[i as usize], &boxes[j as usize]);
+            if p[0] > q[2] || q[0] > p[2] || p[1] > q[3] || q[1] > p[3] {
+                return;
+            }
+            let (one, other) = (&self.pieces[i as usize], &self.pieces[j as usize]);
+            if one.count == 4 && other.count == 2 && other.units.contains(&one.units[0]) {
+                return;
+            }
+            pairs.push((i, j));
+        };
+        let mut from = 0;
+        while from < cells.len() {
+            let here = (cells[from].0, cells[from].1);
+            let to = from + cells[from..].iter().take_while(|c| (c.0, c.1) == here).count();
+            for a in from..to {
+                for b in a + 1..to {
+                    consider(cells[a].2, cells[b].2);
+                }
+            }
+            from = to;
+        }
+        for &i in &large {
+            for j in 0..boxes.len() as u32 {
+                if j != i {
+                    consider(i, j);
+                }
+            }
+        }
+        pairs.sort_unstable();
+        pairs.dedup();
+        Near { pairs, origin: design.to_vec(), margin }
+    }
+
+    /// Renews `near` if the design has moved too far for it.
+    pub fn refresh(&self, near: &mut Near, design: &[f64], window: f64) {
+        let moved = near.origin.iter().zip(design).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs()));
+        if moved.is_nan() || moved > 0.5 * near.margin {
+            *near = self.near(design, window, near.margin);
+        }
+    }
+
+    /// Every row with value below `window`, sorted by key; `window` must not exceed that of `near`.
+    pub fn collect(&self, near: &Near, design: &[f64], window: f64) -> Vec<Row> {
+        let at = self.place(design);
+        let mut rows = Vec::new();
+        for u in 0..self.units as u32 {
+            self.unit_rows(&at, u, window, &mut rows);
+        }
+        for l in 0..self.ligaments.len() as u32 {
+            self.ligament_rows(&at, l, window, &mut rows);
+        }
+        for &(i, j) in &near.pairs {
+            self.pair_rows(&at, &self.pieces[i as usize], &self.pieces[j as usize], window, &mut rows);
+        }
+        rows.sort_by(|a, b| a.key.cmp(&b.key).then(a.value.total_cmp(&b.value)));
+        rows.dedup_by(|b, a| a.key == b.key);
+        rows
+    }
+
+    /// A row of (node, gradient) terms; nodes of one group are summed, and rows that nothing can move are dropped.
+    fn row(&self, key: Key, value: f64, gradient: &[(u32, Point)], rows: &mut Vec<Row>) {
+        let mut row = Row { key, value, terms: [(0, [0.0; 2]); 3], count: 0, bar: false };
+        for &(node, g) in gradient {
+            let group = self.group[node as usize];
+            match row.terms[..row.count].iter_mut().find(|t| t.0 == group) {
+                Some(term) => term.1 = [term.1[0] + g[0], term.1[1] + g[1]],
+                None => {
+                    row.terms[row.count] = (group, g);
+                    row.count += 1;
+                }
+            }
+        }
+        if row.terms[..row.count].iter().any(|t| t.1[0].abs() + t.1[1].abs() > 1e-12) && value.is_finite() {
+            rows.push(row);
+        }
+    }
+
+    fn unit_rows(&self, at: &[Point], u: u32, window: f64, rows: &mut Vec<Row>) {
+        let node = |p: u32| 4 * u + p % 4;
+        let limits = &self.limits;
+        let edges: [Point; 4] =
+            std::array::from_fn(|p| sub(at[node(p as u32 + 1) as usize], at[node(p as u32) as usize]));
+        let lengths = edges.map(norm);
+        for p in 0..4 {
+            let (here, next, last) = (node(p as u32), node(p as u32 + 1), node(p as u32 + 3));
+            let (length, before) = (lengths[p], lengths[(p + 3) % 4]);
+            if length - limits.min_edge < window {
+                let along = if length > POINTLIKE {
+                    scale(1.0 / length, edges[p])
+                } else {
+                    let away = sub(UNIT[(p + 1) % 4], UNIT[p]);
+                    scale(1.0 / norm(away), away)
+                };
+                let key = Key { kind: What::Edge, at: [here, 0, 0] };
+                self.row(key, length - limits.min_edge, &[(next, along), (here, scale(-1.0, along))], rows);
+            }
+            if length < POINTLIKE || before < POINTLIKE {
+                continue;
+            }
+            let (onward, back) = (edges[p], scale(-1.0, edges[(p + 3) % 4]));
+            let centre = 0.5 * (limits.min_block_angle + limits.max_block_angle);
+            let angle = near_centre(back[1].atan2(back[0]) - onward[1].atan2(onward[0]), centre);
+            let size = length.min(before);
+            let (g_next, g_last) = (scale(-size, swing(onward)), scale(size, swing(back)));
+            let g_here = [-g_next[0] - g_last[0], -g_next[1] - g_last[1]];
+            let low = size * (angle - limits.min_block_angle);
+            if low < window {
+                let key = Key { kind: What::AngleLow, at: [here, 0, 0] };
+                self.row(key, low, &[(next, g_next), (last, g_last), (here, g_here)], rows);
+            }
+            let high = size * (limits.max_block_angle - angle);
+            if high < window {
+                let key = Key { kind: What::AngleHigh, at: [here, 0, 0] };
+                let flip = |g| scale(-1.0, g);
+                self.row(
+                    key,
+                    high,
+                    &[(next, flip(g_next)), (last, flip(g_last)), (here, flip(g_here))],
+                    rows,
+                );
+            }
+        }
+    }
+
+    /// At the end `n` of a ligament that leaves along `away`: for the edge onward and the edge back, the void's angle
+    /// beside the ligament, its gradient by the far node, that node, and the edge's length.
+    fn beside(&self, at: &[Point], n: u32, away: Point) -> Option<[(f64, Point, u32, f64); 2]> {
+        let (next, last) = ((n & !3) + (n + 1) % 4, (n & !3) + (n + 3) % 4);
+        let (onward, back) = (sub(at[next as usize], at[n as usize]), sub(at[last as usize], at[n as usize]));
+        let lengths = [norm(onward), norm(back)];
+        if lengths[0].min(lengths[1]) < POINTLIKE {
+            return None;
+        }
+        let direction = away[1].atan2(away[0]);
+        let mut first = (onward[1].atan2(onward[0]) - direction).rem_euclid(TAU);
+        let mut second = (direction - back[1].atan2(back[0])).rem_euclid(TAU);
+        if first + second > TAU {
+            // The ligament runs through the unit: out by the nearer side.
+            if first > second { first -= TAU } else { second -= TAU }
+        }
+        Some([(first, swing(onward), next, lengths[0]), (second, scale(-1.0, swing(back)), last, lengths[1])])
+    }
+
+    fn ligament_rows(&self, at: &[Point], l: u32, window: f64, rows: &mut Vec<Row>) {
+        let (na, nb, along) = self.ligaments[l as usize];
+        let ends = (self.beside(at, na, along), self.beside(at, nb, scale(-1.0, along)));
+        for (node, sides) in [(na, ends.0), (nb, ends.1)] {
+            for (which, (angle, by_far, far, length)) in sides.into_iter().flatten().enumerate() {
+                let value = length * (angle - self.limits.min_ligament_angle);
+                if value < window {
+                    let g = scale(length, by_far);
+                    let key = Key { kind: What::Ligament, at: [node, which as u32, 0] };
+                    self.row(key, value, &[(far, g), (node, scale(-1.0, g))], rows);
+                }
+            }
+        }
+        if let (Some(a), Some(b)) = ends {
+            for (node, one, other) in [(na, a[0], b[1]), (nb, b[0], a[1])] {
+                let size = one.3.min(other.3);
+                let value = size * (one.0 + other.0 - PI - self.limits.min_void_angle);
+                if value < window {
+                    let (g, k) = (scale(size, one.1), scale(size, other.1));
+                    let key = Key { kind: What::Void, at: [node, l, 0] };
+                    self.row(
+                        key,
+                        value,
+                        &[(one.2, g), (other.2, k), (node, [-g[0] - k[0], -g[1] - k[1]])],
+                        rows,
+                    );
+                }
+            }
+        }
+    }
+
+    fn pair_rows(&self, at: &[Point], a: &Piece, b: &Piece, window: f64, rows: &mut Vec<Row>) {
+        let first = rows.len();
+        self.gap_rows(at, a, b, window, rows);
+        for row in &mut rows[first..] {
+            row.bar = a.count + b.count < 8;
+        }
+    }
+
+    fn gap_rows(&self, at: &[Point], a: &Piece, b: &Piece, window: f64, rows: &mut Vec<Row>) {
+        let gap = self.gap(a, b);
+        let (apart, normal, owner_first, edge) = separation(at, a, b);
+        if apart - gap >= window {
+            return;
+        }
+        if apart > 0.0 {
+            for (corner_of, edge_of) in [(a, b), (b, a)] {
+                for &n in &corner_of.nodes[..corner_of.count] {
+                    for p in 0..if edge_of.count == 4 { 4 } else { 1 } {
+                        let (s, t) = (edge_of.nodes[p], edge_of.nodes[(p + 1) % edge_of.count]);
+                        self.side_row(at, n, s, t, gap, window, rows);
+                    }
+                }
+            }
+            return;
+        }
+        // Overlapping: along the normal of the edge that needs the least way out.
+        let (edge_of, corner_of) = if owner_first { (a, b) } else { (b, a) };
+        let (s, t) = (edge_of.nodes[edge], edge_of.nodes[(edge + 1) % edge_of.count]);
+        let reach = edge_of.nodes[..edge_of.count]
+            .iter()
+            .fold(f64::NEG_INFINITY, |m, &n| m.max(inner(normal, at[n as usize])));
+        let along = sub(at[t as usize], at[s as usize]);
+        for &n in &corner_of.nodes[..corner_of.count] {
+            let value = inner(normal, at[n as usize]) - reach - gap;
+            if value < window {
+                let part = (inner(sub(at[n as usize], at[s as usize]), along)
+                    / inner(along, along).max(1e-18))
+                .clamp(0.0, 1.0);
+                let key = Key { kind: What::Through, at: [n, s, t] };
+                let g = [(n, normal), (s, scale(part - 1.0, normal)), (t, scale(-part, normal))];
+                self.row(key, value, &g, rows);
+            }
+        }
+    }
+
+    /// The corner n and the closest point of the edge from s to t.
+    fn side_row(&self, at: &[Point], n: u32, s: u32, t: u32, gap: f64, window: f64, rows: &mut Vec<Row>) {
+        let (corner, start) = (at[n as usize], at[s as usize]);
+        let along = sub(at[t as usize], start);
+        let square = inner(along, along);
+        let part =
+            if square > 0.0 { (inner(sub(corner, start), along) / square).clamp(0.0, 1.0) } else { 0.0 };
+        let across = sub(sub(corner, start), scale(part, along));
+        let distance = norm(across);
+        if distance - gap >= window || distance < POINTLIKE {
+            return;
+        }
+        let g = scale(1.0 / distance, across);
+        if part == 0.0 || part == 1.0 {
+            let m = if part == 0.0 { s } else { t };
+            let key = Key { kind: What::Corners, at: [n.min(m), n.max(m), 0] };
+            self.row(key, distance - gap, &[(n, g), (m, scale(-1.0, g))], rows);
+        } else {
+            let key = Key { kind: What::Side, at: [n, s, t] };
+            self.row(key, distance - gap, &[(n, g), (s, scale(part - 1.0, g)), (t, scale(-part, g))], rows);
+        }
+    }
+}
+
+/// Greatest separation of two convex pieces along a normal of one of their edges (negative: they overlap), that normal
+/// (from the owner of the edge outward), whether the owner is `a`, and the edge.
+fn separation(at: &[Point], a: &Piece, b: &Piece) -> (f64, Point, bool, usize) {
+    let mut best = (f64::NEG_INFINITY, [0.0; 2], true, 0);
+    for (owner, other, first) in [(a, b, true), (b, a, false)] {
+        for p in 0..if owner.count == 4 { 4 } else { 1 } {
+            let (s, t) = (at[owner.nodes[p] as usize], at[owner.nodes[(p + 1) % owner.count] as usize]);
+            let along = sub(t, s);
+            let length = norm(along);
+            if length < POINTLIKE {
+                continue;
+            }
+            let normal = [along[1] / length, -along[0] / length];
+            let mut directions =
+                [normal, scale(-1.0, normal), scale(1.0 / length, along), scale(-1.0 / length, along)];
+            let used = if owner.count == 4 { &mut directions[..1] } else { &mut directions[..] };
+            for n in used {
+                let far = owner.nodes[..owner.count]
+                    .iter()
+                    .fold(f64::NEG_INFINITY, |m, &q| m.max(inner(*n, at[q as usize])));
+                let near = other.nodes[..other.count]
+                    .iter()
+                    .fold(f64::INFINITY, |m, &q| m.min(inner(*n, at[q as usize])));
+                if near - far > best.0 {
+                    best = (near - far, *n, first, p);
+                }
+            }
+        }
+    }
+    best
+}

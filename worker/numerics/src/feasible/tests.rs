@@ -1,0 +1,246 @@
+//! Properties of the projection and of its judge.
+
+use super::*;
+use crate::random::{Purpose, Stream};
+use proptest::prelude::*;
+
+const ANGLE: f64 = 25.0 * std::f64::consts::PI / 180.0;
+
+fn body(columns: usize, rows: usize) -> (Layout, Vec<f64>, Feasible) {
+    let layout = Layout::planar(columns, rows, 15.0, 2.25);
+    let start = layout.initial_design(ANGLE);
+    let feasible = Feasible::new(&layout, Limits::default(), &[]);
+    (layout, start, feasible)
+}
+
+fn noisy(start: &[f64], size: f64, seed: u64) -> Vec<f64> {
+    let mut stream = Stream::new(Purpose::Design, seed, [7, 7]);
+    start.iter().map(|x| x + stream.between([-size, size])).collect()
+}
+
+fn distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+/// A feasible target is returned with the same bits, and nothing is solved.
+#[test]
+fn a_feasible_target_comes_back_bit_for_bit() {
+    let (_, start, mut feasible) = body(6, 6);
+    for seed in 0..20 {
+        let target = noisy(&start, 1.0, seed);
+        assert!(feasible.violations(&target).is_empty(), "seed {seed}");
+        let out = feasible.project(&start, &target, None);
+        assert_eq!((out.status, out.programs), (Status::Untouched, 0));
+        assert!(out.design.iter().zip(&target).all(|(a, b)| a.to_bits() == b.to_bits()));
+    }
+}
+
+/// Steps from small to wild on several sizes: the judge finds nothing in what comes back.
+#[test]
+fn what_comes_back_satisfies_every_constraint() {
+    for (columns, rows) in [(2, 2), (3, 5), (6, 6)] {
+        let (_, start, mut feasible) = body(columns, rows);
+        for (seed, size) in [(1, 2.5), (2, 3.0), (3, 4.0), (4, 6.0), (5, 7.5), (6, 12.0)] {
+            let out = feasible.project(&start, &noisy(&start, size, seed), None);
+            let broken = feasible.violations(&out.design);
+            assert!(broken.is_empty() && out.status.is_feasible(), "{size}: {:?} {}", out.status, broken[0]);
+            assert!(size > 4.0 || out.status != Status::Kept, "{columns}×{rows}, ±{size} mm: kept");
+        }
+    }
+}
+
+/// A walk into the constraints by steps of an optimiser's size: never kept, never worse than going back.
+#[test]
+fn small_steps_are_projected_never_refused() {
+    let (_, start, mut feasible) = body(5, 4);
+    let direction: Vec<f64> = noisy(&vec![0.0; start.len()], 1.0, 3).iter().map(|x| x.signum()).collect();
+    let mut x = start;
+    let mut projected = 0;
+    for step in 0..60 {
+        let target: Vec<f64> = x.iter().zip(&direction).map(|(x, d)| x + 0.12 * d).collect();
+        let out = feasible.project(&x, &target, None);
+        assert!(matches!(out.status, Status::Untouched | Status::Projected), "step {step}: {:?}", out.status);
+        assert!(out.distance <= distance(&x, &target) + 1e-9, "step {step}: {} mm", out.distance);
+        assert!(feasible.violations(&out.design).is_empty(), "step {step}");
+        projected += usize::from(out.status == Status::Projected);
+        x = out.design;
+    }
+    assert!(projected > 20, "{projected} of 60 were projected");
+}
+
+/// Projecting what came back changes nothing; and the same call gives the same bits.
+#[test]
+fn a_projection_is_idempotent_and_repeats_bit_for_bit() {
+    let (_, start, mut feasible) = body(4, 4);
+    let target = noisy(&start, 4.0, 11);
+    let first = feasible.project(&start, &target, None);
+    assert_eq!(first.status, Status::Projected);
+    assert_eq!(feasible.project(&start, &first.design, None).status, Status::Untouched);
+    let (_, _, mut other) = body(4, 4);
+    assert_eq!(other.project(&start, &target, None), first);
+}
+
+/// NaN and infinity in the target or the weights: the previous design, and the status names it.
+#[test]
+fn what_is_not_finite_keeps_the_previous_design() {
+    let (_, start, mut feasible) = body(3, 3);
+    for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let mut target = start.clone();
+        target[5] = bad;
+        let out = feasible.project(&start, &target, None);
+        assert_eq!((out.status, &out.design), (Status::NotFinite, &start));
+        assert_eq!(feasible.violations(&target)[0].kind, Kind::NotFinite);
+        let weights = vec![bad; start.len()];
+        let out = feasible.project(&start, &noisy(&start, 6.0, 1), Some(&weights));
+        assert_eq!(out.status, Status::NotFinite);
+    }
+    let out = feasible.project(&vec![f64::NAN; start.len()], &vec![f64::NAN; start.len()], None);
+    assert_eq!(out.status, Status::Infeasible);
+    // Finite, and absurd.
+    let out = feasible.project(&start, &noisy(&start, 1e300, 1), None);
+    assert!(feasible.violations(&out.design).is_empty(), "{:?}", out.status);
+}
+
+/// Limits that no design can meet: the outcome says that what came back is infeasible.
+#[test]
+fn contradictory_limits_are_named() {
+    let layout = Layout::planar(3, 3, 15.0, 2.25);
+    let start = layout.initial_design(ANGLE);
+    for limits in [
+        Limits { clearance: 3.0, ..Limits::default() },
+        Limits { min_block_angle: 1.6, ..Limits::default() },
+        Limits { min_edge: 200.0, clearance: 200.0, ..Limits::default() },
+    ] {
+        let out = Feasible::new(&layout, limits, &[]).project(&start, &start, None);
+        assert_eq!(out.status, Status::Infeasible, "{limits:?}");
+    }
+}
+
+/// Fixed units keep their nodes, whatever the target wants.
+#[test]
+fn fixed_units_stay() {
+    let layout = Layout::planar(4, 4, 15.0, 2.25);
+    let start = layout.initial_design(ANGLE);
+    let mut feasible = Feasible::new(&layout, Limits::default(), &[0, 13]);
+    let out = feasible.project(&start, &noisy(&start, 5.0, 2), None);
+    assert_eq!(out.status, Status::Projected);
+    let (before, after) = (layout.vertices(&start), layout.vertices(&out.design));
+    assert_eq!([before[0], before[13]], [after[0], after[13]]);
+    assert!(before[5] != after[5]);
+}
+
+/// Each kind of violation, made on purpose, is found by its name and its units.
+#[test]
+fn the_judge_names_what_is_broken() {
+    let (layout, start, feasible) = body(3, 3);
+    let seen = |unit: usize, node: usize, shift: [f64; 2]| {
+        let mut design = start.clone();
+        let group = layout.groups[unit][node];
+        design[2 * group] += shift[0];
+        design[2 * group + 1] += shift[1];
+        feasible.violations(&design).iter().map(|v| (v.kind, v.units)).collect::<Vec<_>>()
+    };
+    assert!(seen(4, 0, [0.0, 0.0]).is_empty());
+    // A free corner pushed across its own unit: turned over.
+    assert!(seen(0, 2, [16.0, 0.0]).contains(&(Kind::NotSimple, [0, 0])));
+    // Pulled out to a needle.
+    assert!(seen(0, 2, [-30.0, 0.0]).contains(&(Kind::BlockAngleLow, [0, 0])));
+    // Pulled far across the neighbour above.
+    assert!(seen(0, 2, [0.0, 22.0]).contains(&(Kind::Overlap, [0, 3])));
+}
+
+/// Random designs are feasible, equal for equal seeds, and far from each other.
+#[test]
+fn random_designs_are_feasible_and_named_by_their_seed() {
+    let layout = Layout::circular(5, 15.0, 2.25);
+    let start = layout.initial_design(ANGLE);
+    let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
+    let designs: Vec<Vec<f64>> =
+        (0..6).map(|seed| feasible.random_design(&start, seed).expect("a design")).collect();
+    for (seed, design) in designs.iter().enumerate() {
+        assert!(feasible.violations(design).is_empty(), "seed {seed}");
+        assert_eq!(Some(design), feasible.random_design(&start, seed as u64).as_ref());
+        assert!(designs[..seed].iter().all(|other| distance(design, other) > 10.0));
+    }
+}
+
+/// Adam on ½ Σ h (α − a)² with its optimum far outside, followed by the projection. The constrained optimum is the
+/// projection of a in the metric h. Weighted by √v̂ the loop ends there; the Euclidean projection ends elsewhere.
+#[test]
+fn adam_with_the_weighted_projection_ends_at_the_constrained_optimum() {
+    let (_, start, mut feasible) = body(3, 3);
+    let goal = noisy(&start, 6.0, 5);
+    let mut stream = Stream::new(Purpose::Design, 6, [0, 0]);
+    let h: Vec<f64> = start.iter().map(|_| 10_f64.powf(stream.between([-2.0, 0.0]))).collect();
+    let cost =
+        |x: &[f64]| x.iter().zip(&goal).zip(&h).map(|((x, a), h)| 0.5 * h * (x - a).powi(2)).sum::<f64>();
+    let best = cost(&feasible.project(&start, &goal, Some(&h)).design);
+    let mut run = |weighted: bool| {
+        let mut x = start.clone();
+        let (mut m, mut v) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+        for t in 1..=800 {
+            let rate = 0.1 * (1.0 - f64::from(t) / 801.0);
+            let (c1, c2) = (1.0 - 0.9_f64.powi(t), 1.0 - 0.999_f64.powi(t));
+            let mut target = x.clone();
+            for i in 0..x.len() {
+                let g = h[i] * (x[i] - goal[i]);
+                m[i] = 0.9 * m[i] + 0.1 * g;
+                v[i] = 0.999 * v[i] + 0.001 * g * g;
+                target[i] -= rate * m[i] / c1 / ((v[i] / c2).sqrt() + 1e-8);
+            }
+            let weights: Vec<f64> = v.iter().map(|v| (v / c2).sqrt()).collect();
+            let out = feasible.project(&x, &target, weighted.then_some(&weights));
+            assert!(
+                matches!(out.status, Status::Untouched | Status::Projected),
+                "step {t}: {:?}",
+                out.status
+            );
+            x = out.design;
+        }
+        cost(&x)
+    };
+    let (weighted, plain) = (run(true), run(false));
+    assert!(weighted < 1.001 * best, "weighted: {weighted}, optimum {best}");
+    assert!(plain > 1.2 * best, "plain: {plain}, optimum {best}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Any layout, limits and step: what comes back is feasible, or the previous design, and the status says which.
+    #[test]
+    fn the_promise_holds_for_any_body_limits_and_step(
+        columns in 2_usize..6, rows in 2_usize..5, circular in any::<bool>(), ligament in 1.0..4.0_f64,
+        angle in 0.0..0.6_f64, block in 10.0..40.0_f64, flat in 150.0..178.0_f64, void in 0.0..20.0_f64,
+        beside in 0.0..25.0_f64, min_edge in 0.5..5.0_f64, clearance in 0.0..2.5_f64, bar in 0.0..1.0_f64,
+        size in 0.05..12.0_f64, seed in 0_u64..1000, fixed in proptest::option::of(0_usize..4),
+    ) {
+        let layout = if circular {
+            Layout::circular(columns, 15.0, ligament)
+        } else {
+            Layout::planar(columns, rows, 15.0, ligament)
+        };
+        let limits = Limits {
+            min_block_angle: block.to_radians(), max_block_angle: flat.to_radians(),
+            min_void_angle: void.to_radians(), min_ligament_angle: beside.to_radians(),
+            min_edge, clearance, ligament_clearance: bar,
+        };
+        let fixed: Vec<usize> = fixed.into_iter().collect();
+        let mut feasible = Feasible::new(&layout, limits, &fixed);
+        let start = layout.initial_design(angle);
+        let target = noisy(&start, size, seed);
+        let weights: Vec<f64> = noisy(&vec![1.0; start.len()], 0.99, seed + 1);
+        let out = feasible.project(&start, &target, (seed % 2 == 0).then_some(&weights));
+        let broken = feasible.violations(&out.design);
+        match out.status {
+            Status::Untouched | Status::Projected => prop_assert!(broken.is_empty(), "{:?}: {}", out.stage, broken[0]),
+            Status::Kept => prop_assert!(broken.is_empty() && out.design == start),
+            Status::Infeasible => prop_assert!(!broken.is_empty() && out.design == start),
+            Status::NotFinite => prop_assert!(false, "all was finite"),
+        }
+        prop_assert!(out.distance.is_finite() && out.active.iter().all(|a| a.slack.is_finite()));
+        for unit in fixed {
+            prop_assert_eq!(layout.vertices(&out.design)[unit], layout.vertices(&start)[unit]);
+        }
+    }
+}
