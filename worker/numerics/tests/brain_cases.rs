@@ -120,6 +120,49 @@ fn the_network_and_its_derivatives_match_the_reference_in_f32() {
     }
 }
 
+/// z, the implicit term and its scalar against 20 recorded iterations, within ten times the recorded sensitivities.
+#[test]
+fn the_implicit_term_matches_the_reference_as_far_as_it_is_determined() {
+    for name in ["implicit_width8_p", "implicit_width64_p"] {
+        let (case, pool) = (Case::open(name), pool(2));
+        let shape = case.shape();
+        let data =
+            |set: &str| Data::new(shape, &case.array(&format!("x_{set}")), &case.array(&format!("y_{set}")));
+        let (train, test) = (data("train"), data("test"));
+        let ws = &mut Workspace::new(shape);
+        let weights = case.flat("");
+        let mut b = vec![0.0; shape.weights()];
+        let (loss_test, grad_x) = full_gradient(&weights, test.all(), &mut b, ws, &pool);
+        let dots = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        assert!((loss_test / case.number("loss_test") - 1.0).abs() < 1e-10, "{loss_test}");
+        assert!(
+            distance(&b, &case.array("b")) < 1e-9 && distance(&grad_x, &case.array("grad_x_test")) < 1e-9
+        );
+        let direct = dots(&grad_x, &case.array("dA_test"));
+        assert!((direct / case.number("direct") - 1.0).abs() < 1e-9, "{direct}");
+
+        let curvature = Curvature::new(&weights, train.all(), ws, &pool);
+        for solve in case.json["solves"].as_array().expect("solves") {
+            let number = |key: &str| solve[key].as_f64().expect(key);
+            let tag = if number("lam") == 0.0 { "0".to_string() } else { number("lam").to_string() };
+            let allowed = 1e-6f64.max(10.0 * number("cg_sensitivity_to_1e-12"));
+            let policy = Policy::Damped(number("lam"));
+            let found = solve_implicit(&curvature, &b, policy, 1e-7, 20, ws, &pool);
+            assert_eq!(found.outcome, SolveOutcome::IterationLimit);
+            let z = distance(&found.z, &case.array(&format!("z_cg_{tag}")));
+            let mut term = curvature.mixed_product(&found.z, ws, &pool);
+            term.iter_mut().for_each(|t| *t = -*t);
+            let implicit = distance(&term, &case.array(&format!("implicit_cg_{tag}")));
+            let scalar = dots(&term, &case.array("dA_train"));
+            let of_scalar = (scalar / number("cg_implicit") - 1.0).abs();
+            assert!(
+                z <= allowed && implicit <= allowed && of_scalar <= allowed,
+                "{name} λ = {tag}: z {z:.1e}, term {implicit:.1e}, scalar {of_scalar:.1e}, allowed {allowed:.1e}"
+            );
+        }
+    }
+}
+
 /// Errors in percent, and none for the sample of zero force.
 #[test]
 fn the_prediction_error_matches_the_reference() {

@@ -99,6 +99,8 @@ pub struct Kernels<F> {
     outer: unsafe fn(&mut Outer<F>),
     dots: unsafe fn(&mut Dots<F>),
     sums: unsafe fn(&[F], &mut [F]),
+    burst: unsafe fn(u64) -> F,
+    burst_work: u64,
 }
 
 impl<F: Real> Kernels<F> {
@@ -162,6 +164,13 @@ impl<F: Real> Kernels<F> {
         );
         // SAFETY: as above.
         unsafe { (self.sums)(a, c) }
+    }
+
+    /// Multiply-adds on registers alone, the yardstick of the other kernels; returns how many operations they were.
+    pub fn burst(&self, rounds: u64) -> u64 {
+        // SAFETY: as above.
+        std::hint::black_box(unsafe { (self.burst)(rounds) });
+        rounds * self.burst_work
     }
 
     /// Writes B (depth, columns), given by its entries, in panels.
@@ -366,6 +375,24 @@ unsafe fn sums<V: Vector>(a: &[V::Scalar], c: &mut [V::Scalar]) {
     }
 }
 
+/// Chains of multiply-adds, enough to hide the latency.
+const CHAINS: usize = 12;
+
+#[inline(always)]
+unsafe fn burst<V: Vector>(rounds: u64) -> V::Scalar {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let factor = V::splat(V::Scalar::from_f64(std::hint::black_box(0.5)));
+        let mut sum = [factor; CHAINS];
+        for _ in 0..rounds {
+            for chain in &mut sum {
+                *chain = factor.plus_product(*chain, factor);
+            }
+        }
+        sum.into_iter().fold(factor, |a, b| a.plus(b)).sum()
+    }
+}
+
 macro_rules! entries {
     ($name:ident, $vector:ty, $rows:literal, $outer_rows:literal $(, $features:literal)?) => {
         mod $name {
@@ -391,8 +418,21 @@ macro_rules! entries {
                 // SAFETY: the caller's promise.
                 unsafe { super::sums::<$vector>(a, c) }
             }
-            pub const KERNELS: Kernels<F> =
-                Kernels { panel: 2 * <$vector as Vector>::LANES, product, outer, dots, sums };
+            $(#[target_feature(enable = $features)])?
+            unsafe fn burst(rounds: u64) -> F {
+                // SAFETY: the caller's promise.
+                unsafe { super::burst::<$vector>(rounds) }
+            }
+            const LANES: usize = <$vector as Vector>::LANES;
+            pub const KERNELS: Kernels<F> = Kernels {
+                panel: 2 * LANES,
+                product,
+                outer,
+                dots,
+                sums,
+                burst,
+                burst_work: 2 * (CHAINS * LANES) as u64,
+            };
         }
     };
 }
