@@ -120,7 +120,7 @@ fn the_network_and_its_derivatives_match_the_reference_in_f32() {
     }
 }
 
-/// z, the implicit term and its scalar against 20 recorded iterations, within ten times the recorded sensitivities.
+/// z against 20 recorded iterations, within ten times the recorded sensitivity; the term that belongs to the recorded z.
 #[test]
 fn the_implicit_term_matches_the_reference_as_far_as_it_is_determined() {
     for name in ["implicit_width8_p", "implicit_width64_p"] {
@@ -150,14 +150,15 @@ fn the_implicit_term_matches_the_reference_as_far_as_it_is_determined() {
             let found = solve_implicit(&curvature, &b, policy, 1e-7, 20, ws, &pool);
             assert_eq!(found.outcome, SolveOutcome::IterationLimit);
             let z = distance(&found.z, &case.array(&format!("z_cg_{tag}")));
-            let mut term = curvature.mixed_product(&found.z, ws, &pool);
+            // From the recorded z: 20 iterations at small λ leave the term itself undetermined to 10 %.
+            let mut term = curvature.mixed_product(&case.array(&format!("z_cg_{tag}")), ws, &pool);
             term.iter_mut().for_each(|t| *t = -*t);
             let implicit = distance(&term, &case.array(&format!("implicit_cg_{tag}")));
             let scalar = dots(&term, &case.array("dA_train"));
             let of_scalar = (scalar / number("cg_implicit") - 1.0).abs();
             assert!(
-                z <= allowed && implicit <= allowed && of_scalar <= allowed,
-                "{name} λ = {tag}: z {z:.1e}, term {implicit:.1e}, scalar {of_scalar:.1e}, allowed {allowed:.1e}"
+                z <= allowed && implicit <= 1e-10 && of_scalar <= 1e-10,
+                "{name} λ = {tag}: z {z:.1e} of {allowed:.1e}, term {implicit:.1e}, scalar {of_scalar:.1e}"
             );
         }
     }

@@ -11,8 +11,8 @@ use super::data::Batch;
 use super::kernels::{Dots, Finish, Kernels, Product, Start};
 use super::layout::{Packed, padded_range};
 use super::network::{
-    Scratch, Workspace, add_biases, add_outer, forward, input_product, last_layer_back, residual,
-    second_layer_back, take_inputs,
+    Scratch, Workspace, add_biases, add_outer, add_second_layer, convolve, forward, input_product,
+    last_layer_back, residual, spread, take_inputs,
 };
 use super::real::Real;
 
@@ -64,18 +64,20 @@ impl<'a, F: Real> Curvature<'a, F> {
         let (p, k) = (shape.stride(), shape.outputs);
         ws.packed.fill(&ws.kernels, shape, v);
         ws.over_chunks(batch, pool, |kernels, v, s, slot, samples| {
-            let gradient = &mut slot.gradient;
-            gradient.fill(F::ZERO);
+            slot.clear();
             for i in samples {
-                let dot = self.tangents(kernels, v, i, matrix, s);
+                let mut dot = self.tangents(kernels, v, i, matrix, s);
                 let (x, (a1, a2)) = (batch.sample(i).0, self.activations(i));
-                let [w1, w2, w3] = [3, 4, 5].map(|block| padded_range(shape, block));
+                add_second_layer(kernels, shape, a1, &s.spread1, &dot.g2, &mut dot.fold2, slot);
+                if matrix == Matrix::Hessian {
+                    add_second_layer(kernels, shape, &dot.a1, &dot.spread1, &s.g2, &mut dot.fold2, slot);
+                }
+                let gradient = &mut slot.gradient;
+                let [w1, w3] = [3, 5].map(|block| padded_range(shape, block));
                 add_biases(kernels, shape, &dot.g1, &dot.g2, &dot.g3, gradient);
                 add_outer(kernels, shape, x, shape.inputs, 3 * shape.inputs, &dot.g1[p..], &mut gradient[w1]);
-                add_outer(kernels, shape, a1, p, 3 * p, &dot.g2[p..], &mut gradient[w2.clone()]);
                 add_outer(kernels, shape, &dot.g3, k, k, a2, &mut gradient[w3.clone()]);
                 if matrix == Matrix::Hessian {
-                    add_outer(kernels, shape, &dot.a1, p, 3 * p, &s.g2[p..], &mut gradient[w2]);
                     add_outer(kernels, shape, &s.g3, k, k, &dot.a2, &mut gradient[w3]);
                 }
                 s.tangent = Some(dot);
@@ -93,16 +95,9 @@ impl<'a, F: Real> Curvature<'a, F> {
             for i in samples {
                 let mut dot = self.tangents(kernels, v, i, Matrix::Hessian, s);
                 let (a1, _) = self.activations(i);
-                second_layer_back(
-                    kernels,
-                    shape,
-                    &self.packed.w2_back,
-                    &s.g2,
-                    a1,
-                    &mut s.g1,
-                    Start::Zero,
-                    true,
-                );
+                let (p, panels) = (shape.stride(), [&self.packed.w2_back[..], &self.packed.w2_back_pairs]);
+                let gate = Finish::Gate(&a1[p..]);
+                convolve(kernels, shape, &s.g2, &s.spread2, panels, &mut s.g1[p..], Start::Zero, gate);
                 input_product(kernels, shape, &self.packed.w1_back, &dot.g1, &mut dot.wide, Start::Zero);
                 input_product(kernels, shape, &v.w1_back, &s.g1, &mut dot.wide, Start::Add);
                 take_inputs(shape, &dot.wide, &mut slot.out);
@@ -135,13 +130,23 @@ impl<'a, F: Real> Curvature<'a, F> {
         let mut dot = s.tangent.take().unwrap_or_else(|| Box::new(Scratch::new(shape)));
 
         // Forward.
-        let convolve = |a: &[F], lda, panels: &[F], c: &mut [F], start, finish| {
-            kernels.product(Product { a, lda, rows, depth: 3 * lda, panels, c, columns: p, start, finish });
-        };
-        let bias = |block| Start::Bias(v.block(shape, block));
-        convolve(x, shape.inputs, &v.w1, &mut dot.a1[p..], bias(0), Finish::Gate(&a1[p..]));
-        convolve(a1, p, &v.w2, &mut dot.a2, bias(1), Finish::Plain);
-        convolve(&dot.a1, p, &w.w2, &mut dot.a2, Start::Add, Finish::Gate(a2));
+        kernels.product(Product {
+            a: x,
+            lda: shape.inputs,
+            rows,
+            depth: 3 * shape.inputs,
+            panels: &v.w1,
+            c: &mut dot.a1[p..],
+            columns: p,
+            start: Start::Bias(v.block(shape, 0)),
+            finish: Finish::Gate(&a1[p..]),
+        });
+        spread(kernels, shape, a1, &mut s.spread1);
+        spread(kernels, shape, &dot.a1, &mut dot.spread1);
+        let bias = Start::Bias(v.block(shape, 1));
+        convolve(kernels, shape, a1, &s.spread1, [&v.w2, &v.w2_pairs], &mut dot.a2, bias, Finish::Plain);
+        let panels = [&w.w2[..], &w.w2_pairs];
+        convolve(kernels, shape, &dot.a1, &dot.spread1, panels, &mut dot.a2, Start::Add, Finish::Gate(a2));
         let last = |a: &[F], w: &[F], bias: &[F], c: &mut [F]| {
             kernels.dots(Dots { a, columns: p, rows, w, bias, c });
         };
@@ -162,9 +167,14 @@ impl<'a, F: Real> Curvature<'a, F> {
         if exact {
             last_layer_back(kernels, shape, &v.w3_back, &s.g3, a2, &mut dot.g2, Start::Add);
         }
-        second_layer_back(kernels, shape, &w.w2_back, &dot.g2, a1, &mut dot.g1, Start::Zero, !exact);
+        spread(kernels, shape, &dot.g2, &mut dot.spread2);
+        let (panels, gate) = ([&w.w2_back[..], &w.w2_back_pairs], Finish::Gate(&a1[p..]));
+        let finish = if exact { Finish::Plain } else { gate };
+        convolve(kernels, shape, &dot.g2, &dot.spread2, panels, &mut dot.g1[p..], Start::Zero, finish);
         if exact {
-            second_layer_back(kernels, shape, &v.w2_back, &s.g2, a1, &mut dot.g1, Start::Add, true);
+            spread(kernels, shape, &s.g2, &mut s.spread2);
+            let panels = [&v.w2_back[..], &v.w2_back_pairs];
+            convolve(kernels, shape, &s.g2, &s.spread2, panels, &mut dot.g1[p..], Start::Add, gate);
         }
         dot
     }

@@ -2,12 +2,14 @@
 //!
 //! ```text
 //! product: C[t, c] = start + Σ_d A[t·lda + d] B[d, c]   rows t may overlap (lda < depth): no im2col
-//! outer:   C[j, c] += Σ_t A[t·lda + j] B[t, c]
+//! outer:   C[j, c] += Σ_t A[t·lda + j] B[t·ldb + c]
+//! pairs:   a convolution's rows 2h and 2h + 1 by Winograd's F(2, 3), 4 products instead of 6 (`winograd`)
 //! ```
 //! B of `product` comes in panels of two registers' columns, each `depth` rows long, so that a panel stays in L1.
 
 use super::real::Real;
 use super::vector::{Plain, Vector};
+use super::winograd;
 use crate::simd::Width;
 
 /// Columns of activations and packed weights are padded to a multiple of this: the widest panel.
@@ -67,8 +69,10 @@ pub struct Outer<'a, F> {
     pub rows: usize,
     /// Rows of C.
     pub depth: usize,
-    /// B, rows of `columns`.
+    /// B, from its first row.
     pub b: &'a [F],
+    /// From a row of B to the next.
+    pub ldb: usize,
     /// Columns of B and C, a multiple of `COLUMNS`.
     pub columns: usize,
     /// C, added to.
@@ -91,12 +95,32 @@ pub struct Dots<'a, F> {
     pub c: &'a mut [F],
 }
 
+impl<F> Product<'_, F> {
+    fn check_result(&self, panel_rows: usize) {
+        let elements = self.rows * self.columns;
+        assert!(
+            self.panels.len() >= self.columns * panel_rows && self.c.len() >= elements,
+            "C: {}",
+            self.c.len()
+        );
+        if let Start::Bias(bias) = self.start {
+            assert!(bias.len() >= self.columns);
+        }
+        if let Finish::Gate(gate) = self.finish {
+            assert!(gate.len() >= elements);
+        }
+    }
+}
+
 /// The kernels of one precision on one instruction set.
 #[derive(Debug, Clone, Copy)]
 pub struct Kernels<F> {
     panel: usize,
     product: unsafe fn(&mut Product<F>),
+    pairs: unsafe fn(&mut Product<F>),
     outer: unsafe fn(&mut Outer<F>),
+    spread: unsafe fn(&[F], &mut [F], usize),
+    fold: unsafe fn(&[F], &mut [F], usize),
     dots: unsafe fn(&mut Dots<F>),
     sums: unsafe fn(&[F], &mut [F]),
     burst: unsafe fn(u64) -> F,
@@ -116,15 +140,53 @@ impl<F: Real> Kernels<F> {
     pub fn product(&self, mut p: Product<F>) {
         assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
         assert!(p.a.len() >= (p.rows - 1) * p.lda + p.depth, "A: {}", p.a.len());
-        assert!(p.panels.len() >= p.columns * p.depth && p.c.len() >= p.rows * p.columns);
-        if let Start::Bias(bias) = p.start {
-            assert!(bias.len() >= p.columns);
-        }
-        if let Finish::Gate(gate) = p.finish {
-            assert!(gate.len() >= p.rows * p.columns);
-        }
+        p.check_result(p.depth);
         // SAFETY: lengths checked above; the machine has the instruction set, or these kernels would not exist.
         unsafe { (self.product)(&mut p) }
+    }
+
+    /// C = start + a ∗ w for even `rows`, where A is the `spread` of a (rows of 4·depth) and the panels hold w's four forms.
+    ///
+    /// # Panics
+    /// If an operand is too short or `rows` odd.
+    pub fn pairs(&self, mut p: Product<F>) {
+        assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
+        assert!(p.rows.is_multiple_of(2) && p.lda == 4 * p.depth, "{} rows, stride {}", p.rows, p.lda);
+        assert!(p.a.len() >= p.rows / 2 * p.lda, "A: {}", p.a.len());
+        p.check_result(4 * p.depth);
+        // SAFETY: as above.
+        unsafe { (self.pairs)(&mut p) }
+    }
+
+    /// out[h] = (a₀ − a₂, a₁ + a₂, a₂ − a₁, a₁ − a₃) of the rows 2h … 2h + 3 of `a`, (T + 2, columns).
+    ///
+    /// # Panics
+    /// If a length does not fit, or T is odd.
+    pub fn spread(&self, a: &[F], out: &mut [F], columns: usize) {
+        let pairs = (a.len() / columns - 2) / 2;
+        assert!(
+            columns.is_multiple_of(COLUMNS) && a.len() == (2 * pairs + 2) * columns,
+            "{} {columns}",
+            a.len()
+        );
+        assert!(out.len() == 4 * pairs * columns, "{} for {pairs} pairs", out.len());
+        // SAFETY: as above.
+        unsafe { (self.spread)(a, out, columns) }
+    }
+
+    /// out[h] = (a₀ + a₁, a₀ − a₁) of the rows 2h and 2h + 1 of `a`, (T, columns).
+    ///
+    /// # Panics
+    /// If a length does not fit, or T is odd.
+    pub fn fold(&self, a: &[F], out: &mut [F], columns: usize) {
+        assert!(
+            columns.is_multiple_of(COLUMNS) && a.len().is_multiple_of(2 * columns),
+            "{} {columns}",
+            a.len()
+        );
+        assert_eq!(out.len(), a.len());
+        // SAFETY: as above.
+        unsafe { (self.fold)(a, out, columns) }
     }
 
     /// C += Aᵀ·B.
@@ -134,7 +196,7 @@ impl<F: Real> Kernels<F> {
     pub fn outer(&self, mut p: Outer<F>) {
         assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
         assert!(p.a.len() >= (p.rows - 1) * p.lda + p.depth, "A: {}", p.a.len());
-        assert!(p.b.len() >= p.rows * p.columns && p.c.len() >= p.depth * p.columns);
+        assert!(p.b.len() >= (p.rows - 1) * p.ldb + p.columns && p.c.len() >= p.depth * p.columns);
         // SAFETY: as above.
         unsafe { (self.outer)(&mut p) }
     }
@@ -230,33 +292,61 @@ unsafe fn product_tile<V: Vector, const R: usize>(
 ) {
     // SAFETY: the caller's promise.
     unsafe {
-        let ldc = p.columns;
-        let a = p.a.as_ptr().add(t * lda);
-        let c = p.c.as_mut_ptr().add(t * ldc + column);
         let mut sum = [[V::splat(V::Scalar::ZERO); 2]; R];
-        match p.start {
-            Start::Zero | Start::Bias(_) => {}
-            Start::Add => {
-                for r in 0..R {
-                    sum[r] = [V::load(c.add(r * ldc)), V::load(c.add(r * ldc + V::LANES))];
-                }
-            }
-        }
-        for d in 0..p.depth {
+        accumulate::<V, R>(&mut sum, p.a.as_ptr().add(t * lda), lda, b, p.depth);
+        close::<V, R>(p, sum, t * p.columns + column, p.columns, column);
+    }
+}
+
+/// sum[r] += Σ_d a[r·lda + d] b[d].
+#[inline(always)]
+pub(super) unsafe fn accumulate<V: Vector, const R: usize>(
+    sum: &mut [[V; 2]; R],
+    a: *const V::Scalar,
+    lda: usize,
+    b: *const V::Scalar,
+    depth: usize,
+) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        for d in 0..depth {
             let b0 = V::load(b.add(d * 2 * V::LANES));
             let b1 = V::load(b.add(d * 2 * V::LANES + V::LANES));
             for r in 0..R {
                 let x = V::splat(*a.add(r * lda + d));
-                sum[r][0] = sum[r][0].plus_product(x, b0);
-                sum[r][1] = sum[r][1].plus_product(x, b1);
+                sum[r] = [sum[r][0].plus_product(x, b0), sum[r][1].plus_product(x, b1)];
             }
         }
-        // Last, as in the reference: a trained network may hold a unit at its kink to the last bit.
-        if let Start::Bias(bias) = p.start {
-            let at = bias.as_ptr().add(column);
-            let b = [V::load(at), V::load(at.add(V::LANES))];
-            for r in 0..R {
-                sum[r] = [sum[r][0].plus(b[0]), sum[r][1].plus(b[1])];
+    }
+}
+
+/// Starts, finishes and stores the sums of R rows of C that begin at `at` and are `ldc` apart.
+#[inline(always)]
+pub(super) unsafe fn close<V: Vector, const R: usize>(
+    p: &mut Product<V::Scalar>,
+    mut sum: [[V; 2]; R],
+    at: usize,
+    ldc: usize,
+    column: usize,
+) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let c = p.c.as_mut_ptr().add(at);
+        // What a sum starts from comes last, as in the reference: a trained network may hold a unit at its kink to the last bit.
+        match p.start {
+            Start::Zero => {}
+            Start::Bias(bias) => {
+                let from = bias.as_ptr().add(column);
+                let b = [V::load(from), V::load(from.add(V::LANES))];
+                for r in 0..R {
+                    sum[r] = [sum[r][0].plus(b[0]), sum[r][1].plus(b[1])];
+                }
+            }
+            Start::Add => {
+                for r in 0..R {
+                    let from = c.add(r * ldc);
+                    sum[r] = [sum[r][0].plus(V::load(from)), sum[r][1].plus(V::load(from.add(V::LANES)))];
+                }
             }
         }
         match p.finish {
@@ -267,10 +357,9 @@ unsafe fn product_tile<V: Vector, const R: usize>(
                 }
             }
             Finish::Gate(gate) => {
-                let g = gate.as_ptr().add(t * ldc + column);
                 for r in 0..R {
-                    sum[r][0] = sum[r][0].gate(V::load(g.add(r * ldc)));
-                    sum[r][1] = sum[r][1].gate(V::load(g.add(r * ldc + V::LANES)));
+                    let g = gate.as_ptr().add(at + r * ldc);
+                    sum[r] = [sum[r][0].gate(V::load(g)), sum[r][1].gate(V::load(g.add(V::LANES)))];
                 }
             }
         }
@@ -307,7 +396,7 @@ unsafe fn outer<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>) {
 unsafe fn outer_tile<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>, j: usize, column: usize) {
     // SAFETY: the caller's promise.
     unsafe {
-        let (ldb, lda) = (p.columns, p.lda);
+        let (ldb, lda, ldc) = (p.ldb, p.lda, p.columns);
         let mut sum = [[V::splat(V::Scalar::ZERO); 2]; R];
         let mut a = p.a.as_ptr().add(j);
         let mut b = p.b.as_ptr().add(column);
@@ -322,10 +411,10 @@ unsafe fn outer_tile<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>, j: usi
             a = a.wrapping_add(lda);
             b = b.wrapping_add(ldb);
         }
-        let c = p.c.as_mut_ptr().add(j * ldb + column);
+        let c = p.c.as_mut_ptr().add(j * ldc + column);
         for r in 0..R {
             for half in 0..2 {
-                let at = c.add(r * ldb + half * V::LANES);
+                let at = c.add(r * ldc + half * V::LANES);
                 V::load(at).plus(sum[r][half]).store(at);
             }
         }
@@ -394,7 +483,7 @@ unsafe fn burst<V: Vector>(rounds: u64) -> V::Scalar {
 }
 
 macro_rules! entries {
-    ($name:ident, $vector:ty, $rows:literal, $outer_rows:literal $(, $features:literal)?) => {
+    ($name:ident, $vector:ty, $rows:literal, $outer_rows:literal, $pair_rows:literal $(, $features:literal)?) => {
         mod $name {
             use super::*;
             type F = <$vector as Vector>::Scalar;
@@ -407,6 +496,21 @@ macro_rules! entries {
             unsafe fn outer(p: &mut Outer<F>) {
                 // SAFETY: the caller's promise.
                 unsafe { super::outer::<$vector, $outer_rows>(p) }
+            }
+            $(#[target_feature(enable = $features)])?
+            unsafe fn pairs(p: &mut Product<F>) {
+                // SAFETY: the caller's promise.
+                unsafe { winograd::pairs::<$vector, $pair_rows>(p) }
+            }
+            $(#[target_feature(enable = $features)])?
+            unsafe fn spread(a: &[F], out: &mut [F], columns: usize) {
+                // SAFETY: the caller's promise.
+                unsafe { winograd::spread::<$vector>(a, out, columns) }
+            }
+            $(#[target_feature(enable = $features)])?
+            unsafe fn fold(a: &[F], out: &mut [F], columns: usize) {
+                // SAFETY: the caller's promise.
+                unsafe { winograd::fold::<$vector>(a, out, columns) }
             }
             $(#[target_feature(enable = $features)])?
             unsafe fn dots(p: &mut Dots<F>) {
@@ -427,6 +531,9 @@ macro_rules! entries {
             pub const KERNELS: Kernels<F> = Kernels {
                 panel: 2 * LANES,
                 product,
+                pairs,
+                spread,
+                fold,
                 outer,
                 dots,
                 sums,
@@ -437,16 +544,16 @@ macro_rules! entries {
     };
 }
 
-entries!(plain_f32, Plain<f32>, 4, 4);
-entries!(plain_f64, Plain<f64>, 2, 2);
+entries!(plain_f32, Plain<f32>, 4, 4, 2);
+entries!(plain_f64, Plain<f64>, 2, 2, 1);
 #[cfg(target_arch = "x86_64")]
-entries!(avx2_f32, std::arch::x86_64::__m256, 6, 6, "avx2,fma");
+entries!(avx2_f32, std::arch::x86_64::__m256, 6, 6, 3, "avx2,fma");
 #[cfg(target_arch = "x86_64")]
-entries!(avx2_f64, std::arch::x86_64::__m256d, 6, 6, "avx2,fma");
+entries!(avx2_f64, std::arch::x86_64::__m256d, 6, 6, 3, "avx2,fma");
 #[cfg(target_arch = "x86_64")]
-entries!(avx512_f32, std::arch::x86_64::__m512, 10, 12, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+entries!(avx512_f32, std::arch::x86_64::__m512, 10, 12, 5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 #[cfg(target_arch = "x86_64")]
-entries!(avx512_f64, std::arch::x86_64::__m512d, 10, 12, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+entries!(avx512_f64, std::arch::x86_64::__m512d, 10, 12, 5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 macro_rules! choose {
     ($name:ident, $type:ty, $plain:ident, $avx2:ident, $avx512:ident) => {

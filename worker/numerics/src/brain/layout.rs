@@ -3,6 +3,7 @@
 use super::kernels::{COLUMNS, Kernels};
 use super::real::Real;
 use super::shape::Shape;
+use super::winograd::form;
 use std::ops::Range;
 
 /// Where b₁, b₂, b₃, w₁, w₂, w₃ᵀ (0…5) lie in the padded order: rows of `stride` channels, w₃ transposed to (K, stride).
@@ -52,10 +53,14 @@ pub struct Packed<F> {
     pub w1: Vec<F>,
     /// As `w1`.
     pub w2: Vec<F>,
+    /// As `w2`, in the four forms of `winograd` (4·stride, stride); the one that is used by pairs of instants.
+    pub w2_pairs: Vec<F>,
     /// Backward: flipped in time, transposed; the first layer's columns are inputs, padded.
     pub w1_back: Vec<F>,
     /// As `w1_back`.
     pub w2_back: Vec<F>,
+    /// As `w2_pairs`.
+    pub w2_back_pairs: Vec<F>,
     /// Backward through the last layer: (K, stride).
     pub w3_back: Vec<F>,
 }
@@ -68,6 +73,8 @@ impl<F: Real> Packed<F> {
             padded: zeros(padded_len(shape)),
             w1: zeros(3 * shape.inputs * p),
             w2: zeros(3 * p * p),
+            w2_pairs: zeros(4 * p * p),
+            w2_back_pairs: zeros(4 * p * p),
             w1_back: zeros(3 * p * shape.inputs.next_multiple_of(COLUMNS)),
             w2_back: zeros(3 * p * p),
             w3_back: zeros(shape.outputs * p),
@@ -85,8 +92,16 @@ impl<F: Real> Packed<F> {
         pairs(shape, |f, p| padded[p] = flat[f]);
         let [w1, w2, w3] = [3, 4, 5].map(|block| &self.padded[padded_range(shape, block)]);
         kernels.pack(3 * inputs, p, |d, c| w1[d * p + c], &mut self.w1);
-        kernels.pack(3 * p, p, |d, c| w2[d * p + c], &mut self.w2);
-        kernels.pack(3 * p, p, |d, c| w2[((2 - d / p) * p + c) * p + d % p], &mut self.w2_back);
+        if !shape.paired() || F::REFERENCE_ORDER {
+            kernels.pack(3 * p, p, |d, c| w2[d * p + c], &mut self.w2);
+        }
+        if shape.paired() {
+            kernels.pack(4 * p, p, |d, c| form(d / p, |k| w2[(k * p + d % p) * p + c]), &mut self.w2_pairs);
+            let back = |d: usize, c| form(d / p, |k| w2[((2 - k) * p + c) * p + d % p]);
+            kernels.pack(4 * p, p, back, &mut self.w2_back_pairs);
+        } else {
+            kernels.pack(3 * p, p, |d, c| w2[((2 - d / p) * p + c) * p + d % p], &mut self.w2_back);
+        }
         kernels.pack(shape.outputs, p, |k, c| w3[k * p + c], &mut self.w3_back);
         let columns = inputs.next_multiple_of(COLUMNS);
         let back =

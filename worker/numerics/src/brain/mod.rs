@@ -18,6 +18,7 @@ mod shape;
 mod solve;
 mod train;
 mod vector;
+mod winograd;
 
 pub use curvature::{Curvature, Matrix};
 pub use data::{Batch, Data};

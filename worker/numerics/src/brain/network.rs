@@ -10,6 +10,7 @@ use super::kernels::{COLUMNS, Dots, Finish, Kernels, Outer, Product, Start};
 use super::layout::{Packed, padded_len, padded_range, unpad};
 use super::real::Real;
 use super::shape::Shape;
+use super::winograd;
 use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -31,8 +32,18 @@ pub struct Workspace<F> {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Slot<F> {
     pub gradient: Vec<F>,
+    /// Q₀, Q₁, Q₂, −Q₃ of the second layer (`winograd`).
+    pub pairs: Vec<F>,
     pub loss: f64,
     pub out: Vec<F>,
+}
+
+impl<F: Real> Slot<F> {
+    pub fn clear(&mut self) {
+        self.gradient.fill(F::ZERO);
+        self.pairs.fill(F::ZERO);
+        self.out.clear();
+    }
 }
 
 /// One sample's activations and cotangents; (T + 2, stride) where a convolution reads them, with rows of zeros at the ends.
@@ -45,6 +56,10 @@ pub(super) struct Scratch<F> {
     pub g2: Vec<F>,
     pub g1: Vec<F>,
     pub wide: Vec<F>,
+    /// a₁ and g₂ as `winograd` multiplies them.
+    pub spread1: Vec<F>,
+    pub spread2: Vec<F>,
+    pub fold2: Vec<F>,
     /// The same of the tangent, empty until a curvature asks.
     pub tangent: Option<Box<Scratch<F>>>,
 }
@@ -61,6 +76,9 @@ impl<F: Real> Scratch<F> {
             g2: zeros((t + 2) * p),
             g1: zeros((t + 2) * p),
             wide: zeros(t * shape.inputs.next_multiple_of(COLUMNS)),
+            spread1: zeros(t / 2 * 4 * p),
+            spread2: zeros(t / 2 * 4 * p),
+            fold2: zeros(t / 2 * 2 * p),
             tangent: None,
         }
     }
@@ -103,7 +121,9 @@ impl<F: Real> Workspace<F> {
         let chunks = batch.len().div_ceil(CHUNK);
         let gradient = padded_len(self.shape);
         while self.slots.len() < chunks {
-            self.slots.push(Slot { gradient: vec![F::ZERO; gradient], loss: 0.0, out: Vec::new() });
+            let pairs = if self.shape.paired() { 4 * self.shape.stride() * self.shape.stride() } else { 0 };
+            let (gradient, pairs) = (vec![F::ZERO; gradient], vec![F::ZERO; pairs]);
+            self.slots.push(Slot { gradient, pairs, loss: 0.0, out: Vec::new() });
         }
         while self.scratch.len() < pool.current_num_threads() {
             self.scratch.push(Mutex::new(Scratch::new(self.shape)));
@@ -125,8 +145,7 @@ impl<F: Real> Workspace<F> {
         self.packed.fill(&self.kernels, shape, weights);
         let elements = batch.len() * shape.instants * shape.outputs;
         self.over_chunks(batch, pool, |kernels, packed, s, slot, samples| {
-            slot.gradient.fill(F::ZERO);
-            slot.out.clear();
+            slot.clear();
             for i in samples {
                 let (x, y) = batch.sample(i);
                 forward(kernels, shape, packed, x, s);
@@ -138,7 +157,7 @@ impl<F: Real> Workspace<F> {
                     backward(kernels, shape, packed, s);
                 }
                 if matches!(want, Want::Weights | Want::Both) {
-                    add_weight_gradient(kernels, shape, x, s, &mut slot.gradient);
+                    add_weight_gradient(kernels, shape, x, s, slot);
                 }
                 if matches!(want, Want::Inputs | Want::Both) {
                     input_product(kernels, shape, &packed.w1_back, &s.g1, &mut s.wide, Start::Zero);
@@ -156,10 +175,13 @@ impl<F: Real> Workspace<F> {
         let Some((first, rest)) = self.slots[..samples.div_ceil(CHUNK)].split_first_mut() else {
             return gradient.fill(F::ZERO);
         };
+        let add = |sum: &mut [F], part: &[F]| sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += *part);
         for slot in rest {
-            for (sum, part) in first.gradient.iter_mut().zip(&slot.gradient) {
-                *sum += *part;
-            }
+            add(&mut first.gradient, &slot.gradient);
+            add(&mut first.pairs, &slot.pairs);
+        }
+        if self.shape.paired() {
+            winograd::add_gradient(&first.pairs, &mut first.gradient[padded_range(self.shape, 4)]);
         }
         unpad(self.shape, &first.gradient, gradient);
     }
@@ -226,6 +248,66 @@ pub fn predict<F: Real>(
     ws.join_outputs(batch.len())
 }
 
+/// Prepares a padded activation or cotangent for `convolve` and `add_second_layer`.
+pub(super) fn spread<F: Real>(kernels: &Kernels<F>, shape: Shape, a: &[F], spread: &mut [F]) {
+    if shape.paired() {
+        kernels.spread(a, spread, shape.stride());
+    }
+}
+
+/// c = finish(start + a ∗ w) with the second layer's w, given in panels of both kinds.
+pub(super) fn convolve<F: Real>(
+    kernels: &Kernels<F>,
+    shape: Shape,
+    a: &[F],
+    spread: &[F],
+    [direct, pairs]: [&[F]; 2],
+    c: &mut [F],
+    start: Start<F>,
+    finish: Finish<F>,
+) {
+    let (columns, rows) = (shape.stride(), shape.instants);
+    if shape.paired() {
+        let (lda, depth) = (4 * columns, columns);
+        kernels.pairs(Product { a: spread, lda, rows, depth, panels: pairs, c, columns, start, finish });
+    } else {
+        let (lda, depth) = (columns, 3 * columns);
+        kernels.product(Product { a, lda, rows, depth, panels: direct, c, columns, start, finish });
+    }
+}
+
+/// Adds aᵀ·g₂ to the gradient of w₂; `fold` is scratch.
+pub(super) fn add_second_layer<F: Real>(
+    kernels: &Kernels<F>,
+    shape: Shape,
+    a: &[F],
+    spread: &[F],
+    g2: &[F],
+    fold: &mut [F],
+    slot: &mut Slot<F>,
+) {
+    let p = shape.stride();
+    let (g2, rows) = (&g2[p..(shape.instants + 1) * p], shape.instants / 2);
+    if !shape.paired() {
+        return add_outer(kernels, shape, a, p, 3 * p, g2, &mut slot.gradient[padded_range(shape, 4)]);
+    }
+    kernels.fold(g2, fold, p);
+    for (i, (b, c)) in
+        [g2, fold, &fold[p..], &g2[p..]].into_iter().zip(slot.pairs.chunks_exact_mut(p * p)).enumerate()
+    {
+        kernels.outer(Outer {
+            a: &spread[i * p..],
+            lda: 4 * p,
+            rows,
+            depth: p,
+            b,
+            ldb: 2 * p,
+            columns: p,
+            c,
+        });
+    }
+}
+
 /// a₁, a₂ and f̂ of one sample.
 pub(super) fn forward<F: Real>(
     kernels: &Kernels<F>,
@@ -246,17 +328,24 @@ pub(super) fn forward<F: Real>(
         start: Start::Bias(w.block(shape, 0)),
         finish: Finish::Relu,
     });
-    kernels.product(Product {
-        a: &s.a1,
-        lda: p,
-        rows,
-        depth: 3 * p,
-        panels: &w.w2,
-        c: &mut s.a2,
-        columns: p,
-        start: Start::Bias(w.block(shape, 1)),
-        finish: Finish::Relu,
-    });
+    spread(kernels, shape, &s.a1, &mut s.spread1);
+    let (start, finish) = (Start::Bias(w.block(shape, 1)), Finish::Relu);
+    if F::REFERENCE_ORDER {
+        let panels = &w.w2;
+        kernels.product(Product {
+            a: &s.a1,
+            lda: p,
+            rows,
+            depth: 3 * p,
+            panels,
+            c: &mut s.a2,
+            columns: p,
+            start,
+            finish,
+        });
+    } else {
+        convolve(kernels, shape, &s.a1, &s.spread1, [&w.w2, &w.w2_pairs], &mut s.a2, start, finish);
+    }
     let (w, bias) = (w.block(shape, 5), w.block(shape, 2));
     kernels.dots(Dots { a: &s.a2, columns: p, rows, w, bias, c: &mut s.out });
 }
@@ -280,7 +369,18 @@ pub(super) fn residual<F: Real>(y: &[F], output_weights: &[F], elements: usize, 
 /// g₂ = ∂L/∂z₂ and g₁ = ∂L/∂z₁ from g₃.
 pub(super) fn backward<F: Real>(kernels: &Kernels<F>, shape: Shape, w: &Packed<F>, s: &mut Scratch<F>) {
     last_layer_back(kernels, shape, &w.w3_back, &s.g3, &s.a2, &mut s.g2, Start::Zero);
-    second_layer_back(kernels, shape, &w.w2_back, &s.g2, &s.a1, &mut s.g1, Start::Zero, true);
+    spread(kernels, shape, &s.g2, &mut s.spread2);
+    let (p, panels) = (shape.stride(), [&w.w2_back[..], &w.w2_back_pairs]);
+    convolve(
+        kernels,
+        shape,
+        &s.g2,
+        &s.spread2,
+        panels,
+        &mut s.g1[p..],
+        Start::Zero,
+        Finish::Gate(&s.a1[p..]),
+    );
 }
 
 /// g₂ = [a₂ > 0] (start + g₃ w₃ᵀ).
@@ -304,31 +404,6 @@ pub(super) fn last_layer_back<F: Real>(
         columns: p,
         start,
         finish: Finish::Gate(a2),
-    });
-}
-
-/// g₁ = start + g₂ ∗ w₂ᵀ, and if `gated` only where a₁ > 0.
-pub(super) fn second_layer_back<F: Real>(
-    kernels: &Kernels<F>,
-    shape: Shape,
-    w2_back: &[F],
-    g2: &[F],
-    a1: &[F],
-    g1: &mut [F],
-    start: Start<F>,
-    gated: bool,
-) {
-    let (p, rows) = (shape.stride(), shape.instants);
-    kernels.product(Product {
-        a: g2,
-        lda: p,
-        rows,
-        depth: 3 * p,
-        panels: w2_back,
-        c: &mut g1[p..],
-        columns: p,
-        start,
-        finish: if gated { Finish::Gate(&a1[p..]) } else { Finish::Plain },
     });
 }
 
@@ -369,10 +444,12 @@ pub(super) fn add_weight_gradient<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
     x: &[F],
-    s: &Scratch<F>,
-    gradient: &mut [F],
+    s: &mut Scratch<F>,
+    slot: &mut Slot<F>,
 ) {
     let (p, k) = (shape.stride(), shape.outputs);
+    add_second_layer(kernels, shape, &s.a1, &s.spread1, &s.g2, &mut s.fold2, slot);
+    let gradient = &mut slot.gradient;
     add_biases(kernels, shape, &s.g1, &s.g2, &s.g3, gradient);
     add_outer(
         kernels,
@@ -383,7 +460,6 @@ pub(super) fn add_weight_gradient<F: Real>(
         &s.g1[p..],
         &mut gradient[padded_range(shape, 3)],
     );
-    add_outer(kernels, shape, &s.a1, p, 3 * p, &s.g2[p..], &mut gradient[padded_range(shape, 4)]);
     add_outer(kernels, shape, &s.g3, k, k, &s.a2, &mut gradient[padded_range(shape, 5)]);
 }
 
@@ -397,7 +473,8 @@ pub(super) fn add_outer<F: Real>(
     b: &[F],
     c: &mut [F],
 ) {
-    kernels.outer(Outer { a, lda, rows: shape.instants, depth, b, columns: shape.stride(), c });
+    let columns = shape.stride();
+    kernels.outer(Outer { a, lda, rows: shape.instants, depth, b, ldb: columns, columns, c });
 }
 
 /// Adds the sums over the instants of g₁, g₂ (padded) and g₃ to the biases' gradient.

@@ -43,6 +43,11 @@ impl Shape {
         start..start + lengths[block]
     }
 
+    /// Whether the second layer goes by pairs of instants (`winograd`).
+    pub(super) fn paired(&self) -> bool {
+        self.instants.is_multiple_of(2)
+    }
+
     /// Channels of a row of hidden activations in memory; those beyond `width` stay 0.
     pub(super) fn stride(&self) -> usize {
         self.width.next_multiple_of(COLUMNS)

@@ -23,6 +23,8 @@ pub unsafe trait Vector: Copy {
     unsafe fn plus_product(self, a: Self, b: Self) -> Self;
     /// self + a.
     unsafe fn plus(self, a: Self) -> Self;
+    /// self − a.
+    unsafe fn minus(self, a: Self) -> Self;
     /// max(self, 0); keeps NaN.
     unsafe fn relu(self) -> Self;
     /// self where `by` > 0, else 0.
@@ -62,6 +64,10 @@ unsafe impl<F: Real> Vector for Plain<F> {
         Self(std::array::from_fn(|i| self.0[i] + a.0[i]))
     }
     #[inline(always)]
+    unsafe fn minus(self, a: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] - a.0[i]))
+    }
+    #[inline(always)]
     unsafe fn relu(self) -> Self {
         Self(self.0.map(|x| if x < F::ZERO { F::ZERO } else { x }))
     }
@@ -81,7 +87,7 @@ mod x86 {
     use std::arch::x86_64::*;
 
     macro_rules! vector {
-        ($type:ty, $scalar:ty, $lanes:literal, $splat:ident, $load:ident, $store:ident, $fma:ident, $add:ident, $max:ident,
+        ($type:ty, $scalar:ty, $lanes:literal, $splat:ident, $load:ident, $store:ident, $fma:ident, $add:ident, $sub:ident, $max:ident,
          $zero:ident, |$value:ident, $by:ident| $gate:expr, |$all:ident| $sum:expr) => {
             // SAFETY: intrinsics of the register's own instruction set, which the trait's contract grants.
             unsafe impl Vector for $type {
@@ -113,6 +119,11 @@ mod x86 {
                     unsafe { $add(self, a) }
                 }
                 #[inline(always)]
+                unsafe fn minus(self, a: Self) -> Self {
+                    // SAFETY: as above.
+                    unsafe { $sub(self, a) }
+                }
+                #[inline(always)]
                 unsafe fn relu(self) -> Self {
                     // SAFETY: as above. The second operand is the one returned when either is NaN.
                     unsafe { $max($zero(), self) }
@@ -142,6 +153,7 @@ mod x86 {
         _mm512_storeu_ps,
         _mm512_fmadd_ps,
         _mm512_add_ps,
+        _mm512_sub_ps,
         _mm512_max_ps,
         _mm512_setzero_ps,
         |value, by| _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(by, _mm512_setzero_ps()), value),
@@ -156,6 +168,7 @@ mod x86 {
         _mm512_storeu_pd,
         _mm512_fmadd_pd,
         _mm512_add_pd,
+        _mm512_sub_pd,
         _mm512_max_pd,
         _mm512_setzero_pd,
         |value, by| _mm512_maskz_mov_pd(_mm512_cmp_pd_mask::<_CMP_GT_OQ>(by, _mm512_setzero_pd()), value),
@@ -170,6 +183,7 @@ mod x86 {
         _mm256_storeu_ps,
         _mm256_fmadd_ps,
         _mm256_add_ps,
+        _mm256_sub_ps,
         _mm256_max_ps,
         _mm256_setzero_ps,
         |value, by| _mm256_and_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(by, _mm256_setzero_ps()), value),
@@ -188,6 +202,7 @@ mod x86 {
         _mm256_storeu_pd,
         _mm256_fmadd_pd,
         _mm256_add_pd,
+        _mm256_sub_pd,
         _mm256_max_pd,
         _mm256_setzero_pd,
         |value, by| _mm256_and_pd(_mm256_cmp_pd::<_CMP_GT_OQ>(by, _mm256_setzero_pd()), value),
