@@ -300,8 +300,14 @@ impl Default for Brain {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Protocol {
-    /// A fresh network each outer step, trained to its optimum; direct and implicit gradient.
+    /// A fresh network each outer step, trained to its optimum; direct and implicit gradient of the test loss.
     Paper,
+    /// The network goes on from body to body, by as many iterations as its loss needs; direct gradient of the test loss.
+    Warm,
+    /// The network goes on; the training loss moves the body, from a seeded subset of the samples.
+    Envelope,
+    /// Body and network are stepped together on fresh samples, drawn each step.
+    Joint,
 }
 
 /// Which terms of the gradient of the test loss are taken.
@@ -324,14 +330,31 @@ pub struct Optimise {
     pub iterations: usize,
     /// Adam's rate on α (mm).
     pub learning_rate: f64,
-    /// Terms of the gradient; means something for `protocol = "paper"` alone. By default `"implicit"`.
+    /// Terms of the gradient; for `protocol = "paper"` alone. By default `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
+    /// Samples whose gradient moves the body; for `"envelope"` and `"joint"`. By default 64.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub batch: Option<usize>,
+    /// Brain iterations an outer step; not for `"paper"`, which has `brain.iterations`. By default 10.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub brain_iterations: Option<usize>,
+    /// Adam's rate of these iterations. By default 1e-3.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub brain_learning_rate: Option<f64>,
 }
 
 impl Default for Optimise {
     fn default() -> Self {
-        Self { protocol: Protocol::Paper, iterations: 100, learning_rate: 0.1, gradient: None }
+        Self {
+            protocol: Protocol::Paper,
+            iterations: 100,
+            learning_rate: 0.1,
+            gradient: None,
+            batch: None,
+            brain_iterations: None,
+            brain_learning_rate: None,
+        }
     }
 }
 

@@ -1,3 +1,5 @@
 //! The process around the maths of metasense: job in, records out, heartbeat, stop.
 
+pub mod convert;
+pub mod problem;
 pub mod run;

@@ -1,6 +1,14 @@
 //! One trial from its spec to its result, for a worker process or in the foreground.
 
-use metasense_schemas::record::{Checkpoint, StepRecord};
+use std::time::Instant;
+
+use metasense_numerics::nested::{self, Optimised, State};
+use metasense_numerics::simd::Width;
+use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
+use metasense_schemas::spec::TrialSpec;
+
+use crate::convert;
+use crate::problem::problem;
 
 /// Who watches a trial.
 pub trait Observe {
@@ -31,4 +39,76 @@ pub enum Failure {
     /// The maths got into trouble that no smaller step leads out of.
     #[error("numerical: {0}")]
     NonFinite(String),
+}
+
+/// Runs a trial, from the beginning or from a checkpoint of its own, on a pool of `threads` threads (0 counts as 1).
+///
+/// # Errors
+/// Says why there is no result. Whatever `observer` was given before then holds.
+pub fn run_trial(
+    trial: &TrialSpec,
+    checkpoint: Option<Checkpoint>,
+    threads: usize,
+    observer: &mut dyn Observe,
+) -> Result<TrialResult, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let resume = match checkpoint {
+        None => None,
+        Some(checkpoint) => {
+            Some(convert::state(checkpoint, problem.initial.len()).map_err(Failure::Rejected)?)
+        }
+    };
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.max(1))
+        .build()
+        .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))?;
+    let mut watch = Watch { observer, start: Instant::now(), store: 0.0 };
+    match nested::optimise(&problem, resume, &pool, &mut watch) {
+        Ok(Some(optimised)) => Ok(result(trial, optimised)),
+        Ok(None) => Err(Failure::Stopped),
+        Err(failure) => Err(Failure::NonFinite(failure.to_string())),
+    }
+}
+
+fn result(trial: &TrialSpec, optimised: Optimised) -> TrialResult {
+    TrialResult {
+        initial: convert::body_evaluation(optimised.initial),
+        optimised: convert::body_evaluation(optimised.optimised),
+        best_step: optimised.best_step,
+        seconds_evaluation: optimised.seconds.simulate + optimised.seconds.train,
+        counters: convert::counters(&optimised.counters),
+        simd: Width::detect().name().into(),
+        solver: format!("{:?} {:e}", trial.solver.method, trial.solver.tolerance).to_lowercase(),
+    }
+}
+
+/// Gives the maths a clock, and its reports the form in which they are stored.
+struct Watch<'a> {
+    observer: &'a mut dyn Observe,
+    start: Instant,
+    /// Seconds that the observer took with the last step; they stand in the next one's record.
+    store: f64,
+}
+
+impl nested::Observe for Watch<'_> {
+    fn seconds(&mut self) -> f64 {
+        self.start.elapsed().as_secs_f64()
+    }
+
+    fn progress(&mut self, fraction: f64) {
+        self.observer.progress(fraction);
+    }
+
+    fn step(&mut self, report: &nested::Report, state: &State) -> nested::Control {
+        let mut record = convert::step_record(report);
+        record.seconds.store = self.store;
+        let checkpoint = convert::checkpoint(state);
+        let before = self.start.elapsed();
+        let control = self.observer.step(record, checkpoint);
+        self.store = (self.start.elapsed() - before).as_secs_f64();
+        match control {
+            Control::Continue => nested::Control::Continue,
+            Control::Stop => nested::Control::Stop,
+        }
+    }
 }

@@ -6,5 +6,7 @@ pub mod body;
 pub mod brain;
 pub mod dynamics;
 pub mod feasible;
+pub mod nested;
 pub mod random;
 pub mod simd;
+pub mod stimuli;

@@ -1,0 +1,91 @@
+//! Nested optimisation of body and brain: the outer loop.
+//!
+//! ```text
+//! A(α) = signals of the body α          β*(A) = argmin L_train(β, A)
+//! g = dL/dα at (α, β*)                  α ← Π(α − Adam(g)),  Π: nearest castable design
+//! ```
+//! How far β is trained and which loss moves the body is the [`Protocol`]'s matter; the rest is the same for all.
+//! Afterwards the initial and the best body meet fresh networks, on the holdout too, which nothing else touches.
+
+mod evaluation;
+mod implicit;
+mod problem;
+mod protocol;
+mod report;
+mod setting;
+mod state;
+
+pub use evaluation::{BodyEvaluation, NetworkEvaluation};
+pub use problem::{Evaluation, Going, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
+pub use report::{Control, Counters, Failure, Implicit, Observe, Report, Seconds, Trouble};
+pub use state::{Best, State, Waypoint};
+
+use evaluation::evaluate;
+use protocol::Session;
+use report::Log;
+use setting::Setting;
+
+use crate::feasible::Feasible;
+
+/// What a nested optimisation found.
+#[derive(Debug, Clone)]
+pub struct Optimised {
+    /// The initial body, with its fresh networks.
+    pub initial: BodyEvaluation,
+    /// The best body, with fresh networks of the same initial weights.
+    pub optimised: BodyEvaluation,
+    /// The outer step whose design is the best, by the test set.
+    pub best_step: u32,
+    /// Counts of work of the two evaluations.
+    pub counters: Counters,
+    /// Seconds of the two evaluations.
+    pub seconds: Seconds,
+}
+
+/// Optimises the body of `problem` together with its brain, from the beginning or from a state that `observer` was
+/// given earlier; goes on from there to the same bits. `None` if the observer said stop.
+///
+/// # Errors
+/// If the initial body cannot be simulated or trained, or no smaller step leads out of trouble.
+pub fn optimise(
+    problem: &Problem,
+    resume: Option<State>,
+    pool: &rayon::ThreadPool,
+    observer: &mut dyn Observe,
+) -> Result<Option<Optimised>, Failure> {
+    let setting = Setting::new(problem, pool)?;
+    let mut castable = Feasible::new(&problem.scene.layout, problem.limits, &[]);
+    let mut session = Session::new(&setting);
+    let mut state = resume.unwrap_or_else(|| State::new(problem, &setting.shape));
+
+    while state.step < problem.optimise.iterations {
+        let mut log = Log::new(state.step, observer);
+        let before = state.clone();
+        match session.sense(&mut state, &mut log) {
+            Ok(sensed) => {
+                state.remember(&sensed);
+                state.move_body(problem, &sensed.gradient, &mut castable, &mut log);
+            }
+            Err(trouble) => state = before.taken_back(trouble, &mut log)?,
+        }
+        state.step += 1;
+        let report = log.report;
+        observer.progress(problem.progress(state.step));
+        if observer.step(&report, &state) == Control::Stop {
+            return Ok(None);
+        }
+    }
+
+    let (best_design, best_step) = match &state.best {
+        Some(best) => (&best.design, best.step),
+        None => (&problem.initial, 0),
+    };
+    let mut log = Log::new(state.step, observer);
+    let initial = evaluate(&setting, &problem.initial, 0, &mut log);
+    let optimised = evaluate(&setting, best_design, 1, &mut log);
+    let Report { counters, seconds, .. } = log.report;
+    Ok(Some(Optimised { initial, optimised, best_step, counters, seconds }))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,130 @@
+//! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
+
+use super::report::{Log, Trouble};
+use super::setting::Setting;
+use crate::brain::{self, Adam, Data, Shape, TrainOutcome, Workspace};
+use crate::dynamics::Forces;
+use crate::random::Purpose;
+
+/// A fresh network on a body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NetworkEvaluation {
+    /// Mean prediction error on the training set (%).
+    pub error_train: Option<f64>,
+    /// On the test set (%).
+    pub error_test: Option<f64>,
+    /// On the holdout (%).
+    pub error_holdout: Option<f64>,
+    /// Training loss (normalised) at every iteration.
+    pub losses: Vec<f32>,
+    /// What went wrong.
+    pub trouble: Option<Trouble>,
+}
+
+/// A body with its fresh networks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyEvaluation {
+    /// α (mm).
+    pub design: Vec<f64>,
+    /// One entry a seed.
+    pub networks: Vec<NetworkEvaluation>,
+    /// Samples without force, which have no error: train, test, holdout.
+    pub zero_samples: [u32; 3],
+}
+
+/// Initial weights of evaluations are numbered from here, out of the way of the outer steps'.
+const FIRST_NETWORK: u64 = 1 << 32;
+
+/// Simulates `design` with the accurate integrator and trains fresh networks on it. `turn` (0, 1) is for the progress.
+pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut Log) -> BodyEvaluation {
+    let problem = setting.problem;
+    let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    let signals = log.timed(
+        |s| &mut s.simulate,
+        |report| -> Result<_, Trouble> {
+            let mut signals = |forces: &Forces| {
+                Ok(setting.simulate(design, forces, &problem.solver, false, report)?.signals)
+            };
+            let train = if design == problem.initial {
+                setting.initial_signals.clone()
+            } else {
+                signals(&setting.train)?
+            };
+            Ok([train, signals(&setting.test)?, signals(&holdout)?])
+        },
+    );
+    let seeds = problem.evaluation.seeds;
+    let mut zero_samples = [0; 3];
+    let networks = (0..seeds)
+        .map(|seed| {
+            let network = match &signals {
+                Ok(signals) => network(setting, seed, signals, &holdout, &mut zero_samples, log),
+                Err(trouble) => NetworkEvaluation {
+                    error_train: None,
+                    error_test: None,
+                    error_holdout: None,
+                    losses: Vec::new(),
+                    trouble: Some(*trouble),
+                },
+            };
+            log.progress(
+                1.0 - (1.0 - problem.progress(problem.optimise.iterations))
+                    * (1.0 - (turn * seeds + seed + 1) as f64 / (2 * seeds) as f64),
+            );
+            network
+        })
+        .collect();
+    BodyEvaluation { design: design.to_vec(), networks, zero_samples }
+}
+
+fn network(
+    setting: &Setting,
+    seed: usize,
+    [train, test, holdout_signals]: &[Vec<f64>; 3],
+    holdout: &Forces,
+    zero_samples: &mut [u32; 3],
+    log: &mut Log,
+) -> NetworkEvaluation {
+    let Setting { problem, shape, pool, .. } = setting;
+    let mut weights = fresh_weights(*shape, problem.seed, FIRST_NETWORK + seed as u64);
+    let mut workspace = Workspace::new(*shape);
+    let mut losses = Vec::new();
+    let data = setting.data(train, &setting.train);
+    let outcome = log.timed(
+        |s| &mut s.train,
+        |report| {
+            let iterations = problem.brain.iterations;
+            let rate = |i| problem.brain.rate * problem.evaluation.schedule.factor(i, iterations);
+            let mut adam = Adam::new(weights.len());
+            let outcome = brain::train(
+                &mut weights,
+                &mut adam,
+                data.all(),
+                &rate,
+                iterations,
+                &mut losses,
+                &mut workspace,
+                pool,
+            );
+            report.counters.brain_iterations += losses.len() as u64;
+            outcome
+        },
+    );
+    let mut error = |set: usize, data: &Data<f32>, forces: &Forces| {
+        let (error, zero) = setting.error(&weights, data, forces, &mut workspace);
+        zero_samples[set] = zero;
+        error
+    };
+    NetworkEvaluation {
+        error_train: error(0, &data, &setting.train),
+        error_test: error(1, &setting.data(test, &setting.test), &setting.test),
+        error_holdout: error(2, &setting.data(holdout_signals, holdout), holdout),
+        losses,
+        trouble: (outcome != TrainOutcome::Ok).then_some(Trouble::Training(outcome)),
+    }
+}
+
+/// Initial weights in the precision of training.
+pub(super) fn fresh_weights(shape: Shape, seed: u64, which: u64) -> Vec<f32> {
+    brain::initial_weights(shape, seed, which).into_iter().map(|w| w as f32).collect()
+}

@@ -1,0 +1,174 @@
+//! What a trial is to the maths.
+
+use crate::dynamics::{Forces, Scene, Solver};
+use crate::feasible::Limits;
+use crate::random::Purpose;
+use crate::stimuli::{Bell, bells};
+
+/// Everything that a nested optimisation starts from. Angles in rad.
+#[derive(Debug, Clone)]
+pub struct Problem {
+    /// Body, panels, sensors, clock.
+    pub scene: Scene,
+    /// α of the initial body (mm).
+    pub initial: Vec<f64>,
+    /// The integrator of every evaluation, and of the steps that ask for no other.
+    pub solver: Solver,
+    /// Limits of a castable design.
+    pub limits: Limits,
+    /// Where the forces come from.
+    pub stimuli: Stimuli,
+    /// The brain, and its training where it starts fresh.
+    pub brain: Training,
+    /// The outer loop.
+    pub optimise: Optimise,
+    /// The comparison at the end.
+    pub evaluation: Evaluation,
+    /// Seed of stimuli, split, networks and batches.
+    pub seed: u64,
+}
+
+/// Force histories and how many of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stimuli {
+    /// Intervals of the pulses' parameters.
+    pub bell: Bell,
+    /// N: samples that train and test the brain.
+    pub samples: usize,
+    /// How many of the N are the test set.
+    pub test: usize,
+    /// Samples that neither loop sees.
+    pub holdout: usize,
+}
+
+/// Full-batch training of a fresh brain.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Training {
+    /// Adam iterations.
+    pub iterations: usize,
+    /// Adam's rate.
+    pub rate: f64,
+    /// Channels of the two hidden layers.
+    pub width: usize,
+}
+
+/// The outer loop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Optimise {
+    /// How body and brain are trained together.
+    pub protocol: Protocol,
+    /// Outer steps.
+    pub iterations: u32,
+    /// Adam's rate on α (mm).
+    pub rate: f64,
+}
+
+/// How body and brain are trained together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Protocol {
+    /// A fresh network each outer step, trained `Training::iterations`; the test loss moves the body.
+    Paper(Terms),
+    /// The network goes on, by as many iterations as its loss needs; the test loss moves the body, directly.
+    Warm(Going),
+    /// The network goes on; the training loss moves the body, from a subset of samples.
+    Envelope(Going),
+    /// The network goes on; the loss on samples drawn for the step alone moves the body.
+    Joint(Going),
+}
+
+/// A network that goes on from body to body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Going {
+    /// Samples whose gradient moves the body.
+    pub batch: usize,
+    /// Adam iterations an outer step.
+    pub brain_iterations: usize,
+    /// Their rate.
+    pub brain_rate: f64,
+}
+
+/// Terms of the gradient of the test loss.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Terms {
+    /// Through the test signals and, by the implicit function theorem, through the trained weights.
+    Implicit,
+    /// Through the test signals alone.
+    Direct,
+}
+
+/// The comparison of the initial and the best body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Evaluation {
+    /// Fresh networks a body.
+    pub seeds: usize,
+    /// Rate schedule of their training.
+    pub schedule: Schedule,
+}
+
+/// Adam's rate over a training.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Schedule {
+    /// Falls to 0 by a cosine.
+    Cosine,
+    /// Stays.
+    Constant,
+}
+
+impl Schedule {
+    /// The rate of an iteration, from 0, as a part of the full one.
+    pub fn factor(self, iteration: usize, iterations: usize) -> f64 {
+        match self {
+            Self::Constant => 1.0,
+            Self::Cosine => 0.5 * (1.0 + (std::f64::consts::PI * iteration as f64 / iterations as f64).cos()),
+        }
+    }
+}
+
+/// Outer steps between two looks at the test set, where a protocol does not need it anyway.
+const LOOK: u32 = 10;
+
+impl Optimise {
+    /// Adam's rate on α at an outer step (mm): constant in the paper's protocol, else falling over the second half.
+    pub(super) fn rate_of(&self, step: u32) -> f64 {
+        let left = 1.0 - f64::from(step) / f64::from(self.iterations);
+        match self.protocol {
+            Protocol::Paper(_) => self.rate,
+            _ => self.rate * (2.0 * left + 0.05).min(1.0),
+        }
+    }
+
+    /// The integrator of an outer step.
+    pub(super) fn solver_of(&self, _step: u32, accurate: Solver) -> Solver {
+        accurate
+    }
+
+    /// Whether a step looks at the test set: every tenth, and the last.
+    pub(super) fn looks_at_test(&self, step: u32) -> bool {
+        step.is_multiple_of(LOOK) || step + 1 == self.iterations
+    }
+}
+
+impl Problem {
+    /// `count` force histories of the scene's clock and panels, from number `first` of `purpose`.
+    pub(super) fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
+        let (panels, scene) = (self.scene.panels.len(), &self.scene);
+        let samples = first..first + count as u64;
+        bells(&self.stimuli.bell, purpose, self.seed, samples, panels, scene.duration, scene.instants)
+    }
+
+    /// The part of the work that is done after `steps` outer steps, in brain iterations.
+    pub(super) fn progress(&self, steps: u32) -> f64 {
+        let evaluation = 2.0 * self.evaluation.seeds as f64;
+        let loop_iterations = f64::from(self.optimise.iterations) * self.step_share();
+        f64::from(steps) * self.step_share() / (loop_iterations + evaluation)
+    }
+
+    /// Work of an outer step relative to a full training.
+    fn step_share(&self) -> f64 {
+        match self.optimise.protocol {
+            Protocol::Paper(_) => 1.0,
+            Protocol::Warm(_) | Protocol::Envelope(_) => 0.1,
+            Protocol::Joint(_) => 0.05,
+        }
+    }
+}

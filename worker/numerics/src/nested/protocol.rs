@@ -1,0 +1,124 @@
+//! How far the brain is trained on a body, and which loss moves that body: one file a protocol.
+
+mod joint;
+mod paper;
+mod warm;
+
+use super::evaluation::fresh_weights;
+use super::problem::{Going, Protocol};
+use super::report::{Log, Trouble};
+use super::setting::Setting;
+use super::state::State;
+use crate::brain::{self, Adam, Batch, TrainOutcome, Workspace};
+
+/// What a protocol finds out about the state's design.
+pub(super) struct Sensed {
+    /// dL/dα.
+    pub(super) gradient: Vec<f64>,
+    /// Training loss after training (normalised).
+    pub(super) loss_train: f64,
+    /// Prediction error on the test set (%), where looked at.
+    pub(super) error_test: Option<f64>,
+}
+
+/// A trial's protocol at work, with what it keeps from step to step and could make again.
+pub(super) struct Session<'a> {
+    setting: &'a Setting<'a>,
+    workspace: Workspace<f32>,
+    recent: joint::Recent,
+}
+
+/// Iterations of a going network's first training, on the initial body's training signals.
+const FIRST_ITERATIONS: usize = 100;
+
+impl<'a> Session<'a> {
+    pub(super) fn new(setting: &'a Setting<'a>) -> Self {
+        Self { setting, workspace: Workspace::new(setting.shape), recent: joint::Recent::default() }
+    }
+
+    /// Simulates the state's design, trains the brain on it, and differentiates.
+    pub(super) fn sense(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
+        match self.setting.problem.optimise.protocol {
+            Protocol::Paper(terms) => self.paper(state, terms, log),
+            Protocol::Warm(going) => self.warm(state, going, log),
+            Protocol::Envelope(going) => self.envelope(state, going, log),
+            Protocol::Joint(going) => self.joint(state, going, log),
+        }
+    }
+
+    /// Gives a network that is to go on from body to body its first training, if it has had none.
+    fn first_training(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<(), Trouble> {
+        if !state.weights.is_empty() {
+            return Ok(());
+        }
+        let (setting, problem) = (self.setting, self.setting.problem);
+        let mut weights = fresh_weights(setting.shape, problem.seed, 0);
+        let data = setting.data(&setting.initial_signals, &setting.train);
+        let fall = brain::cosine(problem.brain.rate - going.brain_rate, FIRST_ITERATIONS);
+        let rate = |i| going.brain_rate + fall(i);
+        self.train(&mut weights, &mut state.weight_adam, data.all(), FIRST_ITERATIONS, &rate, log)?;
+        state.weights = weights;
+        Ok(())
+    }
+
+    /// `brain_iterations` more of the state's network; the loss after them.
+    fn go_on(
+        &mut self,
+        state: &mut State,
+        batch: Batch<f32>,
+        going: Going,
+        log: &mut Log,
+    ) -> Result<f64, Trouble> {
+        let State { weights, weight_adam, .. } = state;
+        self.train(weights, weight_adam, batch, going.brain_iterations, &|_| going.brain_rate, log)
+    }
+
+    /// The test error of the state's network, with the accurate integrator, at the steps where it is due.
+    fn look_at_test(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
+        let (setting, problem) = (self.setting, self.setting.problem);
+        if !problem.optimise.looks_at_test(state.step) {
+            return Ok(None);
+        }
+        let simulation = log.timed(
+            |s| &mut s.simulate,
+            |report| setting.simulate(&state.design, &setting.test, &problem.solver, false, report),
+        )?;
+        let data = setting.data(&simulation.signals, &setting.test);
+        log.report.error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace).0;
+        Ok(log.report.error_test)
+    }
+
+    /// Adam on the whole batch; the loss after it.
+    fn train(
+        &mut self,
+        weights: &mut [f32],
+        adam: &mut Adam<f32>,
+        batch: Batch<f32>,
+        iterations: usize,
+        rate: &dyn Fn(usize) -> f64,
+        log: &mut Log,
+    ) -> Result<f64, Trouble> {
+        let (workspace, pool) = (&mut self.workspace, self.setting.pool);
+        let (outcome, loss) = log.timed(
+            |s| &mut s.train,
+            |report| {
+                let mut losses = Vec::new();
+                let outcome =
+                    brain::train(weights, adam, batch, rate, iterations, &mut losses, workspace, pool);
+                report.counters.brain_iterations += losses.len() as u64;
+                (outcome, brain::loss(weights, batch, workspace, pool))
+            },
+        );
+        log.report.loss_train = Some(loss);
+        if outcome == TrainOutcome::Ok { Ok(loss) } else { Err(Trouble::Training(outcome)) }
+    }
+
+    /// Loss and its gradient in the inputs (N, T, 3M).
+    fn input_gradient(&mut self, weights: &[f32], batch: Batch<f32>, log: &mut Log) -> (f64, Vec<f64>) {
+        let (loss, gradient) = log.timed(
+            |s| &mut s.differentiate,
+            |_| brain::input_gradient(weights, batch, &mut self.workspace, self.setting.pool),
+        );
+        (loss, gradient.into_iter().map(f64::from).collect())
+    }
+}

@@ -1,0 +1,85 @@
+//! Body and brain stepped together, on fresh samples each step: nothing is seen twice, so nothing is over-fitted.
+
+use super::super::problem::Going;
+use super::super::report::{Log, Trouble};
+use super::super::state::State;
+use super::{Sensed, Session};
+use crate::brain::Data;
+use crate::dynamics::{Forces, Simulation};
+use crate::random::Purpose;
+
+/// The network trains on the batches of so many bodies, the present one among them.
+const BATCHES: usize = super::super::state::TRAIL + 1;
+
+/// Data of the last bodies' batches, one slot a body; a resumed loop simulates them again.
+#[derive(Default)]
+pub(super) struct Recent {
+    data: Option<Data<f32>>,
+    steps: [Option<u32>; BATCHES],
+}
+
+impl Session<'_> {
+    /// A few iterations on this body's batch and those of the last ones; the gradient of the loss on this one's.
+    pub(super) fn joint(
+        &mut self,
+        state: &mut State,
+        going: Going,
+        log: &mut Log,
+    ) -> Result<Sensed, Trouble> {
+        let (setting, step) = (self.setting, state.step);
+        self.first_training(state, going, log)?;
+        let mut known = Vec::new();
+        for passed in &state.trail {
+            if passed.step as usize + BATCHES > step as usize {
+                if self.recent.steps[passed.step as usize % BATCHES] != Some(passed.step) {
+                    self.meet(&passed.design, passed.step, going, false, log)?;
+                }
+                known.push(passed.step);
+            }
+        }
+        known.push(step);
+        let (forces, simulation) = self.meet(&state.design, step, going, true, log)?;
+        log.report.fresh_samples = going.batch as u64;
+
+        let slots = |steps: &[u32]| -> Vec<usize> {
+            steps
+                .iter()
+                .flat_map(|&s| (0..going.batch).map(move |i| s as usize % BATCHES * going.batch + i))
+                .collect()
+        };
+        let data = self.recent.data.take().expect("filled by meet");
+        let loss = self.go_on(state, data.batch(&slots(&known)), going, log);
+        let (_, cotangent) = self.input_gradient(&state.weights, data.batch(&slots(&[step])), log);
+        self.recent.data = Some(data);
+        let loss_train = loss?;
+        state.check_trend(loss_train)?;
+
+        let solver = setting.problem.optimise.solver_of(step, setting.problem.solver);
+        let gradient = setting.pull_back(&state.design, &forces, &solver, &simulation, &cotangent, log)?;
+        let error_test = self.look_at_test(state, log)?;
+        Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// Simulates the fresh samples of `step` on its body and keeps their data in that step's slot.
+    fn meet(
+        &mut self,
+        design: &[f64],
+        step: u32,
+        going: Going,
+        keep_tape: bool,
+        log: &mut Log,
+    ) -> Result<(Forces, Simulation), Trouble> {
+        let setting = self.setting;
+        let (first, slot) = (u64::from(step) * going.batch as u64, step as usize % BATCHES);
+        let forces = setting.problem.forces(Purpose::Fresh, first, going.batch);
+        let solver = setting.problem.optimise.solver_of(step, setting.problem.solver);
+        let simulation = log.timed(
+            |s| &mut s.simulate,
+            |report| setting.simulate(design, &forces, &solver, keep_tape, report),
+        )?;
+        let data = self.recent.data.get_or_insert_with(|| Data::zeros(setting.shape, BATCHES * going.batch));
+        setting.fill(data, slot * going.batch, &simulation.signals, &forces);
+        self.recent.steps[slot] = Some(step);
+        Ok((forces, simulation))
+    }
+}

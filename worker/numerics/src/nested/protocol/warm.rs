@@ -1,0 +1,76 @@
+//! The network goes on from body to body: `warm` follows the test loss, `envelope` the training loss.
+
+use super::super::problem::Going;
+use super::super::report::{Log, Trouble};
+use super::super::state::State;
+use super::{Sensed, Session};
+use crate::random::{Purpose, Stream};
+use crate::stimuli::select;
+
+/// `warm` trains until the loss is within this factor of its trend …
+const NEED: f64 = 1.05;
+/// … but at most so many times `brain_iterations`.
+const ROUNDS_MAX: usize = 8;
+
+impl Session<'_> {
+    /// Iterations by need; the direct gradient of the test loss.
+    pub(super) fn warm(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
+        let (setting, solver) = (self.setting, &self.setting.problem.solver);
+        self.first_training(state, going, log)?;
+        let (train, test) = log.timed(
+            |s| &mut s.simulate,
+            |report| -> Result<_, Trouble> {
+                let train = setting.simulate(&state.design, &setting.train, solver, false, report)?;
+                Ok((train, setting.simulate(&state.design, &setting.test, solver, true, report)?))
+            },
+        )?;
+        let data = setting.data(&train.signals, &setting.train);
+        let mut loss_train = f64::INFINITY;
+        for _ in 0..ROUNDS_MAX {
+            loss_train = self.go_on(state, data.all(), going, log)?;
+            if state.trend.is_none_or(|trend| loss_train < NEED * trend) {
+                break;
+            }
+        }
+        state.check_trend(loss_train)?;
+
+        let data = setting.physical_data(&test.signals, &setting.test);
+        let (loss_test, cotangent) = self.input_gradient(&state.weights, data.all(), log);
+        let gradient = setting.pull_back(&state.design, &setting.test, solver, &test, &cotangent, log)?;
+        let error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace).0;
+        log.report.error_test = error_test;
+        log.report.loss_test = Some(loss_test);
+        Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// The training loss at its minimum over β moves with α as at fixed β: no implicit term. From a subset of samples.
+    pub(super) fn envelope(
+        &mut self,
+        state: &mut State,
+        going: Going,
+        log: &mut Log,
+    ) -> Result<Sensed, Trouble> {
+        let (setting, solver) = (self.setting, &self.setting.problem.solver);
+        self.first_training(state, going, log)?;
+        let mut order = Stream::new(Purpose::Batch, setting.problem.seed, [u64::from(state.step), 0])
+            .permutation(setting.train.samples);
+        order.truncate(going.batch);
+        let some = select(&setting.train, &order);
+        let (train, subset) = log.timed(
+            |s| &mut s.simulate,
+            |report| -> Result<_, Trouble> {
+                let train = setting.simulate(&state.design, &setting.train, solver, false, report)?;
+                Ok((train, setting.simulate(&state.design, &some, solver, true, report)?))
+            },
+        )?;
+        let data = setting.data(&train.signals, &setting.train);
+        let loss_train = self.go_on(state, data.all(), going, log)?;
+        state.check_trend(loss_train)?;
+
+        let (_, cotangent) =
+            self.input_gradient(&state.weights, setting.data(&subset.signals, &some).all(), log);
+        let gradient = setting.pull_back(&state.design, &some, solver, &subset, &cotangent, log)?;
+        let error_test = self.look_at_test(state, log)?;
+        Ok(Sensed { gradient, loss_train, error_test })
+    }
+}

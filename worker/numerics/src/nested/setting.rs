@@ -1,0 +1,190 @@
+//! What stays fixed during a trial: forces, targets, split, and the scales between physics and network.
+//!
+//! ```text
+//! x = A / rms(A₀)          y = (f − mean)/deviation        f̂ = mean + deviation·ŷ
+//! ```
+//! rms a channel of the initial body's training signals A₀, mean and deviation a panel of the training forces.
+
+use super::problem::Problem;
+use super::report::{Failure, Log, Report, Trouble};
+use crate::brain::{self, Data, Real, Shape, Workspace};
+use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, simulate};
+use crate::random::Purpose;
+use crate::stimuli::{select, split, targets};
+
+/// The fixed part of a trial.
+pub(super) struct Setting<'a> {
+    pub(super) problem: &'a Problem,
+    pub(super) pool: &'a rayon::ThreadPool,
+    pub(super) shape: Shape,
+    pub(super) train: Forces,
+    pub(super) test: Forces,
+    pub(super) scales: Scales,
+    /// The initial body's training signals, from which the scales come (N, T, 3M).
+    pub(super) initial_signals: Vec<f64>,
+}
+
+/// Scales between physics and network.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Scales {
+    /// RMS of each signal channel (3M).
+    pub(super) channels: Vec<f64>,
+    /// Mean force of each panel (N).
+    pub(super) mean: Vec<f64>,
+    /// Standard deviation of each panel's force (N).
+    pub(super) deviation: Vec<f64>,
+}
+
+impl<'a> Setting<'a> {
+    /// Draws the forces, simulates the initial body and takes the scales.
+    pub(super) fn new(problem: &'a Problem, pool: &'a rayon::ThreadPool) -> Result<Self, Failure> {
+        let all = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples);
+        let (train, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
+        let (train, test) = (select(&all, &train), select(&all, &test));
+        let shape = Shape {
+            instants: problem.scene.instants,
+            inputs: 3 * problem.scene.sensors.len(),
+            width: problem.brain.width,
+            outputs: problem.scene.panels.len(),
+        };
+        let simulation = simulate(&problem.scene, &problem.initial, &train, &problem.solver, false, pool);
+        all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+        let scales = Scales::new(&shape, &simulation.signals, &targets(&train));
+        Ok(Self { problem, pool, shape, train, test, scales, initial_signals: simulation.signals })
+    }
+
+    /// Simulates a body under `forces` and counts the work.
+    pub(super) fn simulate(
+        &self,
+        design: &[f64],
+        forces: &Forces,
+        solver: &Solver,
+        keep_tape: bool,
+        report: &mut Report,
+    ) -> Result<Simulation, Trouble> {
+        let simulation = simulate(&self.problem.scene, design, forces, solver, keep_tape, self.pool);
+        report.counters.dynamics += simulation.counters;
+        all_well(&simulation.outcomes)?;
+        Ok(simulation)
+    }
+
+    /// dL/dα of a cotangent on the network's inputs (N, T, 3M), of all samples of the simulation.
+    pub(super) fn pull_back(
+        &self,
+        design: &[f64],
+        forces: &Forces,
+        solver: &Solver,
+        simulation: &Simulation,
+        inputs: &[f64],
+        log: &mut Log,
+    ) -> Result<Vec<f64>, Trouble> {
+        let samples: Vec<usize> = (0..forces.samples).collect();
+        let cotangent = self.scales.inputs_vjp(inputs);
+        let scene = &self.problem.scene;
+        let gradient = log.timed(
+            |s| &mut s.differentiate,
+            |_| {
+                dynamics::pull_back(
+                    scene, design, forces, solver, simulation, &samples, &cotangent, self.pool,
+                )
+            },
+        );
+        log.report.counters.dynamics += gradient.counters;
+        all_well(&gradient.outcomes)?;
+        if gradient.design.iter().all(|g| g.is_finite()) {
+            Ok(gradient.design)
+        } else {
+            Err(Trouble::GradientNonFinite)
+        }
+    }
+
+    /// Inputs and targets of the network, normalised.
+    pub(super) fn data<F: Real>(&self, signals: &[f64], forces: &Forces) -> Data<F> {
+        Data::new(self.shape, &self.scales.inputs(signals), &self.scales.targets(&targets(forces)))
+    }
+
+    /// Overwrites the samples of `data` from number `first` on.
+    pub(super) fn fill(&self, data: &mut Data<f32>, first: usize, signals: &[f64], forces: &Forces) {
+        let (x, y) = (self.scales.inputs(signals), self.scales.targets(&targets(forces)));
+        let (row_x, row_y) =
+            (self.shape.instants * self.shape.inputs, self.shape.instants * self.shape.outputs);
+        for (n, (x, y)) in x.chunks_exact(row_x).zip(y.chunks_exact(row_y)).enumerate() {
+            data.set(first + n, x, y);
+        }
+    }
+
+    /// The same as `data`, its loss in N².
+    pub(super) fn physical_data<F: Real>(&self, signals: &[f64], forces: &Forces) -> Data<F> {
+        let variances: Vec<f64> = self.scales.deviation.iter().map(|d| d * d).collect();
+        self.data(signals, forces).with_output_weights(&variances)
+    }
+
+    /// Mean prediction error (%) over the samples with force, and how many have none.
+    pub(super) fn error(
+        &self,
+        weights: &[f32],
+        data: &Data<f32>,
+        forces: &Forces,
+        workspace: &mut Workspace<f32>,
+    ) -> (Option<f64>, u32) {
+        let predicted = self.scales.physical(&brain::predict(weights, data.all(), workspace, self.pool));
+        let errors =
+            brain::prediction_error(&targets(forces), &predicted, self.shape.outputs, self.shape.instants);
+        let known: Vec<f64> = errors.iter().flatten().copied().collect();
+        let mean = known.iter().sum::<f64>() / known.len() as f64;
+        (mean.is_finite().then_some(mean), (errors.len() - known.len()) as u32)
+    }
+}
+
+/// The first sample that did not end well gives its name.
+fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
+    match outcomes.iter().find(|&&outcome| outcome != Outcome::Ok) {
+        Some(&outcome) => Err(Trouble::Simulation(outcome)),
+        None => Ok(()),
+    }
+}
+
+impl Scales {
+    fn new(shape: &Shape, signals: &[f64], targets: &[f64]) -> Self {
+        let moments = |values: &[f64], width: usize| -> Vec<(f64, f64)> {
+            let count = (values.len() / width) as f64;
+            (0..width)
+                .map(|c| {
+                    let channel = || values.iter().skip(c).step_by(width);
+                    let mean = channel().sum::<f64>() / count;
+                    (mean, channel().map(|x| x * x).sum::<f64>() / count)
+                })
+                .collect()
+        };
+        // a channel that never stirs stays as it is
+        let above_zero = |x: f64| if x > 0.0 { x } else { 1.0 };
+        let force = moments(targets, shape.outputs);
+        Self {
+            channels: moments(signals, shape.inputs).iter().map(|m| above_zero(m.1.sqrt())).collect(),
+            mean: force.iter().map(|m| m.0).collect(),
+            deviation: force.iter().map(|m| above_zero((m.1 - m.0 * m.0).max(0.0).sqrt())).collect(),
+        }
+    }
+
+    /// x of signals (N, T, 3M).
+    fn inputs<F: Real>(&self, signals: &[f64]) -> Vec<F> {
+        signals.iter().zip(self.channels.iter().cycle()).map(|(a, s)| F::from_f64(a / s)).collect()
+    }
+
+    /// Transpose of [`Scales::inputs`]: a cotangent on x as one on the signals.
+    fn inputs_vjp(&self, cotangent: &[f64]) -> Vec<f64> {
+        cotangent.iter().zip(self.channels.iter().cycle()).map(|(c, s)| c / s).collect()
+    }
+
+    /// y of forces (N, T, K) in N.
+    fn targets<F: Real>(&self, forces: &[f64]) -> Vec<F> {
+        let panels = self.mean.iter().zip(&self.deviation).cycle();
+        forces.iter().zip(panels).map(|(f, (mean, deviation))| F::from_f64((f - mean) / deviation)).collect()
+    }
+
+    /// f̂ in N of ŷ (N, T, K).
+    fn physical(&self, normalised: &[f32]) -> Vec<f64> {
+        let panels = self.mean.iter().zip(&self.deviation).cycle();
+        normalised.iter().zip(panels).map(|(&y, (mean, deviation))| mean + deviation * f64::from(y)).collect()
+    }
+}

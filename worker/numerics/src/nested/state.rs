@@ -1,0 +1,150 @@
+//! What an outer loop carries from step to step, and how a gradient moves the body.
+
+use super::problem::Problem;
+use super::protocol::Sensed;
+use super::report::{Failure, Log, Trouble};
+use crate::brain::{Adam, Shape, TrainOutcome};
+use crate::feasible::Feasible;
+
+/// Everything from which a loop goes on to the same bits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// The next outer step.
+    pub step: u32,
+    /// α (mm).
+    pub design: Vec<f64>,
+    /// Adam on α.
+    pub design_adam: Adam<f64>,
+    /// Weights of the brain, where the protocol keeps them; empty before their first training.
+    pub weights: Vec<f32>,
+    /// Adam on the weights.
+    pub weight_adam: Adam<f32>,
+    /// The best design so far, by the test set.
+    pub best: Option<Best>,
+    /// The body's rate as a part of what the protocol asks for: halved with each step taken back, slowly recovering.
+    pub caution: f64,
+    /// Steps taken back in a row.
+    pub setbacks: u32,
+    /// Running geometric mean of the training loss after training.
+    pub trend: Option<f64>,
+    /// The last designs before this one, newest last.
+    pub trail: Vec<Waypoint>,
+}
+
+/// A design that a loop has passed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Waypoint {
+    /// The outer step that started from it.
+    pub step: u32,
+    /// α (mm).
+    pub design: Vec<f64>,
+}
+
+/// The best design so far.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Best {
+    /// α (mm).
+    pub design: Vec<f64>,
+    /// Its test error (%).
+    pub error: f64,
+    /// The outer step that started from it.
+    pub step: u32,
+}
+
+/// Steps taken back in a row before a trial counts as stuck.
+const SETBACKS_MAX: u32 = 8;
+/// Designs remembered: `joint` trains on the batches of as many bodies beside the present one.
+pub(super) const TRAIL: usize = 3;
+/// A training loss above this many times its trend is a step too far. A fresh network's loss varies by a factor of two
+/// from seed to seed, Adam's spikes reach another three.
+const JUMP: f64 = 10.0;
+/// Least weight of a coordinate in the projection's metric, relative to the mean: v̂ is 0 where nothing depends on it.
+const METRIC_FLOOR: f64 = 1e-3;
+
+impl State {
+    pub(super) fn new(problem: &Problem, shape: &Shape) -> Self {
+        Self {
+            step: 0,
+            design: problem.initial.clone(),
+            design_adam: Adam::new(problem.initial.len()),
+            weights: Vec::new(),
+            weight_adam: Adam::new(shape.weights()),
+            best: None,
+            caution: 1.0,
+            setbacks: 0,
+            trend: None,
+            trail: Vec::new(),
+        }
+    }
+
+    /// Whether a training loss is in line with those of the bodies before.
+    pub(super) fn check_trend(&self, loss: f64) -> Result<(), Trouble> {
+        match self.trend {
+            _ if !loss.is_finite() => Err(Trouble::Training(TrainOutcome::NonFinite)),
+            Some(trend) if loss > JUMP * trend => Err(Trouble::LossJump(loss / trend)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Takes a step's findings into trend and best design.
+    pub(super) fn remember(&mut self, sensed: &Sensed) {
+        self.trend = Some(match self.trend {
+            None => sensed.loss_train,
+            Some(trend) => trend.powf(0.7) * sensed.loss_train.powf(0.3),
+        });
+        self.setbacks = 0;
+        self.caution = (self.caution * 1.1).min(1.0);
+        if let Some(error) = sensed.error_test
+            && self.best.as_ref().is_none_or(|best| error < best.error)
+        {
+            self.best = Some(Best { design: self.design.clone(), error, step: self.step });
+        }
+    }
+
+    /// α ← Π(α − Adam(g)), Π in the metric of Adam's own scaling.
+    pub(super) fn move_body(
+        &mut self,
+        problem: &Problem,
+        gradient: &[f64],
+        castable: &mut Feasible,
+        log: &mut Log,
+    ) {
+        let rate = problem.optimise.rate_of(self.step) * self.caution;
+        let mut target = self.design.clone();
+        self.design_adam.step(&mut target, gradient, rate);
+        let metric = metric(&self.design_adam);
+        let projection =
+            log.timed(|s| &mut s.project, |_| castable.project(&self.design, &target, metric.as_deref()));
+        log.report.counters.projection_iterations += projection.iterations;
+        log.report.gradient_norm = Some(norm(gradient.iter().copied()));
+        log.report.step_length =
+            Some(norm(projection.design.iter().zip(&self.design).map(|(new, old)| new - old)));
+        log.report.projection = Some(projection.status);
+        log.report.projection_distance = Some(projection.distance);
+        let passed =
+            Waypoint { step: self.step, design: std::mem::replace(&mut self.design, projection.design) };
+        self.trail.push(passed);
+        self.trail.drain(..self.trail.len().saturating_sub(TRAIL));
+    }
+
+    /// This state (that before a step in trouble), its last move undone and the next one smaller.
+    pub(super) fn taken_back(mut self, trouble: Trouble, log: &mut Log) -> Result<Self, Failure> {
+        log.report.trouble = Some(trouble);
+        let Some(passed) = self.trail.pop() else { return Err(Failure::Initial(trouble)) };
+        self.design = passed.design;
+        self.caution *= 0.5;
+        self.setbacks += 1;
+        if self.setbacks > SETBACKS_MAX { Err(Failure::Stuck(self.setbacks, trouble)) } else { Ok(self) }
+    }
+}
+
+/// √v̂ of Adam, floored; `None` while no coordinate has moved the loss.
+fn metric(adam: &Adam<f64>) -> Option<Vec<f64>> {
+    let scale: Vec<f64> = adam.v.iter().map(|v| v.sqrt()).collect();
+    let mean = scale.iter().sum::<f64>() / scale.len() as f64;
+    (mean > 0.0).then(|| scale.iter().map(|s| (s / mean).max(METRIC_FLOOR)).collect())
+}
+
+fn norm(values: impl Iterator<Item = f64>) -> f64 {
+    values.map(|x| x * x).sum::<f64>().sqrt()
+}

@@ -1,0 +1,217 @@
+use super::evaluation::fresh_weights;
+use super::*;
+use crate::body::Layout;
+use crate::brain::{self, TrainOutcome, Workspace};
+use crate::dynamics::{Frame, Method, Panel, Scene, Solver, Stiffness};
+use crate::feasible::Limits;
+use crate::random::{Purpose, Stream};
+use crate::stimuli::Bell;
+
+/// 4 × 3 units, two panels, one sensor, 0.2 s, 16 samples, a network of width 8.
+fn small(protocol: Protocol) -> Problem {
+    let layout = Layout::planar(4, 3, 15.0, 2.25);
+    let direction = [0.0, -1.0];
+    Problem {
+        initial: layout.initial_design(25f64.to_radians()),
+        scene: Scene {
+            layout,
+            density: 1e-8,
+            stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+            damping_ratio: 0.02,
+            contact: None,
+            linearised: false,
+            clamped: vec![0, 1, 2, 3],
+            panels: vec![Panel { unit: 9, direction }, Panel { unit: 10, direction }],
+            sensors: vec![5],
+            frame: Frame::World,
+            duration: 0.2,
+            instants: 40,
+        },
+        solver: Solver { method: Method::Tsit5, tolerance: 1e-4 },
+        limits: Limits::default(),
+        stimuli: Stimuli {
+            bell: Bell {
+                amplitude: [0.15, 0.5],
+                width: [0.05, 0.1],
+                onset: [0.0, 0.1],
+                peak: [0.35, 0.65],
+                power: [1.5, 4.0],
+            },
+            samples: 16,
+            test: 4,
+            holdout: 4,
+        },
+        brain: Training { iterations: 30, rate: 1e-2, width: 8 },
+        optimise: Optimise { protocol, iterations: 4, rate: 0.1 },
+        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine },
+        seed: 3,
+    }
+}
+
+const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
+const PROTOCOLS: [Protocol; 4] = [
+    Protocol::Paper(Terms::Implicit),
+    Protocol::Warm(GOING),
+    Protocol::Envelope(GOING),
+    Protocol::Joint(GOING),
+];
+
+fn pool(threads: usize) -> rayon::ThreadPool {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap()
+}
+
+/// Keeps all that it is told, and says stop after `stop_after` steps. Its clock counts how often it was read.
+#[derive(Default)]
+struct Keeper {
+    reads: f64,
+    reports: Vec<Report>,
+    states: Vec<State>,
+    fractions: Vec<f64>,
+    stop_after: Option<usize>,
+}
+
+impl Observe for Keeper {
+    fn seconds(&mut self) -> f64 {
+        self.reads += 1.0;
+        self.reads
+    }
+    fn progress(&mut self, fraction: f64) {
+        self.fractions.push(fraction);
+    }
+    fn step(&mut self, report: &Report, state: &State) -> Control {
+        self.reports.push(report.clone());
+        self.states.push(state.clone());
+        if Some(self.reports.len()) == self.stop_after { Control::Stop } else { Control::Continue }
+    }
+}
+
+fn figures(body: &BodyEvaluation) -> Vec<u64> {
+    let network =
+        |n: &NetworkEvaluation| [n.error_train, n.error_test, n.error_holdout].map(|e| e.unwrap().to_bits());
+    body.networks.iter().flat_map(network).collect()
+}
+
+/// Stopped after each step and resumed from the state of that step, on another number of threads: the same bits.
+#[test]
+fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
+    for protocol in PROTOCOLS {
+        let problem = small(protocol);
+        let mut whole = Keeper::default();
+        let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
+        assert_eq!(whole.reports.len(), 4, "{protocol:?}");
+        for stop in [1, 3] {
+            let mut first = Keeper { stop_after: Some(stop), ..Default::default() };
+            assert!(optimise(&problem, None, &pool(3), &mut first).unwrap().is_none());
+            let state = first.states.pop().unwrap();
+            assert_eq!(state, whole.states[stop - 1], "{protocol:?}, stopped after {stop}");
+            let mut second = Keeper::default();
+            let resumed = optimise(&problem, Some(state), &pool(2), &mut second).unwrap().unwrap();
+            assert_eq!(
+                resumed.optimised.design, through.optimised.design,
+                "{protocol:?}, stopped after {stop}"
+            );
+            assert_eq!(
+                figures(&resumed.optimised),
+                figures(&through.optimised),
+                "{protocol:?}, stopped after {stop}"
+            );
+            let [a, b] = [&second, &whole].map(|keeper| keeper.reports.last().unwrap());
+            assert_eq!((a.gradient_norm, a.step_length), (b.gradient_norm, b.step_length), "{protocol:?}");
+        }
+        assert!(whole.fractions.is_sorted() && whole.fractions.last() == Some(&1.0), "{:?}", whole.fractions);
+    }
+}
+
+/// Another holdout changes the holdout's figures and nothing else.
+#[test]
+fn the_holdout_steers_nothing() {
+    let mut problem = small(Protocol::Paper(Terms::Direct));
+    let mut keepers = [Keeper::default(), Keeper::default()];
+    let mut results = Vec::new();
+    for (holdout, keeper) in [4, 7].into_iter().zip(&mut keepers) {
+        problem.stimuli.holdout = holdout;
+        results.push(optimise(&problem, None, &pool(1), keeper).unwrap().unwrap());
+    }
+    assert_eq!(keepers[0].states, keepers[1].states);
+    let (a, b) = (&results[0].optimised.networks[0], &results[1].optimised.networks[0]);
+    assert_eq!((a.error_test, &a.losses), (b.error_test, &b.losses));
+    assert_ne!(a.error_holdout, b.error_holdout);
+}
+
+/// Both bodies start from the same weights, one set a seed, and an unmoved body equals the initial one.
+#[test]
+fn bodies_are_compared_with_the_same_networks() {
+    let mut problem = small(Protocol::Paper(Terms::Direct));
+    problem.optimise.iterations = 0;
+    let result = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    assert_eq!(result.initial, result.optimised);
+    let losses: Vec<_> = result.initial.networks.iter().map(|n| &n.losses).collect();
+    assert_eq!((losses[0].len(), losses[1].len()), (30, 30));
+    assert_ne!(losses[0], losses[1]);
+    assert_eq!(result.initial.zero_samples, [0; 3]);
+}
+
+/// L_test(α + εδ) at fixed weights, in N², against the gradient: a central difference along a random direction.
+#[test]
+fn the_direct_term_is_the_derivative_of_the_test_loss_at_fixed_weights() {
+    let mut problem = small(Protocol::Paper(Terms::Direct));
+    problem.solver.tolerance = 1e-10;
+    let pool = pool(2);
+    let setting = Setting::new(&problem, &pool).unwrap();
+    let weights: Vec<f64> = fresh_weights(setting.shape, 1, 0).into_iter().map(f64::from).collect();
+    let mut workspace = Workspace::<f64>::new(setting.shape);
+    let mut keeper = Keeper::default();
+    let mut log = Log::new(0, &mut keeper);
+    let mut loss = |design: &[f64]| {
+        let simulation =
+            setting.simulate(design, &setting.test, &problem.solver, true, &mut Report::default()).unwrap();
+        let data = setting.physical_data::<f64>(&simulation.signals, &setting.test);
+        let (loss, inputs) = brain::input_gradient(&weights, data.all(), &mut workspace, &pool);
+        (loss, inputs, simulation)
+    };
+    let (_, inputs, simulation) = loss(&problem.initial);
+    let gradient = setting
+        .pull_back(&problem.initial, &setting.test, &problem.solver, &simulation, &inputs, &mut log)
+        .unwrap();
+
+    let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
+    let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();
+    let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+    let mut at = |step: f64| {
+        let design: Vec<f64> = problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d).collect();
+        loss(&design).0
+    };
+    let difference = (at(1e-4) - at(-1e-4)) / 2e-4;
+    assert!(slope.abs() > 1e-9 && (slope / difference - 1.0).abs() < 1e-3, "{slope} against {difference}");
+}
+
+/// A rate beyond reason: the training's end is named, and there is no body before the first to go back to.
+#[test]
+fn a_training_that_diverges_on_the_initial_body_is_named() {
+    let mut problem = small(Protocol::Paper(Terms::Direct));
+    problem.brain.rate = 1e4;
+    let failure = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap_err();
+    let Failure::Initial(Trouble::Training(outcome)) = failure else { panic!("{failure:?}") };
+    assert_ne!(outcome, TrainOutcome::Ok);
+}
+
+/// After trouble: the design before the last move, half the rate; after too many in a row, the end.
+#[test]
+fn a_step_in_trouble_is_taken_back_at_half_the_rate() {
+    let problem = small(Protocol::Paper(Terms::Direct));
+    let pool = pool(1);
+    let setting = Setting::new(&problem, &pool).unwrap();
+    let mut state = State::new(&problem, &setting.shape);
+    state.trail = vec![Waypoint { step: 0, design: vec![7.0; state.design.len()] }];
+    let mut keeper = Keeper::default();
+    let mut log = Log::new(1, &mut keeper);
+    let back = state.clone().taken_back(Trouble::GradientNonFinite, &mut log).unwrap();
+    assert_eq!((back.design[0], back.caution, back.setbacks), (7.0, 0.5, 1));
+    assert_eq!(log.report.trouble, Some(Trouble::GradientNonFinite));
+    assert_eq!(
+        back.taken_back(Trouble::GradientNonFinite, &mut log),
+        Err(Failure::Initial(Trouble::GradientNonFinite))
+    );
+    state.setbacks = 8;
+    assert!(matches!(state.taken_back(Trouble::GradientNonFinite, &mut log), Err(Failure::Stuck(9, _))));
+}

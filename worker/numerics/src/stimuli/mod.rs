@@ -1,0 +1,120 @@
+//! Force histories: bell pulses drawn per sample and panel, and the split into training and test set.
+//!
+//! ```text
+//! z = (t − O)/W in (0, 1):  f = A sin(π z^κ)^q,  κ = ln ½ / ln p      else f = 0
+//! ```
+//! Sampled on t_n = n·duration/T, n = 0…T; between its instants f is linear, and nothing else enters a simulation.
+
+use std::ops::Range;
+
+use crate::dynamics::Forces;
+use crate::random::{Purpose, Stream};
+
+/// Intervals, `[least, most]`, from which the parameters of a bell pulse are drawn uniformly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bell {
+    /// A (N).
+    pub amplitude: [f64; 2],
+    /// W (s).
+    pub width: [f64; 2],
+    /// O (s).
+    pub onset: [f64; 2],
+    /// Peak position p, a part of the width in (0, 1).
+    pub peak: [f64; 2],
+    /// Power q.
+    pub power: [f64; 2],
+}
+
+/// One bell pulse.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pulse {
+    /// A (N).
+    pub amplitude: f64,
+    /// W (s).
+    pub width: f64,
+    /// O (s).
+    pub onset: f64,
+    /// p.
+    pub peak: f64,
+    /// q.
+    pub power: f64,
+}
+
+impl Pulse {
+    /// f(t) in N.
+    pub fn force(&self, t: f64) -> f64 {
+        let z = (t - self.onset) / self.width;
+        if !(z > 0.0 && z < 1.0) {
+            return 0.0;
+        }
+        let kappa = 0.5f64.ln() / self.peak.ln();
+        // the sine of an argument rounded up to π is negative by an ulp, and its power NaN
+        self.amplitude * (std::f64::consts::PI * z.powf(kappa)).sin().max(0.0).powf(self.power)
+    }
+
+    /// Overwrites `history` with f(t_n), n = 0…T, where T + 1 is its length.
+    pub fn history_into(&self, duration: f64, history: &mut [f64]) {
+        let instants = (history.len() - 1) as f64;
+        for (n, f) in history.iter_mut().enumerate() {
+            *f = self.force(n as f64 * duration / instants);
+        }
+    }
+}
+
+/// The force histories of the samples numbered `samples`: each is a function of (purpose, seed, sample, panel) alone.
+pub fn bells(
+    bell: &Bell,
+    purpose: Purpose,
+    seed: u64,
+    samples: Range<u64>,
+    panels: usize,
+    duration: f64,
+    instants: usize,
+) -> Forces {
+    let count = (samples.end - samples.start) as usize;
+    let mut values = vec![0.0; count * panels * (instants + 1)];
+    for (slot, history) in values.chunks_exact_mut(instants + 1).enumerate() {
+        let key = [samples.start + (slot / panels) as u64, (slot % panels) as u64];
+        let mut stream = Stream::new(purpose, seed, key);
+        let pulse = Pulse {
+            amplitude: stream.between(bell.amplitude),
+            width: stream.between(bell.width),
+            onset: stream.between(bell.onset),
+            peak: stream.between(bell.peak),
+            power: stream.between(bell.power),
+        };
+        pulse.history_into(duration, history);
+    }
+    Forces { samples: count, panels, instants, values }
+}
+
+/// The samples listed, in the order listed.
+pub fn select(forces: &Forces, samples: &[usize]) -> Forces {
+    let size = forces.panels * (forces.instants + 1);
+    let values = samples.iter().flat_map(|&s| &forces.values[s * size..][..size]).copied().collect();
+    Forces { samples: samples.len(), values, ..*forces }
+}
+
+/// Training targets (N, T, K): f at n = 1…T.
+pub fn targets(forces: &Forces) -> Vec<f64> {
+    let (panels, clock) = (forces.panels, forces.instants + 1);
+    let mut targets = Vec::with_capacity(forces.samples * forces.instants * panels);
+    for sample in forces.values.chunks_exact(panels * clock) {
+        for n in 1..clock {
+            targets.extend((0..panels).map(|k| sample[k * clock + n]));
+        }
+    }
+    targets
+}
+
+/// A seeded shuffle of `samples` samples, cut into (training set, test set of `test`), both in ascending order.
+pub fn split(seed: u64, samples: usize, test: usize) -> (Vec<usize>, Vec<usize>) {
+    let mut order = Stream::new(Purpose::Split, seed, [samples as u64, 0]).permutation(samples);
+    let mut training = order.split_off(test);
+    order.sort_unstable();
+    training.sort_unstable();
+    (training, order)
+}
+
+#[cfg(test)]
+mod tests;

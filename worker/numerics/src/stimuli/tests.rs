@@ -1,0 +1,101 @@
+use super::*;
+
+const BELL: Bell = Bell {
+    amplitude: [0.15, 0.5],
+    width: [0.06, 0.25],
+    onset: [0.0, 0.5],
+    peak: [0.35, 0.65],
+    power: [1.5, 4.0],
+};
+
+fn draw(purpose: Purpose, samples: Range<u64>) -> Forces {
+    bells(&BELL, purpose, 5, samples, 2, 1.0, 200)
+}
+
+/// At onset + peak·width the argument of the sine is π/2; outside (onset, onset + width) there is nothing.
+#[test]
+fn a_pulse_peaks_where_it_says_and_is_zero_outside() {
+    let pulse = Pulse { amplitude: 0.4, width: 0.2, onset: 0.1, peak: 0.37, power: 2.5 };
+    let top = pulse.force(0.1 + 0.37 * 0.2);
+    assert!((top - 0.4).abs() < 1e-12, "{top}");
+    for t in [0.0, 0.1, 0.3, 0.31, 1.0] {
+        assert!(pulse.force(t) < 1e-9, "f({t}) = {}", pulse.force(t));
+    }
+    assert!(pulse.force(0.3 - 1e-17).is_finite());
+}
+
+/// Histories of an independent program (numpy): four instants of each pulse, and the sum over all.
+#[test]
+fn pulses_agree_with_reference_histories() {
+    #[expect(clippy::excessive_precision, reason = "as printed by the other program")]
+    let cases = [
+        (
+            [
+                0.46611013382020117,
+                0.17215282410323732,
+                0.44845303275542514,
+                0.6062561822296717,
+                2.083297772953328,
+            ],
+            [
+                (91, 0.00040462080296318055),
+                (101, 0.173733525274119),
+                (113, 0.4342028482962448),
+                (123, 0.007793951818864544),
+            ],
+            7.119741278194201,
+        ),
+        (
+            [
+                0.3153906470927328,
+                0.09990641545545569,
+                0.29766187526280385,
+                0.3622343613321756,
+                1.6041376883714724,
+            ],
+            [
+                (61, 0.1051706519915069),
+                (66, 0.3119897846436915),
+                (73, 0.1680948463398519),
+                (78, 0.017306030903874163),
+            ],
+            3.5571924161122355,
+        ),
+    ];
+    for ([amplitude, width, onset, peak, power], instants, sum) in cases {
+        let mut history = [0.0; 201];
+        Pulse { amplitude, width, onset, peak, power }.history_into(1.0, &mut history);
+        for (n, f) in instants {
+            assert!((history[n] - f).abs() < 1e-13, "f[{n}] = {}, not {f}", history[n]);
+        }
+        let total: f64 = history.iter().sum();
+        assert!((total - sum).abs() < 1e-11, "{total}, not {sum}");
+    }
+}
+
+/// Whoever else is drawn with it, a sample stays the same; other purposes give other samples.
+#[test]
+fn a_sample_depends_on_its_number_and_purpose_alone() {
+    let all = draw(Purpose::Stimulus, 0..6);
+    assert_eq!(draw(Purpose::Stimulus, 2..4).values, select(&all, &[2, 3]).values);
+    assert_ne!(draw(Purpose::Holdout, 0..6).values, all.values);
+    assert_ne!(draw(Purpose::Fresh, 0..6).values, all.values);
+}
+
+/// Training and test set are disjoint, complete, of the sizes asked for, and another seed cuts otherwise.
+#[test]
+fn a_split_is_a_partition() {
+    let (training, test) = split(3, 300, 30);
+    assert_eq!((training.len(), test.len()), (270, 30));
+    let mut all = [training.clone(), test.clone()].concat();
+    all.sort_unstable();
+    assert_eq!(all, (0..300).collect::<Vec<_>>());
+    assert_ne!(split(4, 300, 30).1, test);
+}
+
+/// Targets leave out the instant 0 and put the panels last.
+#[test]
+fn targets_are_the_forces_at_the_instants_of_the_signals() {
+    let forces = Forces { samples: 1, panels: 2, instants: 2, values: vec![0.0, 1.0, 2.0, 0.0, 10.0, 20.0] };
+    assert_eq!(targets(&forces), [1.0, 10.0, 2.0, 20.0]);
+}

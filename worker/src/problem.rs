@@ -1,0 +1,398 @@
+//! A trial's spec as the maths' own types, validated: what passes here can be simulated and trained.
+//!
+//! Degrees become radians; rules ("bottom") become unit lists. The plan calls this for every trial before any process
+//! starts, a worker calls it again for the one that it runs.
+
+use std::fmt::Display;
+
+use metasense_numerics::body::Layout;
+use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
+use metasense_numerics::feasible::{Feasible, Limits};
+use metasense_numerics::nested::{
+    Evaluation, Going, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training,
+};
+use metasense_numerics::stimuli::Bell;
+use metasense_schemas::spec::{self, Clamp, ClampRule, LayoutKind, TrialSpec};
+
+/// A value that no trial can be made of.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{key} = {value}: {remedy}")]
+pub struct Invalid {
+    /// The key by its path in the spec, for instance `body.stiffness.stretch`.
+    pub key: String,
+    /// The value that it has.
+    pub value: String,
+    /// What it must be.
+    pub remedy: String,
+}
+
+fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Invalid {
+    Invalid { key: key.into(), value: value.to_string(), remedy: remedy.into() }
+}
+
+fn require(holds: bool, key: &str, value: impl Display, remedy: &str) -> Result<(), Invalid> {
+    if holds { Ok(()) } else { Err(invalid(key, value, remedy)) }
+}
+
+fn positive(key: &str, value: f64) -> Result<(), Invalid> {
+    require(value > 0.0 && value.is_finite(), key, value, "must be a number above 0")
+}
+
+fn not_negative(key: &str, value: f64) -> Result<(), Invalid> {
+    require(value >= 0.0 && value.is_finite(), key, value, "must be 0 or a number above")
+}
+
+fn at_least(key: &str, value: usize, least: usize) -> Result<(), Invalid> {
+    require(value >= least, key, value, &format!("must be at least {least}"))
+}
+
+/// The trial as the nested optimisation takes it.
+///
+/// # Errors
+/// Names the first key whose value no trial can have, and what the value must be.
+pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
+    let layout = layout(&trial.body)?;
+    check_material(&trial.body)?;
+    check_clock_and_training(trial)?;
+    let limits = limits(&trial.feasible)?;
+    let initial = layout.initial_design(trial.body.initial_angle.to_radians());
+    if let Some(violation) = Feasible::new(&layout, limits, &[]).violations(&initial).first() {
+        let remedy = format!("the initial body is not feasible: {violation}; change [body] or [feasible]");
+        return Err(invalid("body.initial_angle", trial.body.initial_angle, remedy));
+    }
+    let scene = scene(trial, layout)?;
+    Ok(Problem {
+        initial,
+        solver: solver(&trial.solver),
+        limits,
+        stimuli: stimuli(&trial.stimuli)?,
+        brain: Training { iterations: trial.brain.iterations, rate: trial.brain.learning_rate, width: 64 },
+        optimise: Optimise {
+            protocol: protocol(&trial.optimise)?,
+            iterations: u32::try_from(trial.optimise.iterations).map_err(|_| {
+                invalid("optimise.iterations", trial.optimise.iterations, "must be below 2^32")
+            })?,
+            rate: trial.optimise.learning_rate,
+        },
+        evaluation: Evaluation {
+            seeds: trial.evaluation.seeds,
+            schedule: match trial.evaluation.schedule {
+                spec::Schedule::Cosine => Schedule::Cosine,
+                spec::Schedule::Constant => Schedule::Constant,
+            },
+        },
+        seed: trial.point.seed,
+        scene,
+    })
+}
+
+fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
+    at_least("body.columns", body.columns, 2)?;
+    positive("body.spacing", body.spacing)?;
+    positive("body.ligament_length", body.ligament_length)?;
+    require(
+        body.ligament_length < body.spacing,
+        "body.ligament_length",
+        body.ligament_length,
+        "must be less than body.spacing",
+    )?;
+    require(
+        body.initial_angle.abs() < 45.0,
+        "body.initial_angle",
+        body.initial_angle,
+        "must lie between -45 and 45 degrees",
+    )?;
+    match body.layout {
+        LayoutKind::Planar => {
+            let rows =
+                body.rows.ok_or_else(|| invalid("body.rows", "absent", "must be given where planar"))?;
+            require(
+                rows >= 2,
+                "body.rows",
+                rows,
+                "must be at least 2: the bottom row is clamped, the top row struck",
+            )?;
+            Ok(Layout::planar(body.columns, rows, body.spacing, body.ligament_length))
+        }
+        LayoutKind::Circular => {
+            let rows = body.rows.unwrap_or(body.columns);
+            require(
+                rows == body.columns,
+                "body.rows",
+                rows,
+                "must equal body.columns, or be left out, where circular",
+            )?;
+            at_least("body.columns", body.columns, 4)?;
+            Ok(Layout::circular(body.columns, body.spacing, body.ligament_length))
+        }
+    }
+}
+
+fn check_material(body: &spec::Body) -> Result<(), Invalid> {
+    positive("body.density", body.density)?;
+    not_negative("body.damping_ratio", body.damping_ratio)?;
+    positive("body.stiffness.stretch", body.stiffness.stretch)?;
+    positive("body.stiffness.shear", body.stiffness.shear)?;
+    positive("body.stiffness.bend", body.stiffness.bend)?;
+    let Some(contact) = &body.contact else { return Ok(()) };
+    positive("body.contact.stiffness", contact.stiffness)?;
+    require(
+        contact.min_angle > -180.0
+            && contact.min_angle < contact.cutoff_angle
+            && contact.cutoff_angle < 180.0,
+        "body.contact.min_angle",
+        contact.min_angle,
+        "must be less than body.contact.cutoff_angle, both within ±180 degrees",
+    )
+}
+
+fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
+    positive("time.duration", trial.time.duration)?;
+    at_least("time.samples", trial.time.samples, 3)?;
+    let tolerance = trial.solver.tolerance;
+    require(tolerance > 0.0 && tolerance <= 0.1, "solver.tolerance", tolerance, "must lie in (0, 0.1]")?;
+    at_least("brain.iterations", trial.brain.iterations, 1)?;
+    positive("brain.learning_rate", trial.brain.learning_rate)?;
+    positive("optimise.learning_rate", trial.optimise.learning_rate)?;
+    at_least("evaluation.seeds", trial.evaluation.seeds, 1)
+}
+
+fn solver(solver: &spec::Solver) -> Solver {
+    let method = match solver.method {
+        spec::Method::Tsit5 => Method::Tsit5,
+    };
+    Solver { method, tolerance: solver.tolerance }
+}
+
+fn stimuli(stimuli: &spec::Stimuli) -> Result<Stimuli, Invalid> {
+    let &spec::Stimuli {
+        kind: spec::StimuliKind::Bell,
+        samples,
+        test,
+        holdout,
+        amplitude,
+        width,
+        onset,
+        peak,
+        power,
+    } = stimuli;
+    at_least("stimuli.test", test, 1)?;
+    require(
+        test < samples,
+        "stimuli.test",
+        test,
+        "must be less than stimuli.samples: the rest trains the brain",
+    )?;
+    at_least("stimuli.holdout", holdout, 1)?;
+    let intervals = [
+        ("stimuli.amplitude", amplitude, 0.0, f64::INFINITY),
+        ("stimuli.width", width, f64::MIN_POSITIVE, f64::INFINITY),
+        ("stimuli.onset", onset, f64::NEG_INFINITY, f64::INFINITY),
+        ("stimuli.peak", peak, f64::MIN_POSITIVE, 1.0 - f64::EPSILON),
+        ("stimuli.power", power, f64::MIN_POSITIVE, f64::INFINITY),
+    ];
+    for (key, [least, most], lowest, highest) in intervals {
+        let shown = format!("[{least}, {most}]");
+        require(least.is_finite() && most.is_finite(), key, &shown, "must be two finite numbers")?;
+        require(least <= most, key, &shown, "must be [least, most]")?;
+        let remedy = match key {
+            "stimuli.amplitude" => "must not be negative",
+            "stimuli.peak" => "must lie between 0 and 1",
+            _ => "must be above 0",
+        };
+        require(least >= lowest && most <= highest, key, &shown, remedy)?;
+    }
+    require(amplitude[1] > 0.0, "stimuli.amplitude", format!("{amplitude:?}"), "must allow forces above 0")?;
+    Ok(Stimuli { bell: Bell { amplitude, width, onset, peak, power }, samples, test, holdout })
+}
+
+fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
+    let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, .. } = optimise;
+    // a key that a protocol does not read is refused: it would make trials differ that are the same
+    let unread = |key: &str, given: Option<String>, readers: &str| match given {
+        Some(value) => {
+            Err(invalid(key, value, format!("means nothing to this optimise.protocol, only to {readers}")))
+        }
+        None => Ok(()),
+    };
+    let paper = protocol == spec::Protocol::Paper;
+    if paper {
+        unread(
+            "optimise.brain_iterations",
+            brain_iterations.map(|n| n.to_string()),
+            "warm, envelope and joint",
+        )?;
+        unread(
+            "optimise.brain_learning_rate",
+            brain_learning_rate.map(|r| r.to_string()),
+            "warm, envelope and joint",
+        )?;
+    } else {
+        let name =
+            gradient.map(|terms| if terms == spec::GradientTerms::Direct { "direct" } else { "implicit" });
+        unread("optimise.gradient", name.map(String::from), "paper")?;
+    }
+    if paper || protocol == spec::Protocol::Warm {
+        unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
+    }
+    let going = Going {
+        batch: batch.unwrap_or(64),
+        brain_iterations: brain_iterations.unwrap_or(10),
+        brain_rate: brain_learning_rate.unwrap_or(1e-3),
+    };
+    at_least("optimise.batch", going.batch, 1)?;
+    at_least("optimise.brain_iterations", going.brain_iterations, 1)?;
+    positive("optimise.brain_learning_rate", going.brain_rate)?;
+    Ok(match protocol {
+        spec::Protocol::Paper => Protocol::Paper(match gradient {
+            None | Some(spec::GradientTerms::Implicit) => Terms::Implicit,
+            Some(spec::GradientTerms::Direct) => Terms::Direct,
+        }),
+        spec::Protocol::Warm => Protocol::Warm(going),
+        spec::Protocol::Envelope => Protocol::Envelope(going),
+        spec::Protocol::Joint => Protocol::Joint(going),
+    })
+}
+
+fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
+    let angles = [
+        ("feasible.min_block_angle", feasible.min_block_angle),
+        ("feasible.max_block_angle", feasible.max_block_angle),
+        ("feasible.min_void_angle", feasible.min_void_angle),
+        ("feasible.min_ligament_angle", feasible.min_ligament_angle),
+    ];
+    for (key, angle) in angles {
+        require((0.0..=180.0).contains(&angle), key, angle, "must lie between 0 and 180 degrees")?;
+    }
+    require(
+        feasible.min_block_angle < 90.0 && feasible.max_block_angle > 90.0,
+        "feasible.min_block_angle",
+        feasible.min_block_angle,
+        "must be below 90 degrees, and feasible.max_block_angle above: the four angles of a unit average 90",
+    )?;
+    not_negative("feasible.min_edge", feasible.min_edge)?;
+    not_negative("feasible.clearance", feasible.clearance)?;
+    not_negative("feasible.ligament_clearance", feasible.ligament_clearance)?;
+    Ok(Limits {
+        min_block_angle: feasible.min_block_angle.to_radians(),
+        max_block_angle: feasible.max_block_angle.to_radians(),
+        min_void_angle: feasible.min_void_angle.to_radians(),
+        min_ligament_angle: feasible.min_ligament_angle.to_radians(),
+        min_edge: feasible.min_edge,
+        clearance: feasible.clearance,
+        ligament_clearance: feasible.ligament_clearance,
+    })
+}
+
+fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
+    let body = &trial.body;
+    let clamped = clamped(body, &layout)?;
+    let panels = check_units("body.panel_units", &trial.panel_units, &layout, &clamped)?;
+    require(
+        panels.len() == trial.point.panels && !panels.is_empty(),
+        "sweep.panels",
+        trial.point.panels,
+        &format!("the layout gives {} panels", panels.len()),
+    )?;
+    let sensors = check_units("sensors.placements", &trial.sensor_units, &layout, &clamped)?;
+    require(
+        sensors.len() == trial.point.sensors && !sensors.is_empty(),
+        "sweep.sensors",
+        trial.point.sensors,
+        &format!("the layout has {} free units to carry sensors", sensors.len()),
+    )?;
+    let directions = directions(trial, &layout);
+    let angle = f64::to_radians;
+    Ok(Scene {
+        density: body.density,
+        stiffness: Stiffness {
+            stretch: body.stiffness.stretch,
+            shear: body.stiffness.shear,
+            bend: body.stiffness.bend,
+        },
+        damping_ratio: body.damping_ratio,
+        contact: body.contact.map(|c| Contact {
+            stiffness: c.stiffness,
+            min_angle: angle(c.min_angle),
+            cutoff_angle: angle(c.cutoff_angle),
+        }),
+        linearised: body.linearised,
+        clamped,
+        panels: panels
+            .into_iter()
+            .zip(directions)
+            .map(|(unit, direction)| Panel { unit, direction })
+            .collect(),
+        sensors,
+        frame: match trial.sensors.frame {
+            spec::Frame::World => Frame::World,
+            spec::Frame::Body => Frame::Body,
+        },
+        duration: trial.time.duration,
+        instants: trial.time.samples,
+        layout,
+    })
+}
+
+/// Panels are struck along −y where planar, inward where circular: along the direction of the rule that gave them, or
+/// towards the centre.
+fn directions(trial: &TrialSpec, layout: &Layout) -> Vec<[f64; 2]> {
+    let units = &trial.panel_units;
+    let ruled = layout.circular_panels(units.len()).unwrap_or_default();
+    match trial.body.layout {
+        LayoutKind::Planar => vec![[0.0, -1.0]; units.len()],
+        LayoutKind::Circular if ruled.iter().map(|panel| &panel.0).eq(units) => {
+            ruled.iter().map(|panel| panel.1).collect()
+        }
+        LayoutKind::Circular => units
+            .iter()
+            .map(|&unit| {
+                let [x, y] = layout.centres[unit];
+                let radius = x.hypot(y).max(f64::MIN_POSITIVE);
+                [-x / radius, -y / radius]
+            })
+            .collect(),
+    }
+}
+
+fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
+    let rule = match body.layout {
+        LayoutKind::Planar => ClampRule::Bottom,
+        LayoutKind::Circular => ClampRule::Hub,
+    };
+    match body.clamp.as_ref().unwrap_or(&Clamp::Rule(rule)) {
+        Clamp::Units(units) => {
+            let units = check_units("body.clamp", units, layout, &[])?;
+            require(
+                units.len() < layout.units(),
+                "body.clamp",
+                format!("{units:?}"),
+                "must leave a unit free to move",
+            )?;
+            Ok(units)
+        }
+        Clamp::Rule(ClampRule::Bottom) if body.layout == LayoutKind::Planar => Ok(layout.bottom()),
+        Clamp::Rule(ClampRule::Hub) if body.layout == LayoutKind::Circular => Ok(layout.hub()),
+        Clamp::Rule(ClampRule::Bottom) => {
+            Err(invalid("body.clamp", "bottom", "must be \"hub\" or units where circular"))
+        }
+        Clamp::Rule(ClampRule::Hub) => {
+            Err(invalid("body.clamp", "hub", "must be \"bottom\" or units where planar"))
+        }
+    }
+}
+
+/// The units as they are, if each is one of the layout's, appears once and is not held.
+fn check_units(key: &str, units: &[usize], layout: &Layout, held: &[usize]) -> Result<Vec<usize>, Invalid> {
+    for (n, &unit) in units.iter().enumerate() {
+        require(
+            unit < layout.units(),
+            key,
+            unit,
+            &format!("the layout's units are 0 to {}", layout.units() - 1),
+        )?;
+        require(!units[..n].contains(&unit), key, unit, "must be named once")?;
+        require(!held.contains(&unit), key, unit, "is clamped and cannot move")?;
+    }
+    Ok(units.to_vec())
+}
