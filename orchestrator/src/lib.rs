@@ -4,4 +4,5 @@ pub mod analysis;
 pub mod cli;
 pub mod exit;
 pub mod plan;
+pub mod report;
 pub mod store;

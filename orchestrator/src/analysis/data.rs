@@ -136,7 +136,7 @@ pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
 /// Trials that agree in everything but what a question varies.
 #[derive(Debug, Clone)]
 pub struct Group<'a> {
-    /// What sets it apart from the database's other groups, for instance `K = 4, body.columns = 6`.
+    /// What sets it apart from the database's other groups, for instance `K = 4, 6 × 4 units`.
     pub label: String,
     /// Its trials, in the order given.
     pub trials: Vec<&'a Trial>,
@@ -164,6 +164,8 @@ pub const COMPLEXITY: &[&str] = &[
 /// What the way of training varies.
 pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver."];
 
+type Key = Vec<(String, Value)>;
+
 /// Groups by everything but placement, seed and the paths named (a path that ends in a dot: all below it), in the order
 /// of their first trials.
 #[must_use]
@@ -171,10 +173,10 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let ignored = |path: &str| {
         CLUSTER.iter().chain(but).any(|b| path == *b || (b.ends_with('.') && path.starts_with(b)))
     };
-    let key = |trial: &Trial| -> Vec<(String, Value)> {
+    let key = |trial: &Trial| -> Key {
         trial.setting.iter().filter(|(p, _)| !ignored(p)).map(|(p, v)| (p.clone(), v.clone())).collect()
     };
-    let mut found: Vec<(Vec<(String, Value)>, Vec<&'a Trial>)> = Vec::new();
+    let mut found: Vec<(Key, Vec<&'a Trial>)> = Vec::new();
     for trial in trials {
         let key = key(trial);
         match found.iter_mut().find(|(k, _)| *k == key) {
@@ -182,27 +184,37 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
             None => found.push((key, vec![trial])),
         }
     }
-    let keys: Vec<&Vec<(String, Value)>> = found.iter().map(|(k, _)| k).collect();
+    let keys: Vec<&Key> = found.iter().map(|(k, _)| k).collect();
     let labels: Vec<String> = keys.iter().map(|k| label(k, &keys)).collect();
     labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
 }
 
-/// K always; of the rest what differs among the groups. Panel units follow from K and layout and say nothing more.
-fn label(key: &[(String, Value)], all: &[&Vec<(String, Value)>]) -> String {
+/// K always, M where fixed; of the rest what differs among the groups. Panel units follow from K and layout and say
+/// nothing more.
+fn label(key: &[(String, Value)], all: &[&Key]) -> String {
+    let value = |path: &str| key.iter().find(|(p, _)| p == path).map(|(_, v)| v);
     let mut values: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
     for (path, value) in all.iter().flat_map(|k| k.iter()) {
         values.entry(path).or_default().insert(value.to_string());
     }
     let count = |path: &str| all.iter().filter(|k| k.iter().any(|(p, _)| p == path)).count();
+    let differs = |path: &str| values.get(path).is_some_and(|v| v.len() > 1 || count(path) < all.len());
     let mut parts = Vec::new();
     for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
-        if let Some((_, value)) = key.iter().find(|(p, _)| p == path) {
-            parts.push(format!("{name} = {value}"));
+        parts.extend(value(path).map(|v| format!("{name} = {v}")));
+    }
+    const SIZES: [&str; 2] = ["body.columns", "body.rows"];
+    match SIZES.map(value) {
+        [Some(columns), Some(rows)] if SIZES.iter().any(|p| differs(p)) => {
+            parts.push(format!("{columns} × {rows} units"));
         }
+        [Some(columns), None] if differs(SIZES[0]) => parts.push(format!("{columns} units across")),
+        _ => {}
     }
     for (path, value) in key {
-        let told = path.starts_with("point.") || path.ends_with("panel_units");
-        if !told && (values[path.as_str()].len() > 1 || count(path) < all.len()) {
+        let told =
+            path.starts_with("point.") || path.ends_with("panel_units") || SIZES.contains(&path.as_str());
+        if !told && differs(path) {
             let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
             parts.push(format!("{path} = {value}"));
         }
@@ -275,7 +287,7 @@ mod tests {
     use serde_json::json;
 
     fn trial(panels: u64, columns: u64, sensors: u64, placement: u64) -> Trial {
-        let spec = json!({"body": {"columns": columns}, "point": {"panels": panels, "sensors": sensors,
+        let spec = json!({"body": {"columns": columns, "rows": 4}, "point": {"panels": panels, "sensors": sensors,
             "placement": placement, "seed": 1}, "sensor_units": [placement]});
         Trial {
             setting: flatten(&spec),
@@ -298,9 +310,9 @@ mod tests {
         assert_eq!(
             labels(SENSORS),
             [
-                ("K = 2, body.columns = 5".to_owned(), 2),
-                ("K = 2, body.columns = 6".to_owned(), 1),
-                ("K = 4, body.columns = 6".to_owned(), 1)
+                ("K = 2, 5 × 4 units".to_owned(), 2),
+                ("K = 2, 6 × 4 units".to_owned(), 1),
+                ("K = 4, 6 × 4 units".to_owned(), 1)
             ]
         );
         assert_eq!(

@@ -12,7 +12,9 @@ pub mod resample;
 pub mod run_time;
 pub mod scaling;
 pub mod sensors;
+pub mod tables;
 
 pub use data::{Body, Cluster, Group, Observation, Set, Trial};
 pub use elbow::{Elbow, Verdict, elbow};
 pub use resample::{Interval, Resampling};
+pub use tables::Question;

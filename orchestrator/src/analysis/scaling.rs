@@ -184,7 +184,8 @@ fn fit(observations: &[Observation], weights: &[f64], reference: f64, start: Opt
         }
     }
     let (scale, squares) = residual(&points, u.exp(), s);
-    let floor = scale * s / (1.0 - s);
+    // Below this the search has gone to the edge.
+    let floor = if s < 1e-4 { 0.0 } else { scale * s / (1.0 - s) };
     (Law { scale, reference, exponent: u.exp(), floor }, squares + scatter)
 }
 

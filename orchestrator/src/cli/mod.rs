@@ -1,5 +1,6 @@
 //! The command line: one file a command.
 
+mod analyse;
 mod query;
 mod rows;
 
@@ -25,6 +26,7 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Analyse(analyse::Args),
     Query(query::Args),
 }
 
@@ -34,6 +36,7 @@ enum Command {
 /// Bad input and failed I/O, each with its exit code.
 pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
     match cli.command {
+        Command::Analyse(args) => block_on(analyse::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
     }
 }

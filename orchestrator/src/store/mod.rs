@@ -20,7 +20,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
 pub use error::StoreError;
 pub use npy::npy_bytes;
-pub use read::{Reader, Table};
+pub use read::{Artifact, Reader, Table};
 pub use write::{Array, Values};
 
 /// The writer. All methods are cancel-safe only as a whole: drop the store, not a call.

@@ -26,6 +26,33 @@ pub struct Table {
     pub rows: Vec<Vec<Value>>,
 }
 
+/// A stored array.
+#[derive(Debug, Clone)]
+pub struct Artifact {
+    /// Its trial.
+    pub hash: String,
+    /// Its name within the trial.
+    pub name: String,
+    /// The NPY file.
+    pub bytes: Vec<u8>,
+}
+
+impl Artifact {
+    /// Its values in C order.
+    ///
+    /// # Errors
+    /// Where the bytes are no array of this type.
+    pub fn values<T: npyz::Deserialize>(&self) -> Result<Vec<T>, StoreError> {
+        npyz::NpyFile::new(&self.bytes[..]).and_then(npyz::NpyFile::into_vec).map_err(|e| {
+            StoreError::Unreadable {
+                hash: self.hash.clone(),
+                what: "array",
+                message: format!("{}: {e}", self.name),
+            }
+        })
+    }
+}
+
 impl Reader {
     /// Opens a database to read; one of an older version is upgraded first.
     ///
@@ -62,6 +89,22 @@ impl Reader {
         let columns = statement.columns().iter().map(|c| c.name().to_owned()).collect();
         let rows = statement.query().fetch_all(&mut self.connection).await.map_err(wrong)?;
         Ok(Table { columns, rows: rows.iter().map(values).collect() })
+    }
+
+    /// The stored arrays whose names are LIKE a pattern (`losses_%`), by trial and name.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn artifacts(&mut self, pattern: &str) -> Result<Vec<Artifact>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT t.hash, a.name, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id
+             WHERE a.name LIKE ? ORDER BY t.hash, a.name",
+        )
+        .bind(pattern)
+        .fetch_all(&mut self.connection)
+        .await
+        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+        Ok(rows.iter().map(|r| Artifact { hash: r.get(0), name: r.get(1), bytes: r.get(2) }).collect())
     }
 }
 

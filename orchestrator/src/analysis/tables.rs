@@ -1,0 +1,412 @@
+//! The answers as tables, one a question.
+
+use serde_json::{Value, json};
+
+use super::data::{COMPLEXITY, Group, SENSORS, TRAINING, groups, levels, observations};
+use super::paired::{self, Ratio};
+use super::run_time::{mean_seconds, pareto, round_errors, time_to};
+use super::scaling::scaling;
+use super::sensors::{fewer, spread};
+use super::{Body, Interval, Set, Trial, Verdict, elbow};
+use crate::store::Table;
+
+/// A question to finished trials.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Question {
+    /// Initial against optimised body, paired by trial: ratio of errors
+    Paired,
+    /// Iterations of training the initial body's network needs over those of the optimised body's, to equal loss
+    Iterations,
+    /// Error against the number of sensors M, votes for an elbow there, what the next sensor brings
+    Sensors,
+    /// The elbow of error against M, by three methods
+    Elbow,
+    /// The fewest sensors with which the optimised body beats the initial one with the most
+    Fewer,
+    /// Spread of the error over sensor placements
+    Placements,
+    /// Error against the number of design parameters N
+    Sizes,
+    /// The law L = a (N/N0)^(-b) + c
+    Complexity,
+    /// Seconds until a test error is reached
+    TimeTo,
+    /// What no other run beats in both seconds and test error
+    Front,
+    /// Where the time went
+    Seconds,
+}
+
+impl Question {
+    /// All of them, in the order in which they are answered.
+    pub const ALL: [Self; 11] = [
+        Self::Paired,
+        Self::Iterations,
+        Self::Sensors,
+        Self::Elbow,
+        Self::Fewer,
+        Self::Placements,
+        Self::Sizes,
+        Self::Complexity,
+        Self::TimeTo,
+        Self::Front,
+        Self::Seconds,
+    ];
+
+    /// What the table shows, with its units.
+    #[must_use]
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Paired => {
+                "Initial over optimised error, paired by trial (above 1: the optimised body is better; 95 % interval)"
+            }
+            Self::Iterations => {
+                "Iterations on the initial over those on the optimised body, to equal training loss"
+            }
+            Self::Sensors => "Error (%, geometric mean) against the number of sensors M",
+            Self::Elbow => "Elbow of error against M",
+            Self::Fewer => "Fewest sensors of the optimised body that beat the most of the initial one",
+            Self::Placements => {
+                "Spread of error over placements at equal M and seed (standard deviation of ln error)"
+            }
+            Self::Sizes => "Error (%, geometric mean) against the number of design parameters N",
+            Self::Complexity => "Scaling law: error = a (N/N0)^(-b) + c (%, 95 % intervals)",
+            Self::TimeTo => "CPU seconds until a test error (%) is reached (median of the trials that do)",
+            Self::Front => "Pareto front of best test error so far (%) against CPU seconds",
+            Self::Seconds => "Where the time went (CPU seconds a trial)",
+        }
+    }
+
+    /// The answer; no rows where the trials cannot give one.
+    #[must_use]
+    pub fn answer(self, trials: &[Trial]) -> Table {
+        let trials: Vec<&Trial> = trials.iter().collect();
+        match self {
+            Self::Paired => paired_table(&trials),
+            Self::Iterations => iterations_table(&trials),
+            Self::Sensors => sensors_table(&trials),
+            Self::Elbow => elbow_table(&trials),
+            Self::Fewer => fewer_table(&trials),
+            Self::Placements => placements_table(&trials),
+            Self::Sizes => sizes_table(&trials),
+            Self::Complexity => complexity_table(&trials),
+            Self::TimeTo => time_table(&trials),
+            Self::Front => front_table(&trials),
+            Self::Seconds => seconds_table(&trials),
+        }
+    }
+}
+
+fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
+    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
+}
+
+fn ends(interval: Option<Interval>) -> [Value; 2] {
+    [json!(interval.map(|i| i.low)), json!(interval.map(|i| i.high))]
+}
+
+fn ratio_cells(ratio: Ratio) -> Vec<Value> {
+    let [low, high] = ends(ratio.interval);
+    vec![json!(ratio.trials), json!(ratio.above_one), json!(ratio.ratio), low, high]
+}
+
+fn paired_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for group in groups(trials, &[]) {
+        for set in Set::ALL {
+            if let Some(ratio) = paired::error_ratio(&group.trials, set) {
+                let mut row = vec![json!(group.label), json!(set.name())];
+                row.extend(ratio_cells(ratio));
+                rows.push(row);
+            }
+        }
+    }
+    table(&["setting", "set", "trials", "improved", "ratio", "low", "high"], rows)
+}
+
+fn iterations_table(trials: &[&Trial]) -> Table {
+    let rows = groups(trials, &[])
+        .into_iter()
+        .filter_map(|group| {
+            let mut row = vec![json!(group.label)];
+            row.extend(ratio_cells(paired::iterations(&group.trials)?));
+            Some(row)
+        })
+        .collect();
+    table(&["setting", "trials", "faster", "ratio", "low", "high"], rows)
+}
+
+/// The groups with a curve: at least two places on the axis; all groups where none has.
+fn with_curves<'a>(groups: Vec<Group<'a>>, at: fn(&Trial) -> u64) -> Vec<Group<'a>> {
+    let has = |group: &Group| group.trials.iter().any(|t| at(t) != at(group.trials[0]));
+    match groups.iter().any(has) {
+        true => groups.into_iter().filter(has).collect(),
+        false => groups,
+    }
+}
+
+/// Every group's curve for each body and set.
+fn each_curve(groups: &[Group], mut visit: impl FnMut(&Group, Body, Set)) {
+    for group in groups {
+        for body in Body::ALL {
+            for set in Set::ALL {
+                visit(group, body, set);
+            }
+        }
+    }
+}
+
+fn sensors_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    each_curve(&with_curves(groups(trials, SENSORS), |t| t.sensors), |group, body, set| {
+        let points = observations(&group.trials, body, set, |t| t.sensors);
+        let found = elbow(&points);
+        for level in levels(&points) {
+            let found = found.as_ref().ok();
+            let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
+            let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
+            let [low, high] = ends(gain.and_then(|g| g.interval));
+            rows.push(vec![
+                json!(group.label),
+                json!(body.name()),
+                json!(set.name()),
+                json!(level.at as u64),
+                json!(level.trials),
+                json!(level.mean),
+                json!(level.least),
+                json!(level.most),
+                json!(vote.filter(|_| found.is_some_and(has_votes))),
+                json!(gain.map(|g| g.ratio)),
+                low,
+                high,
+            ]);
+        }
+    });
+    let columns = [
+        "setting",
+        "body",
+        "set",
+        "M",
+        "trials",
+        "error",
+        "least",
+        "most",
+        "elbow_votes",
+        "gain_to_next",
+        "gain_low",
+        "gain_high",
+    ];
+    table(&columns, rows)
+}
+
+fn has_votes(elbow: &super::Elbow) -> bool {
+    !matches!(elbow.verdict, Verdict::WithoutVote(_))
+}
+
+/// A verdict in words.
+#[must_use]
+pub fn verdict_text(verdict: Verdict) -> String {
+    match verdict {
+        Verdict::At(m) => format!("elbow at M = {m}"),
+        Verdict::NoElbow => "no elbow".into(),
+        Verdict::Undecided(m) => format!("undecided, most votes for M = {m}"),
+        Verdict::WithoutVote(Some(m)) => format!("elbow at M = {m}, without votes: one placement and seed"),
+        Verdict::WithoutVote(None) => "no elbow, without votes: one placement and seed".into(),
+    }
+}
+
+fn elbow_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    each_curve(&with_curves(groups(trials, SENSORS), |t| t.sensors), |group, body, set| {
+        let mut row = vec![json!(group.label), json!(body.name()), json!(set.name())];
+        match elbow(&observations(&group.trials, body, set, |t| t.sensors)) {
+            Err(why) => {
+                row.extend([json!(why.to_string()), json!(null), json!(null), json!(null), json!(null)])
+            }
+            Ok(e) => row.extend([
+                json!(verdict_text(e.verdict)),
+                json!(e.broken_stick.map(|m| m as u64)),
+                json!(has_votes(&e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>())),
+                json!(e.kneedle.map(|m| m as u64)),
+                json!(e.chord.map(|m| m as u64)),
+            ]),
+        }
+        rows.push(row);
+    });
+    table(&["setting", "body", "set", "verdict", "broken_stick", "votes_for_none", "kneedle", "chord"], rows)
+}
+
+fn fewer_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for group in with_curves(groups(trials, SENSORS), |t| t.sensors) {
+        for set in Set::ALL {
+            let of = |body| observations(&group.trials, body, set, |t| t.sensors);
+            if let Some(found) = fewer(&of(Body::Initial), &of(Body::Optimised)) {
+                rows.push(vec![
+                    json!(group.label),
+                    json!(set.name()),
+                    json!(found.most as u64),
+                    json!(found.initial_error),
+                    json!(found.fewest.map(|m| m as u64)),
+                    json!(found.optimised_error),
+                    json!(found.share),
+                ]);
+            }
+        }
+    }
+    let columns = [
+        "setting",
+        "set",
+        "initial_sensors",
+        "initial_error",
+        "optimised_sensors",
+        "optimised_error",
+        "votes",
+    ];
+    table(&columns, rows)
+}
+
+fn placements_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    each_curve(&groups(trials, &[]), |group, body, set| {
+        if let Some(found) = spread(&observations(&group.trials, body, set, |t| t.sensors)) {
+            rows.push(vec![
+                json!(group.label),
+                json!(body.name()),
+                json!(set.name()),
+                json!(found.placements),
+                json!(found.deviation),
+                json!(found.ratio),
+            ]);
+        }
+    });
+    table(&["setting", "body", "set", "placements", "deviation", "worst_over_best"], rows)
+}
+
+fn sizes_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    each_curve(&with_curves(groups(trials, COMPLEXITY), |t| t.design_parameters), |group, body, set| {
+        for level in levels(&observations(&group.trials, body, set, |t| t.design_parameters)) {
+            rows.push(vec![
+                json!(group.label),
+                json!(body.name()),
+                json!(set.name()),
+                json!(level.at as u64),
+                json!(level.trials),
+                json!(level.mean),
+                json!(level.least),
+                json!(level.most),
+            ]);
+        }
+    });
+    table(&["setting", "body", "set", "design_parameters", "trials", "error", "least", "most"], rows)
+}
+
+fn complexity_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    each_curve(&with_curves(groups(trials, COMPLEXITY), |t| t.design_parameters), |group, body, set| {
+        let points = observations(&group.trials, body, set, |t| t.design_parameters);
+        let mut row = vec![json!(group.label), json!(body.name()), json!(set.name())];
+        match scaling(&points) {
+            Err(why) => {
+                row.push(json!(why.to_string()));
+                row.extend(std::iter::repeat_n(Value::Null, 8));
+            }
+            Ok(found) => {
+                row.push(match &found.not_identifiable {
+                    None => json!("identified"),
+                    Some(why) => json!(format!("not identifiable: {why}")),
+                });
+                let ([b_low, b_high], [c_low, c_high]) = (ends(found.exponent), ends(found.floor));
+                row.extend([json!(found.law.scale), json!(found.law.reference)]);
+                row.extend([json!(found.law.exponent), b_low, b_high, json!(found.law.floor), c_low, c_high]);
+            }
+        }
+        rows.push(row);
+    });
+    let columns =
+        ["setting", "body", "set", "verdict", "a", "N0", "b", "b_low", "b_high", "c", "c_low", "c_high"];
+    table(&columns, rows)
+}
+
+/// The ways of training within a group, by what sets them apart.
+#[must_use]
+pub fn trainings<'a>(group: &Group<'a>) -> Vec<Group<'a>> {
+    let mut ways = groups(&group.trials, &[]);
+    for way in &mut ways {
+        let protocol = way.trials[0].protocol().to_owned();
+        let apart: Vec<&str> = way
+            .label
+            .split(", ")
+            .filter(|p| {
+                !p.starts_with("K = ") && !p.starts_with("M = ") && !p.starts_with("optimise.protocol")
+            })
+            .collect();
+        way.label = std::iter::once(protocol.as_str()).chain(apart).collect::<Vec<_>>().join(", ");
+    }
+    ways
+}
+
+fn time_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for group in groups(trials, TRAINING) {
+        let histories: Vec<&[(f64, f64)]> = group.trials.iter().map(|t| t.history.as_slice()).collect();
+        for error in round_errors(&histories) {
+            for way in trainings(&group) {
+                let mut seconds: Vec<f64> =
+                    way.trials.iter().filter_map(|t| time_to(&t.history, error)).collect();
+                seconds.sort_by(f64::total_cmp);
+                rows.push(vec![
+                    json!(group.label),
+                    json!(way.label),
+                    json!(error),
+                    json!(way.trials.len()),
+                    json!(seconds.len()),
+                    json!((!seconds.is_empty()).then(|| super::resample::quantile(&seconds, 0.5))),
+                ]);
+            }
+        }
+    }
+    table(&["setting", "training", "error", "trials", "reached", "seconds"], rows)
+}
+
+fn front_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for group in groups(trials, TRAINING) {
+        let ways = trainings(&group);
+        let mut points = Vec::new();
+        for way in &ways {
+            for trial in &way.trials {
+                points.extend(trial.history.iter().map(|&at| (at, way, *trial)));
+            }
+        }
+        for i in pareto(&points.iter().map(|p| p.0).collect::<Vec<_>>()) {
+            let ((seconds, error), way, trial) = points[i];
+            rows.push(vec![
+                json!(group.label),
+                json!(seconds),
+                json!(error),
+                json!(way.label),
+                json!(trial.hash),
+            ]);
+        }
+    }
+    table(&["setting", "seconds", "error", "training", "hash"], rows)
+}
+
+fn seconds_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    let mut columns = vec!["setting", "training", "all"];
+    for group in groups(trials, TRAINING) {
+        for way in trainings(&group) {
+            let parts = mean_seconds(&way.trials);
+            let total: f64 = parts.iter().map(|p| p.1).sum();
+            let mut row = vec![json!(group.label), json!(way.label), json!(total)];
+            row.extend(parts.iter().map(|p| json!(p.1)));
+            columns.truncate(3);
+            columns.extend(parts.iter().map(|p| p.0));
+            rows.push(row);
+        }
+    }
+    table(&columns, rows)
+}

@@ -1,0 +1,157 @@
+//! Finished trials out of a database, as the analysis takes them.
+
+use std::collections::HashMap;
+
+use serde_json::Value;
+
+use crate::analysis::data::{CurvePoint, flatten};
+use crate::analysis::{Body, Cluster, Trial};
+use crate::store::{Reader, StoreError, Table};
+
+/// Parts of an outer step's time, as the columns of `v_step` and in words.
+const PARTS: [(&str, &str); 6] = [
+    ("seconds_simulate", "simulate"),
+    ("seconds_train", "train"),
+    ("seconds_differentiate", "differentiate"),
+    ("seconds_implicit", "implicit term"),
+    ("seconds_project", "project"),
+    ("seconds_store", "store"),
+];
+
+/// Values of a table by column name.
+pub(super) struct Rows {
+    columns: HashMap<String, usize>,
+    rows: Vec<Vec<Value>>,
+}
+
+impl From<Table> for Rows {
+    fn from(table: Table) -> Self {
+        let columns = table.columns.into_iter().enumerate().map(|(i, c)| (c, i)).collect();
+        Self { columns, rows: table.rows }
+    }
+}
+
+impl Rows {
+    pub(super) fn iter(&self) -> impl Iterator<Item = Row<'_>> {
+        self.rows.iter().map(|row| Row { columns: &self.columns, row })
+    }
+}
+
+pub(super) struct Row<'a> {
+    columns: &'a HashMap<String, usize>,
+    row: &'a [Value],
+}
+
+impl Row<'_> {
+    pub(super) fn value(&self, column: &str) -> &Value {
+        &self.row[self.columns[column]]
+    }
+    pub(super) fn text(&self, column: &str) -> &str {
+        self.value(column).as_str().unwrap_or_default()
+    }
+    pub(super) fn number(&self, column: &str) -> Option<f64> {
+        self.value(column).as_f64()
+    }
+    pub(super) fn count(&self, column: &str) -> u64 {
+        self.value(column).as_u64().unwrap_or_default()
+    }
+}
+
+/// Reads every trial that is done, in the order in which the trials were planned.
+///
+/// # Errors
+/// Where the database cannot be read, or holds what this program cannot.
+pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreError> {
+    let rows: Rows = reader
+        .query(
+            "SELECT hash, spec, panels, sensors, placement, seed, units, design_parameters, error_initial,
+               error_optimised, holdout_error_initial, holdout_error_optimised, seconds_evaluation
+             FROM v_trial WHERE state = 'done' ORDER BY panels, design_parameters, sensors, placement, seed, hash",
+        )
+        .await?
+        .into();
+    let mut trials = Vec::new();
+    for row in rows.iter() {
+        let hash = row.text("hash").to_owned();
+        let spec: Value = serde_json::from_str(row.text("spec")).map_err(|e| StoreError::Unreadable {
+            hash: hash.clone(),
+            what: "spec",
+            message: e.to_string(),
+        })?;
+        trials.push(Trial {
+            setting: flatten(&spec),
+            panels: row.count("panels"),
+            sensors: row.count("sensors"),
+            cluster: Cluster { placement: row.count("placement"), seed: row.count("seed") },
+            units: row.count("units"),
+            design_parameters: row.count("design_parameters"),
+            errors: [
+                [row.number("error_initial"), row.number("holdout_error_initial")],
+                [row.number("error_optimised"), row.number("holdout_error_optimised")],
+            ],
+            seconds: vec![("evaluate", row.number("seconds_evaluation").unwrap_or(0.0))],
+            hash,
+            ..Trial::default()
+        });
+    }
+    let places: HashMap<String, usize> =
+        trials.iter().enumerate().map(|(i, t)| (t.hash.clone(), i)).collect();
+    add_histories(reader, &mut trials, &places).await?;
+    add_curves(reader, &mut trials, &places).await?;
+    Ok(trials)
+}
+
+async fn add_histories(
+    reader: &mut Reader,
+    trials: &mut [Trial],
+    places: &HashMap<String, usize>,
+) -> Result<(), StoreError> {
+    let rows: Rows = reader
+        .query("SELECT hash, seconds, best_error_test FROM v_error_time ORDER BY hash, step")
+        .await?
+        .into();
+    for row in rows.iter() {
+        if let (Some(&i), Some(seconds), Some(error)) =
+            (places.get(row.text("hash")), row.number("seconds"), row.number("best_error_test"))
+        {
+            trials[i].history.push((seconds, error));
+        }
+    }
+    let sums = PARTS.map(|(column, _)| format!("sum({column}) AS {column}")).join(", ");
+    let rows: Rows = reader.query(&format!("SELECT hash, {sums} FROM v_step GROUP BY hash")).await?.into();
+    for row in rows.iter() {
+        if let Some(&i) = places.get(row.text("hash")) {
+            let evaluate = trials[i].seconds.pop();
+            trials[i].seconds =
+                PARTS.iter().map(|(column, part)| (*part, row.number(column).unwrap_or(0.0))).collect();
+            trials[i].seconds.extend(evaluate);
+        }
+    }
+    Ok(())
+}
+
+/// Whole curves where they are kept.
+async fn add_curves(
+    reader: &mut Reader,
+    trials: &mut [Trial],
+    places: &HashMap<String, usize>,
+) -> Result<(), StoreError> {
+    for artifact in reader.artifacts("losses_%").await? {
+        let Some(&i) = places.get(&artifact.hash) else { continue };
+        let name = artifact.name.trim_start_matches("losses_");
+        let Some((body, network)) =
+            name.rsplit_once('_').and_then(|(b, n)| Some((b, n.parse::<usize>().ok()?)))
+        else {
+            continue;
+        };
+        let Some(body) = Body::ALL.into_iter().find(|b| b.name() == body) else { continue };
+        let curve: Vec<CurvePoint> =
+            artifact.values::<f32>()?.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
+        let curves = &mut trials[i].curves[body as usize];
+        if curves.len() <= network {
+            curves.resize(network + 1, Vec::new());
+        }
+        curves[network] = curve;
+    }
+    Ok(())
+}

@@ -1,0 +1,3 @@
+//! From a database to something to look at.
+
+pub mod load;

@@ -1,0 +1,71 @@
+//! `analyse` finds in a database what was put into it.
+
+mod synthetic;
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+fn metasense(db: &Path, args: &[&str]) -> (bool, String, String) {
+    let out =
+        Command::new(env!("CARGO_BIN_EXE_metasense")).arg(args[0]).arg(db).args(&args[1..]).output().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    (out.status.success(), text(out.stdout), text(out.stderr))
+}
+
+fn database() -> (tempfile::TempDir, std::path::PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("synthetic.sqlite");
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(synthetic::fill(&db));
+    (folder, db)
+}
+
+/// Rows of an answer that agree with all pairs.
+fn rows<'a>(answers: &'a Value, question: &str, pairs: &[(&str, &str)]) -> Vec<&'a Value> {
+    let agrees = |row: &&Value| pairs.iter().all(|(k, v)| row[k].as_str().is_some_and(|s| s.starts_with(v)));
+    answers[question].as_array().unwrap_or_else(|| panic!("no {question}")).iter().filter(agrees).collect()
+}
+
+#[test]
+fn analyse_finds_what_was_put_into_the_database() {
+    let (_folder, db) = database();
+    let (ok, out, err) = metasense(&db, &["analyse", "--format", "json"]);
+    assert!(ok, "{err}");
+    let answers: Value = serde_json::from_str(&out).unwrap();
+
+    // The optimised body's error falls to M = 2 and no further; the initial one's falls evenly.
+    let elbows = |body| rows(&answers, "elbow", &[("setting", "K = 4"), ("body", body), ("set", "holdout")]);
+    assert_eq!(elbows("optimised")[0]["verdict"], "elbow at M = 2", "{:#?}", answers["elbow"]);
+    assert_eq!(elbows("initial")[0]["verdict"], "no elbow", "{:#?}", answers["elbow"]);
+
+    // 28·0.93⁶ = 18.1 % with six sensors; 28·e^−0.74 = 13.4 % with one.
+    let fewer = rows(&answers, "fewer", &[("setting", "K = 4"), ("set", "test")]);
+    assert_eq!(
+        (&fewer[0]["initial_sensors"], &fewer[0]["optimised_sensors"]),
+        (&Value::from(6), &Value::from(1))
+    );
+
+    let law = rows(&answers, "complexity", &[("setting", "K = 2"), ("body", "optimised"), ("set", "test")]);
+    let (low, high) = (law[0]["b_low"].as_f64().unwrap(), law[0]["b_high"].as_f64().unwrap());
+    assert!(low < 0.7 && 0.7 < high, "{:#?}", law[0]);
+
+    // The optimised body's curve is a quarter of the initial one's: a factor 4^(1/0.6) = 10.1 in iterations.
+    let iterations = rows(&answers, "iterations", &[("setting", "K = 4, M = 1,")]);
+    let ratio = iterations[0]["ratio"].as_f64().unwrap();
+    assert!((ratio / 10.08 - 1.0).abs() < 0.02, "{:#?}", iterations[0]);
+
+    let paired = rows(&answers, "paired", &[("setting", "K = 4, M = 2,"), ("set", "holdout")]);
+    let truth = 0.93f64.powi(2) / (-1.48f64).exp();
+    assert!((paired[0]["ratio"].as_f64().unwrap() / truth - 1.0).abs() < 1e-6, "{:#?}", paired[0]);
+}
+
+#[test]
+fn csv_holds_one_table_and_says_so() {
+    let (_folder, db) = database();
+    let (ok, _, err) = metasense(&db, &["analyse", "--format", "csv"]);
+    assert!(!ok && err.contains("--question"), "{err}");
+    let (ok, out, err) = metasense(&db, &["analyse", "--format", "csv", "--question", "elbow"]);
+    assert!(ok && out.starts_with("setting,body,set,verdict,"), "{out}{err}");
+}

@@ -1,0 +1,169 @@
+//! A database of made-up trials whose answers are known, for tests of what reads databases.
+//!
+//! ```text
+//! e_initial = 28·0.93^min(M, 6)·s       e_optimised = 28·exp(−0.7·min(M, 2) − 0.04·M)·s       (K = 4, 8 × 6 units)
+//! e_optimised = 20·(N/100)^(−0.7) + 3   (K = 2, M = 1, n × n units)
+//! loss = 0.5·n^(−0.6) initially, 0.25 of it optimised, after iteration 1
+//! ```
+//! s is a factor of each placement and a little noise.
+
+use std::path::Path;
+
+use metasense::plan::Trial;
+use metasense::store::Store;
+use metasense_schemas::record::{
+    BodyEvaluation, Checkpoint, NetworkEvaluation, Seconds, StepRecord, TrialResult,
+};
+use metasense_schemas::spec::{SweepSpec, TrialSpec};
+use serde_json::{Value, json};
+
+/// The spec text that the database keeps.
+pub const TEXT: &str = "name = \"synthetic\"\n# made-up trials\n";
+
+fn sweep(columns: usize, rows: usize, panels: usize) -> Value {
+    let spec: SweepSpec = serde_json::from_value(json!({
+        "name": "synthetic",
+        "body": {"columns": columns, "rows": rows, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
+            "stiffness": {"stretch": 3.0, "shear": 0.5, "bend": 1.0}},
+        "stimuli": {"kind": "bell", "samples": 20, "test": 5, "holdout": 5},
+        "brain": {"iterations": 20},
+        "optimise": {"iterations": 5},
+        "sweep": {"panels": [panels], "sensors": [1]},
+    }))
+    .unwrap();
+    serde_json::to_value(spec).unwrap()
+}
+
+fn trial(
+    order: usize,
+    (columns, rows): (usize, usize),
+    panels: usize,
+    sensors: usize,
+    placement: usize,
+) -> Trial {
+    let sweep = sweep(columns, rows, panels);
+    let unit = |k: usize| (rows - 1) * columns + (2 * k + 1) * columns / (2 * panels);
+    let mut spec = json!({
+        "point": {"panels": panels, "sensors": sensors, "placement": placement, "seed": 1},
+        "panel_units": (0..panels).map(unit).collect::<Vec<_>>(),
+        "sensor_units": (0..sensors).map(|m| columns + 1 + (placement + 5 * m) % (columns - 2)
+            + columns * ((placement + m) % (rows - 2))).collect::<Vec<_>>(),
+    });
+    for key in ["body", "time", "solver", "sensors", "stimuli", "brain", "optimise", "evaluation", "feasible"]
+    {
+        spec[key] = sweep[key].clone();
+    }
+    let spec: TrialSpec = serde_json::from_value(spec).unwrap();
+    Trial {
+        hash: format!("{order:032x}"),
+        spec,
+        order,
+        units: columns * rows,
+        design_parameters: 2 * ((columns + 1) * rows + columns * (rows + 1)),
+        brain_parameters: 9 * sensors * 64 + 64 + 3 * 64 * 64 + 64 + 64 * panels + panels,
+        cost: 10.0,
+    }
+}
+
+/// Rotated squares of 25°, with every shift moved by `scatter`.
+fn design(columns: usize, rows: usize, scatter: f64) -> Vec<f64> {
+    let tangent = |i: usize, j: usize| {
+        let sign = if (i + j).is_multiple_of(2) { 1.0 } else { -1.0 };
+        6.375 * sign * 25f64.to_radians().tan()
+    };
+    let mut shifts = Vec::new();
+    for i in 0..=columns {
+        shifts.extend((0..rows).map(|j| [0.0, -tangent(i, j)]));
+    }
+    for i in 0..columns {
+        shifts.extend((0..=rows).map(|j| [tangent(i, j), 0.0]));
+    }
+    let moved = |n: usize, x: f64| x + scatter * (1.7 * n as f64).sin();
+    shifts.into_iter().flatten().enumerate().map(|(n, x)| moved(n, x)).collect()
+}
+
+fn evaluation(design: Vec<f64>, error: f64, loss: f32) -> BodyEvaluation {
+    let network = |factor: f64| NetworkEvaluation {
+        error_train: Some(0.8 * error * factor),
+        error_test: Some(error * factor),
+        error_holdout: Some(1.05 * error * factor),
+        losses: (1..=1000u16).map(|n| if n == 1 { 1.0 } else { loss * f32::from(n).powf(-0.6) }).collect(),
+        outcome: "ok".into(),
+    };
+    BodyEvaluation { design, networks: vec![network(0.98), network(1.02)], ..Default::default() }
+}
+
+fn step(step: u32, error: f64) -> StepRecord {
+    StepRecord {
+        step,
+        error_test: Some(error),
+        projection: "projected".into(),
+        outcome: "ok".into(),
+        seconds: Seconds {
+            simulate: 0.5,
+            train: 2.0,
+            differentiate: 0.8,
+            implicit: 0.4,
+            project: 0.01,
+            store: 0.001,
+        },
+        ..Default::default()
+    }
+}
+
+/// Fills a new database; one trial of it has failed, one is still to run.
+pub async fn fill(db: &Path) {
+    let mut trials: Vec<(Trial, f64, f64)> = Vec::new();
+    for placement in 0..5 {
+        for sensors in 1..=6 {
+            let trial = trial(trials.len(), (8, 6), 4, sensors, placement);
+            let m = sensors as f64;
+            let noise =
+                (0.15 * (2.3 * placement as f64).sin() + 0.02 * (7.9 * trials.len() as f64).sin()).exp();
+            trials.push((
+                trial,
+                28.0 * 0.93f64.powf(m) * noise,
+                28.0 * (-0.7 * m.min(2.0) - 0.04 * m).exp() * noise,
+            ));
+        }
+    }
+    for placement in 0..4 {
+        for n in 4..=8 {
+            let trial = trial(trials.len(), (n, n), 2, 1, placement);
+            let noise = (0.03 * ((trials.len() * 7919 % 101) as f64 / 50.0 - 1.0)).exp();
+            let law = 20.0 * (trial.design_parameters as f64 / 100.0).powf(-0.7) + 3.0;
+            trials.push((trial, 30.0 * noise, law * noise));
+        }
+    }
+    for _ in 0..2 {
+        trials.push((trial(trials.len(), (8, 6), 4, 6, trials.len()), 0.0, 0.0));
+    }
+    let spec: SweepSpec = serde_json::from_value(sweep(8, 6, 4)).unwrap();
+    let mut store = Store::open(db).await.unwrap();
+    let plan: Vec<Trial> = trials.iter().map(|t| t.0.clone()).collect();
+    store.begin_sweep(&spec, TEXT, &plan).await.unwrap();
+    store.begin_batch().await.unwrap();
+    for (trial, initial, optimised) in &trials[..trials.len() - 1] {
+        let attempt = store.begin_attempt(&trial.hash).await.unwrap();
+        if *initial == 0.0 {
+            store.fail(&trial.hash, attempt, "non_finite: sample 3 of the initial body").await.unwrap();
+            continue;
+        }
+        for n in 0..5u32 {
+            let error = optimised + (initial - optimised) * 0.5f64.powi(n as i32 + 1);
+            store.record_step(&trial.hash, attempt, &step(n, error), &Checkpoint::default()).await.unwrap();
+        }
+        let (columns, rows) = (trial.spec.body.columns, trial.spec.body.rows.unwrap());
+        let result = TrialResult {
+            initial: evaluation(design(columns, rows, 0.0), *initial, 0.5),
+            optimised: evaluation(design(columns, rows, 0.8), *optimised, 0.125),
+            best_step: 4,
+            seconds_evaluation: 3.0,
+            simd: "avx2".into(),
+            ..Default::default()
+        };
+        store.finish(&trial.hash, attempt, &result, &[]).await.unwrap();
+    }
+    store.commit_batch().await.unwrap();
+    store.close().await.unwrap();
+}
