@@ -78,7 +78,7 @@ async fn what_is_recorded_is_read_back() {
     let forces =
         Array { name: "forces", shape: &[1, 2, 3], values: Values::F64(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) };
     store.finish(hash, 2, &result(), &[forces]).await.unwrap();
-    assert_eq!(store.settled().await.unwrap(), [hash.clone()]);
+    assert_eq!(store.settled().await.unwrap(), std::slice::from_ref(hash));
     assert_eq!(store.checkpoint(hash).await.unwrap(), None);
 
     let other = &trials[1].hash;

@@ -1,8 +1,23 @@
 //! The plan: a spec becomes an ordered list of trials with stable hashes. Pure.
+//!
+//! Breadth first: the first placement and seed of every point (axes, K, M) come before the second of any. Layouts,
+//! panels and placements are worked out once a body, and what problems can be made of them is checked once a point, so
+//! that a hundred thousand trials take seconds.
 
+mod axes;
+mod cost;
+
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use metasense_schemas::spec::{SweepSpec, TrialSpec};
+use metasense_schemas::source::{Source, SpecError};
+use metasense_schemas::spec::{Point, SweepSpec, TrialSpec};
+use metasense_worker::problem::{self, Invalid};
+
+use axes::Combination;
+
+/// More trials than this are taken for a mistake.
+const MOST_TRIALS: usize = 1_000_000;
 
 /// A trial to run.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,10 +41,8 @@ pub struct Trial {
 /// A spec file, read, and the trials it stands for.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The file.
-    pub path: PathBuf,
     /// The file's text.
-    pub text: String,
+    pub source: Source,
     /// What it says.
     pub spec: SweepSpec,
     /// The trials in the order of running.
@@ -37,9 +50,223 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// Expands a spec file's text.
+    ///
+    /// # Errors
+    /// At the first key that is unknown, or whose value no trial can have.
+    pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
+        let source = Source::new(file, text)?;
+        let spec = source.parse()?;
+        check_sweep(&spec, &source)?;
+        let mut points = Vec::new();
+        for combination in axes::combinations(&spec, &source)? {
+            add_points(&spec, &source, &combination, &mut points)?;
+        }
+        let trials = trials(&spec, &points);
+        if trials.is_empty() {
+            return Err(source.error("sweep.exclude", "leaves no trial"));
+        }
+        Ok(Self { source, spec, trials })
+    }
+
     /// The database where none is named.
     #[must_use]
     pub fn default_database(&self) -> PathBuf {
         Path::new("results").join(format!("{}.sqlite", self.spec.name))
     }
+}
+
+/// The lists of `[sweep]`, and the name, which becomes a file's.
+fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
+    let sweep = &spec.sweep;
+    let harmless = |c: char| c.is_alphanumeric() || "-_.".contains(c);
+    if spec.name.is_empty() || spec.name.starts_with('.') || !spec.name.chars().all(harmless) {
+        return Err(source.error("name", "must be letters, digits, '-', '_' and '.': it names the database"));
+    }
+    distinct(&sweep.panels, "sweep.panels", source)?;
+    distinct(&sweep.sensors, "sweep.sensors", source)?;
+    distinct(&sweep.seeds, "sweep.seeds", source)?;
+    for (path, values) in &sweep.axes {
+        distinct(values, path, source)?;
+    }
+    for (key, least) in [
+        ("sweep.panels", sweep.panels.iter().min()),
+        ("sweep.sensors", sweep.sensors.iter().min()),
+        ("sweep.placements", Some(&sweep.placements)),
+    ] {
+        if least == Some(&0) {
+            return Err(source.error_with(key, Some("0"), "must be at least 1"));
+        }
+    }
+    for (key, value) in [("run.workers", spec.run.workers), ("run.threads", spec.run.threads)] {
+        if value == Some(0) {
+            return Err(source.error(key, "must be at least 1"));
+        }
+    }
+    if let Some(lists) = &spec.sensors.placements {
+        if sweep.placements != 1 {
+            return Err(source.error("sweep.placements", "cannot be given beside sensors.placements"));
+        }
+        for m in &sweep.sensors {
+            if !lists.iter().any(|list| list.len() == *m) {
+                let remedy = format!("holds no list of {m} units, which sweep.sensors asks for");
+                return Err(source.error("sensors.placements", &remedy));
+            }
+        }
+        distinct(lists, "sensors.placements", source)?;
+    }
+    let others = sweep.axes.values().map(Vec::len);
+    let lists = others.chain([sweep.panels.len(), sweep.sensors.len(), sweep.seeds.len(), sweep.placements]);
+    match lists.fold(Some(1usize), |product, n| product?.checked_mul(n)) {
+        Some(n) if n <= MOST_TRIALS => Ok(()),
+        n => {
+            let n = n.map_or("too many".to_owned(), |n| n.to_string());
+            Err(source.error(
+                "sweep",
+                &format!("its lists multiply to {n} trials; at most {MOST_TRIALS} are allowed"),
+            ))
+        }
+    }
+}
+
+fn distinct<T: PartialEq + std::fmt::Debug>(
+    values: &[T],
+    key: &str,
+    source: &Source,
+) -> Result<(), SpecError> {
+    if values.is_empty() {
+        return Err(source.error(key, "needs at least one value"));
+    }
+    match (1..values.len()).find(|&i| values.len() < 2000 && values[..i].contains(&values[i])) {
+        Some(i) => Err(source.error_with(key, Some(&format!("{:?}", values[i])), "is named twice")),
+        None => Ok(()),
+    }
+}
+
+/// All trials of one combination of axes, K and M: they differ in placement and seed.
+struct PointPlan {
+    template: TrialSpec,
+    /// Sensors by placement.
+    placements: Vec<Vec<usize>>,
+    excluded: Vec<axes::Exclusion>,
+    units: usize,
+    design_parameters: usize,
+    brain_parameters: usize,
+    cost: f64,
+}
+
+fn add_points(
+    sweep: &SweepSpec,
+    source: &Source,
+    combination: &Combination,
+    points: &mut Vec<PointPlan>,
+) -> Result<(), SpecError> {
+    let spec = &combination.spec;
+    let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
+    let layout = problem::layout(&spec.body).map_err(located)?;
+    let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
+    let seeded: Vec<Vec<usize>> =
+        (0..sweep.sweep.placements).map(|p| layout.placement(p as u64, &clamped)).collect();
+    for &panels in &sweep.sweep.panels {
+        let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
+        for &sensors in &sweep.sweep.sensors {
+            let excluded = combination.exclusions(panels, sensors);
+            if excluded.iter().any(axes::Exclusion::is_total) {
+                continue;
+            }
+            let placements: Vec<Vec<usize>> = match &spec.sensors.placements {
+                Some(lists) => lists.iter().filter(|list| list.len() == sensors).cloned().collect(),
+                None => seeded.iter().map(|order| order.iter().copied().take(sensors).collect()).collect(),
+            };
+            if let Some(short) = placements.iter().find(|units| units.len() < sensors) {
+                let remedy = format!(
+                    "the {} × {} body has {} free units inside its boundary to carry sensors",
+                    spec.body.columns,
+                    spec.body.rows.unwrap_or(spec.body.columns),
+                    short.len()
+                );
+                return Err(source.error_with("sweep.sensors", Some(&sensors.to_string()), &remedy));
+            }
+            let template = template(spec, panels, &panel_units, sensors);
+            // Seeded placements are sound by construction; lists are as good as who wrote them.
+            let to_check = if spec.sensors.placements.is_some() { placements.len() } else { 1 };
+            for (placement, units) in placements.iter().enumerate().take(to_check) {
+                let trial = at(&template, placement, units, sweep.sweep.seeds[0]);
+                problem::problem(&trial).map_err(located)?;
+            }
+            points.push(PointPlan {
+                placements,
+                excluded,
+                units: layout.units(),
+                design_parameters: layout.design_len(),
+                brain_parameters: cost::brain_parameters(panels, sensors),
+                cost: cost::seconds(&template, layout.units()),
+                template,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// What trials of a point share. What can be said in two ways is said in one, so that equal trials have equal hashes.
+fn template(spec: &SweepSpec, panels: usize, panel_units: &[usize], sensors: usize) -> TrialSpec {
+    let mut body = spec.body.clone();
+    body.panel_units = None;
+    body.rows = body.rows.or(Some(body.columns));
+    body.clamp = Some(problem::clamp(&body));
+    let mut read = spec.sensors.clone();
+    read.placements = None;
+    TrialSpec {
+        body,
+        time: spec.time,
+        solver: spec.solver,
+        sensors: read,
+        stimuli: spec.stimuli.clone(),
+        brain: spec.brain,
+        optimise: spec.optimise.resolved(),
+        evaluation: spec.evaluation,
+        feasible: spec.feasible,
+        point: Point { panels, sensors, placement: 0, seed: 0 },
+        panel_units: panel_units.to_vec(),
+        sensor_units: Vec::new(),
+    }
+}
+
+fn at(template: &TrialSpec, placement: usize, sensor_units: &[usize], seed: u64) -> TrialSpec {
+    let mut trial = template.clone();
+    trial.point.placement = placement;
+    trial.point.seed = seed;
+    trial.sensor_units = sensor_units.to_vec();
+    trial
+}
+
+fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
+    let mut trials = Vec::new();
+    let mut seen = HashSet::new();
+    let most_placements = points.iter().map(|p| p.placements.len()).max().unwrap_or(0);
+    for &seed in &spec.sweep.seeds {
+        for placement in 0..most_placements {
+            for point in points {
+                let Some(units) = point.placements.get(placement) else { continue };
+                if point.excluded.iter().any(|e| e.holds(placement, seed)) {
+                    continue;
+                }
+                let spec = at(&point.template, placement, units, seed);
+                let hash = spec.hash();
+                // Axes may say the same thing in two ways.
+                if seen.insert(hash.clone()) {
+                    trials.push(Trial {
+                        hash,
+                        spec,
+                        order: trials.len(),
+                        units: point.units,
+                        design_parameters: point.design_parameters,
+                        brain_parameters: point.brain_parameters,
+                        cost: point.cost,
+                    });
+                }
+            }
+        }
+    }
+    trials
 }

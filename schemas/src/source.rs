@@ -89,8 +89,8 @@ impl Source {
             }
             if !known.is_axis(axis) {
                 let nearest = match axis.contains('.') {
-                    true => known.nearest(axis, known.axes()),
-                    false => known.nearest(key, known.paths.iter().map(String::as_str)),
+                    true => KnownKeys::nearest_of(axis, known.axes()),
+                    false => KnownKeys::nearest_of(key, known.paths.iter().map(String::as_str)),
                 };
                 return Err(self.error(key, &format!("unknown key; the nearest known one is {nearest:?}")));
             }
@@ -98,7 +98,7 @@ impl Source {
                 return Err(self.error(key, "an axis is a list of values"));
             }
         } else if !known.contains(key) {
-            let nearest = known.nearest(key, known.paths.iter().map(String::as_str));
+            let nearest = KnownKeys::nearest_of(key, known.paths.iter().map(String::as_str));
             return Err(self.error(key, &format!("unknown key; the nearest known one is {nearest:?}")));
         }
         Ok(())
@@ -227,7 +227,8 @@ impl KnownKeys {
     }
 
     /// The known key most like `path`: one of the same table unless another table has a closer one.
-    fn nearest<'a>(&self, path: &str, among: impl Iterator<Item = &'a str>) -> &'a str {
+    #[must_use]
+    pub fn nearest_of<'a>(path: &str, among: impl Iterator<Item = &'a str>) -> &'a str {
         let split = |p: &'a str| p.rsplit_once('.').unwrap_or(("", p));
         let (table, name) = path.rsplit_once('.').unwrap_or(("", path));
         let distance = |candidate: &'a str| {

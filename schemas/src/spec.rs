@@ -344,6 +344,30 @@ pub struct Optimise {
     pub brain_learning_rate: Option<f64>,
 }
 
+impl Optimise {
+    /// Default of `batch`.
+    pub const BATCH: usize = 64;
+    /// Default of `brain_iterations`.
+    pub const BRAIN_ITERATIONS: usize = 10;
+    /// Default of `brain_learning_rate`.
+    pub const BRAIN_LEARNING_RATE: f64 = 1e-3;
+
+    /// With the defaults that depend on the protocol in place.
+    #[must_use]
+    pub fn resolved(mut self) -> Self {
+        if self.protocol == Protocol::Paper {
+            self.gradient.get_or_insert(GradientTerms::Implicit);
+        } else {
+            self.brain_iterations.get_or_insert(Self::BRAIN_ITERATIONS);
+            self.brain_learning_rate.get_or_insert(Self::BRAIN_LEARNING_RATE);
+        }
+        if matches!(self.protocol, Protocol::Envelope | Protocol::Joint) {
+            self.batch.get_or_insert(Self::BATCH);
+        }
+        self
+    }
+}
+
 impl Default for Optimise {
     fn default() -> Self {
         Self {

@@ -86,7 +86,11 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     })
 }
 
-fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
+/// The layout of a body.
+///
+/// # Errors
+/// Where no layout has these sizes.
+pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     at_least("body.columns", body.columns, 2)?;
     positive("body.spacing", body.spacing)?;
     positive("body.ligament_length", body.ligament_length)?;
@@ -236,9 +240,9 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
     }
     let going = Going {
-        batch: batch.unwrap_or(64),
-        brain_iterations: brain_iterations.unwrap_or(10),
-        brain_rate: brain_learning_rate.unwrap_or(1e-3),
+        batch: batch.unwrap_or(spec::Optimise::BATCH),
+        brain_iterations: brain_iterations.unwrap_or(spec::Optimise::BRAIN_ITERATIONS),
+        brain_rate: brain_learning_rate.unwrap_or(spec::Optimise::BRAIN_LEARNING_RATE),
     };
     at_least("optimise.batch", going.batch, 1)?;
     at_least("optimise.brain_iterations", going.brain_iterations, 1)?;
@@ -355,14 +359,44 @@ fn directions(trial: &TrialSpec, layout: &Layout) -> Vec<[f64; 2]> {
     }
 }
 
-fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
-    let rule = match body.layout {
+/// Which units are held, the default in place.
+pub fn clamp(body: &spec::Body) -> Clamp {
+    body.clamp.clone().unwrap_or(Clamp::Rule(match body.layout {
         LayoutKind::Planar => ClampRule::Bottom,
         LayoutKind::Circular => ClampRule::Hub,
-    };
-    match body.clamp.as_ref().unwrap_or(&Clamp::Rule(rule)) {
+    }))
+}
+
+/// The units of K panels: `body.panel_units`, or those of the layout's rule.
+///
+/// # Errors
+/// Where there are not K.
+pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<Vec<usize>, Invalid> {
+    let none = |remedy: String| invalid("sweep.panels", panels, remedy);
+    match (&body.panel_units, body.layout) {
+        (Some(units), _) if units.len() == panels => Ok(units.clone()),
+        (Some(units), _) => Err(none(format!("body.panel_units names {} units", units.len()))),
+        (None, LayoutKind::Planar) => {
+            let rows = body.rows.unwrap_or(body.columns);
+            Layout::planar_panels(body.columns, rows, panels).ok_or_else(|| {
+                none(format!("the top row of {} units has no place for as many panels", body.columns))
+            })
+        }
+        (None, LayoutKind::Circular) => layout
+            .circular_panels(panels)
+            .map(|ruled| ruled.into_iter().map(|(unit, _)| unit).collect())
+            .ok_or_else(|| none("a circular body has 1, 2, 4 or 8 panels, at different units".into())),
+    }
+}
+
+/// The units that are held.
+///
+/// # Errors
+/// Where the layout has no such units, or none would be left.
+pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
+    match clamp(body) {
         Clamp::Units(units) => {
-            let units = check_units("body.clamp", units, layout, &[])?;
+            let units = check_units("body.clamp", &units, layout, &[])?;
             require(
                 units.len() < layout.units(),
                 "body.clamp",

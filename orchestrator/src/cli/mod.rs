@@ -1,15 +1,21 @@
 //! The command line: one file a command.
 
 mod analyse;
+mod expand;
 mod query;
 mod rows;
+mod run;
+mod schema;
+mod status;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand};
 
 use crate::exit::{EXIT_CODES, Exit};
+use crate::plan::Plan;
 use crate::store::StoreError;
+use metasense_schemas::source::SpecError;
 
 pub use rows::{Format, print_rows};
 
@@ -27,7 +33,11 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Analyse(analyse::Args),
+    Run(run::Args),
+    Expand(expand::Args),
+    Status(status::Args),
     Query(query::Args),
+    Schema(schema::Args),
 }
 
 /// Carries a command out.
@@ -37,6 +47,10 @@ enum Command {
 pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
     match cli.command {
         Command::Analyse(args) => block_on(analyse::execute(args)),
+        Command::Run(args) => block_on(run::execute(args)),
+        Command::Expand(args) => expand::execute(&args),
+        Command::Status(args) => block_on(status::execute(args)),
+        Command::Schema(args) => schema::execute(&args),
         Command::Query(args) => block_on(query::execute(args)),
     }
 }
@@ -50,10 +64,39 @@ fn block_on<T>(future: impl Future<Output = Result<T, Error>>) -> Result<T, Erro
     runtime.block_on(future)
 }
 
+/// Reads and expands a spec file.
+fn read_plan(file: &Path) -> Result<Plan, Error> {
+    let text = std::fs::read_to_string(file)
+        .map_err(|source| Error::Unreadable { path: file.to_owned(), source })?;
+    Ok(Plan::new(file, text)?)
+}
+
+/// Seconds in words, to two parts.
+fn duration(seconds: f64) -> String {
+    let s = seconds.round() as u64;
+    match s {
+        0..60 => format!("{s} s"),
+        60..3600 => format!("{} min {} s", s / 60, s % 60),
+        3600..86_400 => format!("{} h {} min", s / 3600, s / 60 % 60),
+        _ => format!("{} d {} h", s / 86_400, s / 3600 % 24),
+    }
+}
+
 /// Why a command could not be carried out.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
+    /// The spec.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// A file that the command line names.
+    #[error("cannot read {}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -81,7 +124,7 @@ impl Error {
     pub fn exit(&self) -> Exit {
         match self {
             Self::Store(e) if e.is_bad_input() => Exit::BadInput,
-            Self::Usage(_) => Exit::BadInput,
+            Self::Usage(_) | Self::Spec(_) | Self::Unreadable { .. } => Exit::BadInput,
             Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
         }
     }

@@ -31,9 +31,11 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut reader = Reader::open(&args.db).await?;
     let table = match &args.sql {
-        Some(sql) => reader.query(sql).await?,
-        None => views(&mut reader).await?,
+        Some(sql) => reader.query(sql).await.map_err(Error::from),
+        None => views(&mut reader).await,
     };
+    reader.close().await;
+    let table = table?;
     print_rows(&table, args.format)?;
     Ok(Exit::Done)
 }

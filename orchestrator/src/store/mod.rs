@@ -91,11 +91,15 @@ fn lock(path: &Path) -> Result<File, StoreError> {
         .truncate(false)
         .open(path)
         .map_err(unwritable)?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(StoreError::InUse { path: path.to_owned() }),
-        Err(TryLockError::Error(source)) => Err(unwritable(source)),
+    // A reader that tidies up holds the lock for some milliseconds, a run for as long as it lasts.
+    for _ in 0..20 {
+        match file.try_lock() {
+            Ok(()) => return Ok(file),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
+            Err(TryLockError::Error(source)) => return Err(unwritable(source)),
+        }
     }
+    Err(StoreError::InUse { path: path.to_owned() })
 }
 
 /// The version of a database, 0 for an empty file.

@@ -1,13 +1,19 @@
 //! Read-only questions to a database, also while a run writes to it.
+//!
+//! A read-only connection makes the journal's two files where they are missing and cannot remove them again: `close`
+//! does, unless somebody else is at work on the database.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde_json::Value;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow};
-use sqlx::{AssertSqlSafe, Column, ConnectOptions, Executor, Row, SqlSafeStr, Statement, TypeInfo, ValueRef};
+use sqlx::{
+    AssertSqlSafe, Column, ConnectOptions, Connection, Executor, Row, SqlSafeStr, Statement, TypeInfo,
+    ValueRef,
+};
 
-use super::{Store, StoreError, check_version};
+use super::{Store, StoreError, check_version, lock};
 use metasense_schemas::database::MIGRATIONS;
 
 /// A read-only connection.
@@ -15,6 +21,7 @@ use metasense_schemas::database::MIGRATIONS;
 pub struct Reader {
     connection: SqliteConnection,
     path: PathBuf,
+    alone: bool,
 }
 
 /// An answer.
@@ -63,6 +70,7 @@ impl Reader {
         if !path.is_file() {
             return Err(StoreError::Missing { path });
         }
+        let alone = !journal(&path).exists();
         let mut connection = connect(&path).await?;
         let version = check_version(&mut connection, &path).await?;
         if version < MIGRATIONS.len() {
@@ -70,7 +78,22 @@ impl Reader {
             Store::open(&path).await?.close().await?;
             connection = connect(&path).await?;
         }
-        Ok(Self { connection, path })
+        Ok(Self { connection, path, alone })
+    }
+
+    /// Closes the connection and leaves no file behind that was not there before.
+    pub async fn close(self) {
+        let Self { connection, path, alone } = self;
+        // Whatever goes wrong here harms nobody: the next writer tidies up as well.
+        let closed = connection.close().await;
+        if closed.is_ok()
+            && alone
+            && let Ok(_lock) = lock(&path)
+            && let Ok(mut writable) = SqliteConnectOptions::new().filename(&path).connect().await
+        {
+            let _ = writable.execute("SELECT count(*) FROM sqlite_schema").await;
+            let _ = writable.close().await;
+        }
     }
 
     /// Answers one statement. A write is refused.
@@ -106,6 +129,13 @@ impl Reader {
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
         Ok(rows.iter().map(|r| Artifact { hash: r.get(0), name: r.get(1), bytes: r.get(2) }).collect())
     }
+}
+
+/// The write-ahead log of a database.
+fn journal(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push("-wal");
+    name.into()
 }
 
 /// Read-only; where the folder cannot hold the journal's index (a read-only medium), as an unchanging file.

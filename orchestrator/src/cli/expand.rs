@@ -1,0 +1,73 @@
+//! `expand`: the trials that a spec stands for; starts nothing.
+
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+
+use super::{Error, Format, print_rows, read_plan};
+use crate::exit::Exit;
+use crate::plan::Trial;
+use crate::store::Table;
+
+/// Shows the trials that a spec stands for, with hash, parameter counts and a cost estimate; starts nothing
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML)
+    spec: PathBuf,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    let axes: Vec<&String> = plan.spec.sweep.axes.keys().collect();
+    let named = [
+        "hash",
+        "panels",
+        "sensors",
+        "placement",
+        "seed",
+        "units",
+        "panel_units",
+        "sensor_units",
+        "design_parameters",
+        "brain_parameters",
+        "cost_seconds",
+    ];
+    let columns = named.iter().map(ToString::to_string).chain(axes.iter().map(ToString::to_string)).collect();
+    let rows = plan.trials.iter().map(|trial| row(trial, &axes)).collect();
+    print_rows(&Table { columns, rows }, args.format)?;
+    let total: f64 = plan.trials.iter().map(|t| t.cost).sum();
+    eprintln!("{} trials, about {} on one core", plan.trials.len(), super::duration(total));
+    Ok(Exit::Done)
+}
+
+fn row(trial: &Trial, axes: &[&String]) -> Vec<Value> {
+    let Trial { hash, spec, units, design_parameters, brain_parameters, cost, .. } = trial;
+    let point = spec.point;
+    let list = |units: &[usize]| units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
+    let mut row = vec![
+        json!(hash),
+        json!(point.panels),
+        json!(point.sensors),
+        json!(point.placement),
+        json!(point.seed),
+        json!(units),
+        json!(list(&spec.panel_units)),
+        json!(list(&spec.sensor_units)),
+        json!(design_parameters),
+        json!(brain_parameters),
+        json!((cost * 10.0).round() / 10.0),
+    ];
+    if !axes.is_empty() {
+        let spec = serde_json::to_value(spec).expect("a trial is JSON");
+        row.extend(axes.iter().map(|path| {
+            spec.pointer(&format!("/{}", path.replace('.', "/"))).cloned().map_or(Value::Null, |v| match v {
+                Value::Array(_) | Value::Object(_) => Value::from(v.to_string()),
+                scalar => scalar,
+            })
+        }));
+    }
+    row
+}

@@ -1,0 +1,85 @@
+//! `run`: works through the trials of a spec, or goes on where an earlier run has stopped.
+
+use std::path::{Path, PathBuf};
+
+use super::{Error, Format, print_rows, read_plan};
+use crate::exit::Exit;
+use crate::plan::Plan;
+use crate::store::{Reader, Store, Table};
+
+/// Rows of the final table that a person may want to read at once.
+const MOST_ROWS: usize = 400;
+
+/// Runs the trials of a spec with worker processes, or goes on where an earlier run has stopped
+///
+/// Every step is kept in an SQLite file as it is done: after Ctrl-C, `kill -9` or a power cut the same command goes on.
+/// Trials that are finished are never run again; trials that a changed spec adds are run beside them.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML), for instance schemas/sweeps/quickstart.toml
+    spec: PathBuf,
+    /// The database; by default results/NAME.sqlite
+    #[arg(long, value_name = "FILE")]
+    db: Option<PathBuf>,
+    /// Worker processes, one trial each at a time; by default `run.workers` of the spec, else one a core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    workers: Option<u16>,
+    /// Threads a worker; by default `run.threads` of the spec, else 1
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// The form of the final table
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    let db = args.db.clone().unwrap_or_else(|| plan.default_database());
+    let mut store = Store::open(&db).await?;
+    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
+    let settled: std::collections::HashSet<String> = store.settled().await?.into_iter().collect();
+    let open = plan.trials.iter().filter(|trial| !settled.contains(&trial.hash)).count();
+    store.close().await?;
+    if open == 0 {
+        eprintln!("nothing left to do: all {} trials are settled", plan.trials.len());
+    }
+    let failed = print_results(&db, &plan, args.format).await?;
+    eprintln!("database: {}", db.display());
+    Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
+}
+
+/// The final table, in the order of K, M, body, placement and seed; returns how many trials have failed.
+async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, Error> {
+    let mut reader = Reader::open(db).await?;
+    let mut table = reader
+        .query(
+            "SELECT panels AS K, sensors AS M, placement, seed, units, error_initial, error_optimised,
+               holdout_error_initial, holdout_error_optimised, seconds, state, reason, hash
+             FROM v_trial ORDER BY panels, sensors, units, placement, seed, hash",
+        )
+        .await?;
+    reader.close().await;
+    let ours: std::collections::HashSet<&str> = plan.trials.iter().map(|t| t.hash.as_str()).collect();
+    table
+        .rows
+        .retain(|row| row.last().and_then(|hash| hash.as_str()).is_some_and(|hash| ours.contains(hash)));
+    let failed: Vec<Vec<_>> = table.rows.iter().filter(|row| row[10] == "failed").cloned().collect();
+    for row in failed.iter().take(MOST_ROWS) {
+        eprintln!("failed: trial {} ({})", row[12].as_str().unwrap_or(""), row[11].as_str().unwrap_or(""));
+    }
+    if table.rows.iter().all(|row| row[10] == "done") && format == Format::Table {
+        drop_columns(&mut table, 10);
+    }
+    let more = if format == Format::Table { table.rows.len().saturating_sub(MOST_ROWS) } else { 0 };
+    table.rows.truncate(table.rows.len() - more);
+    print_rows(&table, format)?;
+    if more > 0 {
+        eprintln!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", db.display());
+    }
+    Ok(failed.len())
+}
+
+fn drop_columns(table: &mut Table, keep: usize) {
+    table.columns.truncate(keep);
+    table.rows.iter_mut().for_each(|row| row.truncate(keep));
+}

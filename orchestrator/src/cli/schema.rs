@@ -1,0 +1,18 @@
+//! `schema`: the JSON schema of a spec file.
+
+use std::io::Write;
+
+use metasense_schemas::source::spec_schema;
+
+use super::Error;
+use crate::exit::Exit;
+
+/// Prints the JSON schema of a spec file, for editors that complete and check TOML
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {}
+
+pub(super) fn execute(_: &Args) -> Result<Exit, Error> {
+    let text = serde_json::to_string_pretty(&spec_schema()).expect("a schema is JSON");
+    writeln!(std::io::stdout().lock(), "{text}")?;
+    Ok(Exit::Done)
+}

@@ -1,0 +1,42 @@
+//! What a trial costs, roughly, before it has run: counts of work times measured seconds.
+//!
+//! One core with AVX2; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
+
+use metasense_schemas::spec::TrialSpec;
+
+/// Channels of the hidden layers.
+const WIDTH: usize = 64;
+/// Integrator steps a second of motion, of the reference scene at its default tolerance.
+const STEPS_PER_SECOND: f64 = 3100.0;
+/// Seconds a unit and integrator step (six stages).
+const SECONDS_PER_UNIT_STEP: f64 = 1.2e-7;
+/// Of the reverse sweep, forward recomputation included, to the simulation.
+const REVERSE: f64 = 4.0;
+/// Multiply-adds a second of the brain's kernels.
+const BRAIN_RATE: f64 = 2e10;
+/// Of an iteration (forward, backward) to a forward pass; of a Hessian-vector product in double precision.
+const ITERATION: f64 = 3.0;
+const HESSIAN_PRODUCT: f64 = 12.0;
+/// Products of the implicit term.
+const PRODUCTS: f64 = 21.0;
+
+/// Weights of the brain: kernels of 3, 3 and 1, with biases.
+pub(super) fn brain_parameters(panels: usize, sensors: usize) -> usize {
+    (9 * sensors * WIDTH + WIDTH) + (3 * WIDTH * WIDTH + WIDTH) + (WIDTH * panels + panels)
+}
+
+/// Seconds of a trial on one core.
+pub(super) fn seconds(trial: &TrialSpec, units: usize) -> f64 {
+    let stimuli = &trial.stimuli;
+    let scale = (trial.solver.tolerance / 1e-6).powf(-0.2);
+    let one_sample = trial.time.duration * STEPS_PER_SECOND * scale * units as f64 * SECONDS_PER_UNIT_STEP;
+    let simulate = stimuli.samples as f64 * one_sample;
+    let weights = brain_parameters(trial.point.panels, trial.point.sensors) as f64;
+    let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;
+    let forward = weights * train_samples * trial.time.samples as f64 / BRAIN_RATE;
+    let train = trial.brain.iterations as f64 * ITERATION * forward;
+    let step = simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward;
+    let evaluation = 2.0
+        * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trial.evaluation.seeds as f64 * train);
+    trial.optimise.iterations as f64 * step + evaluation
+}

@@ -1,0 +1,151 @@
+//! Bad input ends with exit code 2 and a message that names file, key and value, and nothing is started or written.
+
+mod common;
+
+use common::{Bench, SPEC};
+
+/// What is replaced in the spec, by what, and what the message says.
+const EDITS: &[(&str, &str, &str)] = &[
+    (
+        "[sweep]",
+        "[feasible]\nclearance = 30.0\n[sweep]",
+        "s.toml:2: body.initial_angle = 25: the initial body is not feasible: ",
+    ),
+    (
+        "columns = 6",
+        "colums = 6",
+        "s.toml:3: body.colums = 6: unknown key; the nearest known one is \"body.columns\"",
+    ),
+    (
+        "samples = 12",
+        "sample = 12",
+        "s.toml:11: stimuli.sample = 12: unknown key; the nearest known one is \"stimuli.samples\"",
+    ),
+    ("rows = 6", "rows = 1", "s.toml:4: body.rows = 1: must be at least 2"),
+    ("columns = 6", "columns = 0", "s.toml:3: body.columns = 0: "),
+    ("columns = 6", "columns = 6.5", "s.toml:3: body.columns = 6.5: invalid type"),
+    ("spacing = 15.0", "spacing = nan", "s.toml:5: body.spacing = NaN: "),
+    ("spacing = 15.0", "spacing = -15.0", "s.toml:5: body.spacing = -15: "),
+    (
+        "spacing = 15.0",
+        "spacing = 2.0",
+        "s.toml:6: body.ligament_length = 2.25: must be less than body.spacing",
+    ),
+    ("density = 1e-8", "density = 0.0", "s.toml:7: body.density = 0: "),
+    ("density = 1e-8", "density = 1e-8\ndamping_ratio = -0.1", "s.toml:8: body.damping_ratio = -0.1: "),
+    ("density = 1e-8", "density = 1e-8\ninitial_angle = 60.0", "s.toml:8: body.initial_angle = 60: "),
+    ("density = 1e-8", "density = 1e-8\nclamp = [99]", "s.toml:8: body.clamp = 99: "),
+    ("density = 1e-8", "density = 1e-8\npanel_units = [31]", "sweep.panels = 2: "),
+    ("density = 1e-8", "density = 1e-8\npanel_units = [31, 77]", "s.toml:8: body.panel_units = 77: "),
+    ("stretch = 3.0", "stretch = -3.0", "s.toml:8: body.stiffness.stretch = -3: "),
+    ("bend = 1.0", "bend = inf", "s.toml:8: body.stiffness.bend = inf: "),
+    ("test = 4", "test = 12", "s.toml:12: stimuli.test = 12: must be less than stimuli.samples"),
+    ("test = 4", "test = 0", "s.toml:12: stimuli.test = 0: "),
+    ("test = 4", "test = 4\nholdout = 0", "s.toml:13: stimuli.holdout = 0: "),
+    ("test = 4", "test = 4\namplitude = [0.5, 0.1]", "s.toml:13: stimuli.amplitude = [0.5, 0.1]: "),
+    ("test = 4", "test = 4\npeak = [0.0, 1.5]", "s.toml:13: stimuli.peak = "),
+    ("[sweep]", "[time]\nsamples = 0\n[sweep]", "s.toml:14: time.samples = 0: "),
+    ("[sweep]", "[time]\nduration = -1.0\n[sweep]", "s.toml:14: time.duration = -1: "),
+    ("[sweep]", "[solver]\ntolerance = 0.0\n[sweep]", "s.toml:14: solver.tolerance = 0: "),
+    (
+        "[sweep]",
+        "[solver]\nmethod = \"euler\"\n[sweep]",
+        "s.toml:14: solver.method = \"euler\": unknown variant",
+    ),
+    ("[sweep]", "[brain]\niterations = 0\n[sweep]", "s.toml:14: brain.iterations = 0: "),
+    ("[sweep]", "[brain]\nlearning_rate = nan\n[sweep]", "s.toml:14: brain.learning_rate = NaN: "),
+    ("[sweep]", "[optimise]\nlearning_rate = -0.1\n[sweep]", "s.toml:14: optimise.learning_rate = -0.1: "),
+    ("[sweep]", "[evaluation]\nseeds = 0\n[sweep]", "s.toml:14: evaluation.seeds = 0: "),
+    ("[sweep]", "[feasible]\nclearance = -1.0\n[sweep]", "s.toml:14: feasible.clearance = -1: "),
+    ("[sweep]", "[sensors]\nplacements = [[14], [14, 14]]\n[sweep]", "s.toml:14: sensors.placements = 14: "),
+    ("[sweep]", "[sensors]\nplacements = [[14], [2, 14]]\n[sweep]", "s.toml:14: sensors.placements = 2: "),
+    (
+        "[sweep]",
+        "[sensors]\nplacements = [[14]]\n[sweep]",
+        "s.toml:14: sensors.placements = [[14]]: holds no list of 2 units",
+    ),
+    ("[sweep]", "[run]\nworkers = 0\n[sweep]", "s.toml:14: run.workers = 0: "),
+    ("panels = [2]", "panels = [7]", "s.toml:14: sweep.panels = 7: "),
+    ("panels = [2]", "panels = [0]", "s.toml:14: sweep.panels = 0: "),
+    ("panels = [2]", "panels = []", "s.toml:14: sweep.panels = []: needs at least one value"),
+    ("panels = [2]", "panels = [2, 2]", "s.toml:14: sweep.panels = 2: is named twice"),
+    ("sensors = [1, 2]", "sensors = [17]", "s.toml:15: sweep.sensors = 17: the 6 × 6 body has 16 free units"),
+    ("sensors = [1, 2]", "sensors = [1]\nplacements = 0", "s.toml:16: sweep.placements = 0: "),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\n\"body.stiffness.bend\" = [1.0, -1.0]",
+        "s.toml:16: body.stiffness.bend = -1: ",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\n\"body.columns\" = [5, \"six\"]",
+        "s.toml:16: body.columns = \"six\": invalid type",
+    ),
+    ("sensors = [1, 2]", "sensors = [1]\n\"body.colums\" = [5]", "nearest known one is \"body.columns\""),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\nexclude = [{ sensor = 1 }]",
+        "nearest known one here is \"sensors\"",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\nexclude = [{ sensors = 1 }]",
+        "s.toml:16: sweep.exclude = [{ sensors = 1 }]: leaves no trial",
+    ),
+    ("sensors = [1, 2]", "sensors = [1]\nplacements = 9000000", "at most 1000000"),
+    ("name = \"s\"", "name = \"../s\"", "s.toml:1: name = \"../s\": "),
+    ("name = \"s\"", "name = ", "s.toml:1: not valid TOML"),
+];
+
+#[test]
+fn every_error_in_a_spec_names_file_line_key_and_value() {
+    let bench = Bench::new();
+    let mut wrong = Vec::new();
+    for (from, to, expected) in EDITS {
+        assert!(SPEC.contains(from), "{from}");
+        bench.file("s.toml", &SPEC.replacen(from, to, 1));
+        for command in ["run", "expand"] {
+            let output = bench.metasense(&[command, "s.toml"]);
+            let message = String::from_utf8_lossy(&output.stderr).into_owned();
+            if output.status.code() != Some(2) || !message.contains(expected) || !message.contains("s.toml:")
+            {
+                wrong
+                    .push(format!("{command}, {to:?}: {}\n  {message}  expected: {expected}", output.status));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(!bench.path("results").exists(), "a run with a bad spec wrote something");
+}
+
+#[test]
+fn files_and_databases_that_cannot_be_used_are_named() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    bench.file("file", "not a database, and not a folder either");
+    std::fs::write(bench.path("binary.toml"), [0xff, 0xfe, 0x00]).unwrap();
+    for (args, expected) in [
+        (&["run", "none.toml"][..], "cannot read none.toml"),
+        (&["run", "binary.toml"], "cannot read binary.toml"),
+        (
+            &["run", "s.toml", "--db", "file/s.sqlite"],
+            "cannot write the database file/s.sqlite; choose another with --db",
+        ),
+        (&["run", "s.toml", "--db", "."], "cannot write the database ."),
+        (&["run", "s.toml", "--db", "file"], "file is not a metasense database"),
+        (&["run", "s.toml", "--workers", "0"], "invalid value '0' for '--workers <N>'"),
+        (&["query", "none.sqlite", "SELECT 1"], "there is no database none.sqlite"),
+        (&["query", "file", "SELECT 1"], "file is not a metasense database"),
+        (&["status"], "there is no database under results/"),
+        (&["frobnicate"], "unrecognized subcommand 'frobnicate'"),
+    ] {
+        let output = bench.metasense(args);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {message}");
+        assert!(message.contains(expected), "{args:?}: {message}\nexpected: {expected}");
+    }
+    assert_eq!(
+        std::fs::read_to_string(bench.path("file")).unwrap(),
+        "not a database, and not a folder either"
+    );
+}

@@ -1,0 +1,61 @@
+//! What end-to-end tests share: a folder of their own, the program, and the reference spec to edit.
+
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+/// A spec of two trials, small but whole.
+pub const SPEC: &str = r#"name = "s"
+[body]
+columns = 6
+rows = 6
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+[stimuli]
+kind = "bell"
+samples = 12
+test = 4
+[sweep]
+panels = [2]
+sensors = [1, 2]
+"#;
+
+/// A folder that goes with the test.
+pub struct Bench {
+    folder: tempfile::TempDir,
+}
+
+#[allow(dead_code, reason = "each test file uses its share")]
+impl Bench {
+    pub fn new() -> Self {
+        Self { folder: tempfile::tempdir().unwrap() }
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Writes a file and returns its path.
+    pub fn file(&self, name: &str, text: &str) -> PathBuf {
+        std::fs::write(self.path(name), text).unwrap();
+        self.path(name)
+    }
+
+    /// Runs the program in the folder.
+    pub fn metasense(&self, args: &[&str]) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_metasense"))
+            .args(args)
+            .current_dir(self.folder.path())
+            .output()
+            .unwrap()
+    }
+
+    /// Standard output of a call that must succeed.
+    pub fn output(&self, args: &[&str]) -> String {
+        let output = self.metasense(args);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{args:?}: {}\n{errors}", output.status);
+        String::from_utf8(output.stdout).unwrap()
+    }
+}

@@ -1,0 +1,76 @@
+//! `expand` shows what would run, in the order of running; `schema` describes what may be written.
+
+mod common;
+
+use common::{Bench, SPEC};
+
+/// Breadth first: each (K, M) of each body has its first placement before any has its second. Hashes are pinned: they
+/// name trials in databases that exist.
+#[test]
+fn trials_come_breadth_first_with_stable_hashes() {
+    let bench = Bench::new();
+    let axes = "sensors = [1, 2]\nplacements = 2\n\"body.columns\" = [5, 6]\n\
+                exclude = [{ sensors = 2, \"body.columns\" = 5, placement = 1 }]\n";
+    bench.file("s.toml", &SPEC.replace("sensors = [1, 2]\n", axes));
+    let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+    let without_cost = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        [&cells[..10], &cells[11..]].concat().join(",")
+    };
+    insta::assert_snapshot!(csv.lines().map(without_cost).collect::<Vec<_>>().join("\n"));
+    assert!(!bench.path("results").exists(), "expand wrote something");
+}
+
+/// Keys at their defaults, and what can be said in two ways, change no hash; what a trial is not does not either.
+#[test]
+fn the_same_trial_said_differently_has_the_same_hash() {
+    let bench = Bench::new();
+    let hashes = |text: &str| {
+        bench.file("s.toml", text);
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        csv.lines().map(|line| line.split(',').next().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    let plain = hashes(SPEC);
+    let wordy = SPEC.replace("name = \"s\"", "name = \"other\"")
+        + "seeds = [1]\n[optimise]\ngradient = \"implicit\"\nprotocol = \"paper\"\n[time]\nsamples = 200\n[run]\nworkers = 3\n";
+    let wordy = wordy
+        .replace("columns = 6", "columns = 6\nclamp = \"bottom\"\npanel_units = [31, 34]\nspacing = 15")
+        .replace("\nspacing = 15.0", "");
+    assert_eq!(hashes(&wordy), plain);
+    assert_ne!(hashes(&SPEC.replace("bend = 1.0", "bend = 1.5"))[1], plain[1]);
+    assert_eq!(
+        hashes(&SPEC.replace("[1, 2]", "[2, 3]"))[1],
+        plain[2],
+        "a changed list keeps the trials that stay"
+    );
+}
+
+#[test]
+fn json_rows_are_a_list_of_objects() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    let rows: serde_json::Value =
+        serde_json::from_str(&bench.output(&["expand", "s.toml", "--format", "json"])).unwrap();
+    assert_eq!(rows[1]["sensors"], 2, "{rows}");
+    assert_eq!(rows[1]["brain_parameters"], 13_698, "{rows}");
+    assert_eq!(rows[1]["design_parameters"], 168, "{rows}");
+}
+
+#[test]
+fn the_schema_knows_every_table() {
+    let schema: serde_json::Value = serde_json::from_str(&Bench::new().output(&["schema"])).unwrap();
+    for table in [
+        "body",
+        "time",
+        "solver",
+        "sensors",
+        "stimuli",
+        "brain",
+        "optimise",
+        "evaluation",
+        "feasible",
+        "sweep",
+    ] {
+        assert!(schema["properties"][table].is_object(), "{table}");
+    }
+}
