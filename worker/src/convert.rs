@@ -118,3 +118,35 @@ pub fn state(checkpoint: Checkpoint, parameters: usize) -> Result<State, String>
         trail: waypoints.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A state that has all its parts goes through its stored form unchanged; one of another trial is refused.
+    #[test]
+    fn a_state_survives_its_checkpoint() {
+        let full = State {
+            step: 7,
+            design: vec![0.1, -0.2],
+            design_adam: Adam { m: vec![1.0, 2.0], v: vec![3.0, 4.0], t: 7 },
+            weights: vec![0.5; 3],
+            weight_adam: Adam { m: vec![0.1; 3], v: vec![0.2; 3], t: 70 },
+            best: Some(Best { design: vec![0.3, 0.4], error: 12.5, step: 5 }),
+            caution: 0.5,
+            setbacks: 2,
+            trend: Some(0.01),
+            trail: vec![
+                Waypoint { step: 5, design: vec![0.3, 0.4] },
+                Waypoint { step: 6, design: vec![0.5, 0.6] },
+            ],
+        };
+        let bare = State { best: None, trend: None, trail: Vec::new(), weights: Vec::new(), ..full.clone() };
+        for original in [full, bare] {
+            let bytes = postcard::to_allocvec(&checkpoint(&original)).unwrap();
+            let read: Checkpoint = postcard::from_bytes(&bytes).unwrap();
+            assert!(state(read.clone(), 3).is_err());
+            assert_eq!(state(read, 2).unwrap(), original);
+        }
+    }
+}

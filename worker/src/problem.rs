@@ -430,3 +430,6 @@ fn check_units(key: &str, units: &[usize], layout: &Layout, held: &[usize]) -> R
     }
     Ok(units.to_vec())
 }
+
+#[cfg(test)]
+mod tests;

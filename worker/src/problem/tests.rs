@@ -1,0 +1,132 @@
+use super::*;
+use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
+use serde_json::{Value, json};
+
+/// The reference scene, with some keys changed.
+fn trial(changes: &[(&str, Value)]) -> TrialSpec {
+    let mut spec = json!({
+        "body": {
+            "columns": 6, "rows": 6, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
+            "stiffness": { "stretch": 3.0, "shear": 0.5, "bend": 1.0 },
+        },
+        "time": Time::default(),
+        "solver": Solver::default(),
+        "sensors": Sensors::default(),
+        "stimuli": { "kind": "bell" },
+        "brain": Brain::default(),
+        "optimise": Optimise::default(),
+        "evaluation": Evaluation::default(),
+        "feasible": Feasible::default(),
+        "point": { "panels": 2, "sensors": 1, "placement": 0, "seed": 1 },
+        "panel_units": [31, 34], "sensor_units": [21],
+    });
+    for (key, value) in changes {
+        let path = format!("/{}", key.replace('.', "/"));
+        let (parent, name) = path.rsplit_once('/').unwrap();
+        match spec.pointer_mut(parent).unwrap() {
+            Value::Array(list) => list[name.parse::<usize>().unwrap()] = value.clone(),
+            table => table[name] = value.clone(),
+        }
+    }
+    serde_json::from_value(spec).unwrap()
+}
+
+/// Degrees are radians, the bottom row is clamped, panels push down.
+#[test]
+fn the_reference_scene_is_a_problem() {
+    let problem = problem(&trial(&[])).unwrap();
+    assert_eq!(problem.scene.clamped, [0, 1, 2, 3, 4, 5]);
+    assert_eq!(problem.scene.panels[1], Panel { unit: 34, direction: [0.0, -1.0] });
+    assert_eq!(problem.initial.len(), 168);
+    assert!((problem.limits.min_block_angle - 25f64.to_radians()).abs() < 1e-15);
+}
+
+/// Each change makes the scene impossible, and the error names the key that did.
+#[test]
+fn an_impossible_value_is_named_by_its_key() {
+    let cases = [
+        ("body.rows", json!(1), "body.rows"),
+        ("body.rows", Value::Null, "body.rows"),
+        ("body.columns", json!(0), "body.columns"),
+        ("body.spacing", json!(-15.0), "body.spacing"),
+        ("body.ligament_length", json!(15.0), "body.ligament_length"),
+        ("body.initial_angle", json!(50.0), "body.initial_angle"),
+        ("body.initial_angle", json!(44.0), "body.initial_angle"),
+        ("body.density", json!(0.0), "body.density"),
+        ("body.damping_ratio", json!(-0.1), "body.damping_ratio"),
+        ("body.stiffness.shear", json!(-0.5), "body.stiffness.shear"),
+        ("body.contact", json!({ "stiffness": -1.0 }), "body.contact.stiffness"),
+        ("body.contact", json!({ "min_angle": 6.0 }), "body.contact.min_angle"),
+        ("body.clamp", json!("hub"), "body.clamp"),
+        ("body.clamp", json!([3, 3]), "body.clamp"),
+        ("body.clamp", json!([99]), "body.clamp"),
+        ("time.samples", json!(0), "time.samples"),
+        ("time.duration", json!(0.0), "time.duration"),
+        ("solver.tolerance", json!(0.0), "solver.tolerance"),
+        ("stimuli.test", json!(300), "stimuli.test"),
+        ("stimuli.holdout", json!(0), "stimuli.holdout"),
+        ("stimuli.width", json!([0.0, 0.1]), "stimuli.width"),
+        ("stimuli.peak", json!([0.5, 1.0]), "stimuli.peak"),
+        ("stimuli.amplitude", json!([0.5, 0.1]), "stimuli.amplitude"),
+        ("brain.iterations", json!(0), "brain.iterations"),
+        ("brain.learning_rate", json!(-1.0), "brain.learning_rate"),
+        ("optimise.learning_rate", json!(0.0), "optimise.learning_rate"),
+        ("optimise.batch", json!(8), "optimise.batch"),
+        ("optimise.brain_iterations", json!(8), "optimise.brain_iterations"),
+        ("evaluation.seeds", json!(0), "evaluation.seeds"),
+        ("feasible.min_block_angle", json!(95.0), "feasible.min_block_angle"),
+        ("feasible.clearance", json!(-1.0), "feasible.clearance"),
+        ("panel_units.0", json!(2), "body.panel_units"),
+        ("panel_units.0", json!(34), "body.panel_units"),
+        ("panel_units", json!([31]), "sweep.panels"),
+        ("sensor_units", json!([40]), "sensors.placements"),
+        ("point.sensors", json!(20), "sweep.sensors"),
+    ];
+    for (key, value, named) in cases {
+        let paper = ("optimise.protocol", json!("paper"));
+        match problem(&trial(&[paper, (key, value.clone())])) {
+            Ok(_) => panic!("{key} = {value} was taken"),
+            Err(invalid) => assert_eq!(invalid.key, named, "{key} = {value}: {invalid}"),
+        }
+    }
+}
+
+/// A key that the protocol does not read is refused, not ignored.
+#[test]
+fn each_protocol_refuses_the_keys_of_the_others() {
+    for (protocol, key, value) in [
+        ("joint", "optimise.gradient", json!("direct")),
+        ("warm", "optimise.gradient", json!("implicit")),
+        ("warm", "optimise.batch", json!(8)),
+        ("paper", "optimise.brain_learning_rate", json!(1e-3)),
+    ] {
+        let invalid = problem(&trial(&[("optimise.protocol", json!(protocol)), (key, value)])).unwrap_err();
+        assert_eq!(invalid.key, key, "{protocol}");
+    }
+    for protocol in ["paper", "warm", "envelope", "joint"] {
+        problem(&trial(&[("optimise.protocol", json!(protocol))])).unwrap();
+    }
+}
+
+/// A circular body is clamped at its hub and struck inward.
+#[test]
+fn a_circular_body_is_struck_inward() {
+    let layout = Layout::circular(7, 15.0, 2.25);
+    let panels: Vec<usize> = layout.circular_panels(4).unwrap().iter().map(|p| p.0).collect();
+    let sensor = layout.placement(0, &layout.hub())[0];
+    let problem = problem(&trial(&[
+        ("body.layout", json!("circular")),
+        ("body.columns", json!(7)),
+        ("body.rows", Value::Null),
+        ("point.panels", json!(4)),
+        ("panel_units", json!(panels)),
+        ("sensor_units", json!([sensor])),
+    ]))
+    .unwrap();
+    assert_eq!(problem.scene.clamped, layout.hub());
+    for panel in &problem.scene.panels {
+        let [x, y] = problem.scene.layout.centres[panel.unit];
+        let inward = -(x * panel.direction[0] + y * panel.direction[1]) / x.hypot(y);
+        assert!(inward > 0.9, "unit {}: {inward}", panel.unit);
+    }
+}
