@@ -89,6 +89,7 @@ fn evaluation(design: Vec<f64>, error: f64, loss: f32) -> BodyEvaluation {
         error_holdout: Some(1.05 * error * factor),
         losses: (1..=1000u16).map(|n| if n == 1 { 1.0 } else { loss * f32::from(n).powf(-0.6) }).collect(),
         outcome: "ok".into(),
+        weights: Vec::new(),
     };
     BodyEvaluation { design, networks: vec![network(0.98), network(1.02)], ..Default::default() }
 }

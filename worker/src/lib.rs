@@ -2,4 +2,5 @@
 
 pub mod convert;
 pub mod problem;
+pub mod replay;
 pub mod run;

@@ -374,6 +374,10 @@ impl Store {
                     .execute(&mut self.connection)
                     .await?;
             }
+            if !network.weights.is_empty() {
+                let (name, shape) = (format!("weights_{body}_{seed}"), [network.weights.len()]);
+                self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &network.weights)).await?;
+            }
             if !network.losses.is_empty() {
                 let (name, shape) = (format!("losses_{body}_{seed}"), [network.losses.len()]);
                 self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &network.losses)).await?;
@@ -563,12 +567,15 @@ fn mean(body: &BodyEvaluation, error: impl Fn(&NetworkEvaluation) -> Option<f64>
     (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
 }
 
-/// The result as JSON; designs and loss curves have their own places.
+/// The result as JSON; designs, loss curves and weights have their own places.
 fn without_bulk(result: &TrialResult) -> String {
     let mut small = result.clone();
     for body in [&mut small.initial, &mut small.optimised] {
         body.design.clear();
-        body.networks.iter_mut().for_each(|network| network.losses.clear());
+        for network in &mut body.networks {
+            network.losses.clear();
+            network.weights.clear();
+        }
     }
     serde_json::to_string(&small).expect("a result is JSON")
 }

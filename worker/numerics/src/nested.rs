@@ -11,12 +11,14 @@ mod evaluation;
 mod implicit;
 mod problem;
 mod protocol;
+mod replay;
 mod report;
 mod setting;
 mod state;
 
 pub use evaluation::{BodyEvaluation, NetworkEvaluation};
 pub use problem::{Evaluation, Going, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
+pub use replay::{Motion, Replay, motion, replay};
 pub use report::{Control, Counters, Failure, Implicit, Observe, Report, Seconds, Trouble};
 pub use state::{Best, State, Waypoint};
 

@@ -17,6 +17,8 @@ pub struct NetworkEvaluation {
     pub error_holdout: Option<f64>,
     /// Training loss (normalised) at every iteration.
     pub losses: Vec<f32>,
+    /// Weights of the first network, by which its predictions can be had again; empty of the others.
+    pub weights: Vec<f32>,
     /// What went wrong.
     pub trouble: Option<Trouble>,
 }
@@ -64,6 +66,7 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
                     error_test: None,
                     error_holdout: None,
                     losses: Vec::new(),
+                    weights: Vec::new(),
                     trouble: Some(*trouble),
                 },
             };
@@ -120,6 +123,7 @@ fn network(
         error_test: error(1, &setting.data(test, &setting.test), &setting.test),
         error_holdout: error(2, &setting.data(holdout_signals, holdout), holdout),
         losses,
+        weights: if seed == 0 { weights } else { Vec::new() },
         trouble: (outcome != TrainOutcome::Ok).then_some(Trouble::Training(outcome)),
     }
 }

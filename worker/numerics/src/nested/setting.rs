@@ -137,7 +137,7 @@ impl<'a> Setting<'a> {
 }
 
 /// The first sample that did not end well gives its name.
-fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
+pub(super) fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
     match outcomes.iter().find(|&&outcome| outcome != Outcome::Ok) {
         Some(&outcome) => Err(Trouble::Simulation(outcome)),
         None => Ok(()),
@@ -183,7 +183,7 @@ impl Scales {
     }
 
     /// f̂ in N of ŷ (N, T, K).
-    fn physical(&self, normalised: &[f32]) -> Vec<f64> {
+    pub(super) fn physical(&self, normalised: &[f32]) -> Vec<f64> {
         let panels = self.mean.iter().zip(&self.deviation).cycle();
         normalised.iter().zip(panels).map(|(&y, (mean, deviation))| mean + deviation * f64::from(y)).collect()
     }

@@ -1,0 +1,113 @@
+//! A finished trial once more: forces, signals and predictions of all its samples, and the motion under one of them.
+//!
+//! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
+
+use super::problem::Problem;
+use super::report::Failure;
+use super::setting::{Setting, all_well};
+use crate::brain::{self, Workspace};
+use crate::dynamics::{Forces, simulate};
+use crate::random::Purpose;
+use crate::stimuli::{split, targets};
+
+/// What a body and a network do with every sample of a trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Replay {
+    /// Force histories (N, K, T+1) in N.
+    pub forces: Forces,
+    /// 0 training, 1 test, 2 holdout (N).
+    pub split: Vec<u8>,
+    /// Sensor signals (N, T, 3M) in mm/s² and rad/s.
+    pub signals: Vec<f64>,
+    /// Predicted forces (N, T, K) in N; empty without weights.
+    pub predictions: Vec<f64>,
+    /// Prediction error of each sample (%); `None` where there is no force, empty without weights.
+    pub errors: Vec<Option<f64>>,
+    /// What each signal channel is divided by (3M).
+    pub signal_scale: Vec<f64>,
+    /// Mean of each panel's training forces (N).
+    pub force_mean: Vec<f64>,
+    /// Their standard deviation (N).
+    pub force_deviation: Vec<f64>,
+}
+
+/// Simulates `design` under all samples of the trial and lets a network with `weights` (or none, if empty) predict.
+///
+/// # Errors
+/// If a simulation does not end well.
+///
+/// # Panics
+/// If lengths do not fit the problem.
+pub fn replay(
+    problem: &Problem,
+    design: &[f64],
+    weights: &[f32],
+    pool: &rayon::ThreadPool,
+) -> Result<Replay, Failure> {
+    let setting = Setting::new(problem, pool)?;
+    let forces = all_forces(problem);
+    let (_, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
+    let mut kinds = vec![0; problem.stimuli.samples];
+    test.iter().for_each(|&n| kinds[n] = 1);
+    kinds.resize(forces.samples, 2);
+    let simulation = simulate(&problem.scene, design, &forces, &problem.solver, false, pool);
+    all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+    let (mut predictions, mut errors) = (Vec::new(), Vec::new());
+    if !weights.is_empty() {
+        let data = setting.data::<f32>(&simulation.signals, &forces);
+        let mut workspace = Workspace::new(setting.shape);
+        predictions = setting.scales.physical(&brain::predict(weights, data.all(), &mut workspace, pool));
+        errors = brain::prediction_error(
+            &targets(&forces),
+            &predictions,
+            setting.shape.outputs,
+            setting.shape.instants,
+        );
+    }
+    Ok(Replay {
+        forces,
+        split: kinds,
+        signals: simulation.signals,
+        predictions,
+        errors,
+        signal_scale: setting.scales.channels.clone(),
+        force_mean: setting.scales.mean.clone(),
+        force_deviation: setting.scales.deviation.clone(),
+    })
+}
+
+fn all_forces(problem: &Problem) -> Forces {
+    let mut forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples);
+    let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    forces.samples += holdout.samples;
+    forces.values.extend(holdout.values);
+    forces
+}
+
+/// How a body moves under one sample.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Motion {
+    /// Displacement (u, v, θ) of every unit in mm and rad, at n = 1…T.
+    pub displacements: Vec<Vec<[f64; 3]>>,
+    /// Velocity in mm/s and rad/s.
+    pub velocities: Vec<Vec<[f64; 3]>>,
+}
+
+/// Simulates `design` under one sample, numbered as in [`Replay`].
+///
+/// # Errors
+/// If the simulation does not end well.
+pub fn motion(
+    problem: &Problem,
+    design: &[f64],
+    sample: usize,
+    pool: &rayon::ThreadPool,
+) -> Result<Motion, Failure> {
+    let forces = crate::stimuli::select(&all_forces(problem), &[sample]);
+    let simulation = simulate(&problem.scene, design, &forces, &problem.solver, true, pool);
+    all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+    let tape = simulation.tape.expect("asked for");
+    let states = (1..=problem.scene.instants).map(|n| tape.state(&problem.scene, 0, n));
+    let (displacements, velocities) = states.unzip();
+    Ok(Motion { displacements, velocities })
+}
