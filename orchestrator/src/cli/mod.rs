@@ -7,6 +7,7 @@ mod rows;
 mod run;
 mod schema;
 mod status;
+mod trial;
 
 use std::path::{Path, PathBuf};
 
@@ -32,11 +33,12 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Analyse(analyse::Args),
     Run(run::Args),
     Expand(expand::Args),
+    Trial(trial::Args),
     Status(status::Args),
     Query(query::Args),
+    Analyse(analyse::Args),
     Schema(schema::Args),
 }
 
@@ -46,12 +48,13 @@ enum Command {
 /// Bad input and failed I/O, each with its exit code.
 pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
     match cli.command {
-        Command::Analyse(args) => block_on(analyse::execute(args)),
         Command::Run(args) => block_on(run::execute(args)),
         Command::Expand(args) => expand::execute(&args),
+        Command::Trial(args) => trial::execute(&args),
         Command::Status(args) => block_on(status::execute(args)),
-        Command::Schema(args) => schema::execute(&args),
         Command::Query(args) => block_on(query::execute(args)),
+        Command::Analyse(args) => block_on(analyse::execute(args)),
+        Command::Schema(args) => schema::execute(&args),
     }
 }
 

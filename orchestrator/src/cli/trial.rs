@@ -1,0 +1,114 @@
+//! `trial`: one trial in the foreground, without scheduler, workers and database.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord};
+use metasense_worker::run::{Control, Failure, Observe, run_trial};
+use serde_json::json;
+
+use super::{Error, Format, duration, print_rows, read_plan};
+use crate::exit::Exit;
+use crate::plan::{Plan, Trial};
+use crate::store::Table;
+
+/// Runs one trial in the foreground, without scheduler and database: to reproduce, profile or debug it
+///
+/// The result equals that of a run to the bit. Steps are shown on standard error as they are done.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML)
+    spec: PathBuf,
+    /// The trial, by its hash or the beginning of it; `metasense expand SPEC` lists them
+    #[arg(long)]
+    hash: String,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// The form of the result
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    let trial = find(&plan, &args.hash, &args.spec)?;
+    let start = Instant::now();
+    let result = match run_trial(&trial.spec, None, args.threads.into(), &mut Steps) {
+        Ok(result) => result,
+        Err(failure @ (Failure::NonFinite(_) | Failure::Stopped)) => {
+            eprintln!("failed: trial {}: {failure}", trial.hash);
+            return Ok(Exit::Failed);
+        }
+        Err(failure @ Failure::Rejected(_)) => {
+            return Err(Error::Usage(format!("trial {}: {failure}", trial.hash)));
+        }
+    };
+    let seconds = start.elapsed().as_secs_f64();
+    let mut table = Table::default();
+    let mut row = Vec::new();
+    let mut add = |name: &str, value| {
+        table.columns.push(name.into());
+        row.push(value);
+    };
+    add("hash", json!(trial.hash));
+    for (name, error) in ERRORS {
+        add(&format!("{name}_initial"), json!(mean(&result.initial, *error)));
+        add(&format!("{name}_optimised"), json!(mean(&result.optimised, *error)));
+    }
+    add("best_step", json!(result.best_step));
+    add("seconds", json!(seconds));
+    add("simd", json!(result.simd));
+    table.rows.push(row);
+    print_rows(&table, args.format)?;
+    eprintln!("{}", duration(seconds));
+    Ok(Exit::Done)
+}
+
+type ErrorOf = fn(&NetworkEvaluation) -> Option<f64>;
+const ERRORS: &[(&str, ErrorOf)] = &[("error", |n| n.error_test), ("holdout_error", |n| n.error_holdout)];
+
+fn mean(body: &BodyEvaluation, error: ErrorOf) -> Option<f64> {
+    let errors: Vec<f64> = body.networks.iter().filter_map(error).collect();
+    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+}
+
+/// The one trial whose hash begins so.
+fn find<'a>(plan: &'a Plan, hash: &str, spec: &Path) -> Result<&'a Trial, Error> {
+    let mut found = plan.trials.iter().filter(|trial| trial.hash.starts_with(hash));
+    let remedy = format!("`metasense expand {}` lists them", spec.display());
+    match (found.next(), found.next()) {
+        (Some(trial), None) => Ok(trial),
+        (Some(_), Some(_)) => Err(Error::Usage(format!("--hash {hash}: several trials begin so; {remedy}"))),
+        (None, _) => {
+            Err(Error::Usage(format!("--hash {hash}: {} holds no such trial; {remedy}", spec.display())))
+        }
+    }
+}
+
+/// A line a step.
+struct Steps;
+
+impl Observe for Steps {
+    fn progress(&mut self, _: f64) {}
+
+    fn step(&mut self, record: StepRecord, _: Checkpoint) -> Control {
+        let number = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.4}"));
+        let s = record.seconds;
+        eprintln!(
+            "step {:>4}: test error {} %, training error {} %, moved {} mm, {}; \
+             simulate {:.2} s, train {:.2} s, differentiate {:.2} s, implicit {:.2} s, project {:.3} s",
+            record.step,
+            number(record.error_test),
+            number(record.error_train),
+            number(record.step_length),
+            record.projection,
+            s.simulate,
+            s.train,
+            s.differentiate,
+            s.implicit,
+            s.project,
+        );
+        Control::Continue
+    }
+}
