@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! product: C[t, c] = start + Σ_d A[t·lda + d] B[d, c]   rows t may overlap (lda < depth): no im2col
-//! outer:   C[j, c] += Σ_t A[t·lda + j] B[t·ldb + c]
+//! outer:   C[j, c] += Σ_t A[t·lda + j] B[t, c]
 //! pairs:   a convolution's rows 2h and 2h + 1 by Winograd's F(2, 3), 4 products instead of 6 (`winograd`)
 //! ```
 //! B of `product` comes in panels of two registers' columns, each `depth` rows long, so that a panel stays in L1.
@@ -69,10 +69,8 @@ pub struct Outer<'a, F> {
     pub rows: usize,
     /// Rows of C.
     pub depth: usize,
-    /// B, from its first row.
+    /// B, rows of `columns`.
     pub b: &'a [F],
-    /// From a row of B to the next.
-    pub ldb: usize,
     /// Columns of B and C, a multiple of `COLUMNS`.
     pub columns: usize,
     /// C, added to.
@@ -145,20 +143,20 @@ impl<F: Real> Kernels<F> {
         unsafe { (self.product)(&mut p) }
     }
 
-    /// C = start + a ∗ w for even `rows`, where A is the `spread` of a (rows of 4·depth) and the panels hold w's four forms.
+    /// C = start + a ∗ w for even `rows`, where A is the `spread` of a and the panels hold w's four forms.
     ///
     /// # Panics
     /// If an operand is too short or `rows` odd.
     pub fn pairs(&self, mut p: Product<F>) {
         assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
-        assert!(p.rows.is_multiple_of(2) && p.lda == 4 * p.depth, "{} rows, stride {}", p.rows, p.lda);
-        assert!(p.a.len() >= p.rows / 2 * p.lda, "A: {}", p.a.len());
+        assert!(p.rows.is_multiple_of(2) && p.lda == p.depth, "{} rows, stride {}", p.rows, p.lda);
+        assert!(p.a.len() >= 2 * p.rows * p.lda, "A: {}", p.a.len());
         p.check_result(4 * p.depth);
         // SAFETY: as above.
         unsafe { (self.pairs)(&mut p) }
     }
 
-    /// out[h] = (a₀ − a₂, a₁ + a₂, a₂ − a₁, a₁ − a₃) of the rows 2h … 2h + 3 of `a`, (T + 2, columns).
+    /// out[·, h] = (a₀ − a₂, a₁ + a₂, a₂ − a₁, a₁ − a₃) of the rows 2h … 2h + 3 of `a`, (T + 2, columns).
     ///
     /// # Panics
     /// If a length does not fit, or T is odd.
@@ -174,7 +172,7 @@ impl<F: Real> Kernels<F> {
         unsafe { (self.spread)(a, out, columns) }
     }
 
-    /// out[h] = (a₀ + a₁, a₀ − a₁) of the rows 2h and 2h + 1 of `a`, (T, columns).
+    /// out[·, h] = (a₀, a₀ + a₁, a₀ − a₁, a₁) of the rows 2h and 2h + 1 of `a`, (T, columns).
     ///
     /// # Panics
     /// If a length does not fit, or T is odd.
@@ -184,7 +182,7 @@ impl<F: Real> Kernels<F> {
             "{} {columns}",
             a.len()
         );
-        assert_eq!(out.len(), a.len());
+        assert_eq!(out.len(), 2 * a.len());
         // SAFETY: as above.
         unsafe { (self.fold)(a, out, columns) }
     }
@@ -196,7 +194,7 @@ impl<F: Real> Kernels<F> {
     pub fn outer(&self, mut p: Outer<F>) {
         assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
         assert!(p.a.len() >= (p.rows - 1) * p.lda + p.depth, "A: {}", p.a.len());
-        assert!(p.b.len() >= (p.rows - 1) * p.ldb + p.columns && p.c.len() >= p.depth * p.columns);
+        assert!(p.b.len() >= p.rows * p.columns && p.c.len() >= p.depth * p.columns);
         // SAFETY: as above.
         unsafe { (self.outer)(&mut p) }
     }
@@ -380,9 +378,9 @@ unsafe fn outer<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>) {
                 outer_tile::<V, R>(p, j, column);
                 j += R;
             }
-            while j + 3 <= p.depth {
-                outer_tile::<V, 3>(p, j, column);
-                j += 3;
+            while j + 4 <= p.depth {
+                outer_tile::<V, 4>(p, j, column);
+                j += 4;
             }
             while j < p.depth {
                 outer_tile::<V, 1>(p, j, column);
@@ -396,7 +394,7 @@ unsafe fn outer<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>) {
 unsafe fn outer_tile<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>, j: usize, column: usize) {
     // SAFETY: the caller's promise.
     unsafe {
-        let (ldb, lda, ldc) = (p.ldb, p.lda, p.columns);
+        let (lda, ldc) = (p.lda, p.columns);
         let mut sum = [[V::splat(V::Scalar::ZERO); 2]; R];
         let mut a = p.a.as_ptr().add(j);
         let mut b = p.b.as_ptr().add(column);
@@ -409,7 +407,7 @@ unsafe fn outer_tile<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>, j: usi
                 sum[r][1] = sum[r][1].plus_product(x, b1);
             }
             a = a.wrapping_add(lda);
-            b = b.wrapping_add(ldb);
+            b = b.wrapping_add(ldc);
         }
         let c = p.c.as_mut_ptr().add(j * ldc + column);
         for r in 0..R {

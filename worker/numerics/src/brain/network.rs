@@ -78,7 +78,7 @@ impl<F: Real> Scratch<F> {
             wide: zeros(t * shape.inputs.next_multiple_of(COLUMNS)),
             spread1: zeros(t / 2 * 4 * p),
             spread2: zeros(t / 2 * 4 * p),
-            fold2: zeros(t / 2 * 2 * p),
+            fold2: zeros(t / 2 * 4 * p),
             tangent: None,
         }
     }
@@ -268,7 +268,7 @@ pub(super) fn convolve<F: Real>(
 ) {
     let (columns, rows) = (shape.stride(), shape.instants);
     if shape.paired() {
-        let (lda, depth) = (4 * columns, columns);
+        let (lda, depth) = (columns, columns);
         kernels.pairs(Product { a: spread, lda, rows, depth, panels: pairs, c, columns, start, finish });
     } else {
         let (lda, depth) = (columns, 3 * columns);
@@ -292,19 +292,9 @@ pub(super) fn add_second_layer<F: Real>(
         return add_outer(kernels, shape, a, p, 3 * p, g2, &mut slot.gradient[padded_range(shape, 4)]);
     }
     kernels.fold(g2, fold, p);
-    for (i, (b, c)) in
-        [g2, fold, &fold[p..], &g2[p..]].into_iter().zip(slot.pairs.chunks_exact_mut(p * p)).enumerate()
-    {
-        kernels.outer(Outer {
-            a: &spread[i * p..],
-            lda: 4 * p,
-            rows,
-            depth: p,
-            b,
-            ldb: 2 * p,
-            columns: p,
-            c,
-        });
+    let forms = spread.chunks_exact(rows * p).zip(fold.chunks_exact(rows * p));
+    for ((a, b), c) in forms.zip(slot.pairs.chunks_exact_mut(p * p)) {
+        kernels.outer(Outer { a, lda: p, rows, depth: p, b, columns: p, c });
     }
 }
 
@@ -474,7 +464,7 @@ pub(super) fn add_outer<F: Real>(
     c: &mut [F],
 ) {
     let columns = shape.stride();
-    kernels.outer(Outer { a, lda, rows: shape.instants, depth, b, ldb: columns, columns, c });
+    kernels.outer(Outer { a, lda, rows: shape.instants, depth, b, columns, c });
 }
 
 /// Adds the sums over the instants of g₁, g₂ (padded) and g₃ to the biases' gradient.

@@ -5,6 +5,7 @@
 //! Mᵢ = Vᵢ Uᵢ      c₀ = M₀ + M₁ + M₂            c₁ = M₁ − M₂ − M₃
 //! ∂g: Qᵢ = Vᵢᵀ Eᵢ, E = (e₀, e₀+e₁, e₀−e₁, −e₁): g̅₀ = Q₀ + (Q₁+Q₂)/2, g̅₁ = (Q₁−Q₂)/2, g̅₂ = (Q₁+Q₂)/2 + Q₃
 //! ```
+//! The four forms lie one after the other, rows 64 long: rows further apart would share too few sets of L1.
 //! Lavin and Gray, arXiv:1509.09308, in one dimension. U₃ is stored negated.
 
 use super::kernels::{Product, accumulate, close};
@@ -77,18 +78,19 @@ unsafe fn tile<V: Vector, const R: usize>(
 ) {
     // SAFETY: the caller's promise.
     unsafe {
-        let (a, block) = (p.a.as_ptr().add(h * 4 * depth), depth * 2 * V::LANES);
+        let (a, form) = (p.a.as_ptr().add(h * depth), p.rows / 2 * depth);
+        let block = depth * 2 * V::LANES;
         let zero = [[V::splat(V::Scalar::ZERO); 2]; R];
         let (mut first, mut second) = (zero, zero);
-        accumulate::<V, R>(&mut first, a.add(depth), 4 * depth, u.add(block), depth);
-        accumulate::<V, R>(&mut second, a.add(2 * depth), 4 * depth, u.add(2 * block), depth);
+        accumulate::<V, R>(&mut first, a.add(form), depth, u.add(block), depth);
+        accumulate::<V, R>(&mut second, a.add(2 * form), depth, u.add(2 * block), depth);
         for r in 0..R {
             let (m1, m2) = (first[r], second[r]);
             first[r] = [m1[0].plus(m2[0]), m1[1].plus(m2[1])];
             second[r] = [m1[0].minus(m2[0]), m1[1].minus(m2[1])];
         }
-        accumulate::<V, R>(&mut first, a, 4 * depth, u, depth);
-        accumulate::<V, R>(&mut second, a.add(3 * depth), 4 * depth, u.add(3 * block), depth);
+        accumulate::<V, R>(&mut first, a, depth, u, depth);
+        accumulate::<V, R>(&mut second, a.add(3 * form), depth, u.add(3 * block), depth);
         let at = 2 * h * p.columns + column;
         close::<V, R>(p, first, at, 2 * p.columns, column);
         close::<V, R>(p, second, at + p.columns, 2 * p.columns, column);
@@ -101,15 +103,16 @@ unsafe fn tile<V: Vector, const R: usize>(
 pub unsafe fn spread<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns: usize) {
     // SAFETY: the caller's promise.
     unsafe {
-        for h in 0..out.len() / (4 * columns) {
-            let (from, to) = (a.as_ptr().add(2 * h * columns), out.as_mut_ptr().add(4 * h * columns));
+        let form = out.len() / 4;
+        for h in 0..form / columns {
+            let (from, to) = (a.as_ptr().add(2 * h * columns), out.as_mut_ptr().add(h * columns));
             for c in (0..columns).step_by(V::LANES) {
                 let (a0, a1) = (V::load(from.add(c)), V::load(from.add(columns + c)));
                 let (a2, a3) = (V::load(from.add(2 * columns + c)), V::load(from.add(3 * columns + c)));
                 a0.minus(a2).store(to.add(c));
-                a1.plus(a2).store(to.add(columns + c));
-                a2.minus(a1).store(to.add(2 * columns + c));
-                a1.minus(a3).store(to.add(3 * columns + c));
+                a1.plus(a2).store(to.add(form + c));
+                a2.minus(a1).store(to.add(2 * form + c));
+                a1.minus(a3).store(to.add(3 * form + c));
             }
         }
     }
@@ -121,12 +124,15 @@ pub unsafe fn spread<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns:
 pub unsafe fn fold<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns: usize) {
     // SAFETY: the caller's promise.
     unsafe {
-        for h in 0..out.len() / (2 * columns) {
-            let (from, to) = (a.as_ptr().add(2 * h * columns), out.as_mut_ptr().add(2 * h * columns));
+        let form = out.len() / 4;
+        for h in 0..form / columns {
+            let (from, to) = (a.as_ptr().add(2 * h * columns), out.as_mut_ptr().add(h * columns));
             for c in (0..columns).step_by(V::LANES) {
                 let (a0, a1) = (V::load(from.add(c)), V::load(from.add(columns + c)));
-                a0.plus(a1).store(to.add(c));
-                a0.minus(a1).store(to.add(columns + c));
+                a0.store(to.add(c));
+                a0.plus(a1).store(to.add(form + c));
+                a0.minus(a1).store(to.add(2 * form + c));
+                a1.store(to.add(3 * form + c));
             }
         }
     }
