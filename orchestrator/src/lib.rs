@@ -2,7 +2,11 @@
 
 pub mod analysis;
 pub mod cli;
+pub mod engine;
 pub mod exit;
+pub mod fleet;
+pub mod link;
 pub mod plan;
 pub mod report;
+pub mod scheduler;
 pub mod store;

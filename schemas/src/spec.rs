@@ -480,6 +480,24 @@ pub struct Run {
     /// Threads a worker; by default 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threads: Option<usize>,
+    /// Added to the workers' niceness, 0 to 19; by default 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub niceness: Option<u8>,
+    /// Memory of a worker (MiB); by default no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory: Option<u64>,
+    /// How often a trial is tried again after deaths of its worker without a step in between; by default 5.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub retries: Option<u32>,
+    /// Wait before the first such retry (s), doubled for each further one; by default 0.5.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub backoff: Option<f64>,
+    /// Longest time that a worker gives no sign of life (s); by default 600.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub no_progress: Option<f64>,
+    /// Longest time of an attempt at a trial (s); by default no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_limit: Option<f64>,
 }
 
 /// One point of a sweep.

@@ -1,1 +1,444 @@
 //! What goes through shared memory: lives for one build, checked on connecting.
+//!
+//! Every worker process has an iceoryx2 domain of its own (root path and prefix), which the orchestrator creates
+//! and removes as a whole. Whatever a killed worker leaves half made is therefore never met again by anybody:
+//! no dead-node clean-up runs, and none is needed.
+
+use std::time::Duration;
+
+use iceoryx2::config::Config;
+use iceoryx2::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::record::{Checkpoint, StepRecord, TrialResult};
+
+/// The iceoryx2 service variant: its ports may move between threads.
+pub type Ipc = ipc_threadsafe::Service;
+
+/// A trial of this run, by position, and which attempt at it. A message of an attempt that is no longer current is dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Lease {
+    /// Position in the run's list of trials.
+    pub trial: u32,
+    /// Attempt, from 1, counted over all runs.
+    pub attempt: u32,
+}
+
+/// What a worker is started with: the one argument of the hidden subcommand, as JSON.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Start {
+    /// Root path of the worker's domain.
+    pub root: String,
+    /// Prefix of its shared-memory segments.
+    pub prefix: String,
+    /// Build of the orchestrator.
+    pub build: String,
+    /// Its process id.
+    pub parent: u32,
+    /// Added to the worker's niceness.
+    pub niceness: i32,
+    /// Limit of the worker's data segment (MiB); none if absent.
+    pub memory_mib: Option<u64>,
+}
+
+/// What is to be done.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Work {
+    /// A trial: its `TrialSpec` as JSON (untagged parts of it need a self-describing format).
+    Trial(String),
+    /// Steps of a known length and a result that depends on all of them: to measure and to test the engine.
+    Noop {
+        /// Outer steps.
+        steps: u32,
+        /// Length of a step (ms).
+        millis: u32,
+        /// Length of an array sent with the result.
+        array: u64,
+        /// Makes results of trials differ.
+        seed: u64,
+        /// What goes wrong, if anything.
+        fault: Option<Fault>,
+    },
+}
+
+/// What goes wrong in a `Work::Noop`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Fault {
+    /// The step never ends and says nothing.
+    Hang,
+    /// The worker kills itself at once.
+    Die,
+    /// The result is not finite.
+    NonFinite,
+    /// The trial is refused.
+    Reject,
+}
+
+/// To the worker.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum ToWorker {
+    /// Do this.
+    Job {
+        /// Whose it is.
+        lease: Lease,
+        /// What is to be done.
+        work: Work,
+        /// Where to go on from.
+        checkpoint: Option<Box<Checkpoint>>,
+        /// Threads to use.
+        threads: u32,
+    },
+    /// Finish the step in progress and hand the trial back.
+    Stop,
+}
+
+/// Why an attempt came to no result, as the worker sees it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Trouble {
+    /// Numbers that are not finite.
+    NonFinite,
+    /// Another numerical outcome that ends a trial.
+    Numerical,
+    /// Validation says no.
+    Rejected,
+    /// A bug: the computation panicked.
+    Panicked,
+}
+
+/// To the orchestrator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum ToOrchestrator {
+    /// The worker is there.
+    Hello {
+        /// Its build.
+        build: String,
+        /// Its process id.
+        pid: u32,
+    },
+    /// An outer step is done.
+    Step {
+        /// Whose it is.
+        lease: Lease,
+        /// What happened.
+        record: Box<StepRecord>,
+        /// Where to go on from.
+        checkpoint: Box<Checkpoint>,
+    },
+    /// The trial is done. Its arrays lie in the array service, in this order.
+    Finished {
+        /// Whose it is.
+        lease: Lease,
+        /// The result.
+        result: Box<TrialResult>,
+        /// Name and shape of each array.
+        arrays: Vec<(String, Vec<u64>)>,
+    },
+    /// The attempt came to no result.
+    Failed {
+        /// Whose it is.
+        lease: Lease,
+        /// The kind of reason.
+        trouble: Trouble,
+        /// In words.
+        detail: String,
+    },
+    /// The trial is handed back after `ToWorker::Stop`.
+    Stopped {
+        /// Whose it is.
+        lease: Lease,
+    },
+}
+
+/// The heartbeat: what a worker is doing. May be lost.
+#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
+#[repr(C)]
+pub struct Progress {
+    /// `Lease::trial`.
+    pub trial: u32,
+    /// `Lease::attempt`.
+    pub attempt: u32,
+    /// Part of the trial that is done, 0 to 1.
+    pub fraction: f64,
+    /// Counts up with every sign of life.
+    pub beat: u64,
+}
+
+/// Longest time a worker goes without looking at its messages while idle, and the orchestrator without looking at progress.
+pub const POLL: Duration = Duration::from_millis(200);
+/// Messages that may wait in a direction.
+const MESSAGES: usize = 16;
+/// Arrays that a result may have.
+pub const ARRAYS_PER_RESULT: usize = 8;
+/// Results of a worker that may wait to be recorded, their arrays staying in shared memory for so long.
+pub const RESULTS: usize = 3;
+/// Arrays of a worker that may wait, or be held.
+const ARRAYS: usize = ARRAYS_PER_RESULT * RESULTS;
+/// First size of a message's chunk (bytes); grows on demand.
+const CHUNK: usize = 16 * 1024;
+
+/// iceoryx2's configuration of a domain. Clean-up of dead nodes is off: a domain goes as a whole.
+///
+/// # Errors
+/// If root or prefix are no valid names for iceoryx2.
+pub fn config(root: &str, prefix: &str) -> Result<Config, SemanticStringError> {
+    let mut config = Config::default();
+    config.global.set_root_path(&Path::new(root.as_bytes())?);
+    config.global.prefix = FileName::new(prefix.as_bytes())?;
+    config.global.service.cleanup_dead_nodes_on_open = false;
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.creation_timeout = Duration::from_secs(5);
+    Ok(config)
+}
+
+/// A failure of the shared-memory link, with iceoryx2's own name for it.
+#[derive(Debug, thiserror::Error)]
+#[error("shared memory: {step} failed: {cause}")]
+pub struct LinkError {
+    /// What was tried.
+    pub step: &'static str,
+    /// What iceoryx2 says.
+    pub cause: String,
+}
+
+impl LinkError {
+    /// Of an iceoryx2 error.
+    pub fn of<E: std::fmt::Debug>(step: &'static str) -> impl FnOnce(E) -> Self {
+        move |cause| Self { step, cause: format!("{cause:?}") }
+    }
+}
+
+/// A message's port factory.
+type Bytes = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, [u8], ()>;
+/// A port factory of arrays.
+type Arrays = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, [f64], ()>;
+/// A port factory of progress.
+type Beats = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, Progress, ()>;
+/// A port factory of wake-ups.
+type Wakes = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
+
+/// Sends messages of a direction.
+pub type MessageSender = iceoryx2::port::publisher::Publisher<Ipc, [u8], ()>;
+/// Receives messages of a direction.
+pub type MessageReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, [u8], ()>;
+/// Sends arrays.
+pub type ArraySender = iceoryx2::port::publisher::Publisher<Ipc, [f64], ()>;
+/// Receives arrays.
+pub type ArrayReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, [f64], ()>;
+/// An array in shared memory, borrowed until dropped.
+pub type Array = iceoryx2::sample::Sample<Ipc, [f64], ()>;
+/// Sends progress.
+pub type BeatSender = iceoryx2::port::publisher::Publisher<Ipc, Progress, ()>;
+/// Receives progress.
+pub type BeatReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, Progress, ()>;
+/// Wakes the other end.
+pub type Waker = iceoryx2::port::notifier::Notifier<Ipc>;
+/// Is woken.
+pub type Sleeper = iceoryx2::port::listener::Listener<Ipc>;
+
+/// The services of a worker's domain. The orchestrator creates them, the worker opens them; each limit is set here.
+#[derive(Debug)]
+pub struct Services {
+    /// Orchestrator to worker.
+    pub down: Bytes,
+    /// Worker to orchestrator.
+    pub up: Bytes,
+    /// Arrays of results.
+    pub arrays: Arrays,
+    /// Heartbeat.
+    pub progress: Beats,
+    /// Wakes the worker.
+    pub wake_worker: Wakes,
+    /// Wakes the orchestrator.
+    pub wake_orchestrator: Wakes,
+}
+
+/// Which end of a domain.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// Creates the services.
+    Orchestrator,
+    /// Opens them.
+    Worker,
+}
+
+/// A node of a domain. Signals are nobody's business here.
+///
+/// # Errors
+/// If iceoryx2 cannot create it.
+pub fn node(config: &Config) -> Result<Node<Ipc>, LinkError> {
+    NodeBuilder::new()
+        .config(config)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<Ipc>()
+        .map_err(LinkError::of("creating a node"))
+}
+
+impl Services {
+    /// Creates or opens all services of the node's domain.
+    ///
+    /// # Errors
+    /// If one does not come about.
+    pub fn new(node: &Node<Ipc>, end: End) -> Result<Self, LinkError> {
+        macro_rules! service {
+            ($name:literal, $builder:expr) => {{
+                let builder = $builder;
+                match end {
+                    End::Orchestrator => builder.create().map_err(LinkError::of(concat!("creating ", $name))),
+                    End::Worker => builder.open().map_err(LinkError::of(concat!("opening ", $name))),
+                }?
+            }};
+        }
+        let name = |name: &str| ServiceName::new(name).map_err(LinkError::of("naming a service"));
+        macro_rules! pubsub {
+            ($name:literal, $payload:ty, $buffer:expr, $borrowed:expr, $overflow:expr) => {
+                service!(
+                    $name,
+                    node.service_builder(&name($name)?)
+                        .publish_subscribe::<$payload>()
+                        .max_publishers(1)
+                        .max_subscribers(1)
+                        .max_nodes(2)
+                        .history_size(0)
+                        .subscriber_max_buffer_size($buffer)
+                        .subscriber_max_borrowed_samples($borrowed)
+                        .enable_safe_overflow($overflow)
+                )
+            };
+        }
+        macro_rules! event {
+            ($name:literal) => {
+                service!(
+                    $name,
+                    node.service_builder(&name($name)?)
+                        .event()
+                        .max_nodes(2)
+                        .max_listeners(1)
+                        .max_notifiers(2)
+                        .event_id_max_value(1)
+                )
+            };
+        }
+        Ok(Self {
+            down: pubsub!("down", [u8], MESSAGES, 1, false),
+            up: pubsub!("up", [u8], MESSAGES, 1, false),
+            arrays: pubsub!("arrays", [f64], ARRAYS, ARRAYS, false),
+            progress: pubsub!("progress", Progress, 64, 1, true),
+            wake_worker: event!("wake-worker"),
+            wake_orchestrator: event!("wake-orchestrator"),
+        })
+    }
+
+    /// A sender of messages. A full buffer discards: the caller sees that nobody received.
+    ///
+    /// # Errors
+    /// If iceoryx2 cannot create it.
+    pub fn sender(service: &Bytes) -> Result<MessageSender, LinkError> {
+        service
+            .publisher_builder()
+            .initial_max_slice_len(CHUNK)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(LinkError::of("creating a sender"))
+    }
+
+    /// A receiver of messages.
+    ///
+    /// # Errors
+    /// If iceoryx2 cannot create it.
+    pub fn receiver(service: &Bytes) -> Result<MessageReceiver, LinkError> {
+        service.subscriber_builder().create().map_err(LinkError::of("creating a receiver"))
+    }
+    /// A sender of arrays, which are written where they are read.
+    ///
+    /// # Errors
+    /// If iceoryx2 cannot create it.
+    pub fn array_sender(service: &Arrays) -> Result<ArraySender, LinkError> {
+        service
+            .publisher_builder()
+            .initial_max_slice_len(CHUNK / 8)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+            .create()
+            .map_err(LinkError::of("creating a sender of arrays"))
+    }
+
+    /// A receiver of arrays.
+    ///
+    /// # Errors
+    /// If iceoryx2 cannot create it.
+    pub fn array_receiver(service: &Arrays) -> Result<ArrayReceiver, LinkError> {
+        service.subscriber_builder().create().map_err(LinkError::of("creating a receiver of arrays"))
+    }
+
+    /// A sender of progress.
+    ///
+    /// # Errors
+    /// If iceoryx2 cannot create it.
+    pub fn beat_sender(service: &Beats) -> Result<BeatSender, LinkError> {
+        service
+            .publisher_builder()
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(LinkError::of("creating a sender of progress"))
+    }
+
+    /// A receiver of progress.
+    ///
+    /// # Errors
+    /// If iceoryx2 cannot create it.
+    pub fn beat_receiver(service: &Beats) -> Result<BeatReceiver, LinkError> {
+        service.subscriber_builder().create().map_err(LinkError::of("creating a receiver of progress"))
+    }
+
+    /// Wakes the listener of a wake-up service.
+    ///
+    /// # Errors
+    /// If iceoryx2 cannot create it.
+    pub fn waker(service: &Wakes) -> Result<Waker, LinkError> {
+        service.notifier_builder().create().map_err(LinkError::of("creating a waker"))
+    }
+
+    /// Waits for wake-ups.
+    ///
+    /// # Errors
+    /// If iceoryx2 cannot create it.
+    pub fn sleeper(service: &Wakes) -> Result<Sleeper, LinkError> {
+        service.listener_builder().create().map_err(LinkError::of("creating a sleeper"))
+    }
+}
+
+/// A message as bytes.
+///
+/// # Panics
+/// Never for the types of this module: postcard refuses sequences of unknown length alone.
+pub fn encode<T: Serialize>(message: &T) -> Vec<u8> {
+    postcard::to_allocvec(message).expect("messages hold sequences of known length")
+}
+
+/// Copies a message into a loaned chunk and sends it. False: the buffer of the other end is full, or nobody is there.
+///
+/// # Errors
+/// If there is no memory for it.
+pub fn send(sender: &MessageSender, message: &[u8]) -> Result<bool, LinkError> {
+    let chunk = sender.loan_slice_uninit(message.len()).map_err(LinkError::of("loaning a chunk"))?;
+    let received = chunk.write_from_slice(message).send().map_err(LinkError::of("sending"))?;
+    Ok(received > 0)
+}
+
+/// The next message, if there is one.
+///
+/// # Errors
+/// If the connection is broken or the message is of another build.
+pub fn receive<T: serde::de::DeserializeOwned>(receiver: &MessageReceiver) -> Result<Option<T>, LinkError> {
+    match receiver.receive().map_err(LinkError::of("receiving"))? {
+        None => Ok(None),
+        Some(sample) => {
+            postcard::from_bytes(sample.payload()).map(Some).map_err(LinkError::of("decoding a message"))
+        }
+    }
+}

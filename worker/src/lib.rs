@@ -1,6 +1,8 @@
 //! The process around the maths of metasense: job in, records out, heartbeat, stop.
 
 pub mod convert;
+pub mod noop;
 pub mod problem;
+pub mod process;
 pub mod replay;
 pub mod run;

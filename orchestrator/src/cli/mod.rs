@@ -1,7 +1,10 @@
 //! The command line: one file a command.
 
 mod analyse;
+mod bench;
 mod expand;
+mod live;
+mod log;
 mod query;
 mod rows;
 mod run;
@@ -13,6 +16,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand};
 
+use crate::engine::EngineError;
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::Plan;
 use crate::store::StoreError;
@@ -40,6 +44,13 @@ enum Command {
     Query(query::Args),
     Analyse(analyse::Args),
     Schema(schema::Args),
+    Bench(bench::Args),
+    /// What the orchestrator starts; not for people.
+    #[command(hide = true)]
+    Worker {
+        /// Where to connect to.
+        start: String,
+    },
 }
 
 /// Carries a command out.
@@ -48,6 +59,8 @@ enum Command {
 /// Bad input and failed I/O, each with its exit code.
 pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
     match cli.command {
+        Command::Bench(args) => block_on(bench::execute(args)),
+        Command::Worker { start } => std::process::exit(metasense_worker::process::run(&start)),
         Command::Run(args) => block_on(run::execute(args)),
         Command::Expand(args) => expand::execute(&args),
         Command::Trial(args) => trial::execute(&args),
@@ -119,6 +132,9 @@ pub enum Error {
     /// Arguments that do not go together.
     #[error("{0}")]
     Usage(String),
+    /// A run that could not go on.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
 }
 
 impl Error {
@@ -127,6 +143,8 @@ impl Error {
     pub fn exit(&self) -> Exit {
         match self {
             Self::Store(e) if e.is_bad_input() => Exit::BadInput,
+            Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
+            Self::Engine(_) => Exit::Io,
             Self::Usage(_) | Self::Spec(_) | Self::Unreadable { .. } => Exit::BadInput,
             Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
         }

@@ -1,10 +1,17 @@
 //! `run`: works through the trials of a spec, or goes on where an earlier run has stopped.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use super::{Error, Format, print_rows, read_plan};
+use metasense_schemas::spec::Run;
+use metasense_schemas::wire::Work;
+
+use super::live::Live;
+use super::{Error, Format, log, print_rows, read_plan};
+use crate::engine::{self, Options};
 use crate::exit::Exit;
-use crate::plan::Plan;
+use crate::plan::{Plan, Trial};
+use crate::scheduler::{Outcome, Settings};
 use crate::store::{Reader, Store, Table};
 
 /// Rows of the final table that a person may want to read at once.
@@ -37,15 +44,47 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let db = args.db.clone().unwrap_or_else(|| plan.default_database());
     let mut store = Store::open(&db).await?;
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
-    let settled: std::collections::HashSet<String> = store.settled().await?.into_iter().collect();
-    let open = plan.trials.iter().filter(|trial| !settled.contains(&trial.hash)).count();
-    store.close().await?;
-    if open == 0 {
+    let settled: HashSet<String> = store.settled().await?.into_iter().collect();
+    let open: Vec<&Trial> = plan.trials.iter().filter(|trial| !settled.contains(&trial.hash)).collect();
+    let outcome = if open.is_empty() {
+        store.close().await?;
         eprintln!("nothing left to do: all {} trials are settled", plan.trials.len());
-    }
+        Outcome::Complete
+    } else {
+        log::start(&log::path(&db))?;
+        let options = options(&plan.spec.run, &args);
+        let mut live = Live::new(open.len(), plan.trials.len() - open.len(), options.settings.workers);
+        let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
+        engine::run(store, &open, &work, &options, &mut live).await?.outcome
+    };
     let failed = print_results(&db, &plan, args.format).await?;
     eprintln!("database: {}", db.display());
-    Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
+    Ok(match outcome {
+        Outcome::Interrupted => Exit::Interrupted,
+        _ if failed > 0 => Exit::Failed,
+        _ => Exit::Done,
+    })
+}
+
+/// The command line goes before the spec, the spec before what the machine suggests.
+fn options(run: &Run, args: &Args) -> Options {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = args.threads.map(usize::from).or(run.threads).unwrap_or(1).max(1);
+    let workers = args.workers.map(usize::from).or(run.workers).unwrap_or((cores / threads).max(1));
+    let millis = |seconds: f64| (1000.0 * seconds) as u64;
+    Options {
+        settings: Settings {
+            workers: workers.clamp(1, 1024) as u32,
+            retries: run.retries.unwrap_or(5),
+            backoff: millis(run.backoff.unwrap_or(0.5)),
+            no_progress: millis(run.no_progress.unwrap_or(600.0)),
+            time_limit: run.time_limit.map(millis),
+        },
+        threads: threads as u32,
+        niceness: run.niceness.unwrap_or(0).into(),
+        memory_mib: run.memory,
+        program: PathBuf::from("/proc/self/exe"),
+    }
 }
 
 /// The final table, in the order of K, M, body, placement and seed; returns how many trials have failed.

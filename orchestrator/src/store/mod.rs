@@ -6,6 +6,7 @@
 
 mod error;
 mod npy;
+mod prior;
 mod read;
 mod write;
 

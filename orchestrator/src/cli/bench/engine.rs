@@ -1,0 +1,199 @@
+//! `bench engine`: trials without maths through the real engine: processes, shared memory, database.
+//!
+//! It decides whether the engine is ever what a sweep waits for. The tests of the engine use it too: the result of such
+//! a trial depends on every step of it, and its database can be kept, interrupted and gone on with.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use metasense_schemas::spec::{SweepSpec, TrialSpec};
+use metasense_schemas::wire::{Fault, Work};
+use serde_json::json;
+
+use super::super::Error;
+use crate::engine::{self, Options, Silent};
+use crate::exit::Exit;
+use crate::plan::Trial;
+use crate::scheduler::{Outcome, Settings};
+use crate::store::Store;
+
+/// Durable trials a second, and the rate of arrays, of an engine whose trials do nothing.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Trials.
+    #[arg(long, default_value_t = 2000)]
+    trials: u32,
+    /// Worker processes.
+    #[arg(long, default_value_t = 2)]
+    workers: u32,
+    /// Steps of a trial, each recorded with its checkpoint.
+    #[arg(long, default_value_t = 0)]
+    steps: u32,
+    /// Length of a step (ms).
+    #[arg(long, default_value_t = 0)]
+    step_ms: u32,
+    /// Length of an array that comes with each result (float64).
+    #[arg(long, default_value_t = 0)]
+    array: u64,
+    /// Keep the database, and go on with it if there is one.
+    #[arg(long, value_name = "FILE")]
+    db: Option<PathBuf>,
+    /// What goes wrong in every trial.
+    #[arg(long, hide = true, value_enum)]
+    fault: Option<FaultName>,
+    /// Longest time without a sign of life (ms).
+    #[arg(long, hide = true, default_value_t = 60_000)]
+    no_progress_ms: u64,
+    /// Longest time of an attempt (ms).
+    #[arg(long, hide = true)]
+    time_limit_ms: Option<u64>,
+    /// Retries of a trial after deaths without a step.
+    #[arg(long, hide = true, default_value_t = 5)]
+    retries: u32,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum FaultName {
+    Hang,
+    Die,
+    NonFinite,
+    Reject,
+}
+
+pub async fn execute(args: Args) -> Result<Exit, Error> {
+    let scratch = std::env::temp_dir().join(format!("metasense-bench-{}.sqlite", std::process::id()));
+    if let Some(db) = &args.db {
+        super::super::log::start(&super::super::log::path(db))?;
+    }
+    let db = args.db.clone().unwrap_or_else(|| scratch.clone());
+    let done = measure(&args, &db).await;
+    if args.db.is_none() {
+        for end in ["", "-wal", "-shm"] {
+            let _ = std::fs::remove_file(format!("{}{end}", scratch.display()));
+        }
+    }
+    done
+}
+
+async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
+    let sweep = sweep();
+    let trials = trials(&sweep, args.trials);
+    let mut store = Store::open(db).await?;
+    store.begin_sweep(&sweep, "bench engine", &trials).await?;
+    let settled: std::collections::HashSet<String> = store.settled().await?.into_iter().collect();
+    let pending: Vec<&Trial> = trials.iter().filter(|trial| !settled.contains(&trial.hash)).collect();
+    let fault = args.fault.map(|fault| match fault {
+        FaultName::Hang => Fault::Hang,
+        FaultName::Die => Fault::Die,
+        FaultName::NonFinite => Fault::NonFinite,
+        FaultName::Reject => Fault::Reject,
+    });
+    let work = |trial: &Trial| Work::Noop {
+        steps: args.steps,
+        millis: args.step_ms,
+        array: args.array,
+        seed: trial.order as u64,
+        fault,
+    };
+    let options = Options {
+        settings: Settings {
+            workers: args.workers.max(1),
+            retries: args.retries,
+            backoff: 50,
+            no_progress: args.no_progress_ms,
+            time_limit: args.time_limit_ms,
+        },
+        threads: 1,
+        niceness: 0,
+        memory_mib: None,
+        program: PathBuf::from("/proc/self/exe"),
+    };
+    let (cpu, began) = (cpu_seconds(), Instant::now());
+    let summary = engine::run(store, &pending, &work, &options, &mut Silent).await?;
+    let seconds = began.elapsed().as_secs_f64();
+    let row = json!({
+        "bench": "engine",
+        "workers": args.workers,
+        "steps": args.steps,
+        "step_ms": args.step_ms,
+        "array_bytes": args.array * 8,
+        "trials": summary.done,
+        "failed": summary.failed,
+        "stale": summary.stale,
+        "seconds": seconds,
+        "trials_per_second": summary.done as f64 / seconds,
+        "array_bytes_per_second": (summary.done as u64 * args.array * 8) as f64 / seconds,
+        "orchestrator_core_percent": 100.0 * (cpu_seconds() - cpu).as_secs_f64() / seconds,
+        "orchestrator_resident_mib": resident_mib(),
+        "version": env!("CARGO_PKG_VERSION"),
+    });
+    println!("{row}");
+    Ok(match summary.outcome {
+        Outcome::Interrupted => Exit::Interrupted,
+        _ if summary.failed > 0 => Exit::Failed,
+        _ => Exit::Done,
+    })
+}
+
+/// CPU time of this process so far.
+fn cpu_seconds() -> Duration {
+    // SAFETY: a zeroed `rusage` is valid, and the call writes within it.
+    let usage = unsafe {
+        let mut usage: libc::rusage = std::mem::zeroed();
+        libc::getrusage(libc::RUSAGE_SELF, &raw mut usage);
+        usage
+    };
+    let of =
+        |t: libc::timeval| Duration::from_secs(t.tv_sec as u64) + Duration::from_micros(t.tv_usec as u64);
+    of(usage.ru_utime) + of(usage.ru_stime)
+}
+
+/// Highest resident size of this process so far.
+fn resident_mib() -> f64 {
+    // SAFETY: as above.
+    let usage = unsafe {
+        let mut usage: libc::rusage = std::mem::zeroed();
+        libc::getrusage(libc::RUSAGE_SELF, &raw mut usage);
+        usage
+    };
+    usage.ru_maxrss as f64 / 1024.0
+}
+
+fn sweep() -> SweepSpec {
+    serde_json::from_value(json!({
+        "name": "bench-engine",
+        "body": {"columns": 2, "rows": 2, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
+                 "stiffness": {"stretch": 3.0, "shear": 0.5, "bend": 1.0}},
+        "stimuli": {"kind": "bell"},
+        "sweep": {"panels": [1], "sensors": [1]},
+    }))
+    .expect("the sweep of this bench is a sweep")
+}
+
+fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
+    let spec = |order: u32| TrialSpec {
+        body: sweep.body.clone(),
+        time: sweep.time,
+        solver: sweep.solver,
+        sensors: sweep.sensors.clone(),
+        stimuli: sweep.stimuli.clone(),
+        brain: sweep.brain,
+        optimise: sweep.optimise,
+        evaluation: sweep.evaluation,
+        feasible: sweep.feasible,
+        point: metasense_schemas::spec::Point { panels: 1, sensors: 1, placement: order as usize, seed: 1 },
+        panel_units: vec![0],
+        sensor_units: vec![1],
+    };
+    (0..count)
+        .map(|order| Trial {
+            hash: format!("noop-{order:08}"),
+            spec: spec(order),
+            order: order as usize,
+            units: 4,
+            design_parameters: 1,
+            brain_parameters: 0,
+            cost: 1.0,
+        })
+        .collect()
+}

@@ -1,0 +1,26 @@
+//! `bench`: how fast, in rows that can be compared over the years.
+
+mod engine;
+
+use clap::Subcommand;
+
+use super::Error;
+use crate::exit::Exit;
+
+/// Measures.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Engine(engine::Args),
+}
+
+pub async fn execute(args: Args) -> Result<Exit, Error> {
+    match args.what {
+        What::Engine(args) => engine::execute(args).await,
+    }
+}

@@ -1,0 +1,151 @@
+//! What `run` shows while it goes on: a bar with the time to go on a terminal, plain lines elsewhere.
+
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use metasense_schemas::record::{BodyEvaluation, TrialResult};
+
+use super::duration;
+use crate::engine::{View, Watch};
+use crate::plan::Trial;
+use crate::scheduler::{Outcome, Reason};
+
+/// Resolution of the bar.
+const BAR: u64 = 10_000;
+/// Time between two plain lines that say how far the run is.
+const LINE_EVERY: Duration = Duration::from_secs(30);
+/// Parts of the work at which the estimate of the whole time is kept, to be compared with the truth.
+const MARKS: [f64; 4] = [0.1, 0.25, 0.5, 0.75];
+
+/// Shows a run on standard error.
+#[derive(Debug)]
+pub struct Live {
+    /// On a terminal.
+    bar: Option<ProgressBar>,
+    said: Instant,
+    /// Whole time as estimated at each mark (s).
+    estimates: Vec<(f64, f64)>,
+}
+
+impl Live {
+    /// For a run of this many trials, beside others that are settled already.
+    pub fn new(open: usize, settled: usize, workers: u32) -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let style =
+                ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}").expect("the template is one");
+            ProgressBar::with_draw_target(Some(BAR), ProgressDrawTarget::stderr_with_hz(5)).with_style(style)
+        });
+        let live = Self { bar, said: Instant::now(), estimates: Vec::new() };
+        let before = if settled > 0 { format!(", {settled} settled before") } else { String::new() };
+        live.say(&format!("{} to run on {workers} workers{before}", counted(open, "trial")));
+        live
+    }
+
+    fn say(&self, line: &str) {
+        match &self.bar {
+            Some(bar) => bar.println(line),
+            None => eprintln!("{line}"),
+        }
+    }
+}
+
+impl Watch for Live {
+    fn done(&mut self, trial: &Trial, result: &TrialResult) {
+        let (before, after) = (percent(&result.initial), percent(&result.optimised));
+        self.say(&format!("done: {}: holdout error {before} -> {after}", named(trial)));
+    }
+
+    fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool) {
+        let then = if settled { "given up" } else { "it will be tried again" };
+        self.say(&format!("attempt {attempt} failed: {}: {reason}; {then}", named(trial)));
+    }
+
+    fn interrupted(&mut self, again: bool) {
+        self.say(match again {
+            false => "stopping: the steps in progress are finished and recorded (Ctrl-C again stops at once)",
+            true => "stopping at once",
+        });
+    }
+
+    fn tick(&mut self, view: &View) {
+        let (part, eta) = (view.fraction(), view.eta());
+        if let (Some(mark), Some(eta)) = (MARKS.get(self.estimates.len()), eta)
+            && part >= *mark
+        {
+            self.estimates.push((part, (view.elapsed + eta).as_secs_f64()));
+        }
+        let to_go =
+            eta.map_or("ETA unknown yet".into(), |eta| format!("ETA {}", duration(eta.as_secs_f64())));
+        let message = format!(
+            "{} of {}, {} of {} workers busy, {}, {to_go}",
+            view.done + view.failed,
+            counted(view.total, "trial"),
+            view.busy,
+            view.workers,
+            counted(view.steps as usize, "step"),
+        );
+        match &self.bar {
+            Some(bar) => {
+                bar.set_position((part * BAR as f64) as u64);
+                bar.set_message(message);
+            }
+            None if self.said.elapsed() >= LINE_EVERY => {
+                self.said = Instant::now();
+                eprintln!("{:3.0} %: {message}", 100.0 * part);
+            }
+            None => {}
+        }
+    }
+
+    fn end(&mut self, view: &View, outcome: Outcome) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+        let actual = view.elapsed.as_secs_f64();
+        for (part, estimate) in &self.estimates {
+            let (part, error) = (100.0 * part, 100.0 * (estimate / actual - 1.0));
+            tracing::info!(part_percent = part, error_percent = error, "how far off the estimated time was");
+        }
+        if outcome == Outcome::Complete
+            && let Some((part, estimate)) = self.estimates.first()
+        {
+            let error = 100.0 * (estimate / actual - 1.0);
+            eprintln!(
+                "took {}; estimated at {:.0} % with an error of {error:+.0} %",
+                duration(actual),
+                100.0 * part
+            );
+        }
+        if outcome == Outcome::Interrupted {
+            let open = view.total - view.done - view.failed;
+            eprintln!("stopped with {} open; the same command goes on from there", counted(open, "trial"));
+        }
+    }
+}
+
+fn named(trial: &Trial) -> String {
+    let point = trial.spec.point;
+    format!(
+        "K={} M={} placement {} seed {}, {} ({})",
+        point.panels,
+        point.sensors,
+        point.placement,
+        point.seed,
+        counted(trial.units, "unit"),
+        trial.hash.get(..8).unwrap_or(&trial.hash)
+    )
+}
+
+/// Mean holdout error.
+fn percent(body: &BodyEvaluation) -> String {
+    let errors: Vec<f64> = body.networks.iter().filter_map(|network| network.error_holdout).collect();
+    match errors.len() {
+        0 => "unknown".into(),
+        n => format!("{:.2} %", errors.iter().sum::<f64>() / n as f64),
+    }
+}
+
+fn counted(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}

@@ -1,0 +1,509 @@
+//! The loop of a run: turns what happens (messages, deaths, signals, time) into events, and actions into effects.
+//!
+//! It waits, and decides nothing: that is the scheduler's. Effects are the fleet's (processes), the link's (shared
+//! memory) and the writer's (database). A result counts, and is shown, when it is on disk.
+
+mod watch;
+mod writer;
+
+use std::collections::{HashMap, VecDeque};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
+use metasense_schemas::wire::{Array, Lease, LinkError, Start, ToOrchestrator, ToWorker, Work};
+use metasense_worker::process;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::mpsc;
+
+pub use watch::{Silent, View, Watch};
+
+use crate::fleet::Fleet;
+use crate::link::{Line, Runtime, RuntimeError, Word};
+use crate::plan::Trial;
+use crate::scheduler::{self, Action, Event, Mark, Outcome, Phase, Prior, Reason, Settings, State, WorkerId};
+use crate::store::{Store, StoreError};
+use writer::{NamedArray, Write, Written};
+
+/// Time between two looks at deadlines, and between two views.
+const TICK: Duration = Duration::from_millis(200);
+/// Longest wait for the link of a process that has ended; what it had not read then counts as not sent.
+const LINK_GRACE: Duration = Duration::from_millis(700);
+/// Words of links, and records before the writer, that may wait.
+const QUEUE: usize = 512;
+
+/// How a run is carried out.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Limits for the scheduler.
+    pub settings: Settings,
+    /// Threads a worker.
+    pub threads: u32,
+    /// Added to the workers' niceness.
+    pub niceness: i32,
+    /// Limit of a worker's memory (MiB).
+    pub memory_mib: Option<u64>,
+    /// The program whose hidden subcommand is the worker.
+    pub program: PathBuf,
+}
+
+/// What a run came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Summary {
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Trials done in this run.
+    pub done: usize,
+    /// Trials given up in this run.
+    pub failed: usize,
+    /// Messages of attempts that were not current.
+    pub stale: usize,
+}
+
+/// Why a run could not go on.
+#[derive(Debug, thiserror::Error)]
+pub enum EngineError {
+    /// No place in shared memory.
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
+    /// The database.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Signals cannot be waited for.
+    #[error("cannot wait for signals")]
+    Signals(#[source] std::io::Error),
+    /// No worker comes up.
+    #[error("no worker process comes up; the last one: {0}")]
+    NoWorkers(String),
+}
+
+/// Runs trials until all are settled or somebody wants it to end. Closes the store.
+///
+/// `work` says what a worker is to do for a trial. To be called from the main thread: workers end with the thread
+/// that has started them.
+///
+/// # Errors
+/// If nothing can be recorded, or no worker comes up.
+pub async fn run(
+    store: Store,
+    trials: &[&Trial],
+    work: &dyn Fn(&Trial) -> Work,
+    options: &Options,
+    watch: &mut dyn Watch,
+) -> Result<Summary, EngineError> {
+    let mut store = store;
+    let priors = priors(&mut store, trials).await?;
+    let runtime = Runtime::new(options.settings.workers)?;
+    let (ended_out, mut ended) = mpsc::channel(QUEUE);
+    let (words_out, mut words) = mpsc::channel(QUEUE);
+    let (queue, entries) = mpsc::channel(QUEUE);
+    let (said, mut written) = mpsc::unbounded_channel();
+    let hashes = trials.iter().map(|trial| trial.hash.clone()).collect();
+    // On this task, not one of its own: arrays in shared memory may move between threads, not be shared by them.
+    let writing = writer::write(store, hashes, entries, said);
+    let mut signals = signals().map_err(EngineError::Signals)?;
+    let mut ticks = tokio::time::interval(TICK);
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+
+    let mut engine = Engine {
+        state: State::new(options.settings, &priors),
+        priors,
+        trials,
+        work,
+        options,
+        began: Instant::now(),
+        fleet: Fleet::new(options.program.clone(), ended_out),
+        runtime,
+        links: HashMap::new(),
+        words: words_out,
+        queue,
+        checkpoints: HashMap::new(),
+        results: HashMap::new(),
+        view: View::new(trials, options.settings.workers),
+        stale: 0,
+        store_error: None,
+        last_words: String::new(),
+        watch,
+    };
+    let running = async move {
+        let mut events = VecDeque::new();
+        let outcome = loop {
+            tokio::select! {
+                Some((worker, word)) = words.recv() => engine.word(worker, word, &mut events),
+                Some((worker, reason)) = ended.recv() => engine.ended(worker, reason, &mut events),
+                Some(word) = written.recv() => engine.written(word, &mut events),
+                Some(()) = signals.recv() => engine.interrupt(&mut events),
+                _ = ticks.tick() => engine.tick(&mut events),
+            }
+            if let Some(outcome) = engine.carry_out(&mut events).await {
+                break outcome;
+            }
+        };
+        let Engine { view, stale, store_error, last_words, watch, .. } = engine;
+        watch.end(&view, outcome);
+        let summary = Summary { outcome, done: view.done, failed: view.failed, stale };
+        match (outcome, store_error) {
+            (_, Some(error)) => Err(error.into()),
+            (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(last_words)),
+            _ => Ok(summary),
+        }
+    };
+    let (store, summary) = tokio::join!(writing, running);
+    let closed = store.close().await;
+    let summary = summary?;
+    closed?;
+    Ok(summary)
+}
+
+/// What earlier runs have left of these trials.
+async fn priors(store: &mut Store, trials: &[&Trial]) -> Result<Vec<Prior>, StoreError> {
+    let known: HashMap<String, Prior> = store.priors().await?.into_iter().collect();
+    Ok(trials.iter().map(|trial| known.get(&trial.hash).copied().unwrap_or_default()).collect())
+}
+
+/// One message for each SIGINT, SIGTERM or SIGHUP.
+fn signals() -> std::io::Result<mpsc::Receiver<()>> {
+    let (out, signals) = mpsc::channel(4);
+    for kind in [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()] {
+        let (mut signal, out) = (signal(kind)?, out.clone());
+        tokio::spawn(async move { while signal.recv().await.is_some() && out.send(()).await.is_ok() {} });
+    }
+    Ok(signals)
+}
+
+/// What the scheduler passes on unread.
+#[derive(Debug)]
+enum Record {
+    Step(Box<StepRecord>, Arc<Checkpoint>),
+    Result(Box<TrialResult>, Vec<NamedArray>),
+}
+
+/// A worker's process and link, from the making of its domain until both are gone.
+#[derive(Debug)]
+struct Link {
+    line: Line,
+    started: bool,
+    /// Not to be started any more.
+    cancelled: bool,
+    ended: Option<(Reason, Instant)>,
+    closed: bool,
+}
+
+struct Engine<'a> {
+    state: State,
+    priors: Vec<Prior>,
+    trials: &'a [&'a Trial],
+    work: &'a dyn Fn(&Trial) -> Work,
+    options: &'a Options,
+    began: Instant,
+    // Before the runtime: processes go before the directory that they use.
+    fleet: Fleet,
+    links: HashMap<WorkerId, Link>,
+    runtime: Runtime,
+    words: mpsc::Sender<(WorkerId, Word)>,
+    queue: mpsc::Sender<Write>,
+    /// The last one of each trial that has made a step in this run.
+    checkpoints: HashMap<u32, Arc<Checkpoint>>,
+    /// Results on their way to the disk, to be shown when they are there.
+    results: HashMap<u32, TrialResult>,
+    view: View,
+    stale: usize,
+    store_error: Option<StoreError>,
+    last_words: String,
+    watch: &'a mut dyn Watch,
+}
+
+type Events = VecDeque<Event<Record>>;
+
+impl Engine<'_> {
+    /// Puts the events to the scheduler, and carries out what it wants. The outcome, once the run is over.
+    async fn carry_out(&mut self, events: &mut Events) -> Option<Outcome> {
+        let now = self.began.elapsed().as_millis() as u64;
+        let mut actions: VecDeque<_> = scheduler::on_event(&mut self.state, Event::Clock(now)).into();
+        loop {
+            while let Some(action) = actions.pop_front() {
+                if let Action::End(outcome) = action {
+                    return Some(outcome);
+                }
+                self.act(action, events).await;
+            }
+            actions = scheduler::on_event(&mut self.state, events.pop_front()?).into();
+        }
+    }
+
+    async fn act(&mut self, action: Action<Record>, events: &mut Events) {
+        match action {
+            Action::Spawn(worker) => {
+                let line = Line::open(self.runtime.domain(worker), worker, self.words.clone());
+                match line {
+                    Ok(line) => {
+                        let link =
+                            Link { line, started: false, cancelled: false, ended: None, closed: false };
+                        self.links.insert(worker, link);
+                    }
+                    Err(error) => self.misfire(worker, error.to_string(), events),
+                }
+            }
+            Action::Assign(worker, lease) => {
+                self.record(Write::Begin(lease)).await;
+                self.view.assigned(lease.trial);
+                let known =
+                    self.checkpoints.get(&lease.trial).map(|checkpoint| Checkpoint::clone(checkpoint));
+                if known.is_none() && self.priors[lease.trial as usize].begun {
+                    self.record(Write::Load(worker, lease)).await;
+                } else {
+                    self.send_job(worker, lease, known);
+                }
+            }
+            Action::RecordStep(lease, Record::Step(record, checkpoint)) => {
+                self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
+                self.view.stepped(lease.trial);
+                self.watch.step(self.trials[lease.trial as usize], &record);
+                self.record(Write::Step(lease, record, checkpoint)).await;
+            }
+            Action::RecordResult(lease, Record::Result(result, arrays)) => {
+                self.checkpoints.remove(&lease.trial);
+                self.results.insert(lease.trial, TrialResult::clone(&result));
+                self.record(Write::Result(lease, result, arrays)).await;
+            }
+            Action::RecordStep(..) | Action::RecordResult(..) => unreachable!("records keep their kind"),
+            Action::RecordFailure { lease, reason, settled } => {
+                let trial = self.trials[lease.trial as usize];
+                if settled {
+                    self.view.failed(lease.trial);
+                    tracing::error!(trial = trial.hash, lease.attempt, %reason, "trial failed");
+                } else {
+                    self.view.returned(lease.trial);
+                    tracing::warn!(trial = trial.hash, lease.attempt, %reason, "attempt ended, the trial goes on");
+                }
+                if reason != Reason::Stopped {
+                    self.watch.attempt_failed(trial, lease.attempt, reason, settled);
+                }
+                self.record(Write::Failure(lease, reason, settled)).await;
+            }
+            Action::AskStop(worker) => {
+                if let Some(link) = self.links.get(&worker)
+                    && !link.line.send(&ToWorker::Stop).is_ok_and(|sent| sent)
+                {
+                    self.fleet.kill(worker);
+                }
+            }
+            Action::Close(worker) => {
+                self.cancel(worker);
+                self.fleet.close(worker);
+            }
+            Action::Kill(worker) => {
+                self.cancel(worker);
+                self.fleet.kill(worker);
+            }
+            Action::CountStale(lease) => {
+                self.stale += 1;
+                tracing::info!(
+                    lease.trial,
+                    lease.attempt,
+                    "dropped a message of an attempt that is not current"
+                );
+            }
+            Action::End(_) => unreachable!("ends the loop"),
+        }
+    }
+
+    /// A worker whose domain is still being made is not started.
+    fn cancel(&mut self, worker: WorkerId) {
+        if let Some(link) = self.links.get_mut(&worker)
+            && !link.started
+        {
+            link.cancelled = true;
+        }
+    }
+
+    /// Waits while the writer's queue is full. Once the store is broken, there is nobody to write.
+    async fn record(&mut self, write: Write) {
+        if self.store_error.is_none() {
+            let _ = self.queue.send(write).await;
+        }
+    }
+
+    fn send_job(&mut self, worker: WorkerId, lease: Lease, checkpoint: Option<Checkpoint>) {
+        let work = (self.work)(self.trials[lease.trial as usize]);
+        let job = ToWorker::Job {
+            lease,
+            work,
+            checkpoint: checkpoint.map(Box::new),
+            threads: self.options.threads,
+        };
+        let Some(link) = self.links.get(&worker) else { return };
+        match link.line.send(&job) {
+            Ok(true) => {}
+            Ok(false) => {
+                tracing::error!(%worker, "the worker does not read; it is ended");
+                self.fleet.kill(worker);
+            }
+            Err(error) => {
+                tracing::error!(%worker, %error, "a job could not be sent; the worker is ended");
+                self.fleet.kill(worker);
+            }
+        }
+    }
+
+    fn word(&mut self, worker: WorkerId, word: Word, events: &mut Events) {
+        match word {
+            Word::Open => self.start(worker, events),
+            Word::Message(message, arrays) => self.message(worker, *message, arrays, events),
+            Word::Beat(progress) => {
+                self.view.progressed(progress.trial, progress.fraction);
+                let lease = Lease { trial: progress.trial, attempt: progress.attempt };
+                events.push_back(Event::Beat(worker, lease));
+            }
+            Word::Broken(error) => self.broken(worker, &error),
+            Word::Closed => {
+                if let Some(link) = self.links.get_mut(&worker) {
+                    link.closed = true;
+                }
+                self.lost(worker, events);
+            }
+        }
+    }
+
+    fn broken(&mut self, worker: WorkerId, error: &LinkError) {
+        tracing::error!(%worker, %error, "the link does not work; the worker is ended");
+        self.last_words = error.to_string();
+        self.cancel(worker);
+        self.fleet.kill(worker);
+    }
+
+    fn start(&mut self, worker: WorkerId, events: &mut Events) {
+        let Some(link) = self.links.get_mut(&worker) else { return };
+        if link.cancelled {
+            link.line.close();
+            return;
+        }
+        let domain = self.runtime.domain(worker);
+        let start = Start {
+            root: domain.root.to_string_lossy().into_owned(),
+            prefix: domain.prefix,
+            build: process::build(),
+            parent: std::process::id(),
+            niceness: self.options.niceness,
+            memory_mib: self.options.memory_mib,
+        };
+        link.started = true;
+        if let Err(error) = self.fleet.spawn(worker, &start) {
+            let line = self.links.remove(&worker);
+            if let Some(link) = line {
+                link.line.close();
+            }
+            self.misfire(worker, error.to_string(), events);
+        }
+    }
+
+    fn misfire(&mut self, worker: WorkerId, error: String, events: &mut Events) {
+        tracing::error!(%worker, error, "a worker could not be started");
+        self.last_words = error;
+        events.push_back(Event::Lost(worker, Reason::WorkerExited(-1)));
+    }
+
+    fn message(
+        &mut self,
+        worker: WorkerId,
+        message: ToOrchestrator,
+        arrays: Vec<Array>,
+        events: &mut Events,
+    ) {
+        events.push_back(match message {
+            ToOrchestrator::Hello { build, pid } if build != process::build() => {
+                tracing::error!(%worker, pid, build, "the worker is another build; it is ended");
+                self.last_words = format!("a worker of build {build}, this is {}", process::build());
+                self.fleet.kill(worker);
+                return;
+            }
+            ToOrchestrator::Hello { .. } => Event::Up(worker),
+            ToOrchestrator::Step { lease, record, checkpoint } => {
+                Event::Step(worker, lease, Record::Step(record, Arc::from(checkpoint)))
+            }
+            ToOrchestrator::Finished { lease, result, arrays: heads } => {
+                let named = |((name, shape), values): ((String, Vec<u64>), Array)| NamedArray {
+                    name,
+                    shape: shape.into_iter().map(|n| n as usize).collect(),
+                    values,
+                };
+                let arrays = heads.into_iter().zip(arrays).map(named).collect();
+                Event::Finished(worker, lease, Record::Result(result, arrays))
+            }
+            ToOrchestrator::Failed { lease, trouble, detail } => {
+                let reason = Reason::from(trouble);
+                let trial = self.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
+                tracing::error!(trial, lease.attempt, %reason, detail, "the worker gave the trial up");
+                Event::Failed(worker, lease, reason)
+            }
+            ToOrchestrator::Stopped { lease } => Event::Failed(worker, lease, Reason::Stopped),
+        });
+    }
+
+    /// The process is gone: what it has sent is read before it counts as lost.
+    fn ended(&mut self, worker: WorkerId, reason: Reason, events: &mut Events) {
+        if let Some(link) = self.links.get_mut(&worker) {
+            link.ended = Some((reason, Instant::now()));
+            link.line.close();
+        }
+        self.lost(worker, events);
+    }
+
+    fn lost(&mut self, worker: WorkerId, events: &mut Events) {
+        let Some(link) = self.links.get(&worker) else { return };
+        let reason = match link.ended {
+            Some((reason, at)) if link.closed || at.elapsed() > LINK_GRACE => reason,
+            None if link.closed && !link.started => Reason::WorkerExited(-1),
+            _ => return,
+        };
+        if !link.closed {
+            tracing::error!(%worker, "the link of a dead worker does not end; going on without it");
+        }
+        if self.last_words.is_empty() {
+            self.last_words = reason.to_string();
+        }
+        tracing::info!(%worker, %reason, "worker gone");
+        self.links.remove(&worker);
+        self.fleet.forget(worker);
+        events.push_back(Event::Lost(worker, reason));
+    }
+
+    fn written(&mut self, word: Written, events: &mut Events) {
+        match word {
+            Written::Recorded(lease, mark) => {
+                if mark == Mark::Result
+                    && let Some(result) = self.results.remove(&lease.trial)
+                {
+                    self.view.done(lease.trial);
+                    self.watch.done(self.trials[lease.trial as usize], &result);
+                }
+                events.push_back(Event::Recorded(lease, mark));
+            }
+            Written::Loaded(worker, lease, checkpoint) => {
+                if self.state.phase(lease.trial) == Phase::Running(worker) {
+                    self.send_job(worker, lease, checkpoint);
+                }
+            }
+            Written::Broken(error) => {
+                tracing::error!(%error, "nothing can be recorded any more; the run ends");
+                self.store_error = Some(error);
+                events.push_back(Event::StoreBroken);
+            }
+        }
+    }
+
+    fn interrupt(&mut self, events: &mut Events) {
+        self.watch.interrupted(self.state.is_stopping());
+        events.push_back(Event::Interrupt);
+    }
+
+    fn tick(&mut self, events: &mut Events) {
+        let late: Vec<_> =
+            self.links.iter().filter(|(_, link)| link.ended.is_some()).map(|(id, _)| *id).collect();
+        late.into_iter().for_each(|worker| self.lost(worker, events));
+        self.view.busy = self.state.busy();
+        self.view.elapsed = self.began.elapsed();
+        self.watch.tick(&self.view);
+    }
+}

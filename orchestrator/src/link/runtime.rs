@@ -1,0 +1,187 @@
+//! The place of a run in shared memory, and what is left there by runs that are gone.
+//!
+//! ```text
+//! /dev/shm/metasense-ID/lock      held for as long as the run lives
+//! /dev/shm/metasense-ID/3.12/     root path of the domain of worker 3.12
+//! /dev/shm/metasense-ID_3.12_…    its segments
+//! ```
+//! A directory whose lock can be taken belongs to nobody, and so do segments without a directory. What another user's
+//! run has left cannot be removed, and is in nobody's way: no two runs share a name.
+
+use std::fs::{DirBuilder, File};
+use std::io;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use crate::scheduler::WorkerId;
+
+/// Where POSIX shared memory lives.
+pub const SHARED_MEMORY: &str = "/dev/shm";
+/// What every name of ours begins with.
+const STEM: &str = "metasense-";
+/// A directory without a lock in it may be a run that begins right now; after this long it is not.
+const BIRTH: Duration = Duration::from_secs(60);
+/// Least free space for each worker (bytes): its chunks for messages and some arrays.
+pub const SPACE_PER_WORKER: u64 = 16 << 20;
+
+/// Why a run has no place in shared memory.
+#[derive(Debug, thiserror::Error)]
+pub enum RuntimeError {
+    /// The directory cannot be made.
+    #[error("cannot make {}; check that {SHARED_MEMORY} is mounted and writable", path.display())]
+    Unwritable {
+        /// The directory.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Writing to a full one would kill the process.
+    #[error(
+        "{SHARED_MEMORY} has {free_mib} MiB free, {workers} workers need {needed_mib} MiB; make room, enlarge it \
+         (`mount -o remount,size=1G {SHARED_MEMORY}`, or `docker run --shm-size 1g`), or take fewer workers"
+    )]
+    Full {
+        /// Free (MiB).
+        free_mib: u64,
+        /// Needed (MiB).
+        needed_mib: u64,
+        /// For how many workers.
+        workers: u32,
+    },
+}
+
+/// A run's place. Dropped, it removes everything in it.
+#[derive(Debug)]
+pub struct Runtime {
+    shared: PathBuf,
+    name: String,
+    // Held until everything is removed.
+    _lock: File,
+}
+
+/// Where a worker's domain is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Domain {
+    shared: PathBuf,
+    /// Root path.
+    pub root: PathBuf,
+    /// Prefix of its segments.
+    pub prefix: String,
+}
+
+impl Runtime {
+    /// Makes a place of its own for a run, after removing what dead runs have left.
+    ///
+    /// # Errors
+    /// If there is no directory to be made, or too little space.
+    pub fn new(workers: u32) -> Result<Self, RuntimeError> {
+        let shared = PathBuf::from(SHARED_MEMORY);
+        let removed = remove_stale(&shared);
+        if removed > 0 {
+            tracing::warn!(removed, "removed what runs that are gone had left in {SHARED_MEMORY}");
+        }
+        let needed = u64::from(workers) * SPACE_PER_WORKER;
+        if let Some(free) = free_space(&shared)
+            && free < needed
+        {
+            return Err(RuntimeError::Full { free_mib: free >> 20, needed_mib: needed >> 20, workers });
+        }
+        let mut seed = u64::from(std::process::id()) << 32
+            | u64::from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().subsec_nanos());
+        loop {
+            seed = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29);
+            let name = format!("{STEM}{:010x}", seed & 0xff_ffff_ffff);
+            let path = shared.join(&name);
+            match DirBuilder::new().mode(0o700).create(&path) {
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => continue,
+                Err(source) => return Err(RuntimeError::Unwritable { path, source }),
+                Ok(()) => {}
+            }
+            let lock = File::create(path.join("lock"));
+            let lock = lock.map_err(|source| RuntimeError::Unwritable { path: path.clone(), source })?;
+            // Between these lines another run may have taken the new directory for an abandoned one.
+            if lock.try_lock().is_ok() && path.join("lock").exists() {
+                tracing::info!(place = name, "the run has a place in {SHARED_MEMORY}");
+                return Ok(Self { shared, name, _lock: lock });
+            }
+        }
+    }
+
+    /// The domain of a worker; made by whoever creates its services.
+    pub fn domain(&self, worker: WorkerId) -> Domain {
+        Domain {
+            shared: self.shared.clone(),
+            root: self.shared.join(&self.name).join(worker.to_string()),
+            prefix: format!("{}_{worker}_", self.name),
+        }
+    }
+}
+
+impl Drop for Runtime {
+    fn drop(&mut self) {
+        remove_segments(&self.shared, &format!("{}_", self.name));
+        let _ = std::fs::remove_dir_all(self.shared.join(&self.name));
+    }
+}
+
+impl Domain {
+    /// Removes everything of it, whatever state a killed worker has left it in.
+    pub fn remove(&self) {
+        remove_segments(&self.shared, &self.prefix);
+        let _ = std::fs::remove_dir_all(&self.root);
+    }
+}
+
+fn remove_segments(shared: &Path, prefix: &str) -> usize {
+    let Ok(entries) = std::fs::read_dir(shared) else { return 0 };
+    let ours = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().starts_with(prefix);
+    entries.flatten().filter(ours).filter(|entry| std::fs::remove_file(entry.path()).is_ok()).count()
+}
+
+/// Removes directories and segments of runs that are gone; returns how many. What is not ours to remove stays.
+pub fn remove_stale(shared: &Path) -> usize {
+    let Ok(entries) = std::fs::read_dir(shared) else { return 0 };
+    let mut removed = 0;
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let Some(id) = name.strip_prefix(STEM) else { continue };
+        match id.split_once('_') {
+            Some((id, _)) => {
+                if !shared.join(format!("{STEM}{id}")).exists() {
+                    removed += usize::from(std::fs::remove_file(entry.path()).is_ok());
+                }
+            }
+            None => {
+                if let Some(_lock) = abandoned(&entry.path()) {
+                    removed += remove_segments(shared, &format!("{name}_"));
+                    removed += usize::from(std::fs::remove_dir_all(entry.path()).is_ok());
+                }
+            }
+        }
+    }
+    removed
+}
+
+/// A handle, and the lock where there is one, on the directory of a run that is gone.
+fn abandoned(directory: &Path) -> Option<File> {
+    match File::open(directory.join("lock")) {
+        Ok(lock) => lock.try_lock().is_ok().then_some(lock),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            let age = directory.metadata().ok()?.modified().ok()?.elapsed().ok()?;
+            (age > BIRTH).then(|| File::open(directory).ok())?
+        }
+        Err(_) => None,
+    }
+}
+
+/// Free bytes of a file system, for this user.
+fn free_space(path: &Path) -> Option<u64> {
+    let path = std::ffi::CString::new(path.as_os_str().as_encoded_bytes()).ok()?;
+    // SAFETY: a zeroed `statvfs` is valid, and the call writes within it.
+    let (code, stat) = unsafe {
+        let mut stat: libc::statvfs = std::mem::zeroed();
+        (libc::statvfs(path.as_ptr(), &raw mut stat), stat)
+    };
+    (code == 0).then(|| stat.f_bavail * stat.f_frsize)
+}

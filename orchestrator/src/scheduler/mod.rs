@@ -1,0 +1,534 @@
+//! All decisions of a run: `on_event(&mut State, Event) -> Vec<Action>`, without clock, randomness or I/O.
+//!
+//! A trial is `pending → running → recording → done`, or `failed`, or pending again; a worker's slot is
+//! `empty → starting → idle ⇄ busy → ending → empty`. Every message carries the lease (trial, attempt) it speaks of, and
+//! one whose lease its worker does not hold is counted and dropped. `P` is what is recorded: the scheduler passes it on unread.
+
+mod reason;
+#[cfg(test)]
+mod simulation;
+
+use std::collections::BTreeSet;
+
+use metasense_schemas::wire::{Lease, RESULTS};
+
+pub use reason::Reason;
+
+/// Milliseconds since the run began.
+pub type Millis = u64;
+
+/// A worker process: its slot, and which process in it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct WorkerId {
+    /// From 0.
+    pub slot: u32,
+    /// From 1.
+    pub generation: u32,
+}
+
+impl std::fmt::Display for WorkerId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}.{}", self.slot, self.generation)
+    }
+}
+
+/// What may happen.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event<P> {
+    /// Time has passed.
+    Clock(Millis),
+    /// A worker has said hello.
+    Up(WorkerId),
+    /// A sign of life.
+    Beat(WorkerId, Lease),
+    /// An outer step is done.
+    Step(WorkerId, Lease, P),
+    /// The trial is done.
+    Finished(WorkerId, Lease, P),
+    /// The attempt came to no result; the worker goes on.
+    Failed(WorkerId, Lease, Reason),
+    /// A worker is gone, and everything it said has been read.
+    Lost(WorkerId, Reason),
+    /// What an action asked to record is on disk.
+    Recorded(Lease, Mark),
+    /// Nothing can be recorded any more.
+    StoreBroken,
+    /// A person wants the run to end.
+    Interrupt,
+}
+
+/// What was recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mark {
+    /// A step.
+    Step,
+    /// A result.
+    Result,
+    /// The end of an attempt without one.
+    Failure,
+}
+
+/// What is to be done.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Action<P> {
+    /// Start this worker process.
+    Spawn(WorkerId),
+    /// Record that the attempt begins, and give the trial to the worker, from its last checkpoint.
+    Assign(WorkerId, Lease),
+    /// Record a step.
+    RecordStep(Lease, P),
+    /// Record a result.
+    RecordResult(Lease, P),
+    /// Record that the attempt came to nothing; `settled`: and so did the trial.
+    RecordFailure {
+        /// Which attempt.
+        lease: Lease,
+        /// Why.
+        reason: Reason,
+        /// No further attempt follows.
+        settled: bool,
+    },
+    /// Ask for the trial back after the step in progress.
+    AskStop(WorkerId),
+    /// End the process in order.
+    Close(WorkerId),
+    /// End the process at once.
+    Kill(WorkerId),
+    /// A message came of an attempt that is not current.
+    CountStale(Lease),
+    /// The run is over.
+    End(Outcome),
+}
+
+/// How a run ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Every trial is settled.
+    Complete,
+    /// By request.
+    Interrupted,
+    /// Nothing could be recorded any more.
+    StoreBroken,
+    /// No worker process comes up.
+    NoWorkers,
+}
+
+/// Limits of a run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Worker processes.
+    pub workers: u32,
+    /// How often a trial is tried again after deaths without a step in between.
+    pub retries: u32,
+    /// Wait before the first such retry; doubles up to `BACKOFF_MAX`.
+    pub backoff: Millis,
+    /// Longest time without a sign of life.
+    pub no_progress: Millis,
+    /// Longest time of an attempt.
+    pub time_limit: Option<Millis>,
+}
+
+/// Longest wait before a retry.
+pub const BACKOFF_MAX: Millis = 60_000;
+/// Longest time between the start of a process and its hello.
+pub const STARTING_MAX: Millis = 30_000;
+/// Longest time between asking a process to end and killing it.
+pub const ENDING_MAX: Millis = 3_000;
+/// Processes of a slot that may fail to come up in a row before the slot is given up.
+pub const MISFIRES_MAX: u32 = 4;
+/// Records that may wait for the disk before no further trial is handed out.
+pub const UNRECORDED_MAX: usize = 256;
+
+/// A trial as the run finds it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Prior {
+    /// Attempts of earlier runs.
+    pub attempts: u32,
+    /// There is a checkpoint to go on from: such trials come first.
+    pub begun: bool,
+}
+
+/// What a trial is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phase {
+    /// Waits.
+    Pending,
+    /// With a worker.
+    Running(WorkerId),
+    /// Its result is on the way to the disk.
+    Recording(WorkerId),
+    /// Its result is on the disk.
+    Done,
+    /// Given up.
+    Failed(Reason),
+}
+
+#[derive(Debug, Clone)]
+struct Trial {
+    phase: Phase,
+    attempt: u32,
+    begun: bool,
+    /// Deaths since the last step.
+    deaths: u32,
+    stepped: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Work {
+    Empty { until: Millis },
+    Starting { since: Millis },
+    Idle,
+    Busy { lease: Lease, since: Millis, beat: Millis, asked: bool },
+    Ending { lease: Option<Lease>, since: Millis, why: Option<Reason> },
+    GivenUp,
+}
+
+#[derive(Debug, Clone)]
+struct Slot {
+    generation: u32,
+    misfires: u32,
+    /// Results of this worker on their way to the disk.
+    unrecorded: usize,
+    work: Work,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Stopping {
+    No,
+    Asked,
+    AtOnce,
+    Broken,
+}
+
+/// Everything the scheduler knows.
+#[derive(Debug, Clone)]
+pub struct State {
+    settings: Settings,
+    now: Millis,
+    trials: Vec<Trial>,
+    /// Trials that may be handed out: begun ones first, then in the order of the plan.
+    ready: BTreeSet<(bool, u32)>,
+    /// Trials that wait for a time.
+    delayed: BTreeSet<(Millis, u32)>,
+    slots: Vec<Slot>,
+    unsettled: usize,
+    unrecorded: usize,
+    stopping: Stopping,
+    ended: bool,
+}
+
+/// The only place that decides.
+#[must_use = "actions must be carried out"]
+pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
+    let mut actions = Vec::new();
+    if state.ended {
+        return actions;
+    }
+    let out = &mut actions;
+    match event {
+        Event::Clock(now) => state.clock(now, out),
+        Event::Up(worker) => state.up(worker),
+        Event::Beat(worker, lease) => {
+            if state.holds(worker, lease) {
+                state.beat(worker);
+            }
+        }
+        Event::Step(worker, lease, _)
+        | Event::Finished(worker, lease, _)
+        | Event::Failed(worker, lease, _)
+            if !state.holds(worker, lease) =>
+        {
+            out.push(Action::CountStale(lease));
+        }
+        Event::Step(worker, lease, record) => {
+            state.beat(worker);
+            let trial = &mut state.trials[lease.trial as usize];
+            (trial.stepped, trial.begun) = (true, true);
+            state.unrecorded += 1;
+            out.push(Action::RecordStep(lease, record));
+        }
+        Event::Finished(worker, lease, record) => {
+            state.release(worker);
+            state.slots[worker.slot as usize].unrecorded += 1;
+            state.trials[lease.trial as usize].phase = Phase::Recording(worker);
+            state.unrecorded += 1;
+            out.push(Action::RecordResult(lease, record));
+        }
+        Event::Failed(worker, lease, reason) => {
+            state.release(worker);
+            state.attempt_failed(lease, reason, out);
+        }
+        Event::Lost(worker, reason) => state.lost(worker, reason, out),
+        Event::Recorded(lease, mark) => {
+            state.unrecorded = state.unrecorded.saturating_sub(1);
+            let trial = &mut state.trials[lease.trial as usize];
+            if mark == Mark::Result
+                && let Phase::Recording(worker) = std::mem::replace(&mut trial.phase, Phase::Done)
+            {
+                state.unsettled -= 1;
+                if let Some(slot) = state.slot(worker) {
+                    slot.unrecorded -= 1;
+                }
+            }
+        }
+        Event::StoreBroken => {
+            state.stopping = Stopping::Broken;
+            state.unrecorded = 0;
+        }
+        Event::Interrupt => {
+            let next = if state.stopping == Stopping::No { Stopping::Asked } else { Stopping::AtOnce };
+            state.stopping = state.stopping.max(next);
+        }
+    }
+    state.stop(out);
+    state.assign(out);
+    state.spawn(out);
+    state.end(out);
+    actions
+}
+
+impl State {
+    /// A run of these trials, in the order of the plan. The first event should be `Event::Clock`.
+    pub fn new(settings: Settings, trials: &[Prior]) -> Self {
+        assert!(settings.workers > 0, "a run needs a worker");
+        let slot = Slot { generation: 0, misfires: 0, unrecorded: 0, work: Work::Empty { until: 0 } };
+        Self {
+            settings,
+            now: 0,
+            ready: trials.iter().zip(0..).map(|(prior, trial)| (!prior.begun, trial)).collect(),
+            delayed: BTreeSet::new(),
+            trials: trials
+                .iter()
+                .map(|prior| Trial {
+                    phase: Phase::Pending,
+                    attempt: prior.attempts,
+                    begun: prior.begun,
+                    deaths: 0,
+                    stepped: false,
+                })
+                .collect(),
+            slots: vec![slot; settings.workers as usize],
+            unsettled: trials.len(),
+            unrecorded: 0,
+            stopping: Stopping::No,
+            ended: false,
+        }
+    }
+
+    /// What a trial is doing.
+    pub fn phase(&self, trial: u32) -> Phase {
+        self.trials[trial as usize].phase
+    }
+
+    /// Whether a person has asked for the end.
+    pub fn is_stopping(&self) -> bool {
+        self.stopping != Stopping::No
+    }
+
+    /// Workers that have a trial.
+    pub fn busy(&self) -> usize {
+        self.slots.iter().filter(|slot| matches!(slot.work, Work::Busy { .. })).count()
+    }
+
+    /// The slot of a worker, if that process is the current one.
+    fn slot(&mut self, worker: WorkerId) -> Option<&mut Slot> {
+        self.slots.get_mut(worker.slot as usize).filter(|slot| slot.generation == worker.generation)
+    }
+
+    /// A worker that is being ended still holds its trial: what it said before it went counts.
+    fn holds(&mut self, worker: WorkerId, lease: Lease) -> bool {
+        self.slot(worker).is_some_and(|slot| match slot.work {
+            Work::Busy { lease: held, .. } => held == lease,
+            Work::Ending { lease: held, .. } => held == Some(lease),
+            _ => false,
+        })
+    }
+
+    fn beat(&mut self, worker: WorkerId) {
+        let now = self.now;
+        if let Some(Slot { work: Work::Busy { beat, .. }, .. }) = self.slot(worker) {
+            *beat = now;
+        }
+    }
+
+    /// Takes the trial from a worker that holds one.
+    fn release(&mut self, worker: WorkerId) {
+        if let Some(slot) = self.slot(worker) {
+            match &mut slot.work {
+                Work::Ending { lease, .. } => *lease = None,
+                work => *work = Work::Idle,
+            }
+        }
+    }
+
+    fn up(&mut self, worker: WorkerId) {
+        if let Some(slot) = self.slot(worker)
+            && let Work::Starting { .. } = slot.work
+        {
+            slot.misfires = 0;
+            slot.work = Work::Idle;
+        }
+    }
+
+    fn clock<P>(&mut self, now: Millis, out: &mut Vec<Action<P>>) {
+        self.now = self.now.max(now);
+        while let Some(&(until, trial)) = self.delayed.first()
+            && until <= self.now
+        {
+            self.delayed.pop_first();
+            self.ready.insert((!self.trials[trial as usize].begun, trial));
+        }
+        let (now, settings) = (self.now, self.settings);
+        for (slot, number) in self.slots.iter_mut().zip(0..) {
+            let worker = WorkerId { slot: number, generation: slot.generation };
+            let (lease, why) = match slot.work {
+                Work::Busy { lease, beat, .. } if now > beat + settings.no_progress => {
+                    (Some(lease), Some(Reason::NoProgress))
+                }
+                Work::Busy { lease, since, .. }
+                    if settings.time_limit.is_some_and(|limit| now > since + limit) =>
+                {
+                    (Some(lease), Some(Reason::TimeLimit))
+                }
+                Work::Starting { since } if now > since + STARTING_MAX => (None, None),
+                Work::Ending { lease, since, why } if now > since + ENDING_MAX => (lease, why),
+                _ => continue,
+            };
+            slot.work = Work::Ending { lease, since: now, why };
+            out.push(Action::Kill(worker));
+        }
+    }
+
+    fn lost<P>(&mut self, worker: WorkerId, reason: Reason, out: &mut Vec<Action<P>>) {
+        let now = self.now;
+        let Some(slot) = self.slot(worker) else { return };
+        let (lease, why, misfired) = match slot.work {
+            Work::Busy { lease, .. } => (Some(lease), reason, false),
+            Work::Ending { lease, why, .. } => (lease, why.unwrap_or(reason), false),
+            Work::Starting { .. } => (None, reason, true),
+            Work::Idle | Work::Empty { .. } | Work::GivenUp => (None, reason, false),
+        };
+        slot.misfires += u32::from(misfired);
+        slot.work = if slot.misfires >= MISFIRES_MAX {
+            Work::GivenUp
+        } else {
+            Work::Empty { until: now + if misfired { 200 << slot.misfires } else { 0 } }
+        };
+        if let Some(lease) = lease {
+            self.attempt_failed(lease, why, out);
+        }
+    }
+
+    /// An attempt came to nothing: again, later, or never.
+    fn attempt_failed<P>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
+        let by_request = reason == Reason::Stopped || self.stopping >= Stopping::AtOnce;
+        let trial = &mut self.trials[lease.trial as usize];
+        if !by_request {
+            trial.deaths = if trial.stepped { 0 } else { trial.deaths + 1 };
+        }
+        trial.stepped = false;
+        let settled = !by_request && (!reason.is_retried() || trial.deaths > self.settings.retries);
+        if settled {
+            trial.phase = Phase::Failed(reason);
+            self.unsettled -= 1;
+        } else {
+            trial.phase = Phase::Pending;
+            let doublings = trial.deaths.saturating_sub(1).min(20);
+            let wait =
+                if trial.deaths == 0 { 0 } else { (self.settings.backoff << doublings).min(BACKOFF_MAX) };
+            self.delayed.insert((self.now + wait, lease.trial));
+        }
+        if self.stopping != Stopping::Broken {
+            self.unrecorded += 1;
+            out.push(Action::RecordFailure { lease, reason, settled });
+        }
+    }
+
+    /// Ends workers where the run is to end.
+    fn stop<P>(&mut self, out: &mut Vec<Action<P>>) {
+        let finished = self.unsettled == 0;
+        if self.stopping == Stopping::No && !finished {
+            return;
+        }
+        for (slot, number) in self.slots.iter_mut().zip(0..) {
+            let worker = WorkerId { slot: number, generation: slot.generation };
+            let at_once = self.stopping >= Stopping::AtOnce;
+            match slot.work {
+                Work::Busy { lease, .. } if at_once => {
+                    slot.work =
+                        Work::Ending { lease: Some(lease), since: self.now, why: Some(Reason::Stopped) };
+                    out.push(Action::Kill(worker));
+                }
+                Work::Busy { lease, since, beat, asked: false } => {
+                    slot.work = Work::Busy { lease, since, beat, asked: true };
+                    out.push(Action::AskStop(worker));
+                }
+                Work::Idle | Work::Starting { .. } => {
+                    slot.work = Work::Ending { lease: None, since: self.now, why: None };
+                    out.push(Action::Close(worker));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Hands trials to idle workers.
+    fn assign<P>(&mut self, out: &mut Vec<Action<P>>) {
+        if self.stopping != Stopping::No {
+            return;
+        }
+        let now = self.now;
+        for (slot, number) in self.slots.iter_mut().zip(0..) {
+            if slot.work != Work::Idle || slot.unrecorded >= RESULTS || self.unrecorded >= UNRECORDED_MAX {
+                continue;
+            }
+            let Some((_, number_of_trial)) = self.ready.pop_first() else { return };
+            let worker = WorkerId { slot: number, generation: slot.generation };
+            let trial = &mut self.trials[number_of_trial as usize];
+            trial.attempt += 1;
+            trial.phase = Phase::Running(worker);
+            let lease = Lease { trial: number_of_trial, attempt: trial.attempt };
+            slot.work = Work::Busy { lease, since: now, beat: now, asked: false };
+            out.push(Action::Assign(worker, lease));
+        }
+    }
+
+    /// Starts as many workers as there are trials that wait for one.
+    fn spawn<P>(&mut self, out: &mut Vec<Action<P>>) {
+        if self.stopping != Stopping::No {
+            return;
+        }
+        let coming = |slot: &&Slot| matches!(slot.work, Work::Starting { .. } | Work::Idle);
+        let waiting = self.ready.len() + self.delayed.len();
+        let mut wanted = waiting.saturating_sub(self.slots.iter().filter(coming).count());
+        for (slot, number) in self.slots.iter_mut().zip(0..) {
+            if let Work::Empty { until } = slot.work
+                && until <= self.now
+                && wanted > 0
+            {
+                wanted -= 1;
+                slot.generation += 1;
+                slot.unrecorded = 0;
+                slot.work = Work::Starting { since: self.now };
+                out.push(Action::Spawn(WorkerId { slot: number, generation: slot.generation }));
+            }
+        }
+    }
+
+    /// Says so when the run is over.
+    fn end<P>(&mut self, out: &mut Vec<Action<P>>) {
+        let deserted = self.slots.iter().all(|slot| matches!(slot.work, Work::Empty { .. } | Work::GivenUp));
+        if !deserted || self.unrecorded > 0 {
+            return;
+        }
+        let outcome = match self.stopping {
+            Stopping::Broken => Outcome::StoreBroken,
+            _ if self.unsettled == 0 => Outcome::Complete,
+            Stopping::Asked | Stopping::AtOnce => Outcome::Interrupted,
+            Stopping::No if self.slots.iter().all(|slot| slot.work == Work::GivenUp) => Outcome::NoWorkers,
+            Stopping::No => return,
+        };
+        self.ended = true;
+        out.push(Action::End(outcome));
+    }
+}

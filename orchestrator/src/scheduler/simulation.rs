@@ -1,0 +1,356 @@
+//! The scheduler in a world of its own: workers that die, hang, lag, repeat themselves and speak too late.
+//!
+//! The world is a queue of events at times, drawn from a seed. After every event: no trial is lost, none is with two
+//! workers, no attempt number is given twice, and no result is recorded twice; and every run ends. A seed that fails prints its history.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+
+use super::*;
+
+/// SplitMix64.
+struct Dice(u64);
+
+impl Dice {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, n: u64) -> u64 {
+        self.next() % n
+    }
+
+    fn percent(&mut self, chance: u64) -> bool {
+        self.below(100) < chance
+    }
+}
+
+/// What is recorded of a trial in the simulated store: its steps, or its result.
+type Payload = (u32, u32);
+
+/// A simulated worker process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Process {
+    Starting,
+    Up,
+    Hung,
+    Gone,
+}
+
+struct World {
+    dice: Dice,
+    state: State,
+    now: Millis,
+    /// What will happen, by time and order of scheduling.
+    queue: BTreeMap<(Millis, u64), Event<Payload>>,
+    scheduled: u64,
+    processes: HashMap<WorkerId, Process>,
+    working: HashMap<WorkerId, Lease>,
+    /// Steps on the simulated disk.
+    steps: Vec<u32>,
+    results: Vec<u32>,
+    failed: Vec<Option<Reason>>,
+    leases: HashSet<Lease>,
+    /// Steps that a trial has; deaths, hangs and so on in percent.
+    length: Vec<u32>,
+    chance_of_death: u64,
+    chance_of_hanging: u64,
+    chance_of_trouble: u64,
+    chance_of_misfire: u64,
+    chance_of_echo: u64,
+    interrupt: bool,
+    store_breaks: bool,
+    /// Kept on the second run of a seed that has failed.
+    history: Option<Vec<String>>,
+    outcome: Option<Outcome>,
+}
+
+impl World {
+    fn new(seed: u64) -> Self {
+        let mut dice = Dice(seed);
+        let trials = 1 + dice.below(12) as usize;
+        let settings = Settings {
+            workers: 1 + dice.below(4) as u32,
+            retries: dice.below(6) as u32,
+            backoff: dice.below(2000),
+            no_progress: 20_000,
+            time_limit: dice.percent(30).then_some(60_000),
+        };
+        let priors: Vec<Prior> =
+            (0..trials).map(|_| Prior { attempts: dice.below(3) as u32, begun: dice.percent(20) }).collect();
+        let calm = dice.percent(20);
+        let chance = |dice: &mut Dice, most| if calm { 0 } else { dice.below(most) };
+        let mut world = Self {
+            state: State::new(settings, &priors),
+            now: 0,
+            queue: BTreeMap::new(),
+            scheduled: 0,
+            processes: HashMap::new(),
+            working: HashMap::new(),
+            steps: vec![0; trials],
+            results: vec![0; trials],
+            failed: vec![None; trials],
+            leases: HashSet::new(),
+            length: (0..trials).map(|_| dice.below(8) as u32).collect(),
+            chance_of_death: chance(&mut dice, 30),
+            chance_of_hanging: chance(&mut dice, 4),
+            chance_of_trouble: chance(&mut dice, 6),
+            chance_of_misfire: chance(&mut dice, 40),
+            chance_of_echo: chance(&mut dice, 30),
+            interrupt: dice.percent(25),
+            store_breaks: dice.percent(5),
+            history: None,
+            outcome: None,
+            dice,
+        };
+        for trial in 0..trials {
+            for attempt in 1..=priors[trial].attempts {
+                world.leases.insert(Lease { trial: trial as u32, attempt });
+            }
+        }
+        if world.interrupt {
+            let first = world.dice.below(30_000);
+            world.at(first, Event::Interrupt);
+            if world.dice.percent(40) {
+                let second = first + world.dice.below(3_000);
+                world.at(second, Event::Interrupt);
+            }
+        }
+        if world.store_breaks {
+            let at = world.dice.below(30_000);
+            world.at(at, Event::StoreBroken);
+        }
+        world
+    }
+
+    fn at(&mut self, when: Millis, event: Event<Payload>) {
+        self.scheduled += 1;
+        self.queue.insert((when, self.scheduled), event);
+    }
+
+    fn soon(&mut self, most: Millis, event: Event<Payload>) {
+        let when = self.now + self.dice.below(most);
+        self.at(when, event);
+    }
+
+    /// Messages of a worker keep their order; an echo of one may come at any time, also after the worker's death.
+    fn say(&mut self, when: Millis, event: Event<Payload>) {
+        if self.dice.percent(self.chance_of_echo) {
+            let late = when + self.dice.below(30_000);
+            self.at(late, event.clone());
+        }
+        self.at(when, event);
+    }
+
+    fn run(&mut self) {
+        let mut clock = 0;
+        while self.outcome.is_none() {
+            assert!(self.now < 100_000_000, "the run does not end");
+            // Time passes in ticks, as in the engine.
+            let next = self.queue.first_key_value().map_or(Millis::MAX, |(&(when, _), _)| when);
+            if next > clock {
+                self.now = clock;
+                clock += if next > clock + 5_000 { 1_000 } else { 200 };
+                self.event(Event::Clock(self.now));
+            } else {
+                let ((when, _), event) = self.queue.pop_first().expect("looked at above");
+                self.now = self.now.max(when);
+                if self.happens(&event) {
+                    self.event(event);
+                }
+            }
+        }
+        self.check_end();
+    }
+
+    /// What a process that is gone would still have done does not happen; what it has said does.
+    fn happens(&mut self, event: &Event<Payload>) -> bool {
+        match event {
+            Event::Lost(worker, _) => {
+                let gone = self.processes.insert(*worker, Process::Gone);
+                self.working.remove(worker);
+                gone.is_some_and(|process| process != Process::Gone)
+            }
+            Event::Up(worker) => {
+                let process = self.processes.get_mut(worker).expect("was spawned");
+                let comes_up = *process == Process::Starting;
+                if comes_up {
+                    *process = Process::Up;
+                }
+                comes_up
+            }
+            _ => true,
+        }
+    }
+
+    fn event(&mut self, event: Event<Payload>) {
+        if let Some(history) = &mut self.history
+            && !matches!(event, Event::Clock(_))
+        {
+            history.push(format!("{:>8} {event:?}", self.now));
+        }
+        if let Event::Recorded(lease, Mark::Failure) = event
+            && let Phase::Failed(reason) = self.state.phase(lease.trial)
+        {
+            self.failed[lease.trial as usize] = Some(reason);
+        }
+        for action in on_event(&mut self.state, event) {
+            if let Some(history) = &mut self.history {
+                history.push(format!("{:>8}     {action:?}", self.now));
+            }
+            self.act(action);
+        }
+        self.check();
+    }
+
+    fn act(&mut self, action: Action<Payload>) {
+        match action {
+            Action::Spawn(worker) => {
+                assert!(
+                    self.processes.insert(worker, Process::Starting).is_none(),
+                    "{worker} is started twice"
+                );
+                if self.dice.percent(self.chance_of_misfire) {
+                    self.soon(500, Event::Lost(worker, Reason::WorkerExited(65)));
+                } else {
+                    self.soon(500, Event::Up(worker));
+                }
+            }
+            Action::Assign(worker, lease) => self.work(worker, lease),
+            Action::RecordStep(lease, (trial, step)) => {
+                assert_eq!(lease.trial, trial, "a step of another trial");
+                let known = &mut self.steps[trial as usize];
+                assert!(step <= *known, "trial {trial}: step {step} recorded after {known}");
+                *known = (*known).max(step + 1);
+                self.soon(50, Event::Recorded(lease, Mark::Step));
+            }
+            Action::RecordResult(lease, (trial, _)) => {
+                self.results[trial as usize] += 1;
+                self.soon(50, Event::Recorded(lease, Mark::Result));
+            }
+            Action::RecordFailure { lease, .. } => self.soon(50, Event::Recorded(lease, Mark::Failure)),
+            Action::AskStop(worker) => {
+                if let Some(lease) = self.working.get(&worker).copied()
+                    && self.processes[&worker] == Process::Up
+                {
+                    let when = self.now + self.dice.below(2_000);
+                    self.say(when, Event::Failed(worker, lease, Reason::Stopped));
+                }
+            }
+            // The end of its input is seen by a process that hangs, too.
+            Action::Close(worker) => self.soon(20, Event::Lost(worker, Reason::WorkerExited(0))),
+            Action::Kill(worker) => self.soon(20, Event::Lost(worker, Reason::WorkerKilled(9))),
+            Action::CountStale(_) => {}
+            Action::End(outcome) => self.outcome = Some(outcome),
+        }
+    }
+
+    /// A worker works through a trial from its last step, as long as it lives.
+    fn work(&mut self, worker: WorkerId, lease: Lease) {
+        assert_eq!(self.processes.get(&worker), Some(&Process::Up), "{worker} gets a trial");
+        assert!(self.leases.insert(lease), "{lease:?} is given twice");
+        self.working.insert(worker, lease);
+        let (trial, mut when) = (lease.trial, self.now);
+        for step in self.steps[trial as usize]..self.length[trial as usize] {
+            when += 1 + self.dice.below(3_000);
+            if self.dice.percent(self.chance_of_death) {
+                return self.at(when, Event::Lost(worker, Reason::WorkerKilled(9)));
+            }
+            if self.dice.percent(self.chance_of_hanging) {
+                self.processes.insert(worker, Process::Hung);
+                return;
+            }
+            if self.dice.percent(self.chance_of_trouble) {
+                return self.say(when, Event::Failed(worker, lease, Reason::NonFinite));
+            }
+            self.say(when, Event::Beat(worker, lease));
+            self.say(when, Event::Step(worker, lease, (trial, step)));
+        }
+        when += self.dice.below(1_000);
+        self.say(when, Event::Finished(worker, lease, (trial, 0)));
+        if self.dice.percent(self.chance_of_death) {
+            // Dies after its last word.
+            self.at(when, Event::Lost(worker, Reason::WorkerKilled(11)));
+        }
+    }
+
+    /// Holds after every event.
+    fn check(&mut self) {
+        let mut held = BTreeSet::new();
+        for slot in &self.state.slots {
+            let lease = match slot.work {
+                Work::Busy { lease, .. } => Some(lease),
+                Work::Ending { lease, .. } => lease,
+                _ => None,
+            };
+            if let Some(lease) = lease {
+                assert!(held.insert(lease.trial), "trial {} is with two workers", lease.trial);
+            }
+        }
+        for (trial, number) in self.state.trials.iter().zip(0u32..) {
+            let waits = self.state.ready.iter().any(|&(_, t)| t == number)
+                || self.state.delayed.iter().any(|&(_, t)| t == number);
+            match trial.phase {
+                Phase::Pending => assert!(waits && !held.contains(&number), "trial {number} is lost"),
+                Phase::Running(_) => assert!(!waits && held.contains(&number), "trial {number} is lost"),
+                _ => assert!(!waits && !held.contains(&number), "trial {number} is settled and goes on"),
+            }
+            assert!(self.results[number as usize] <= 1, "trial {number} is done twice");
+        }
+    }
+
+    /// Holds at the end of a run.
+    fn check_end(&mut self) {
+        let outcome = self.outcome.expect("the run has ended");
+        assert!(self.interrupt || outcome != Outcome::Interrupted, "nobody has interrupted");
+        assert!(self.store_breaks || outcome != Outcome::StoreBroken, "the store was in order");
+        let alive = self.processes.values().filter(|process| **process != Process::Gone).count();
+        assert_eq!(alive, 0, "processes are left behind");
+        if outcome != Outcome::Complete {
+            return;
+        }
+        for trial in 0..self.length.len() {
+            match self.state.phase(trial as u32) {
+                Phase::Done => {
+                    assert_eq!(self.results[trial], 1, "trial {trial} has one result");
+                    assert_eq!(self.steps[trial], self.length[trial], "trial {trial} has all its steps");
+                }
+                Phase::Failed(reason) => {
+                    assert_eq!(self.results[trial], 0, "trial {trial} has failed");
+                    assert_eq!(self.failed[trial], Some(reason), "the failure of trial {trial} is on disk");
+                }
+                phase => panic!("trial {trial} is {phase:?} at the end"),
+            }
+        }
+    }
+}
+
+/// Ten thousand worlds. To see one again, put its seed in `METASENSE_SEED`.
+#[test]
+fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_10_000_random_worlds() {
+    let seeds = match std::env::var("METASENSE_SEED").ok().and_then(|seed| seed.parse().ok()) {
+        Some(seed) => seed..seed + 1_u64,
+        None => 0..10_000,
+    };
+    let run = |world: &mut World| std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| world.run()));
+    let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
+    for seed in seeds.clone() {
+        let mut world = World::new(seed);
+        if run(&mut world).is_err() {
+            let mut again = World::new(seed);
+            again.history = Some(Vec::new());
+            let _ = run(&mut again);
+            panic!("seed {seed} fails; its history:\n{}", again.history.unwrap().join("\n"));
+        }
+        *outcomes.entry(format!("{:?}", world.outcome)).or_default() += 1;
+    }
+    if seeds.end - seeds.start > 1 {
+        for outcome in [Outcome::Complete, Outcome::Interrupted, Outcome::StoreBroken, Outcome::NoWorkers] {
+            let count = outcomes.get(&format!("{:?}", Some(outcome))).copied().unwrap_or(0);
+            assert!(count > 20, "{outcome:?} was met in {count} worlds only: {outcomes:?}");
+        }
+    }
+}

@@ -1,0 +1,260 @@
+//! Nothing lost, nothing left behind: real processes, real signals, and the database compared row for row.
+
+#[path = "support/engine.rs"]
+mod support;
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use metasense::link::SHARED_MEMORY;
+use support::{Run, children, eventually, is_alive, kill, results, rows};
+
+const SWEEP: &str = "--trials 24 --steps 12 --step-ms 8 --workers 2";
+
+/// The database of the same sweep, never disturbed.
+fn undisturbed(folder: &Path) -> Vec<String> {
+    let mut run = Run::start(&folder.join("undisturbed.sqlite"), SWEEP);
+    assert_eq!(run.wait(), Some(0));
+    assert_eq!(run.leftovers(), [""; 0]);
+    results(&run.db)
+}
+
+/// A number below `n`, other moments in every run of the test.
+fn roll(n: u64) -> u64 {
+    use std::hash::{BuildHasher, RandomState};
+    RandomState::new().hash_one(0) % n
+}
+
+/// Fifty kills: of a worker, of the orchestrator, or of all at once, at random moments, until the sweep is done.
+#[test]
+fn fifty_kills_at_random_moments_leave_the_results_of_an_undisturbed_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let expected = undisturbed(folder.path());
+    let (mut kills, mut sweeps) = (0, 0);
+    while kills < 50 {
+        let db = folder.path().join(format!("disturbed-{sweeps}.sqlite"));
+        sweeps += 1;
+        loop {
+            let mut run = Run::start(&db, SWEEP);
+            let ended = loop {
+                let workers = run.workers();
+                std::thread::sleep(Duration::from_millis(5 + roll(150)));
+                if let Some(status) = run.child.try_wait().unwrap() {
+                    break Some(status);
+                }
+                let Some(&worker) = workers.get(roll(2) as usize) else { continue };
+                kills += 1;
+                if roll(3) > 0 {
+                    kill(worker, libc::SIGKILL);
+                    continue;
+                }
+                run.signal(libc::SIGKILL);
+                if roll(2) == 0 {
+                    kill(worker, libc::SIGKILL);
+                }
+                let gone = || workers.iter().all(|pid| !is_alive(*pid)).then_some(());
+                assert!(
+                    eventually(Duration::from_secs(1), gone).is_some(),
+                    "workers outlive their orchestrator"
+                );
+                break None;
+            };
+            if let Some(status) = ended {
+                assert_eq!(status.code(), Some(0), "after {kills} kills");
+                assert_eq!(run.leftovers(), [""; 0]);
+                break;
+            }
+        }
+        let found = results(&db);
+        let differing = expected.iter().zip(&found).find(|(a, b)| a != b);
+        assert_eq!(expected.len(), found.len(), "rows after {kills} kills");
+        assert_eq!(differing, None, "after {kills} kills");
+    }
+    println!("{kills} kills in {sweeps} sweeps");
+}
+
+/// SIGINT and SIGTERM: the steps in progress are finished and recorded, nothing stays, and the same command goes on.
+#[test]
+fn a_stop_on_request_keeps_every_step_and_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let expected = undisturbed(folder.path());
+    for (name, signals) in
+        [("int", vec![libc::SIGINT]), ("term", vec![libc::SIGTERM]), ("twice", vec![libc::SIGINT; 2])]
+    {
+        let db = folder.path().join(format!("{name}.sqlite"));
+        let mut run = Run::start(&db, SWEEP);
+        let workers = run.some_workers(2);
+        eventually(Duration::from_secs(20), || (rows(&db, "SELECT 1 FROM step").len() > 20).then_some(()))
+            .expect("steps come in");
+        let asked = Instant::now();
+        for signal in signals {
+            run.signal(signal);
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        assert_eq!(run.wait(), Some(4), "{name}: the exit code of a stop on request");
+        assert!(asked.elapsed() < Duration::from_secs(5), "{name}: took {:?}", asked.elapsed());
+        assert!(workers.iter().all(|pid| !is_alive(*pid)), "{name}: workers are left");
+        assert_eq!(run.leftovers(), [""; 0], "{name}");
+        assert_eq!(rows(&db, "SELECT * FROM trial WHERE state = 'running'"), [""; 0], "{name}");
+        if name != "twice" {
+            let open = rows(&db, "SELECT reason FROM attempt WHERE state = 'failed'");
+            assert!(open.iter().all(|row| row == r#"["stopped"]"#), "{name}: {open:?}");
+            // The step in progress was finished: no step is done twice.
+            let repeated = "SELECT a.trial_id FROM attempt a GROUP BY a.trial_id
+                HAVING sum(a.steps) <> (SELECT count(*) FROM step p WHERE p.trial_id = a.trial_id)";
+            assert_eq!(rows(&db, repeated), [""; 0], "{name}");
+        }
+        assert_eq!(Run::start(&db, SWEEP).wait(), Some(0));
+        assert!(results(&db) == expected, "{name}: other results after going on");
+    }
+}
+
+/// Reasons have names, and follow from what happened.
+#[test]
+fn what_ends_an_attempt_stands_in_the_database_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let cases = [
+        ("hang", "--fault hang --no-progress-ms 150 --retries 1", "no_progress", 2),
+        ("slow", "--steps 100 --step-ms 50 --time-limit-ms 300", "time_limit", 1),
+        ("die", "--fault die --retries 2", "worker_killed(6)", 3),
+        ("reject", "--fault reject", "rejected", 1),
+        ("nan", "--fault non-finite", "non_finite", 1),
+    ];
+    for (name, arguments, reason, attempts) in cases {
+        let db = folder.path().join(format!("{name}.sqlite"));
+        let mut run = Run::start(&db, &format!("--trials 1 --workers 1 {arguments}"));
+        assert_eq!(run.wait(), Some(1), "{name}: the exit code of failed trials");
+        let expected = vec![format!(r#"["{reason}"]"#); attempts];
+        assert_eq!(rows(&db, "SELECT reason FROM attempt ORDER BY number"), expected, "{name}");
+        assert_eq!(rows(&db, "SELECT state, reason FROM trial"), [format!(r#"["failed","{reason}"]"#)]);
+        assert_eq!(run.leftovers(), [""; 0], "{name}");
+    }
+}
+
+/// A death is seen, and its worker replaced, in less than a second.
+#[test]
+fn a_dead_worker_is_replaced_within_a_second() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = Run::start(&folder.path().join("s.sqlite"), "--trials 2 --steps 1000 --step-ms 20 --workers 1");
+    let [worker] = run.some_workers(1)[..] else { panic!("one worker") };
+    kill(worker, libc::SIGKILL);
+    let another = || run.workers().into_iter().find(|pid| *pid != worker);
+    assert!(eventually(Duration::from_secs(1), another).is_some(), "no new worker after a second");
+}
+
+/// What a worker killed between `shm_open` and `ftruncate` leaves would hang iceoryx2's own clean-up.
+#[test]
+fn an_empty_connection_file_of_a_killed_worker_is_in_nobodys_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = Run::start(&folder.path().join("s.sqlite"), SWEEP);
+    for round in 1..4 {
+        let workers = run.some_workers(2);
+        let place = eventually(Duration::from_secs(5), || run.places().pop()).expect("a place");
+        for slot in 0..2 {
+            for generation in 1..4 {
+                let name = format!("{place}_{slot}.{generation}_1234567_89.connection");
+                let _ = fs::File::create_new(Path::new(SHARED_MEMORY).join(name));
+            }
+        }
+        kill(workers[round % 2], libc::SIGKILL);
+        let replaced = || run.workers().iter().any(|pid| !workers.contains(pid)).then_some(());
+        assert!(eventually(Duration::from_secs(2), replaced).is_some(), "no new worker in round {round}");
+    }
+    assert_eq!(run.wait(), Some(0));
+    assert_eq!(run.leftovers(), [""; 0]);
+}
+
+/// A worker that stops reading and beating, without dying, is ended by its deadline.
+#[test]
+fn a_stopped_worker_is_ended_by_its_deadline() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = "--trials 4 --steps 20 --step-ms 10 --workers 1 --no-progress-ms 300";
+    let mut run = Run::start(&folder.path().join("s.sqlite"), arguments);
+    let [worker] = run.some_workers(1)[..] else { panic!("one worker") };
+    eventually(Duration::from_secs(20), || (!rows(&run.db, "SELECT 1 FROM step").is_empty()).then_some(()));
+    kill(worker, libc::SIGSTOP);
+    assert_eq!(run.wait(), Some(0));
+    let reasons = rows(&run.db, "SELECT reason FROM attempt WHERE state = 'failed'");
+    assert_eq!(reasons, [r#"["no_progress"]"#]);
+}
+
+/// Segments and directories of runs that are gone disappear with the next run; those of living runs stay.
+#[test]
+fn leftovers_of_dead_runs_are_removed_and_living_runs_are_not() {
+    let shared = Path::new(SHARED_MEMORY);
+    let id = format!("metasense-dead{:06x}", std::process::id());
+    fs::create_dir(shared.join(&id)).unwrap();
+    fs::write(shared.join(&id).join("lock"), "").unwrap();
+    fs::write(shared.join(format!("{id}_0.1_1.connection")), "").unwrap();
+    let orphan = shared.join(format!("metasense-gone{:06x}_0.1_1.data", std::process::id()));
+    fs::write(&orphan, "x").unwrap();
+    let alive = format!("metasense-live{:06x}", std::process::id());
+    fs::create_dir(shared.join(&alive)).unwrap();
+    let lock = fs::File::create(shared.join(&alive).join("lock")).unwrap();
+    lock.lock().unwrap();
+
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(Run::start(&folder.path().join("s.sqlite"), "--trials 1").wait(), Some(0));
+    let there: Vec<String> = fs::read_dir(shared)
+        .unwrap()
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .filter(|name| name.starts_with(&id) || shared.join(name) == orphan)
+        .collect();
+    assert_eq!(there, [""; 0]);
+    assert!(shared.join(&alive).join("lock").exists(), "a living run was removed");
+    fs::remove_dir_all(shared.join(&alive)).unwrap();
+}
+
+/// A worker of another build ends at once, with a code of its own, and touches nothing.
+#[test]
+fn a_worker_of_another_build_does_not_connect() {
+    let start = r#"{"root": "/nowhere", "prefix": "x_", "build": "another", "parent": 1, "niceness": 0, "memory_mib": null}"#;
+    let ended = Command::new(env!("CARGO_BIN_EXE_metasense")).args(["worker", start]).output().unwrap();
+    assert_eq!(ended.status.code(), Some(metasense_worker::process::OTHER_BUILD));
+    assert!(String::from_utf8_lossy(&ended.stderr).contains("build another"), "{ended:?}");
+}
+
+/// The writer is alone, but readers are many: neither sees a lock error.
+#[test]
+fn a_reader_that_queries_all_the_time_meets_no_lock() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = Run::start(&folder.path().join("s.sqlite"), "--trials 300 --steps 2 --workers 2");
+    run.some_workers(1);
+    let mut queries = 0;
+    while run.child.try_wait().unwrap().is_none() {
+        rows(&run.db, "SELECT count(*), sum(error_optimised) FROM v_trial");
+        queries += 1;
+    }
+    assert_eq!(run.wait(), Some(0));
+    assert!(queries > 3, "{queries} queries");
+    assert_eq!(rows(&run.db, "SELECT count(*) FROM trial WHERE state = 'done'"), ["[300]"]);
+}
+
+/// A disk that takes no more (here: a limit on file sizes): exit code 3, a message, and nothing half written.
+#[test]
+fn a_full_disk_ends_the_run_in_order_and_room_lets_it_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("s.sqlite");
+    let sweep = "--trials 600 --steps 6 --workers 2";
+    let command = format!(
+        "trap '' XFSZ; ulimit -f 1500; exec {} bench engine --db {} {sweep}",
+        env!("CARGO_BIN_EXE_metasense"),
+        db.display()
+    );
+    let ended = Command::new("bash").args(["-c", &command]).output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(3), "{said}");
+    assert!(said.contains("database"), "{said}");
+    assert_eq!(children(std::process::id()).into_iter().filter(|pid| is_metasense(*pid)).count(), 0);
+    assert_eq!(rows(&db, "PRAGMA integrity_check"), [r#"["ok"]"#]);
+    assert_eq!(Run::start(&db, sweep).wait(), Some(0));
+    assert_eq!(rows(&db, "SELECT count(*) FROM trial WHERE state = 'done'"), ["[600]"]);
+}
+
+/// Whether a process is a worker that lost its parent to this test.
+fn is_metasense(pid: u32) -> bool {
+    fs::read_to_string(format!("/proc/{pid}/cmdline")).is_ok_and(|line| line.contains("\0worker\0"))
+}

@@ -1,0 +1,270 @@
+//! The worker process: takes a job, runs it, sends what comes of it; never decides anything.
+//!
+//! It lives as long as its orchestrator: the kernel kills it when that dies, and the end of its standard input ends
+//! it at once, in the middle of whatever it does. Nothing needs to be put in order then, since the orchestrator removes
+//! the whole iceoryx2 domain. Ctrl-C and SIGTERM are the orchestrator's business, which asks for a stop.
+
+use std::io::Read;
+use std::os::unix::fs::MetadataExt;
+use std::panic::AssertUnwindSafe;
+use std::time::{Duration, Instant};
+
+use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
+use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::wire::{
+    self, ArraySender, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress, Services,
+    Sleeper, Start, ToOrchestrator, ToWorker, Trouble, Waker, Work,
+};
+
+use crate::noop::{self, Noop};
+use crate::run::{self, Control, Failure, Observe};
+
+/// Exit code of a worker whose orchestrator is another build.
+pub const OTHER_BUILD: i32 = 64;
+/// Exit code of a worker that cannot reach its orchestrator.
+pub const NO_LINK: i32 = 65;
+/// Exit code of a worker whose orchestrator was gone before it came up.
+pub const ORPHAN: i32 = 66;
+
+/// Shortest time between two beats.
+const BEAT: Duration = Duration::from_millis(50);
+
+/// Names this build: version, and the identity of the executable that runs.
+pub fn build() -> String {
+    let exe = std::fs::metadata("/proc/self/exe");
+    let (inode, size, modified) =
+        exe.map_or((0, 0, 0), |m| (m.ino(), m.size(), m.mtime_nsec() ^ (m.mtime() << 30)));
+    format!("{}-{inode:x}-{size:x}-{modified:x}", env!("CARGO_PKG_VERSION"))
+}
+
+/// The hidden subcommand: `start` is a `wire::Start` as JSON. Returns the exit code.
+pub fn run(start: &str) -> i32 {
+    let start: Start = match serde_json::from_str(start) {
+        Ok(start) => start,
+        Err(error) => {
+            eprintln!("worker: this subcommand is for the orchestrator alone: {error}");
+            return OTHER_BUILD;
+        }
+    };
+    if start.build != build() {
+        eprintln!("worker: the orchestrator is build {}, this is {}", start.build, build());
+        return OTHER_BUILD;
+    }
+    if !bind_to_parent(&start) {
+        return ORPHAN;
+    }
+    match Worker::connect(&start).and_then(|mut worker| worker.serve()) {
+        Ok(()) => 0,
+        Err(error) => {
+            eprintln!("worker: {error}");
+            NO_LINK
+        }
+    }
+}
+
+/// Ties the process to its orchestrator and sets its limits. False: the orchestrator is gone already.
+fn bind_to_parent(start: &Start) -> bool {
+    // SAFETY: plain system calls on this process, before any other thread of it exists.
+    unsafe {
+        libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL);
+        for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+            libc::signal(signal, libc::SIG_IGN);
+        }
+        if start.niceness != 0 {
+            libc::setpriority(libc::PRIO_PROCESS, 0, start.niceness);
+        }
+        if let Some(mib) = start.memory_mib {
+            let bytes = mib.saturating_mul(1 << 20);
+            libc::setrlimit(libc::RLIMIT_DATA, &libc::rlimit { rlim_cur: bytes, rlim_max: bytes });
+        }
+    }
+    std::thread::spawn(|| {
+        let mut sink = [0; 64];
+        while std::io::stdin().read(&mut sink).is_ok_and(|n| n > 0) {}
+        // SAFETY: ends the process without running destructors, which is the point: computations are in progress.
+        unsafe { libc::_exit(0) }
+    });
+    std::os::unix::process::parent_id() == start.parent
+}
+
+/// The worker's end of its domain. Ports are dropped before the node.
+struct Worker {
+    up: MessageSender,
+    arrays: ArraySender,
+    beats: BeatSender,
+    waker: Waker,
+    down: MessageReceiver,
+    sleeper: Sleeper,
+    services: Services,
+}
+
+impl Worker {
+    fn connect(start: &Start) -> Result<Self, LinkError> {
+        iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
+        let config =
+            wire::config(&start.root, &start.prefix).map_err(LinkError::of("reading the domain's name"))?;
+        let node = wire::node(&config)?;
+        let services = Services::new(&node, End::Worker)?;
+        let worker = Self {
+            down: Services::receiver(&services.down)?,
+            sleeper: Services::sleeper(&services.wake_worker)?,
+            up: Services::sender(&services.up)?,
+            arrays: Services::array_sender(&services.arrays)?,
+            beats: Services::beat_sender(&services.progress)?,
+            waker: Services::waker(&services.wake_orchestrator)?,
+            services,
+        };
+        worker.send(&ToOrchestrator::Hello { build: build(), pid: std::process::id() })?;
+        Ok(worker)
+    }
+
+    /// Sends and wakes the orchestrator. Waits while its buffer is full: if it never reads again, this process ends too.
+    fn send(&self, message: &ToOrchestrator) -> Result<(), LinkError> {
+        let bytes = wire::encode(message);
+        let mut pause = Duration::from_micros(50);
+        while !wire::send(&self.up, &bytes)? {
+            std::thread::sleep(pause);
+            pause = (2 * pause).min(Duration::from_millis(10));
+        }
+        // A wake-up that fails is made good by the orchestrator's own polling.
+        let _ = self.waker.notify();
+        Ok(())
+    }
+
+    /// Takes jobs until told to stop.
+    fn serve(&mut self) -> Result<(), LinkError> {
+        let _keep_open = &self.services;
+        loop {
+            match wire::receive::<ToWorker>(&self.down)? {
+                Some(ToWorker::Job { lease, work, checkpoint, threads }) => {
+                    self.perform(lease, &work, checkpoint.map(|boxed| *boxed), threads as usize)?;
+                }
+                Some(ToWorker::Stop) => return Ok(()),
+                None => {
+                    self.sleeper
+                        .timed_wait(|_| {}, wire::POLL)
+                        .map_err(LinkError::of("waiting for a job"))?;
+                }
+            }
+        }
+    }
+
+    fn perform(
+        &self,
+        lease: Lease,
+        work: &Work,
+        checkpoint: Option<Checkpoint>,
+        threads: usize,
+    ) -> Result<(), LinkError> {
+        let mut reporter = Reporter { worker: self, lease, beat: 0, beaten: None, stop: false, broken: None };
+        let ended = std::panic::catch_unwind(AssertUnwindSafe(|| match work {
+            Work::Trial(json) => match serde_json::from_str::<TrialSpec>(json) {
+                Ok(trial) => run::run_trial(&trial, checkpoint, threads, &mut reporter),
+                Err(error) => Err(Failure::Rejected(error.to_string())),
+            },
+            Work::Noop { steps, millis, seed, fault, .. } => {
+                let step_length = Duration::from_millis(u64::from(*millis));
+                noop::run(
+                    &Noop { steps: *steps, step_length, seed: *seed, fault: *fault },
+                    checkpoint,
+                    &mut reporter,
+                )
+            }
+        }));
+        if let Some(error) = reporter.broken {
+            return Err(error);
+        }
+        let failed = |trouble, detail: String| ToOrchestrator::Failed { lease, trouble, detail };
+        let message = match ended {
+            Ok(Ok(result)) => self.finished(lease, work, result)?,
+            Ok(Err(Failure::Stopped)) => ToOrchestrator::Stopped { lease },
+            Ok(Err(Failure::Rejected(detail))) => failed(Trouble::Rejected, detail),
+            Ok(Err(Failure::NonFinite(detail))) => failed(Trouble::NonFinite, detail),
+            Err(panic) => {
+                let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+                let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
+                failed(Trouble::Panicked, text.unwrap_or_default())
+            }
+        };
+        self.send(&message)
+    }
+
+    /// Puts the arrays of a result into shared memory, where they are written once.
+    fn finished(&self, lease: Lease, work: &Work, result: TrialResult) -> Result<ToOrchestrator, LinkError> {
+        let mut arrays = Vec::new();
+        if let Work::Noop { array, seed, .. } = work
+            && *array > 0
+        {
+            let first = *seed as f64;
+            self.send_array(*array as usize, |chunk| {
+                for (i, x) in chunk.iter_mut().enumerate() {
+                    x.write(first + i as f64);
+                }
+            })?;
+            arrays.push(("noop".to_string(), vec![*array]));
+        }
+        Ok(ToOrchestrator::Finished { lease, result: Box::new(result), arrays })
+    }
+
+    /// Loans a chunk, has every entry of it written by `fill`, and sends it; waits while the orchestrator holds all it may hold.
+    fn send_array(
+        &self,
+        len: usize,
+        fill: impl FnOnce(&mut [std::mem::MaybeUninit<f64>]),
+    ) -> Result<(), LinkError> {
+        let mut pause = Duration::from_micros(50);
+        let mut chunk = loop {
+            match self.arrays.loan_slice_uninit(len) {
+                Ok(chunk) => break chunk,
+                Err(iceoryx2::port::LoanError::OutOfMemory) => {
+                    std::thread::sleep(pause);
+                    pause = (2 * pause).min(Duration::from_millis(10));
+                }
+                Err(error) => return Err(LinkError::of("loaning an array")(error)),
+            }
+        };
+        fill(chunk.payload_mut());
+        // SAFETY: `fill` has written every entry.
+        let chunk = unsafe { chunk.assume_init() };
+        chunk.send().map_err(LinkError::of("sending an array"))?;
+        Ok(())
+    }
+}
+
+/// What a trial sees of the outside.
+struct Reporter<'a> {
+    worker: &'a Worker,
+    lease: Lease,
+    beat: u64,
+    beaten: Option<Instant>,
+    stop: bool,
+    broken: Option<LinkError>,
+}
+
+impl Observe for Reporter<'_> {
+    fn progress(&mut self, fraction: f64) {
+        if self.beaten.is_some_and(|at| at.elapsed() < BEAT) {
+            return;
+        }
+        self.beaten = Some(Instant::now());
+        self.beat += 1;
+        let Lease { trial, attempt } = self.lease;
+        // A beat may be lost.
+        let _ = self.worker.beats.send_copy(Progress { trial, attempt, fraction, beat: self.beat });
+    }
+
+    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
+        let message = ToOrchestrator::Step {
+            lease: self.lease,
+            record: Box::new(record),
+            checkpoint: Box::new(checkpoint),
+        };
+        let told = self.worker.send(&message).and_then(|()| wire::receive::<ToWorker>(&self.worker.down));
+        match told {
+            Ok(Some(ToWorker::Stop)) => self.stop = true,
+            Ok(_) => {}
+            Err(error) => self.broken = Some(error),
+        }
+        if self.stop || self.broken.is_some() { Control::Stop } else { Control::Continue }
+    }
+}
