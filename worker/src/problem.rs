@@ -46,6 +46,11 @@ fn at_least(key: &str, value: usize, least: usize) -> Result<(), Invalid> {
     require(value >= least, key, value, &format!("must be at least {least}"))
 }
 
+/// More than this cannot be meant: the memory for it is not there.
+fn at_most(key: &str, value: usize, most: usize) -> Result<(), Invalid> {
+    require(value <= most, key, value, &format!("must be at most {most}"))
+}
+
 /// The trial as the nested optimisation takes it.
 ///
 /// # Errors
@@ -92,6 +97,8 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
 /// Where no layout has these sizes.
 pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     at_least("body.columns", body.columns, 2)?;
+    at_most("body.columns", body.columns, 1000)?;
+    at_most("body.rows", body.rows.unwrap_or(body.columns), 10_000 / body.columns)?;
     positive("body.spacing", body.spacing)?;
     positive("body.ligament_length", body.ligament_length)?;
     require(
@@ -153,12 +160,14 @@ fn check_material(body: &spec::Body) -> Result<(), Invalid> {
 fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     positive("time.duration", trial.time.duration)?;
     at_least("time.samples", trial.time.samples, 3)?;
+    at_most("time.samples", trial.time.samples, 100_000)?;
     let tolerance = trial.solver.tolerance;
     require(tolerance > 0.0 && tolerance <= 0.1, "solver.tolerance", tolerance, "must lie in (0, 0.1]")?;
     at_least("brain.iterations", trial.brain.iterations, 1)?;
     positive("brain.learning_rate", trial.brain.learning_rate)?;
     positive("optimise.learning_rate", trial.optimise.learning_rate)?;
-    at_least("evaluation.seeds", trial.evaluation.seeds, 1)
+    at_least("evaluation.seeds", trial.evaluation.seeds, 1)?;
+    at_most("evaluation.seeds", trial.evaluation.seeds, 1000)
 }
 
 fn solver(solver: &spec::Solver) -> Solver {
@@ -180,6 +189,8 @@ fn stimuli(stimuli: &spec::Stimuli) -> Result<Stimuli, Invalid> {
         peak,
         power,
     } = stimuli;
+    at_most("stimuli.samples", samples, 1_000_000)?;
+    at_most("stimuli.holdout", holdout, 1_000_000)?;
     at_least("stimuli.test", test, 1)?;
     require(
         test < samples,

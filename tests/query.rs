@@ -1,0 +1,66 @@
+//! `query` answers in SQL and changes nothing, whatever it is asked.
+
+mod common;
+
+use common::{Bench, SPEC};
+use metasense::plan::Plan;
+use metasense::store::Store;
+
+/// A database with the two trials of the spec, both pending.
+async fn database(bench: &Bench) {
+    let plan = Plan::new("s.toml", SPEC.into()).unwrap();
+    let mut store = Store::open(bench.path("s.sqlite")).await.unwrap();
+    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
+    store.close().await.unwrap();
+}
+
+#[tokio::test]
+async fn rows_come_in_every_form() {
+    let bench = Bench::new();
+    database(&bench).await;
+    let sql = "SELECT panels, sensors, state, error_initial, spec->>'$.body.columns' AS columns FROM v_trial";
+    insta::assert_snapshot!(bench.output(&["query", "s.sqlite", sql]), @r"
+    | panels | sensors | state   | error_initial | columns |
+    |--------|---------|---------|---------------|---------|
+    |      2 |       1 | pending |               |       6 |
+    |      2 |       2 | pending |               |       6 |
+    ");
+    insta::assert_snapshot!(bench.output(&["query", "s.sqlite", sql, "--format", "csv"]), @r"
+    panels,sensors,state,error_initial,columns
+    2,1,pending,,6
+    2,2,pending,,6
+    ");
+    let rows: serde_json::Value =
+        serde_json::from_str(&bench.output(&["query", "s.sqlite", sql, "--format", "json"])).unwrap();
+    assert_eq!(rows[1]["sensors"], 2, "{rows}");
+    assert!(rows[1]["error_initial"].is_null(), "{rows}");
+    let none = bench.output(&["query", "s.sqlite", "SELECT 1 WHERE 0", "--format", "json"]);
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&none).unwrap(), serde_json::json!([]));
+    for view in ["v_trial", "v_step", "v_curve", "v_attempt", "v_error_time"] {
+        assert!(bench.output(&["query", "s.sqlite", "--views"]).contains(view), "{view}");
+    }
+}
+
+#[tokio::test]
+async fn nothing_can_be_changed_and_no_file_is_left() {
+    let bench = Bench::new();
+    database(&bench).await;
+    let before = std::fs::read(bench.path("s.sqlite")).unwrap();
+    for sql in [
+        "DELETE FROM trial",
+        "DROP VIEW v_trial",
+        "PRAGMA query_only = 0; DELETE FROM trial",
+        "PRAGMA user_version = 7",
+        "ATTACH 'other.sqlite' AS o; CREATE TABLE o.t (x)",
+        "VACUUM",
+        "not SQL at all",
+    ] {
+        let output = bench.metasense(&["query", "s.sqlite", sql]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{sql}: {message}");
+        assert!(message.contains("the query failed"), "{sql}: {message}");
+    }
+    assert!(std::fs::read(bench.path("s.sqlite")).unwrap() == before, "the file was changed");
+    let files: Vec<_> = std::fs::read_dir(bench.path("")).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(files, ["s.sqlite"]);
+}
