@@ -342,6 +342,9 @@ pub struct Optimise {
     /// Adam's rate of these iterations. By default 1e-3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_learning_rate: Option<f64>,
+    /// A cheaper integrator for the first three quarters of the outer steps; for `"envelope"` and `"joint"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coarse: Option<Solver>,
 }
 
 impl Optimise {
@@ -378,6 +381,7 @@ impl Default for Optimise {
             batch: None,
             brain_iterations: None,
             brain_learning_rate: None,
+            coarse: None,
         }
     }
 }

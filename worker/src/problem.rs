@@ -78,6 +78,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
                 invalid("optimise.iterations", trial.optimise.iterations, "must be below 2^32")
             })?,
             rate: trial.optimise.learning_rate,
+            coarse: trial.optimise.coarse.as_ref().map(solver),
         },
         evaluation: Evaluation {
             seeds: trial.evaluation.seeds,
@@ -161,13 +162,19 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     positive("time.duration", trial.time.duration)?;
     at_least("time.samples", trial.time.samples, 3)?;
     at_most("time.samples", trial.time.samples, 100_000)?;
-    let tolerance = trial.solver.tolerance;
-    require(tolerance > 0.0 && tolerance <= 0.1, "solver.tolerance", tolerance, "must lie in (0, 0.1]")?;
+    check_tolerance("solver.tolerance", trial.solver.tolerance)?;
+    if let Some(coarse) = &trial.optimise.coarse {
+        check_tolerance("optimise.coarse.tolerance", coarse.tolerance)?;
+    }
     at_least("brain.iterations", trial.brain.iterations, 1)?;
     positive("brain.learning_rate", trial.brain.learning_rate)?;
     positive("optimise.learning_rate", trial.optimise.learning_rate)?;
     at_least("evaluation.seeds", trial.evaluation.seeds, 1)?;
     at_most("evaluation.seeds", trial.evaluation.seeds, 1000)
+}
+
+fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {
+    require(tolerance > 0.0 && tolerance <= 0.5, key, tolerance, "must lie in (0, 0.5]")
 }
 
 fn solver(solver: &spec::Solver) -> Solver {
@@ -222,7 +229,8 @@ fn stimuli(stimuli: &spec::Stimuli) -> Result<Stimuli, Invalid> {
 }
 
 fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
-    let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, .. } = optimise;
+    let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, coarse, .. } =
+        optimise;
     // a key that a protocol does not read is refused: it would make trials differ that are the same
     let unread = |key: &str, given: Option<String>, readers: &str| match given {
         Some(value) => {
@@ -249,6 +257,7 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     }
     if paper || protocol == spec::Protocol::Warm {
         unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
+        unread("optimise.coarse", coarse.map(|solver| format!("{solver:?}")), "envelope and joint")?;
     }
     let going = Going {
         batch: batch.unwrap_or(spec::Optimise::BATCH),

@@ -61,6 +61,8 @@ pub struct Optimise {
     pub iterations: u32,
     /// Adam's rate on α (mm).
     pub rate: f64,
+    /// A cheaper integrator for the steps that move the body far; the accurate one finishes. `joint` and `envelope`.
+    pub coarse: Option<Solver>,
 }
 
 /// How body and brain are trained together.
@@ -127,6 +129,9 @@ impl Schedule {
 /// Outer steps between two looks at the test set, where a protocol does not need it anyway.
 const LOOK: u32 = 10;
 
+/// The part of the outer steps for which a coarse integrator serves.
+const COARSE: f64 = 0.75;
+
 impl Optimise {
     /// Adam's rate on α at an outer step (mm): constant in the paper's protocol, else falling over the second half.
     pub(super) fn rate_of(&self, step: u32) -> f64 {
@@ -138,8 +143,9 @@ impl Optimise {
     }
 
     /// The integrator of an outer step.
-    pub(super) fn solver_of(&self, _step: u32, accurate: Solver) -> Solver {
-        accurate
+    pub(super) fn solver_of(&self, step: u32, accurate: Solver) -> Solver {
+        let far = f64::from(step) < COARSE * f64::from(self.iterations);
+        self.coarse.filter(|_| far).unwrap_or(accurate)
     }
 
     /// Whether a step looks at the test set: every tenth, and the last.

@@ -42,7 +42,12 @@ fn small(protocol: Protocol) -> Problem {
             holdout: 4,
         },
         brain: Training { iterations: 30, rate: 1e-2, width: 8 },
-        optimise: Optimise { protocol, iterations: 4, rate: 0.1 },
+        optimise: Optimise {
+            protocol,
+            iterations: 4,
+            rate: 0.1,
+            coarse: Some(Solver { method: Method::Tsit5, tolerance: 1e-3 }),
+        },
         evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine },
         seed: 3,
     }

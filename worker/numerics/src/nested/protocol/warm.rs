@@ -50,7 +50,8 @@ impl Session<'_> {
         going: Going,
         log: &mut Log,
     ) -> Result<Sensed, Trouble> {
-        let (setting, solver) = (self.setting, &self.setting.problem.solver);
+        let setting = self.setting;
+        let solver = &setting.problem.optimise.solver_of(state.step, setting.problem.solver);
         self.first_training(state, going, log)?;
         let mut order = Stream::new(Purpose::Batch, setting.problem.seed, [u64::from(state.step), 0])
             .permutation(setting.train.samples);
