@@ -173,8 +173,16 @@ impl Default for Time {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
+    /// Chosen from the scene's highest frequency and the tolerance.
+    Auto,
     /// Tsitouras 5(4), error control a sample.
     Tsit5,
+    /// Störmer and Verlet's, equal steps, order 2.
+    Leapfrog,
+    /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 4.
+    Nystrom4,
+    /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 6.
+    Nystrom6,
 }
 
 /// How the equations of motion are integrated.
@@ -183,13 +191,13 @@ pub enum Method {
 pub struct Solver {
     /// The integrator.
     pub method: Method,
-    /// Tolerance: absolute and relative, of the integrator's own error norm.
+    /// `tsit5`: tolerance of its own error norm, absolute and relative. Others: relative error asked of the signals.
     pub tolerance: f64,
 }
 
 impl Default for Solver {
     fn default() -> Self {
-        Self { method: Method::Tsit5, tolerance: 1e-6 }
+        Self { method: Method::Auto, tolerance: 1e-3 }
     }
 }
 

@@ -179,7 +179,11 @@ fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {
 
 fn solver(solver: &spec::Solver) -> Solver {
     let method = match solver.method {
+        spec::Method::Auto => Method::Auto,
         spec::Method::Tsit5 => Method::Tsit5,
+        spec::Method::Leapfrog => Method::Leapfrog,
+        spec::Method::Nystrom4 => Method::Nystrom4,
+        spec::Method::Nystrom6 => Method::Nystrom6,
     };
     Solver { method, tolerance: solver.tolerance }
 }

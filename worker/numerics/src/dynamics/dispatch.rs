@@ -3,18 +3,19 @@
 use super::ligaments::{Shape, Turn, gradient};
 use super::model::{Model, ModelCotangent};
 use super::real::Dual;
+use super::splitting::{self, Scheme};
 use super::system::{Kernels, System, Unit};
 use super::tsit5::{self, Slot, Sweep};
 use super::vector::{Array, LANES, Vector};
-use super::{Counters, Forces, Gradient, Method, Outcome, SampleTape, Scene, Simulation, Solver, Tape};
+use super::{Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
 use crate::simd::Width;
 use rayon::prelude::*;
 
 /// Samples that a task of the forward pass owns; its lanes take them up one after the other.
 const CHUNK: usize = 40;
 
-type Forward = unsafe fn(&Scene, &Model, &Forces, &Solver, &mut [Slot<'_>]) -> Counters;
-type Reverse = unsafe fn(&Scene, &Model, &Forces, &Solver, &[Sweep<'_>]) -> (ModelCotangent, Counters);
+type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &mut [Slot<'_>]) -> Counters;
+type Reverse = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>]) -> (ModelCotangent, Counters);
 
 /// The code of one instruction set.
 struct Machine {
@@ -71,13 +72,20 @@ macro_rules! machine {
                 scene: &Scene,
                 model: &Model,
                 forces: &Forces,
-                solver: &Solver,
+                plan: &Plan,
+                parts: usize,
                 slots: &mut [Slot<'_>],
             ) -> Counters {
-                let system = System::<$vector>::new(scene, model, kernels(scene));
-                match solver.method {
-                    Method::Auto | Method::Tsit5 => tsit5::forward(system, forces, solver.tolerance, slots),
+                let Some(scheme) = scheme(plan.method) else {
+                    let system = System::<$vector>::new(scene, model, kernels(scene), true);
+                    return tsit5::forward(system, forces, plan.tolerance, slots);
+                };
+                let mut system = System::<$vector>::new(scene, model, kernels(scene), false);
+                let mut counters = Counters::default();
+                for slots in slots.chunks_mut(LANES) {
+                    counters += splitting::forward(&mut system, &scheme, plan.steps, parts, forces, slots);
                 }
+                counters
             }
 
             $(#[target_feature(enable = $feature)])?
@@ -85,12 +93,15 @@ macro_rules! machine {
                 scene: &Scene,
                 model: &Model,
                 forces: &Forces,
-                solver: &Solver,
+                plan: &Plan,
+                parts: usize,
                 sweeps: &[Sweep<'_>],
             ) -> (ModelCotangent, Counters) {
-                let mut system = System::<$vector>::new(scene, model, kernels(scene));
-                let counters = match solver.method {
-                    Method::Auto | Method::Tsit5 => tsit5::reverse(&mut system, forces, sweeps),
+                let scheme = scheme(plan.method);
+                let mut system = System::<$vector>::new(scene, model, kernels(scene), scheme.is_none());
+                let counters = match scheme {
+                    None => tsit5::reverse(&mut system, forces, sweeps),
+                    Some(scheme) => splitting::reverse(&mut system, &scheme, plan.steps, parts, forces, sweeps),
                 };
                 (system.take_cotangent(), counters)
             }
@@ -117,13 +128,23 @@ fn machine(width: Width) -> Machine {
     baseline::MACHINE
 }
 
-/// `super::simulate` with the code of `width`, which the machine must have.
+/// The splitting scheme of a method, if it is one.
+pub fn scheme(method: Method) -> Option<Scheme> {
+    match method {
+        Method::Leapfrog => Some(Scheme::leapfrog()),
+        Method::Nystrom4 => Some(Scheme::fourth()),
+        Method::Nystrom6 => Some(Scheme::sixth()),
+        Method::Auto | Method::Tsit5 => None,
+    }
+}
+
+/// `super::run` with the code of `width`, which the machine must have.
 pub fn simulate(
     width: Width,
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    solver: &Solver,
+    plan: &Plan,
     keep_tape: bool,
     pool: &rayon::ThreadPool,
 ) -> Simulation {
@@ -133,10 +154,16 @@ pub fn simulate(
     let len = scene.instants * 3 * scene.sensors.len();
     let mut signals = vec![0.0; n * len];
     let mut outcomes = vec![Outcome::Ok; n];
+    let parts =
+        if scheme(plan.method).is_some() { splitting::segments(scene, &model, plan.steps) } else { 1 };
     let mut tapes: Vec<SampleTape> = Vec::new();
     if keep_tape {
-        let states = scene.instants * 6 * model.free.len();
-        tapes.resize_with(n, || SampleTape { states: vec![0.0; states], ..SampleTape::default() });
+        let states = scene.instants * parts * 6 * model.free.len();
+        tapes.resize_with(n, || SampleTape {
+            states: vec![0.0; states],
+            refined: 1,
+            ..SampleTape::default()
+        });
     }
     let mut kept: Vec<Option<&mut SampleTape>> = tapes.iter_mut().map(Some).collect();
     kept.resize_with(n, || None);
@@ -148,22 +175,63 @@ pub fn simulate(
         rest = others;
         slots.push(Slot { signals, outcome, tape, index });
     }
-    let counters: Vec<Counters> = pool.install(|| {
-        slots
-            .par_chunks_mut(CHUNK)
-            // SAFETY: `width` is what this machine has.
-            .map(|slots| unsafe { (machine.forward)(scene, &model, forces, solver, slots) })
-            .collect()
-    });
-    let mut total = Counters::default();
-    counters.into_iter().for_each(|c| total += c);
+    let mut total = integrate(&machine, scene, &model, forces, plan, parts, &mut slots, pool);
+    // Equal steps that one sample's motion or contact is too quick for are halved for it alone, and again.
+    let adaptive = scheme(plan.method).is_none();
+    for refined in [2, 4, 8] {
+        let mut failed: Vec<Slot<'_>> = Vec::new();
+        for slot in &mut slots {
+            if !adaptive && *slot.outcome != Outcome::Ok {
+                *slot.outcome = Outcome::Ok;
+                if let Some(tape) = &mut slot.tape {
+                    tape.refined = refined;
+                }
+                let tape = slot.tape.as_deref_mut();
+                failed.push(Slot { signals: slot.signals, outcome: slot.outcome, tape, index: slot.index });
+            }
+        }
+        if failed.is_empty() {
+            break;
+        }
+        let finer = Plan { steps: plan.steps * refined, ..plan.clone() };
+        total.rejected += failed.len() as u64;
+        total += integrate(&machine, scene, &model, forces, &finer, parts, &mut failed, pool);
+    }
     for (i, outcome) in outcomes.iter().enumerate() {
         if *outcome != Outcome::Ok {
             // What a failed sample read before it failed would teach a brain nothing.
             signals[i * len..][..len].fill(0.0);
         }
     }
-    Simulation { signals, outcomes, counters: total, tape: keep_tape.then_some(Tape { samples: tapes }) }
+    Simulation {
+        signals,
+        outcomes,
+        counters: total,
+        plan: plan.clone(),
+        tape: keep_tape.then_some(Tape { parts, samples: tapes }),
+    }
+}
+
+fn integrate(
+    machine: &Machine,
+    scene: &Scene,
+    model: &Model,
+    forces: &Forces,
+    plan: &Plan,
+    parts: usize,
+    slots: &mut [Slot<'_>],
+    pool: &rayon::ThreadPool,
+) -> Counters {
+    let counters: Vec<Counters> = pool.install(|| {
+        slots
+            .par_chunks_mut(CHUNK)
+            // SAFETY: the caller took `machine` for what this machine has.
+            .map(|slots| unsafe { (machine.forward)(scene, model, forces, plan, parts, slots) })
+            .collect()
+    });
+    let mut total = Counters::default();
+    counters.into_iter().for_each(|c| total += c);
+    total
 }
 
 /// `super::pull_back` with the code of `width`, which the machine must have.
@@ -172,7 +240,6 @@ pub fn pull_back(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    solver: &Solver,
     simulation: &Simulation,
     samples: &[usize],
     cotangent: &[f64],
@@ -180,6 +247,7 @@ pub fn pull_back(
 ) -> Gradient {
     let model = Model::new(scene, design);
     let machine = machine(width);
+    let plan = &simulation.plan;
     let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
     let len = scene.instants * 3 * scene.sensors.len();
     let sweeps: Vec<Sweep<'_>> = samples
@@ -192,11 +260,20 @@ pub fn pull_back(
             cotangent: &cotangent[at * len..][..len],
         })
         .collect();
+    // Lanes of one block take the same steps.
+    let mut blocks: Vec<(Plan, Vec<Sweep<'_>>)> = Vec::new();
+    for refined in [1, 2, 4, 8] {
+        let finer = Plan { steps: plan.steps * refined, ..plan.clone() };
+        let group: Vec<&Sweep<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
+        blocks.extend(group.chunks(LANES).map(|s| (finer.clone(), s.iter().map(|s| **s).collect())));
+    }
     let blocks: Vec<(ModelCotangent, Counters)> = pool.install(|| {
-        sweeps
-            .par_chunks(LANES)
+        blocks
+            .par_iter()
             // SAFETY: `width` is what this machine has.
-            .map(|sweeps| unsafe { (machine.reverse)(scene, &model, forces, solver, sweeps) })
+            .map(|(plan, sweeps)| unsafe {
+                (machine.reverse)(scene, &model, forces, plan, tape.parts, sweeps)
+            })
             .collect()
     });
     let mut total = ModelCotangent::new(&model);

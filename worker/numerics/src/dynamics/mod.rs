@@ -6,16 +6,19 @@
 //! Samples are integrated eight at a time, one a lane; a sample's result does not depend on the others, on the number
 //! of threads or on which samples are asked for. Gradients are those of the discrete method.
 
+mod choose;
 mod dispatch;
 mod energy;
 mod ligaments;
 mod model;
 mod real;
+mod splitting;
 mod system;
 mod tsit5;
 mod vector;
 
 use crate::body::Layout;
+pub use choose::{choose, highest_frequency};
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
 pub use model::damping;
 
@@ -93,7 +96,7 @@ pub struct Scene {
 pub struct Solver {
     /// The integrator.
     pub method: Method,
-    /// Tsit5: tolerance of its own error norm, relative and absolute.
+    /// Tsit5: tolerance of its own error norm, relative and absolute. Others: relative error asked of the signals.
     pub tolerance: f64,
 }
 
@@ -104,6 +107,25 @@ pub enum Method {
     Auto,
     /// Tsitouras 5(4), error control a sample.
     Tsit5,
+    /// Störmer and Verlet's, equal steps, order 2.
+    Leapfrog,
+    /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 4.
+    Nystrom4,
+    /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 6.
+    Nystrom6,
+}
+
+/// What `choose` made of a solver for one scene, and why.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// Never `Auto`.
+    pub method: Method,
+    /// Tsit5: tolerance of its error norm.
+    pub tolerance: f64,
+    /// Equal steps an interval; 0 where steps are adaptive. A sample that fails with them is tried again with more.
+    pub steps: usize,
+    /// Why, in words.
+    pub reason: String,
 }
 
 /// Force histories (N, K, T+1), f_k at t_n = n·duration/T, n = 0…T, linear in between.
@@ -142,6 +164,24 @@ pub enum Outcome {
     ForbiddenContact,
 }
 
+impl Method {
+    /// The name by which specs and records know it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Tsit5 => "tsit5",
+            Self::Leapfrog => "leapfrog",
+            Self::Nystrom4 => "nystrom4",
+            Self::Nystrom6 => "nystrom6",
+        }
+    }
+
+    /// Forces a step of equal steps.
+    pub fn stages(self) -> Option<usize> {
+        dispatch::scheme(self).map(|s| s.stages())
+    }
+}
+
 impl Outcome {
     /// The name by which records know it.
     pub fn name(self) -> &'static str {
@@ -177,6 +217,8 @@ impl std::ops::AddAssign for Counters {
 /// What a reverse sweep starts from: the state at every instant and the steps in between.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tape {
+    /// Checkpoints an interval.
+    pub(crate) parts: usize,
     /// One a sample.
     pub(crate) samples: Vec<SampleTape>,
 }
@@ -187,7 +229,7 @@ impl Tape {
         let units = scene.layout.units();
         let (mut x, mut v) = (vec![[0.0; 3]; units], vec![[0.0; 3]; units]);
         let free: Vec<usize> = (0..units).filter(|u| !scene.clamped.contains(u)).collect();
-        let state = &self.samples[sample].states[(n - 1) * 6 * free.len()..][..6 * free.len()];
+        let state = &self.samples[sample].states[(n * self.parts - 1) * 6 * free.len()..][..6 * free.len()];
         for (i, &u) in free.iter().enumerate() {
             x[u].copy_from_slice(&state[6 * i..][..3]);
             v[u].copy_from_slice(&state[6 * i + 3..][..3]);
@@ -199,12 +241,14 @@ impl Tape {
 /// Of one sample.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct SampleTape {
-    /// (T, free units, 6): displacement and velocity at n = 1…T.
+    /// (T, parts, free units, 6): displacement and velocity at each part's end, the last that of instant n = 1…T.
     pub states: Vec<f64>,
     /// Accepted step sizes (s), empty where steps are equal.
     pub steps: Vec<f64>,
     /// How many of them belong to each interval.
     pub counts: Vec<u32>,
+    /// By how much equal steps were refined, after the plan's had failed.
+    pub refined: usize,
 }
 
 /// A simulation's result.
@@ -216,6 +260,8 @@ pub struct Simulation {
     pub outcomes: Vec<Outcome>,
     /// Work done.
     pub counters: Counters,
+    /// How it was integrated, and why so.
+    pub plan: Plan,
     /// For `pull_back`.
     pub tape: Option<Tape>,
 }
@@ -243,11 +289,28 @@ pub fn simulate(
     keep_tape: bool,
     pool: &rayon::ThreadPool,
 ) -> Simulation {
+    run(scene, design, forces, &choose(scene, design, solver), keep_tape, pool)
+}
+
+/// Integrates as `plan` says.
+///
+/// # Panics
+/// As `simulate`.
+pub fn run(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    plan: &Plan,
+    keep_tape: bool,
+    pool: &rayon::ThreadPool,
+) -> Simulation {
     check(scene, design, forces);
-    dispatch::simulate(crate::simd::Width::detect(), scene, design, forces, solver, keep_tape, pool)
+    dispatch::simulate(crate::simd::Width::detect(), scene, design, forces, plan, keep_tape, pool)
 }
 
 /// Gradient in α of Σ cotangent·signals, cotangent (n, T, 3M) for the n `samples` listed; only those are swept.
+///
+/// The simulation's own plan decides the method, whatever `solver` says.
 ///
 /// # Panics
 /// If the simulation kept no tape, or lengths do not fit together.
@@ -255,7 +318,7 @@ pub fn pull_back(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    solver: &Solver,
+    _solver: &Solver,
     simulation: &Simulation,
     samples: &[usize],
     cotangent: &[f64],
@@ -265,7 +328,7 @@ pub fn pull_back(
     let len = samples.len() * scene.instants * 3 * scene.sensors.len();
     assert_eq!(cotangent.len(), len, "length of the cotangent");
     let width = crate::simd::Width::detect();
-    dispatch::pull_back(width, scene, design, forces, solver, simulation, samples, cotangent, pool)
+    dispatch::pull_back(width, scene, design, forces, simulation, samples, cotangent, pool)
 }
 
 fn check(scene: &Scene, design: &[f64], forces: &Forces) {

@@ -45,6 +45,8 @@ pub struct System<'a, V> {
     /// With its design.
     pub model: &'a Model,
     kernels: Kernels<V>,
+    /// The model's, or none where the integrator treats damping apart.
+    damping: [f64; 3],
     inverse_mass: Vec<[f64; 3]>,
     turn: Vec<Turn<V>>,
     h: Vec<Unit<V>>,
@@ -55,13 +57,14 @@ pub struct System<'a, V> {
 impl<'a, V: Vector> System<'a, V> {
     /// Allocates the scratch.
     #[inline(always)]
-    pub fn new(scene: &'a Scene, model: &'a Model, kernels: Kernels<V>) -> Self {
+    pub fn new(scene: &'a Scene, model: &'a Model, kernels: Kernels<V>, damped: bool) -> Self {
         let n = model.units();
         let zero = V::splat(0.0);
         Self {
             scene,
             model,
             kernels,
+            damping: if damped { model.damping } else { [0.0; 3] },
             inverse_mass: model.inverse_mass.clone(),
             turn: vec![[zero; 6]; n],
             h: vec![[zero; 3]; n],
@@ -105,7 +108,7 @@ impl<'a, V: Vector> System<'a, V> {
         }
         for ((a, v), inverse) in a.iter_mut().zip(v).zip(&self.inverse_mass) {
             for d in 0..3 {
-                let net = V::splat(self.model.damping[d]).mul_add(v[d], a[d]);
+                let net = V::splat(self.damping[d]).mul_add(v[d], a[d]);
                 a[d] = -(V::splat(inverse[d]) * net);
             }
         }
@@ -138,7 +141,7 @@ impl<'a, V: Vector> System<'a, V> {
             for d in 0..3 {
                 let w = self.w[u][d];
                 bar_x[u][d] = zero - self.h[u][d];
-                bar_v[u][d] = zero - V::splat(self.model.damping[d]) * w;
+                bar_v[u][d] = zero - V::splat(self.damping[d]) * w;
                 self.cotangent.mass[u][d] = w.mul_sub_from(a[u][d], self.cotangent.mass[u][d]);
             }
         }
@@ -167,6 +170,14 @@ impl<'a, V: Vector> System<'a, V> {
             }
             bar_a[u][0] = bar_a[u][0] + bx;
             bar_a[u][1] = bar_a[u][1] + by;
+        }
+    }
+
+    /// Adds to the cotangent of (m, m, J).
+    #[inline(always)]
+    pub fn add_mass_cotangent(&mut self, bar: &[Unit<V>]) {
+        for (to, from) in self.cotangent.mass.as_flattened_mut().iter_mut().zip(bar.as_flattened()) {
+            *to = *to + *from;
         }
     }
 

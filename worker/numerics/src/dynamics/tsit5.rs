@@ -355,6 +355,7 @@ struct Step<V> {
 }
 
 /// One sample's part in a reverse sweep.
+#[derive(Clone, Copy)]
 pub struct Sweep<'a> {
     /// Its tape.
     pub tape: &'a SampleTape,

@@ -1,0 +1,264 @@
+//! Properties that the integrators, their adjoints and the body's layouts have by construction.
+
+mod common;
+
+use common::{dot, norm, pool, relative};
+use metasense_numerics::body::{Geometry, Layout};
+use metasense_numerics::dynamics::{
+    Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Solver, Stiffness, choose, energy,
+    highest_frequency, pull_back, run, simulate,
+};
+use std::f64::consts::TAU;
+
+/// A 3 × 3 lattice read for 0.1 s at 20 instants.
+fn small_scene() -> Scene {
+    Scene {
+        layout: Layout::planar(3, 3, 15.0, 2.25),
+        density: 1e-8,
+        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        damping_ratio: 0.02,
+        contact: None,
+        linearised: false,
+        clamped: vec![0, 1, 2],
+        panels: vec![Panel { unit: 6, direction: [0.0, -1.0] }, Panel { unit: 8, direction: [0.6, -0.8] }],
+        sensors: vec![4, 7],
+        frame: Frame::World,
+        duration: 0.1,
+        instants: 20,
+    }
+}
+
+/// Smooth pushes of up to `amplitude` N, another for each sample and panel.
+fn pushes(scene: &Scene, samples: usize, amplitude: f64) -> Forces {
+    let (panels, instants) = (scene.panels.len(), scene.instants);
+    let mut values = Vec::new();
+    for i in 0..samples {
+        for k in 0..panels {
+            for n in 0..=instants {
+                let phase = n as f64 / instants as f64 * (1.0 + 0.3 * i as f64 + 0.5 * k as f64);
+                values.push(amplitude * (0.5 * TAU * phase).sin().powi(2));
+            }
+        }
+    }
+    Forces { samples, panels, instants, values }
+}
+
+/// The initial design, shaken.
+fn shaken(scene: &Scene) -> Vec<f64> {
+    let mut design = scene.layout.initial_design(0.4363);
+    design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
+    design
+}
+
+fn plan(method: Method, steps: usize) -> Plan {
+    Plan { method, tolerance: 1e-10, steps, reason: String::new() }
+}
+
+const EQUAL_STEPS: [(Method, f64, usize); 3] =
+    [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
+
+/// Errors at n and 2n steps against a run far finer, with damping light and heavy: the drift carries it exactly.
+#[test]
+fn schemes_of_equal_steps_converge_with_their_order() {
+    let pool = pool(1);
+    for damping_ratio in [0.02, 1.0] {
+        let scene = Scene { damping_ratio, ..small_scene() };
+        let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.4));
+        let truth = run(&scene, &design, &forces, &plan(Method::Nystrom6, 60), false, &pool).signals;
+        for (method, order, steps) in EQUAL_STEPS {
+            let error = |steps| {
+                relative(&run(&scene, &design, &forces, &plan(method, steps), false, &pool).signals, &truth)
+            };
+            let (coarse, fine) = (error(steps), error(2 * steps));
+            let seen = (coarse / fine).log2();
+            assert!(
+                (order - 0.4..order + 0.8).contains(&seen),
+                "{method:?} at ζ = {damping_ratio}: order {seen:.2} from {coarse:e}, {fine:e}"
+            );
+        }
+    }
+}
+
+/// ⟨c, signals(α + εδ)⟩ = … + ε ⟨gradient, δ⟩ + O(ε²) with the same steps: a central difference, extrapolated.
+#[test]
+fn gradients_are_those_of_the_discrete_scheme() {
+    let pool = pool(1);
+    let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 };
+    let base = small_scene();
+    for (what, scene) in [
+        ("plain", base.clone()),
+        ("linearised, body frame", Scene { linearised: true, frame: Frame::Body, ..base.clone() }),
+        ("body frame, contact", Scene { frame: Frame::Body, contact: Some(contact), ..base.clone() }),
+        ("undamped", Scene { damping_ratio: 0.0, ..base.clone() }),
+        ("heavily damped", Scene { damping_ratio: 2.0, ..base }),
+    ] {
+        let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
+        let len = 3 * scene.instants * 3 * scene.sensors.len();
+        let cotangent: Vec<f64> = (0..len).map(|i| (0.7 * i as f64).sin()).collect();
+        let delta: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
+        for (method, _, steps) in EQUAL_STEPS {
+            let plan = plan(method, steps);
+            let value = |eps: f64| {
+                let moved: Vec<f64> = design.iter().zip(&delta).map(|(a, d)| a + eps * d).collect();
+                dot(&run(&scene, &moved, &forces, &plan, false, &pool).signals, &cotangent)
+            };
+            let central = |eps: f64| (value(eps) - value(-eps)) / (2.0 * eps);
+            // Where contact sets in, the second derivative jumps.
+            let (eps, least) = if scene.contact.is_some() { (1e-6, 1e-5) } else { (1e-4, 2e-7) };
+            let differences = (4.0 * central(eps) - central(2.0 * eps)) / 3.0;
+            let simulation = run(&scene, &design, &forces, &plan, true, &pool);
+            assert_eq!(simulation.outcomes, [Outcome::Ok; 3], "{what}");
+            let solver = Solver { method, tolerance: 1e-3 };
+            let gradient =
+                pull_back(&scene, &design, &forces, &solver, &simulation, &[0, 1, 2], &cotangent, &pool)
+                    .design;
+            let ours = dot(&gradient, &delta);
+            let scale = norm(&gradient) * norm(&delta);
+            assert!(norm(&gradient) > 0.0, "{what}");
+            let error = (ours - differences).abs() / scale;
+            assert!(error < least, "{what}, {method:?}: {ours} against {differences}: {error:e}");
+        }
+    }
+}
+
+/// The same bits alone, among others, in any order and with any number of threads.
+#[test]
+fn a_sample_does_not_depend_on_its_lane_mates() {
+    let scene = small_scene();
+    let (design, forces) = (shaken(&scene), pushes(&scene, 11, 0.4));
+    let len = scene.instants * 3 * scene.sensors.len();
+    for method in [Method::Tsit5, Method::Nystrom6] {
+        let solver = Solver { method, tolerance: 1e-5 };
+        let together = simulate(&scene, &design, &forces, &solver, true, &pool(2));
+        for i in [0, 4, 10] {
+            let alone = Forces { samples: 1, values: forces.sample(i).to_vec(), ..forces.clone() };
+            let alone = simulate(&scene, &design, &alone, &solver, false, &pool(1));
+            assert!(alone.signals == together.signals[i * len..][..len], "{method:?}, sample {i}");
+        }
+        let cotangent = vec![1.0; 11 * len];
+        let all: Vec<usize> = (0..11).collect();
+        let gradient = |threads| {
+            let pool = pool(threads);
+            pull_back(&scene, &design, &forces, &solver, &together, &all, &cotangent, &pool).design
+        };
+        assert!(gradient(1) == gradient(3), "{method:?}");
+    }
+}
+
+/// Kinetic and elastic energy at the end equal the work done, without damping, once the force is over.
+#[test]
+fn energy_is_conserved_without_damping() {
+    let scene = Scene { damping_ratio: 0.0, ..small_scene() };
+    let design = shaken(&scene);
+    let mut forces = pushes(&scene, 1, 0.4);
+    forces.values.chunks_mut(scene.instants + 1).for_each(|f| f[8..].fill(0.0));
+    let geometry = Geometry::new(&scene.layout, &design, scene.density);
+    for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom4, 30), (Method::Nystrom6, 15)] {
+        let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
+        let total = |n: usize| {
+            let (x, v) = run.tape.as_ref().expect("kept").state(&scene, 0, n);
+            let kinetic = |u: usize| {
+                let (m, j) = (geometry.mass[u], geometry.moment[u]);
+                0.5 * (m * (v[u][0].powi(2) + v[u][1].powi(2)) + j * v[u][2].powi(2))
+            };
+            (0..x.len()).map(kinetic).sum::<f64>() + energy(&scene, &design, &x).elastic
+        };
+        let (after, end) = (total(9), total(20));
+        assert!(after > 1e-3, "{method:?}: something moves: {after}");
+        assert!((end / after - 1.0).abs() < 1e-6, "{method:?}: {after} became {end}");
+    }
+}
+
+/// Lanczos' estimate against the reference scene's highest mode, 664 Hz.
+#[test]
+fn the_highest_frequency_is_that_of_the_model() {
+    let scene =
+        Scene { layout: Layout::planar(6, 6, 15.0, 2.25), clamped: (0..6).collect(), ..small_scene() };
+    let design = scene.layout.initial_design(25f64.to_radians());
+    let hertz = highest_frequency(&scene, &design) / TAU;
+    assert!((hertz - 664.0).abs() < 1.0, "{hertz}");
+}
+
+/// Auto takes the cheapest law and its signals are as good as asked, for one scene of each kind.
+#[test]
+fn auto_keeps_the_accuracy_asked() {
+    let base = small_scene();
+    for (what, scene) in [
+        ("plain", base.clone()),
+        ("stiff", Scene { stiffness: Stiffness { stretch: 300.0, ..base.stiffness }, ..base.clone() }),
+        ("damped", Scene { damping_ratio: 0.5, ..base }),
+    ] {
+        let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.4));
+        let pool = pool(1);
+        let truth = simulate(
+            &scene,
+            &design,
+            &forces,
+            &Solver { method: Method::Nystrom6, tolerance: 1e-8 },
+            false,
+            &pool,
+        );
+        for tolerance in [1e-2, 1e-3, 1e-4] {
+            let solver = Solver { method: Method::Auto, tolerance };
+            let chosen = choose(&scene, &design, &solver);
+            let run = simulate(&scene, &design, &forces, &solver, false, &pool);
+            let error = relative(&run.signals, &truth.signals);
+            assert!(error < tolerance, "{what}: {error:e} where {tolerance:e} was asked; {}", chosen.reason);
+        }
+    }
+}
+
+/// Steps that a blow a hundred times as hard makes unstable are refined for that sample alone.
+#[test]
+fn a_sample_that_fails_is_tried_again_with_smaller_steps() {
+    let scene = Scene {
+        contact: Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 }),
+        ..small_scene()
+    };
+    let design = scene.layout.initial_design(0.4363);
+    let mut forces = pushes(&scene, 2, 0.3);
+    let half = forces.values.len() / 2;
+    forces.values[half..].iter_mut().for_each(|f| *f *= 40.0);
+    let run = run(&scene, &design, &forces, &plan(Method::Nystrom6, 6), true, &pool(1));
+    assert_eq!(run.outcomes[0], Outcome::Ok);
+    assert!(run.counters.rejected > 0 || run.outcomes[1] == Outcome::Ok, "{:?}", run.counters);
+    assert!(run.signals.iter().all(|s| s.is_finite()));
+}
+
+/// Units in the disc, four neighbours inside, and the group order of a planar body with absent groups left out.
+#[test]
+fn circular_bodies_are_bodies() {
+    for across in 3..12 {
+        let layout = Layout::circular(across, 15.0, 2.25);
+        let radius = 0.5 * across as f64 * 15.0;
+        assert!(layout.centres.iter().all(|c| c[0].hypot(c[1]) <= radius));
+        let ends: usize =
+            layout.groups.iter().map(|g| g.iter().filter(|g| **g < layout.group_count).count()).sum();
+        assert_eq!(ends, 4 * layout.units());
+        assert_eq!(layout.group_count, 4 * layout.units() - layout.ligaments.len(), "{across}");
+        assert_eq!(layout.hub().len(), if across % 2 == 0 { 4 } else { 1 });
+        let design = layout.initial_design(0.4);
+        let geometry = Geometry::new(&layout, &design, 1.0);
+        let area = 2.0 * (layout.half / 0.4f64.cos()).powi(2);
+        assert!(geometry.area.iter().all(|a| (a - area).abs() < 1e-9 * area), "{across}");
+        if across >= 5 {
+            let panels = layout.circular_panels(8).expect("eight panels");
+            assert!(panels.iter().all(|(u, d)| {
+                let c = layout.centres[*u];
+                layout.boundary[*u] && c[0] * d[0] + c[1] * d[1] < 0.0
+            }));
+        }
+    }
+}
+
+/// The rule of MODEL.md and the examples it names.
+#[test]
+fn planar_panels_follow_the_rule() {
+    let panels = |columns, rows, k| Layout::planar_panels(columns, rows, k);
+    assert_eq!(panels(6, 6, 2), Some(vec![31, 34]));
+    assert_eq!(panels(8, 1, 4), Some(vec![1, 3, 4, 6]));
+    assert_eq!(panels(8, 4, 3), Some(vec![25, 28, 30]));
+    assert_eq!(panels(4, 4, 5), None);
+    assert_eq!(panels(5, 3, 1), Some(vec![12]));
+    assert_eq!(panels(6, 6, 6), Some(vec![30, 31, 32, 33, 34, 35]));
+}
