@@ -69,3 +69,30 @@ fn csv_holds_one_table_and_says_so() {
     let (ok, out, err) = metasense(&db, &["analyse", "--format", "csv", "--question", "elbow"]);
     assert!(ok && out.starts_with("setting,body,set,verdict,"), "{out}{err}");
 }
+
+/// What a browser would fetch, and what the page must say.
+#[test]
+fn a_report_is_one_file_that_needs_nothing_else() {
+    let (folder, db) = database();
+    let (page, figures) = (folder.path().join("r.html"), folder.path().join("figures"));
+    let (ok, _, err) =
+        metasense(&db, &["report", "--out", page.to_str().unwrap(), "--figures", figures.to_str().unwrap()]);
+    assert!(ok, "{err}");
+    let html = std::fs::read_to_string(&page).unwrap();
+    for fetched in ["src=", "<link", "@import", "url(", "fetch("] {
+        assert!(!html.contains(fetched), "the page fetches by {fetched}");
+    }
+    let links = html.matches("href=").count();
+    assert_eq!(links, html.matches("href=\"data:text/csv").count(), "every link is a download");
+    for name in
+        ["pairs", "sensors", "forces", "samples", "bodies", "waves", "losses", "complexity", "run_time"]
+    {
+        assert!(html.contains(&format!("<h2 id=\"{name}\">")), "no figure {name}");
+        assert!(figures.join(format!("{name}.csv")).is_file(), "no data of {name}");
+    }
+    for said in ["elbow at M = 2", "no elbow", "non_finite: sample 3", "# made-up trials", "1 failed"] {
+        assert!(html.contains(said), "the page does not say {said}");
+    }
+    let figure = std::fs::read_to_string(figures.join("sensors.svg")).unwrap();
+    assert!(figure.starts_with("<svg xmlns") && figure.contains("<style>"), "{}", &figure[..200]);
+}

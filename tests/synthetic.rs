@@ -82,7 +82,7 @@ fn design(columns: usize, rows: usize, scatter: f64) -> Vec<f64> {
     shifts.into_iter().flatten().enumerate().map(|(n, x)| moved(n, x)).collect()
 }
 
-fn evaluation(design: Vec<f64>, error: f64, loss: f32) -> BodyEvaluation {
+fn evaluation(design: Vec<f64>, weights: usize, error: f64, loss: f32) -> BodyEvaluation {
     let network = |factor: f64| NetworkEvaluation {
         error_train: Some(0.8 * error * factor),
         error_test: Some(error * factor),
@@ -91,7 +91,9 @@ fn evaluation(design: Vec<f64>, error: f64, loss: f32) -> BodyEvaluation {
         outcome: "ok".into(),
         weights: Vec::new(),
     };
-    BodyEvaluation { design, networks: vec![network(0.98), network(1.02)], ..Default::default() }
+    let mut networks = vec![network(0.98), network(1.02)];
+    networks[0].weights = (0..weights).map(|i| 0.1 * (3.7 * i as f32).sin()).collect();
+    BodyEvaluation { design, networks, ..Default::default() }
 }
 
 fn step(step: u32, error: f64) -> StepRecord {
@@ -156,8 +158,8 @@ pub async fn fill(db: &Path) {
         }
         let (columns, rows) = (trial.spec.body.columns, trial.spec.body.rows.unwrap());
         let result = TrialResult {
-            initial: evaluation(design(columns, rows, 0.0), *initial, 0.5),
-            optimised: evaluation(design(columns, rows, 0.8), *optimised, 0.125),
+            initial: evaluation(design(columns, rows, 0.0), trial.brain_parameters, *initial, 0.5),
+            optimised: evaluation(design(columns, rows, 0.8), trial.brain_parameters, *optimised, 0.125),
             best_step: 4,
             seconds_evaluation: 3.0,
             simd: "avx2".into(),

@@ -1,7 +1,8 @@
 //! A finished trial once more, from what is stored of it: geometry, signals, predictions, motion.
 
 use metasense_numerics::body::Geometry;
-use metasense_numerics::nested::{self, Motion, Replay};
+use metasense_numerics::nested;
+pub use metasense_numerics::nested::{Motion, Replay};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::problem::problem;

@@ -330,8 +330,7 @@ fn complexity_table(trials: &[&Trial]) -> Table {
 }
 
 /// The ways of training within a group, by what sets them apart.
-#[must_use]
-pub fn trainings<'a>(group: &Group<'a>) -> Vec<Group<'a>> {
+fn trainings<'a>(group: &Group<'a>) -> Vec<Group<'a>> {
     let mut ways = groups(&group.trials, &[]);
     for way in &mut ways {
         let protocol = way.trials[0].protocol().to_owned();

@@ -6,6 +6,7 @@ mod expand;
 mod live;
 mod log;
 mod query;
+mod report;
 mod rows;
 mod run;
 mod schema;
@@ -43,6 +44,7 @@ enum Command {
     Status(status::Args),
     Query(query::Args),
     Analyse(analyse::Args),
+    Report(report::Args),
     Schema(schema::Args),
     Bench(bench::Args),
     /// What the orchestrator starts; not for people.
@@ -68,6 +70,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
         Command::Schema(args) => schema::execute(&args),
+        Command::Report(args) => block_on(report::execute(args)),
     }
 }
 

@@ -4,8 +4,10 @@ use std::collections::HashMap;
 
 use serde_json::Value;
 
+use super::samples::Stored;
+use super::{Story, Sweep};
 use crate::analysis::data::{CurvePoint, flatten};
-use crate::analysis::{Body, Cluster, Trial};
+use crate::analysis::{Body, Cluster, Set, Trial};
 use crate::store::{Reader, StoreError, Table};
 
 /// Parts of an outer step's time, as the columns of `v_step` and in words.
@@ -154,4 +156,86 @@ async fn add_curves(
         curves[network] = curve;
     }
     Ok(())
+}
+
+/// Reads all that a report tells; `trial` names the one to be replayed (the beginning of its hash is enough).
+///
+/// # Errors
+/// Where the database cannot be read, or does not hold the trial whole.
+pub async fn story(reader: &mut Reader, trial: Option<&str>) -> Result<Story, StoreError> {
+    let trials = finished_trials(reader).await?;
+    let sweeps: Rows =
+        reader.query("SELECT name, text, version, created_at FROM sweep ORDER BY id").await?.into();
+    let settled = reader
+        .query(
+            "SELECT hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,
+               error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, steps, attempts,
+               seconds, simd FROM v_trial ORDER BY state = 'failed' DESC, panels, units, sensors, placement, seed",
+        )
+        .await?;
+    let chosen = match trial {
+        Some(hash) => Some(hash.to_owned()),
+        None => typical(&trials).map(|t| t.hash.clone()),
+    };
+    let stored = match chosen {
+        Some(hash) => stored(reader, &hash).await?,
+        None => None,
+    };
+    let text = |row: &Row, column| row.text(column).to_owned();
+    Ok(Story {
+        sweeps: sweeps
+            .iter()
+            .map(|r| Sweep {
+                name: text(&r, "name"),
+                text: text(&r, "text"),
+                version: text(&r, "version"),
+                created_at: text(&r, "created_at"),
+            })
+            .collect(),
+        settled,
+        trials,
+        stored,
+    })
+}
+
+/// The trial whose ratio of holdout errors is nearest to the mean of all.
+fn typical(trials: &[Trial]) -> Option<&Trial> {
+    let ratio = |t: &Trial| {
+        Some((t.error(Body::Initial, Set::Holdout)? / t.error(Body::Optimised, Set::Holdout)?).ln())
+    };
+    let ratios: Vec<(f64, &Trial)> = trials.iter().filter_map(|t| Some((ratio(t)?, t))).collect();
+    let mean = ratios.iter().map(|r| r.0).sum::<f64>() / ratios.len() as f64;
+    ratios.iter().min_by(|a, b| (a.0 - mean).abs().total_cmp(&(b.0 - mean).abs())).map(|r| r.1)
+}
+
+/// Designs and weights of a trial; `None` where it is not done.
+///
+/// # Errors
+/// Where there is no such trial, or what is stored of it cannot be read.
+pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, StoreError> {
+    let rows: Rows = reader.query("SELECT hash, spec, state FROM v_trial").await?.into();
+    let mut found = rows.iter().filter(|r| r.text("hash").starts_with(hash));
+    let (Some(row), None) = (found.next(), found.next()) else {
+        return Err(StoreError::UnknownTrial { path: reader.path().to_owned(), hash: hash.to_owned() });
+    };
+    if row.text("state") != "done" {
+        return Ok(None);
+    }
+    let hash = row.text("hash").to_owned();
+    let spec = serde_json::from_str(row.text("spec")).map_err(|e| StoreError::Unreadable {
+        hash: hash.clone(),
+        what: "spec",
+        message: e.to_string(),
+    })?;
+    let mut stored = Stored { hash, spec, designs: Default::default(), weights: Default::default() };
+    for body in Body::ALL {
+        for artifact in reader.arrays_of(&stored.hash).await? {
+            if artifact.name == format!("alpha_{}", body.name()) {
+                stored.designs[body as usize] = artifact.values()?;
+            } else if artifact.name == format!("weights_{}_0", body.name()) {
+                stored.weights[body as usize] = artifact.values()?;
+            }
+        }
+    }
+    Ok(Some(stored))
 }

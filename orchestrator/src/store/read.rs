@@ -114,6 +114,28 @@ impl Reader {
         Ok(Table { columns, rows: rows.iter().map(values).collect() })
     }
 
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The stored arrays of a trial, by name.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT t.hash, a.name, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id
+             WHERE t.hash = ? ORDER BY a.name",
+        )
+        .bind(hash)
+        .fetch_all(&mut self.connection)
+        .await
+        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+        Ok(rows.iter().map(|r| Artifact { hash: r.get(0), name: r.get(1), bytes: r.get(2) }).collect())
+    }
+
     /// The stored arrays whose names are LIKE a pattern (`losses_%`), by trial and name.
     ///
     /// # Errors

@@ -1,0 +1,459 @@
+//! The figures that the analysis alone can draw.
+
+use serde_json::{Value, json};
+
+use super::plot::{Axis, Plot, Scale, number};
+use crate::analysis::data::{
+    COMPLEXITY, Group, SENSORS, TRAINING, geometric_mean, groups, levels, observations,
+};
+use crate::analysis::resample::quantile;
+use crate::analysis::run_time::{mean_history, pareto};
+use crate::analysis::scaling::scaling;
+use crate::analysis::tables::verdict_text;
+use crate::analysis::{Body, Question, Set, Trial, Verdict, elbow, paired};
+use crate::store::Table;
+
+/// A figure: plots side by side under one caption.
+#[derive(Debug, Clone)]
+pub struct Figure {
+    /// Names its files and its anchor.
+    pub name: &'static str,
+    /// Its heading.
+    pub title: String,
+    /// What was measured, and how to read it.
+    pub caption: String,
+    /// Entries of the legend: class and text.
+    pub legend: Vec<(&'static str, &'static str)>,
+    /// SVG elements.
+    pub plots: Vec<String>,
+    /// Whether the plots are small ones.
+    pub small: bool,
+    /// What is drawn.
+    pub data: Table,
+}
+
+/// The usual legend.
+pub const BODIES: [(&str, &str); 2] = [("initial", "initial body"), ("optimised", "optimised body")];
+
+/// At most so many plots of a kind; the data hold all.
+const MOST_PLOTS: usize = 6;
+
+/// Error of the optimised against that of the initial body, a dot a trial.
+#[must_use]
+pub fn pairs(trials: &[Trial]) -> Option<Figure> {
+    let points: Vec<(&Trial, f64, f64)> = trials
+        .iter()
+        .filter_map(|t| {
+            Some((t, t.error(Body::Initial, Set::Holdout)?, t.error(Body::Optimised, Set::Holdout)?))
+        })
+        .collect();
+    if points.is_empty() {
+        return None;
+    }
+    let all: Vec<f64> = points.iter().flat_map(|p| [p.1, p.2]).collect();
+    let axis = |label| Axis::new(label, Scale::Log, all.iter().copied());
+    let mut plot = Plot::new(
+        "Each trial",
+        axis("holdout error, initial body (%)"),
+        axis("holdout error, optimised body (%)"),
+    );
+    let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), e| (l.min(*e), h.max(*e)));
+    plot.line("equal", [(low, low), (high, high)]);
+    plot.dots(
+        "optimised",
+        points.iter().map(|(t, i, o)| {
+            let text = format!(
+                "K {} M {} placement {} seed {}, {} units: {} % → {} %",
+                t.panels,
+                t.sensors,
+                t.cluster.placement,
+                t.cluster.seed,
+                t.units,
+                number(*i),
+                number(*o)
+            );
+            ((*i, *o), text)
+        }),
+    );
+    let data = Table {
+        columns: [
+            "hash",
+            "panels",
+            "sensors",
+            "placement",
+            "seed",
+            "units",
+            "holdout_error_initial",
+            "holdout_error_optimised",
+        ]
+        .map(String::from)
+        .to_vec(),
+        rows: points
+            .iter()
+            .map(|(t, i, o)| {
+                vec![
+                    json!(t.hash),
+                    json!(t.panels),
+                    json!(t.sensors),
+                    json!(t.cluster.placement),
+                    json!(t.cluster.seed),
+                    json!(t.units),
+                    json!(i),
+                    json!(o),
+                ]
+            })
+            .collect(),
+    };
+    Some(Figure {
+        name: "pairs",
+        title: "Did the body get better?".into(),
+        caption: "Prediction error on the holdout, which neither loop has seen: each dot is a trial, with fresh networks \
+                  trained alike on its initial and on its optimised body. Below the dotted line the optimised body is \
+                  better."
+            .into(),
+        legend: vec![],
+        plots: vec![plot.svg()],
+        small: false,
+        data,
+    })
+}
+
+/// Error against M, placements shaded, elbow marked.
+#[must_use]
+pub fn sensors(trials: &[Trial]) -> Option<Figure> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let drawn: Vec<Group> =
+        groups(&refs, SENSORS).into_iter().filter(|g| distinct(g, |t| t.sensors) > 1).collect();
+    let mut plots = Vec::new();
+    for group in drawn.iter().take(MOST_PLOTS) {
+        let curves = Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.sensors)));
+        let errors = curves.iter().flat_map(|c| c.1.iter().map(|o| o.error));
+        let mut values: Vec<f64> = group.trials.iter().map(|t| t.sensors as f64).collect();
+        values.sort_by(f64::total_cmp);
+        values.dedup();
+        let x = Axis::new("sensors M", Scale::Linear, values.iter().copied().chain([0.7])).with_ticks(values);
+        let mut plot = Plot::new(&group.label, x, Axis::new("holdout error (%)", Scale::Log, errors));
+        for (body, points) in &curves {
+            let curve = levels(points);
+            plot.band(body.name(), &curve.iter().map(|l| (l.at, l.least, l.most)).collect::<Vec<_>>());
+            plot.line(body.name(), curve.iter().map(|l| (l.at, l.mean)));
+            plot.dots(
+                body.name(),
+                curve.iter().map(|l| {
+                    let text = format!(
+                        "{} body, M = {}: {} % ({} to {} %, {} trials)",
+                        body.name(),
+                        l.at,
+                        number(l.mean),
+                        number(l.least),
+                        number(l.most),
+                        l.trials
+                    );
+                    ((l.at, l.mean), text)
+                }),
+            );
+            if let Ok(found) = elbow(points)
+                && let Verdict::At(m) | Verdict::WithoutVote(Some(m)) = found.verdict
+            {
+                let vote = found.votes.iter().find(|v| v.0 == m && v.1 > 0.0);
+                let vote = vote.map_or(String::new(), |v| format!(", {:.0} % of votes", 100.0 * v.1));
+                plot.vertical(body.name(), m, &format!("elbow {m}{vote}"));
+            }
+        }
+        plots.push(plot.svg());
+    }
+    let left_out = drawn.len().saturating_sub(MOST_PLOTS);
+    let rest =
+        if left_out > 0 { format!(" {left_out} further settings are in the data.") } else { String::new() };
+    (!plots.is_empty()).then(|| Figure {
+        name: "sensors",
+        title: "How many sensors are enough?".into(),
+        caption: format!(
+            "Prediction error on the holdout against the number of sensors: geometric mean over placements and seeds, \
+             shaded from the best to the worst of them. A dotted line marks the elbow where there is one (broken stick \
+             on ln error, votes by bootstrap over placements and seeds).{rest}"
+        ),
+        legend: BODIES.to_vec(),
+        plots,
+        small: false,
+        data: Question::Sensors.answer(trials),
+    })
+}
+
+fn distinct(group: &Group, at: fn(&Trial) -> u64) -> usize {
+    let mut values: Vec<u64> = group.trials.iter().map(|t| at(t)).collect();
+    values.sort_unstable();
+    values.dedup();
+    values.len()
+}
+
+/// Training loss against iterations: median over trials and networks, middle half shaded.
+#[must_use]
+pub fn losses(trials: &[Trial]) -> Option<Figure> {
+    let refs: Vec<&Trial> = trials.iter().filter(|t| t.curves.iter().all(|c| !c.is_empty())).collect();
+    let mut rows = Vec::new();
+    let mut plots = Vec::new();
+    for group in groups(&refs, &[SENSORS, COMPLEXITY].concat()).iter().take(MOST_PLOTS) {
+        let curves = Body::ALL.map(|body| {
+            let networks: Vec<&Vec<(u32, f64)>> =
+                group.trials.iter().flat_map(|t| t.curves[body as usize].iter()).collect();
+            (body, middle(&networks))
+        });
+        let all = || curves.iter().flat_map(|c| c.1.iter());
+        let mut plot = Plot::new(
+            &group.label,
+            Axis::new("brain iterations", Scale::Log, all().map(|p| p.0)),
+            Axis::new("training loss (normalised)", Scale::Log, all().flat_map(|p| [p.1, p.3])),
+        );
+        for (body, curve) in &curves {
+            plot.band(body.name(), &curve.iter().map(|p| (p.0, p.1, p.3)).collect::<Vec<_>>());
+            plot.line(body.name(), curve.iter().map(|p| (p.0, p.2)));
+            rows.extend(curve.iter().map(|p| {
+                vec![json!(group.label), json!(body.name()), json!(p.0), json!(p.2), json!(p.1), json!(p.3)]
+            }));
+        }
+        plots.push(plot.svg());
+    }
+    let ratio = paired::iterations(&refs)?;
+    let interval = ratio
+        .interval
+        .map_or(String::new(), |i| format!(" (95 % interval {} to {})", number(i.low), number(i.high)));
+    Some(Figure {
+        name: "losses",
+        title: "Is the body easier to learn from?".into(),
+        caption: format!(
+            "Training loss of fresh networks of one architecture and budget on the initial and on the optimised body: \
+             median over trials, the middle half shaded. To the loss that the worse body ends at, the network on the \
+             initial body takes {} times the iterations of that on the optimised one{interval}.",
+            number(ratio.ratio)
+        ),
+        legend: BODIES.to_vec(),
+        plots,
+        small: false,
+        data: table(&["setting", "body", "iteration", "median", "lower_quartile", "upper_quartile"], rows),
+    })
+}
+
+/// (iteration, lower quartile, median, upper quartile) at some hundred iterations, evenly spaced in their logarithm.
+fn middle(curves: &[&Vec<(u32, f64)>]) -> Vec<(f64, f64, f64, f64)> {
+    let length = curves.iter().map(|c| c.len()).min().unwrap_or(0);
+    let mut at: Vec<usize> =
+        (0..100).map(|i| (length as f64).powf(f64::from(i) / 99.0).round() as usize).collect();
+    at.dedup();
+    at.into_iter()
+        .filter(|&n| n >= 1 && n <= length)
+        .filter_map(|n| {
+            let mut losses: Vec<f64> = curves.iter().map(|c| c[n - 1].1).filter(|l| l.is_finite()).collect();
+            losses.sort_by(f64::total_cmp);
+            let of = |q| quantile(&losses, q);
+            (!losses.is_empty()).then(|| (n as f64, of(0.25), of(0.5), of(0.75)))
+        })
+        .collect()
+}
+
+fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
+    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
+}
+
+/// Error against design parameters, with the law where it is one.
+#[must_use]
+pub fn complexity(trials: &[Trial]) -> Option<Figure> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let mut plots = Vec::new();
+    let mut laws = Vec::new();
+    let drawn = groups(&refs, COMPLEXITY);
+    for group in drawn.iter().filter(|g| distinct(g, |t| t.design_parameters) > 1).take(MOST_PLOTS) {
+        let curves =
+            Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.design_parameters)));
+        let all = || curves.iter().flat_map(|c| c.1.iter());
+        let mut plot = Plot::new(
+            &group.label,
+            Axis::new("design parameters N", Scale::Log, all().map(|o| o.at)),
+            Axis::new("holdout error (%)", Scale::Log, all().map(|o| o.error)),
+        );
+        for (body, points) in &curves {
+            let curve = levels(points);
+            match scaling(points) {
+                Ok(found) if found.not_identifiable.is_none() => {
+                    let (low, high) = (curve[0].at, curve[curve.len() - 1].at);
+                    let places = (0..=40).map(|i| low * (high / low).powf(f64::from(i) / 40.0));
+                    let band: Vec<(f64, f64, f64)> =
+                        places.clone().filter_map(|n| found.band(n).map(|b| (n, b.low, b.high))).collect();
+                    plot.band(body.name(), &band);
+                    plot.line(body.name(), places.map(|n| (n, found.law.at(n))));
+                    let b = found
+                        .exponent
+                        .map_or(String::new(), |i| format!(" ({} to {})", number(i.low), number(i.high)));
+                    laws.push(format!(
+                        "{}, {} body: b = {}{b}, c = {} %",
+                        group.label,
+                        body.name(),
+                        number(found.law.exponent),
+                        number(found.law.floor)
+                    ));
+                }
+                Ok(found) => {
+                    plot.line(body.name(), curve.iter().map(|l| (l.at, l.mean)));
+                    let why = found.not_identifiable.unwrap_or_default();
+                    laws.push(format!("{}, {} body: not identifiable, {why}", group.label, body.name()));
+                }
+                Err(why) => {
+                    plot.line(body.name(), curve.iter().map(|l| (l.at, l.mean)));
+                    laws.push(format!("{}, {} body: {why}", group.label, body.name()));
+                }
+            }
+            plot.dots(
+                body.name(),
+                points.iter().map(|o| {
+                    ((o.at, o.error), format!("{} body, N = {}: {} %", body.name(), o.at, number(o.error)))
+                }),
+            );
+        }
+        plots.push(plot.svg());
+    }
+    (!plots.is_empty()).then(|| Figure {
+        name: "complexity",
+        title: "What does a more complex body buy?".into(),
+        caption: format!(
+            "Prediction error on the holdout against the number of design parameters of the body; task, sensors and \
+             network stay. A dot is a trial; where the law L = a·(N/N₀)^(−b) + c is identified, its fit is drawn with \
+             a 95 % band, elsewhere the means are joined. {}.",
+            laws.join("; ")
+        ),
+        legend: BODIES.to_vec(),
+        plots,
+        small: false,
+        data: Question::Sizes.answer(trials),
+    })
+}
+
+/// Best error so far against seconds.
+#[must_use]
+pub fn run_time(trials: &[Trial]) -> Option<Figure> {
+    let refs: Vec<&Trial> = trials.iter().filter(|t| !t.history.is_empty()).collect();
+    let mut plots = Vec::new();
+    let mut rows = Vec::new();
+    for (i, group) in groups(&refs, &[TRAINING, SENSORS, COMPLEXITY].concat()).iter().enumerate() {
+        let points: Vec<(f64, f64)> = group.trials.iter().flat_map(|t| t.history.iter().copied()).collect();
+        rows.extend(group.trials.iter().flat_map(|t| {
+            t.history.iter().map(|p| vec![json!(t.hash), json!(t.protocol()), json!(p.0), json!(p.1)])
+        }));
+        if i >= MOST_PLOTS {
+            continue;
+        }
+        let mut plot = Plot::new(
+            &group.label,
+            Axis::new("seconds of the outer loop", Scale::Log, points.iter().map(|p| p.0)),
+            Axis::new("best test error so far (%)", Scale::Log, points.iter().map(|p| p.1)),
+        );
+        for trial in &group.trials {
+            plot.line("thin", steps(&trial.history));
+        }
+        let ways = groups(&group.trials, &[SENSORS, COMPLEXITY].concat());
+        for way in &ways {
+            let histories: Vec<&[(f64, f64)]> = way.trials.iter().map(|t| t.history.as_slice()).collect();
+            let mean = mean_history(&histories, 60);
+            if let (Some(last), true) = (mean.last().copied(), ways.len() > 1) {
+                plot.note(last, way.trials[0].protocol());
+            }
+            plot.line("optimised", mean);
+        }
+        let front: Vec<(f64, f64)> = pareto(&points).into_iter().map(|i| points[i]).collect();
+        plot.line("front", steps(&front));
+        plots.push(plot.svg());
+    }
+    (!plots.is_empty()).then(|| Figure {
+        name: "run_time",
+        title: "What did the error cost in time?".into(),
+        caption: "Best test error so far of the networks inside the outer loop, against the seconds that the trial's \
+                  steps took (evaluation excluded). Thin: each trial; thick: geometric mean of each way of training; the \
+                  front is what no trial beats in both."
+            .into(),
+        legend: vec![("", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")],
+        plots,
+        small: false,
+        data: table(&["hash", "protocol", "seconds", "best_error_test"], rows),
+    })
+}
+
+/// A history as a staircase.
+fn steps(history: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut stairs = Vec::new();
+    let mut last: Option<f64> = None;
+    for &(seconds, error) in history {
+        stairs.extend(last.map(|e| (seconds, e)));
+        stairs.push((seconds, error));
+        last = Some(error);
+    }
+    stairs
+}
+
+/// The answers in words, best evidence first, and whether each is good news (`Some`) or undecided (`None`).
+#[must_use]
+pub fn answers(trials: &[Trial]) -> Vec<(Option<bool>, String)> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let mut said = Vec::new();
+    for (set, what) in [
+        (Set::Holdout, "samples that neither loop has seen"),
+        (Set::Test, "the test set that steered the body"),
+    ] {
+        if let Some(r) = paired::error_ratio(&refs, set) {
+            let interval = r.interval.map_or(", one trial: no interval".into(), |i| {
+                format!(", 95 % interval {} to {}", number(i.low), number(i.high))
+            });
+            let verdict = match r.interval {
+                Some(i) if i.low > 1.0 => Some(true),
+                Some(i) if i.high < 1.0 => Some(false),
+                _ => None,
+            };
+            let initial = geometric_mean(&all_errors(&refs, Body::Initial, set));
+            let optimised = geometric_mean(&all_errors(&refs, Body::Optimised, set));
+            said.push((
+                verdict,
+                format!(
+                    "On {what}, the initial body's error is {} times the optimised body's ({} % against {} %{interval}); \
+                     the optimised one is better in {} of {} trials.",
+                    number(r.ratio), number(initial), number(optimised), r.above_one, r.trials
+                ),
+            ));
+        }
+    }
+    for group in groups(&refs, SENSORS) {
+        if distinct(&group, |t| t.sensors) < 2 {
+            continue;
+        }
+        let curve = |body| observations(&group.trials, body, Set::Holdout, |t| t.sensors);
+        let verdicts = Body::ALL.map(|b| match elbow(&curve(b)) {
+            Ok(found) => format!("{} body: {}", b.name(), verdict_text(found.verdict)),
+            Err(why) => format!("{} body: {why}", b.name()),
+        });
+        said.push((None, format!("{}: {}.", group.label, verdicts.join("; "))));
+        if let Some(f) = crate::analysis::sensors::fewer(&curve(Body::Initial), &curve(Body::Optimised)) {
+            let text = match (f.fewest, f.optimised_error) {
+                (Some(m), Some(error)) => format!(
+                    "{}: the optimised body with M = {m} ({} %) beats the initial one with M = {} ({} %).",
+                    group.label,
+                    number(error),
+                    f.most,
+                    number(f.initial_error)
+                ),
+                _ => format!(
+                    "{}: with no number of sensors tried does the optimised body beat the initial one with M = {} ({} %).",
+                    group.label,
+                    f.most,
+                    number(f.initial_error)
+                ),
+            };
+            said.push((Some(f.fewest.is_some()), text));
+        }
+    }
+    said
+}
+
+fn all_errors(trials: &[&Trial], body: Body, set: Set) -> Vec<f64> {
+    trials
+        .iter()
+        .filter(|t| Body::ALL.iter().all(|b| t.error(*b, set).is_some()))
+        .filter_map(|t| t.error(body, set))
+        .collect()
+}

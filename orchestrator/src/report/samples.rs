@@ -1,0 +1,369 @@
+//! The figures that need a trial's signals, predictions and motion: one representative trial, replayed.
+
+use std::fmt::Write as _;
+
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::replay::{Drawing, drawing, motion, replay};
+use metasense_worker::run::Failure;
+use serde_json::{Value, json};
+
+use super::body::{self, Frame, marks, points};
+use super::figures::{BODIES, Figure};
+use super::plot::{Axis, Plot, Scale, number};
+use crate::analysis::Body;
+use crate::store::Table;
+
+/// What is stored of a trial's two bodies: α (mm) and the weights of the first network, `[initial, optimised]`.
+#[derive(Debug, Clone)]
+pub struct Stored {
+    /// Names the trial.
+    pub hash: String,
+    /// What it is.
+    pub spec: TrialSpec,
+    /// α.
+    pub designs: [Vec<f64>; 2],
+    /// Flat weights; empty where none were kept.
+    pub weights: [Vec<f32>; 2],
+}
+
+/// Draws the bodies, four samples, every test sample, the wave.
+///
+/// # Errors
+/// If the trial cannot be simulated again.
+pub fn figures(stored: &Stored, threads: usize) -> Result<Vec<Figure>, Failure> {
+    let drawings = [drawing(&stored.spec, &stored.designs[0])?, drawing(&stored.spec, &stored.designs[1])?];
+    let mut figures = Vec::new();
+    let replays = [0, 1].map(|b| replay(&stored.spec, &stored.designs[b], &stored.weights[b], threads));
+    let [initial, optimised] = replays;
+    let replays = [initial?, optimised?];
+    let test: Vec<usize> =
+        replays[0].split.iter().enumerate().filter(|(_, s)| **s == 1).map(|(n, _)| n).collect();
+    if stored.weights.iter().all(|w| !w.is_empty()) {
+        let chosen = representative(&replays[1].errors, &test);
+        figures.push(forces(stored, &replays, &chosen));
+        figures.push(every_sample(stored, &replays, &test));
+    }
+    figures.push(bodies(stored, &drawings));
+    let loudest = loudest(&replays[0].forces.values, &test, stored);
+    let motions = [0, 1].map(|b| motion(&stored.spec, &stored.designs[b], loudest, threads));
+    let [initial, optimised] = motions;
+    figures.push(waves(stored, &drawings, &[initial?, optimised?], loudest));
+    Ok(figures)
+}
+
+fn who(stored: &Stored) -> String {
+    let p = stored.spec.point;
+    format!(
+        "trial {} (K = {}, M = {}, placement {}, seed {})",
+        &stored.hash[..stored.hash.len().min(8)],
+        p.panels,
+        p.sensors,
+        p.placement,
+        p.seed
+    )
+}
+
+/// Four test samples at the 12th, 37th, 62nd and 87th percentile of the optimised body's error.
+fn representative(errors: &[Option<f64>], test: &[usize]) -> Vec<usize> {
+    let mut known: Vec<(f64, usize)> = test.iter().filter_map(|&n| errors[n].map(|e| (e, n))).collect();
+    known.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut chosen: Vec<usize> =
+        (0..4).filter_map(|q| known.get((2 * q + 1) * known.len() / 8)).map(|k| k.1).collect();
+    chosen.dedup();
+    chosen
+}
+
+/// The test sample with the greatest impulse.
+fn loudest(forces: &[f64], test: &[usize], stored: &Stored) -> usize {
+    let size = stored.spec.panel_units.len() * (stored.spec.time.samples + 1);
+    let impulse = |n: usize| forces[n * size..(n + 1) * size].iter().sum::<f64>();
+    test.iter().copied().max_by(|a, b| impulse(*a).total_cmp(&impulse(*b))).unwrap_or(0)
+}
+
+type Replays = [metasense_worker::replay::Replay; 2];
+
+fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
+    let (panels, instants) = (stored.spec.panel_units.len(), stored.spec.time.samples);
+    let seconds = |n: usize| n as f64 * stored.spec.time.duration / instants as f64;
+    let truth = |sample: usize, k: usize, n: usize| {
+        replays[0].forces.values[(sample * panels + k) * (instants + 1) + n]
+    };
+    let predicted = |b: usize, sample: usize, k: usize, n: usize| {
+        replays[b].predictions[(sample * instants + n - 1) * panels + k]
+    };
+    let (mut plots, mut rows) = (Vec::new(), Vec::new());
+    let peak = chosen
+        .iter()
+        .flat_map(|&s| (0..panels).flat_map(move |k| (1..=instants).map(move |n| (s, k, n))))
+        .map(|(s, k, n)| truth(s, k, n))
+        .fold(0.0, f64::max);
+    for &sample in chosen {
+        for k in 0..panels {
+            let errors = [0, 1].map(|b| replays[b].errors[sample].map_or("–".into(), number));
+            let title = match k {
+                0 => format!("sample {sample}: {} % → {} %; panel 0", errors[0], errors[1]),
+                _ => format!("panel {k}"),
+            };
+            let mut plot = Plot::new(
+                &title,
+                Axis::new("time (s)", Scale::Linear, [0.0, stored.spec.time.duration]),
+                Axis::new("force (N)", Scale::Linear, [-0.12 * peak, 1.08 * peak]),
+            )
+            .sized(260.0, 165.0);
+            plot.line("truth", (0..=instants).map(|n| (seconds(n), truth(sample, k, n))));
+            for body in Body::ALL {
+                let curve = (1..=instants).map(|n| (seconds(n), predicted(body as usize, sample, k, n)));
+                plot.line(body.name(), curve);
+            }
+            plots.push(plot.svg());
+            rows.extend((1..=instants).map(|n| {
+                vec![
+                    json!(sample),
+                    json!(k),
+                    json!(seconds(n)),
+                    json!(truth(sample, k, n)),
+                    json!(predicted(0, sample, k, n)),
+                    json!(predicted(1, sample, k, n)),
+                ]
+            }));
+        }
+    }
+    Figure {
+        name: "forces",
+        title: "True and predicted forces".into(),
+        caption: format!(
+            "Force histories of four test samples of {}, at the 12th, 37th, 62nd and 87th percentile of the optimised \
+             body's error, and what the first network of each body makes of its sensors' signals; one plot a panel. \
+             The errors in the titles are the sample's, over all panels.",
+            who(stored)
+        ),
+        legend: vec![("truth", "true force"), BODIES[0], BODIES[1]],
+        plots,
+        small: true,
+        data: table(&["sample", "panel", "seconds", "force", "initial", "optimised"], rows),
+    }
+}
+
+fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
+    let mut pairs: Vec<(usize, f64, f64)> =
+        test.iter().filter_map(|&n| Some((n, replays[0].errors[n]?, replays[1].errors[n]?))).collect();
+    pairs.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let x = Axis::new(
+        "test samples, by the initial body's error",
+        Scale::Linear,
+        [0.0, pairs.len() as f64 + 1.0],
+    );
+    let y = Axis::new("error (%)", Scale::Log, pairs.iter().flat_map(|p| [p.1, p.2]));
+    let mut plot = Plot::new("Every test sample", x.with_ticks(vec![]), y).sized(480.0, 280.0);
+    for (i, (_, initial, optimised)) in pairs.iter().enumerate() {
+        plot.line("thin", [(i as f64 + 1.0, *initial), (i as f64 + 1.0, *optimised)]);
+    }
+    for body in Body::ALL {
+        plot.dots(
+            body.name(),
+            pairs.iter().enumerate().map(|(i, p)| {
+                let error = [p.1, p.2][body as usize];
+                (
+                    (i as f64 + 1.0, error),
+                    format!("sample {}, {} body: {} %", p.0, body.name(), number(error)),
+                )
+            }),
+        );
+    }
+    let better = pairs.iter().filter(|p| p.2 < p.1).count();
+    Figure {
+        name: "samples",
+        title: "Error of every test sample".into(),
+        caption: format!(
+            "Prediction error of each test sample of {}: open the initial body, filled the optimised one, joined. The \
+             optimised body is better in {better} of {} samples.",
+            who(stored),
+            pairs.len()
+        ),
+        legend: BODIES.to_vec(),
+        plots: vec![plot.svg()],
+        small: false,
+        data: table(
+            &["sample", "error_initial", "error_optimised"],
+            pairs.iter().map(|p| vec![json!(p.0), json!(p.1), json!(p.2)]).collect(),
+        ),
+    }
+}
+
+fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
+    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
+}
+
+fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
+    let frame = Frame::around(&[&drawings[0], &drawings[1]]);
+    let plots = Body::ALL.map(|b| {
+        let label = format!("{} body", b.name());
+        format!("<h3>{label}</h3>{}", body::svg(&drawings[b as usize], &frame, &label, |_| String::new()))
+    });
+    let mut rows = Vec::new();
+    for body in Body::ALL {
+        for (unit, corners) in drawings[body as usize].units.iter().enumerate() {
+            rows.extend(corners.iter().enumerate().map(|(node, [x, y])| {
+                vec![json!(body.name()), json!(unit), json!(node), json!(x), json!(y)]
+            }));
+        }
+    }
+    let moved =
+        stored.designs[0].iter().zip(&stored.designs[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    Figure {
+        name: "bodies",
+        title: "The body before and after".into(),
+        caption: format!(
+            "Initial and optimised body of {}: units, ligaments, input panels (arrows: the direction of the blow), \
+             sensors (dots), clamped units darker. The farthest shift moved {} mm.",
+            who(stored),
+            number(moved)
+        ),
+        legend: vec![("arrow", "input panel"), ("dot sensor", "sensor")],
+        plots: plots.to_vec(),
+        small: false,
+        data: table(&["body", "unit", "node", "x", "y"], rows),
+    }
+}
+
+/// Snapshots of speed, and what the animation needs.
+fn waves(
+    stored: &Stored,
+    drawings: &[Drawing; 2],
+    motions: &[metasense_worker::replay::Motion; 2],
+    sample: usize,
+) -> Figure {
+    let speed = |b: usize, n: usize, u: usize| {
+        let [vx, vy, _] = motions[b].velocities[n][u];
+        vx.hypot(vy)
+    };
+    let (instants, units) = (motions[0].velocities.len(), drawings[0].units.len());
+    let fastest = |b: usize| {
+        (0..instants).flat_map(|n| (0..units).map(move |u| (n, u))).map(move |(n, u)| speed(b, n, u))
+    };
+    let most = fastest(0).chain(fastest(1)).fold(1e-9, f64::max);
+    // Snapshots follow the wave: where the initial body's mean speed has reached these parts of its integral.
+    let mean: Vec<f64> = (0..instants).map(|n| (0..units).map(|u| speed(0, n, u)).sum()).collect();
+    let whole: f64 = mean.iter().sum();
+    let mut sum = 0.0;
+    let mut shots = Vec::new();
+    for (n, v) in mean.iter().enumerate() {
+        sum += v;
+        if sum >= whole * (2 * shots.len() + 1) as f64 / 8.0 && shots.len() < 4 {
+            shots.push(n);
+        }
+    }
+    let frame = Frame::around(&[&drawings[0], &drawings[1]]);
+    let (mut plots, mut rows) = (Vec::new(), Vec::new());
+    for body in Body::ALL {
+        let (b, d) = (body as usize, &drawings[body as usize]);
+        for &n in &shots {
+            let label = format!("{} body, {} s", body.name(), number(d.clock[n]));
+            let fill = |u: usize| format!(" style=\"{}\"", colour(speed(b, n, u) / most));
+            let moved = displaced(d, &motions[b].displacements[n]);
+            plots.push(format!("<h3>{label}</h3>{}", body::svg(&moved, &frame, &label, fill)));
+        }
+        for &n in &shots {
+            rows.extend((0..units).map(|u| {
+                let [x, y, angle] = motions[b].displacements[n][u];
+                vec![
+                    json!(body.name()),
+                    json!(d.clock[n]),
+                    json!(u),
+                    json!(x),
+                    json!(y),
+                    json!(angle),
+                    json!(speed(b, n, u)),
+                ]
+            }));
+        }
+    }
+    plots.push(animation(drawings, motions, &frame, most));
+    Figure {
+        name: "waves",
+        title: "The wave in the body".into(),
+        caption: format!(
+            "Speed of every unit (0 to {} mm/s, pale to strong) at four instants and as an animation, under test sample \
+             {sample} of {}: the same blows on the initial and on the optimised body, drawn as displaced.",
+            number(most),
+            who(stored)
+        ),
+        legend: vec![("arrow", "input panel"), ("dot sensor", "sensor")],
+        plots,
+        small: true,
+        data: table(&["body", "seconds", "unit", "u", "v", "theta", "speed"], rows),
+    }
+}
+
+fn colour(part: f64) -> String {
+    // Speeds of a wave span decades; the root shows the quiet ones too.
+    format!("fill:color-mix(in oklab,var(--fast) {:.0}%,var(--slow))", 100.0 * part.clamp(0.0, 1.0).sqrt())
+}
+
+fn displaced(drawing: &Drawing, by: &[[f64; 3]]) -> Drawing {
+    let mut moved = drawing.clone();
+    for (unit, (corners, [u, v, angle])) in moved.units.iter_mut().zip(by).enumerate() {
+        let [cx, cy] = drawing.centroids[unit];
+        let (sin, cos) = angle.sin_cos();
+        for corner in corners.iter_mut() {
+            let (x, y) = (corner[0] - cx, corner[1] - cy);
+            *corner = [cx + u + cos * x - sin * y, cy + v + sin * x + cos * y];
+        }
+        moved.centroids[unit] = [cx + u, cy + v];
+    }
+    moved.ligaments.clear();
+    moved
+}
+
+/// Two bodies whose units a script moves and colours; without script they stand still.
+fn animation(
+    drawings: &[Drawing; 2],
+    motions: &[metasense_worker::replay::Motion; 2],
+    frame: &Frame,
+    most: f64,
+) -> String {
+    let mut html = String::from("<div class=\"wave\"><div class=\"pair\">");
+    for body in Body::ALL {
+        let (d, m) = (&drawings[body as usize], &motions[body as usize]);
+        let _ = write!(
+            html,
+            "<div><h3>{} body</h3>{}",
+            body.name(),
+            frame.open(&format!("{} body in motion", body.name()))
+        );
+        for (u, corners) in d.units.iter().enumerate() {
+            let [cx, cy] = d.centroids[u];
+            let local: Vec<[f64; 2]> = corners.iter().map(|[x, y]| [x - cx, y - cy]).collect();
+            let _ = write!(
+                html,
+                "<polygon class=\"unit\" data-x=\"{cx:.2}\" data-y=\"{:.2}\" transform=\"translate({cx:.2} {:.2})\" points=\"{}\"/>",
+                -cy,
+                -cy,
+                points(&local)
+            );
+        }
+        // u, v in µm, θ in 0.1 mrad, speed in thousandths of the fastest.
+        let mut numbers = String::new();
+        for (x, v) in m.displacements.iter().zip(&m.velocities) {
+            for (x, v) in x.iter().zip(v) {
+                let speed = 1e3 * v[0].hypot(v[1]) / most;
+                let _ = write!(numbers, "{:.0},{:.0},{:.0},{speed:.0},", 1e3 * x[0], 1e3 * x[1], 1e4 * x[2]);
+            }
+        }
+        let _ = write!(
+            html,
+            "{}</svg><script type=\"text/plain\">{}</script></div>",
+            marks(d),
+            numbers.trim_end_matches(',')
+        );
+    }
+    let _ = write!(
+        html,
+        "</div><div class=\"player\"><button type=\"button\">Play</button><input type=\"range\" min=\"0\" max=\"{}\" value=\"0\" \
+         aria-label=\"time\"><output>0 s</output></div><script>{}</script></div>",
+        drawings[0].clock.len() - 1,
+        include_str!("wave.js")
+            .replace("DURATION", &drawings[0].clock.last().copied().unwrap_or(1.0).to_string())
+    );
+    html
+}

@@ -1,0 +1,37 @@
+(() => {
+  const root = document.currentScript.parentElement, duration = DURATION;
+  const bodies = [...root.querySelectorAll('svg')].map(svg => ({
+    units: [...svg.querySelectorAll('polygon.unit')].map(e => [e, +e.dataset.x, +e.dataset.y]),
+    data: Int32Array.from(svg.nextElementSibling.textContent.split(',')),
+  }));
+  const [button, range, output] = root.querySelectorAll('button, input, output');
+  const count = +range.max + 1;
+  let at = 0, last = null;
+  const show = () => {
+    const n = Math.min(Math.floor(at), count - 1);
+    for (const {units, data} of bodies) units.forEach(([e, x, y], u) => {
+      const i = 4 * (n * units.length + u);
+      e.setAttribute('transform', `translate(${x + data[i] / 1e3} ${y - data[i + 1] / 1e3}) rotate(${-data[i + 2] * 0.0057296})`);
+      e.style.fill = `color-mix(in oklab, var(--fast) ${Math.round(100 * Math.sqrt(data[i + 3] / 1e3))}%, var(--slow))`;
+    });
+    range.value = n;
+    output.textContent = ((n + 1) * duration / count).toFixed(3) + ' s';
+  };
+  const tick = now => {
+    if (last === null) return;
+    at += (now - last) / 8000 * count;
+    last = now;
+    if (at >= count) at = 0;
+    show();
+    requestAnimationFrame(tick);
+  };
+  const play = on => {
+    button.textContent = on ? 'Pause' : 'Play';
+    last = on ? performance.now() : null;
+    if (on) requestAnimationFrame(tick);
+  };
+  button.onclick = () => play(last === null);
+  range.oninput = () => { play(false); at = +range.value; show(); };
+  at = count / 5;
+  show();
+})();
