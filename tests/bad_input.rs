@@ -8,6 +8,13 @@ use common::{Bench, SPEC};
 const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]",
+        "[run]\ntime_limit = nan\n[sweep]",
+        "s.toml:14: run.time_limit = nan: must be at least 0.1 s",
+    ),
+    ("[sweep]", "[run]\nniceness = 20\n[sweep]", "s.toml:14: run.niceness = 20: must be at most 19"),
+    ("columns = 6", "columns = 99999999999", "s.toml:3: body.columns = 99999999999: must be at most 1000"),
+    (
+        "[sweep]",
         "[feasible]\nclearance = 30.0\n[sweep]",
         "s.toml:2: body.initial_angle = 25: the initial body is not feasible: ",
     ),

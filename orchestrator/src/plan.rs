@@ -11,7 +11,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
-use metasense_schemas::spec::{Point, SweepSpec, TrialSpec};
+use metasense_schemas::spec::{Point, Run, SweepSpec, TrialSpec};
 use metasense_worker::problem::{self, Invalid};
 
 use axes::Combination;
@@ -98,11 +98,7 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
             return Err(source.error_with(key, Some("0"), "must be at least 1"));
         }
     }
-    for (key, value) in [("run.workers", spec.run.workers), ("run.threads", spec.run.threads)] {
-        if value == Some(0) {
-            return Err(source.error(key, "must be at least 1"));
-        }
-    }
+    check_run(&spec.run, source)?;
     if let Some(lists) = &spec.sensors.placements {
         if sweep.placements != 1 {
             return Err(source.error("sweep.placements", "cannot be given beside sensors.placements"));
@@ -127,6 +123,25 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
             ))
         }
     }
+}
+
+fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
+    let at_least_1 = |n: Option<usize>| n.is_none_or(|n| n >= 1);
+    let seconds = |s: Option<f64>, least: f64| s.is_none_or(|s| s >= least && s <= 1e9);
+    for (key, holds, remedy) in [
+        ("run.workers", at_least_1(run.workers), "must be at least 1"),
+        ("run.threads", at_least_1(run.threads), "must be at least 1"),
+        ("run.niceness", run.niceness.is_none_or(|n| n <= 19), "must be at most 19"),
+        ("run.memory", run.memory.is_none_or(|mib| mib >= 64), "must be at least 64 MiB"),
+        ("run.backoff", seconds(run.backoff, 0.0), "must be 0 or a number of seconds"),
+        ("run.no_progress", seconds(run.no_progress, 0.1), "must be at least 0.1 s"),
+        ("run.time_limit", seconds(run.time_limit, 0.1), "must be at least 0.1 s"),
+    ] {
+        if !holds {
+            return Err(source.error(key, remedy));
+        }
+    }
+    Ok(())
 }
 
 fn distinct<T: PartialEq + std::fmt::Debug>(

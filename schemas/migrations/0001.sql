@@ -156,6 +156,9 @@ CREATE VIEW v_curve AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol, c.body, c.network, c.iteration, c.loss
 FROM curve c JOIN trial t ON t.id = c.trial_id;
 
+CREATE VIEW v_artifact AS
+SELECT t.hash, a.name, a.shape, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id;
+
 CREATE VIEW v_error_time AS
 SELECT hash, units, panels, sensors, placement, seed, protocol, step,
   sum(seconds) OVER w AS seconds, error_test, min(error_test) OVER w AS best_error_test

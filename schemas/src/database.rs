@@ -22,5 +22,6 @@ pub const VIEWS: &[(&str, &str)] = &[
         "a point of such a network's training loss (normalised); thinned, whole curves are artifacts",
     ),
     ("v_attempt", "an attempt at a trial, how it ended and why"),
+    ("v_artifact", "an array of a trial as the bytes of an NPY file: designs, loss curves, weights"),
     ("v_error_time", "best test error so far (%) against seconds spent, step by step"),
 ];

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::process::{Command, Output};
 
 /// A spec of two trials, small but whole.
+#[allow(dead_code, reason = "each test file uses its share")]
 pub const SPEC: &str = r#"name = "s"
 [body]
 columns = 6

@@ -12,7 +12,7 @@ use crate::engine::{self, Options};
 use crate::exit::Exit;
 use crate::plan::{Plan, Trial};
 use crate::scheduler::{Outcome, Settings};
-use crate::store::{Reader, Store, Table};
+use crate::store::{Reader, Store};
 
 /// Rows of the final table that a person may want to read at once.
 const MOST_ROWS: usize = 400;
@@ -87,38 +87,28 @@ fn options(run: &Run, args: &Args) -> Options {
     }
 }
 
-/// The final table, in the order of K, M, body, placement and seed; returns how many trials have failed.
+/// The final table; returns how many trials have failed.
 async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, Error> {
+    let limit = if format == Format::Table { MOST_ROWS } else { usize::MAX };
     let mut reader = Reader::open(db).await?;
-    let mut table = reader
-        .query(
-            "SELECT panels AS K, sensors AS M, placement, seed, units, error_initial, error_optimised,
-               holdout_error_initial, holdout_error_optimised, seconds, state, reason, hash
-             FROM v_trial ORDER BY panels, sensors, units, placement, seed, hash",
-        )
-        .await?;
+    let results = reader.results(&plan.spec.name, &plan.source.text, limit).await;
+    let failures = reader.failures(&plan.spec.name, &plan.source.text).await;
     reader.close().await;
-    let ours: std::collections::HashSet<&str> = plan.trials.iter().map(|t| t.hash.as_str()).collect();
-    table
-        .rows
-        .retain(|row| row.last().and_then(|hash| hash.as_str()).is_some_and(|hash| ours.contains(hash)));
-    let failed: Vec<Vec<_>> = table.rows.iter().filter(|row| row[10] == "failed").cloned().collect();
-    for row in failed.iter().take(MOST_ROWS) {
-        eprintln!("failed: trial {} ({})", row[12].as_str().unwrap_or(""), row[11].as_str().unwrap_or(""));
+    let ((mut table, count), failures) = (results?, failures?);
+    for (hash, reason) in failures.iter().take(MOST_ROWS) {
+        eprintln!("failed: trial {hash} ({reason})");
     }
-    if table.rows.iter().all(|row| row[10] == "done") && format == Format::Table {
-        drop_columns(&mut table, 10);
+    if format == Format::Table && table.rows.iter().all(|row| row[STATE] == "done") {
+        table.columns.truncate(STATE);
+        table.rows.iter_mut().for_each(|row| row.truncate(STATE));
     }
-    let more = if format == Format::Table { table.rows.len().saturating_sub(MOST_ROWS) } else { 0 };
-    table.rows.truncate(table.rows.len() - more);
     print_rows(&table, format)?;
-    if more > 0 {
+    if count > table.rows.len() {
+        let more = count - table.rows.len();
         eprintln!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", db.display());
     }
-    Ok(failed.len())
+    Ok(failures.len())
 }
 
-fn drop_columns(table: &mut Table, keep: usize) {
-    table.columns.truncate(keep);
-    table.rows.iter_mut().for_each(|row| row.truncate(keep));
-}
+/// Column of the state; reason and hash follow it, and are shown where not all is done.
+const STATE: usize = 10;

@@ -1,0 +1,143 @@
+//! A sweep runs end to end in worker processes, goes on after `kill -9`, and does nothing twice.
+
+mod common;
+
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::Bench;
+
+/// Two trials of a second each.
+const TINY: &str = r#"name = "tiny"
+[body]
+columns = 4
+rows = 4
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+[time]
+duration = 0.2
+samples = 20
+[stimuli]
+kind = "bell"
+samples = 8
+test = 2
+holdout = 2
+width = [0.05, 0.1]
+onset = [0.0, 0.1]
+[solver]
+tolerance = 1e-4
+[brain]
+iterations = 10
+[optimise]
+iterations = 4
+[sweep]
+panels = [2]
+sensors = [1, 2]
+"#;
+
+/// All that a result is, but for times.
+const RESULTS: &[&str] = &[
+    "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step
+       FROM v_trial ORDER BY hash",
+    "SELECT hash, step, loss_test, loss_train, gradient_norm, step_length, outcome FROM v_step ORDER BY hash, step",
+    "SELECT hash, name, shape, hex(bytes) FROM v_artifact ORDER BY hash, name",
+];
+
+fn results(bench: &Bench, db: &str) -> Vec<String> {
+    RESULTS.iter().map(|sql| bench.output(&["query", db, sql, "--format", "csv"])).collect()
+}
+
+#[test]
+fn a_sweep_runs_once_and_only_what_is_new_is_added() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    let table = bench.output(&["run", "tiny.toml", "--format", "json"]);
+    let rows: serde_json::Value = serde_json::from_str(&table).unwrap();
+    assert_eq!(rows.as_array().map(Vec::len), Some(2), "{table}");
+    for row in rows.as_array().unwrap() {
+        assert_eq!(row["state"], "done", "{table}");
+        let errors = ["error_initial", "error_optimised", "holdout_error_initial", "holdout_error_optimised"];
+        assert!(errors.iter().all(|name| row[name].as_f64().is_some_and(|e| e > 0.0)), "{table}");
+    }
+    let before = results(&bench, "results/tiny.sqlite");
+
+    let start = Instant::now();
+    let again = bench.metasense(&["run", "tiny.toml"]);
+    let took = start.elapsed();
+    let said = String::from_utf8_lossy(&again.stderr);
+    assert!(said.contains("nothing left to do") && said.contains("results/tiny.sqlite"), "{said}");
+    assert!(took < Duration::from_millis(300), "recognised after {took:?}");
+    assert_eq!(results(&bench, "results/tiny.sqlite"), before);
+
+    bench.file("tiny.toml", &TINY.replace("[1, 2]", "[1, 2, 3]"));
+    let more = bench.output(&["run", "tiny.toml", "--format", "csv"]);
+    assert_eq!(more.lines().count(), 1 + 3, "{more}");
+    let attempts = "SELECT sensors, attempt FROM v_attempt ORDER BY sensors";
+    assert_eq!(
+        bench.output(&["query", "results/tiny.sqlite", attempts, "--format", "csv"]),
+        "sensors,attempt\n1,1\n2,1\n3,1\n"
+    );
+}
+
+/// Killed again and again as soon as it has recorded another step, with its workers, then left alone.
+#[test]
+fn a_run_that_is_killed_goes_on_to_the_same_results() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+    let steps = || {
+        let sql = "SELECT count(*) FROM v_step";
+        let output = bench.metasense(&["query", "killed.sqlite", sql, "--format", "csv"]);
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        text.lines().nth(1).and_then(|n| n.parse::<u32>().ok()).unwrap_or(0)
+    };
+    for _ in 0..3 {
+        let before = steps();
+        let mut run = Command::new(env!("CARGO_BIN_EXE_metasense"))
+            .args(["run", "tiny.toml", "--db", "killed.sqlite"])
+            .current_dir(bench.path(""))
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let deadline = Instant::now() + Duration::from_secs(60);
+        while steps() == before && run.try_wait().unwrap().is_none() {
+            assert!(Instant::now() < deadline, "no step within a minute");
+        }
+        run.kill().unwrap();
+        run.wait().unwrap();
+    }
+    bench.output(&["run", "tiny.toml", "--db", "killed.sqlite"]);
+    assert_eq!(results(&bench, "killed.sqlite"), results(&bench, "whole.sqlite"));
+    let lost = "SELECT count(*) > 0 FROM v_attempt WHERE reason = 'orchestrator_lost'";
+    assert!(
+        bench.output(&["query", "killed.sqlite", lost, "--format", "csv"]).ends_with("1\n"),
+        "nothing was killed"
+    );
+}
+
+/// One trial in the foreground comes to the errors that the same trial has in a run.
+#[test]
+fn a_trial_in_the_foreground_is_the_trial_of_the_run() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml", "--workers", "1"]);
+    let hash = bench.output(&[
+        "query",
+        "results/tiny.sqlite",
+        "SELECT hash FROM v_trial LIMIT 1",
+        "--format",
+        "csv",
+    ]);
+    let hash = hash.lines().nth(1).unwrap();
+    let alone =
+        bench.output(&["trial", "tiny.toml", "--hash", &hash[..8], "--threads", "2", "--format", "csv"]);
+    let sql = format!(
+        "SELECT error_initial, error_optimised, holdout_error_initial, holdout_error_optimised FROM v_trial \
+         WHERE hash = '{hash}'"
+    );
+    let ran = bench.output(&["query", "results/tiny.sqlite", &sql, "--format", "csv"]);
+    assert!(alone.contains(&format!("{hash},{},", ran.lines().nth(1).unwrap())), "{alone}\n{ran}");
+}

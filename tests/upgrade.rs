@@ -1,0 +1,99 @@
+//! Databases of every schema version open, are upgraded, and go on.
+//!
+//! `tests/databases/vN.sqlite` was made by `cargo test --test upgrade -- --ignored` when N was the newest version: two
+//! trials, one done, one interrupted after a step. A new version adds a file and changes none.
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{Bench, SPEC};
+use metasense::plan::Plan;
+use metasense::store::{Reader, Store};
+use metasense_schemas::database::MIGRATIONS;
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+
+fn database(version: usize) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../tests/databases/v{version}.sqlite"))
+}
+
+fn checkpoint() -> Checkpoint {
+    Checkpoint { step: 1, design: vec![0.5; 168], weights: vec![0.25; 8], ..Default::default() }
+}
+
+fn result() -> TrialResult {
+    let body = |error: f64| BodyEvaluation {
+        design: vec![0.5; 168],
+        networks: vec![NetworkEvaluation {
+            error_test: Some(error),
+            error_holdout: Some(error),
+            losses: vec![1.0, 0.5],
+            outcome: "ok".into(),
+            ..Default::default()
+        }],
+        ..Default::default()
+    };
+    TrialResult { initial: body(20.0), optimised: body(10.0), ..Default::default() }
+}
+
+#[tokio::test]
+#[ignore = "makes the database that the other tests keep for ever"]
+async fn make_the_database_of_this_version() {
+    let path = database(MIGRATIONS.len());
+    assert!(!path.exists(), "{} is there already", path.display());
+    let plan = Plan::new("s.toml", SPEC.into()).unwrap();
+    let mut store = Store::open(&path).await.unwrap();
+    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
+    let (done, open) = (&plan.trials[0].hash, &plan.trials[1].hash);
+    let step = StepRecord { outcome: "ok".into(), projection: "untouched".into(), ..Default::default() };
+    for hash in [done, open] {
+        store.begin_attempt(hash).await.unwrap();
+        store.record_step(hash, 1, &step, &checkpoint()).await.unwrap();
+    }
+    store.finish(done, 1, &result(), &[]).await.unwrap();
+    store.close().await.unwrap();
+}
+
+#[tokio::test]
+async fn databases_of_all_versions_go_on() {
+    for version in 1..=MIGRATIONS.len() {
+        let bench = Bench::new();
+        let db = bench.path("old.sqlite");
+        std::fs::copy(database(version), &db).unwrap();
+        let plan = Plan::new("s.toml", SPEC.into()).unwrap();
+        let mut store = Store::open(&db).await.unwrap();
+        store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
+        // Equal hashes: what was done counts as done.
+        let open = &plan.trials[1].hash;
+        assert_eq!(
+            store.settled().await.unwrap(),
+            std::slice::from_ref(&plan.trials[0].hash),
+            "version {version}"
+        );
+        assert_eq!(store.checkpoint(open).await.unwrap(), Some(checkpoint()), "version {version}");
+        assert_eq!(store.begin_attempt(open).await.unwrap(), 2, "version {version}");
+        store.finish(open, 2, &result(), &[]).await.unwrap();
+        store.close().await.unwrap();
+        let mut reader = Reader::open(&db).await.unwrap();
+        let sql = "SELECT group_concat(state), sum(error_optimised), sum(steps) FROM v_trial";
+        let rows = reader.query(sql).await.unwrap().rows;
+        assert_eq!(rows, [[serde_json::json!("done,done"), 20.0.into(), 2.into()]], "version {version}");
+    }
+}
+
+/// A reader of an old database sees the views of today.
+#[tokio::test]
+async fn reading_an_old_database_upgrades_it() {
+    for version in 1..=MIGRATIONS.len() {
+        let bench = Bench::new();
+        let db = bench.path("old.sqlite");
+        std::fs::copy(database(version), &db).unwrap();
+        for (view, _) in metasense_schemas::database::VIEWS {
+            let sql = format!("SELECT count(*) FROM {view}");
+            let mut reader = Reader::open(&db).await.unwrap();
+            let table = reader.query(&sql).await.unwrap_or_else(|e| panic!("version {version}: {view}: {e}"));
+            assert!(table.rows[0][0].as_i64().is_some(), "version {version}: {view}");
+            reader.close().await;
+        }
+    }
+}
