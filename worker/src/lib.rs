@@ -1,5 +1,6 @@
 //! The process around the maths of metasense: job in, records out, heartbeat, stop.
 
+pub mod bench;
 pub mod convert;
 pub mod noop;
 pub mod problem;

@@ -1,5 +1,6 @@
 //! `bench`: how fast, in rows that can be compared over the years.
 
+mod brain;
 mod engine;
 
 use clap::Subcommand;
@@ -16,11 +17,13 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
+    Brain(brain::Args),
     Engine(engine::Args),
 }
 
 pub async fn execute(args: Args) -> Result<Exit, Error> {
     match args.what {
+        What::Brain(args) => brain::execute(&args),
         What::Engine(args) => engine::execute(args).await,
     }
 }

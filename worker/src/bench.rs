@@ -1,0 +1,144 @@
+//! Clocks around the brain's kernels: numerics itself has none.
+
+use metasense_numerics::brain::{
+    Adam, Curvature, Data, Matrix, Real, Shape, Workspace, initial_weights, loss, loss_gradient,
+};
+use metasense_numerics::random::{Purpose, Stream};
+use metasense_numerics::simd::Width;
+use std::time::Instant;
+
+/// What is measured.
+#[derive(Debug, Clone, Copy)]
+pub struct BrainBench {
+    /// N.
+    pub samples: usize,
+    /// T.
+    pub instants: usize,
+    /// M.
+    pub sensors: usize,
+    /// K.
+    pub panels: usize,
+    /// Repetitions, of which the quickest counts.
+    pub repeat: usize,
+    /// Threads.
+    pub threads: usize,
+}
+
+/// Milliseconds of one full batch, least of the repetitions, and what they mean.
+#[derive(Debug, Clone, Copy)]
+pub struct BrainTimes {
+    /// `f32` or `f64`.
+    pub precision: &'static str,
+    /// Instruction set.
+    pub simd: &'static str,
+    /// Threads.
+    pub threads: usize,
+    /// Loss alone.
+    pub forward: f64,
+    /// Loss, gradient and Adam step.
+    pub iteration: f64,
+    /// Hessian-vector product.
+    pub hessian: f64,
+    /// Gauss–Newton product.
+    pub gauss_newton: f64,
+    /// Operations of an iteration, direct convolutions counted, in 1e9.
+    pub gflop: f64,
+    /// Sustained multiply-adds on registers, on as many threads, in 1e9 operations a second.
+    pub peak: f64,
+}
+
+impl BrainTimes {
+    /// Operations a second of an iteration as a share of the peak; Winograd's saving can lift it above 1.
+    #[must_use]
+    pub fn share_of_peak(&self) -> f64 {
+        self.gflop / (self.iteration * 1e-3) / self.peak
+    }
+}
+
+/// Measures, peak and kernels by turns, so that all meet the same machine.
+#[must_use]
+pub fn brain<F: Real>(bench: BrainBench, width: Width) -> BrainTimes {
+    let BrainBench { samples, instants, sensors, panels, repeat, threads } = bench;
+    let shape = Shape { instants, inputs: 3 * sensors, width: 64, outputs: panels };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    let mut stream = Stream::new(Purpose::Batch, 1, [0, 0]);
+    let mut draw = |n: usize| (0..n).map(|_| F::from_f64(stream.normal())).collect::<Vec<F>>();
+    let data = Data::new(shape, &draw(samples * instants * shape.inputs), &draw(samples * instants * panels));
+    let mut weights: Vec<F> = initial_weights(shape, 1, 0).into_iter().map(F::from_f64).collect();
+    let direction = weights.clone();
+    let (mut gradient, mut adam) = (weights.clone(), Adam::new(weights.len()));
+    let (ws, kernels) = (&mut Workspace::with_width(shape, width), F::kernels(width));
+    let layers = 3 * shape.inputs * 64 + 3 * 64 * 64 + 64 * panels;
+
+    let timed = |work: &mut dyn FnMut()| {
+        let begin = Instant::now();
+        work();
+        begin.elapsed().as_secs_f64()
+    };
+    let mut least = [f64::INFINITY; 4];
+    let mut peak = 0.0f64;
+    for _ in 0..repeat.max(1) {
+        let mut work = 0;
+        let seconds = timed(&mut || work = pool.broadcast(|_| kernels.burst(300_000)).iter().sum());
+        peak = peak.max(work as f64 / seconds);
+        // A step of length 0 costs the same and leaves the weights for the next round.
+        let times = [
+            timed(&mut || {
+                loss(&weights, data.all(), ws, &pool);
+            }),
+            timed(&mut || {
+                loss_gradient(&weights, data.all(), &mut gradient, ws, &pool);
+                adam.step(&mut weights, &gradient, 0.0);
+            }),
+        ];
+        let curvature = Curvature::new(&weights, data.all(), ws, &pool);
+        let mut product =
+            |matrix| timed(&mut || curvature.product(matrix, &direction, &mut gradient, ws, &pool));
+        let products = [product(Matrix::Hessian), product(Matrix::GaussNewton)];
+        for (least, time) in least.iter_mut().zip(times.into_iter().chain(products)) {
+            *least = least.min(time * 1e3);
+        }
+    }
+    BrainTimes {
+        precision: if size_of::<F>() == 4 { "f32" } else { "f64" },
+        simd: width.name(),
+        threads,
+        forward: least[0],
+        iteration: least[1],
+        hessian: least[2],
+        gauss_newton: least[3],
+        gflop: (6 * samples * instants * layers) as f64 * 1e-9,
+        peak: peak * 1e-9,
+    }
+}
+
+/// The same in both precisions, on one thread and on `bench.threads`, for the machine's widest instruction set.
+#[must_use]
+pub fn brain_rows(bench: BrainBench) -> Vec<BrainTimes> {
+    let width = Width::detect();
+    let mut rows = Vec::new();
+    for threads in [1, bench.threads] {
+        if rows.is_empty() || threads > 1 {
+            rows.push(brain::<f32>(BrainBench { threads, ..bench }, width));
+            rows.push(brain::<f64>(BrainBench { threads, ..bench }, width));
+        }
+    }
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The bench itself, tiny: every figure is a positive number.
+    #[test]
+    fn the_bench_of_the_brain_runs() {
+        let bench = BrainBench { samples: 4, instants: 20, sensors: 1, panels: 2, repeat: 1, threads: 2 };
+        let rows = brain_rows(bench);
+        assert_eq!(rows.len(), 4, "{rows:?}");
+        for row in rows {
+            let figures = [row.forward, row.iteration, row.hessian, row.gauss_newton, row.share_of_peak()];
+            assert!(figures.iter().all(|x| x.is_finite() && *x > 0.0), "{row:?}");
+        }
+    }
+}
