@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod convert;
 pub mod noop;
+pub mod design;
 pub mod problem;
 pub mod process;
 pub mod replay;

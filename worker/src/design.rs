@@ -1,0 +1,207 @@
+//! Design files: α as NPY (flat, the order of MODEL.md) or as CSV of nodes (`unit,node,x,y` in mm).
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use metasense_numerics::body::Layout;
+use npyz::{NpyFile, WriterBuilder};
+
+/// Ends of one ligament may disagree by this much in a CSV of nodes (mm).
+const AGREE: f64 = 1e-6;
+
+/// A design file that cannot be read, written or understood.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DesignError {
+    /// The file cannot be read or written.
+    #[error("{doing} {}", path.display())]
+    Io {
+        /// "reading" or "writing".
+        doing: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The name ends in neither `.npy` nor `.csv`.
+    #[error("{}: a design is an .npy or a .csv file", path.display())]
+    Ending {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The content is not a design of this layout.
+    #[error("{}: {what}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and what it should be.
+        what: String,
+    },
+}
+
+/// The design in a file, by its ending. NaN and infinity pass: what to do about them is the projection's business.
+///
+/// # Errors
+/// Names the file, and what is wrong with it.
+pub fn read(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
+    let bytes = || std::fs::read(path).map_err(|e| io("reading", path, e));
+    match ending(path) {
+        Some("npy") => from_npy(&bytes()?, layout).map_err(|what| content(path, what)),
+        Some("csv") => {
+            let text = String::from_utf8(bytes()?).map_err(|e| content(path, e.to_string()))?;
+            from_csv(&text, layout).map_err(|what| content(path, what))
+        }
+        _ => Err(DesignError::Ending { path: path.into() }),
+    }
+}
+
+/// Writes a design, by the file's ending.
+///
+/// # Errors
+/// Where the file cannot be written or has another ending.
+pub fn write(path: &Path, layout: &Layout, design: &[f64]) -> Result<(), DesignError> {
+    let bytes = match ending(path) {
+        Some("npy") => to_npy(design).map_err(|e| io("writing", path, e))?,
+        Some("csv") => to_csv(layout, design).into_bytes(),
+        _ => return Err(DesignError::Ending { path: path.into() }),
+    };
+    std::fs::write(path, bytes).map_err(|e| io("writing", path, e))
+}
+
+fn ending(path: &Path) -> Option<&str> {
+    path.extension().and_then(|e| e.to_str())
+}
+
+fn io(doing: &'static str, path: &Path, source: std::io::Error) -> DesignError {
+    DesignError::Io { doing, path: path.into(), source }
+}
+
+fn content(path: &Path, what: String) -> DesignError {
+    DesignError::Content { path: path.into(), what }
+}
+
+fn from_npy(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
+    let file = NpyFile::new(bytes).map_err(|e| e.to_string())?;
+    if file.order() != npyz::Order::C && file.shape().len() > 1 {
+        return Err("must be in C order".into());
+    }
+    let (count, wanted) = (file.shape().iter().product::<u64>(), layout.design_len());
+    if count != wanted as u64 {
+        return Err(format!("holds {count} numbers; α of this body has {wanted}"));
+    }
+    let values = match file.try_data::<f64>() {
+        Ok(data) => data.collect::<Result<Vec<f64>, _>>(),
+        Err(file) => match file.try_data::<f32>() {
+            Ok(data) => data.map(|x| x.map(f64::from)).collect(),
+            Err(file) => return Err(format!("holds {}; must hold float64", file.dtype().descr())),
+        },
+    };
+    values.map_err(|e| e.to_string())
+}
+
+fn to_npy(design: &[f64]) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(128 + size_of_val(design));
+    let options = npyz::WriteOptions::new().default_dtype().shape(&[design.len() as u64]);
+    let mut writer = options.writer(&mut bytes).begin_nd()?;
+    writer.extend(design.iter().copied())?;
+    writer.finish()?;
+    Ok(bytes)
+}
+
+fn to_csv(layout: &Layout, design: &[f64]) -> String {
+    let mut text = String::from("unit,node,x,y\n");
+    for (unit, corners) in layout.vertices(design).iter().enumerate() {
+        for (node, [x, y]) in corners.iter().enumerate() {
+            let _ = writeln!(text, "{unit},{node},{x},{y}");
+        }
+    }
+    text
+}
+
+fn from_csv(text: &str, layout: &Layout) -> Result<Vec<f64>, String> {
+    let undisplaced = layout.vertices(&vec![0.0; layout.design_len()]);
+    let mut shifts: Vec<Option<[f64; 2]>> = vec![None; layout.group_count];
+    for (number, line) in text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()) {
+        let at = |what: &str| format!("line {}: {what}", number + 1);
+        let fields: Vec<&str> = line.split(',').map(str::trim).collect();
+        let [unit, node, x, y] = fields[..] else { return Err(at("must be unit,node,x,y")) };
+        let (Ok(unit), Ok(node), Ok(x), Ok(y)) =
+            (unit.parse::<usize>(), node.parse::<usize>(), x.parse::<f64>(), y.parse::<f64>())
+        else {
+            return Err(at("must be unit,node,x,y: two whole numbers and two lengths in mm"));
+        };
+        if unit >= layout.units() || node > 3 {
+            return Err(at(&format!("units are 0 to {}, nodes 0 to 3", layout.units() - 1)));
+        }
+        let [x0, y0] = undisplaced[unit][node];
+        let shift = [x - x0, y - y0];
+        match &shifts[layout.groups[unit][node]] {
+            Some(other) if (0..2).any(|c| (other[c] - shift[c]).abs() > AGREE) => {
+                return Err(at("the two ends of a ligament must be shifted alike"));
+            }
+            Some(_) => {}
+            None => shifts[layout.groups[unit][node]] = Some(shift),
+        }
+    }
+    let missing = |g: usize| {
+        let of = |unit: &usize| layout.groups[*unit].contains(&g);
+        let unit = (0..layout.units()).find(of).unwrap_or(0);
+        let node = layout.groups[unit].iter().position(|&h| h == g).unwrap_or(0);
+        format!("unit {unit}, node {node} is missing")
+    };
+    let shifts: Result<Vec<[f64; 2]>, String> =
+        shifts.into_iter().enumerate().map(|(g, shift)| shift.ok_or_else(|| missing(g))).collect();
+    Ok(shifts?.into_iter().flatten().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn somewhere(name: &str) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join(name);
+        (folder, path)
+    }
+
+    /// NPY keeps every bit; CSV of nodes keeps them to rounding.
+    #[test]
+    fn a_design_comes_back_from_its_file() {
+        for layout in [Layout::planar(3, 2, 15.0, 2.25), Layout::circular(5, 12.0, 1.8)] {
+            let mut design = layout.initial_design(0.4);
+            design[3] = 0.1 + 0.2;
+            let (_folder, npy) = somewhere("a.npy");
+            write(&npy, &layout, &design).expect("written");
+            assert_eq!(read(&npy, &layout).expect("read"), design);
+            let (_folder, csv) = somewhere("a.csv");
+            write(&csv, &layout, &design).expect("written");
+            let back = read(&csv, &layout).expect("read");
+            let worst = back.iter().zip(&design).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(worst < 1e-12, "{worst} mm");
+        }
+    }
+
+    /// Whatever is wrong is said, with the line or the number expected.
+    #[test]
+    fn a_file_that_is_no_design_is_refused_by_name() {
+        let layout = Layout::planar(2, 2, 15.0, 2.25);
+        let (_folder, path) = somewhere("a.csv");
+        let good = to_csv(&layout, &layout.initial_design(0.3));
+        let lines: Vec<&str> = good.lines().collect();
+        for (text, said) in [
+            (lines[..4].join("\n") + "\n" + &lines[5..].join("\n"), "unit 0, node 3 is missing"),
+            (good.replace("0,0,", "9,0,"), "line 2: units are 0 to 3"),
+            (good.replacen("0,0,6", "0,0,7", 1), "line 8: the two ends"),
+            (good.replacen("0,0,6", "0,0,x", 1), "line 2: must be unit,node,x,y"),
+        ] {
+            std::fs::write(&path, text).expect("written");
+            let error = read(&path, &layout).expect_err("refused").to_string();
+            assert!(error.contains(said) && error.contains("a.csv"), "{error}");
+        }
+        let (_folder, path) = somewhere("a.npy");
+        write(&path, &Layout::planar(3, 2, 15.0, 2.25), &[0.0; 34]).expect("written");
+        let error = read(&path, &layout).expect_err("refused").to_string();
+        assert!(error.contains("holds 34 numbers; α of this body has 24"), "{error}");
+        assert!(read(Path::new("a.txt"), &layout).is_err());
+    }
+}
