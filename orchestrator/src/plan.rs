@@ -1,4 +1,5 @@
-//! The plan: a spec becomes an ordered list of trials with stable hashes. Pure.
+//! The plan: a spec becomes an ordered list of trials with stable hashes. Pure, but for the design
+//! files that a spec names.
 //!
 //! Breadth first: the first placement and seed of every point (axes, K, M) come before the second of any. Layouts,
 //! panels and placements are worked out once a body, and what problems can be made of them is checked once a point, so
@@ -8,10 +9,12 @@ mod axes;
 mod cost;
 
 use std::collections::HashSet;
+use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
-use metasense_schemas::spec::{Point, Run, SweepSpec, TrialSpec};
+use metasense_schemas::spec::{Body, Design, Point, Run, SweepSpec, TrialSpec};
+use metasense_worker::design::{self, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
 
 use axes::Combination;
@@ -113,7 +116,7 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     }
     let others = sweep.axes.values().map(Vec::len);
     let lists = others.chain([sweep.panels.len(), sweep.sensors.len(), sweep.seeds.len(), sweep.placements]);
-    match lists.fold(Some(1usize), |product, n| product?.checked_mul(n)) {
+    match lists.into_iter().try_fold(1usize, usize::checked_mul) {
         Some(n) if n <= MOST_TRIALS => Ok(()),
         n => {
             let n = n.map_or("too many".to_owned(), |n| n.to_string());
@@ -179,6 +182,7 @@ fn add_points(
     let spec = &combination.spec;
     let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
     let layout = problem::layout(&spec.body).map_err(located)?;
+    let spec = &SweepSpec { body: with_design(&spec.body, &layout, source)?, ..spec.clone() };
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
     let seeded: Vec<Vec<usize>> =
         (0..sweep.sweep.placements).map(|p| layout.placement(p as u64, &clamped)).collect();
@@ -223,12 +227,82 @@ fn add_points(
     Ok(())
 }
 
+/// The body with its design read from its file, so that the trial's hash covers the content.
+fn with_design(body: &Body, layout: &Layout, source: &Source) -> Result<Body, SpecError> {
+    let mut body = body.clone();
+    if let Some(Design::File(file)) = &body.design {
+        let path = source.file.parent().unwrap_or(Path::new("")).join(file);
+        let shifts = design::read(&path, layout).map_err(|e| {
+            let because = e.source().map_or(String::new(), |cause| format!(": {cause}"));
+            source.error_with("body.design", Some(&format!("{file:?}")), &format!("{e}{because}"))
+        })?;
+        body.design = Some(Design::Shifts { shifts });
+    }
+    Ok(body)
+}
+
+/// One body of a spec, for commands that look at a design and not at trials.
+pub struct OneBody {
+    /// The body as it is written, with its design.
+    pub body: Body,
+    /// Its layout.
+    pub layout: Layout,
+    /// Its limits.
+    pub limits: Limits,
+    /// The design that it starts from; it may be infeasible.
+    pub initial: Vec<f64>,
+    /// Clamped units.
+    pub clamped: Vec<usize>,
+    /// Input panels of the sweep's first K, with the directions of their forces; none where there are no such panels.
+    pub panels: Vec<(usize, [f64; 2])>,
+    /// Sensors of the sweep's first M in the first placement.
+    pub sensors: Vec<usize>,
+}
+
+impl OneBody {
+    /// The body of a spec file's text; the first one of a sweep over bodies.
+    ///
+    /// # Errors
+    /// At the first key that is unknown, or whose value no body can have.
+    pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
+        let source = Source::new(file, text)?;
+        let sweep = source.parse()?;
+        let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
+        let first = axes::combinations(&sweep, &source)?.swap_remove(0).spec;
+        let layout = problem::layout(&first.body).map_err(located)?;
+        let body = with_design(&first.body, &layout, &source)?;
+        let limits = problem::limits(&first.feasible).map_err(located)?;
+        let initial = problem::initial_design(&body, &layout, limits).map_err(located)?;
+        let clamped = problem::clamped(&body, &layout).map_err(located)?;
+        let panels = first.sweep.panels.first().copied().unwrap_or(0);
+        let sensors = first.sweep.sensors.first().copied().unwrap_or(0);
+        let placed = match &first.sensors.placements {
+            Some(lists) => lists.iter().find(|list| list.len() == sensors).cloned().unwrap_or_default(),
+            None => layout.placement(0, &clamped).into_iter().take(sensors).collect(),
+        };
+        let units = problem::panel_units(&body, &layout, panels).unwrap_or_default();
+        let directions = problem::directions(&body, &units, &layout);
+        Ok(Self {
+            limits,
+            initial,
+            clamped,
+            panels: units.into_iter().zip(directions).collect(),
+            sensors: placed,
+            body,
+            layout,
+        })
+    }
+}
+
 /// What trials of a point share. What can be said in two ways is said in one, so that equal trials have equal hashes.
 fn template(spec: &SweepSpec, panels: usize, panel_units: &[usize], sensors: usize) -> TrialSpec {
     let mut body = spec.body.clone();
     body.panel_units = None;
     body.rows = body.rows.or(Some(body.columns));
     body.clamp = Some(problem::clamp(&body));
+    if let Some(Design::Shifts { .. }) = body.design {
+        body.initial_angle = 0.0; // not read
+    }
     let mut read = spec.sensors.clone();
     read.placements = None;
     TrialSpec {

@@ -73,6 +73,24 @@ pub enum ClampRule {
     Hub,
 }
 
+/// The design that a body starts from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged, deny_unknown_fields)]
+pub enum Design {
+    /// A file, from the spec's folder: NPY of α in the order of MODEL.md, or CSV of nodes (`unit,node,x,y`, mm).
+    File(std::path::PathBuf),
+    /// `{ random = SEED }`: rotated squares with every node moved at random, then made castable.
+    Random {
+        /// The seed.
+        random: u64,
+    },
+    /// `{ shifts = [ … ] }`: α itself (mm); what a file becomes in a trial.
+    Shifts {
+        /// α, in the order of MODEL.md.
+        shifts: Vec<f64>,
+    },
+}
+
 /// Sizes and material of a body.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -101,6 +119,9 @@ pub struct Body {
     /// Angle of the rotated squares of the initial design (degrees).
     #[serde(default = "initial_angle")]
     pub initial_angle: f64,
+    /// The design to start from, instead of the rotated squares: a file, or `{ random = SEED }`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub design: Option<Design>,
     /// Plane density (Mg/mm²).
     pub density: f64,
     /// ζ: damping of a degree of freedom relative to its own critical one.

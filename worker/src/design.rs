@@ -3,7 +3,11 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use metasense_numerics::body::Layout;
+pub use metasense_numerics::body::Layout;
+pub use metasense_numerics::feasible::{
+    Active, Feasible, Kind, Limits, Projection, Stage, Status, Violation,
+};
+pub use metasense_numerics::random::{Purpose, Stream};
 use npyz::{NpyFile, WriterBuilder};
 
 /// Ends of one ligament may disagree by this much in a CSV of nodes (mm).

@@ -2,8 +2,8 @@
 
 pub mod bench;
 pub mod convert;
-pub mod noop;
 pub mod design;
+pub mod noop;
 pub mod problem;
 pub mod process;
 pub mod replay;

@@ -12,7 +12,7 @@ use metasense_numerics::nested::{
     Evaluation, Going, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training,
 };
 use metasense_numerics::stimuli::Bell;
-use metasense_schemas::spec::{self, Clamp, ClampRule, LayoutKind, TrialSpec};
+use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, TrialSpec};
 
 /// A value that no trial can be made of.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -60,11 +60,8 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     check_material(&trial.body)?;
     check_clock_and_training(trial)?;
     let limits = limits(&trial.feasible)?;
-    let initial = layout.initial_design(trial.body.initial_angle.to_radians());
-    if let Some(violation) = Feasible::new(&layout, limits, &[]).violations(&initial).first() {
-        let remedy = format!("the initial body is not feasible: {violation}; change [body] or [feasible]");
-        return Err(invalid("body.initial_angle", trial.body.initial_angle, remedy));
-    }
+    let initial = initial_design(&trial.body, &layout, limits)?;
+    castable(&trial.body, &layout, limits, &initial)?;
     let scene = scene(trial, layout)?;
     Ok(Problem {
         initial,
@@ -282,7 +279,64 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     })
 }
 
-fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
+/// Refuses a starting design that cannot be cast, with all that it breaks.
+fn castable(body: &spec::Body, layout: &Layout, limits: Limits, initial: &[f64]) -> Result<(), Invalid> {
+    let broken = Feasible::new(layout, limits, &[]).violations(initial);
+    if broken.is_empty() {
+        return Ok(());
+    }
+    let list: String = broken.iter().map(|violation| format!("\n  {violation}")).collect();
+    Err(match body.design {
+        None => {
+            let remedy = format!("the initial body is not feasible; change [body] or [feasible]:{list}");
+            invalid("body.initial_angle", body.initial_angle, remedy)
+        }
+        Some(_) => {
+            let remedy = format!("this design is not feasible; `metasense project` repairs it:{list}");
+            invalid("body.design", shown(body), remedy)
+        }
+    })
+}
+
+fn shown(body: &spec::Body) -> String {
+    match &body.design {
+        None => "absent".into(),
+        Some(Design::File(path)) => path.display().to_string(),
+        Some(Design::Random { random }) => format!("{{ random = {random} }}"),
+        Some(Design::Shifts { shifts }) => format!("{} shifts", shifts.len()),
+    }
+}
+
+/// The design that the body starts from; not judged.
+///
+/// # Errors
+/// Where its length is not the layout's, it is not finite or still a file, or no random design can be cast.
+pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Result<Vec<f64>, Invalid> {
+    let regular = layout.initial_design(body.initial_angle.to_radians());
+    let wrong = |remedy: String| invalid("body.design", shown(body), remedy);
+    match &body.design {
+        None => Ok(regular),
+        Some(Design::Random { random }) => Feasible::new(layout, limits, &[])
+            .random_design(&regular, *random)
+            .ok_or_else(|| wrong("no feasible design was found near the rotated squares".into())),
+        Some(Design::Shifts { shifts }) if shifts.len() == layout.design_len() => {
+            match shifts.iter().all(|x| x.is_finite()) {
+                true => Ok(shifts.clone()),
+                false => Err(wrong("must be finite numbers".into())),
+            }
+        }
+        Some(Design::Shifts { .. }) => {
+            Err(wrong(format!("α of this body has {} numbers", layout.design_len())))
+        }
+        Some(Design::File(_)) => Err(wrong("a trial holds the design itself, not its file".into())),
+    }
+}
+
+/// The limits of a feasible design.
+///
+/// # Errors
+/// Where an angle or a length makes no sense.
+pub fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
     let angles = [
         ("feasible.min_block_angle", feasible.min_block_angle),
         ("feasible.max_block_angle", feasible.max_block_angle),
@@ -329,7 +383,7 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
         trial.point.sensors,
         &format!("the layout has {} free units to carry sensors", sensors.len()),
     )?;
-    let directions = directions(trial, &layout);
+    let directions = directions(body, &trial.panel_units, &layout);
     let angle = f64::to_radians;
     Ok(Scene {
         density: body.density,
@@ -364,12 +418,11 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
 
 /// Panels are struck along −y where planar, inward where circular: along the direction of the rule that gave them, or
 /// towards the centre.
-fn directions(trial: &TrialSpec, layout: &Layout) -> Vec<[f64; 2]> {
-    let units = &trial.panel_units;
+pub fn directions(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<[f64; 2]> {
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
-    match trial.body.layout {
+    match body.layout {
         LayoutKind::Planar => vec![[0.0, -1.0]; units.len()],
-        LayoutKind::Circular if ruled.iter().map(|panel| &panel.0).eq(units) => {
+        LayoutKind::Circular if ruled.iter().map(|panel| &panel.0).eq(units.iter()) => {
             ruled.iter().map(|panel| panel.1).collect()
         }
         LayoutKind::Circular => units

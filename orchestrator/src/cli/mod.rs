@@ -2,9 +2,11 @@
 
 mod analyse;
 mod bench;
+mod draw;
 mod expand;
 mod live;
 mod log;
+mod project;
 mod query;
 mod report;
 mod rows;
@@ -19,9 +21,10 @@ use clap::{Parser, Subcommand};
 
 use crate::engine::EngineError;
 use crate::exit::{EXIT_CODES, Exit};
-use crate::plan::Plan;
+use crate::plan::{OneBody, Plan};
 use crate::store::StoreError;
 use metasense_schemas::source::SpecError;
+use metasense_worker::design::DesignError;
 
 pub use rows::{Format, print_rows};
 
@@ -45,6 +48,8 @@ enum Command {
     Query(query::Args),
     Analyse(analyse::Args),
     Report(report::Args),
+    Project(project::Args),
+    Draw(draw::Args),
     Schema(schema::Args),
     Bench(bench::Args),
     /// What the orchestrator starts; not for people.
@@ -69,6 +74,8 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Status(args) => block_on(status::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
+        Command::Project(args) => project::execute(&args),
+        Command::Draw(args) => draw::execute(&args),
         Command::Schema(args) => schema::execute(&args),
         Command::Report(args) => block_on(report::execute(args)),
     }
@@ -88,6 +95,13 @@ fn read_plan(file: &Path) -> Result<Plan, Error> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| Error::Unreadable { path: file.to_owned(), source })?;
     Ok(Plan::new(file, text)?)
+}
+
+/// Reads the body of a spec file.
+fn read_body(file: &Path) -> Result<OneBody, Error> {
+    let text = std::fs::read_to_string(file)
+        .map_err(|source| Error::Unreadable { path: file.to_owned(), source })?;
+    Ok(OneBody::new(file, text)?)
 }
 
 /// Seconds in words, to two parts.
@@ -116,6 +130,9 @@ pub enum Error {
         /// What the system said.
         source: std::io::Error,
     },
+    /// A design file.
+    #[error(transparent)]
+    Design(#[from] DesignError),
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -148,7 +165,7 @@ impl Error {
             Self::Store(e) if e.is_bad_input() => Exit::BadInput,
             Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
             Self::Engine(_) => Exit::Io,
-            Self::Usage(_) | Self::Spec(_) | Self::Unreadable { .. } => Exit::BadInput,
+            Self::Usage(_) | Self::Spec(_) | Self::Design(_) | Self::Unreadable { .. } => Exit::BadInput,
             Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
         }
     }

@@ -2,6 +2,7 @@
 
 mod brain;
 mod engine;
+mod projection;
 
 use clap::Subcommand;
 
@@ -19,11 +20,13 @@ pub struct Args {
 enum What {
     Brain(brain::Args),
     Engine(engine::Args),
+    Projection(projection::Args),
 }
 
 pub async fn execute(args: Args) -> Result<Exit, Error> {
     match args.what {
         What::Brain(args) => brain::execute(&args),
         What::Engine(args) => engine::execute(args).await,
+        What::Projection(args) => projection::execute(&args),
     }
 }

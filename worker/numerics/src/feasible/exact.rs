@@ -37,6 +37,24 @@ pub enum Kind {
     LigamentClearance,
 }
 
+impl Kind {
+    /// As commands name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::NotFinite => "not finite",
+            Kind::NotSimple => "not simple",
+            Kind::Edge => "edge",
+            Kind::BlockAngleLow => "least interior angle",
+            Kind::BlockAngleHigh => "greatest interior angle",
+            Kind::LigamentAngle => "ligament angle",
+            Kind::VoidAngle => "void angle",
+            Kind::Overlap => "overlap",
+            Kind::Clearance => "clearance",
+            Kind::LigamentClearance => "ligament clearance",
+        }
+    }
+}
+
 /// One broken constraint of a design.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Violation {

@@ -1,0 +1,68 @@
+//! `draw`: a design as SVG.
+
+use std::path::PathBuf;
+
+use metasense_worker::design::{self, Feasible};
+
+use super::{Error, read_body};
+use crate::draw::{Drawing, svg};
+use crate::exit::Exit;
+
+/// Draws a design as SVG, constraints at their limit in orange, broken ones in red; by default the initial body
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML); of a sweep over bodies, the first one, with its first panels and sensors
+    spec: PathBuf,
+    /// The design to draw (NPY of α, or CSV of nodes)
+    #[arg(long, value_name = "FILE")]
+    design: Option<PathBuf>,
+    /// Where the drawing goes
+    #[arg(long, value_name = "FILE.svg")]
+    out: PathBuf,
+    /// Writes the design that was drawn, too (.npy or .csv)
+    #[arg(long, value_name = "FILE")]
+    design_out: Option<PathBuf>,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let body = read_body(&args.spec)?;
+    let drawn = match &args.design {
+        Some(file) => design::read(file, &body.layout)?,
+        None => body.initial.clone(),
+    };
+    let feasible = Feasible::new(&body.layout, body.limits, &[]);
+    let violations = feasible.violations(&drawn);
+    let active = feasible.active(&drawn);
+    let caption = format!(
+        "{} units, {} shifts: {}",
+        body.layout.units(),
+        body.layout.group_count,
+        if violations.is_empty() { "feasible" } else { "not feasible" }
+    );
+    let text = svg(&Drawing {
+        layout: &body.layout,
+        design: &drawn,
+        clamped: &body.clamped,
+        panels: &body.panels,
+        sensors: &body.sensors,
+        // A broken constraint is beyond its limit, not at it.
+        active: &active.iter().copied().filter(|a| a.slack >= 0.0).collect::<Vec<_>>(),
+        violations: &violations,
+        caption: &caption,
+    });
+    let io = |source| Error::Io { doing: "writing", path: args.out.clone(), source };
+    std::fs::write(&args.out, text).map_err(io)?;
+    if let Some(file) = &args.design_out {
+        design::write(file, &body.layout, &drawn)?;
+    }
+    println!(
+        "{}: {caption}, {} constraints at their limit, {} broken",
+        args.out.display(),
+        active.len(),
+        violations.len()
+    );
+    for violation in &violations {
+        println!("  {violation}");
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,96 @@
+//! `project`: any design to the nearest one that can be cast.
+
+use std::path::PathBuf;
+
+use metasense_worker::design::{self, Feasible, Projection, Status};
+use serde_json::json;
+
+use super::{Error, Format, print_rows, read_body};
+use crate::exit::Exit;
+use crate::store::Table;
+
+/// Projects a design onto the feasible ones: the nearest that can be cast, or the previous one where none is found
+///
+/// Prints status, distance and the constraints at their limit. Ends with 0 wherever what is written can be cast; with 1,
+/// and writes nothing, where neither the result nor the previous design can.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML); of a sweep over bodies, the first one
+    spec: PathBuf,
+    /// The design to project (NPY of α, or CSV of nodes)
+    #[arg(long, value_name = "FILE")]
+    design: PathBuf,
+    /// The previous design, which comes back where no feasible one is found [default: the initial body]
+    #[arg(long, value_name = "FILE")]
+    from: Option<PathBuf>,
+    /// Weights of the metric, one a coordinate of α (NPY) [default: Euclidean]
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Where the result goes (.npy or .csv)
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// The form of the rows, one a constraint at its limit; the summary goes before a table, else to standard error
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let body = read_body(&args.spec)?;
+    let target = design::read(&args.design, &body.layout)?;
+    let previous = match &args.from {
+        Some(file) => design::read(file, &body.layout)?,
+        None => body.initial.clone(),
+    };
+    let weights = args.weights.as_ref().map(|file| design::read(file, &body.layout)).transpose()?;
+    let mut feasible = Feasible::new(&body.layout, body.limits, &[]);
+    let found = feasible.project(&previous, &target, weights.as_deref());
+    let broken = feasible.violations(&target);
+    let mut summary = summary(&found, &previous, broken.len());
+    if found.status.is_feasible() {
+        design::write(&args.out, &body.layout, &found.design)?;
+        summary.push(format!("written   {}", args.out.display()));
+    }
+    for line in summary {
+        match args.format {
+            Format::Table => println!("{line}"),
+            _ => eprintln!("{line}"),
+        }
+    }
+    if !found.status.is_feasible() {
+        for violation in feasible.violations(&found.design) {
+            eprintln!("  {violation}");
+        }
+        return Ok(Exit::Failed);
+    }
+    print_rows(&rows(&found), args.format)?;
+    Ok(Exit::Done)
+}
+
+fn summary(found: &Projection, previous: &[f64], broken: usize) -> Vec<String> {
+    let meaning = match found.status {
+        Status::Untouched => "the design is feasible and comes back bit for bit",
+        Status::Projected => "the nearest feasible design that was found",
+        Status::Kept => "no feasible design was found; the previous one is kept",
+        Status::NotFinite => "the design or the weights are not finite; the previous design is kept",
+        Status::Infeasible => {
+            "no feasible design was found, and the previous one breaks what is listed below"
+        }
+    };
+    let moved = found.design.iter().zip(previous).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+    vec![
+        format!("status    {}: {meaning}", found.status.name()),
+        format!("input     breaks {broken} constraints"),
+        format!("distance  {:.6} mm from the input, {moved:.6} mm from the previous design", found.distance),
+        format!("work      {} programs, {} interior-point iterations", found.programs, found.iterations),
+        format!("active    {} constraints at their limit", found.active.len()),
+    ]
+}
+
+fn rows(found: &Projection) -> Table {
+    let columns = ["constraint", "unit", "node", "other_unit", "slack_mm"].map(String::from).to_vec();
+    let rows = found.active.iter().map(|a| {
+        let other = if a.units[0] == a.units[1] { json!(null) } else { json!(a.units[1]) };
+        vec![json!(a.kind.name()), json!(a.units[0]), json!(a.node), other, json!(a.slack)]
+    });
+    Table { columns, rows: rows.collect() }
+}

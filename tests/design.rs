@@ -1,0 +1,104 @@
+//! Designs on the command line: projected, drawn, read from files, drawn at random.
+
+mod common;
+
+use common::{Bench, SPEC};
+
+fn npy(values: &[f64]) -> Vec<u8> {
+    let mut head = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({},), }}", values.len());
+    head.extend(std::iter::repeat_n(' ', (64 - (11 + head.len()) % 64) % 64));
+    head.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((head.len() as u16).to_le_bytes());
+    bytes.extend(head.as_bytes());
+    bytes.extend(values.iter().flat_map(|x| x.to_le_bytes()));
+    bytes
+}
+
+/// A spec of a 3 × 3 body; `more` goes into `[body]`.
+fn small(more: &str) -> String {
+    SPEC.replace("columns = 6\nrows = 6", &format!("columns = 3\nrows = 3\n{more}")).replace("[1, 2]", "[1]")
+}
+
+/// The initial body is feasible and comes back bit for bit; a wild one is projected; NaN keeps the previous one.
+#[test]
+fn any_design_goes_in_and_a_castable_one_comes_out() {
+    let bench = Bench::new();
+    bench.file("s.toml", &small(""));
+    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.npy"]);
+    let said = bench.output(&["project", "s.toml", "--design", "a.npy", "--out", "b.npy"]);
+    assert!(said.contains("untouched"), "{said}");
+    let read = |name: &str| std::fs::read(bench.path(name)).unwrap();
+    assert_eq!(read("a.npy"), read("b.npy"));
+
+    let wild: Vec<f64> = (0..48).map(|i| 7.0 * f64::sin(1.7 * f64::from(i * i))).collect();
+    std::fs::write(bench.path("wild.npy"), npy(&wild)).unwrap();
+    let drawn = bench.output(&["draw", "s.toml", "--design", "wild.npy", "--out", "wild.svg"]);
+    assert!(drawn.contains("mm") && drawn.contains('°') && drawn.contains("unit"), "{drawn}");
+    let said = bench.output(&["project", "s.toml", "--design", "wild.npy", "--out", "tame.csv"]);
+    assert!(said.contains("status    projected") && said.contains("interior angle"), "{said}");
+    let drawn = bench.output(&["draw", "s.toml", "--design", "tame.csv", "--out", "tame.svg"]);
+    assert!(drawn.contains(" 0 broken"), "{drawn}");
+
+    std::fs::write(bench.path("nan.npy"), npy(&[f64::NAN; 48])).unwrap();
+    let said =
+        bench.output(&["project", "s.toml", "--design", "nan.npy", "--from", "tame.csv", "--out", "c.csv"]);
+    assert!(said.contains("not_finite"), "{said}");
+    assert_eq!(read("c.csv"), read("tame.csv"), "the previous design");
+}
+
+/// A spec may start from a seeded random design or from a file; the trial's hash covers what the file holds.
+#[test]
+fn a_spec_starts_from_the_design_that_it_names() {
+    let bench = Bench::new();
+    let hash = |text: &str| {
+        bench.file("s.toml", text);
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
+    };
+    let plain = hash(&small(""));
+    let one = hash(&small("design = { random = 1 }"));
+    assert!(plain != one && one != hash(&small("design = { random = 2 }")));
+    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.npy"]);
+    let file = hash(&small("design = \"a.npy\""));
+    std::fs::copy(bench.path("a.npy"), bench.path("b.npy")).unwrap();
+    assert_eq!(file, hash(&small("design = \"b.npy\"")), "the name of the file is no part of a trial");
+    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "b.csv"]);
+    let axis = small("")
+        .replace("sensors = [1]", "sensors = [1]\n\"body.design\" = [{ random = 1 }, { random = 2 }]");
+    assert_eq!(hash(&axis), one);
+}
+
+/// Exit code 2 with file, key and every broken constraint, before anything starts.
+#[test]
+fn a_design_that_cannot_be_cast_is_refused_with_the_list() {
+    let bench = Bench::new();
+    std::fs::write(bench.path("bad.npy"), npy(&[0.0; 48])).unwrap();
+    std::fs::write(bench.path("short.npy"), npy(&[0.0; 47])).unwrap();
+    let refused = |design: &str| {
+        bench.file("s.toml", &small(design));
+        let out = bench.metasense(&["expand", "s.toml"]);
+        assert_eq!(out.status.code(), Some(2), "{out:?}");
+        String::from_utf8(out.stderr).unwrap()
+    };
+    let mut wild = vec![0.0; 48];
+    wild[0] = 20.0;
+    std::fs::write(bench.path("bad.npy"), npy(&wild)).unwrap();
+    let said = refused("design = \"bad.npy\"");
+    assert!(said.contains("s.toml:") && said.contains("body.design") && said.contains("unit 0"), "{said}");
+    assert!(refused("design = \"short.npy\"").contains("holds 47 numbers; α of this body has 48"));
+    assert!(refused("design = \"none.npy\"").contains("none.npy"));
+    assert!(refused("design = { randon = 1 }").contains("random"));
+}
+
+/// The bench runs, tiny; and random projections leave nothing broken.
+#[test]
+fn the_bench_counts_no_violation() {
+    let bench = Bench::new();
+    let rows = bench.output(&["bench", "projection", "--sizes", "3x3", "--calls", "3", "--format", "json"]);
+    let rows: serde_json::Value = serde_json::from_str(&rows).unwrap();
+    assert_eq!(rows.as_array().unwrap().len(), 4, "{rows}");
+    let count = bench.output(&["bench", "projection", "--random", "60", "--format", "json"]);
+    let count: serde_json::Value = serde_json::from_str(&count).unwrap();
+    assert_eq!((&count[0]["violations"], &count[0]["projections"]), (&0.into(), &60.into()), "{count}");
+}
