@@ -349,16 +349,18 @@ pub enum GradientTerms {
     Direct,
 }
 
-/// The outer loop over the body's design.
+/// The outer loop over the body's design. What is left out gets the default of its protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Optimise {
-    /// How body and brain are trained together.
+    /// How body and brain are trained together. By default `"joint"`, which gains most in its time.
     pub protocol: Protocol,
-    /// Outer steps.
-    pub iterations: usize,
-    /// Adam's rate on α (mm).
-    pub learning_rate: f64,
+    /// Outer steps. By default 150, for `"paper"` 100.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<usize>,
+    /// Adam's rate on α (mm). By default 0.3, for the other protocols 0.1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub learning_rate: Option<f64>,
     /// Terms of the gradient; for `protocol = "paper"` alone. By default `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
@@ -371,41 +373,50 @@ pub struct Optimise {
     /// Adam's rate of these iterations. By default 1e-3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_learning_rate: Option<f64>,
-    /// A cheaper integrator for the first three quarters of the outer steps; for `"envelope"` and `"joint"`.
+    /// A cheaper integrator for the first three quarters of the outer steps; for `"envelope"` and `"joint"`. By default
+    /// `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,
 }
 
 impl Optimise {
-    /// Default of `batch`.
-    pub const BATCH: usize = 64;
-    /// Default of `brain_iterations`.
-    pub const BRAIN_ITERATIONS: usize = 10;
-    /// Default of `brain_learning_rate`.
-    pub const BRAIN_LEARNING_RATE: f64 = 1e-3;
-
-    /// With the defaults that depend on the protocol in place.
+    /// With the defaults of the protocol in place: only what the protocol does not read stays open.
     #[must_use]
     pub fn resolved(mut self) -> Self {
+        let (iterations, learning_rate) = match self.protocol {
+            Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
+            Protocol::Joint => (150, 0.3),
+        };
+        self.iterations.get_or_insert(iterations);
+        self.learning_rate.get_or_insert(learning_rate);
         if self.protocol == Protocol::Paper {
             self.gradient.get_or_insert(GradientTerms::Implicit);
         } else {
-            self.brain_iterations.get_or_insert(Self::BRAIN_ITERATIONS);
-            self.brain_learning_rate.get_or_insert(Self::BRAIN_LEARNING_RATE);
+            self.brain_iterations.get_or_insert(10);
+            self.brain_learning_rate.get_or_insert(1e-3);
         }
         if matches!(self.protocol, Protocol::Envelope | Protocol::Joint) {
-            self.batch.get_or_insert(Self::BATCH);
+            self.batch.get_or_insert(64);
+        }
+        if self.protocol == Protocol::Joint {
+            self.coarse.get_or_insert(Solver { method: Method::Auto, tolerance: 0.03 });
         }
         self
+    }
+
+    /// Outer steps.
+    #[must_use]
+    pub fn steps(&self) -> usize {
+        self.resolved().iterations.unwrap_or_default()
     }
 }
 
 impl Default for Optimise {
     fn default() -> Self {
         Self {
-            protocol: Protocol::Paper,
-            iterations: 100,
-            learning_rate: 0.1,
+            protocol: Protocol::Joint,
+            iterations: None,
+            learning_rate: None,
             gradient: None,
             batch: None,
             brain_iterations: None,

@@ -53,7 +53,7 @@ fn main() {
     spec["sensor_units"] = json!(placement);
     let trial: TrialSpec = serde_json::from_value(spec).expect("a spec");
 
-    let mut printer = Printer { every, last: trial.optimise.iterations as u32 - 1, spent: [0.0; 5] };
+    let mut printer = Printer { every, last: trial.optimise.steps() as u32 - 1, spent: [0.0; 5] };
     let start = cpu_seconds();
     match run_trial(&trial, None, threads, &mut printer) {
         Err(failure) => println!("{failure}"),

@@ -63,6 +63,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let initial = initial_design(&trial.body, &layout, limits)?;
     castable(&trial.body, &layout, limits, &initial)?;
     let scene = scene(trial, layout)?;
+    let steps = trial.optimise.steps();
     Ok(Problem {
         initial,
         solver: solver(&trial.solver),
@@ -71,11 +72,10 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         brain: Training { iterations: trial.brain.iterations, rate: trial.brain.learning_rate, width: 64 },
         optimise: Optimise {
             protocol: protocol(&trial.optimise)?,
-            iterations: u32::try_from(trial.optimise.iterations).map_err(|_| {
-                invalid("optimise.iterations", trial.optimise.iterations, "must be below 2^32")
-            })?,
-            rate: trial.optimise.learning_rate,
-            coarse: trial.optimise.coarse.as_ref().map(solver),
+            iterations: u32::try_from(steps)
+                .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
+            rate: trial.optimise.resolved().learning_rate.unwrap_or_default(),
+            coarse: trial.optimise.resolved().coarse.as_ref().map(solver),
         },
         evaluation: Evaluation {
             seeds: trial.evaluation.seeds,
@@ -165,7 +165,7 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     }
     at_least("brain.iterations", trial.brain.iterations, 1)?;
     positive("brain.learning_rate", trial.brain.learning_rate)?;
-    positive("optimise.learning_rate", trial.optimise.learning_rate)?;
+    positive("optimise.learning_rate", trial.optimise.resolved().learning_rate.unwrap_or_default())?;
     at_least("evaluation.seeds", trial.evaluation.seeds, 1)?;
     at_most("evaluation.seeds", trial.evaluation.seeds, 1000)
 }
@@ -260,10 +260,12 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
         unread("optimise.coarse", coarse.map(|solver| format!("{solver:?}")), "envelope and joint")?;
     }
+    let resolved = optimise.resolved();
+    // what a protocol does not read stays open, and does not matter
     let going = Going {
-        batch: batch.unwrap_or(spec::Optimise::BATCH),
-        brain_iterations: brain_iterations.unwrap_or(spec::Optimise::BRAIN_ITERATIONS),
-        brain_rate: brain_learning_rate.unwrap_or(spec::Optimise::BRAIN_LEARNING_RATE),
+        batch: resolved.batch.unwrap_or(1),
+        brain_iterations: resolved.brain_iterations.unwrap_or(1),
+        brain_rate: resolved.brain_learning_rate.unwrap_or(1.0),
     };
     at_least("optimise.batch", going.batch, 1)?;
     at_least("optimise.brain_iterations", going.brain_iterations, 1)?;

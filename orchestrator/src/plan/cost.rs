@@ -2,7 +2,7 @@
 //!
 //! One core with AVX2; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
 
-use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::spec::{Protocol, TrialSpec};
 
 /// Channels of the hidden layers.
 const WIDTH: usize = 64;
@@ -35,8 +35,17 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> f64 {
     let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;
     let forward = weights * train_samples * trial.time.samples as f64 / BRAIN_RATE;
     let train = trial.brain.iterations as f64 * ITERATION * forward;
-    let step = simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward;
+    let optimise = trial.optimise.resolved();
+    let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
+    let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
+    let differentiate = batch * one_sample * (1.0 + REVERSE);
+    let step = match optimise.protocol {
+        Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
+        Protocol::Warm | Protocol::Envelope => simulate + differentiate + going,
+        // on four batches, by the coarse integrator mostly
+        Protocol::Joint => 0.5 * differentiate + going * 4.0 * batch / train_samples.max(1.0),
+    };
     let evaluation = 2.0
         * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trial.evaluation.seeds as f64 * train);
-    trial.optimise.iterations as f64 * step + evaluation
+    optimise.steps() as f64 * step + evaluation
 }
