@@ -5,6 +5,7 @@ pub mod cli;
 pub mod draw;
 pub mod engine;
 pub mod exit;
+pub mod export;
 pub mod fleet;
 pub mod link;
 pub mod plan;

@@ -17,6 +17,8 @@ pub struct Drawing {
     pub centroids: Vec<[f64; 2]>,
     /// Ends of every ligament (mm).
     pub ligaments: Vec<[[f64; 2]; 2]>,
+    /// The two corners (unit, node) that each ligament joins.
+    pub joints: Vec<[(usize, usize); 2]>,
     /// Struck units, and the direction of the blow.
     pub panels: Vec<(usize, [f64; 2])>,
     /// Units that carry sensors.
@@ -44,6 +46,7 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
         ligaments: ligaments
             .map(|l| [geometry.vertices[l.a.unit][l.a.node], geometry.vertices[l.b.unit][l.b.node]])
             .collect(),
+        joints: scene.layout.ligaments.iter().map(|l| [(l.a.unit, l.a.node), (l.b.unit, l.b.node)]).collect(),
         units: geometry.vertices,
         centroids: geometry.centroids,
         panels: scene.panels.iter().map(|p| (p.unit, p.direction)).collect(),

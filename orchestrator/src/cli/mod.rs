@@ -4,6 +4,7 @@ mod analyse;
 mod bench;
 mod draw;
 mod expand;
+mod export;
 mod live;
 mod log;
 mod project;
@@ -50,6 +51,7 @@ enum Command {
     Report(report::Args),
     Project(project::Args),
     Draw(draw::Args),
+    Export(export::Args),
     Schema(schema::Args),
     Bench(bench::Args),
     /// What the orchestrator starts; not for people.
@@ -78,6 +80,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Draw(args) => draw::execute(&args),
         Command::Schema(args) => schema::execute(&args),
         Command::Report(args) => block_on(report::execute(args)),
+        Command::Export(args) => block_on(export::execute(args)),
     }
 }
 

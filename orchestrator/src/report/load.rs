@@ -227,13 +227,21 @@ pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, S
         what: "spec",
         message: e.to_string(),
     })?;
-    let mut stored = Stored { hash, spec, designs: Default::default(), weights: Default::default() };
+    let mut stored = Stored {
+        hash,
+        spec,
+        designs: Default::default(),
+        weights: Default::default(),
+        losses: Default::default(),
+    };
     for body in Body::ALL {
         for artifact in reader.arrays_of(&stored.hash).await? {
             if artifact.name == format!("alpha_{}", body.name()) {
                 stored.designs[body as usize] = artifact.values()?;
             } else if artifact.name == format!("weights_{}_0", body.name()) {
                 stored.weights[body as usize] = artifact.values()?;
+            } else if artifact.name == format!("losses_{}_0", body.name()) {
+                stored.losses[body as usize] = artifact.values()?;
             }
         }
     }

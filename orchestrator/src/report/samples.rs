@@ -24,6 +24,8 @@ pub struct Stored {
     pub designs: [Vec<f64>; 2],
     /// Flat weights; empty where none were kept.
     pub weights: [Vec<f32>; 2],
+    /// Training loss of the first network after every iteration.
+    pub losses: [Vec<f32>; 2],
 }
 
 /// Draws the bodies, four samples, every test sample, the wave.

@@ -1,0 +1,143 @@
+//! `export`: a trial, or a view, in the forms of other programs.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use metasense_schemas::database::VIEWS;
+use metasense_worker::replay::{drawing, replay};
+use metasense_worker::run::Failure;
+
+use super::Error;
+use crate::exit::Exit;
+use crate::export::{Mould, Outline, dxf, mould, npz, series, table};
+use crate::report::{body, load, samples::Stored};
+use crate::store::{Reader, StoreError, Table};
+
+/// The form of an export.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Form {
+    /// Everything of a trial as NumPy arrays: designs, signals, predictions, weights, forces, split, scales, scene
+    Npz,
+    /// Forces, signals and predictions as a table, a row a sample and instant; or a view's rows
+    Csv,
+    /// The same as a Parquet file
+    Parquet,
+    /// The body, drawn
+    Svg,
+    /// The body as closed polylines in mm, by layer: units, ligaments, panels, sensors
+    Dxf,
+    /// The mould to cast the body in, as a closed surface in mm
+    Stl,
+}
+
+/// Which body of a trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Which {
+    /// Before the outer loop
+    Initial,
+    /// After it
+    Optimised,
+}
+
+/// Writes a trial, or a view, as a file for other programs
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The database
+    db: PathBuf,
+    /// The trial, by the beginning of its hash; or a view's name, for csv and parquet
+    what: String,
+    /// The form
+    #[arg(long, value_enum)]
+    format: Form,
+    /// The file to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Which body, for svg, dxf and stl
+    #[arg(long, value_enum, default_value = "optimised")]
+    body: Which,
+    /// Width of a ligament (mm), for dxf and stl
+    #[arg(long, default_value_t = 1.0)]
+    ligament_width: f64,
+    /// Height of the cast body (mm), for stl
+    #[arg(long, default_value_t = 10.0)]
+    height: f64,
+    /// Thickness of the mould's floor and rim (mm), for stl
+    #[arg(long, default_value_t = 3.0)]
+    wall: f64,
+    /// How much larger than the body the mould's cavity is on every side (mm), for stl
+    #[arg(long, default_value_t = 0.0)]
+    clearance: f64,
+    /// Threads for simulating the trial again
+    #[arg(long, default_value_t = 1)]
+    threads: usize,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let mut reader = Reader::open(&args.db).await?;
+    let bytes = match VIEWS.iter().find(|(view, _)| *view == args.what) {
+        Some((view, _)) => {
+            let rows = reader.query(&format!("SELECT * FROM {view}")).await?;
+            tabular(&rows, args.format, &args.what)?
+        }
+        None => {
+            let stored = load::stored(&mut reader, &args.what).await?;
+            let stored =
+                stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.what)))?;
+            trial(&stored, &args)?
+        }
+    };
+    std::fs::write(&args.out, bytes).map_err(|source| Error::Io {
+        doing: "writing",
+        path: args.out.clone(),
+        source,
+    })?;
+    println!("{}", args.out.display());
+    Ok(Exit::Done)
+}
+
+fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
+    let unreadable = |e: Failure| StoreError::Unreadable {
+        hash: stored.hash.clone(),
+        what: "trial",
+        message: e.to_string(),
+    };
+    let drawn = |b: usize| drawing(&stored.spec, &stored.designs[b]).map_err(unreadable);
+    let replayed = |b: usize| {
+        replay(&stored.spec, &stored.designs[b], &stored.weights[b], args.threads).map_err(unreadable)
+    };
+    let body = drawn(args.body as usize)?;
+    let outline = || Outline::new(&body, args.ligament_width).map_err(|e| Error::Usage(e.to_string()));
+    Ok(match args.format {
+        Form::Npz => npz::archive(stored, &[drawn(0)?, drawn(1)?], &[replayed(0)?, replayed(1)?]),
+        Form::Csv | Form::Parquet => {
+            tabular(&series::table(stored, &[replayed(0)?, replayed(1)?]), args.format, &stored.hash)?
+        }
+        Form::Svg => {
+            let svg =
+                body::svg(&body, &body::Frame::around(&[&body]), "a metamaterial body", |_| String::new());
+            crate::report::standalone(&svg).expect("an SVG element").into_bytes()
+        }
+        Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
+        Form::Stl => {
+            for (name, value, least) in [
+                ("height", args.height, 0.0),
+                ("wall", args.wall, 0.0),
+                ("clearance", args.clearance, -1e-12),
+            ] {
+                if value.is_nan() || value <= least {
+                    return Err(Error::Usage(format!("--{name} {value}: must be above 0 mm")));
+                }
+            }
+            let measures = Mould { height: args.height, wall: args.wall, clearance: args.clearance };
+            mould::stl(&outline()?, &measures).map_err(|e| Error::Usage(e.to_string()))?
+        }
+    })
+}
+
+fn tabular(rows: &Table, form: Form, what: &str) -> Result<Vec<u8>, Error> {
+    match form {
+        Form::Csv => Ok(table::csv(rows).into_bytes()),
+        Form::Parquet => Ok(table::parquet(rows)),
+        _ => Err(Error::Usage(format!("{what} is a view: --format csv or parquet"))),
+    }
+}

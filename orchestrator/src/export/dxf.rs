@@ -1,0 +1,55 @@
+//! A body as DXF (R12, ASCII, mm): closed polylines on the layers `units`, `ligaments`, `panels`, `sensors`.
+//!
+//! Units are their corners; a ligament is the rectangle of its width; a panel is the outline of the unit that is struck;
+//! a sensor is a circle of 24 corners about its unit's centroid.
+
+use std::fmt::Write as _;
+
+use metasense_worker::replay::Drawing;
+
+/// Layers with the colour by which programs show them.
+const LAYERS: [(&str, u8); 4] = [("units", 7), ("ligaments", 8), ("panels", 4), ("sensors", 1)];
+
+/// The drawing. `width` is that of a ligament, `radius` that of a sensor (mm).
+#[must_use]
+pub fn dxf(drawing: &Drawing, width: f64, radius: f64) -> String {
+    let mut text =
+        String::from("0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n");
+    let _ = write!(text, "0\nSECTION\n2\nTABLES\n0\nTABLE\n2\nLAYER\n70\n{}\n", LAYERS.len());
+    for (layer, colour) in LAYERS {
+        let _ = write!(text, "0\nLAYER\n2\n{layer}\n70\n0\n62\n{colour}\n6\nCONTINUOUS\n");
+    }
+    text.push_str("0\nENDTAB\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n");
+    for unit in &drawing.units {
+        polyline(&mut text, "units", unit);
+    }
+    for &[a, b] in &drawing.ligaments {
+        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+        let half = 0.5 * width / dx.hypot(dy);
+        let (nx, ny) = (-half * dy, half * dx);
+        let corners =
+            [[a[0] - nx, a[1] - ny], [b[0] - nx, b[1] - ny], [b[0] + nx, b[1] + ny], [a[0] + nx, a[1] + ny]];
+        polyline(&mut text, "ligaments", &corners);
+    }
+    for (unit, _) in &drawing.panels {
+        polyline(&mut text, "panels", &drawing.units[*unit]);
+    }
+    for unit in &drawing.sensors {
+        let [x, y] = drawing.centroids[*unit];
+        let circle: Vec<[f64; 2]> = (0..24)
+            .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
+            .map(|(sin, cos)| [x + radius * cos, y + radius * sin])
+            .collect();
+        polyline(&mut text, "sensors", &circle);
+    }
+    text.push_str("0\nENDSEC\n0\nEOF\n");
+    text
+}
+
+fn polyline(text: &mut String, layer: &str, corners: &[[f64; 2]]) {
+    let _ = write!(text, "0\nPOLYLINE\n8\n{layer}\n66\n1\n70\n1\n10\n0.0\n20\n0.0\n30\n0.0\n");
+    for [x, y] in corners {
+        let _ = write!(text, "0\nVERTEX\n8\n{layer}\n10\n{x:.9}\n20\n{y:.9}\n30\n0.0\n");
+    }
+    let _ = write!(text, "0\nSEQEND\n8\n{layer}\n");
+}

@@ -1,0 +1,159 @@
+//! A trial as a NumPy archive: all that is needed to evaluate it again by other means.
+//!
+//! An npz file is a zip archive of npy files; ours are stored uncompressed (PKWARE APPNOTE 6.3, method 0), with a fixed
+//! date, so that the same trial gives the same bytes.
+
+use metasense_worker::replay::{Drawing, Replay};
+
+use crate::analysis::Body;
+use crate::report::samples::Stored;
+use crate::store::npy_bytes;
+
+/// The archive. `drawings` and `replays` are those of the initial and of the optimised body.
+#[must_use]
+pub fn archive(stored: &Stored, drawings: &[Drawing; 2], replays: &[Replay; 2]) -> Vec<u8> {
+    let (panels, instants) = (stored.spec.panel_units.len(), stored.spec.time.samples);
+    let inputs = 3 * stored.spec.sensor_units.len();
+    let samples = replays[0].forces.samples;
+    let mut zip = Zip::default();
+    for body in Body::ALL {
+        let (b, name) = (body as usize, body.name());
+        let (drawing, replay) = (&drawings[b], &replays[b]);
+        zip.array(&format!("alpha_{name}"), &[stored.designs[b].len()], &stored.designs[b]);
+        let corners: Vec<f64> = drawing.units.iter().flatten().flatten().copied().collect();
+        zip.array(&format!("vertices_{name}"), &[drawing.units.len(), 4, 2], &corners);
+        zip.array(&format!("signals_{name}"), &[samples, instants, inputs], &replay.signals);
+        if !stored.weights[b].is_empty() {
+            zip.array(&format!("predictions_{name}"), &[samples, instants, panels], &replay.predictions);
+            for (part, shape, values) in parts(&stored.weights[b], inputs, panels) {
+                zip.array(&format!("{part}_{name}"), &shape, values);
+            }
+        }
+        zip.array(&format!("losses_{name}"), &[stored.losses[b].len()], &stored.losses[b]);
+    }
+    let replay = &replays[0];
+    zip.array("forces", &[samples, panels, instants + 1], &replay.forces.values);
+    zip.array("split", &[samples], &replay.split);
+    zip.array("signal_scale", &[inputs], &replay.signal_scale);
+    zip.array("force_mean", &[panels], &replay.force_mean);
+    zip.array("force_std", &[panels], &replay.force_deviation);
+    zip.file("scene.npy", &text_array(&serde_json::to_string(&stored.spec).expect("a trial is JSON")));
+    zip.finish()
+}
+
+/// The flat weights b1, b2, b3, w1, w2, w3 by name and shape (kernel, in, out).
+fn parts(weights: &[f32], inputs: usize, panels: usize) -> Vec<(&'static str, Vec<usize>, &[f32])> {
+    // Whatever its width, the network has this many weights of each kind; model.md's is 64.
+    let width = 64;
+    let shapes: [(&str, Vec<usize>); 6] = [
+        ("b1", vec![width]),
+        ("b2", vec![width]),
+        ("b3", vec![panels]),
+        ("w1", vec![3, inputs, width]),
+        ("w2", vec![3, width, width]),
+        ("w3", vec![1, width, panels]),
+    ];
+    let mut rest = weights;
+    shapes
+        .into_iter()
+        .map(|(name, shape)| {
+            let (part, after) = rest.split_at(shape.iter().product());
+            rest = after;
+            (name, shape, part)
+        })
+        .collect()
+}
+
+/// A 0-d array that holds one string.
+fn text_array(text: &str) -> Vec<u8> {
+    let count = text.chars().count();
+    let mut header = format!("{{'descr': '<U{count}', 'fortran_order': False, 'shape': (), }}");
+    // Magic, version and length are 10 bytes; the data start at a multiple of 64.
+    let padded = (10 + header.len() + 1).next_multiple_of(64) - 10;
+    header.push_str(&" ".repeat(padded - 1 - header.len()));
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.bytes());
+    bytes.extend(text.chars().flat_map(|c| u32::from(c).to_le_bytes()));
+    bytes
+}
+
+/// A zip archive in the making.
+#[derive(Default)]
+struct Zip {
+    bytes: Vec<u8>,
+    directory: Vec<u8>,
+    files: u16,
+}
+
+impl Zip {
+    fn array<T: npyz::AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) {
+        self.file(&format!("{name}.npy"), &npy_bytes(shape, values));
+    }
+
+    fn file(&mut self, name: &str, data: &[u8]) {
+        let at = u32::try_from(self.bytes.len()).expect("an archive of less than 4 GiB");
+        let length = u32::try_from(data.len()).expect("an array of less than 4 GiB");
+        // Version needed, flags, method, time, date (1 January 1980), CRC, sizes, length of the name, no extra field.
+        let mut entry = Vec::new();
+        for half in [20u16, 0, 0, 0, 0x21] {
+            entry.extend(half.to_le_bytes());
+        }
+        for word in [crc32(data), length, length] {
+            entry.extend(word.to_le_bytes());
+        }
+        entry.extend((name.len() as u16).to_le_bytes());
+        entry.extend(0u16.to_le_bytes());
+        self.bytes.extend(b"PK\x03\x04");
+        self.bytes.extend(&entry);
+        self.bytes.extend(name.bytes());
+        self.bytes.extend(data);
+        self.directory.extend(b"PK\x01\x02\x14\x00");
+        self.directory.extend(&entry);
+        // No comment, disk 0, attributes none.
+        self.directory.extend([0; 10]);
+        self.directory.extend(at.to_le_bytes());
+        self.directory.extend(name.bytes());
+        self.files += 1;
+    }
+
+    fn finish(mut self) -> Vec<u8> {
+        let at = u32::try_from(self.bytes.len()).expect("an archive of less than 4 GiB");
+        self.bytes.extend(&self.directory);
+        self.bytes.extend(b"PK\x05\x06\x00\x00\x00\x00");
+        self.bytes.extend(self.files.to_le_bytes());
+        self.bytes.extend(self.files.to_le_bytes());
+        self.bytes.extend((self.directory.len() as u32).to_le_bytes());
+        self.bytes.extend(at.to_le_bytes());
+        self.bytes.extend([0; 2]);
+        self.bytes
+    }
+}
+
+/// CRC-32 as zip wants it (ISO 3309, reflected polynomial 0xEDB88320).
+fn crc32(data: &[u8]) -> u32 {
+    let table: [u32; 256] = std::array::from_fn(|i| {
+        (0..8).fold(i as u32, |c, _| if c & 1 == 1 { 0xedb8_8320 ^ (c >> 1) } else { c >> 1 })
+    });
+    !data.iter().fold(!0, |c, byte| table[((c ^ u32::from(*byte)) & 0xff) as usize] ^ (c >> 8))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The check value of the CRC catalogue.
+    #[test]
+    fn the_check_value_of_the_crc() {
+        assert_eq!(crc32(b"123456789"), 0xcbf4_3926);
+    }
+
+    #[test]
+    fn a_text_array_starts_its_data_at_a_multiple_of_64() {
+        for text in ["", "ä", "a much longer text than the others, to be sure"] {
+            let bytes = text_array(text);
+            assert_eq!((bytes.len() - 4 * text.chars().count()) % 64, 0, "{text}");
+        }
+    }
+}

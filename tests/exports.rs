@@ -1,0 +1,66 @@
+//! Each form of export is read back by a reader that is not ours.
+
+mod synthetic;
+
+use std::path::Path;
+use std::process::Command;
+
+fn export(db: &Path, what: &str, format: &str, out: &Path) {
+    let run = Command::new(env!("CARGO_BIN_EXE_metasense"))
+        .args(["export", db.to_str().unwrap(), what, "--format", format, "--out", out.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{what} {format}: {}", String::from_utf8_lossy(&run.stderr));
+}
+
+/// numpy, pyarrow, ezdxf and trimesh where Python has them; the arrays by npyz wherever the test runs.
+#[test]
+fn what_is_exported_is_read_back_by_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("synthetic.sqlite");
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(synthetic::fill(&db));
+    // The second trial: K = 4, M = 2, 8 × 6 units.
+    let trial = format!("{:032x}", 1);
+    let file = |name: &str| folder.path().join(name);
+    for format in ["npz", "csv", "parquet", "svg", "dxf", "stl"] {
+        export(&db, &trial, format, &file(&format!("t.{format}")));
+    }
+    export(&db, "v_trial", "parquet", &file("v.parquet"));
+
+    let arrays = npz_arrays(&std::fs::read(file("t.npz")).unwrap());
+    let shape = |name: &str| arrays.iter().find(|a| a.0 == name).map(|a| a.1.clone());
+    assert_eq!(shape("forces.npy"), Some(vec![25, 4, 201]));
+    assert_eq!(shape("w1_optimised.npy"), Some(vec![3, 6, 64]));
+    assert_eq!(shape("scene.npy"), Some(vec![]));
+    let csv = std::fs::read_to_string(file("t.csv")).unwrap();
+    assert!(csv.starts_with("sample,set,time,force_0,") && csv.lines().count() == 1 + 25 * 200);
+    assert!(std::fs::read_to_string(file("t.svg")).unwrap().starts_with("<svg xmlns"));
+
+    match Command::new("python3").args(["-c", "import numpy"]).output() {
+        Ok(run) if run.status.success() => {}
+        _ => return eprintln!("no Python with numpy here: the foreign readers were not asked"),
+    }
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/readback.py");
+    let run = Command::new("python3").arg(script).arg(folder.path()).output().unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    eprintln!("read back by {}", String::from_utf8_lossy(&run.stdout).trim().replace('\n', ", "));
+}
+
+/// Names and shapes of the arrays of an uncompressed archive.
+fn npz_arrays(bytes: &[u8]) -> Vec<(String, Vec<u64>)> {
+    let number =
+        |at: usize, n: usize| bytes[at..at + n].iter().rev().fold(0usize, |x, b| x << 8 | usize::from(*b));
+    let (mut at, mut arrays) = (0, Vec::new());
+    while bytes[at..].starts_with(b"PK\x03\x04") {
+        let (size, name, extra) = (number(at + 18, 4), number(at + 26, 2), number(at + 28, 2));
+        let data = at + 30 + name + extra;
+        let array = npyz::NpyFile::new(&bytes[data..data + size]).unwrap();
+        arrays.push((
+            String::from_utf8(bytes[at + 30..at + 30 + name].to_vec()).unwrap(),
+            array.shape().to_vec(),
+        ));
+        at = data + size;
+    }
+    arrays
+}
