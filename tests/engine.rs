@@ -4,6 +4,8 @@
 mod support;
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -11,7 +13,7 @@ use std::time::{Duration, Instant};
 use metasense::link::SHARED_MEMORY;
 use support::{Run, children, eventually, is_alive, kill, results, rows};
 
-const SWEEP: &str = "--trials 24 --steps 12 --step-ms 8 --workers 2";
+const SWEEP: &str = "--trials 24 --steps 12 --step-ms 8 --array 3000 --workers 2";
 
 /// The database of the same sweep, never disturbed.
 fn undisturbed(folder: &Path) -> Vec<String> {
@@ -206,6 +208,42 @@ fn leftovers_of_dead_runs_are_removed_and_living_runs_are_not() {
     assert_eq!(there, [""; 0]);
     assert!(shared.join(&alive).join("lock").exists(), "a living run was removed");
     fs::remove_dir_all(shared.join(&alive)).unwrap();
+}
+
+/// Another user's leftovers cannot be removed, and are in nobody's way. Only root can be two users.
+#[test]
+fn a_stale_run_of_another_user_is_in_nobodys_way() {
+    // SAFETY: a plain question.
+    if unsafe { libc::geteuid() } != 0 {
+        return;
+    }
+    let shared = Path::new(SHARED_MEMORY);
+    let id = format!("metasense-root{:06x}", std::process::id());
+    fs::create_dir(shared.join(&id)).unwrap();
+    fs::set_permissions(shared.join(&id), fs::Permissions::from_mode(0o700)).unwrap();
+    fs::write(shared.join(&id).join("lock"), "").unwrap();
+    let segment = shared.join(format!("{id}_0.1_1.connection"));
+    fs::write(&segment, "").unwrap();
+    // Other tests of this binary run as root at the same time, and would remove it.
+    let lock = fs::File::open(shared.join(&id).join("lock")).unwrap();
+    lock.lock().unwrap();
+
+    let folder = tempfile::tempdir().unwrap();
+    fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o777)).unwrap();
+    let binary = folder.path().join("metasense");
+    fs::copy(env!("CARGO_BIN_EXE_metasense"), &binary).unwrap();
+    let db = folder.path().join("s.sqlite");
+    let ended = Command::new(binary)
+        .args(["bench", "engine", "--trials", "3", "--db"])
+        .arg(&db)
+        .uid(65534)
+        .gid(65534)
+        .output()
+        .unwrap();
+    assert!(ended.status.success(), "{ended:?}");
+    assert!(segment.exists(), "removed what another user owns");
+    fs::remove_file(segment).unwrap();
+    fs::remove_dir_all(shared.join(&id)).unwrap();
 }
 
 /// A worker of another build ends at once, with a code of its own, and touches nothing.

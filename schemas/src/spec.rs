@@ -536,7 +536,7 @@ pub struct Run {
     /// Wait before the first such retry (s), doubled for each further one; by default 0.5.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub backoff: Option<f64>,
-    /// Longest time that a worker gives no sign of life (s); by default 600.
+    /// Longest time that a worker gives no sign of life (s); by default 600 and the estimated time of the costliest trial.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub no_progress: Option<f64>,
     /// Longest time of an attempt at a trial (s); by default no limit.

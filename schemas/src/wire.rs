@@ -7,6 +7,7 @@
 use std::time::Duration;
 
 use iceoryx2::config::Config;
+use iceoryx2::port::ReceiveError;
 use iceoryx2::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -167,12 +168,10 @@ pub struct Progress {
 pub const POLL: Duration = Duration::from_millis(200);
 /// Messages that may wait in a direction.
 const MESSAGES: usize = 16;
-/// Arrays that a result may have.
-pub const ARRAYS_PER_RESULT: usize = 8;
-/// Results of a worker that may wait to be recorded, their arrays staying in shared memory for so long.
-pub const RESULTS: usize = 3;
-/// Arrays of a worker that may wait, or be held.
-const ARRAYS: usize = ARRAYS_PER_RESULT * RESULTS;
+/// Where POSIX shared memory lives.
+pub const SHARED_MEMORY: &str = "/dev/shm";
+/// Arrays that a result may have; as many may wait, and as many be held until they are recorded.
+pub const ARRAYS: usize = 8;
 /// First size of a message's chunk (bytes); grows on demand.
 const CHUNK: usize = 16 * 1024;
 
@@ -428,6 +427,24 @@ pub fn send(sender: &MessageSender, message: &[u8]) -> Result<bool, LinkError> {
     let chunk = sender.loan_slice_uninit(message.len()).map_err(LinkError::of("loaning a chunk"))?;
     let received = chunk.write_from_slice(message).send().map_err(LinkError::of("sending"))?;
     Ok(received > 0)
+}
+
+/// The next array, if there is one. Waits while the orchestrator holds as many as it may.
+///
+/// # Errors
+/// If the connection is broken, or none of the held ones is let go for `patience`.
+pub fn receive_array(receiver: &ArrayReceiver, patience: Duration) -> Result<Option<Array>, LinkError> {
+    let mut waited = Duration::ZERO;
+    loop {
+        match receiver.receive() {
+            Err(ReceiveError::ExceedsMaxBorrows) if waited < patience => {
+                let pause = Duration::from_millis(1);
+                std::thread::sleep(pause);
+                waited += pause;
+            }
+            received => return received.map_err(LinkError::of("receiving an array")),
+        }
+    }
 }
 
 /// The next message, if there is one.

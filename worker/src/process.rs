@@ -212,6 +212,14 @@ impl Worker {
         len: usize,
         fill: impl FnOnce(&mut [std::mem::MaybeUninit<f64>]),
     ) -> Result<(), LinkError> {
+        // Writing to a full shared memory would be the end of this process.
+        let needed = 8 * len as u64;
+        if let Some(free) = free_space(std::path::Path::new(wire::SHARED_MEMORY))
+            && free < needed
+        {
+            let cause = format!("{} MiB free, {} MiB needed", free >> 20, needed >> 20);
+            return Err(LinkError { step: "making room for an array", cause });
+        }
         let mut pause = Duration::from_micros(50);
         let mut chunk = loop {
             match self.arrays.loan_slice_uninit(len) {
@@ -229,6 +237,17 @@ impl Worker {
         chunk.send().map_err(LinkError::of("sending an array"))?;
         Ok(())
     }
+}
+
+/// Free bytes of a file system, for this user.
+pub fn free_space(path: &std::path::Path) -> Option<u64> {
+    let path = std::ffi::CString::new(path.as_os_str().as_encoded_bytes()).ok()?;
+    // SAFETY: a zeroed `statvfs` is valid, and the call writes within it.
+    let (code, stat) = unsafe {
+        let mut stat: libc::statvfs = std::mem::zeroed();
+        (libc::statvfs(path.as_ptr(), &raw mut stat), stat)
+    };
+    (code == 0).then(|| stat.f_bavail * stat.f_frsize)
 }
 
 /// What a trial sees of the outside.

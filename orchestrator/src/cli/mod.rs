@@ -15,6 +15,7 @@ mod run;
 mod schema;
 mod status;
 mod trial;
+mod watch;
 
 use std::path::{Path, PathBuf};
 
@@ -46,6 +47,7 @@ enum Command {
     Expand(expand::Args),
     Trial(trial::Args),
     Status(status::Args),
+    Watch(watch::Args),
     Query(query::Args),
     Analyse(analyse::Args),
     Report(report::Args),
@@ -74,6 +76,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Expand(args) => expand::execute(&args),
         Command::Trial(args) => trial::execute(&args),
         Command::Status(args) => block_on(status::execute(args)),
+        Command::Watch(args) => block_on(watch::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
         Command::Project(args) => project::execute(&args),

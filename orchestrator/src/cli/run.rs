@@ -52,7 +52,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Outcome::Complete
     } else {
         log::start(&log::path(&db))?;
-        let options = options(&plan.spec.run, &args);
+        let options = options(&plan.spec.run, &args, &open);
         let mut live = Live::new(open.len(), plan.trials.len() - open.len(), options.settings.workers);
         let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
         engine::run(store, &open, &work, &options, &mut live).await?.outcome
@@ -67,22 +67,26 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// The command line goes before the spec, the spec before what the machine suggests.
-fn options(run: &Run, args: &Args) -> Options {
+fn options(run: &Run, args: &Args, trials: &[&Trial]) -> Options {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = args.threads.map(usize::from).or(run.threads).unwrap_or(1).max(1);
     let workers = args.workers.map(usize::from).or(run.workers).unwrap_or((cores / threads).max(1));
+    // Signs of life come with each outer step: wait for longer than any step of the costliest trial takes.
+    let costliest = trials.iter().map(|trial| trial.cost).filter(|cost| cost.is_finite()).fold(0.0, f64::max);
+    let patience = run.no_progress.unwrap_or(600.0 + costliest);
     let millis = |seconds: f64| (1000.0 * seconds) as u64;
     Options {
         settings: Settings {
             workers: workers.clamp(1, 1024) as u32,
             retries: run.retries.unwrap_or(5),
             backoff: millis(run.backoff.unwrap_or(0.5)),
-            no_progress: millis(run.no_progress.unwrap_or(600.0)),
+            no_progress: millis(patience),
             time_limit: run.time_limit.map(millis),
         },
         threads: threads as u32,
         niceness: run.niceness.unwrap_or(0).into(),
         memory_mib: run.memory,
+        keep_arrays: true,
         program: PathBuf::from("/proc/self/exe"),
     }
 }

@@ -42,7 +42,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// The database written last.
-fn newest(folder: &Path) -> Option<PathBuf> {
+pub(super) fn newest(folder: &Path) -> Option<PathBuf> {
     let written =
         |path: &PathBuf| path.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
     let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());

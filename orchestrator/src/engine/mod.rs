@@ -44,6 +44,8 @@ pub struct Options {
     pub niceness: i32,
     /// Limit of a worker's memory (MiB).
     pub memory_mib: Option<u64>,
+    /// Record the arrays of results; otherwise they are read and let go, which measures their way here alone.
+    pub keep_arrays: bool,
     /// The program whose hidden subcommand is the worker.
     pub program: PathBuf,
 }
@@ -247,7 +249,10 @@ impl Engine<'_> {
             }
             Action::Assign(worker, lease) => {
                 self.record(Write::Begin(lease)).await;
-                self.view.assigned(lease.trial);
+                self.view.assigned(
+                    lease.trial,
+                    self.checkpoints.contains_key(&lease.trial) || self.priors[lease.trial as usize].begun,
+                );
                 let known =
                     self.checkpoints.get(&lease.trial).map(|checkpoint| Checkpoint::clone(checkpoint));
                 if known.is_none() && self.priors[lease.trial as usize].begun {
@@ -428,7 +433,12 @@ impl Engine<'_> {
                     shape: shape.into_iter().map(|n| n as usize).collect(),
                     values,
                 };
-                let arrays = heads.into_iter().zip(arrays).map(named).collect();
+                let mut arrays: Vec<NamedArray> = heads.into_iter().zip(arrays).map(named).collect();
+                if !self.options.keep_arrays {
+                    let sum: f64 = arrays.iter().flat_map(|array| array.values.payload()).sum();
+                    std::hint::black_box(sum);
+                    arrays.clear();
+                }
                 Event::Finished(worker, lease, Record::Result(result, arrays))
             }
             ToOrchestrator::Failed { lease, trouble, detail } => {

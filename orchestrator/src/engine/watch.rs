@@ -93,8 +93,9 @@ impl View {
         (rate > 0.0 && rate.is_finite()).then(|| Duration::try_from_secs_f64(left / rate).ok())?
     }
 
-    pub(super) fn assigned(&mut self, trial: u32) {
-        self.fractions.insert(trial, (None, 0.0));
+    /// What a trial that goes on from a checkpoint has behind it was not done in this attempt.
+    pub(super) fn assigned(&mut self, trial: u32, begun: bool) {
+        self.fractions.insert(trial, ((!begun).then_some(0.0), 0.0));
     }
 
     pub(super) fn progressed(&mut self, trial: u32, fraction: f64) {

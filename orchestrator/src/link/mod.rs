@@ -7,6 +7,7 @@ mod runtime;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use metasense_schemas::wire::{
     self, Array, ArrayReceiver, BeatReceiver, End, LinkError, MessageReceiver, MessageSender, Progress,
@@ -17,6 +18,9 @@ use tokio::sync::mpsc::Sender;
 pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY, SPACE_PER_WORKER, remove_stale};
 
 use crate::scheduler::WorkerId;
+
+/// Longest wait for the writer to let an array go.
+const HOLD_MAX: Duration = Duration::from_secs(60);
 
 /// What comes from a worker's link.
 #[derive(Debug)]
@@ -153,7 +157,7 @@ impl Receivers {
                 if let ToOrchestrator::Finished { arrays, .. } = &message { arrays.len() } else { 0 };
             let mut arrays = Vec::with_capacity(expected);
             while arrays.len() < expected
-                && let Some(array) = self.arrays.receive().map_err(LinkError::of("receiving an array"))?
+                && let Some(array) = wire::receive_array(&self.arrays, HOLD_MAX)?
             {
                 arrays.push(array);
             }

@@ -14,10 +14,11 @@ use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+pub use metasense_schemas::wire::SHARED_MEMORY;
+use metasense_worker::process::free_space;
+
 use crate::scheduler::WorkerId;
 
-/// Where POSIX shared memory lives.
-pub const SHARED_MEMORY: &str = "/dev/shm";
 /// What every name of ours begins with.
 const STEM: &str = "metasense-";
 /// A directory without a lock in it may be a run that begins right now; after this long it is not.
@@ -175,13 +176,38 @@ fn abandoned(directory: &Path) -> Option<File> {
     }
 }
 
-/// Free bytes of a file system, for this user.
-fn free_space(path: &Path) -> Option<u64> {
-    let path = std::ffi::CString::new(path.as_os_str().as_encoded_bytes()).ok()?;
-    // SAFETY: a zeroed `statvfs` is valid, and the call writes within it.
-    let (code, stat) = unsafe {
-        let mut stat: libc::statvfs = std::mem::zeroed();
-        (libc::statvfs(path.as_ptr(), &raw mut stat), stat)
-    };
-    (code == 0).then(|| stat.f_bavail * stat.f_frsize)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Writing to a full shared memory kills the writer: it is refused before, with what to do.
+    #[test]
+    fn too_little_shared_memory_is_an_error_before_anything_starts() {
+        let error = Runtime::new(u32::MAX).unwrap_err();
+        assert!(matches!(error, RuntimeError::Full { workers: u32::MAX, .. }), "{error}");
+        assert!(error.to_string().contains("take fewer workers"), "{error}");
+    }
+
+    /// A run's directory, and what carries its name, go with it; another run's stay.
+    #[test]
+    fn a_place_is_removed_as_a_whole_and_alone() {
+        let (first, second) = (Runtime::new(1).unwrap(), Runtime::new(1).unwrap());
+        assert_ne!(first.name, second.name);
+        let worker = WorkerId { slot: 3, generation: 12 };
+        let domains = [first.domain(worker), second.domain(worker)];
+        for domain in &domains {
+            std::fs::create_dir(&domain.root).unwrap();
+            File::create(format!("{SHARED_MEMORY}/{}x.data", domain.prefix)).unwrap();
+        }
+        drop(first);
+        let there = |domain: &Domain| {
+            (domain.root.exists(), Path::new(SHARED_MEMORY).join(format!("{}x.data", domain.prefix)).exists())
+        };
+        assert_eq!(domains.each_ref().map(there), [(false, false), (true, true)]);
+        assert!(
+            second.domain(worker).prefix.len() <= 49,
+            "longer than iceoryx2 takes: {:?}",
+            domains[1].prefix
+        );
+    }
 }

@@ -10,7 +10,7 @@ mod simulation;
 
 use std::collections::BTreeSet;
 
-use metasense_schemas::wire::{Lease, RESULTS};
+use metasense_schemas::wire::Lease;
 
 pub use reason::Reason;
 
@@ -136,6 +136,8 @@ pub const STARTING_MAX: Millis = 30_000;
 pub const ENDING_MAX: Millis = 3_000;
 /// Processes of a slot that may fail to come up in a row before the slot is given up.
 pub const MISFIRES_MAX: u32 = 4;
+/// Results of a worker that may wait for the disk before it gets a further trial.
+pub const RESULTS_MAX: usize = 64;
 /// Records that may wait for the disk before no further trial is handed out.
 pub const UNRECORDED_MAX: usize = 256;
 
@@ -479,7 +481,8 @@ impl State {
         }
         let now = self.now;
         for (slot, number) in self.slots.iter_mut().zip(0..) {
-            if slot.work != Work::Idle || slot.unrecorded >= RESULTS || self.unrecorded >= UNRECORDED_MAX {
+            if slot.work != Work::Idle || slot.unrecorded >= RESULTS_MAX || self.unrecorded >= UNRECORDED_MAX
+            {
                 continue;
             }
             let Some((_, number_of_trial)) = self.ready.pop_first() else { return };

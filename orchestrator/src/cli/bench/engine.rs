@@ -35,6 +35,9 @@ pub struct Args {
     /// Length of an array that comes with each result (float64).
     #[arg(long, default_value_t = 0)]
     array: u64,
+    /// Read the arrays and let them go instead of recording them: the rate of shared memory alone.
+    #[arg(long)]
+    drop_arrays: bool,
     /// Keep the database, and go on with it if there is one.
     #[arg(long, value_name = "FILE")]
     db: Option<PathBuf>,
@@ -106,6 +109,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         threads: 1,
         niceness: 0,
         memory_mib: None,
+        keep_arrays: !args.drop_arrays,
         program: PathBuf::from("/proc/self/exe"),
     };
     let (cpu, began) = (cpu_seconds(), Instant::now());
@@ -117,6 +121,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         "steps": args.steps,
         "step_ms": args.step_ms,
         "array_bytes": args.array * 8,
+        "arrays_recorded": !args.drop_arrays,
         "trials": summary.done,
         "failed": summary.failed,
         "stale": summary.stale,
