@@ -355,10 +355,10 @@ pub enum GradientTerms {
 pub struct Optimise {
     /// How body and brain are trained together. By default `"joint"`, which gains most in its time.
     pub protocol: Protocol,
-    /// Outer steps. By default 150, for `"paper"` 100.
+    /// Outer steps. By default 200, for the other protocols 100.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Adam's rate on α (mm). By default 0.3, for the other protocols 0.1.
+    /// Adam's rate on α (mm). By default 0.2, for the other protocols 0.1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
     /// Terms of the gradient; for `protocol = "paper"` alone. By default `"implicit"`.
@@ -385,7 +385,7 @@ impl Optimise {
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
             Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
-            Protocol::Joint => (150, 0.3),
+            Protocol::Joint => (200, 0.2),
         };
         self.iterations.get_or_insert(iterations);
         self.learning_rate.get_or_insert(learning_rate);

@@ -6,6 +6,7 @@
 use metasense_numerics::body::Layout;
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time, TrialSpec};
+use metasense_worker::course::cpu_seconds;
 use metasense_worker::run::{Control, Observe, run_trial};
 use serde_json::{Value, json};
 
@@ -113,12 +114,4 @@ impl Observe for Printer {
         }
         Control::Continue
     }
-}
-
-/// CPU time of this process.
-fn cpu_seconds() -> f64 {
-    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: writes one timespec.
-    unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &mut time) };
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }

@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod convert;
+pub mod course;
 pub mod design;
 pub mod noop;
 pub mod problem;

@@ -89,5 +89,20 @@ pub fn optimise(
     Ok(Some(Optimised { initial, optimised, best_step, counters, seconds }))
 }
 
+/// The comparison at the end for any designs: fresh networks of the same initial weights on each.
+///
+/// # Errors
+/// If the initial body, which fixes the scales, cannot be simulated.
+pub fn evaluate_designs(
+    problem: &Problem,
+    designs: &[Vec<f64>],
+    pool: &rayon::ThreadPool,
+    observer: &mut dyn Observe,
+) -> Result<Vec<BodyEvaluation>, Failure> {
+    let setting = Setting::new(problem, pool)?;
+    let mut log = Log::new(0, observer);
+    Ok(designs.iter().map(|design| evaluate(&setting, design, 0, &mut log)).collect())
+}
+
 #[cfg(test)]
 mod tests;

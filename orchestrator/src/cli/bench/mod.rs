@@ -3,6 +3,7 @@
 mod brain;
 mod engine;
 mod projection;
+mod protocols;
 
 use clap::Subcommand;
 
@@ -21,6 +22,7 @@ enum What {
     Brain(brain::Args),
     Engine(engine::Args),
     Projection(projection::Args),
+    Protocols(protocols::Args),
 }
 
 pub async fn execute(args: Args) -> Result<Exit, Error> {
@@ -28,5 +30,6 @@ pub async fn execute(args: Args) -> Result<Exit, Error> {
         What::Brain(args) => brain::execute(&args),
         What::Engine(args) => engine::execute(args).await,
         What::Projection(args) => projection::execute(&args),
+        What::Protocols(args) => protocols::execute(&args),
     }
 }

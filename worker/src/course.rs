@@ -1,0 +1,103 @@
+//! The course of a trial: what its body is worth after so many CPU seconds. Decides between protocols.
+
+use metasense_numerics::nested;
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord};
+use metasense_schemas::spec::TrialSpec;
+
+use crate::convert;
+use crate::problem::problem;
+use crate::run::{Control, Failure, Observe, run_trial};
+
+/// A body that a trial had reached.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Milestone {
+    /// CPU seconds of this process since the trial began.
+    pub seconds: f64,
+    /// Outer steps done.
+    pub step: u32,
+    /// Samples drawn beside the N.
+    pub fresh_samples: u64,
+    /// α of the best body so far by the test set, or of the present one where none has been tested (mm).
+    pub design: Vec<f64>,
+}
+
+/// Runs a trial's outer steps on `threads` threads until it is done or has used the last of `seconds`, which ascend;
+/// keeps the body at the first step after each of them and at the end.
+///
+/// # Errors
+/// As `run_trial`.
+pub fn course(trial: &TrialSpec, seconds: &[f64], threads: usize) -> Result<Vec<Milestone>, Failure> {
+    let steps = trial.optimise.steps() as u32;
+    let mut keeper =
+        Keeper { start: cpu_seconds(), due: seconds, steps, fresh_samples: 0, milestones: Vec::new() };
+    match run_trial(trial, None, threads, &mut keeper) {
+        Ok(_) | Err(Failure::Stopped) => Ok(keeper.milestones),
+        Err(failure) => Err(failure),
+    }
+}
+
+/// Fresh networks on each design, all of the same initial weights: the comparison at the end of a trial.
+///
+/// # Errors
+/// As `run_trial`.
+pub fn evaluate(
+    trial: &TrialSpec,
+    designs: &[Vec<f64>],
+    threads: usize,
+) -> Result<Vec<BodyEvaluation>, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.max(1))
+        .build()
+        .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))?;
+    let bodies = nested::evaluate_designs(&problem, designs, &pool, &mut Alone)
+        .map_err(|failure| Failure::NonFinite(failure.to_string()))?;
+    Ok(bodies.into_iter().map(convert::body_evaluation).collect())
+}
+
+struct Keeper<'a> {
+    start: f64,
+    due: &'a [f64],
+    steps: u32,
+    fresh_samples: u64,
+    milestones: Vec<Milestone>,
+}
+
+impl Observe for Keeper<'_> {
+    fn progress(&mut self, _: f64) {}
+
+    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
+        let seconds = cpu_seconds() - self.start;
+        self.fresh_samples += record.fresh_samples;
+        let passed = self.due.iter().filter(|&&due| due <= seconds).count();
+        let ended = passed == self.due.len() || checkpoint.step == self.steps;
+        if passed > 0 || ended {
+            let design = checkpoint.best.map_or(checkpoint.design, |best| best.0);
+            let fresh_samples = self.fresh_samples;
+            self.milestones.push(Milestone { seconds, step: checkpoint.step, fresh_samples, design });
+            self.due = &self.due[passed..];
+        }
+        if ended { Control::Stop } else { Control::Continue }
+    }
+}
+
+/// Nobody watches, and time does not count.
+struct Alone;
+
+impl nested::Observe for Alone {
+    fn seconds(&mut self) -> f64 {
+        0.0
+    }
+    fn progress(&mut self, _: f64) {}
+    fn step(&mut self, _: &nested::Report, _: &nested::State) -> nested::Control {
+        nested::Control::Continue
+    }
+}
+
+/// CPU time of this process (s).
+pub fn cpu_seconds() -> f64 {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: writes one timespec.
+    unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &mut time) };
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
