@@ -115,8 +115,9 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         distinct(lists, "sensors.placements", source)?;
     }
     let others = sweep.axes.values().map(Vec::len);
-    let lists = others.chain([sweep.panels.len(), sweep.sensors.len(), sweep.seeds.len(), sweep.placements]);
-    match lists.into_iter().try_fold(1usize, usize::checked_mul) {
+    let mut lists =
+        others.chain([sweep.panels.len(), sweep.sensors.len(), sweep.seeds.len(), sweep.placements]);
+    match lists.try_fold(1usize, usize::checked_mul) {
         Some(n) if n <= MOST_TRIALS => Ok(()),
         n => {
             let n = n.map_or("too many".to_owned(), |n| n.to_string());

@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+/// What is being done when nothing has been started yet.
+pub(super) const OPENING: &str = "opening";
+
 /// A failure of the store.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
@@ -98,10 +101,21 @@ impl StoreError {
         }
     }
 
+    /// Whatever SQLite refuses on opening counts as a bad choice of file.
+    pub(super) fn on_opening(self) -> Self {
+        match self {
+            Self::Sql { path, source, .. } => Self::Sql { path, doing: OPENING, source },
+            other => other,
+        }
+    }
+
     /// Whether what was asked for is at fault, rather than the disk.
     #[must_use]
     pub fn is_bad_input(&self) -> bool {
-        !matches!(self, Self::Sql { .. } | Self::Stale { .. } | Self::Unreadable { .. })
+        match self {
+            Self::Sql { doing, .. } => *doing == OPENING,
+            other => !matches!(other, Self::Stale { .. } | Self::Unreadable { .. }),
+        }
     }
 }
 

@@ -19,6 +19,7 @@ use metasense_schemas::database::{APPLICATION_ID, MIGRATIONS};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
+use error::OPENING;
 pub use error::StoreError;
 pub use npy::npy_bytes;
 pub use read::{Artifact, Reader, Table};
@@ -42,9 +43,12 @@ impl Store {
     /// # Errors
     /// Unwritable, not ours, of a newer version, or in use by another run.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        let path = path.as_ref().to_owned();
+        Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
+    }
+
+    async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
         let lock = lock(&path)?;
-        let at = |source| StoreError::sql(&path, "opening", source);
+        let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = SqliteConnectOptions::new()
             .filename(&path)
             .busy_timeout(Duration::from_secs(10))

@@ -13,7 +13,7 @@ use sqlx::{
     ValueRef,
 };
 
-use super::{Store, StoreError, check_version, lock};
+use super::{OPENING, Store, StoreError, check_version, lock};
 use metasense_schemas::database::MIGRATIONS;
 
 /// A read-only connection.
@@ -66,7 +66,10 @@ impl Reader {
     /// # Errors
     /// Missing, not ours, of a newer version.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        let path = path.as_ref().to_owned();
+        Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
+    }
+
+    async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
         if !path.is_file() {
             return Err(StoreError::Missing { path });
         }
@@ -225,7 +228,7 @@ async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
         .busy_timeout(Duration::from_secs(10))
         .pragma("query_only", "ON")
         .disable_statement_logging();
-    let at = |source| StoreError::sql(path, "opening", source);
+    let at = |source| StoreError::sql(path, OPENING, source);
     let mut connection = options.clone().connect().await.map_err(at)?;
     match connection.execute("SELECT count(*) FROM sqlite_schema").await {
         Ok(_) => Ok(connection),
