@@ -16,7 +16,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]",
         "[feasible]\nclearance = 30.0\n[sweep]",
-        "s.toml:2: body.initial_angle = 25: the initial body is not feasible: ",
+        "s.toml:2: body.initial_angle = 25: the initial body is not feasible",
     ),
     (
         "columns = 6",

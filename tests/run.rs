@@ -32,6 +32,7 @@ tolerance = 1e-4
 iterations = 10
 [optimise]
 iterations = 4
+batch = 4
 [sweep]
 panels = [2]
 sensors = [1, 2]
@@ -63,11 +64,15 @@ fn a_sweep_runs_once_and_only_what_is_new_is_added() {
     }
     let before = results(&bench, "results/tiny.sqlite");
 
-    let start = Instant::now();
-    let again = bench.metasense(&["run", "tiny.toml"]);
-    let took = start.elapsed();
-    let said = String::from_utf8_lossy(&again.stderr);
-    assert!(said.contains("nothing left to do") && said.contains("results/tiny.sqlite"), "{said}");
+    let recognised = || {
+        let start = Instant::now();
+        let again = bench.metasense(&["run", "tiny.toml"]);
+        let said = String::from_utf8_lossy(&again.stderr).into_owned();
+        assert!(said.contains("nothing left to do") && said.contains("results/tiny.sqlite"), "{said}");
+        start.elapsed()
+    };
+    // The least of some: the machine may have other things to do.
+    let took = (0..5).map(|_| recognised()).min().unwrap();
     assert!(took < Duration::from_millis(300), "recognised after {took:?}");
     assert_eq!(results(&bench, "results/tiny.sqlite"), before);
 

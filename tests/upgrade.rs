@@ -17,6 +17,13 @@ fn database(version: usize) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../tests/databases/v{version}.sqlite"))
 }
 
+/// The sweep in them, with what were the defaults of version 1: a default may change, what a trial is called may not.
+fn plan() -> Plan {
+    let then = "[optimise]\nprotocol = \"paper\"\niterations = 100\nlearning_rate = 0.1\n\
+                [solver]\nmethod = \"tsit5\"\ntolerance = 1e-6\n";
+    Plan::new("s.toml", format!("{SPEC}{then}")).unwrap()
+}
+
 fn checkpoint() -> Checkpoint {
     Checkpoint { step: 1, design: vec![0.5; 168], weights: vec![0.25; 8], ..Default::default() }
 }
@@ -41,7 +48,7 @@ fn result() -> TrialResult {
 async fn make_the_database_of_this_version() {
     let path = database(MIGRATIONS.len());
     assert!(!path.exists(), "{} is there already", path.display());
-    let plan = Plan::new("s.toml", SPEC.into()).unwrap();
+    let plan = plan();
     let mut store = Store::open(&path).await.unwrap();
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
     let (done, open) = (&plan.trials[0].hash, &plan.trials[1].hash);
@@ -60,7 +67,7 @@ async fn databases_of_all_versions_go_on() {
         let bench = Bench::new();
         let db = bench.path("old.sqlite");
         std::fs::copy(database(version), &db).unwrap();
-        let plan = Plan::new("s.toml", SPEC.into()).unwrap();
+        let plan = plan();
         let mut store = Store::open(&db).await.unwrap();
         store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
         // Equal hashes: what was done counts as done.
