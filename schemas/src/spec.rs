@@ -373,7 +373,7 @@ pub struct Optimise {
     /// Adam's rate of these iterations. By default 1e-3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_learning_rate: Option<f64>,
-    /// A cheaper integrator for the first three quarters of the outer steps; for `"envelope"` and `"joint"`. By default
+    /// A cheaper integrator for the first nine tenths of the outer steps; for `"envelope"` and `"joint"`. By default
     /// `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,

@@ -101,3 +101,39 @@ pub fn cpu_seconds() -> f64 {
     unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &mut time) };
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use metasense_schemas::spec::{Evaluation, Feasible, Sensors, Solver, Time};
+    use serde_json::json;
+
+    /// The first step is past the first mark, the end comes before the second: two bodies, the first the initial one.
+    #[test]
+    fn a_course_keeps_the_first_body_past_each_mark_and_the_last() {
+        let trial: TrialSpec = serde_json::from_value(json!({
+            "body": {
+                "columns": 4, "rows": 3, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
+                "stiffness": { "stretch": 3.0, "shear": 0.5, "bend": 1.0 },
+            },
+            "time": Time { duration: 0.1, samples: 20 },
+            "solver": Solver::default(),
+            "sensors": Sensors::default(),
+            "stimuli": { "kind": "bell", "samples": 6, "test": 2, "holdout": 2, "onset": [0.0, 0.02] },
+            "brain": { "iterations": 3 },
+            "optimise": { "protocol": "joint", "iterations": 3, "batch": 4 },
+            "evaluation": Evaluation::default(),
+            "feasible": Feasible::default(),
+            "point": { "panels": 2, "sensors": 1, "placement": 0, "seed": 1 },
+            "panel_units": [9, 10], "sensor_units": [5],
+        }))
+        .unwrap();
+        let milestones = course(&trial, &[0.0, 1e9], 1).unwrap();
+        let found: Vec<_> = milestones.iter().map(|m| (m.step, m.fresh_samples)).collect();
+        assert_eq!(found, [(1, 4), (3, 12)]);
+        let initial = problem(&trial).unwrap().initial;
+        assert_eq!(milestones[0].design, initial);
+        let bodies = evaluate(&trial, &[initial, milestones[1].design.clone()], 1).unwrap();
+        assert!(bodies.iter().all(|body| body.networks[0].error_holdout.is_some()), "{bodies:?}");
+    }
+}

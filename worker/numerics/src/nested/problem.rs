@@ -130,7 +130,7 @@ impl Schedule {
 const LOOK: u32 = 10;
 
 /// The part of the outer steps for which a coarse integrator serves.
-const COARSE: f64 = 0.75;
+const COARSE: f64 = 0.9;
 
 impl Optimise {
     /// Adam's rate on α at an outer step (mm): constant in the paper's protocol, else falling over the second half.
