@@ -77,6 +77,7 @@ impl Runtime {
     /// # Errors
     /// If there is no directory to be made, or too little space.
     pub fn new(workers: u32) -> Result<Self, RuntimeError> {
+        allow_many_files();
         let shared = PathBuf::from(SHARED_MEMORY);
         let removed = remove_stale(&shared);
         if removed > 0 {
@@ -173,6 +174,18 @@ fn abandoned(directory: &Path) -> Option<File> {
             (age > BIRTH).then(|| File::open(directory).ok())?
         }
         Err(_) => None,
+    }
+}
+
+/// A worker's domain takes some 45 file descriptors here: the soft limit, often 1024, would be met by 22 workers.
+fn allow_many_files() {
+    // SAFETY: a zeroed `rlimit` is valid, and the calls read and write it alone.
+    unsafe {
+        let mut limit: libc::rlimit = std::mem::zeroed();
+        if libc::getrlimit(libc::RLIMIT_NOFILE, &raw mut limit) == 0 {
+            limit.rlim_cur = limit.rlim_max;
+            libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit);
+        }
     }
 }
 
