@@ -103,7 +103,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         for k in 0..panels {
             let errors = [0, 1].map(|b| replays[b].errors[sample].map_or("–".into(), number));
             let title = match k {
-                0 => format!("sample {sample}: {} % → {} %; panel 0", errors[0], errors[1]),
+                0 => format!("sample {sample}: {} → {} %", errors[0], errors[1]),
                 _ => format!("panel {k}"),
             };
             let mut plot = Plot::new(
@@ -136,7 +136,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         caption: format!(
             "Force histories of four test samples of {}, at the 12th, 37th, 62nd and 87th percentile of the optimised \
              body's error, and what the first network of each body makes of its sensors' signals; one plot a panel. \
-             The errors in the titles are the sample's, over all panels.",
+             The titles give the sample's two errors, over all panels; its panel 0 comes first.",
             who(stored)
         ),
         legend: vec![("truth", "true force"), BODIES[0], BODIES[1]],
