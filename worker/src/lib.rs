@@ -9,3 +9,4 @@ pub mod problem;
 pub mod process;
 pub mod replay;
 pub mod run;
+pub mod verify;

@@ -174,7 +174,7 @@ fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {
     require(tolerance > 0.0 && tolerance <= 0.5, key, tolerance, "must lie in (0, 0.5]")
 }
 
-fn solver(solver: &spec::Solver) -> Solver {
+pub(crate) fn solver(solver: &spec::Solver) -> Solver {
     let method = match solver.method {
         spec::Method::Auto => Method::Auto,
         spec::Method::Tsit5 => Method::Tsit5,

@@ -15,6 +15,7 @@ mod run;
 mod schema;
 mod status;
 mod trial;
+mod verify;
 mod watch;
 
 use std::path::{Path, PathBuf};
@@ -62,6 +63,7 @@ enum Command {
         /// Where to connect to.
         start: String,
     },
+    Verify(verify::Args),
 }
 
 /// Carries a command out.
@@ -84,6 +86,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Schema(args) => schema::execute(&args),
         Command::Report(args) => block_on(report::execute(args)),
         Command::Export(args) => block_on(export::execute(args)),
+        Command::Verify(args) => verify::execute(&args),
     }
 }
 

@@ -1,0 +1,48 @@
+//! `verify`: the maths against reference cases, or against itself.
+
+use std::path::PathBuf;
+
+use metasense_worker::verify::{self, Row};
+use serde_json::{Value, json};
+
+use super::{Error, Format, print_rows};
+use crate::exit::Exit;
+use crate::store::Table;
+
+/// Checks the maths: one row a quantity with its error, tolerance and verdict; exit code 1 if any fails
+///
+/// Without --cases: energy balance, Taylor tests of the gradient, equal bits on any number of threads, and stiff and
+/// extreme scenes, each with its named outcome.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Compare with the reference cases in this folder instead: one folder a case, with case.json and .npy arrays
+    #[arg(long, value_name = "DIR")]
+    cases: Option<PathBuf>,
+    /// Threads; by default one a core
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(args.threads)
+        .build()
+        .map_err(|e| Error::Usage(format!("cannot start {} threads: {e}", args.threads)))?;
+    let rows = match &args.cases {
+        Some(folder) => verify::cases(folder, &pool).map_err(|e| Error::Usage(e.to_string()))?,
+        None => verify::built_in(&pool),
+    };
+    let columns = ["case", "quantity", "error", "tolerance", "pass", "note"].map(String::from).to_vec();
+    print_rows(&Table { columns, rows: rows.iter().map(values).collect() }, args.format)?;
+    let failed = rows.iter().filter(|row| !row.pass).count();
+    eprintln!("{} of {} quantities pass", rows.len() - failed, rows.len());
+    Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
+}
+
+fn values(row: &Row) -> Vec<Value> {
+    let Row { case, quantity, error, tolerance, pass, note } = row;
+    vec![json!(case), json!(quantity), json!(error), json!(tolerance), json!(pass), json!(note)]
+}

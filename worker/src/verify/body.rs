@@ -1,0 +1,159 @@
+//! Geometry, energies, trajectories, gradients and force histories against their cases.
+
+use super::case::{Case, CaseError};
+use super::{Row, relative};
+use metasense_numerics::body::Geometry;
+use metasense_numerics::dynamics::{
+    Forces, Method, Outcome, Scene, Simulation, Solver, energy, energy_design_gradient, energy_gradient,
+    pull_back, simulate,
+};
+
+/// Relative to the array's norm: what sums of a few hundred terms in f64 leave.
+const ROUNDING: f64 = 1e-12;
+
+/// What every agreement with trajectories is asked at.
+const TIGHT: Solver = Solver { method: Method::Tsit5, tolerance: 1e-11 };
+
+/// Initial design, vertices, centroids, arms, area, mass, moment, void angles, ligaments.
+pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
+    let scene = case.scene()?;
+    let layout = &scene.layout;
+    let g = Geometry::new(layout, &case.design(&scene)?, scene.density);
+    let flat = |v: &[[[f64; 2]; 4]]| v.as_flattened().as_flattened().to_vec();
+    let arrays = [
+        ("alpha_initial", layout.initial_design(case.number("scene.initial_angle")?)),
+        ("vertices", flat(&g.vertices)),
+        ("centroids", g.centroids.as_flattened().to_vec()),
+        ("r", flat(&g.arms)),
+        ("area", g.area.clone()),
+        ("mass", g.mass.clone()),
+        ("moment", g.moment.clone()),
+        ("void_angles", g.void_angles(layout).as_flattened().to_vec()),
+    ];
+    let mut rows = Vec::new();
+    for (name, ours) in arrays {
+        rows.push(Row::new(name, relative(&ours, &case.array(name)?), ROUNDING));
+    }
+    let mut different = case.list("ligaments")?.len().abs_diff(layout.ligaments.len());
+    for (i, ours) in layout.ligaments.iter().enumerate().take(case.list("ligaments")?.len()) {
+        let read = |key: &str| case.size(&format!("ligaments.{i}.{key}"));
+        let theirs = [read("a")?, read("node_a")?, read("b")?, read("node_b")?];
+        different += usize::from(theirs != [ours.a.unit, ours.a.node, ours.b.unit, ours.b.node]);
+    }
+    rows.push(Row::new("ligaments that differ", different as f64, 0.0));
+    Ok(rows)
+}
+
+/// Elastic and contact energy, and the derivatives of their sum in the state and in the design.
+pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
+    let scene = case.scene()?;
+    let design = case.design(&scene)?;
+    let (mut elastic, mut contact, mut dx, mut dalpha) = (vec![], vec![], vec![], vec![]);
+    for state in case.states("displacement", scene.layout.units())? {
+        let e = energy(&scene, &design, &state);
+        elastic.push(e.elastic);
+        contact.push(e.contact);
+        dx.extend(energy_gradient(&scene, &design, &state).into_flattened());
+        dalpha.extend(energy_design_gradient(&scene, &design, &state));
+    }
+    let arrays =
+        [("energy_elastic", elastic), ("energy_contact", contact), ("dU_dx", dx), ("dU_dalpha", dalpha)];
+    arrays
+        .into_iter()
+        .map(|(name, ours)| Ok(Row::new(name, relative(&ours, &case.array(name)?), ROUNDING)))
+        .collect()
+}
+
+fn outcomes(simulation: &Simulation) -> String {
+    let failed: Vec<&str> =
+        simulation.outcomes.iter().filter(|o| **o != Outcome::Ok).map(|o| o.name()).collect();
+    failed.join(" ")
+}
+
+/// Signals and final state at tight tolerance, energies at the instants, and the error at default settings.
+pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+    let scene = case.scene()?;
+    let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
+    let own = |key: &str| case.number(&format!("self_consistency.{key}"));
+    let signals = case.array("sensors")?;
+    let tolerance = |own: f64| (3.0 * own).max(1e-7);
+
+    let run = simulate(&scene, &design, &forces, &TIGHT, true, pool);
+    let mut rows = vec![
+        Row::new("sensors", relative(&run.signals, &signals), tolerance(own("sensors_relative_l2")?))
+            .noted(outcomes(&run)),
+    ];
+    let (ours, energies) = states(&scene, &design, &forces, &run);
+    let mut theirs = case.array("final_displacement")?;
+    theirs.extend(case.array("final_velocity")?);
+    rows.push(Row::new("final state", relative(&ours, &theirs), tolerance(own("final_state_relative_l2")?)));
+    rows.push(Row::shown("elastic energy", relative(&energies, &case.array("elastic_energy")?)));
+
+    let solver = crate::problem::solver(&metasense_schemas::spec::Solver::default());
+    let usual = simulate(&scene, &design, &forces, &solver, false, pool);
+    let steps = usual.counters.steps / forces.samples.max(1) as u64;
+    rows.push(
+        Row::shown("sensors at default settings", relative(&usual.signals, &signals))
+            .noted(format!("{steps} steps a sample {}", outcomes(&usual)).trim_end()),
+    );
+    Ok(rows)
+}
+
+/// Displacements, then velocities of all samples at the end; elastic energy (contact included) at every instant.
+fn states(scene: &Scene, design: &[f64], forces: &Forces, run: &Simulation) -> (Vec<f64>, Vec<f64>) {
+    let (mut displacements, mut velocities, mut energies) = (vec![], vec![], vec![]);
+    let Some(tape) = &run.tape else { return Default::default() };
+    for sample in (0..forces.samples).filter(|&i| run.outcomes[i] == Outcome::Ok) {
+        for n in 1..=scene.instants {
+            let (x, v) = tape.state(scene, sample, n);
+            let e = energy(scene, design, &x);
+            energies.push(e.elastic + e.contact);
+            if n == scene.instants {
+                displacements.extend(x.into_flattened());
+                velocities.extend(v.into_flattened());
+            }
+        }
+    }
+    displacements.extend(velocities);
+    (displacements, energies)
+}
+
+/// Gradient in α of ⟨cotangent, signals⟩ against automatic differentiation.
+pub fn adjoint(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+    let scene = case.scene()?;
+    let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
+    let solver = Solver { tolerance: 1e-10, ..TIGHT };
+    let run = simulate(&scene, &design, &forces, &solver, true, pool);
+    let cotangent = case.array_of("cotangent", run.signals.len())?;
+    let all: Vec<usize> = (0..forces.samples).collect();
+    let gradient = pull_back(&scene, &design, &forces, &solver, &run, &all, &cotangent, pool);
+    // The reference is a fifth-order run of 40 000 steps: its own error is the difference to 20 000, by 2⁵ − 1.
+    let own = case.number("gradient_20000_steps_relative_difference")? / 31.0;
+    Ok(vec![
+        Row::new("sensors", relative(&run.signals, &case.array("sensors")?), 1e-6).noted(outcomes(&run)),
+        Row::new("dα", relative(&gradient.design, &case.array("gradient")?), (3.0 * own).max(1e-6))
+            .noted(format!("the reference's own error {own:.0e}")),
+    ])
+}
+
+/// Bell pulses from their recorded parameters.
+pub fn stimuli(case: &Case) -> Result<Vec<Row>, CaseError> {
+    use metasense_numerics::stimuli::Pulse;
+    let scene = case.scene()?;
+    let read = |name: &str| case.array(name);
+    let (amplitude, width, onset, peak, power) =
+        (read("amplitude")?, read("width")?, read("onset")?, read("peak")?, read("power")?);
+    let expected = case.array_of("forces", amplitude.len() * (scene.instants + 1))?;
+    let mut found = vec![0.0; expected.len()];
+    for (i, history) in found.chunks_mut(scene.instants + 1).enumerate() {
+        let pulse = Pulse {
+            amplitude: amplitude[i],
+            width: width[i],
+            onset: onset[i],
+            peak: peak[i],
+            power: power[i],
+        };
+        pulse.history_into(scene.duration, history);
+    }
+    Ok(vec![Row::new("forces", relative(&found, &expected), ROUNDING)])
+}

@@ -1,0 +1,183 @@
+//! Checks that need no reference: balance of energy, Taylor test of the gradient, and what several settings must agree on.
+
+use super::{Row, relative};
+use metasense_numerics::body::Geometry;
+use metasense_numerics::body::Layout;
+use metasense_numerics::dynamics::{
+    Forces, Frame, Method, Panel, Plan, Scene, Simulation, Solver, Stiffness, damping, energy, pull_back,
+    run, simulate,
+};
+use metasense_numerics::random::{Purpose, Stream};
+use metasense_numerics::stimuli::{self, Bell};
+
+/// K = 2, M = 1 on 6 × 6 units: the reference scene of `MODEL.md`.
+pub(super) fn reference() -> Scene {
+    let layout = Layout::planar(6, 6, 15.0, 2.25);
+    Scene {
+        density: 1e-8,
+        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        damping_ratio: 0.02,
+        contact: None,
+        linearised: false,
+        clamped: layout.bottom(),
+        panels: [31, 34].map(|unit| Panel { unit, direction: [0.0, -1.0] }).to_vec(),
+        sensors: vec![21],
+        frame: Frame::World,
+        duration: 1.0,
+        instants: 200,
+        layout,
+    }
+}
+
+/// Bell pulses of the usual intervals, seed 1.
+pub(super) fn bells(scene: &Scene, samples: u64) -> Forces {
+    let bell = Bell {
+        amplitude: [0.15, 0.5],
+        width: [0.06, 0.25],
+        onset: [0.0, 0.5],
+        peak: [0.35, 0.65],
+        power: [1.5, 4.0],
+    };
+    let (duration, instants) = (scene.duration, scene.instants);
+    stimuli::bells(&bell, Purpose::Stimulus, 1, 0..samples, scene.panels.len(), duration, instants)
+}
+
+/// A small scene on a fine clock, so that integrals over the instants are exact to well below the tolerances.
+fn fine() -> (Scene, Vec<f64>, Forces) {
+    let mut scene = reference();
+    scene.layout = Layout::planar(3, 2, 15.0, 2.25);
+    scene.clamped = scene.layout.bottom();
+    scene.panels = vec![Panel { unit: 3, direction: [0.0, -1.0] }, Panel { unit: 5, direction: [0.6, -0.8] }];
+    scene.sensors = vec![4];
+    let design = scene.layout.initial_design(25f64.to_radians());
+    let forces = bells(&scene, 2);
+    (scene, design, forces)
+}
+
+/// All checks for `method`.
+pub fn rows(methods: &[(Method, f64)], pool: &rayon::ThreadPool) -> Vec<Row> {
+    let mut rows = orders(pool);
+    for &(method, tolerance) in methods {
+        let solver = Solver { method, tolerance };
+        rows.push(balance(solver, pool));
+        rows.push(taylor(solver, pool));
+        rows.push(threads(solver));
+    }
+    rows
+}
+
+/// Order of convergence of each scheme of equal steps, from n and 2n steps an interval against a far finer run; of Tsit5
+/// from the steps that two tolerances take.
+fn orders(pool: &rayon::ThreadPool) -> Vec<Row> {
+    let (mut scene, design, _) = fine();
+    (scene.duration, scene.instants) = (0.1, 20);
+    let push = |n: usize| 0.4 * (std::f64::consts::PI * n as f64 / 20.0).sin().powi(2);
+    let values = (0..2).flat_map(|_| (0..=20).map(push)).collect();
+    let forces = Forces { samples: 1, panels: 2, instants: 20, values };
+    let solve = |method, steps, tolerance| {
+        run(&scene, &design, &forces, &Plan { method, tolerance, steps, reason: String::new() }, false, pool)
+    };
+    let truth = solve(Method::Nystrom6, 120, 0.0).signals;
+    let mut rows: Vec<Row> =
+        [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 16)]
+            .into_iter()
+            .map(|(method, order, steps)| {
+                let [coarse, fine] =
+                    [steps, 2 * steps].map(|n| relative(&solve(method, n, 0.0).signals, &truth));
+                order_row(method, order, (coarse / fine).log2())
+            })
+            .collect();
+    let [coarse, fine] = [1e-8, 1e-11].map(|tolerance| solve(Method::Tsit5, 0, tolerance));
+    let ratio = |f: &dyn Fn(&Simulation) -> f64| (f(&coarse) / f(&fine)).ln();
+    let steps = -ratio(&|s| s.counters.steps as f64);
+    rows.push(order_row(Method::Tsit5, 5.0, ratio(&|s| relative(&s.signals, &truth)) / steps));
+    rows
+}
+
+fn order_row(method: Method, order: f64, seen: f64) -> Row {
+    Row::new(format!("order {order} of {}", method.name()), (seen - order).abs(), 0.8)
+        .noted(format!("{seen:.2}"))
+}
+
+/// Work in = energy + dissipated, over the greatest energy; integrals by Simpson's rule on the instants.
+fn balance(solver: Solver, pool: &rayon::ThreadPool) -> Row {
+    let (mut scene, design, _) = fine();
+    (scene.duration, scene.instants) = (0.25, 20_000);
+    // A smooth blow from 0 to 0.2 s on both panels: kinks between instants would cost Simpson's rule its order.
+    let blow = |n: usize| 0.4 * (std::f64::consts::PI * (n as f64 / 16_000.0).min(1.0)).sin().powi(4);
+    let values = (0..2).flat_map(|_| (0..=20_000).map(blow)).collect();
+    let forces = Forces { samples: 1, panels: 2, instants: 20_000, values };
+    let run = simulate(&scene, &design, &forces, &solver, true, pool);
+    let name = format!("energy balance, {}", solver.method.name());
+    let Some(tape) = run.tape else { return Row::new(name, f64::NAN, 0.0) };
+    let geometry = Geometry::new(&scene.layout, &design, scene.density);
+    let c = damping(&scene);
+    let dt = scene.duration / scene.instants as f64;
+    let (mut powers, mut last) = (vec![0.0], 0.0);
+    let mut greatest = 0.0f64;
+    for n in 1..=scene.instants {
+        let (x, v) = tape.state(&scene, 0, n);
+        let kinetic = |u: usize| {
+            let m = [geometry.mass[u], geometry.mass[u], geometry.moment[u]];
+            (0..3).map(|d| 0.5 * m[d] * v[u][d].powi(2)).sum::<f64>()
+        };
+        let lost: f64 = v.iter().flat_map(|v| (0..3).map(|d| c[d] * v[d] * v[d])).sum();
+        let gained: f64 = (scene.panels.iter().enumerate())
+            .map(|(k, p)| {
+                forces.values[k * 20_001 + n]
+                    * (p.direction[0] * v[p.unit][0] + p.direction[1] * v[p.unit][1])
+            })
+            .sum();
+        powers.push(gained - lost);
+        last = (0..scene.layout.units()).map(kinetic).sum::<f64>() + energy(&scene, &design, &x).elastic;
+        greatest = greatest.max(last);
+    }
+    let simpson = |n: usize| match n {
+        0 | 20_000 => 1.0,
+        n if n % 2 == 1 => 4.0,
+        _ => 2.0,
+    };
+    let work: f64 = powers.iter().enumerate().map(|(n, p)| simpson(n) * p).sum::<f64>() * dt / 3.0;
+    Row::new(name, (work - last).abs() / greatest, 1e-6)
+}
+
+/// |J(α + εδ) − J(α) − ε g·δ| must fall with slope 2; shown is how far the slope is from it.
+fn taylor(solver: Solver, pool: &rayon::ThreadPool) -> Row {
+    let (scene, design, forces) = fine();
+    let name = format!("Taylor test of dα, slope 2, {}", solver.method.name());
+    let mut stream = Stream::new(Purpose::Design, 5, [0, 0]);
+    let run = simulate(&scene, &design, &forces, &solver, true, pool);
+    let scale = run.signals.iter().map(|s| s * s).sum::<f64>().sqrt();
+    let cotangent: Vec<f64> = run.signals.iter().map(|_| stream.normal() / scale).collect();
+    let direction: Vec<f64> = design.iter().map(|_| 0.1 * stream.normal()).collect();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let gradient = pull_back(&scene, &design, &forces, &solver, &run, &[0, 1], &cotangent, pool);
+    let (value, slope) = (dot(&run.signals, &cotangent), dot(&gradient.design, &direction));
+    let remainder = |epsilon: f64| {
+        let moved: Vec<f64> = design.iter().zip(&direction).map(|(a, d)| a + epsilon * d).collect();
+        let there = simulate(&scene, &moved, &forces, &solver, false, pool);
+        (dot(&there.signals, &cotangent) - value - epsilon * slope).abs()
+    };
+    let r = [0.04, 0.02, 0.01].map(remainder);
+    let slopes = [(r[0] / r[1]).log2(), (r[1] / r[2]).log2()];
+    let off = (slopes[0] - 2.0).abs().max((slopes[1] - 2.0).abs());
+    Row::new(name, if slope == 0.0 { f64::NAN } else { off }, 0.1)
+        .noted(format!("slopes {:.3} {:.3}", slopes[0], slopes[1]))
+}
+
+/// One thread and three give the same bits, and so does a sample alone.
+fn threads(solver: Solver) -> Row {
+    let scene = reference();
+    let design = scene.layout.initial_design(25f64.to_radians());
+    let forces = bells(&scene, 10);
+    let run = |forces: &Forces, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.map(|pool| simulate(&scene, &design, forces, &solver, false, &pool).signals).unwrap_or_default()
+    };
+    let (one, three) = (run(&forces, 1), run(&forces, 3));
+    let alone = run(&stimuli::select(&forces, &[7]), 1);
+    let per_sample = one.len() / 10;
+    let same = one == three && alone == one[7 * per_sample..8 * per_sample];
+    let error = if same { 0.0 } else { relative(&three, &one).max(f64::MIN_POSITIVE) };
+    Row::new(format!("bits on 1 and 3 threads and of a sample alone, {}", solver.method.name()), error, 0.0)
+}

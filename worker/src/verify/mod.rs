@@ -1,0 +1,163 @@
+//! Checks of the maths against reference cases made by an independent program: one row a quantity.
+//!
+//! A case is a folder with `case.json` and `.npy` arrays (f64, C order; `tests/cases/` holds some). What can't be read,
+//! or is of a kind that is not known, is a failure.
+
+mod body;
+mod brain;
+mod case;
+mod checks;
+mod extreme;
+
+use case::{Case, CaseError};
+use metasense_numerics::dynamics::Method;
+use serde::Serialize;
+use std::path::Path;
+
+/// One quantity compared.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// The case, or the group of checks.
+    pub case: String,
+    /// What was compared.
+    pub quantity: String,
+    /// Relative distance, or whatever `quantity` says; absent where nothing came out.
+    pub error: Option<f64>,
+    /// The largest error that passes; absent where a figure is only shown.
+    pub tolerance: Option<f64>,
+    /// Within the tolerance.
+    pub pass: bool,
+    /// What else there is to say.
+    pub note: String,
+}
+
+impl Row {
+    /// A row that passes if `error` is at most `tolerance`; NaN fails.
+    pub(crate) fn new(quantity: impl Into<String>, error: f64, tolerance: f64) -> Self {
+        Self {
+            case: String::new(),
+            quantity: quantity.into(),
+            error: error.is_finite().then_some(error),
+            tolerance: Some(tolerance),
+            pass: error <= tolerance,
+            note: String::new(),
+        }
+    }
+
+    /// A figure that decides nothing, unless it is not a number.
+    pub(crate) fn shown(quantity: impl Into<String>, error: f64) -> Self {
+        Self { tolerance: None, pass: error.is_finite(), ..Self::new(quantity, error, f64::INFINITY) }
+    }
+
+    pub(crate) fn noted(self, note: impl Into<String>) -> Self {
+        Self { note: note.into(), ..self }
+    }
+}
+
+/// The cases below `folder`, in the order of their names; each as a row a quantity.
+///
+/// # Errors
+/// If the folder can't be listed or holds no folder.
+pub fn cases(folder: &Path, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+    let mut rows = Vec::new();
+    for folder in case::folders(folder)? {
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let compared = Case::open(&folder).and_then(|case| compare(&case, pool)).unwrap_or_else(|e| {
+            vec![Row { error: None, pass: false, ..Row::new("case", f64::NAN, 0.0).noted(e.to_string()) }]
+        });
+        rows.extend(compared.into_iter().map(|row| Row { case: name.clone(), ..row }));
+    }
+    Ok(rows)
+}
+
+/// Energy balance, Taylor tests and equal bits of every integrator, then stiff and extreme scenes at default settings.
+pub fn built_in(pool: &rayon::ThreadPool) -> Vec<Row> {
+    let named = |case: &str, rows: Vec<Row>| {
+        let name = case.to_string();
+        rows.into_iter().map(move |row| Row { case: name.clone(), ..row }).collect::<Vec<_>>()
+    };
+    let usual = crate::problem::solver(&metasense_schemas::spec::Solver::default());
+    let methods = [(Method::Tsit5, 1e-11), (Method::Nystrom4, 1e-6), (Method::Nystrom6, 1e-7)];
+    let mut rows = named("numerics", checks::rows(&methods, pool));
+    rows.extend(named("extreme", extreme::rows(usual, pool)));
+    rows
+}
+
+fn compare(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+    match case.text("kind")? {
+        "geometry" => body::geometry(case),
+        "energy" => body::energies(case),
+        "trajectory" => body::trajectory(case, pool),
+        "adjoint" => body::adjoint(case, pool),
+        "stimuli" => body::stimuli(case),
+        "cnn" => brain::network(case, pool),
+        "implicit" => brain::implicit(case, pool),
+        "metric" => brain::metric(case),
+        kind => Err(CaseError::Kind { file: case.file(), kind: kind.to_string() }),
+    }
+}
+
+/// ‖a − b‖/‖b‖, or ‖a‖ where b is zero; infinite where lengths differ.
+fn relative(a: &[f64], b: &[f64]) -> f64 {
+    if a.len() != b.len() {
+        return f64::INFINITY;
+    }
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
+    let scale = norm(&mut b.iter().copied());
+    norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / if scale > 0.0 { scale } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pool() -> rayon::ThreadPool {
+        rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads")
+    }
+
+    /// Every committed case, every quantity.
+    #[test]
+    fn the_committed_cases_hold() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cases");
+        let rows = cases(Path::new(folder), &pool()).expect("cases");
+        let kinds: std::collections::BTreeSet<&str> =
+            rows.iter().filter_map(|r| r.case.split('_').next()).collect();
+        assert_eq!(kinds.len(), 8, "{kinds:?}");
+        let failed: Vec<&Row> = rows.iter().filter(|row| !row.pass).collect();
+        assert!(failed.is_empty(), "{failed:#?}");
+    }
+
+    /// A folder without a case, broken JSON, an unknown kind, a missing array, an array cut short, a wrong number: each
+    /// is a row that fails, and the rest goes on.
+    #[test]
+    fn what_cannot_be_read_or_does_not_agree_fails() {
+        let folder = tempfile::tempdir().expect("folder");
+        let metric = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cases/metric_p"));
+        let make = |name: &str, spoil: &dyn Fn(&Path)| {
+            let to = folder.path().join(name);
+            std::fs::create_dir(&to).expect("folder");
+            for file in std::fs::read_dir(metric).expect("case").map(|f| f.expect("file").path()) {
+                std::fs::copy(&file, to.join(file.file_name().expect("name"))).expect("copy");
+            }
+            spoil(&to);
+        };
+        let write = |to: &Path, bytes: &[u8]| std::fs::write(to, bytes).expect("write");
+        make("a_good", &|_| ());
+        make("b_no_json", &|to| std::fs::remove_file(to.join("case.json")).expect("remove"));
+        make("c_broken", &|to| write(&to.join("case.json"), b"{"));
+        make("d_unknown", &|to| write(&to.join("case.json"), br#"{"kind": "weather"}"#));
+        make("e_missing", &|to| std::fs::remove_file(to.join("force.npy")).expect("remove"));
+        make("f_short", &|to| {
+            let bytes = std::fs::read(to.join("force.npy")).expect("read");
+            write(&to.join("force.npy"), &bytes[..bytes.len() - 8]);
+        });
+        make("g_wrong", &|to| {
+            std::fs::copy(to.join("force.npy"), to.join("predicted.npy")).expect("copy");
+        });
+        let rows = cases(folder.path(), &pool()).expect("cases");
+        let verdict = |name: &str| rows.iter().filter(|r| r.case.starts_with(name)).all(|r| r.pass);
+        assert!(verdict("a_"), "{rows:#?}");
+        assert!(["b_", "c_", "d_", "e_", "f_", "g_"].iter().all(|name| !verdict(name)), "{rows:#?}");
+        assert!(cases(&folder.path().join("nowhere"), &pool()).is_err());
+    }
+}
