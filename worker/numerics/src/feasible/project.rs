@@ -110,6 +110,12 @@ const REACH: f64 = 3.0;
 /// Length of the first step of a path (mm, largest coordinate).
 const STRIDE: f64 = 1.0;
 
+/// Edges that are tried the other way round, and how far their ends must be from their target together (mm).
+const TURNS: usize = 6;
+const FAR_EDGE: f64 = 3.0;
+/// Bodies of more units take the first answer: a second try costs too much.
+const LARGE: usize = 100;
+
 /// Where a projection wants to go, in its metric.
 struct Aim<'a> {
     target: &'a [f64],
@@ -180,6 +186,9 @@ impl Feasible {
                 }
             }
         }
+        if stage != Stage::Sequence {
+            best = best.map(|x| self.turn_edges(&aim, x));
+        }
         match best {
             Some(x) => self.done(x, &target, Status::Projected, stage),
             None => self.kept(previous, &target, Status::Kept, Stage::Repair),
@@ -218,6 +227,50 @@ impl Feasible {
             }
         }
         None
+    }
+
+    /// Looks for a nearer design on the other side of the shortest edges: where a far target turns an edge over, the
+    /// way round to the left and to the right end in different places. Turns the edges that are kept farthest from
+    /// their target by ±90° and goes on from there.
+    fn turn_edges(&mut self, aim: &Aim<'_>, mut best: Vec<f64>) -> Vec<f64> {
+        if self.layout.units() > LARGE {
+            return best;
+        }
+        let off =
+            |x: &[f64], g: usize| (x[2 * g] - aim.target[2 * g]).hypot(x[2 * g + 1] - aim.target[2 * g + 1]);
+        let mut edges: Vec<(f64, [usize; 2], [f64; 2])> = Vec::new();
+        let vertices = self.layout.vertices(&best);
+        for active in self.active(&best).iter().filter(|a| a.kind == Kind::Edge) {
+            let (unit, p) = (active.units[0], active.node);
+            let groups = [self.layout.groups[unit][p], self.layout.groups[unit][(p + 1) % 4]];
+            if groups.iter().any(|&g| self.fixed[g]) {
+                continue;
+            }
+            let (s, t) = (vertices[unit][p], vertices[unit][(p + 1) % 4]);
+            edges.push((groups.map(|g| off(&best, g)).iter().sum(), groups, [t[0] - s[0], t[1] - s[1]]));
+        }
+        edges.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        for (distance, [s, t], [x, y]) in edges.into_iter().take(TURNS) {
+            if distance < FAR_EDGE {
+                break;
+            }
+            for sense in [1.0, -1.0] {
+                // Half of what takes the edge to its normal, at either end.
+                let half = [0.5 * (x + sense * y), 0.5 * (y - sense * x)];
+                let mut start = best.clone();
+                for c in 0..2 {
+                    start[2 * s + c] += half[c];
+                    start[2 * t + c] -= half[c];
+                }
+                if let Some(x) = self.path(aim, start)
+                    && aim.cost(&x) < (1.0 - 1e-6) * aim.cost(&best)
+                {
+                    best = x;
+                    break;
+                }
+            }
+        }
+        best
     }
 
     /// A row holds, or nothing that may move can change it.
