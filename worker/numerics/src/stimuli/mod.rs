@@ -5,10 +5,13 @@
 //! ```
 //! Sampled on t_n = n·duration/T, n = 0…T; between its instants f is linear, and nothing else enters a simulation.
 
+mod recorded;
+
 use std::ops::Range;
 
 use crate::dynamics::Forces;
 use crate::random::{Purpose, Stream};
+pub use recorded::{anti_aliased, resample};
 
 /// Intervals, `[least, most]`, from which the parameters of a bell pulse are drawn uniformly.
 #[derive(Debug, Clone, Copy, PartialEq)]
