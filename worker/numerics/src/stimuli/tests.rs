@@ -27,7 +27,6 @@ fn a_pulse_peaks_where_it_says_and_is_zero_outside() {
 /// Histories of an independent program (numpy): four instants of each pulse, and the sum over all.
 #[test]
 fn pulses_agree_with_reference_histories() {
-    #[expect(clippy::excessive_precision, reason = "as printed by the other program")]
     let cases = [
         (
             [
