@@ -181,6 +181,7 @@ pub(crate) fn solver(solver: &spec::Solver) -> Solver {
         spec::Method::Leapfrog => Method::Leapfrog,
         spec::Method::Nystrom4 => Method::Nystrom4,
         spec::Method::Nystrom6 => Method::Nystrom6,
+        spec::Method::Implicit => Method::Implicit,
     };
     Solver { method, tolerance: solver.tolerance }
 }

@@ -1,6 +1,7 @@
 //! Entry points of each instruction set, and the division of samples among lanes and threads.
 
-use super::ligaments::{Shape, Turn, gradient};
+use super::implicit;
+use super::ligaments::{Shape, Turn, gradient, hessian};
 use super::model::{Model, ModelCotangent};
 use super::real::Dual;
 use super::splitting::{self, Scheme};
@@ -58,12 +59,49 @@ macro_rules! machine {
                 );
             }
 
+            $(#[target_feature(enable = $feature)])?
+            unsafe fn third<const LINEAR: bool, const CONTACT: bool>(
+                model: &Model,
+                x: &[Unit<$vector>],
+                turn: &mut [Turn<$vector>],
+                factor: f64,
+                place: &[Option<usize>],
+                stride: usize,
+                band: &mut [$vector],
+            ) {
+                let factor = <$vector>::splat(factor);
+                hessian::<$vector, LINEAR, CONTACT>(model, x, turn, |i, j, value| {
+                    if let (Some(i), Some(j)) = (place[i], place[j])
+                        && j <= i
+                    {
+                        let at = &mut band[i * stride + i - j];
+                        *at = factor.mul_add(value, *at);
+                    }
+                });
+            }
+
             fn kernels(scene: &Scene) -> Kernels<$vector> {
                 match (scene.linearised, scene.contact.is_some()) {
-                    (false, false) => Kernels { gradient: first::<false, false>, second: second::<false, false> },
-                    (false, true) => Kernels { gradient: first::<false, true>, second: second::<false, true> },
-                    (true, false) => Kernels { gradient: first::<true, false>, second: second::<true, false> },
-                    (true, true) => Kernels { gradient: first::<true, true>, second: second::<true, true> },
+                    (false, false) => Kernels {
+                        gradient: first::<false, false>,
+                        second: second::<false, false>,
+                        hessian: third::<false, false>,
+                    },
+                    (false, true) => Kernels {
+                        gradient: first::<false, true>,
+                        second: second::<false, true>,
+                        hessian: third::<false, true>,
+                    },
+                    (true, false) => Kernels {
+                        gradient: first::<true, false>,
+                        second: second::<true, false>,
+                        hessian: third::<true, false>,
+                    },
+                    (true, true) => Kernels {
+                        gradient: first::<true, true>,
+                        second: second::<true, true>,
+                        hessian: third::<true, true>,
+                    },
                 }
             }
 
@@ -76,6 +114,15 @@ macro_rules! machine {
                 parts: usize,
                 slots: &mut [Slot<'_>],
             ) -> Counters {
+                if plan.method == Method::Implicit {
+                    let mut system = System::<$vector>::new(scene, model, kernels(scene), true);
+                    let blocks = slots.chunks_mut(LANES);
+                    let work = blocks.map(|slots| implicit::forward(&mut system, plan.steps, forces, slots));
+                    return work.fold(Counters::default(), |mut sum, work| {
+                        sum += work;
+                        sum
+                    });
+                }
                 let Some(scheme) = scheme(plan.method) else {
                     let system = System::<$vector>::new(scene, model, kernels(scene), true);
                     return tsit5::forward(system, forces, plan.tolerance, slots);
@@ -100,6 +147,9 @@ macro_rules! machine {
                 let scheme = scheme(plan.method);
                 let mut system = System::<$vector>::new(scene, model, kernels(scene), scheme.is_none());
                 let counters = match scheme {
+                    None if plan.method == Method::Implicit => {
+                        implicit::reverse(&mut system, plan.steps, forces, sweeps)
+                    }
                     None => tsit5::reverse(&mut system, forces, sweeps),
                     Some(scheme) => splitting::reverse(&mut system, &scheme, plan.steps, parts, forces, sweeps),
                 };
@@ -134,7 +184,7 @@ pub fn scheme(method: Method) -> Option<Scheme> {
         Method::Leapfrog => Some(Scheme::leapfrog()),
         Method::Nystrom4 => Some(Scheme::fourth()),
         Method::Nystrom6 => Some(Scheme::sixth()),
-        Method::Auto | Method::Tsit5 => None,
+        Method::Auto | Method::Tsit5 | Method::Implicit => None,
     }
 }
 
@@ -177,7 +227,7 @@ pub fn simulate(
     }
     let mut total = integrate(&machine, scene, &model, forces, plan, parts, &mut slots, pool);
     // Equal steps that one sample's motion or contact is too quick for are halved for it alone, and again.
-    let adaptive = scheme(plan.method).is_none();
+    let adaptive = plan.method.stages().is_none();
     for refined in [2, 4, 8] {
         let mut failed: Vec<Slot<'_>> = Vec::new();
         for slot in &mut slots {

@@ -70,7 +70,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
     let n = model.units();
     let zero = Array::splat(0.0);
     let x: Vec<[Array; 3]> = displacement.iter().map(|d| d.map(Array::splat)).collect();
-    let (mut turn, mut g) = (vec![[zero; 6]; n], vec![[zero; 3]; n]);
+    let (mut turn, mut g) = (vec![[zero; 4]; n], vec![[zero; 3]; n]);
     let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; n], vec![[zero; 2]; model.bars.len()]);
     let shape = Shape { arms: &mut arms, voids: &mut voids };
     let mut margin = zero;

@@ -8,11 +8,11 @@
 //! its value at rest plus the units' relative rotation: continuous, hence on the branch of the rest state.
 
 use super::model::{Bar, Model};
-use super::real::{Real, angle, sin_cos};
+use super::real::{Dual, Real, angle, sin_cos};
 use super::vector::Vector;
 
-/// Scratch of one unit: sin and cos of θ/2, then sin θ and cos θ − 1 with their derivatives.
-pub type Turn<V> = [V; 6];
+/// Of one unit: sin and cos of θ/2, then sin θ and cos θ − 1.
+pub type Turn<V> = [V; 4];
 
 /// Where a kernel adds cotangents of the arms (node by node) and of the void angles at rest.
 pub struct Shape<'a, V> {
@@ -20,6 +20,18 @@ pub struct Shape<'a, V> {
     pub arms: &'a mut [[[V; 2]; 4]],
     /// One entry a ligament.
     pub voids: &'a mut [[V; 2]],
+}
+
+/// What a ligament does to the units at its ends.
+struct Pull<R> {
+    /// ∂U/∂(u, v, θ) of either unit.
+    ends: [[R; 3]; 2],
+    /// ∂U/∂(node of b), the negative of that of a.
+    force: [R; 2],
+    /// (sin θ, cos θ − 1) of either unit.
+    turns: [[R; 2]; 2],
+    /// ∂U/∂ψ.
+    voids: [R; 2],
 }
 
 /// Overwrites `g` by ∂U/∂s at `x` and, with duals, `h` by its derivative along `w`. Allocates nothing.
@@ -42,99 +54,154 @@ pub fn gradient<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool, 
     assert!(x.len() == units && turn.len() == units && g.len() == units, "one entry per unit");
     g.fill(zero);
     h.fill(zero);
-    for u in 0..units {
-        let theta = R::load(x, w, u)[2];
-        let (sh, ch) = sin_cos(V::splat(0.5) * theta.value());
-        let s = (sh + sh) * ch;
-        let c1 = -((sh + sh) * sh);
-        // d sin θ = cos θ dθ, d(cos θ − 1) = −sin θ dθ
-        let ds = R::from_parts(s, || Vector::mul_add(c1, theta.last(), theta.last()));
-        let dc = R::from_parts(c1, || -(s * theta.last()));
-        turn[u] = [sh, ch, s, c1, ds.last(), dc.last()];
-    }
-    let k = model.stiffness;
+    turns(x, turn);
     for (q, bar) in model.bars.iter().enumerate() {
-        let &Bar { a, b, node_a, node_b, arm_a, arm_b, e, length, voids } = bar;
+        let &Bar { a, b, node_a, node_b, .. } = bar;
         let (xa, xb) = (R::load(x, w, a), R::load(x, w, b));
-        let [sha, cha, sa, ca, dsa, dca] = turn[a];
-        let [shb, chb, sb, cb, dsb, dcb] = turn[b];
-        let (sa, ca) = (R::from_parts(sa, || dsa), R::from_parts(ca, || dca));
-        let (sb, cb) = (R::from_parts(sb, || dsb), R::from_parts(cb, || dcb));
-
-        // (R − I) r of both ends, and d − d₀ or d
-        let pa = [ca.scale(arm_a[0]) - sa.scale(arm_a[1]), sa.scale_add(arm_a[0], ca.scale(arm_a[1]))];
-        let pb = [cb.scale(arm_b[0]) - sb.scale(arm_b[1]), sb.scale_add(arm_b[0], cb.scale(arm_b[1]))];
-        let dux = (xb[0] + pb[0]) - (xa[0] + pa[0]);
-        let duy = (xb[1] + pb[1]) - (xa[1] + pa[1]);
-
-        let (gx, gy, shear);
-        if LINEAR {
-            let stretch = dux.scale(k.stretch * e[0]) + duy.scale(k.stretch * e[1]);
-            let slide = duy.scale(e[0]) - dux.scale(e[1]) - (xa[2] + xb[2]).scale(0.5 * length);
-            let slide = slide.scale(k.shear);
-            gx = stretch.scale(e[0]) - slide.scale(e[1]);
-            gy = stretch.scale(e[1]) + slide.scale(e[0]);
-            shear = slide.scale(0.5 * length);
-        } else {
-            let dx = dux + R::constant(length * e[0]);
-            let dy = duy + R::constant(length * e[1]);
-            let square = dx.mul_add(dx, dy * dy);
-            let inverse = square.rsqrt();
-            let inverse_square = inverse * inverse;
-            // The reference turned by the mean rotation, from the half angles
-            let cm = Vector::mul_sub_from(sha, shb, cha * chb);
-            let sm = Vector::mul_add(sha, chb, cha * shb);
-            let nx = Vector::mul_sub_from(sm, V::splat(e[1]), cm * V::splat(e[0]));
-            let ny = Vector::mul_add(cm, V::splat(e[1]), sm * V::splat(e[0]));
-            let (vx, vy) = (dx.value(), dy.value());
-            let along = Vector::mul_add(nx, vx, ny * vy);
-            let across = Vector::mul_sub_from(ny, vx, nx * vy);
-            let gamma = R::from_parts(angle(across, along, square.value() * inverse.value()), || {
-                let swing = Vector::mul_sub_from(vy, dx.last(), vx * dy.last()) * inverse_square.value();
-                swing - V::splat(0.5) * (xa[2].last() + xb[2].last())
-            });
-            let pull = inverse.scale_add(-k.stretch * length, R::constant(k.stretch));
-            let twist = gamma.scale(k.shear * length * length);
-            let side = twist * inverse_square;
-            gx = side.mul_sub_from(dy, pull * dx);
-            gy = side.mul_add(dx, pull * dy);
-            shear = twist.scale(0.5);
-        }
-
-        let mut bend = (xb[2] - xa[2]).scale(k.bend);
-        if CONTACT && let Some(contact) = model.contact {
-            // ψ₁ falls and ψ₂ rises with θ_b − θ_a
-            let relative = (xb[2] - xa[2]).value();
-            let psi = [V::splat(voids[0]) - relative, V::splat(voids[1]) + relative];
-            for (s, sign) in [(0, -1.0), (1, 1.0)] {
-                *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
-                if psi[s].any_less(V::splat(contact.cutoff_angle)) {
-                    let slope = contact_slope(contact, psi[s]);
-                    let moment =
-                        R::from_parts(slope.0, || slope.1 * (xb[2].last() - xa[2].last()) * V::splat(sign));
-                    bend = moment.scale_add(sign, bend);
-                    if SHAPE {
-                        shape.voids[q][s] = shape.voids[q][s] + moment.last();
-                    }
-                }
-            }
-        }
-
-        let (ga, gb) = ([gx, gy], [gx, gy]);
-        let lever_a =
-            (pa[0] + R::constant(arm_a[0])).mul_sub_from(ga[1], (pa[1] + R::constant(arm_a[1])) * ga[0]);
-        let lever_b =
-            (pb[0] + R::constant(arm_b[0])).mul_sub_from(gb[1], (pb[1] + R::constant(arm_b[1])) * gb[0]);
-        let none = R::constant(0.0);
-        R::scatter([none - gx, none - gy, lever_a - shear - bend], g, h, a);
-        R::scatter([gx, gy, bend - shear - lever_b], g, h, b);
+        let pull = pull::<V, R, LINEAR, CONTACT>(model, bar, xa, xb, turn[a], turn[b], margin);
+        R::scatter(pull.ends[0], g, h, a);
+        R::scatter(pull.ends[1], g, h, b);
         if SHAPE {
+            let [gx, gy] = pull.force;
+            let [[sa, ca], [sb, cb]] = pull.turns;
             // (R − I)ᵀ g at b, its negative at a
             let to = &mut shape.arms[b][node_b];
             *to = [to[0] + cb.mul_add(gx, sb * gy).last(), to[1] + sb.mul_sub_from(gx, cb * gy).last()];
             let to = &mut shape.arms[a][node_a];
             *to = [to[0] - ca.mul_add(gx, sa * gy).last(), to[1] - sa.mul_sub_from(gx, ca * gy).last()];
+            if CONTACT {
+                let to = &mut shape.voids[q];
+                *to = [to[0] + pull.voids[0].last(), to[1] + pull.voids[1].last()];
+            }
         }
+    }
+}
+
+/// Calls `entry(i, j, ∂²U/∂s_i∂s_j)` for the degrees of freedom (3·unit + d) of every ligament, to be summed.
+#[inline(always)]
+pub fn hessian<V: Vector, const LINEAR: bool, const CONTACT: bool>(
+    model: &Model,
+    x: &[[V; 3]],
+    turn: &mut [Turn<V>],
+    mut entry: impl FnMut(usize, usize, V),
+) {
+    turns(x, turn);
+    let (zero, one) = (V::splat(0.0), V::splat(1.0));
+    for bar in &model.bars {
+        for column in 0..6 {
+            let along = |end: usize, x: [V; 3]| -> [Dual<V>; 3] {
+                [0, 1, 2].map(|d| Dual::from_parts(x[d], || if 3 * end + d == column { one } else { zero }))
+            };
+            let (xa, xb) = (along(0, x[bar.a]), along(1, x[bar.b]));
+            let turns = (turn[bar.a], turn[bar.b]);
+            let pull =
+                pull::<V, Dual<V>, LINEAR, CONTACT>(model, bar, xa, xb, turns.0, turns.1, &mut { zero });
+            let j = 3 * [bar.a, bar.b][column / 3] + column % 3;
+            for (unit, end) in [bar.a, bar.b].into_iter().zip(pull.ends) {
+                for (d, value) in end.into_iter().enumerate() {
+                    entry(3 * unit + d, j, value.last());
+                }
+            }
+        }
+    }
+}
+
+/// sin and cos of the half angles first, as both the turned reference and the nodes need them.
+#[inline(always)]
+fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
+    for (turn, x) in turn.iter_mut().zip(x) {
+        let (sh, ch) = sin_cos(V::splat(0.5) * x[2]);
+        *turn = [sh, ch, (sh + sh) * ch, -((sh + sh) * sh)];
+    }
+}
+
+/// One ligament, with contact.
+#[inline(always)]
+fn pull<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool>(
+    model: &Model,
+    bar: &Bar,
+    xa: [R; 3],
+    xb: [R; 3],
+    turn_a: Turn<V>,
+    turn_b: Turn<V>,
+    margin: &mut V,
+) -> Pull<R> {
+    let k = model.stiffness;
+    let &Bar { arm_a, arm_b, e, length, voids, .. } = bar;
+    let [sha, cha, sa, ca] = turn_a;
+    let [shb, chb, sb, cb] = turn_b;
+    // d sin θ = cos θ dθ, d(cos θ − 1) = −sin θ dθ
+    let along = |s: V, c1: V, theta: R| {
+        let sin = R::from_parts(s, || Vector::mul_add(c1, theta.last(), theta.last()));
+        (sin, R::from_parts(c1, || -(s * theta.last())))
+    };
+    let ((sa, ca), (sb, cb)) = (along(sa, ca, xa[2]), along(sb, cb, xb[2]));
+
+    // (R − I) r of both ends, and d − d₀
+    let pa = [ca.scale(arm_a[0]) - sa.scale(arm_a[1]), sa.scale_add(arm_a[0], ca.scale(arm_a[1]))];
+    let pb = [cb.scale(arm_b[0]) - sb.scale(arm_b[1]), sb.scale_add(arm_b[0], cb.scale(arm_b[1]))];
+    let dux = (xb[0] + pb[0]) - (xa[0] + pa[0]);
+    let duy = (xb[1] + pb[1]) - (xa[1] + pa[1]);
+
+    let (gx, gy, shear);
+    if LINEAR {
+        let stretch = dux.scale(k.stretch * e[0]) + duy.scale(k.stretch * e[1]);
+        let slide = duy.scale(e[0]) - dux.scale(e[1]) - (xa[2] + xb[2]).scale(0.5 * length);
+        let slide = slide.scale(k.shear);
+        gx = stretch.scale(e[0]) - slide.scale(e[1]);
+        gy = stretch.scale(e[1]) + slide.scale(e[0]);
+        shear = slide.scale(0.5 * length);
+    } else {
+        let dx = dux + R::constant(length * e[0]);
+        let dy = duy + R::constant(length * e[1]);
+        let square = dx.mul_add(dx, dy * dy);
+        let inverse = square.rsqrt();
+        let inverse_square = inverse * inverse;
+        // The reference turned by the mean rotation, from the half angles
+        let cm = Vector::mul_sub_from(sha, shb, cha * chb);
+        let sm = Vector::mul_add(sha, chb, cha * shb);
+        let nx = Vector::mul_sub_from(sm, V::splat(e[1]), cm * V::splat(e[0]));
+        let ny = Vector::mul_add(cm, V::splat(e[1]), sm * V::splat(e[0]));
+        let (vx, vy) = (dx.value(), dy.value());
+        let along = Vector::mul_add(nx, vx, ny * vy);
+        let across = Vector::mul_sub_from(ny, vx, nx * vy);
+        let gamma = R::from_parts(angle(across, along, square.value() * inverse.value()), || {
+            let swing = Vector::mul_sub_from(vy, dx.last(), vx * dy.last()) * inverse_square.value();
+            swing - V::splat(0.5) * (xa[2].last() + xb[2].last())
+        });
+        let stretch = inverse.scale_add(-k.stretch * length, R::constant(k.stretch));
+        let twist = gamma.scale(k.shear * length * length);
+        let side = twist * inverse_square;
+        gx = side.mul_sub_from(dy, stretch * dx);
+        gy = side.mul_add(dx, stretch * dy);
+        shear = twist.scale(0.5);
+    }
+
+    let mut bend = (xb[2] - xa[2]).scale(k.bend);
+    let mut moments = [R::constant(0.0); 2];
+    if CONTACT && let Some(contact) = model.contact {
+        // ψ₁ falls and ψ₂ rises with θ_b − θ_a
+        let relative = (xb[2] - xa[2]).value();
+        let psi = [V::splat(voids[0]) - relative, V::splat(voids[1]) + relative];
+        for (s, sign) in [(0, -1.0), (1, 1.0)] {
+            *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
+            if psi[s].any_less(V::splat(contact.cutoff_angle)) {
+                let slope = contact_slope(contact, psi[s]);
+                let turned = || slope.1 * (xb[2].last() - xa[2].last()) * V::splat(sign);
+                moments[s] = R::from_parts(slope.0, turned);
+                bend = moments[s].scale_add(sign, bend);
+            }
+        }
+    }
+
+    let lever_a = (pa[0] + R::constant(arm_a[0])).mul_sub_from(gy, (pa[1] + R::constant(arm_a[1])) * gx);
+    let lever_b = (pb[0] + R::constant(arm_b[0])).mul_sub_from(gy, (pb[1] + R::constant(arm_b[1])) * gx);
+    let none = R::constant(0.0);
+    Pull {
+        ends: [[none - gx, none - gy, lever_a - shear - bend], [gx, gy, bend - shear - lever_b]],
+        force: [gx, gy],
+        turns: [[sa, ca], [sb, cb]],
+        voids: moments,
     }
 }
 

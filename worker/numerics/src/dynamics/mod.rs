@@ -9,6 +9,7 @@
 mod choose;
 mod dispatch;
 mod energy;
+mod implicit;
 mod ligaments;
 mod model;
 mod real;
@@ -113,6 +114,8 @@ pub enum Method {
     Nystrom4,
     /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 6.
     Nystrom6,
+    /// Hairer and Wanner's SDIRK, equal steps, order 4, by Newton's method: stiff modes need not be followed.
+    Implicit,
 }
 
 /// What `choose` made of a solver for one scene, and why.
@@ -162,6 +165,8 @@ pub enum Outcome {
     NonFinite,
     /// Void angles below the least allowed could not be avoided.
     ForbiddenContact,
+    /// Newton's method did not find an implicit step.
+    NoConvergence,
 }
 
 impl Method {
@@ -173,12 +178,14 @@ impl Method {
             Self::Leapfrog => "leapfrog",
             Self::Nystrom4 => "nystrom4",
             Self::Nystrom6 => "nystrom6",
+            Self::Implicit => "implicit",
         }
     }
 
-    /// Forces a step of equal steps.
+    /// Forces, or Newton solves, a step of equal steps.
     pub fn stages(self) -> Option<usize> {
-        dispatch::scheme(self).map(|s| s.stages())
+        let implicit = (self == Self::Implicit).then_some(implicit::STAGES);
+        implicit.or_else(|| dispatch::scheme(self).map(|s| s.stages()))
     }
 }
 
@@ -191,6 +198,7 @@ impl Outcome {
             Self::StepTooSmall => "step_too_small",
             Self::NonFinite => "non_finite",
             Self::ForbiddenContact => "forbidden_contact",
+            Self::NoConvergence => "no_convergence",
         }
     }
 }

@@ -11,7 +11,7 @@
 //! The schemes run backwards too: the reverse sweep rebuilds states from the next checkpoint, with the forces that
 //! its dual evaluations yield on the way.
 
-use super::system::{System, Unit, load_lanes, read_lane, store_lane};
+use super::system::{Ramp, System, Unit, add_into, load_lanes, read_lane, store_lane};
 use super::tsit5::{Slot, Sweep};
 use super::vector::Vector;
 use super::{Counters, Forces, Frame, Outcome, Scene};
@@ -144,33 +144,6 @@ impl Ready {
     }
 }
 
-/// Forces of up to eight samples in one interval, at its beginning and their rise over it.
-struct Ramp<V> {
-    start: Vec<V>,
-    rise: Vec<V>,
-}
-
-impl<V: Vector> Ramp<V> {
-    #[inline(always)]
-    fn load(&mut self, forces: &Forces, histories: &[&[f64]], interval: usize) {
-        for k in 0..forces.panels {
-            let at = |n: usize| {
-                let value = |l: usize| histories.get(l).map_or(0.0, |h| h[k * (forces.instants + 1) + n]);
-                V::new(std::array::from_fn(value))
-            };
-            self.start[k] = at(interval);
-            self.rise[k] = at(interval + 1) - at(interval);
-        }
-    }
-
-    #[inline(always)]
-    fn at(&self, w: f64, force: &mut [V]) {
-        for ((f, s), r) in force.iter_mut().zip(&self.start).zip(&self.rise) {
-            *f = V::splat(w).mul_add(*r, *s);
-        }
-    }
-}
-
 #[inline(always)]
 fn kick<V: Vector>(v: &mut [Unit<V>], b: f64, g: &[Unit<V>]) {
     let b = V::splat(b);
@@ -199,7 +172,7 @@ pub fn forward<V: Vector>(
     let stages = scheme.stages();
     let (first, last) = (ready.kicks[0], ready.kicks[stages]);
     let zero = V::splat(0.0);
-    let mut ramp = Ramp { start: vec![zero; panels], rise: vec![zero; panels] };
+    let mut ramp = Ramp::new(panels);
     let mut force = vec![zero; panels];
     let histories: Vec<&[f64]> = slots.iter().map(|s| forces.sample(s.index)).collect();
     let (mut x, mut v, mut g) = (system.zeros(), system.zeros(), system.zeros());
@@ -302,7 +275,7 @@ pub fn reverse<V: Vector>(
     let stages = scheme.stages();
     let (first, last) = (ready.kicks[0], ready.kicks[stages]);
     let zero = V::splat(0.0);
-    let mut ramp = Ramp { start: vec![zero; panels], rise: vec![zero; panels] };
+    let mut ramp = Ramp::new(panels);
     let mut force = vec![zero; panels];
     let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
     let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
@@ -415,12 +388,5 @@ pub fn reverse<V: Vector>(
         force_evaluations: lanes * evaluations,
         steps: lanes * (instants * substeps) as u64,
         rejected: 0,
-    }
-}
-
-#[inline(always)]
-fn add_into<V: Vector>(to: &mut [Unit<V>], from: &[Unit<V>]) {
-    for (t, f) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
-        *t = *t + *f;
     }
 }

@@ -23,12 +23,17 @@ pub type Second<V> = unsafe fn(
     &mut [[V; 2]],
 );
 
+/// (model, x, scratch, factor, place, stride, band): adds factor·∂²U/∂s_i∂s_j, j ≤ i, at place i·stride + i − j.
+pub type Hessian<V> = unsafe fn(&Model, &[Unit<V>], &mut [Turn<V>], f64, &[Option<usize>], usize, &mut [V]);
+
 /// The kernels of one instruction set, for one kind of scene.
 pub struct Kernels<V> {
     /// Gradient of the energy.
     pub gradient: First<V>,
     /// Gradient and second derivatives along a direction.
     pub second: Second<V>,
+    /// All second derivatives.
+    pub hessian: Hessian<V>,
 }
 
 /// Cotangents of the model, in lanes, as negatives of the arms' and void angles'.
@@ -66,7 +71,7 @@ impl<'a, V: Vector> System<'a, V> {
             kernels,
             damping: if damped { model.damping } else { [0.0; 3] },
             inverse_mass: model.inverse_mass.clone(),
-            turn: vec![[zero; 6]; n],
+            turn: vec![[zero; 4]; n],
             h: vec![[zero; 3]; n],
             w: vec![[zero; 3]; n],
             cotangent: Cotangent {
@@ -96,6 +101,20 @@ impl<'a, V: Vector> System<'a, V> {
         // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
         unsafe { (self.kernels.gradient)(self.model, x, &mut self.turn, a, margin) };
         self.finish(v, force, a);
+    }
+
+    /// Adds factor·∂²U, lower half, to a band matrix.
+    #[inline(always)]
+    pub fn hessian(
+        &mut self,
+        x: &[Unit<V>],
+        factor: f64,
+        place: &[Option<usize>],
+        stride: usize,
+        band: &mut [V],
+    ) {
+        // SAFETY: as in `acceleration`.
+        unsafe { (self.kernels.hessian)(self.model, x, &mut self.turn, factor, place, stride, band) };
     }
 
     /// Turns a gradient of the energy into accelerations.
@@ -132,6 +151,35 @@ impl<'a, V: Vector> System<'a, V> {
                 w[d] = V::splat(inverse[d]) * bar[d];
             }
         }
+        self.pull_back_w(x, v, force, bar_x, bar_v, a);
+    }
+
+    /// As `acceleration_vjp`, of accelerations whose cotangent M w an integrator has found by a solve of its own.
+    #[inline(always)]
+    pub fn weighted_vjp(
+        &mut self,
+        x: &[Unit<V>],
+        v: &[Unit<V>],
+        force: &[V],
+        w: &[Unit<V>],
+        bar_x: &mut [Unit<V>],
+        bar_v: &mut [Unit<V>],
+        a: &mut [Unit<V>],
+    ) {
+        self.w.copy_from_slice(w);
+        self.pull_back_w(x, v, force, bar_x, bar_v, a);
+    }
+
+    #[inline(always)]
+    fn pull_back_w(
+        &mut self,
+        x: &[Unit<V>],
+        v: &[Unit<V>],
+        force: &[V],
+        bar_x: &mut [Unit<V>],
+        bar_v: &mut [Unit<V>],
+        a: &mut [Unit<V>],
+    ) {
         let Cotangent { arms, voids, .. } = &mut self.cotangent;
         // SAFETY: as in `acceleration`.
         unsafe { (self.kernels.second)(self.model, x, &self.w, &mut self.turn, a, &mut self.h, arms, voids) };
@@ -259,4 +307,47 @@ pub fn load_lanes<V: Vector>(
 pub fn force_at(forces: &Forces, history: &[f64], panel: usize, interval: usize, w: f64) -> f64 {
     let f = &history[panel * (forces.instants + 1) + interval..][..2];
     (1.0 - w) * f[0] + w * f[1]
+}
+
+/// Forces of up to eight samples in one interval, at its beginning and their rise over it.
+pub struct Ramp<V> {
+    start: Vec<V>,
+    rise: Vec<V>,
+}
+
+impl<V: Vector> Ramp<V> {
+    /// Of so many panels.
+    #[inline(always)]
+    pub fn new(panels: usize) -> Self {
+        Self { start: vec![V::splat(0.0); panels], rise: vec![V::splat(0.0); panels] }
+    }
+
+    /// Takes up an interval of the samples' histories.
+    #[inline(always)]
+    pub fn load(&mut self, forces: &Forces, histories: &[&[f64]], interval: usize) {
+        for k in 0..forces.panels {
+            let at = |n: usize| {
+                let value = |l: usize| histories.get(l).map_or(0.0, |h| h[k * (forces.instants + 1) + n]);
+                V::new(std::array::from_fn(value))
+            };
+            self.start[k] = at(interval);
+            self.rise[k] = at(interval + 1) - at(interval);
+        }
+    }
+
+    /// Overwrites `force` by the forces at the fraction w of the interval.
+    #[inline(always)]
+    pub fn at(&self, w: f64, force: &mut [V]) {
+        for ((f, s), r) in force.iter_mut().zip(&self.start).zip(&self.rise) {
+            *f = V::splat(w).mul_add(*r, *s);
+        }
+    }
+}
+
+/// Adds one array to another.
+#[inline(always)]
+pub fn add_into<V: Vector>(to: &mut [Unit<V>], from: &[Unit<V>]) {
+    for (t, f) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
+        *t = *t + *f;
+    }
 }

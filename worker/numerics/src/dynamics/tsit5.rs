@@ -7,7 +7,7 @@
 //! ```
 //! Lanes step on their own clocks and take up the next sample when one is done. Every instant is hit exactly.
 
-use super::system::{System, Unit, force_at, load_lanes, read_lane, store_lane};
+use super::system::{System, Unit, add_into, force_at, load_lanes, read_lane, store_lane};
 use super::vector::{LANES, Vector};
 use super::{Counters, Forces, Outcome, SampleTape};
 
@@ -507,13 +507,6 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
         }
     }
     counters
-}
-
-#[inline(always)]
-fn add_into<V: Vector>(to: &mut [Unit<V>], from: &[Unit<V>]) {
-    for (t, f) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
-        *t = *t + *f;
-    }
 }
 
 /// Transpose of the sensors' readings at a state: overwrites `to_x` and `to_v`.
