@@ -250,6 +250,8 @@ pub struct OneBody {
     pub layout: Layout,
     /// Its limits.
     pub limits: Limits,
+    /// Units that keep their shape.
+    pub kept: Vec<usize>,
     /// The design that it starts from; it may be infeasible.
     pub initial: Vec<f64>,
     /// Clamped units.
@@ -284,6 +286,7 @@ impl OneBody {
         let units = problem::panel_units(&body, &layout, panels).unwrap_or_default();
         let directions = problem::directions(&body, &units, &layout);
         Ok(Self {
+            kept: problem::kept(&first.feasible, &units, &clamped),
             limits,
             initial,
             clamped,

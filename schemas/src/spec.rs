@@ -472,6 +472,12 @@ pub struct Feasible {
     pub clearance: f64,
     /// Least distance where ligaments are involved (mm).
     pub ligament_clearance: f64,
+    /// Whether the units that are struck keep their initial shape.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub keep_panels: bool,
+    /// Whether the clamped units keep their initial shape.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub keep_clamped: bool,
 }
 
 impl Default for Feasible {
@@ -484,6 +490,8 @@ impl Default for Feasible {
             min_edge: 3.0,
             clearance: 1.0,
             ligament_clearance: 0.5,
+            keep_panels: false,
+            keep_clamped: false,
         }
     }
 }

@@ -65,6 +65,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let scene = scene(trial, layout)?;
     let steps = trial.optimise.steps();
     Ok(Problem {
+        kept: kept(&trial.feasible, &trial.panel_units, &scene.clamped),
         initial,
         solver: solver(&trial.solver),
         limits,
@@ -280,6 +281,12 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),
     })
+}
+
+/// Units that keep their initial shape.
+pub fn kept(feasible: &spec::Feasible, panels: &[usize], clamped: &[usize]) -> Vec<usize> {
+    let asked = [(feasible.keep_panels, panels), (feasible.keep_clamped, clamped)];
+    asked.into_iter().filter(|(keep, _)| *keep).flat_map(|(_, units)| units).copied().collect()
 }
 
 /// Refuses a starting design that cannot be cast, with all that it breaks.

@@ -42,7 +42,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         None => body.initial.clone(),
     };
     let weights = args.weights.as_ref().map(|file| design::read(file, &body.layout)).transpose()?;
-    let mut feasible = Feasible::new(&body.layout, body.limits, &[]);
+    let mut feasible = Feasible::new(&body.layout, body.limits, &body.kept);
     let found = feasible.project(&previous, &target, weights.as_deref());
     let broken = feasible.violations(&target);
     let mut summary = summary(&found, &previous, broken.len());

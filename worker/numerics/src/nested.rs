@@ -56,7 +56,7 @@ pub fn optimise(
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
     let setting = Setting::new(problem, pool)?;
-    let mut castable = Feasible::new(&problem.scene.layout, problem.limits, &[]);
+    let mut castable = Feasible::new(&problem.scene.layout, problem.limits, &problem.kept);
     let mut session = Session::new(&setting);
     let mut state = resume.unwrap_or_else(|| State::new(problem, &setting.shape));
 

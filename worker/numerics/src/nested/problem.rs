@@ -16,6 +16,8 @@ pub struct Problem {
     pub solver: Solver,
     /// Limits of a castable design.
     pub limits: Limits,
+    /// Units whose nodes stay where the initial design has them.
+    pub kept: Vec<usize>,
     /// Where the forces come from.
     pub stimuli: Stimuli,
     /// The brain, and its training where it starts fresh.

@@ -29,6 +29,7 @@ fn small(protocol: Protocol) -> Problem {
         },
         solver: Solver { method: Method::Tsit5, tolerance: 1e-4 },
         limits: Limits::default(),
+        kept: vec![],
         stimuli: Stimuli {
             bell: Bell {
                 amplitude: [0.15, 0.5],
@@ -154,6 +155,18 @@ fn bodies_are_compared_with_the_same_networks() {
     assert_eq!((losses[0].len(), losses[1].len()), (30, 30));
     assert_ne!(losses[0], losses[1]);
     assert_eq!(result.initial.zero_samples, [0; 3]);
+}
+
+/// The design of every step has the kept units' nodes where the initial one has them, and moves others.
+#[test]
+fn kept_units_keep_their_shape() {
+    let problem = Problem { kept: vec![9, 10], ..small(Protocol::Paper(Terms::Direct)) };
+    let mut keeper = Keeper::default();
+    optimise(&problem, None, &pool(1), &mut keeper).unwrap().unwrap();
+    let layout = &problem.scene.layout;
+    let (before, after) = (layout.vertices(&problem.initial), layout.vertices(&keeper.states[3].design));
+    assert!(before[9] == after[9] && before[10] == after[10], "{:?} {:?}", before[9], after[9]);
+    assert_ne!(before[5], after[5]);
 }
 
 /// L_test(α + εδ) at fixed weights, in N², against the gradient: a central difference along a random direction.
