@@ -88,7 +88,7 @@ fn gradients_agree_with_automatic_differentiation() {
         let run = simulate(&scene, &design, &forces, &solver, true, &pool);
         let all: Vec<usize> = (0..forces.samples).collect();
         let cotangent = case.array("cotangent");
-        let gradient = pull_back(&scene, &design, &forces, &solver, &run, &all, &cotangent, &pool);
+        let gradient = pull_back(&scene, &design, &forces, &run, &all, &cotangent, &pool);
         let error = relative(&gradient.design, &case.array("gradient"));
         assert!(error < 1e-6, "{name}: {error:e}");
     }

@@ -126,7 +126,7 @@ pub fn adjoint(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseEr
     let run = simulate(&scene, &design, &forces, &solver, true, pool);
     let cotangent = case.array_of("cotangent", run.signals.len())?;
     let all: Vec<usize> = (0..forces.samples).collect();
-    let gradient = pull_back(&scene, &design, &forces, &solver, &run, &all, &cotangent, pool);
+    let gradient = pull_back(&scene, &design, &forces, &run, &all, &cotangent, pool);
     // The reference is a fifth-order run of 40 000 steps: its own error is the difference to 20 000, by 2⁵ − 1.
     let own = case.number("gradient_20000_steps_relative_difference")? / 31.0;
     Ok(vec![

@@ -151,7 +151,7 @@ fn taylor(solver: Solver, pool: &rayon::ThreadPool) -> Row {
     let cotangent: Vec<f64> = run.signals.iter().map(|_| stream.normal() / scale).collect();
     let direction: Vec<f64> = design.iter().map(|_| 0.1 * stream.normal()).collect();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let gradient = pull_back(&scene, &design, &forces, &solver, &run, &[0, 1], &cotangent, pool);
+    let gradient = pull_back(&scene, &design, &forces, &run, &[0, 1], &cotangent, pool);
     let (value, slope) = (dot(&run.signals, &cotangent), dot(&gradient.design, &direction));
     let remainder = |epsilon: f64| {
         let moved: Vec<f64> = design.iter().zip(&direction).map(|(a, d)| a + epsilon * d).collect();

@@ -179,7 +179,7 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &rayon::ThreadPo
         .flat_map(|&i| &run.signals[i * per_sample..][..per_sample])
         .map(|s| s / scale / scale)
         .collect();
-    let gradient = pull_back(scene, design, forces, &solver, &run, &samples, &cotangent, pool);
+    let gradient = pull_back(scene, design, forces, &run, &samples, &cotangent, pool);
     let finite = run.signals.iter().chain(&gradient.design).all(|v| v.is_finite());
     let mut names: Vec<&str> = run.outcomes.iter().chain(&gradient.outcomes).map(|o| o.name()).collect();
     names.sort_unstable();

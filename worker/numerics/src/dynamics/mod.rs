@@ -318,7 +318,7 @@ pub fn run(
 
 /// Gradient in α of Σ cotangent·signals, cotangent (n, T, 3M) for the n `samples` listed; only those are swept.
 ///
-/// The simulation's own plan decides the method, whatever `solver` says.
+/// The method is that of the simulation's own plan.
 ///
 /// # Panics
 /// If the simulation kept no tape, or lengths do not fit together.
@@ -326,7 +326,6 @@ pub fn pull_back(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    _solver: &Solver,
     simulation: &Simulation,
     samples: &[usize],
     cotangent: &[f64],

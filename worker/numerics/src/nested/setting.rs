@@ -73,7 +73,6 @@ impl<'a> Setting<'a> {
         &self,
         design: &[f64],
         forces: &Forces,
-        solver: &Solver,
         simulation: &Simulation,
         inputs: &[f64],
         log: &mut Log,
@@ -83,11 +82,7 @@ impl<'a> Setting<'a> {
         let scene = &self.problem.scene;
         let gradient = log.timed(
             |s| &mut s.differentiate,
-            |_| {
-                dynamics::pull_back(
-                    scene, design, forces, solver, simulation, &samples, &cotangent, self.pool,
-                )
-            },
+            |_| dynamics::pull_back(scene, design, forces, simulation, &samples, &cotangent, self.pool),
         );
         log.report.counters.dynamics += gradient.counters;
         all_well(&gradient.outcomes)?;

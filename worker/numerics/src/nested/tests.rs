@@ -188,9 +188,8 @@ fn the_direct_term_is_the_derivative_of_the_test_loss_at_fixed_weights() {
         (loss, inputs, simulation)
     };
     let (_, inputs, simulation) = loss(&problem.initial);
-    let gradient = setting
-        .pull_back(&problem.initial, &setting.test, &problem.solver, &simulation, &inputs, &mut log)
-        .unwrap();
+    let gradient =
+        setting.pull_back(&problem.initial, &setting.test, &simulation, &inputs, &mut log).unwrap();
 
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
     let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();

@@ -54,8 +54,7 @@ impl Session<'_> {
         let loss_train = loss?;
         state.check_trend(loss_train)?;
 
-        let solver = setting.problem.optimise.solver_of(step, setting.problem.solver);
-        let gradient = setting.pull_back(&state.design, &forces, &solver, &simulation, &cotangent, log)?;
+        let gradient = setting.pull_back(&state.design, &forces, &simulation, &cotangent, log)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }

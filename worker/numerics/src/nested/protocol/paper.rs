@@ -35,12 +35,12 @@ impl Session<'_> {
 
         // dL_test/dα, directly
         let (loss_test, direct) = self.input_gradient(&weights, test_data.all(), log);
-        let mut gradient = setting.pull_back(design, &setting.test, solver, &test, &direct, log)?;
+        let mut gradient = setting.pull_back(design, &setting.test, &test, &direct, log)?;
 
         // and through β*
         if implicit {
             let inputs = implicit_term(setting, &weights, &train.signals, &test.signals, log);
-            let through_brain = setting.pull_back(design, &setting.train, solver, &train, &inputs, log)?;
+            let through_brain = setting.pull_back(design, &setting.train, &train, &inputs, log)?;
             gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }
 
