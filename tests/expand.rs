@@ -45,6 +45,31 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     );
 }
 
+/// Every spec that is committed, and with it every figure's, stands for trials that can be had.
+#[test]
+fn every_committed_spec_expands() {
+    let bench = Bench::new();
+    let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/sweeps"));
+    let mut names: Vec<String> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .filter(|name| name.ends_with(".toml"))
+        .collect();
+    names.sort();
+    for name in &names {
+        let csv = bench.output(&["expand", folder.join(name).to_str().unwrap(), "--format", "csv"]);
+        assert!(csv.lines().count() > 1, "{name}: no trials");
+        let text = std::fs::read_to_string(folder.join(name)).unwrap();
+        let called = format!("name = \"{}\"", name.trim_end_matches(".toml"));
+        assert!(text.contains(&called), "{name}: {called} is not in it");
+    }
+    for figure in ["fig4b", "fig4c", "fig5"] {
+        for name in [format!("{figure}.toml"), format!("{figure}-two-core.toml")] {
+            assert!(names.contains(&name), "{name} is missing of {names:?}");
+        }
+    }
+}
+
 #[test]
 fn json_rows_are_a_list_of_objects() {
     let bench = Bench::new();

@@ -1,6 +1,6 @@
 //! What a trial costs, roughly, before it has run: counts of work times measured seconds.
 //!
-//! One core with AVX2; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
+//! One core with AVX-512, as README's rates; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
 
 use metasense_schemas::spec::{Protocol, TrialSpec};
 
@@ -8,15 +8,15 @@ use metasense_schemas::spec::{Protocol, TrialSpec};
 const WIDTH: usize = 64;
 /// Integrator steps a second of motion, of the reference scene at its default tolerance.
 const STEPS_PER_SECOND: f64 = 3100.0;
-/// Seconds a unit and integrator step (six stages).
-const SECONDS_PER_UNIT_STEP: f64 = 1.2e-7;
+/// Seconds a unit and integrator step.
+const SECONDS_PER_UNIT_STEP: f64 = 2.4e-7;
 /// Of the reverse sweep, forward recomputation included, to the simulation.
-const REVERSE: f64 = 4.0;
+const REVERSE: f64 = 2.1;
 /// Multiply-adds a second of the brain's kernels.
-const BRAIN_RATE: f64 = 2e10;
-/// Of an iteration (forward, backward) to a forward pass; of a Hessian-vector product in double precision.
+const BRAIN_RATE: f64 = 1.1e11;
+/// Of an iteration (forward, backward) and of a Hessian-vector product to a forward pass.
 const ITERATION: f64 = 3.0;
-const HESSIAN_PRODUCT: f64 = 12.0;
+const HESSIAN_PRODUCT: f64 = 6.3;
 /// Products of the implicit term.
 const PRODUCTS: f64 = 21.0;
 
