@@ -1,0 +1,149 @@
+//! The network, the outer loop over the body, the comparison at the end.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::solver::{Method, Solver};
+
+/// The network's training.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Brain {
+    /// Full-batch Adam iterations of one training.
+    pub iterations: usize,
+    /// Adam's rate.
+    pub learning_rate: f64,
+}
+
+impl Default for Brain {
+    fn default() -> Self {
+        Self { iterations: 1000, learning_rate: 1e-2 }
+    }
+}
+
+/// How body and brain are trained together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Protocol {
+    /// A fresh network each outer step, trained to its optimum; direct and implicit gradient of the test loss.
+    Paper,
+    /// The network goes on from body to body, by as many iterations as its loss needs; direct gradient of the test loss.
+    Warm,
+    /// The network goes on; the training loss moves the body, from a seeded subset of the samples.
+    Envelope,
+    /// Body and network are stepped together on fresh samples, drawn each step.
+    Joint,
+}
+
+/// Which terms of the gradient of the test loss are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum GradientTerms {
+    /// Direct and implicit term.
+    Implicit,
+    /// The direct term alone.
+    Direct,
+}
+
+/// The outer loop over the body's design. What is left out gets the default of its protocol.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Optimise {
+    /// How body and brain are trained together. By default `"joint"`, which gains most in its time.
+    pub protocol: Protocol,
+    /// Outer steps. By default 200, for the other protocols 100.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<usize>,
+    /// Adam's rate on α (mm). By default 0.2, for the other protocols 0.1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub learning_rate: Option<f64>,
+    /// Terms of the gradient; for `protocol = "paper"` alone. By default `"implicit"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient: Option<GradientTerms>,
+    /// Samples whose gradient moves the body; for `"envelope"` and `"joint"`. By default 64.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub batch: Option<usize>,
+    /// Brain iterations an outer step; not for `"paper"`, which has `brain.iterations`. By default 10.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub brain_iterations: Option<usize>,
+    /// Adam's rate of these iterations. By default 1e-3.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub brain_learning_rate: Option<f64>,
+    /// A cheaper integrator for the first nine tenths of the outer steps; for `"envelope"` and `"joint"`. By default
+    /// `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coarse: Option<Solver>,
+}
+
+impl Optimise {
+    /// With the defaults of the protocol in place: only what the protocol does not read stays open.
+    #[must_use]
+    pub fn resolved(mut self) -> Self {
+        let (iterations, learning_rate) = match self.protocol {
+            Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
+            Protocol::Joint => (200, 0.2),
+        };
+        self.iterations.get_or_insert(iterations);
+        self.learning_rate.get_or_insert(learning_rate);
+        if self.protocol == Protocol::Paper {
+            self.gradient.get_or_insert(GradientTerms::Implicit);
+        } else {
+            self.brain_iterations.get_or_insert(10);
+            self.brain_learning_rate.get_or_insert(1e-3);
+        }
+        if matches!(self.protocol, Protocol::Envelope | Protocol::Joint) {
+            self.batch.get_or_insert(64);
+        }
+        if self.protocol == Protocol::Joint {
+            self.coarse.get_or_insert(Solver { method: Method::Auto, tolerance: 0.03 });
+        }
+        self
+    }
+
+    /// Outer steps.
+    #[must_use]
+    pub fn steps(&self) -> usize {
+        self.resolved().iterations.unwrap_or_default()
+    }
+}
+
+impl Default for Optimise {
+    fn default() -> Self {
+        Self {
+            protocol: Protocol::Joint,
+            iterations: None,
+            learning_rate: None,
+            gradient: None,
+            batch: None,
+            brain_iterations: None,
+            brain_learning_rate: None,
+            coarse: None,
+        }
+    }
+}
+
+/// Learning-rate schedule of the final comparison.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// Falls to 0 by a cosine.
+    Cosine,
+    /// The paper's.
+    Constant,
+}
+
+/// The comparison at the end.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Evaluation {
+    /// Fresh networks a body.
+    pub seeds: usize,
+    /// Rate schedule of their training.
+    pub schedule: Schedule,
+}
+
+impl Default for Evaluation {
+    fn default() -> Self {
+        Self { seeds: 1, schedule: Schedule::Cosine }
+    }
+}

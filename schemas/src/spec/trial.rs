@@ -1,0 +1,93 @@
+//! What one point of a sweep resolves to, and the hash that names it.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Body, Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Stimuli, Time};
+
+/// One point of a sweep.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Point {
+    /// K.
+    pub panels: usize,
+    /// M.
+    pub sensors: usize,
+    /// Which placement.
+    pub placement: usize,
+    /// Seed of stimuli, split and networks.
+    pub seed: u64,
+}
+
+/// Everything that a trial is. Its hash names it for ever.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrialSpec {
+    /// The body.
+    pub body: Body,
+    /// The clock.
+    pub time: Time,
+    /// The integrator.
+    pub solver: Solver,
+    /// The frame.
+    pub sensors: Sensors,
+    /// The stimuli.
+    pub stimuli: Stimuli,
+    /// The brain.
+    pub brain: Brain,
+    /// The outer loop.
+    pub optimise: Optimise,
+    /// The final comparison.
+    pub evaluation: Evaluation,
+    /// The limits.
+    pub feasible: Feasible,
+    /// Where in the sweep.
+    pub point: Point,
+    /// Input panels, by unit.
+    pub panel_units: Vec<usize>,
+    /// Sensors, by unit.
+    pub sensor_units: Vec<usize>,
+}
+
+impl TrialSpec {
+    /// Names the trial: 32 hex digits of BLAKE3 over its JSON with sorted keys and no blanks.
+    ///
+    /// A key added to the spec later must be left out of the JSON at its default (`skip_serializing_if`), so that the
+    /// trials of older databases keep their names.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        let mut text = String::with_capacity(2048);
+        write_canonical(&serde_json::to_value(self).expect("a trial is JSON"), &mut text);
+        blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
+    }
+}
+
+/// JSON with sorted keys, whatever order the map type keeps.
+fn write_canonical(value: &serde_json::Value, text: &mut String) {
+    match value {
+        serde_json::Value::Object(map) => {
+            let mut entries: Vec<_> = map.iter().collect();
+            entries.sort_unstable_by_key(|(key, _)| *key);
+            text.push('{');
+            for (i, (key, value)) in entries.into_iter().enumerate() {
+                if i > 0 {
+                    text.push(',');
+                }
+                *text += &serde_json::Value::from(key.as_str()).to_string();
+                text.push(':');
+                write_canonical(value, text);
+            }
+            text.push('}');
+        }
+        serde_json::Value::Array(values) => {
+            text.push('[');
+            for (i, value) in values.iter().enumerate() {
+                if i > 0 {
+                    text.push(',');
+                }
+                write_canonical(value, text);
+            }
+            text.push(']');
+        }
+        scalar => *text += &scalar.to_string(),
+    }
+}
