@@ -352,7 +352,9 @@ impl Store {
         body: &str,
         evaluation: &BodyEvaluation,
     ) -> sqlx::Result<()> {
-        for (seed, network) in evaluation.networks.iter().enumerate() {
+        // networks trained long are numbered on from the ordinary ones, and told by their iterations
+        let (ordinary, long) = (&evaluation.networks, &evaluation.long);
+        for (seed, network) in ordinary.iter().chain(long).enumerate() {
             sqlx::query("INSERT OR REPLACE INTO network VALUES (?, ?, ?, ?, ?, ?, ?, ?)")
                 .bind(id)
                 .bind(body)
@@ -379,7 +381,8 @@ impl Store {
                 self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &network.weights)).await?;
             }
             if !network.losses.is_empty() {
-                let (name, shape) = (format!("losses_{body}_{seed}"), [network.losses.len()]);
+                let kind = if seed < ordinary.len() { "losses" } else { "long_losses" };
+                let (name, shape) = (format!("{kind}_{body}_{seed}"), [network.losses.len()]);
                 self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &network.losses)).await?;
             }
         }
@@ -572,7 +575,7 @@ fn without_bulk(result: &TrialResult) -> String {
     let mut small = result.clone();
     for body in [&mut small.initial, &mut small.optimised] {
         body.design.clear();
-        for network in &mut body.networks {
+        for network in body.networks.iter_mut().chain(&mut body.long) {
             network.losses.clear();
             network.weights.clear();
         }
