@@ -8,6 +8,17 @@ use common::{Bench, SPEC};
 const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]",
+        "[run]\nprune = { at = [0.5, 0.25] }\n[sweep]",
+        "s.toml:14: run.prune.at = [0.5, 0.25]: must be parts of the steps between 0 and 1, ascending",
+    ),
+    (
+        "[sweep]",
+        "[run]\nprune = { grace = 0 }\n[sweep]",
+        "s.toml:14: run.prune.grace = 0: must be at least 1",
+    ),
+    ("[sweep]", "[run]\nprune = { after = 4 }\n[sweep]", "s.toml:14: run.prune.after = 4: unknown key"),
+    (
+        "[sweep]",
         "[run]\ntime_limit = nan\n[sweep]",
         "s.toml:14: run.time_limit = nan: must be at least 0.1 s",
     ),
@@ -62,12 +73,6 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("[sweep]", "[brain]\niterations = 0\n[sweep]", "s.toml:14: brain.iterations = 0: "),
     ("[sweep]", "[brain]\nlearning_rate = nan\n[sweep]", "s.toml:14: brain.learning_rate = NaN: "),
     ("[sweep]", "[optimise]\nlearning_rate = -0.1\n[sweep]", "s.toml:14: optimise.learning_rate = -0.1: "),
-    (
-        "[sweep]",
-        "[optimise]\ncurvature = \"damped\"\n[sweep]",
-        "s.toml:14: optimise.curvature = damped: means nothing to this optimise.protocol",
-    ),
-    ("[sweep]", "[evaluation]\nlong_iterations = 0\n[sweep]", "s.toml:14: evaluation.long_iterations = 0: "),
     ("[sweep]", "[evaluation]\nseeds = 0\n[sweep]", "s.toml:14: evaluation.seeds = 0: "),
     ("[sweep]", "[feasible]\nclearance = -1.0\n[sweep]", "s.toml:14: feasible.clearance = -1: "),
     ("[sweep]", "[sensors]\nplacements = [[14], [14, 14]]\n[sweep]", "s.toml:14: sensors.placements = 14: "),

@@ -113,6 +113,24 @@ fn a_stop_on_request_keeps_every_step_and_leaves_nothing_behind() {
     }
 }
 
+/// SIGINT and SIGTERM before the first trial: exit code 4, and nothing of the sweep is half recorded.
+#[test]
+fn a_stop_while_a_large_sweep_is_recorded_ends_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, signal) in [("int", libc::SIGINT), ("term", libc::SIGTERM)] {
+        let db = folder.path().join(format!("{name}.sqlite"));
+        let mut run = Run::start(&db, "--trials 60000");
+        let journal = folder.path().join(format!("{name}.sqlite-wal"));
+        let growing = || fs::metadata(&journal).is_ok_and(|file| file.len() > 1 << 20).then_some(());
+        eventually(Duration::from_secs(30), growing).expect("the sweep is being recorded");
+        run.signal(signal);
+        assert_eq!(run.wait(), Some(4), "{name}: the exit code of a stop on request");
+        assert!(!journal.exists(), "{name}: the journal is left");
+        assert_eq!(rows(&db, "SELECT count(*) FROM trial"), ["[0]"], "{name}");
+        assert_eq!(rows(&db, "SELECT count(*) FROM sweep"), ["[0]"], "{name}");
+    }
+}
+
 /// Reasons have names, and follow from what happened.
 #[test]
 fn what_ends_an_attempt_stands_in_the_database_by_name() {

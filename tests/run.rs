@@ -6,6 +6,8 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use common::Bench;
+use metasense::plan::Plan;
+use metasense::store::Store;
 
 /// Two trials of a second each.
 const TINY: &str = r#"name = "tiny"
@@ -63,6 +65,14 @@ fn a_sweep_runs_once_and_only_what_is_new_is_added() {
         assert!(errors.iter().all(|name| row[name].as_f64().is_some_and(|e| e > 0.0)), "{table}");
     }
     let before = results(&bench, "results/tiny.sqlite");
+    let names = "SELECT group_concat(DISTINCT name ORDER BY name), count(*), (SELECT count(*) FROM v_curve) FROM v_artifact";
+    assert_eq!(
+        bench.output(&["query", "results/tiny.sqlite", names, "--format", "csv"]).lines().nth(1),
+        Some(
+            "\"alpha_initial,alpha_optimised,losses_initial_0,losses_optimised_0,weights_initial_0,\
+             weights_optimised_0\",12,40"
+        )
+    );
 
     let recognised = || {
         let start = Instant::now();
@@ -121,6 +131,58 @@ fn a_run_that_is_killed_goes_on_to_the_same_results() {
         bench.output(&["query", "killed.sqlite", lost, "--format", "csv"]).ends_with("1\n"),
         "nothing was killed"
     );
+}
+
+/// A trial that has failed stays so until it is asked for again; then its next attempt is run.
+#[tokio::test]
+async fn a_failed_trial_is_run_again_on_request_alone() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", &TINY.replace("[1, 2]", "[1]"));
+    let plan = Plan::new("tiny.toml", TINY.replace("[1, 2]", "[1]")).unwrap();
+    let hash = &plan.trials[0].hash;
+    let mut store = Store::open(bench.path("results/tiny.sqlite")).await.unwrap();
+    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
+    store.begin_attempt(hash).await.unwrap();
+    store.fail(hash, 1, "time_limit").await.unwrap();
+    store.close().await.unwrap();
+    let settled = bench.metasense(&["run", "tiny.toml"]);
+    let said = String::from_utf8_lossy(&settled.stderr).into_owned();
+    assert_eq!(settled.status.code(), Some(1), "{said}");
+    assert!(said.contains("(time_limit)") && said.contains("--retry-failed"), "{said}");
+    bench.output(&["run", "tiny.toml", "--retry-failed"]);
+    let attempts = "SELECT attempt, state, coalesce(reason, '') FROM v_attempt ORDER BY attempt";
+    assert_eq!(
+        bench
+            .output(&["query", "results/tiny.sqlite", attempts, "--format", "csv"])
+            .lines()
+            .skip(1)
+            .collect::<Vec<_>>(),
+        ["1,failed,time_limit", "2,done,"]
+    );
+}
+
+/// Of four trials that differ in their seed, some are worse than those before them: they are given up, and say so. Without
+/// `prune` they go on to what they would have come to.
+#[test]
+fn hopeless_trials_are_given_up_on_request_and_go_on_without_it() {
+    let bench = Bench::new();
+    let seeds = TINY.replace("sensors = [1, 2]", "sensors = [1]\nseeds = [1, 2, 3, 4]");
+    bench.file("whole.toml", &seeds);
+    bench.output(&["run", "whole.toml", "--db", "whole.sqlite"]);
+    let prune = "[run]\nprune = { at = [0.25], grace = 1 }\nworkers = 1\n[sweep]";
+    bench.file("pruned.toml", &seeds.replace("[sweep]", prune));
+    let ended = |sql| bench.output(&["query", "pruned.sqlite", sql, "--format", "csv"]);
+    let states =
+        "SELECT state, coalesce(reason, ''), count(*) > 0, max(steps) < 4 FROM v_trial GROUP BY 1, 2";
+    for said in ["given up: K=2 M=1", "nothing left to do"] {
+        let run = bench.metasense(&["run", "pruned.toml", "--db", "pruned.sqlite"]);
+        let messages = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert_eq!(run.status.code(), Some(0), "{messages}");
+        assert!(messages.contains(said) && messages.contains("given up as hopeless"), "{messages}");
+        assert_eq!(ended(states).lines().skip(1).collect::<Vec<_>>(), ["done,,1,0", "failed,pruned,1,1"]);
+    }
+    bench.output(&["run", "whole.toml", "--db", "pruned.sqlite"]);
+    assert_eq!(results(&bench, "pruned.sqlite"), results(&bench, "whole.sqlite"));
 }
 
 /// One trial in the foreground comes to the errors that the same trial has in a run.

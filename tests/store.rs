@@ -1,7 +1,7 @@
 //! The store keeps what it was given, once, and nothing of a stale attempt.
 
 use metasense::plan::Trial;
-use metasense::store::{Array, Reader, Store, StoreError, Values};
+use metasense::store::{Array, Reader, Store, StoreError, npy_bytes};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use serde_json::json;
@@ -75,8 +75,8 @@ async fn what_is_recorded_is_read_back() {
     assert_eq!(store.begin_attempt(hash).await.unwrap(), 2);
     let stale = store.record_step(hash, 1, &step, &checkpoint).await;
     assert!(matches!(stale, Err(StoreError::Stale { attempt: 1, .. })), "{stale:?}");
-    let forces =
-        Array { name: "forces", shape: &[1, 2, 3], values: Values::F64(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) };
+    let npy = npy_bytes(&[1, 2, 3], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+    let forces = Array { name: "forces", shape: &[1, 2, 3], npy: &npy };
     store.finish(hash, 2, &result(), &[forces]).await.unwrap();
     assert_eq!(store.settled().await.unwrap(), std::slice::from_ref(hash));
     assert_eq!(store.checkpoint(hash).await.unwrap(), None);

@@ -168,8 +168,7 @@ fn draw_marks(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {
     }
 }
 
-/// What a constraint holds, as line or dot: `class` for each. `units` with y downward.
-pub(crate) fn mark(
+fn mark(
     kind: Kind,
     of: [usize; 2],
     node: Option<usize>,

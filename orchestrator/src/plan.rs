@@ -41,6 +41,14 @@ pub struct Trial {
     pub cost: f64,
 }
 
+impl Trial {
+    /// What of `cost` is the comparison at the end.
+    #[must_use]
+    pub fn comparison_cost(&self) -> f64 {
+        cost::seconds(&self.spec, self.units).1
+    }
+}
+
 /// A spec file, read, and the trials it stands for.
 #[derive(Debug, Clone)]
 pub struct Plan {
@@ -132,6 +140,9 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
 fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
     let at_least_1 = |n: Option<usize>| n.is_none_or(|n| n >= 1);
     let seconds = |s: Option<f64>, least: f64| s.is_none_or(|s| s >= least && s <= 1e9);
+    let marks = run.prune.as_ref().map_or(&[0.5][..], |prune| &prune.at);
+    let within = marks.iter().all(|part| *part > 0.0 && *part < 1.0);
+    let grace = run.prune.as_ref().map(|prune| prune.grace);
     for (key, holds, remedy) in [
         ("run.workers", at_least_1(run.workers), "must be at least 1"),
         ("run.threads", at_least_1(run.threads), "must be at least 1"),
@@ -139,6 +150,12 @@ fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
         ("run.memory", run.memory.is_none_or(|mib| mib >= 64), "must be at least 64 MiB"),
         ("run.backoff", seconds(run.backoff, 0.0), "must be 0 or a number of seconds"),
         ("run.no_progress", seconds(run.no_progress, 0.1), "must be at least 0.1 s"),
+        (
+            "run.prune.at",
+            within && !marks.is_empty() && marks.is_sorted_by(|a, b| a < b),
+            "must be parts of the steps between 0 and 1, ascending",
+        ),
+        ("run.prune.grace", at_least_1(grace), "must be at least 1"),
         ("run.time_limit", seconds(run.time_limit, 0.1), "must be at least 0.1 s"),
     ] {
         if !holds {
@@ -220,7 +237,10 @@ fn add_points(
                 units: layout.units(),
                 design_parameters: layout.design_len(),
                 brain_parameters: cost::brain_parameters(panels, sensors),
-                cost: cost::seconds(&template, layout.units()),
+                cost: {
+                    let (steps, comparison) = cost::seconds(&template, layout.units());
+                    steps + comparison
+                },
                 template,
             });
         }

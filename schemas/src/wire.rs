@@ -88,6 +88,8 @@ pub enum ToWorker {
         checkpoint: Option<Box<Checkpoint>>,
         /// Threads to use.
         threads: u32,
+        /// The trial's hash, of which the process bears the beginning as its name.
+        hash: String,
     },
     /// Finish the step in progress and hand the trial back.
     Stop,
@@ -125,14 +127,14 @@ pub enum ToOrchestrator {
         /// Where to go on from.
         checkpoint: Box<Checkpoint>,
     },
-    /// The trial is done. Its arrays lie in the array service, in this order.
+    /// The trial is done.
     Finished {
         /// Whose it is.
         lease: Lease,
-        /// The result.
+        /// The result; its arrays are taken out where they were sent apart.
         result: Box<TrialResult>,
-        /// Name and shape of each array.
-        arrays: Vec<(String, Vec<u64>)>,
+        /// What lies in the one sample that was sent before this message; nothing was if there is none.
+        arrays: Vec<ArrayHead>,
     },
     /// The attempt came to no result.
     Failed {
@@ -148,6 +150,19 @@ pub enum ToOrchestrator {
         /// Whose it is.
         lease: Lease,
     },
+}
+
+/// An array of a result: the bytes `start..end` of the sample are an NPY file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ArrayHead {
+    /// Its name within the trial.
+    pub name: String,
+    /// Its shape.
+    pub shape: Vec<usize>,
+    /// First byte.
+    pub start: usize,
+    /// Behind its last byte.
+    pub end: usize,
 }
 
 /// The heartbeat: what a worker is doing. May be lost.
@@ -170,8 +185,10 @@ pub const POLL: Duration = Duration::from_millis(200);
 const MESSAGES: usize = 16;
 /// Where POSIX shared memory lives.
 pub const SHARED_MEMORY: &str = "/dev/shm";
-/// Arrays that a result may have; as many may wait, and as many be held until they are recorded.
-pub const ARRAYS: usize = 8;
+/// Results of a worker whose arrays may wait, and as many be held until they are recorded.
+const ARRAYS: usize = 8;
+/// Arrays of fewer bytes in all go along in the message.
+pub const APART: usize = 4096;
 /// First size of a message's chunk (bytes); grows on demand.
 const CHUNK: usize = 16 * 1024;
 
@@ -209,8 +226,6 @@ impl LinkError {
 
 /// A message's port factory.
 type Bytes = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, [u8], ()>;
-/// A port factory of arrays.
-type Arrays = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, [f64], ()>;
 /// A port factory of progress.
 type Beats = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, Progress, ()>;
 /// A port factory of wake-ups.
@@ -220,12 +235,8 @@ type Wakes = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
 pub type MessageSender = iceoryx2::port::publisher::Publisher<Ipc, [u8], ()>;
 /// Receives messages of a direction.
 pub type MessageReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, [u8], ()>;
-/// Sends arrays.
-pub type ArraySender = iceoryx2::port::publisher::Publisher<Ipc, [f64], ()>;
-/// Receives arrays.
-pub type ArrayReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, [f64], ()>;
-/// An array in shared memory, borrowed until dropped.
-pub type Array = iceoryx2::sample::Sample<Ipc, [f64], ()>;
+/// The arrays of a result in shared memory, borrowed until dropped.
+pub type Sample = iceoryx2::sample::Sample<Ipc, [u8], ()>;
 /// Sends progress.
 pub type BeatSender = iceoryx2::port::publisher::Publisher<Ipc, Progress, ()>;
 /// Receives progress.
@@ -243,7 +254,7 @@ pub struct Services {
     /// Worker to orchestrator.
     pub up: Bytes,
     /// Arrays of results.
-    pub arrays: Arrays,
+    pub arrays: Bytes,
     /// Heartbeat.
     pub progress: Beats,
     /// Wakes the worker.
@@ -321,7 +332,7 @@ impl Services {
         Ok(Self {
             down: pubsub!("down", [u8], MESSAGES, 1, false),
             up: pubsub!("up", [u8], MESSAGES, 1, false),
-            arrays: pubsub!("arrays", [f64], ARRAYS, ARRAYS, false),
+            arrays: pubsub!("arrays", [u8], ARRAYS, ARRAYS, false),
             progress: pubsub!("progress", Progress, 64, 1, true),
             wake_worker: event!("wake-worker"),
             wake_orchestrator: event!("wake-orchestrator"),
@@ -350,27 +361,20 @@ impl Services {
     pub fn receiver(service: &Bytes) -> Result<MessageReceiver, LinkError> {
         service.subscriber_builder().create().map_err(LinkError::of("creating a receiver"))
     }
+
     /// A sender of arrays, which are written where they are read.
     ///
     /// # Errors
     /// If iceoryx2 cannot create it.
-    pub fn array_sender(service: &Arrays) -> Result<ArraySender, LinkError> {
+    pub fn array_sender(service: &Bytes) -> Result<MessageSender, LinkError> {
         service
             .publisher_builder()
-            .initial_max_slice_len(CHUNK / 8)
+            .initial_max_slice_len(CHUNK)
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
             .max_loaned_samples(1)
             .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
             .create()
             .map_err(LinkError::of("creating a sender of arrays"))
-    }
-
-    /// A receiver of arrays.
-    ///
-    /// # Errors
-    /// If iceoryx2 cannot create it.
-    pub fn array_receiver(service: &Arrays) -> Result<ArrayReceiver, LinkError> {
-        service.subscriber_builder().create().map_err(LinkError::of("creating a receiver of arrays"))
     }
 
     /// A sender of progress.
@@ -429,11 +433,17 @@ pub fn send(sender: &MessageSender, message: &[u8]) -> Result<bool, LinkError> {
     Ok(received > 0)
 }
 
-/// The next array, if there is one. Waits while the orchestrator holds as many as it may.
+/// The arrays of a result, which were sent before it. Waits while the orchestrator holds as many as it may.
 ///
 /// # Errors
-/// If the connection is broken, or none of the held ones is let go for `patience`.
-pub fn receive_array(receiver: &ArrayReceiver, patience: Duration) -> Result<Option<Array>, LinkError> {
+/// If there are none, or not all of `heads`, or none of the held ones is let go for `patience`.
+pub fn receive_arrays(
+    receiver: &MessageReceiver,
+    heads: &[ArrayHead],
+    patience: Duration,
+) -> Result<Sample, LinkError> {
+    let wrong = |cause: String| LinkError { step: "receiving the arrays of a result", cause };
+
     let mut waited = Duration::ZERO;
     loop {
         match receiver.receive() {
@@ -442,7 +452,16 @@ pub fn receive_array(receiver: &ArrayReceiver, patience: Duration) -> Result<Opt
                 std::thread::sleep(pause);
                 waited += pause;
             }
-            received => return received.map_err(LinkError::of("receiving an array")),
+            Err(error) => return Err(wrong(format!("{error:?}"))),
+            Ok(None) => return Err(wrong("they were not sent".into())),
+            Ok(Some(sample)) => {
+                let len = sample.payload().len();
+                let beyond = |head: &&ArrayHead| head.start > head.end || head.end > len;
+                return match heads.iter().find(beyond) {
+                    None => Ok(sample),
+                    Some(head) => Err(wrong(format!("{head:?} does not lie within {len} bytes"))),
+                };
+            }
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The process around the maths of metasense: job in, records out, heartbeat, stop.
 
+pub mod arrays;
 pub mod bench;
 pub mod convert;
 pub mod course;

@@ -12,10 +12,11 @@ use std::time::{Duration, Instant};
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{
-    self, ArraySender, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress, Services,
-    Sleeper, Start, ToOrchestrator, ToWorker, Trouble, Waker, Work,
+    self, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress, Services, Sleeper,
+    Start, ToOrchestrator, ToWorker, Trouble, Waker, Work,
 };
 
+use crate::arrays::{Arrays, Values};
 use crate::noop::{self, Noop};
 use crate::run::{self, Control, Failure, Observe};
 
@@ -90,7 +91,7 @@ fn bind_to_parent(start: &Start) -> bool {
 /// The worker's end of its domain. Ports are dropped before the node.
 struct Worker {
     up: MessageSender,
-    arrays: ArraySender,
+    arrays: MessageSender,
     beats: BeatSender,
     waker: Waker,
     down: MessageReceiver,
@@ -134,10 +135,13 @@ impl Worker {
     /// Takes jobs until told to stop.
     fn serve(&mut self) -> Result<(), LinkError> {
         let _keep_open = &self.services;
+        name_process(IDLE);
         loop {
             match wire::receive::<ToWorker>(&self.down)? {
-                Some(ToWorker::Job { lease, work, checkpoint, threads }) => {
+                Some(ToWorker::Job { lease, work, checkpoint, threads, hash }) => {
+                    name_process(&hash);
                     self.perform(lease, &work, checkpoint.map(|boxed| *boxed), threads as usize)?;
+                    name_process(IDLE);
                 }
                 Some(ToWorker::Stop) => return Ok(()),
                 None => {
@@ -190,30 +194,28 @@ impl Worker {
     }
 
     /// Puts the arrays of a result into shared memory, where they are written once.
-    fn finished(&self, lease: Lease, work: &Work, result: TrialResult) -> Result<ToOrchestrator, LinkError> {
-        let mut arrays = Vec::new();
+    fn finished(
+        &self,
+        lease: Lease,
+        work: &Work,
+        mut result: TrialResult,
+    ) -> Result<ToOrchestrator, LinkError> {
+        let mut arrays = Arrays::of(&mut result, wire::APART);
         if let Work::Noop { array, seed, .. } = work
             && *array > 0
         {
-            let first = *seed as f64;
-            self.send_array(*array as usize, |chunk| {
-                for (i, x) in chunk.iter_mut().enumerate() {
-                    x.write(first + i as f64);
-                }
-            })?;
-            arrays.push(("noop".to_string(), vec![*array]));
+            arrays.add("noop".into(), Values::Ramp { first: *seed as f64, len: *array as usize });
         }
-        Ok(ToOrchestrator::Finished { lease, result: Box::new(result), arrays })
+        if !arrays.is_empty() {
+            self.send_arrays(&arrays)?;
+        }
+        Ok(ToOrchestrator::Finished { lease, result: Box::new(result), arrays: arrays.heads() })
     }
 
-    /// Loans a chunk, has every entry of it written by `fill`, and sends it; waits while the orchestrator holds all it may hold.
-    fn send_array(
-        &self,
-        len: usize,
-        fill: impl FnOnce(&mut [std::mem::MaybeUninit<f64>]),
-    ) -> Result<(), LinkError> {
+    /// Loans a chunk, writes the arrays into it, and sends it; waits while the orchestrator holds all it may hold.
+    fn send_arrays(&self, arrays: &Arrays) -> Result<(), LinkError> {
         // Writing to a full shared memory would be the end of this process.
-        let needed = 8 * len as u64;
+        let needed = arrays.len() as u64;
         if let Some(free) = free_space(std::path::Path::new(wire::SHARED_MEMORY))
             && free < needed
         {
@@ -222,7 +224,7 @@ impl Worker {
         }
         let mut pause = Duration::from_micros(50);
         let mut chunk = loop {
-            match self.arrays.loan_slice_uninit(len) {
+            match self.arrays.loan_slice_uninit(arrays.len()) {
                 Ok(chunk) => break chunk,
                 Err(iceoryx2::port::LoanError::OutOfMemory) => {
                     std::thread::sleep(pause);
@@ -231,11 +233,22 @@ impl Worker {
                 Err(error) => return Err(LinkError::of("loaning an array")(error)),
             }
         };
-        fill(chunk.payload_mut());
-        // SAFETY: `fill` has written every entry.
+        arrays.write(chunk.payload_mut());
+        // SAFETY: every byte has been written.
         let chunk = unsafe { chunk.assume_init() };
         chunk.send().map_err(LinkError::of("sending an array"))?;
         Ok(())
+    }
+}
+
+/// Name of a process that has no trial.
+pub const IDLE: &str = "idle";
+
+/// Names this process as `top` shows it, and as `metasense watch` reads it: the kernel keeps fifteen bytes.
+fn name_process(name: &str) {
+    if let Ok(name) = std::ffi::CString::new(name) {
+        // SAFETY: reads a string that ends with a zero.
+        unsafe { libc::prctl(libc::PR_SET_NAME, name.as_ptr()) };
     }
 }
 

@@ -15,8 +15,8 @@ use crate::scheduler::{Outcome, Reason};
 const BAR: u64 = 10_000;
 /// Time between two plain lines that say how far the run is.
 const LINE_EVERY: Duration = Duration::from_secs(30);
-/// Parts of the work at which the estimate of the whole time is kept, to be compared with the truth.
-const MARKS: [f64; 4] = [0.1, 0.25, 0.5, 0.75];
+/// Parts of a run's work at which the estimate of the whole time is kept, to be compared with the truth.
+const MARKS: [f64; 3] = [0.1, 0.33, 0.5];
 
 /// Shows a run on standard error.
 #[derive(Debug)]
@@ -24,6 +24,8 @@ pub struct Live {
     /// On a terminal.
     bar: Option<ProgressBar>,
     said: Instant,
+    /// Part of the work that was done before this run.
+    before: Option<f64>,
     /// Whole time as estimated at each mark (s).
     estimates: Vec<(f64, f64)>,
 }
@@ -36,7 +38,7 @@ impl Live {
                 ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}").expect("the template is one");
             ProgressBar::with_draw_target(Some(BAR), ProgressDrawTarget::stderr_with_hz(5)).with_style(style)
         });
-        let live = Self { bar, said: Instant::now(), estimates: Vec::new() };
+        let live = Self { bar, said: Instant::now(), before: None, estimates: Vec::new() };
         let before = if settled > 0 { format!(", {settled} settled before") } else { String::new() };
         live.say(&format!("{} to run on {workers} workers{before}", counted(open, "trial")));
         live
@@ -57,7 +59,13 @@ impl Watch for Live {
     }
 
     fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool) {
-        let then = if settled { "given up" } else { "it will be tried again" };
+        if reason == Reason::Pruned {
+            return self.say(&format!("given up: {}: worse than the median of its K and M", named(trial)));
+        }
+        let then = match settled {
+            true => format!("failed for good; {}", reason.remedy()),
+            false => "it is tried again".into(),
+        };
         self.say(&format!("attempt {attempt} failed: {}: {reason}; {then}", named(trial)));
     }
 
@@ -70,16 +78,18 @@ impl Watch for Live {
 
     fn tick(&mut self, view: &View) {
         let (part, eta) = (view.fraction(), view.eta());
+        let before = *self.before.get_or_insert(part);
+        let of_run = (part - before) / (1.0 - before).max(1e-9);
         if let (Some(mark), Some(eta)) = (MARKS.get(self.estimates.len()), eta)
-            && part >= *mark
+            && of_run >= *mark
         {
-            self.estimates.push((part, (view.elapsed + eta).as_secs_f64()));
+            self.estimates.push((of_run, (view.elapsed + eta).as_secs_f64()));
         }
         let to_go =
             eta.map_or("ETA unknown yet".into(), |eta| format!("ETA {}", duration(eta.as_secs_f64())));
         let message = format!(
             "{} of {}, {} of {} workers busy, {}, {to_go}",
-            view.done + view.failed,
+            view.settled(),
             counted(view.total, "trial"),
             view.busy,
             view.workers,
@@ -107,18 +117,16 @@ impl Watch for Live {
             let (part, error) = (100.0 * part, 100.0 * (estimate / actual - 1.0));
             tracing::info!(part_percent = part, error_percent = error, "how far off the estimated time was");
         }
-        if outcome == Outcome::Complete
-            && let Some((part, estimate)) = self.estimates.first()
-        {
-            let error = 100.0 * (estimate / actual - 1.0);
-            eprintln!(
-                "took {}; estimated at {:.0} % with an error of {error:+.0} %",
-                duration(actual),
-                100.0 * part
-            );
+        if outcome == Outcome::Complete && !self.estimates.is_empty() {
+            let said = self.estimates.iter().map(|(part, estimate)| {
+                let error = 100.0 * (estimate / actual - 1.0);
+                format!("{} ({error:+.0} %) after {:.0} %", duration(*estimate), 100.0 * part)
+            });
+            let said = said.collect::<Vec<_>>().join(", ");
+            eprintln!("took {}; the estimate was {said} of the work", duration(actual));
         }
         if outcome == Outcome::Interrupted {
-            let open = view.total - view.done - view.failed;
+            let open = view.total - view.settled();
             eprintln!("stopped with {} open; the same command goes on from there", counted(open, "trial"));
         }
     }
@@ -146,6 +154,6 @@ fn percent(body: &BodyEvaluation) -> String {
     }
 }
 
-fn counted(n: usize, what: &str) -> String {
+pub fn counted(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }

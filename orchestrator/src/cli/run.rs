@@ -1,17 +1,16 @@
 //! `run`: works through the trials of a spec, or goes on where an earlier run has stopped.
 
-use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::spec::Run;
 use metasense_schemas::wire::Work;
 
-use super::live::Live;
+use super::live::{Live, counted};
 use super::{Error, Format, log, print_rows, read_plan};
-use crate::engine::{self, Options};
+use crate::engine::{self, Again, Options, Signals};
 use crate::exit::Exit;
 use crate::plan::{Plan, Trial};
-use crate::scheduler::{Outcome, Settings};
+use crate::scheduler::{Outcome, PRUNED, Prune, Settings};
 use crate::store::{Reader, Store};
 
 /// Rows of the final table that a person may want to read at once.
@@ -34,6 +33,9 @@ pub(super) struct Args {
     /// Threads a worker; by default `run.threads` of the spec, else 1
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    /// Run trials of the spec again that have failed, from their last step; otherwise they stay as they are
+    #[arg(long)]
+    retry_failed: bool,
     /// The form of the final table
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -42,10 +44,16 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.spec)?;
     let db = args.db.clone().unwrap_or_else(|| plan.default_database());
+    let mut signals = Signals::new()?;
     let mut store = Store::open(&db).await?;
-    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
-    let settled: HashSet<String> = store.settled().await?.into_iter().collect();
-    let open: Vec<&Trial> = plan.trials.iter().filter(|trial| !settled.contains(&trial.hash)).collect();
+    // What was given up as hopeless is not, where nobody asks for that any more.
+    let again = Again { pruned: plan.spec.run.prune.is_none(), failed: args.retry_failed };
+    let sweep = (&plan.spec, &*plan.source.text);
+    let Some(open) = engine::begin(&mut store, sweep, &plan.trials, again, &mut signals).await? else {
+        store.close().await?;
+        eprintln!("stopped before any trial was begun; the same command begins");
+        return Ok(Exit::Interrupted);
+    };
     let outcome = if open.is_empty() {
         store.close().await?;
         eprintln!("nothing left to do: all {} trials are settled", plan.trials.len());
@@ -55,7 +63,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let options = options(&plan.spec.run, &args, &open);
         let mut live = Live::new(open.len(), plan.trials.len() - open.len(), options.settings.workers);
         let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
-        engine::run(store, &open, &work, &options, &mut live).await?.outcome
+        engine::run(store, &open, &work, &options, &mut signals, &mut live).await?.outcome
     };
     let failed = print_results(&db, &plan, args.format).await?;
     eprintln!("database: {}", db.display());
@@ -82,6 +90,7 @@ fn options(run: &Run, args: &Args, trials: &[&Trial]) -> Options {
             backoff: millis(run.backoff.unwrap_or(0.5)),
             no_progress: millis(patience),
             time_limit: run.time_limit.map(millis),
+            prune: run.prune.as_ref().map(|prune| Prune { at: prune.at.clone(), grace: prune.grace }),
         },
         threads: threads as u32,
         niceness: run.niceness.unwrap_or(0).into(),
@@ -99,12 +108,28 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
     let failures = reader.failures(&plan.spec.name, &plan.source.text).await;
     reader.close().await;
     let ((mut table, count), failures) = (results?, failures?);
+    let (pruned, failures): (Vec<_>, Vec<_>) = failures.into_iter().partition(|(_, reason)| reason == PRUNED);
+    if !pruned.is_empty() {
+        eprintln!(
+            "{} given up as hopeless; without `prune` in [run] they go on",
+            counted(pruned.len(), "trial")
+        );
+    }
     for (hash, reason) in failures.iter().take(MOST_ROWS) {
         eprintln!("failed: trial {hash} ({reason})");
     }
     if format == Format::Table && table.rows.iter().all(|row| row[STATE] == "done") {
         table.columns.truncate(STATE);
         table.rows.iter_mut().for_each(|row| row.truncate(STATE));
+    }
+    if failures.len() > MOST_ROWS {
+        eprintln!("… and {} more failed: metasense status {}", failures.len() - MOST_ROWS, db.display());
+    }
+    if !failures.is_empty() {
+        eprintln!(
+            "their reasons and what to do stand in {}; --retry-failed runs them again",
+            log::path(db).display()
+        );
     }
     print_rows(&table, format)?;
     if count > table.rows.len() {

@@ -35,7 +35,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
              FROM v_trial GROUP BY 1, 2, 3 ORDER BY 1, 2, 3",
         )
         .await?;
-    let failed = reader.query("SELECT count(*) FROM v_trial WHERE state = 'failed'").await?;
+    let failed =
+        reader.query("SELECT count(*) FROM trial WHERE state = 'failed' AND reason <> 'pruned'").await?;
     reader.close().await;
     print_rows(&table, args.format)?;
     Ok(if failed.rows[0][0] == 0 { Exit::Done } else { Exit::Failed })

@@ -1,16 +1,24 @@
 //! `watch`: a run as it goes on, seen from its database, from any terminal.
 
+use std::collections::HashMap;
 use std::io::{IsTerminal, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use metasense_worker::process::IDLE;
+use serde_json::{Value, json};
+
 use super::status::newest;
 use super::{Error, Format, duration, print_rows};
 use crate::exit::Exit;
+use crate::fleet::{Seen, workers_of};
 use crate::store::{Reader, Table};
 
-/// Watches a run from another terminal: trials, steps, errors so far, rate and time to go; ends with the run
+/// Watches a run from another terminal: its workers with their trials, steps and errors, rate and time to go
+///
+/// Trials come from the database, workers from /proc, the run itself is not asked. Ends with the run. `said` is the
+/// seconds since a worker's last record, `cpu_%` its part of a core since the look before.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; by default the one under results/ that was written last
@@ -23,25 +31,32 @@ pub(super) struct Args {
     once: bool,
 }
 
-/// The trials that run, with their last step.
+/// The trials that run, with their last step, and the seconds since it was recorded.
 const RUNNING: &str = "
-SELECT t.panels AS K, t.sensors AS M, t.placement, t.seed, t.units, 1 + p.step AS steps,
-  json_extract(t.spec, '$.optimise.iterations') AS of, round(p.error_test, 2) AS error_now,
+SELECT t.hash, t.panels AS K, t.sensors AS M, t.placement, t.seed, t.units, 1 + p.step AS step,
+  json_extract(t.spec, '$.optimise.iterations') AS of,
+  (SELECT round(e.error_test, 2) FROM step e WHERE e.trial_id = t.id AND e.error_test IS NOT NULL
+   ORDER BY e.step DESC LIMIT 1) AS error_now,
   (SELECT round(min(b.error_test), 2) FROM step b WHERE b.trial_id = t.id) AS error_best,
-  CAST(round((julianday('now') - julianday(coalesce(p.recorded_at, a.started_at))) * 86400) AS INTEGER) AS seconds_ago,
-  a.number AS attempt, substr(t.hash, 1, 8) AS hash
+  CAST(round((julianday('now') - julianday(max(a.started_at, coalesce(p.recorded_at, '')))) * 86400) AS INTEGER) AS said,
+  a.number AS attempt
 FROM trial t JOIN attempt a ON a.trial_id = t.id AND a.state = 'running'
 LEFT JOIN step p ON p.trial_id = t.id AND p.step = (SELECT max(step) FROM step m WHERE m.trial_id = t.id)
-WHERE t.state = 'running' ORDER BY 1, 2, 3, 4, 5";
+WHERE t.state = 'running' ORDER BY 2, 3, 4, 5, 6";
 
-/// All trials by state, and the estimated seconds of those that are open; steps, attempts, and how long the successful
-/// attempts took against what was estimated.
+/// All trials by state; the estimated seconds of what is left of those that are open; steps, attempts; and how long
+/// attempts have taken against what was estimated for what they did; mean errors of what is done.
 const WHOLE: &str = "
-SELECT count(*), sum(state = 'done'), sum(state = 'failed'), sum(state = 'running'),
-  sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END),
+SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason <> 'pruned'), sum(state = 'running'),
+  sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END)
+    - (SELECT coalesce(sum(t.cost * c.step / json_extract(t.spec, '$.optimise.iterations')), 0)
+       FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.state IN ('pending', 'running')),
   (SELECT sum(steps) FROM attempt), (SELECT count(*) FROM attempt),
-  (SELECT sum((julianday(a.ended_at) - julianday(a.started_at)) * 86400) / nullif(sum(t.cost), 0)
-   FROM attempt a JOIN trial t ON t.id = a.trial_id WHERE a.state = 'done')
+  (SELECT sum((julianday(coalesce(a.ended_at, 'now')) - julianday(a.started_at)) * 86400)
+     / nullif(sum(CASE a.state WHEN 'done' THEN t.cost
+        ELSE t.cost * a.steps / json_extract(t.spec, '$.optimise.iterations') END), 0)
+   FROM attempt a JOIN trial t ON t.id = a.trial_id WHERE a.steps > 0 OR a.state = 'done'),
+  avg(holdout_error_initial), avg(holdout_error_optimised), sum(state = 'failed' AND reason = 'pruned')
 FROM trial";
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -54,6 +69,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let live = std::io::stdout().is_terminal() && !args.once;
     let mut first: Option<(Instant, f64)> = None;
+    let mut before: HashMap<u32, (Instant, u64)> = HashMap::new();
+    if let Some(run) = run_of(&db) {
+        // The first look at what workers compute needs one before it.
+        look(run, &mut before);
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
     loop {
         let mut reader = Reader::open(&db).await?;
         let whole = reader.query(WHOLE).await?;
@@ -64,15 +85,71 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             print!("\x1b[H\x1b[2J");
         }
         println!("{}: {}", db.display(), summary(&whole, &mut first));
-        if !running.rows.is_empty() {
-            print_rows(&running, Format::Table)?;
+        let run = run_of(&db);
+        let workers = run.map(|run| look(run, &mut before)).unwrap_or_default();
+        let table = by_worker(&running, &workers);
+        if !table.rows.is_empty() {
+            print_rows(&table, Format::Table)?;
         }
         std::io::stdout().flush()?;
-        if args.once || !in_use(&db) {
+        if run.is_none() && !args.once {
+            println!("no run is at work on it");
+        }
+        if args.once || run.is_none() {
             return Ok(Exit::Done);
         }
         tokio::time::sleep(Duration::from_secs_f64(args.every)).await;
     }
+}
+
+/// The workers of a run, with the part of a core (%) that each has used since the look before.
+fn look(run: u32, before: &mut HashMap<u32, (Instant, u64)>) -> Vec<(Seen, Option<f64>)> {
+    let now = Instant::now();
+    let seen = workers_of(run).into_iter().map(|worker| {
+        let earlier = before.insert(worker.pid, (now, worker.ticks));
+        let share = earlier.map(|(then, ticks)| {
+            worker.ticks.saturating_sub(ticks) as f64 / now.duration_since(then).as_secs_f64().max(0.01)
+        });
+        (worker, share)
+    });
+    seen.collect()
+}
+
+/// A row a worker, with its trial if it has one; then the trials whose worker is not seen from here.
+fn by_worker(running: &Table, workers: &[(Seen, Option<f64>)]) -> Table {
+    let hash = |row: &[Value]| row[0].as_str().unwrap_or_default().to_owned();
+    let mut columns: Vec<String> = ["worker", "pid", "state", "cpu_%"].map(String::from).into();
+    columns.extend(running.columns[1..].iter().cloned());
+    columns.push("trial".into());
+    let mut left: Vec<&Vec<Value>> = running.rows.iter().collect();
+    let line = |worker: [Value; 4], trial: Option<&Vec<Value>>| {
+        let mut row: Vec<Value> = worker.into();
+        match trial {
+            Some(trial) => {
+                row.extend(trial[1..].iter().cloned());
+                row.push(hash(trial).chars().take(8).collect::<String>().into());
+            }
+            None => row.resize(columns.len(), Value::Null),
+        }
+        row
+    };
+    let mut rows = Vec::new();
+    for (worker, share) in workers {
+        let trial = left.iter().position(|row| hash(row).starts_with(&worker.name)).map(|at| left.remove(at));
+        let state = match (worker.state, trial) {
+            ('T', _) => "stopped",
+            ('Z', _) => "ended",
+            (_, Some(_)) => "busy",
+            (_, None) if worker.name == IDLE => "idle",
+            (_, None) => "between trials",
+        };
+        let share = share.map_or(Value::Null, |share| json!(share.round() as u64));
+        rows.push(line([json!(worker.worker), json!(worker.pid), json!(state), share], trial));
+    }
+    rows.extend(
+        left.into_iter().map(|trial| line([Value::Null, Value::Null, Value::Null, Value::Null], Some(trial))),
+    );
+    Table { rows, columns: columns.clone() }
 }
 
 /// `first`: when the watch began, and the steps there were then.
@@ -82,10 +159,13 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     let (total, done, failed, running) = (number(0), number(1), number(2), number(3));
     let mut text = format!(
         "{done} of {total} trials done, {failed} failed, {running} running, {} waiting; {} steps in {} attempts",
-        total - done - failed - running,
+        total - done - failed - running - number(10),
         number(5),
         number(6),
     );
+    if number(10) > 0.0 {
+        text += &format!("; {} given up as hopeless", number(10));
+    }
     let (began, steps) = *first.get_or_insert((Instant::now(), number(5)));
     if number(5) > steps {
         text += &format!(", {:.1} a minute", 60.0 * (number(5) - steps) / began.elapsed().as_secs_f64());
@@ -94,13 +174,16 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     if correction > 0.0 && running > 0.0 {
         text += &format!("; some {} to go", duration(left * correction / running));
     }
+    if done > 0.0 {
+        text += &format!("; mean holdout error so far {:.2} -> {:.2} %", number(8), number(9));
+    }
     text
 }
 
-/// Whether a run writes to it. Asked of the kernel: to try the lock would keep a run that begins just then from it.
-fn in_use(db: &Path) -> bool {
-    let Ok(file) = db.metadata() else { return false };
-    let inode = format!(":{} ", file.ino());
-    let locks = std::fs::read_to_string("/proc/locks").unwrap_or_default();
-    locks.lines().any(|line| line.contains("FLOCK") && line.contains("WRITE") && line.contains(&inode))
+/// The process that writes to it. Asked of the kernel: to try the lock would keep a run that begins just then from it.
+fn run_of(db: &Path) -> Option<u32> {
+    let inode = format!(":{} ", db.metadata().ok()?.ino());
+    let locks = std::fs::read_to_string("/proc/locks").ok()?;
+    let held = |line: &&str| line.contains("FLOCK") && line.contains("WRITE") && line.contains(&inode);
+    locks.lines().find(held)?.split_whitespace().nth(4)?.parse().ok()
 }

@@ -3,6 +3,9 @@
 //! It waits, and decides nothing: that is the scheduler's. Effects are the fleet's (processes), the link's (shared
 //! memory) and the writer's (database). A result counts, and is shown, when it is on disk.
 
+mod begin;
+mod forecast;
+mod signals;
 mod watch;
 mod writer;
 
@@ -12,19 +15,22 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
-use metasense_schemas::wire::{Array, Lease, LinkError, Start, ToOrchestrator, ToWorker, Work};
+use metasense_schemas::wire::{Lease, LinkError, Sample, Start, ToOrchestrator, ToWorker, Work};
 use metasense_worker::process;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
+pub use begin::{Again, begin};
+pub use signals::Signals;
 pub use watch::{Silent, View, Watch};
 
 use crate::fleet::Fleet;
 use crate::link::{Line, Runtime, RuntimeError, Word};
 use crate::plan::Trial;
-use crate::scheduler::{self, Action, Event, Mark, Outcome, Phase, Prior, Reason, Settings, State, WorkerId};
+use crate::scheduler::{
+    self, Action, Event, Mark, Outcome, Phase, Prior, Reason, Settings, Standing, State, WorkerId,
+};
 use crate::store::{Store, StoreError};
-use writer::{NamedArray, Write, Written};
+use writer::{Arrays, Write, Written};
 
 /// Time between two looks at deadlines, and between two views.
 const TICK: Duration = Duration::from_millis(200);
@@ -57,8 +63,10 @@ pub struct Summary {
     pub outcome: Outcome,
     /// Trials done in this run.
     pub done: usize,
-    /// Trials given up in this run.
+    /// Trials that failed in this run.
     pub failed: usize,
+    /// Trials given up in this run as hopeless.
+    pub pruned: usize,
     /// Messages of attempts that were not current.
     pub stale: usize,
 }
@@ -92,11 +100,14 @@ pub async fn run(
     trials: &[&Trial],
     work: &dyn Fn(&Trial) -> Work,
     options: &Options,
+    signals: &mut Signals,
     watch: &mut dyn Watch,
 ) -> Result<Summary, EngineError> {
     let mut store = store;
-    let priors = priors(&mut store, trials).await?;
-    let runtime = Runtime::new(options.settings.workers)?;
+    let settings = &options.settings;
+    let state = |priors: &[Prior]| State::new(settings.clone(), priors);
+    let (priors, state) = begin::priors(&mut store, trials, state, settings.prune.as_ref()).await?;
+    let runtime = Runtime::new(settings.workers)?;
     let (ended_out, mut ended) = mpsc::channel(QUEUE);
     let (words_out, mut words) = mpsc::channel(QUEUE);
     let (queue, entries) = mpsc::channel(QUEUE);
@@ -104,12 +115,12 @@ pub async fn run(
     let hashes = trials.iter().map(|trial| trial.hash.clone()).collect();
     // On this task, not one of its own: arrays in shared memory may move between threads, not be shared by them.
     let writing = writer::write(store, hashes, entries, said);
-    let mut signals = signals().map_err(EngineError::Signals)?;
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
 
     let mut engine = Engine {
-        state: State::new(options.settings, &priors),
+        state,
+        view: View::new(trials, &priors, settings.workers),
         priors,
         trials,
         work,
@@ -122,7 +133,6 @@ pub async fn run(
         queue,
         checkpoints: HashMap::new(),
         results: HashMap::new(),
-        view: View::new(trials, options.settings.workers),
         stale: 0,
         store_error: None,
         last_words: String::new(),
@@ -135,7 +145,7 @@ pub async fn run(
                 Some((worker, word)) = words.recv() => engine.word(worker, word, &mut events),
                 Some((worker, reason)) = ended.recv() => engine.ended(worker, reason, &mut events),
                 Some(word) = written.recv() => engine.written(word, &mut events),
-                Some(()) = signals.recv() => engine.interrupt(&mut events),
+                Some(()) = signals.next() => engine.interrupt(&mut events),
                 _ = ticks.tick() => engine.tick(&mut events),
             }
             if let Some(outcome) = engine.carry_out(&mut events).await {
@@ -144,7 +154,7 @@ pub async fn run(
         };
         let Engine { view, stale, store_error, last_words, watch, .. } = engine;
         watch.end(&view, outcome);
-        let summary = Summary { outcome, done: view.done, failed: view.failed, stale };
+        let summary = Summary { outcome, done: view.done, failed: view.failed, pruned: view.pruned, stale };
         match (outcome, store_error) {
             (_, Some(error)) => Err(error.into()),
             (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(last_words)),
@@ -158,27 +168,11 @@ pub async fn run(
     Ok(summary)
 }
 
-/// What earlier runs have left of these trials.
-async fn priors(store: &mut Store, trials: &[&Trial]) -> Result<Vec<Prior>, StoreError> {
-    let known: HashMap<String, Prior> = store.priors().await?.into_iter().collect();
-    Ok(trials.iter().map(|trial| known.get(&trial.hash).copied().unwrap_or_default()).collect())
-}
-
-/// One message for each SIGINT, SIGTERM or SIGHUP.
-fn signals() -> std::io::Result<mpsc::Receiver<()>> {
-    let (out, signals) = mpsc::channel(4);
-    for kind in [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()] {
-        let (mut signal, out) = (signal(kind)?, out.clone());
-        tokio::spawn(async move { while signal.recv().await.is_some() && out.send(()).await.is_ok() {} });
-    }
-    Ok(signals)
-}
-
 /// What the scheduler passes on unread.
 #[derive(Debug)]
 enum Record {
     Step(Box<StepRecord>, Arc<Checkpoint>),
-    Result(Box<TrialResult>, Vec<NamedArray>),
+    Result(Box<TrialResult>, Option<Arrays>),
 }
 
 /// A worker's process and link, from the making of its domain until both are gone.
@@ -249,13 +243,10 @@ impl Engine<'_> {
             }
             Action::Assign(worker, lease) => {
                 self.record(Write::Begin(lease)).await;
-                self.view.assigned(
-                    lease.trial,
-                    self.checkpoints.contains_key(&lease.trial) || self.priors[lease.trial as usize].begun,
-                );
+                self.view.assigned(lease.trial, self.began.elapsed());
                 let known =
                     self.checkpoints.get(&lease.trial).map(|checkpoint| Checkpoint::clone(checkpoint));
-                if known.is_none() && self.priors[lease.trial as usize].begun {
+                if known.is_none() && self.priors[lease.trial as usize].steps.is_some() {
                     self.record(Write::Load(worker, lease)).await;
                 } else {
                     self.send_job(worker, lease, known);
@@ -263,24 +254,27 @@ impl Engine<'_> {
             }
             Action::RecordStep(lease, Record::Step(record, checkpoint)) => {
                 self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
-                self.view.stepped(lease.trial);
+                self.view.stepped(lease.trial, self.began.elapsed());
                 self.watch.step(self.trials[lease.trial as usize], &record);
                 self.record(Write::Step(lease, record, checkpoint)).await;
             }
             Action::RecordResult(lease, Record::Result(result, arrays)) => {
                 self.checkpoints.remove(&lease.trial);
+                self.view.finished(lease.trial, self.began.elapsed());
                 self.results.insert(lease.trial, TrialResult::clone(&result));
                 self.record(Write::Result(lease, result, arrays)).await;
             }
             Action::RecordStep(..) | Action::RecordResult(..) => unreachable!("records keep their kind"),
             Action::RecordFailure { lease, reason, settled } => {
                 let trial = self.trials[lease.trial as usize];
-                if settled {
-                    self.view.failed(lease.trial);
-                    tracing::error!(trial = trial.hash, lease.attempt, %reason, "trial failed");
-                } else {
-                    self.view.returned(lease.trial);
-                    tracing::warn!(trial = trial.hash, lease.attempt, %reason, "attempt ended, the trial goes on");
+                self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
+                let (hash, attempt) = (&trial.hash, lease.attempt);
+                if settled && reason == Reason::Pruned {
+                    tracing::info!(hash, attempt, "the trial is given up: worse than the median of its kind");
+                } else if settled {
+                    tracing::error!(hash, attempt, %reason, remedy = reason.remedy(), "the trial has failed");
+                } else if reason != Reason::Stopped {
+                    tracing::warn!(hash, attempt, %reason, "the attempt has failed; the trial is tried again");
                 }
                 if reason != Reason::Stopped {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled);
@@ -331,12 +325,13 @@ impl Engine<'_> {
     }
 
     fn send_job(&mut self, worker: WorkerId, lease: Lease, checkpoint: Option<Checkpoint>) {
-        let work = (self.work)(self.trials[lease.trial as usize]);
+        let trial = self.trials[lease.trial as usize];
         let job = ToWorker::Job {
             lease,
-            work,
+            work: (self.work)(trial),
             checkpoint: checkpoint.map(Box::new),
             threads: self.options.threads,
+            hash: trial.hash.clone(),
         };
         let Some(link) = self.links.get(&worker) else { return };
         match link.line.send(&job) {
@@ -357,7 +352,6 @@ impl Engine<'_> {
             Word::Open => self.start(worker, events),
             Word::Message(message, arrays) => self.message(worker, *message, arrays, events),
             Word::Beat(progress) => {
-                self.view.progressed(progress.trial, progress.fraction);
                 let lease = Lease { trial: progress.trial, attempt: progress.attempt };
                 events.push_back(Event::Beat(worker, lease));
             }
@@ -413,7 +407,7 @@ impl Engine<'_> {
         &mut self,
         worker: WorkerId,
         message: ToOrchestrator,
-        arrays: Vec<Array>,
+        sample: Option<Sample>,
         events: &mut Events,
     ) {
         events.push_back(match message {
@@ -425,19 +419,20 @@ impl Engine<'_> {
             }
             ToOrchestrator::Hello { .. } => Event::Up(worker),
             ToOrchestrator::Step { lease, record, checkpoint } => {
-                Event::Step(worker, lease, Record::Step(record, Arc::from(checkpoint)))
+                let steps =
+                    self.trials.get(lease.trial as usize).map_or(1, |trial| trial.spec.optimise.steps());
+                let standing = Standing {
+                    part: f64::from(checkpoint.step) / steps.max(1) as f64,
+                    error: checkpoint.best.as_ref().map(|best| best.1),
+                };
+                Event::Step(worker, lease, standing, Record::Step(record, Arc::from(checkpoint)))
             }
             ToOrchestrator::Finished { lease, result, arrays: heads } => {
-                let named = |((name, shape), values): ((String, Vec<u64>), Array)| NamedArray {
-                    name,
-                    shape: shape.into_iter().map(|n| n as usize).collect(),
-                    values,
-                };
-                let mut arrays: Vec<NamedArray> = heads.into_iter().zip(arrays).map(named).collect();
-                if !self.options.keep_arrays {
-                    let sum: f64 = arrays.iter().flat_map(|array| array.values.payload()).sum();
-                    std::hint::black_box(sum);
-                    arrays.clear();
+                let mut arrays = sample.map(|sample| Arrays { heads, sample });
+                if !self.options.keep_arrays
+                    && let Some(arrays) = arrays.take()
+                {
+                    arrays.read();
                 }
                 Event::Finished(worker, lease, Record::Result(result, arrays))
             }
@@ -485,7 +480,7 @@ impl Engine<'_> {
                 if mark == Mark::Result
                     && let Some(result) = self.results.remove(&lease.trial)
                 {
-                    self.view.done(lease.trial);
+                    self.view.done();
                     self.watch.done(self.trials[lease.trial as usize], &result);
                 }
                 events.push_back(Event::Recorded(lease, mark));

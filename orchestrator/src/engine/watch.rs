@@ -1,12 +1,12 @@
 //! What a person may see of a run while it goes on.
 
-use std::collections::HashMap;
 use std::time::Duration;
 
 use metasense_schemas::record::{StepRecord, TrialResult};
 
+use super::forecast::{Forecast, Planned};
 use crate::plan::Trial;
-use crate::scheduler::{Outcome, Reason};
+use crate::scheduler::{Outcome, Prior, Reason};
 
 /// Who watches a run.
 pub trait Watch {
@@ -37,8 +37,10 @@ pub struct View {
     pub total: usize,
     /// Done in this run.
     pub done: usize,
-    /// Given up in this run.
+    /// Failed in this run.
     pub failed: usize,
+    /// Given up in this run as hopeless.
+    pub pruned: usize,
     /// Steps that have come in.
     pub steps: u64,
     /// Worker processes.
@@ -47,86 +49,64 @@ pub struct View {
     pub busy: usize,
     /// Since the beginning.
     pub elapsed: Duration,
-    costs: Vec<f64>,
-    settled_cost: f64,
-    total_cost: f64,
-    /// Part done of each running trial: where this run found it, and now.
-    fractions: HashMap<u32, (Option<f64>, f64)>,
-    /// Cost worked off in this run by trials that are settled.
-    worked: f64,
+    forecast: Forecast,
 }
 
 impl View {
-    pub(super) fn new(trials: &[&Trial], workers: u32) -> Self {
-        let costs: Vec<f64> = trials.iter().map(|trial| trial.cost.max(1e-9)).collect();
+    pub(super) fn new(trials: &[&Trial], priors: &[Prior], workers: u32) -> Self {
+        let planned = |(trial, prior): (&&Trial, &Prior)| Planned::new(trial, prior.steps.unwrap_or(0));
         Self {
             total: trials.len(),
             done: 0,
             failed: 0,
+            pruned: 0,
             steps: 0,
             workers,
             busy: 0,
             elapsed: Duration::ZERO,
-            settled_cost: 0.0,
-            total_cost: costs.iter().sum(),
-            costs,
-            fractions: HashMap::new(),
-            worked: 0.0,
+            forecast: Forecast::new(trials.iter().zip(priors).map(planned).collect(), workers),
         }
+    }
+
+    /// Trials that are settled in this run.
+    pub fn settled(&self) -> usize {
+        self.done + self.failed + self.pruned
     }
 
     /// Part of the estimated work that is done, 0 to 1.
     pub fn fraction(&self) -> f64 {
-        let running: f64 =
-            self.fractions.iter().map(|(trial, (_, now))| self.costs[*trial as usize] * now).sum();
-        if self.total_cost > 0.0 { ((self.settled_cost + running) / self.total_cost).min(1.0) } else { 1.0 }
+        self.forecast.part(self.elapsed)
     }
 
-    /// Estimated time to go, once there is something to judge by: the work left, at the rate of this run so far.
+    /// Estimated time to go, once there is something to judge by.
     pub fn eta(&self) -> Option<Duration> {
-        let running = |(trial, (first, now)): (&u32, &(Option<f64>, f64))| {
-            self.costs[*trial as usize] * (now - first.unwrap_or(*now))
-        };
-        let worked = self.worked + self.fractions.iter().map(running).sum::<f64>();
-        let rate = worked / self.elapsed.as_secs_f64();
-        let left = (1.0 - self.fraction()) * self.total_cost;
-        (rate > 0.0 && rate.is_finite()).then(|| Duration::try_from_secs_f64(left / rate).ok())?
+        self.forecast.to_go(self.elapsed)
     }
 
-    /// What a trial that goes on from a checkpoint has behind it was not done in this attempt.
-    pub(super) fn assigned(&mut self, trial: u32, begun: bool) {
-        self.fractions.insert(trial, ((!begun).then_some(0.0), 0.0));
+    pub(super) fn assigned(&mut self, trial: u32, now: Duration) {
+        self.forecast.assigned(trial, now);
     }
 
-    pub(super) fn progressed(&mut self, trial: u32, fraction: f64) {
-        if let Some((first, now)) = self.fractions.get_mut(&trial) {
-            *now = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { *now };
-            first.get_or_insert(*now);
-        }
-    }
-
-    pub(super) fn stepped(&mut self, _trial: u32) {
+    pub(super) fn stepped(&mut self, trial: u32, now: Duration) {
         self.steps += 1;
+        self.forecast.stepped(trial, now);
     }
 
-    pub(super) fn returned(&mut self, trial: u32) {
-        self.fractions.remove(&trial);
+    /// Its result has come in; it counts when it is on disk.
+    pub(super) fn finished(&mut self, trial: u32, now: Duration) {
+        self.forecast.returned(trial, true, now);
+        self.forecast.settled(trial);
     }
 
-    pub(super) fn done(&mut self, trial: u32) {
+    pub(super) fn done(&mut self) {
         self.done += 1;
-        self.settle(trial);
     }
 
-    pub(super) fn failed(&mut self, trial: u32) {
-        self.failed += 1;
-        self.settle(trial);
-    }
-
-    fn settle(&mut self, trial: u32) {
-        let cost = self.costs[trial as usize];
-        let first = self.fractions.remove(&trial).and_then(|(first, _)| first).unwrap_or(0.0);
-        self.settled_cost += cost;
-        self.worked += cost * (1.0 - first);
+    pub(super) fn attempt_failed(&mut self, trial: u32, reason: Reason, settled: bool, now: Duration) {
+        self.forecast.returned(trial, false, now);
+        if settled {
+            self.forecast.settled(trial);
+            *if reason == Reason::Pruned { &mut self.pruned } else { &mut self.failed } += 1;
+        }
     }
 }

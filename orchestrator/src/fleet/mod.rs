@@ -3,6 +3,8 @@
 //! A worker is this program again (`/proc/self/exe`), so that both are always the same build. It dies with the
 //! *thread* that started it: `Fleet::spawn` is to be called from one that lives as long as the run.
 
+mod processes;
+
 use std::collections::HashMap;
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
@@ -13,6 +15,8 @@ use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, ChildStderr, ChildStdin, Command};
 use tokio::sync::mpsc::Sender;
 use tokio::sync::oneshot;
+
+pub use processes::{Seen, children, workers_of};
 
 use crate::scheduler::{Reason, WorkerId};
 

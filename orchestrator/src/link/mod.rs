@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use metasense_schemas::wire::{
-    self, Array, ArrayReceiver, BeatReceiver, End, LinkError, MessageReceiver, MessageSender, Progress,
-    Services, Sleeper, ToOrchestrator, ToWorker, Waker,
+    self, BeatReceiver, End, LinkError, MessageReceiver, MessageSender, Progress, Sample, Services, Sleeper,
+    ToOrchestrator, ToWorker, Waker,
 };
 use tokio::sync::mpsc::Sender;
 
@@ -19,7 +19,7 @@ pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY, SPACE_PER_WORKER
 
 use crate::scheduler::WorkerId;
 
-/// Longest wait for the writer to let an array go.
+/// Longest wait for the writer to let arrays go.
 const HOLD_MAX: Duration = Duration::from_secs(60);
 
 /// What comes from a worker's link.
@@ -27,8 +27,8 @@ const HOLD_MAX: Duration = Duration::from_secs(60);
 pub enum Word {
     /// The domain is there: the process may start.
     Open,
-    /// A message, with the arrays that belong to it.
-    Message(Box<ToOrchestrator>, Vec<Array>),
+    /// A message, with the arrays that belong to it; they are all there.
+    Message(Box<ToOrchestrator>, Option<Sample>),
     /// A sign of life.
     Beat(Progress),
     /// The link does not work.
@@ -101,7 +101,7 @@ impl Line {
 /// The receiving ends.
 struct Receivers {
     up: MessageReceiver,
-    arrays: ArrayReceiver,
+    arrays: MessageReceiver,
     beats: BeatReceiver,
     sleeper: Sleeper,
 }
@@ -117,7 +117,7 @@ fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(Word) -> bool) -> Result<
     let services = Services::new(&node, End::Orchestrator)?;
     let receivers = Receivers {
         up: Services::receiver(&services.up)?,
-        arrays: Services::array_receiver(&services.arrays)?,
+        arrays: Services::receiver(&services.arrays)?,
         beats: Services::beat_receiver(&services.progress)?,
         sleeper: Services::sleeper(&services.wake_orchestrator)?,
     };
@@ -153,14 +153,12 @@ impl Receivers {
             return Ok(false);
         }
         while let Some(message) = wire::receive::<ToOrchestrator>(&self.up)? {
-            let expected =
-                if let ToOrchestrator::Finished { arrays, .. } = &message { arrays.len() } else { 0 };
-            let mut arrays = Vec::with_capacity(expected);
-            while arrays.len() < expected
-                && let Some(array) = wire::receive_array(&self.arrays, HOLD_MAX)?
-            {
-                arrays.push(array);
-            }
+            let arrays = match &message {
+                ToOrchestrator::Finished { arrays, .. } if !arrays.is_empty() => {
+                    Some(wire::receive_arrays(&self.arrays, arrays, HOLD_MAX)?)
+                }
+                _ => None,
+            };
             if !say(Word::Message(Box::new(message), arrays)) {
                 return Ok(false);
             }

@@ -25,8 +25,8 @@ pub(super) fn brain_parameters(panels: usize, sensors: usize) -> usize {
     (9 * sensors * WIDTH + WIDTH) + (3 * WIDTH * WIDTH + WIDTH) + (WIDTH * panels + panels)
 }
 
-/// Seconds of a trial on one core.
-pub(super) fn seconds(trial: &TrialSpec, units: usize) -> f64 {
+/// Seconds of a trial on one core: of all outer steps, and of the comparison at the end.
+pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let stimuli = &trial.stimuli;
     let scale = (trial.solver.tolerance / 1e-6).powf(-0.2);
     let one_sample = trial.time.duration * STEPS_PER_SECOND * scale * units as f64 * SECONDS_PER_UNIT_STEP;
@@ -45,8 +45,7 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> f64 {
         // on four batches, by the coarse integrator mostly
         Protocol::Joint => 0.5 * differentiate + going * 4.0 * batch / train_samples.max(1.0),
     };
-    let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
-    let trainings = trial.evaluation.seeds as f64 * (1.0 + long);
-    let evaluation = 2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train);
-    optimise.steps() as f64 * step + evaluation
+    let comparison = 2.0
+        * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trial.evaluation.seeds as f64 * train);
+    (optimise.steps() as f64 * step, comparison)
 }

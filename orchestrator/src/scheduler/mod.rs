@@ -4,6 +4,7 @@
 //! `empty → starting → idle ⇄ busy → ending → empty`. Every message carries the lease (trial, attempt) it speaks of, and
 //! one whose lease its worker does not hold is counted and dropped. `P` is what is recorded: the scheduler passes it on unread.
 
+mod prune;
 mod reason;
 #[cfg(test)]
 mod simulation;
@@ -12,7 +13,10 @@ use std::collections::BTreeSet;
 
 use metasense_schemas::wire::Lease;
 
-pub use reason::Reason;
+pub use prune::{Prune, Standing};
+pub use reason::{PRUNED, Reason};
+
+use prune::Standings;
 
 /// Milliseconds since the run began.
 pub type Millis = u64;
@@ -42,7 +46,7 @@ pub enum Event<P> {
     /// A sign of life.
     Beat(WorkerId, Lease),
     /// An outer step is done.
-    Step(WorkerId, Lease, P),
+    Step(WorkerId, Lease, Standing, P),
     /// The trial is done.
     Finished(WorkerId, Lease, P),
     /// The attempt came to no result; the worker goes on.
@@ -114,7 +118,7 @@ pub enum Outcome {
 }
 
 /// Limits of a run.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     /// Worker processes.
     pub workers: u32,
@@ -126,6 +130,8 @@ pub struct Settings {
     pub no_progress: Millis,
     /// Longest time of an attempt.
     pub time_limit: Option<Millis>,
+    /// Which trials are given up early, if any.
+    pub prune: Option<Prune>,
 }
 
 /// Longest wait before a retry.
@@ -146,8 +152,12 @@ pub const UNRECORDED_MAX: usize = 256;
 pub struct Prior {
     /// Attempts of earlier runs.
     pub attempts: u32,
-    /// There is a checkpoint to go on from: such trials come first.
-    pub begun: bool,
+    /// Steps behind its checkpoint; a trial that has one goes first.
+    pub steps: Option<u32>,
+    /// Trials that are compared have an equal one.
+    pub kind: u32,
+    /// Marks of `Prune::at` at which it was judged.
+    pub judged: usize,
 }
 
 /// What a trial is doing.
@@ -173,6 +183,10 @@ struct Trial {
     /// Deaths since the last step.
     deaths: u32,
     stepped: bool,
+    kind: u32,
+    judged: usize,
+    /// Not worth finishing: its worker is asked for it.
+    hopeless: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -213,6 +227,7 @@ pub struct State {
     /// Trials that wait for a time.
     delayed: BTreeSet<(Millis, u32)>,
     slots: Vec<Slot>,
+    standings: Standings,
     unsettled: usize,
     unrecorded: usize,
     stopping: Stopping,
@@ -235,19 +250,20 @@ pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
                 state.beat(worker);
             }
         }
-        Event::Step(worker, lease, _)
+        Event::Step(worker, lease, ..)
         | Event::Finished(worker, lease, _)
         | Event::Failed(worker, lease, _)
             if !state.holds(worker, lease) =>
         {
             out.push(Action::CountStale(lease));
         }
-        Event::Step(worker, lease, record) => {
+        Event::Step(worker, lease, standing, record) => {
             state.beat(worker);
             let trial = &mut state.trials[lease.trial as usize];
             (trial.stepped, trial.begun) = (true, true);
             state.unrecorded += 1;
             out.push(Action::RecordStep(lease, record));
+            state.judge(worker, lease, standing, out);
         }
         Event::Finished(worker, lease, record) => {
             state.release(worker);
@@ -295,26 +311,35 @@ impl State {
         assert!(settings.workers > 0, "a run needs a worker");
         let slot = Slot { generation: 0, misfires: 0, unrecorded: 0, work: Work::Empty { until: 0 } };
         Self {
-            settings,
             now: 0,
-            ready: trials.iter().zip(0..).map(|(prior, trial)| (!prior.begun, trial)).collect(),
+            ready: trials.iter().zip(0..).map(|(prior, trial)| (prior.steps.is_none(), trial)).collect(),
             delayed: BTreeSet::new(),
             trials: trials
                 .iter()
                 .map(|prior| Trial {
                     phase: Phase::Pending,
                     attempt: prior.attempts,
-                    begun: prior.begun,
+                    begun: prior.steps.is_some(),
                     deaths: 0,
                     stepped: false,
+                    kind: prior.kind,
+                    judged: prior.judged,
+                    hopeless: false,
                 })
                 .collect(),
             slots: vec![slot; settings.workers as usize],
+            standings: Standings::default(),
             unsettled: trials.len(),
             unrecorded: 0,
             stopping: Stopping::No,
             ended: false,
+            settings,
         }
+    }
+
+    /// What an earlier run has seen of a trial of `kind` at a mark of `Prune::at`.
+    pub fn remember(&mut self, kind: u32, mark: usize, error: f64) {
+        self.standings.note(kind, mark, error);
     }
 
     /// What a trial is doing.
@@ -380,7 +405,7 @@ impl State {
             self.delayed.pop_first();
             self.ready.insert((!self.trials[trial as usize].begun, trial));
         }
-        let (now, settings) = (self.now, self.settings);
+        let (now, settings) = (self.now, &self.settings);
         for (slot, number) in self.slots.iter_mut().zip(0..) {
             let worker = WorkerId { slot: number, generation: slot.generation };
             let (lease, why) = match slot.work {
@@ -421,10 +446,30 @@ impl State {
         }
     }
 
+    /// Asks for a trial back that is worse than the median of its kind at a mark that it has reached.
+    fn judge<P>(&mut self, worker: WorkerId, lease: Lease, standing: Standing, out: &mut Vec<Action<P>>) {
+        let (Some(prune), Some(error)) = (&self.settings.prune, standing.error) else { return };
+        let trial = &mut self.trials[lease.trial as usize];
+        while prune.at.get(trial.judged).is_some_and(|part| standing.part >= *part) {
+            let (others, median) = self.standings.note(trial.kind, trial.judged, error);
+            trial.judged += 1;
+            trial.hopeless |= others >= prune.grace && error > median;
+        }
+        let hopeless = trial.hopeless;
+        if let Some(Slot { work: Work::Busy { asked, .. }, .. }) = self.slot(worker)
+            && hopeless
+            && !std::mem::replace(asked, true)
+        {
+            out.push(Action::AskStop(worker));
+        }
+    }
+
     /// An attempt came to nothing: again, later, or never.
     fn attempt_failed<P>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
-        let by_request = reason == Reason::Stopped || self.stopping >= Stopping::AtOnce;
         let trial = &mut self.trials[lease.trial as usize];
+        let reason = if trial.hopeless && reason.is_retried() { Reason::Pruned } else { reason };
+        let by_request =
+            reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && reason != Reason::Pruned;
         if !by_request {
             trial.deaths = if trial.stepped { 0 } else { trial.deaths + 1 };
         }

@@ -23,9 +23,14 @@ pub enum Reason {
     Rejected,
     /// A bug: the computation panicked.
     Panicked,
+    /// Worse than others of its kind, where `[run] prune` asks for that.
+    Pruned,
     /// Handed back on request; goes on with the next run.
     Stopped,
 }
+
+/// Name of `Reason::Pruned`, by which such trials are told from those that have failed.
+pub const PRUNED: &str = "pruned";
 
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -38,6 +43,7 @@ impl fmt::Display for Reason {
             Self::Numerical => f.write_str("numerical"),
             Self::Rejected => f.write_str("rejected"),
             Self::Panicked => f.write_str("panicked"),
+            Self::Pruned => f.write_str(PRUNED),
             Self::Stopped => f.write_str("stopped"),
         }
     }
@@ -55,6 +61,26 @@ impl From<Trouble> for Reason {
 }
 
 impl Reason {
+    /// What to do about a trial that was given up for this.
+    pub fn remedy(self) -> &'static str {
+        match self {
+            Self::WorkerKilled(9) => {
+                "the system may be short of memory: take fewer workers, then run with --retry-failed"
+            }
+            Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::Panicked => {
+                "this is a bug: see `metasense trial SPEC --hash HASH`, and report it with what it says"
+            }
+            Self::NoProgress => "raise `no_progress` in [run], then run with --retry-failed",
+            Self::TimeLimit => "raise `time_limit` in [run], then run with --retry-failed",
+            Self::NonFinite | Self::Numerical => {
+                "see `metasense trial SPEC --hash HASH`; a smaller `solver.tolerance` or learning rate may help"
+            }
+            Self::Rejected => "the spec is at fault: see `metasense trial SPEC --hash HASH`",
+            Self::Pruned => "leave `prune` out of [run] to have it run to its end",
+            Self::Stopped => "the same command goes on",
+        }
+    }
+
     /// Whether another attempt may end otherwise: what happened to the process, not to the trial.
     pub fn is_retried(self) -> bool {
         matches!(self, Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::NoProgress | Self::Stopped)

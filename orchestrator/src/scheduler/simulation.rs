@@ -1,7 +1,8 @@
 //! The scheduler in a world of its own: workers that die, hang, lag, repeat themselves and speak too late.
 //!
 //! The world is a queue of events at times, drawn from a seed. After every event: no trial is lost, none is with two
-//! workers, no attempt number is given twice, and no result is recorded twice; and every run ends. A seed that fails prints its history.
+//! workers, no attempt number is given twice, no result is recorded twice, and none is given up as hopeless that is not
+//! worse than enough others; and every run ends. A seed that fails prints its history.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -53,6 +54,8 @@ struct World {
     steps: Vec<u32>,
     results: Vec<u32>,
     failed: Vec<Option<Reason>>,
+    /// The error that a trial has from its first step to its last.
+    error: Vec<f64>,
     leases: HashSet<Lease>,
     /// Steps that a trial has; deaths, hangs and so on in percent.
     length: Vec<u32>,
@@ -78,9 +81,15 @@ impl World {
             backoff: dice.below(2000),
             no_progress: 20_000,
             time_limit: dice.percent(30).then_some(60_000),
+            prune: dice.percent(30).then(|| Prune { at: vec![0.3, 0.6], grace: 1 + dice.below(3) as usize }),
         };
-        let priors: Vec<Prior> =
-            (0..trials).map(|_| Prior { attempts: dice.below(3) as u32, begun: dice.percent(20) }).collect();
+        let prior = |trial: usize, dice: &mut Dice| Prior {
+            attempts: dice.below(3) as u32,
+            steps: dice.percent(20).then_some(0),
+            kind: trial as u32 % 2,
+            judged: 0,
+        };
+        let priors: Vec<Prior> = (0..trials).map(|trial| prior(trial, &mut dice)).collect();
         let calm = dice.percent(20);
         let chance = |dice: &mut Dice, most| if calm { 0 } else { dice.below(most) };
         let mut world = Self {
@@ -93,6 +102,7 @@ impl World {
             steps: vec![0; trials],
             results: vec![0; trials],
             failed: vec![None; trials],
+            error: (0..trials).map(|_| dice.below(1000) as f64).collect(),
             leases: HashSet::new(),
             length: (0..trials).map(|_| dice.below(8) as u32).collect(),
             chance_of_death: chance(&mut dice, 30),
@@ -267,7 +277,11 @@ impl World {
                 return self.say(when, Event::Failed(worker, lease, Reason::NonFinite));
             }
             self.say(when, Event::Beat(worker, lease));
-            self.say(when, Event::Step(worker, lease, (trial, step)));
+            let standing = Standing {
+                part: f64::from(step + 1) / f64::from(self.length[trial as usize]),
+                error: Some(self.error[trial as usize]),
+            };
+            self.say(when, Event::Step(worker, lease, standing, (trial, step)));
         }
         when += self.dice.below(1_000);
         self.say(when, Event::Finished(worker, lease, (trial, 0)));
@@ -299,7 +313,22 @@ impl World {
                 _ => assert!(!waits && !held.contains(&number), "trial {number} is settled and goes on"),
             }
             assert!(self.results[number as usize] <= 1, "trial {number} is done twice");
+            if trial.hopeless || trial.phase == Phase::Failed(Reason::Pruned) {
+                self.check_hopeless(number);
+            }
         }
+    }
+
+    /// As many others of its kind as the grace asks for have come as far as a mark, and half of them are better.
+    fn check_hopeless(&self, number: u32) {
+        let prune = self.state.settings.prune.as_ref().expect("nobody asked for it");
+        let others: Vec<f64> = (0..self.length.len())
+            .filter(|&other| other != number as usize && other % 2 == number as usize % 2)
+            .filter(|&other| f64::from(self.steps[other]) >= prune.at[0] * f64::from(self.length[other]))
+            .map(|other| self.error[other])
+            .collect();
+        let better = others.iter().filter(|error| **error < self.error[number as usize]).count();
+        assert!(others.len() >= prune.grace && better > 0, "trial {number} is not worse than {others:?}");
     }
 
     /// Holds at the end of a run.
@@ -337,6 +366,7 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_10_000_random_worlds() {
     };
     let run = |world: &mut World| std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| world.run()));
     let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
+    let mut pruned = 0;
     for seed in seeds.clone() {
         let mut world = World::new(seed);
         if run(&mut world).is_err() {
@@ -345,9 +375,11 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_10_000_random_worlds() {
             let _ = run(&mut again);
             panic!("seed {seed} fails; its history:\n{}", again.history.unwrap().join("\n"));
         }
+        pruned += world.failed.iter().filter(|reason| **reason == Some(Reason::Pruned)).count();
         *outcomes.entry(format!("{:?}", world.outcome)).or_default() += 1;
     }
     if seeds.end - seeds.start > 1 {
+        assert!(pruned > 100, "{pruned} trials were given up as hopeless");
         for outcome in [Outcome::Complete, Outcome::Interrupted, Outcome::StoreBroken, Outcome::NoWorkers] {
             let count = outcomes.get(&format!("{:?}", Some(outcome))).copied().unwrap_or(0);
             assert!(count > 20, "{outcome:?} was met in {count} worlds only: {outcomes:?}");

@@ -8,6 +8,7 @@ mod error;
 mod npy;
 mod prior;
 mod read;
+mod sweep;
 mod write;
 
 use std::collections::HashMap;
@@ -21,9 +22,10 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
 use error::OPENING;
 pub use error::StoreError;
-pub use npy::npy_bytes;
+pub use npy::{npy_bytes, npy_values};
 pub use read::{Artifact, Reader, Table};
-pub use write::{Array, Values};
+pub use sweep::Reopen;
+pub use write::Array;
 
 /// The writer. All methods are cancel-safe only as a whole: drop the store, not a call.
 #[derive(Debug)]
@@ -31,6 +33,8 @@ pub struct Store {
     connection: SqliteConnection,
     path: PathBuf,
     ids: HashMap<String, i64>,
+    /// The sweep that was begun.
+    sweep: Option<i64>,
     in_batch: bool,
     // Last field: SQLite's own locks on the file would go with an earlier close.
     _lock: File,
@@ -62,7 +66,8 @@ impl Store {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
         }
         migrate(&mut connection, version).await.map_err(at)?;
-        let mut store = Self { connection, path, ids: HashMap::new(), in_batch: false, _lock: lock };
+        let mut store =
+            Self { connection, path, ids: HashMap::new(), sweep: None, in_batch: false, _lock: lock };
         store.release_orphans().await?;
         Ok(store)
     }

@@ -2,6 +2,14 @@
 
 use npyz::{AutoSerialize, WriterBuilder};
 
+/// The values of an `.npy` file in C order.
+///
+/// # Errors
+/// Where the bytes are no array of this type.
+pub fn npy_values<T: npyz::Deserialize>(bytes: &[u8]) -> std::io::Result<Vec<T>> {
+    npyz::NpyFile::new(bytes).and_then(npyz::NpyFile::into_vec)
+}
+
 /// The bytes of an `.npy` file.
 ///
 /// # Panics

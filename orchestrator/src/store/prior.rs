@@ -1,9 +1,20 @@
-//! What earlier runs have left of the trials that are not settled.
+//! What earlier runs have left of the trials of a sweep.
 
 use sqlx::Row;
 
 use super::{Store, StoreError};
 use crate::scheduler::Prior;
+
+/// What a trial of the sweep had at a part of its steps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reached {
+    /// The trial.
+    pub hash: String,
+    /// Its K and M.
+    pub point: (u32, u32),
+    /// Its best test error until then (%).
+    pub error: f64,
+}
 
 impl Store {
     /// For each trial that is not settled and has been attempted: its hash, and how far it came.
@@ -12,16 +23,42 @@ impl Store {
     /// Where SQLite fails.
     pub async fn priors(&mut self) -> Result<Vec<(String, Prior)>, StoreError> {
         let rows = sqlx::query(
-            "SELECT t.hash, max(a.number), EXISTS (SELECT 1 FROM checkpoint c WHERE c.trial_id = t.id)
+            "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)
              FROM trial t JOIN attempt a ON a.trial_id = t.id
              WHERE t.state IN ('pending', 'running') GROUP BY t.id",
         )
         .fetch_all(&mut self.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        Ok(rows
-            .into_iter()
-            .map(|row| (row.get(0), Prior { attempts: row.get(1), begun: row.get(2) }))
-            .collect())
+        let prior = |attempts, steps| Prior { attempts, steps, ..Prior::default() };
+        Ok(rows.into_iter().map(|row| (row.get(0), prior(row.get(1), row.get(2)))).collect())
+    }
+
+    /// The trials of the sweep that was begun which have done this part of their steps, and what they had then.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn reached(&mut self, part: f64) -> Result<Vec<Reached>, StoreError> {
+        let rows = sqlx::query(
+            "WITH some AS (SELECT t.id, t.hash, t.panels, t.sensors,
+                    (SELECT max(step) + 1 FROM step p WHERE p.trial_id = t.id) AS steps,
+                    ?1 * (t.spec->>'$.optimise.iterations') AS mark
+                  FROM sweep_trial x JOIN trial t ON t.id = x.trial_id WHERE x.sweep_id = ?2)
+             SELECT hash, panels, sensors, error FROM (SELECT some.*,
+                 (SELECT min(p.error_test) FROM step p WHERE p.trial_id = some.id AND p.step < mark) AS error
+               FROM some WHERE steps >= mark)
+             WHERE error IS NOT NULL ORDER BY hash",
+        )
+        .bind(part)
+        .bind(self.sweep)
+        .fetch_all(&mut self.connection)
+        .await
+        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+        let reached = |row: &sqlx::sqlite::SqliteRow| Reached {
+            hash: row.get(0),
+            point: (row.get(1), row.get(2)),
+            error: row.get(3),
+        };
+        Ok(rows.iter().map(reached).collect())
     }
 }

@@ -13,7 +13,7 @@ use sqlx::{
     ValueRef,
 };
 
-use super::{OPENING, Store, StoreError, check_version, lock};
+use super::{OPENING, Store, StoreError, check_version, lock, npy_values};
 use metasense_schemas::database::MIGRATIONS;
 
 /// A read-only connection.
@@ -50,12 +50,10 @@ impl Artifact {
     /// # Errors
     /// Where the bytes are no array of this type.
     pub fn values<T: npyz::Deserialize>(&self) -> Result<Vec<T>, StoreError> {
-        npyz::NpyFile::new(&self.bytes[..]).and_then(npyz::NpyFile::into_vec).map_err(|e| {
-            StoreError::Unreadable {
-                hash: self.hash.clone(),
-                what: "array",
-                message: format!("{}: {e}", self.name),
-            }
+        npy_values(&self.bytes).map_err(|e| StoreError::Unreadable {
+            hash: self.hash.clone(),
+            what: "array",
+            message: format!("{}: {e}", self.name),
         })
     }
 }

@@ -1,17 +1,17 @@
-//! The writer's methods: sweeps, attempts, steps with their checkpoints, results.
+//! The writer's methods: attempts, steps with their checkpoints, results.
+
+use std::borrow::Cow;
 
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
-use metasense_schemas::spec::SweepSpec;
-use sqlx::{Connection, Executor, Row};
+use sqlx::Executor;
 
-use super::{Store, StoreError, npy_bytes};
-use crate::plan::Trial;
+use super::{Store, StoreError, npy_bytes, npy_values};
 
 /// The first byte of a stored checkpoint; a checkpoint behind another byte is not used, its trial starts anew.
 const CHECKPOINT_VERSION: u8 = 1;
 
 /// The version of this program, as attempts and sweeps record it.
-const VERSION: &str = env!("CARGO_PKG_VERSION");
+pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// An array to keep with a trial.
 #[derive(Debug, Clone, Copy)]
@@ -20,19 +20,8 @@ pub struct Array<'a> {
     pub name: &'a str,
     /// Its shape, outermost index first.
     pub shape: &'a [usize],
-    /// Its values, in C order.
-    pub values: Values<'a>,
-}
-
-/// The values of an array.
-#[derive(Debug, Clone, Copy)]
-pub enum Values<'a> {
-    /// Double precision.
-    F64(&'a [f64]),
-    /// Single precision.
-    F32(&'a [f32]),
-    /// Small integers, for instance a split.
-    U8(&'a [u8]),
+    /// It as an NPY file.
+    pub npy: &'a [u8],
 }
 
 impl Store {
@@ -67,69 +56,6 @@ impl Store {
             Ok(_) => Ok(()),
             Err(source) => Err(StoreError::sql(&self.path, doing, source)),
         }
-    }
-
-    /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
-    pub async fn begin_sweep(
-        &mut self,
-        spec: &SweepSpec,
-        text: &str,
-        trials: &[Trial],
-    ) -> Result<(), StoreError> {
-        let path = self.path.clone();
-        let at = |source| StoreError::sql(&path, "recording the sweep in", source);
-        let known: Option<i64> = sqlx::query_scalar(
-            "SELECT s.id FROM sweep s WHERE s.name = ? AND s.text = ?
-             AND ? = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)",
-        )
-        .bind(&spec.name)
-        .bind(text)
-        .bind(trials.len() as i64)
-        .fetch_optional(&mut self.connection)
-        .await
-        .map_err(at)?;
-        if known.is_none() {
-            let resolved = serde_json::to_string(spec).expect("a spec is JSON");
-            let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(at)?;
-            let sweep: i64 = sqlx::query_scalar(
-                "INSERT INTO sweep (name, text, spec, version, created_at)
-                 VALUES (?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
-                 ON CONFLICT DO UPDATE SET spec = excluded.spec, version = excluded.version RETURNING id",
-            )
-            .bind(&spec.name)
-            .bind(text)
-            .bind(resolved)
-            .bind(VERSION)
-            .fetch_one(&mut *tx)
-            .await
-            .map_err(at)?;
-            for chunk in trials.chunks(CHUNK) {
-                let rows =
-                    serde_json::to_string(&chunk.iter().map(row).collect::<Vec<_>>()).expect("rows are JSON");
-                for sql in [INSERT_TRIALS, INSERT_SWEEP_TRIALS] {
-                    sqlx::query(sql).bind(&rows).bind(sweep).execute(&mut *tx).await.map_err(at)?;
-                }
-            }
-            tx.commit().await.map_err(at)?;
-        }
-        let rows =
-            sqlx::query("SELECT id, hash FROM trial").fetch_all(&mut self.connection).await.map_err(at)?;
-        self.ids = rows.into_iter().map(|row| (row.get(1), row.get(0))).collect();
-        Ok(())
-    }
-
-    /// Hashes of the trials that are done or have failed for good.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
-    pub async fn settled(&mut self) -> Result<Vec<String>, StoreError> {
-        sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
-            .fetch_all(&mut self.connection)
-            .await
-            .map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
     /// Where a trial can go on; `None` where it starts anew.
@@ -277,7 +203,8 @@ impl Store {
         Ok(())
     }
 
-    /// Records the result of a trial with its arrays, and drops its checkpoint: done.
+    /// Records the result of a trial with its arrays, and drops its checkpoint: done. Designs, weights and losses may be
+    /// in the result, or among the arrays under the names that they have in the database.
     ///
     /// # Errors
     /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
@@ -329,15 +256,10 @@ impl Store {
         .execute(&mut self.connection)
         .await?;
         for (body, evaluation) in [("initial", &result.initial), ("optimised", &result.optimised)] {
-            self.insert_evaluation(id, body, evaluation).await?;
+            self.insert_evaluation(id, body, evaluation, arrays).await?;
         }
         for array in arrays {
-            let bytes = match array.values {
-                Values::F64(values) => npy_bytes(array.shape, values),
-                Values::F32(values) => npy_bytes(array.shape, values),
-                Values::U8(values) => npy_bytes(array.shape, values),
-            };
-            self.insert_artifact(id, array.name, array.shape, bytes).await?;
+            self.insert_artifact(id, array.name, array.shape, array.npy.to_vec()).await?;
         }
         sqlx::query("DELETE FROM checkpoint WHERE trial_id = ?")
             .bind(id)
@@ -351,10 +273,15 @@ impl Store {
         id: i64,
         body: &str,
         evaluation: &BodyEvaluation,
+        arrays: &[Array<'_>],
     ) -> sqlx::Result<()> {
-        // networks trained long are numbered on from the ordinary ones, and told by their iterations
-        let (ordinary, long) = (&evaluation.networks, &evaluation.long);
-        for (seed, network) in ordinary.iter().chain(long).enumerate() {
+        for (seed, network) in evaluation.networks.iter().enumerate() {
+            let name = format!("losses_{body}_{seed}");
+            let apart = arrays.iter().find(|array| array.name == name);
+            let losses = match apart {
+                Some(array) => Cow::Owned(npy_values::<f32>(array.npy).map_err(sqlx::Error::Io)?),
+                None => Cow::Borrowed(&network.losses[..]),
+            };
             sqlx::query("INSERT OR REPLACE INTO network VALUES (?, ?, ?, ?, ?, ?, ?, ?)")
                 .bind(id)
                 .bind(body)
@@ -362,17 +289,17 @@ impl Store {
                 .bind(finite(network.error_train))
                 .bind(finite(network.error_test))
                 .bind(finite(network.error_holdout))
-                .bind(network.losses.len() as i64)
+                .bind(losses.len() as i64)
                 .bind(&network.outcome)
                 .execute(&mut self.connection)
                 .await?;
-            for iteration in thinned(network.losses.len()) {
+            for iteration in thinned(losses.len()) {
                 sqlx::query("INSERT OR REPLACE INTO curve VALUES (?, ?, ?, ?, ?)")
                     .bind(id)
                     .bind(body)
                     .bind(seed as i64)
                     .bind(iteration as i64)
-                    .bind(finite(Some(network.losses[iteration - 1].into())))
+                    .bind(finite(Some(losses[iteration - 1].into())))
                     .execute(&mut self.connection)
                     .await?;
             }
@@ -380,15 +307,17 @@ impl Store {
                 let (name, shape) = (format!("weights_{body}_{seed}"), [network.weights.len()]);
                 self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &network.weights)).await?;
             }
-            if !network.losses.is_empty() {
-                let kind = if seed < ordinary.len() { "losses" } else { "long_losses" };
-                let (name, shape) = (format!("{kind}_{body}_{seed}"), [network.losses.len()]);
-                self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &network.losses)).await?;
+            if apart.is_none() && !losses.is_empty() {
+                let shape = [losses.len()];
+                self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &losses)).await?;
             }
         }
-        let shape = [evaluation.design.len()];
-        self.insert_artifact(id, &format!("alpha_{body}"), &shape, npy_bytes(&shape, &evaluation.design))
-            .await
+        let (design, shape) = (&evaluation.design, [evaluation.design.len()]);
+        if !design.is_empty() {
+            let bytes = npy_bytes(&shape, design);
+            self.insert_artifact(id, &format!("alpha_{body}"), &shape, bytes).await?;
+        }
+        Ok(())
     }
 
     async fn insert_artifact(
@@ -521,44 +450,6 @@ impl Store {
     }
 }
 
-/// Trials that one statement inserts, as a JSON list: a hundred thousand take a second, one by one they took five.
-const CHUNK: usize = 500;
-
-const INSERT_TRIALS: &str = "
-    INSERT INTO trial (hash, spec, layout, columns, rows, units, panels, sensors, placement, seed, protocol,
-      design_parameters, brain_parameters, cost, created_at)
-    SELECT value->>0, value->>1, value->>2, value->>3, value->>4, value->>5, value->>6, value->>7, value->>8, value->>9,
-      value->>10, value->>11, value->>12, value->>13, strftime('%Y-%m-%dT%H:%M:%fZ')
-    FROM json_each(?1) WHERE ?2 IS NOT NULL
-    ON CONFLICT (hash) DO NOTHING";
-
-const INSERT_SWEEP_TRIALS: &str = "
-    INSERT INTO sweep_trial (sweep_id, trial_id, position)
-    SELECT ?2, t.id, value->>14 FROM json_each(?1) JOIN trial t ON t.hash = value->>0 WHERE true
-    ON CONFLICT (sweep_id, trial_id) DO UPDATE SET position = excluded.position";
-
-/// A trial as the statements above take it.
-fn row(trial: &Trial) -> serde_json::Value {
-    let spec = &trial.spec;
-    serde_json::json!([
-        trial.hash,
-        serde_json::to_string(spec).expect("a trial is JSON"),
-        spec.body.layout,
-        spec.body.columns,
-        spec.body.rows.unwrap_or(spec.body.columns),
-        trial.units,
-        spec.point.panels,
-        spec.point.sensors,
-        spec.point.placement,
-        spec.point.seed,
-        spec.optimise.protocol,
-        trial.design_parameters,
-        trial.brain_parameters,
-        trial.cost,
-        trial.order,
-    ])
-}
-
 /// Non-finite numbers are stored as absent, on purpose; the outcome column says why.
 fn finite(value: Option<f64>) -> Option<f64> {
     value.filter(|v| v.is_finite())
@@ -575,7 +466,7 @@ fn without_bulk(result: &TrialResult) -> String {
     let mut small = result.clone();
     for body in [&mut small.initial, &mut small.optimised] {
         body.design.clear();
-        for network in body.networks.iter_mut().chain(&mut body.long) {
+        for network in &mut body.networks {
             network.losses.clear();
             network.weights.clear();
         }

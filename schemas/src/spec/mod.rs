@@ -12,7 +12,7 @@ mod trial;
 
 pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
-pub use optimise::{Brain, Curvature, Evaluation, GradientTerms, Optimise, Protocol, Schedule};
+pub use optimise::{Brain, Evaluation, GradientTerms, Optimise, Protocol, Schedule};
 pub use sensors::{Frame, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{Stimuli, StimuliKind};
@@ -87,8 +87,24 @@ fn one_seed() -> Vec<u64> {
     vec![1]
 }
 
+/// Trials that are given up early: worse than the median of equal K and M.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Prune {
+    /// Parts of a trial's outer steps at which its best test error so far is compared.
+    pub at: Vec<f64>,
+    /// Trials of equal K and M that must have come as far before it.
+    pub grace: usize,
+}
+
+impl Default for Prune {
+    fn default() -> Self {
+        Self { at: vec![0.5], grace: 4 }
+    }
+}
+
 /// Limits of the run itself.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Run {
     /// Worker processes; by default one a core.
@@ -115,4 +131,7 @@ pub struct Run {
     /// Longest time of an attempt at a trial (s); by default no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_limit: Option<f64>,
+    /// Which trials are given up early; by default none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub prune: Option<Prune>,
 }

@@ -11,7 +11,8 @@ use metasense_schemas::wire::{Fault, Work};
 use serde_json::json;
 
 use super::super::Error;
-use crate::engine::{self, Options, Silent};
+use super::soak::Soak;
+use crate::engine::{self, Again, Options, Signals, Silent, Watch};
 use crate::exit::Exit;
 use crate::plan::Trial;
 use crate::scheduler::{Outcome, Settings};
@@ -38,6 +39,9 @@ pub struct Args {
     /// Read the arrays and let them go instead of recording them: the rate of shared memory alone.
     #[arg(long)]
     drop_arrays: bool,
+    /// Go on for so long while workers are killed at random, with a row of memory a minute; enough trials must be asked for.
+    #[arg(long, value_name = "MINUTES")]
+    soak: Option<f64>,
     /// Keep the database, and go on with it if there is one.
     #[arg(long, value_name = "FILE")]
     db: Option<PathBuf>,
@@ -81,10 +85,14 @@ pub async fn execute(args: Args) -> Result<Exit, Error> {
 async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
     let sweep = sweep();
     let trials = trials(&sweep, args.trials);
+    let mut signals = Signals::new()?;
     let mut store = Store::open(db).await?;
-    store.begin_sweep(&sweep, "bench engine", &trials).await?;
-    let settled: std::collections::HashSet<String> = store.settled().await?.into_iter().collect();
-    let pending: Vec<&Trial> = trials.iter().filter(|trial| !settled.contains(&trial.hash)).collect();
+    let text = (&sweep, "bench engine");
+    let Some(pending) = engine::begin(&mut store, text, &trials, Again::default(), &mut signals).await?
+    else {
+        store.close().await?;
+        return Ok(Exit::Interrupted);
+    };
     let fault = args.fault.map(|fault| match fault {
         FaultName::Hang => Fault::Hang,
         FaultName::Die => Fault::Die,
@@ -105,6 +113,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
             backoff: 50,
             no_progress: args.no_progress_ms,
             time_limit: args.time_limit_ms,
+            prune: None,
         },
         threads: 1,
         niceness: 0,
@@ -113,7 +122,11 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         program: PathBuf::from("/proc/self/exe"),
     };
     let (cpu, began) = (cpu_seconds(), Instant::now());
-    let summary = engine::run(store, &pending, &work, &options, &mut Silent).await?;
+    let mut watch: Box<dyn Watch> = match args.soak {
+        Some(minutes) => Box::new(Soak::new(minutes)),
+        None => Box::new(Silent),
+    };
+    let summary = engine::run(store, &pending, &work, &options, &mut signals, &mut *watch).await?;
     let seconds = began.elapsed().as_secs_f64();
     let row = json!({
         "bench": "engine",

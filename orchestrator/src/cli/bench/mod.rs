@@ -4,6 +4,7 @@ mod brain;
 mod engine;
 mod projection;
 mod protocols;
+mod soak;
 
 use clap::Subcommand;
 

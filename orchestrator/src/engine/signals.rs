@@ -1,0 +1,39 @@
+//! SIGINT, SIGTERM and SIGHUP as messages: a person wants the end.
+
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::mpsc;
+
+use super::EngineError;
+
+/// Signals since it was made; none of them ends the process any more.
+#[derive(Debug)]
+pub struct Signals(mpsc::Receiver<()>);
+
+impl Signals {
+    /// From here on, signals are messages.
+    ///
+    /// # Errors
+    /// If the system does not let us wait for them.
+    pub fn new() -> Result<Self, EngineError> {
+        let (out, signals) = mpsc::channel(4);
+        for kind in [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()] {
+            let (mut signal, out) = (signal(kind).map_err(EngineError::Signals)?, out.clone());
+            tokio::spawn(async move { while signal.recv().await.is_some() && out.send(()).await.is_ok() {} });
+        }
+        Ok(Self(signals))
+    }
+
+    /// The next one.
+    pub(super) async fn next(&mut self) -> Option<()> {
+        self.0.recv().await
+    }
+
+    /// Does `work`, unless a signal comes first: then it is dropped where it stands, and this is `None`.
+    pub async fn unless<T>(&mut self, work: impl Future<Output = T>) -> Option<T> {
+        tokio::select! {
+            biased;
+            Some(()) = self.next() => None,
+            done = work => Some(done),
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! The writer's methods for sweeps: their trials, recorded once, and which of them are settled.
+
+use metasense_schemas::spec::SweepSpec;
+use sqlx::{Connection, Row};
+
+use super::write::VERSION;
+use super::{Store, StoreError};
+use crate::plan::Trial;
+use crate::scheduler::PRUNED;
+
+/// Trials that are to be run again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reopen {
+    /// Those that were given up as hopeless.
+    Pruned,
+    /// Those that have failed for any other reason.
+    Failed,
+}
+
+impl Store {
+    /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn begin_sweep(
+        &mut self,
+        spec: &SweepSpec,
+        text: &str,
+        trials: &[Trial],
+    ) -> Result<(), StoreError> {
+        let path = self.path.clone();
+        let at = |source| StoreError::sql(&path, "recording the sweep in", source);
+        let known: Option<i64> = sqlx::query_scalar(
+            "SELECT s.id FROM sweep s WHERE s.name = ? AND s.text = ?
+             AND ? = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)",
+        )
+        .bind(&spec.name)
+        .bind(text)
+        .bind(trials.len() as i64)
+        .fetch_optional(&mut self.connection)
+        .await
+        .map_err(at)?;
+        let mut sweep = known;
+        if known.is_none() {
+            let resolved = serde_json::to_string(spec).expect("a spec is JSON");
+            let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(at)?;
+            let id: i64 = sqlx::query_scalar(
+                "INSERT INTO sweep (name, text, spec, version, created_at)
+                 VALUES (?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
+                 ON CONFLICT DO UPDATE SET spec = excluded.spec, version = excluded.version RETURNING id",
+            )
+            .bind(&spec.name)
+            .bind(text)
+            .bind(resolved)
+            .bind(VERSION)
+            .fetch_one(&mut *tx)
+            .await
+            .map_err(at)?;
+            for chunk in trials.chunks(CHUNK) {
+                let rows =
+                    serde_json::to_string(&chunk.iter().map(row).collect::<Vec<_>>()).expect("rows are JSON");
+                for sql in [INSERT_TRIALS, INSERT_SWEEP_TRIALS] {
+                    sqlx::query(sql).bind(&rows).bind(id).execute(&mut *tx).await.map_err(at)?;
+                }
+            }
+            tx.commit().await.map_err(at)?;
+            sweep = Some(id);
+        }
+        self.sweep = sweep;
+        let rows =
+            sqlx::query("SELECT id, hash FROM trial").fetch_all(&mut self.connection).await.map_err(at)?;
+        self.ids = rows.into_iter().map(|row| (row.get(1), row.get(0))).collect();
+        Ok(())
+    }
+
+    /// Opens trials of the sweep that was begun and were given up: they go on with the next attempt, from their last step.
+    /// Returns how many.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn reopen(&mut self, which: Reopen) -> Result<u64, StoreError> {
+        let done = sqlx::query(
+            "UPDATE trial SET state = 'pending', reason = NULL, finished_at = NULL WHERE state = 'failed'
+               AND (reason = ?1) = ?2 AND id IN (SELECT trial_id FROM sweep_trial WHERE sweep_id = ?3)",
+        )
+        .bind(PRUNED)
+        .bind(which == Reopen::Pruned)
+        .bind(self.sweep)
+        .execute(&mut self.connection)
+        .await
+        .map_err(|source| StoreError::sql(&self.path, "reopening trials in", source))?;
+        Ok(done.rows_affected())
+    }
+
+    /// Hashes of the trials that are done or have failed for good.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn settled(&mut self) -> Result<Vec<String>, StoreError> {
+        sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
+            .fetch_all(&mut self.connection)
+            .await
+            .map_err(|source| StoreError::sql(&self.path, "reading", source))
+    }
+}
+
+/// Trials that one statement inserts, as a JSON list: a hundred thousand take a second, one by one they took five.
+const CHUNK: usize = 500;
+
+const INSERT_TRIALS: &str = "
+    INSERT INTO trial (hash, spec, layout, columns, rows, units, panels, sensors, placement, seed, protocol,
+      design_parameters, brain_parameters, cost, created_at)
+    SELECT value->>0, value->>1, value->>2, value->>3, value->>4, value->>5, value->>6, value->>7, value->>8, value->>9,
+      value->>10, value->>11, value->>12, value->>13, strftime('%Y-%m-%dT%H:%M:%fZ')
+    FROM json_each(?1) WHERE ?2 IS NOT NULL
+    ON CONFLICT (hash) DO NOTHING";
+
+const INSERT_SWEEP_TRIALS: &str = "
+    INSERT INTO sweep_trial (sweep_id, trial_id, position)
+    SELECT ?2, t.id, value->>14 FROM json_each(?1) JOIN trial t ON t.hash = value->>0 WHERE true
+    ON CONFLICT (sweep_id, trial_id) DO UPDATE SET position = excluded.position";
+
+/// A trial as the statements above take it.
+fn row(trial: &Trial) -> serde_json::Value {
+    let spec = &trial.spec;
+    serde_json::json!([
+        trial.hash,
+        serde_json::to_string(spec).expect("a trial is JSON"),
+        spec.body.layout,
+        spec.body.columns,
+        spec.body.rows.unwrap_or(spec.body.columns),
+        trial.units,
+        spec.point.panels,
+        spec.point.sensors,
+        spec.point.placement,
+        spec.point.seed,
+        spec.optimise.protocol,
+        trial.design_parameters,
+        trial.brain_parameters,
+        trial.cost,
+        trial.order,
+    ])
+}

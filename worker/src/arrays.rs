@@ -1,0 +1,207 @@
+//! The arrays of a result on their way to the database: NPY files, one behind the other, each value written once, into
+//! shared memory.
+
+use std::mem::MaybeUninit;
+
+use metasense_schemas::record::TrialResult;
+use metasense_schemas::wire::ArrayHead;
+
+/// The values of an array with one index.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    /// Single precision.
+    F32(Vec<f32>),
+    /// Double precision.
+    F64(Vec<f64>),
+    /// This many numbers from `first` up in steps of 1, which nobody needs to hold: to measure with.
+    Ramp {
+        /// The first of them.
+        first: f64,
+        /// How many.
+        len: usize,
+    },
+}
+
+impl Values {
+    fn len(&self) -> usize {
+        match self {
+            Self::F32(values) => values.len(),
+            Self::F64(values) => values.len(),
+            Self::Ramp { len, .. } => *len,
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        self.len() * if let Self::F32(_) = self { 4 } else { 8 }
+    }
+
+    fn header(&self) -> Vec<u8> {
+        match self {
+            Self::F32(values) => header::<f32>(values.len()),
+            Self::F64(_) | Self::Ramp { .. } => header::<f64>(self.len()),
+        }
+    }
+}
+
+/// The beginning of an NPY file of `len` values.
+fn header<T: npyz::AutoSerialize>(len: usize) -> Vec<u8> {
+    use npyz::WriterBuilder;
+    let mut bytes = Vec::with_capacity(128);
+    let options = npyz::WriteOptions::<T>::new().default_dtype().shape(&[len as u64]);
+    // Dropped without its values: those follow in shared memory.
+    drop(options.writer(&mut bytes).begin_nd().expect("writing to memory"));
+    bytes
+}
+
+/// Arrays that are sent as one.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Arrays {
+    parts: Vec<(String, Vec<u8>, Values)>,
+}
+
+impl Arrays {
+    /// Takes designs, weights and losses out of a result, under the names that they have in the database. A result
+    /// whose arrays are of less than `least` bytes keeps them: it is sent as it is.
+    pub fn of(result: &mut TrialResult, least: usize) -> Self {
+        let mut arrays = Self::default();
+        if bytes(result) < least {
+            return arrays;
+        }
+        for (body, evaluation) in [("initial", &mut result.initial), ("optimised", &mut result.optimised)] {
+            arrays.add(format!("alpha_{body}"), Values::F64(std::mem::take(&mut evaluation.design)));
+            for (seed, network) in evaluation.networks.iter_mut().enumerate() {
+                for (name, values) in [("weights", &mut network.weights), ("losses", &mut network.losses)] {
+                    if !values.is_empty() {
+                        let values = Values::F32(std::mem::take(values));
+                        arrays.add(format!("{name}_{body}_{seed}"), values);
+                    }
+                }
+            }
+        }
+        arrays
+    }
+
+    /// Adds an array.
+    pub fn add(&mut self, name: String, values: Values) {
+        self.parts.push((name, values.header(), values));
+    }
+
+    /// Bytes of all.
+    pub fn len(&self) -> usize {
+        self.parts.iter().map(|(_, header, values)| header.len() + values.bytes()).sum()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.parts.is_empty()
+    }
+
+    /// Name, shape and place of each.
+    pub fn heads(&self) -> Vec<ArrayHead> {
+        let mut end = 0;
+        let head = |(name, header, values): &(String, Vec<u8>, Values)| {
+            let start = end;
+            end += header.len() + values.bytes();
+            ArrayHead { name: name.clone(), shape: vec![values.len()], start, end }
+        };
+        self.parts.iter().map(head).collect()
+    }
+
+    /// Writes every byte of `target`.
+    ///
+    /// # Panics
+    /// If it is not of `len` bytes.
+    pub fn write(&self, target: &mut [MaybeUninit<u8>]) {
+        assert_eq!(target.len(), self.len(), "room for the arrays");
+        let mut rest = target;
+        for (_, header, values) in &self.parts {
+            let (head, after) = rest.split_at_mut(header.len());
+            head.write_copy_of_slice(header);
+            let (body, after) = after.split_at_mut(values.bytes());
+            match values {
+                Values::F32(values) => drop(body.write_copy_of_slice(bytemuck::cast_slice(values))),
+                Values::F64(values) => drop(body.write_copy_of_slice(bytemuck::cast_slice(values))),
+                Values::Ramp { first, .. } => {
+                    for (i, place) in body.chunks_exact_mut(8).enumerate() {
+                        place.write_copy_of_slice(&(first + i as f64).to_le_bytes());
+                    }
+                }
+            }
+            rest = after;
+        }
+    }
+}
+
+/// Bytes of the arrays of a result.
+fn bytes(result: &TrialResult) -> usize {
+    let body = |evaluation: &metasense_schemas::record::BodyEvaluation| {
+        let networks = evaluation.networks.iter().map(|n| 4 * (n.losses.len() + n.weights.len()));
+        8 * evaluation.design.len() + networks.sum::<usize>()
+    };
+    body(&result.initial) + body(&result.optimised)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use metasense_schemas::record::{BodyEvaluation, NetworkEvaluation};
+
+    fn result() -> TrialResult {
+        let network = |weights: Vec<f32>| NetworkEvaluation {
+            losses: vec![1.0, 0.5, 0.25],
+            weights,
+            ..Default::default()
+        };
+        let body = |x: f64| BodyEvaluation {
+            design: vec![x; 5],
+            networks: vec![network(vec![x as f32; 7]), network(Vec::new())],
+            ..Default::default()
+        };
+        TrialResult { initial: body(1.0), optimised: body(2.0), ..Default::default() }
+    }
+
+    /// What is written are NPY files of the values that were taken out, one behind the other, and nothing between them.
+    #[test]
+    fn every_array_of_a_result_is_a_file_of_its_own_and_nothing_of_it_stays() {
+        let mut taken = result();
+        let mut arrays = Arrays::of(&mut taken, 0);
+        arrays.add("ramp".into(), Values::Ramp { first: 3.0, len: 4 });
+        assert_eq!(bytes(&taken), 0);
+        let mut target = vec![MaybeUninit::new(0xffu8); arrays.len()];
+        arrays.write(&mut target);
+        // SAFETY: every byte has a value from the beginning.
+        let written: Vec<u8> = target.iter().map(|byte| unsafe { byte.assume_init() }).collect();
+        let heads = arrays.heads();
+        let names: Vec<_> = heads.iter().map(|head| head.name.as_str()).collect();
+        let of = |body: &str| ["alpha", "weights", "losses"].map(|what| format!("{what}_{body}"));
+        let [initial, optimised] = [of("initial"), of("optimised")];
+        assert_eq!(
+            names,
+            [
+                &initial[0],
+                &*format!("{}_0", initial[1]),
+                &format!("{}_0", initial[2]),
+                &format!("{}_1", initial[2]),
+                &optimised[0],
+                &format!("{}_0", optimised[1]),
+                &format!("{}_0", optimised[2]),
+                &format!("{}_1", optimised[2]),
+                "ramp"
+            ]
+        );
+        assert_eq!((heads[0].start, heads[8].end), (0, written.len()));
+        assert!(heads.windows(2).all(|pair| pair[0].end == pair[1].start), "{heads:?}");
+        let file = |i: usize| npyz::NpyFile::new(&written[heads[i].start..heads[i].end]).unwrap();
+        assert_eq!(file(4).into_vec::<f64>().unwrap(), [2.0; 5]);
+        assert_eq!(file(1).into_vec::<f32>().unwrap(), [1.0; 7]);
+        assert_eq!(file(2).into_vec::<f32>().unwrap(), [1.0, 0.5, 0.25]);
+        assert_eq!(file(8).into_vec::<f64>().unwrap(), [3.0, 4.0, 5.0, 6.0]);
+    }
+
+    #[test]
+    fn a_small_result_keeps_its_arrays() {
+        let mut whole = result();
+        assert!(Arrays::of(&mut whole, 4096).is_empty());
+        assert_eq!(whole, result());
+    }
+}
