@@ -64,13 +64,13 @@ pub fn run_trial(
         .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))?;
     let mut watch = Watch { observer, start: Instant::now(), store: 0.0 };
     match nested::optimise(&problem, resume, &pool, &mut watch) {
-        Ok(Some(optimised)) => Ok(result(trial, optimised)),
+        Ok(Some(optimised)) => Ok(result(optimised)),
         Ok(None) => Err(Failure::Stopped),
         Err(failure) => Err(Failure::NonFinite(failure.to_string())),
     }
 }
 
-fn result(trial: &TrialSpec, optimised: Optimised) -> TrialResult {
+fn result(optimised: Optimised) -> TrialResult {
     TrialResult {
         initial: convert::body_evaluation(optimised.initial),
         optimised: convert::body_evaluation(optimised.optimised),
@@ -78,7 +78,7 @@ fn result(trial: &TrialSpec, optimised: Optimised) -> TrialResult {
         seconds_evaluation: optimised.seconds.simulate + optimised.seconds.train,
         counters: convert::counters(&optimised.counters),
         simd: Width::detect().name().into(),
-        solver: format!("{:?} {:e}", trial.solver.method, trial.solver.tolerance).to_lowercase(),
+        solver: optimised.solver,
     }
 }
 

@@ -15,6 +15,7 @@ mod replay;
 mod report;
 mod setting;
 mod state;
+mod tuning;
 
 pub use evaluation::{BodyEvaluation, NetworkEvaluation};
 pub use problem::{Evaluation, Going, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
@@ -26,6 +27,7 @@ use evaluation::evaluate;
 use protocol::Session;
 use report::Log;
 use setting::Setting;
+use tuning::Tuning;
 
 use crate::feasible::Feasible;
 
@@ -38,7 +40,9 @@ pub struct Optimised {
     pub optimised: BodyEvaluation,
     /// The outer step whose design is the best, by the test set.
     pub best_step: u32,
-    /// Counts of work of the two evaluations.
+    /// What the solvers came to, and why.
+    pub solver: String,
+    /// Counts of work of the pilot that tuned them and of the two evaluations.
     pub counters: Counters,
     /// Seconds of the two evaluations.
     pub seconds: Seconds,
@@ -55,6 +59,7 @@ pub fn optimise(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
+    let Tuning { problem, reason: solver, counters: pilot } = &Tuning::new(problem, pool);
     let setting = Setting::new(problem, pool)?;
     let mut castable = Feasible::new(&problem.scene.layout, problem.limits, &problem.kept);
     let mut session = Session::new(&setting);
@@ -85,8 +90,9 @@ pub fn optimise(
     let mut log = Log::new(state.step, observer);
     let initial = evaluate(&setting, &problem.initial, 0, &mut log);
     let optimised = evaluate(&setting, best_design, 1, &mut log);
-    let Report { counters, seconds, .. } = log.report;
-    Ok(Some(Optimised { initial, optimised, best_step, counters, seconds }))
+    let Report { mut counters, seconds, .. } = log.report;
+    counters.dynamics += *pilot;
+    Ok(Some(Optimised { initial, optimised, best_step, solver: solver.clone(), counters, seconds }))
 }
 
 /// The comparison at the end for any designs: fresh networks of the same initial weights on each.
@@ -99,6 +105,7 @@ pub fn evaluate_designs(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Vec<BodyEvaluation>, Failure> {
+    let Tuning { problem, .. } = &Tuning::new(problem, pool);
     let setting = Setting::new(problem, pool)?;
     let mut log = Log::new(0, observer);
     Ok(designs.iter().map(|design| evaluate(&setting, design, 0, &mut log)).collect())

@@ -69,40 +69,72 @@ fn hessian_at_rest(model: &Model, scene: &Scene, w: &[f64]) -> Vec<f64> {
     h.as_flattened().iter().map(|h| h.array()[0]).collect()
 }
 
-/// Measured error of the signals, relative, against w = ω h/stages, ω the highest frequency: factor · wᵖ.
+/// Error of the signals, relative, against w = ω h/stages, ω the highest frequency: factor · wᵖ.
 ///
-/// Fitted on the reference scene, where 2e-3 … 7e-8 follow the powers within a third; bodies whose highest modes ring
-/// for many periods between instants have up to twice the error (stretch × 100, × 10 000), hence the second factor.
-struct Law {
-    method: Method,
-    power: f64,
-    factor: [f64; 2],
+/// Fitted on the reference scene, where 2e-3 … 7e-8 follow the powers within a third. Elsewhere the factor is another:
+/// ringing of many periods between instants, sharp forces, contact. `tune` measures it.
+pub(super) struct Law {
+    pub(super) method: Method,
+    pub(super) power: f64,
+    factor: f64,
     /// Largest w that is used, for stability in motion far from rest.
     limit: f64,
     /// Cost of a step, in forces.
-    work: usize,
+    pub(super) work: usize,
 }
 
 const LAWS: [Law; 4] = [
-    Law { method: Method::Leapfrog, power: 2.0, factor: [0.45, 0.9], limit: 0.7, work: 1 },
-    Law { method: Method::Nystrom4, power: 4.0, factor: [0.25, 0.6], limit: 0.6, work: 6 },
-    Law { method: Method::Nystrom6, power: 6.0, factor: [1.5, 3.2], limit: 0.5, work: 11 },
+    Law { method: Method::Leapfrog, power: 2.0, factor: 0.45, limit: 0.7, work: 1 },
+    Law { method: Method::Nystrom4, power: 4.0, factor: 0.25, limit: 0.6, work: 6 },
+    Law { method: Method::Nystrom6, power: 6.0, factor: 1.5, limit: 0.5, work: 11 },
     // Of the highest soft mode; about 3.5 forces and a share of a factorisation a stage
-    Law { method: Method::Implicit, power: 4.0, factor: [30.0, 30.0], limit: 0.4, work: 26 },
+    Law { method: Method::Implicit, power: 4.0, factor: 30.0, limit: 0.4, work: 26 },
 ];
-/// Radians of the highest mode in an interval from which the second factor holds.
-const RINGING: f64 = 60.0;
 /// Asked errors from which the ringing of stiff modes, some per cent of accelerations, may be left out.
 const SOFT: f64 = 0.03;
 
-impl Law {
-    /// Steps an interval of `radians` of the highest mode that the method follows.
-    fn steps(&self, radians: f64, tolerance: f64) -> usize {
-        let factor = self.factor[usize::from(radians > RINGING)];
-        let w = (tolerance / factor).powf(1.0 / self.power).min(self.limit);
-        let stages = self.method.stages().expect("equal steps") as f64;
-        (radians / (w * stages)).ceil().clamp(1.0, 1e6) as usize
+/// A method of equal steps in a scene.
+pub(super) struct Candidate {
+    pub(super) law: &'static Law,
+    /// Highest frequency that the method follows (rad/s).
+    pub(super) followed: f64,
+    /// Highest frequency of all (rad/s).
+    pub(super) all: f64,
+    /// Length of an interval (s).
+    pub(super) interval: f64,
+}
+
+impl Candidate {
+    /// Steps an interval by the law.
+    pub(super) fn steps(&self, tolerance: f64) -> usize {
+        let w = (tolerance / self.law.factor).powf(1.0 / self.law.power).min(self.law.limit);
+        (self.followed * self.interval / (w * self.stages())).ceil().clamp(1.0, 1e6) as usize
     }
+
+    /// The tolerance for which the law gives so many steps, rounded up.
+    pub(super) fn tolerance(&self, steps: f64) -> f64 {
+        self.law.factor * (self.followed * self.interval / (steps * self.stages())).powf(self.law.power)
+    }
+
+    pub(super) fn plan(&self, steps: usize, reason: String) -> Plan {
+        Plan { method: self.law.method, tolerance: self.tolerance(steps as f64), steps, reason }
+    }
+
+    fn stages(&self) -> f64 {
+        self.law.method.stages().expect("equal steps") as f64
+    }
+}
+
+/// Every method of equal steps in this scene.
+pub(super) fn candidates(scene: &Scene, design: &[f64]) -> Vec<Candidate> {
+    let all = highest_frequency(scene, design);
+    // Without the stiffness by which stretching exceeds shearing more than in the reference material
+    let mut soft = scene.clone();
+    soft.stiffness.stretch = soft.stiffness.stretch.min(6.0 * soft.stiffness.shear);
+    let soft = if soft == *scene { all } else { highest_frequency(&soft, design) };
+    let followed = |law: &Law| if law.method == Method::Implicit { soft } else { all };
+    let interval = scene.duration / scene.instants as f64;
+    LAWS.iter().map(|law| Candidate { law, followed: followed(law), all, interval }).collect()
 }
 
 /// Turns a solver into a plan for this scene and design.
@@ -111,29 +143,36 @@ pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
     if method == Method::Tsit5 {
         return Plan { method, tolerance, steps: 0, reason: "asked for".to_owned() };
     }
-    let delta = scene.duration / scene.instants as f64;
-    let all = highest_frequency(scene, design);
-    // Without the stiffness by which stretching exceeds shearing more than in the reference material
-    let mut soft = scene.clone();
-    soft.stiffness.stretch = soft.stiffness.stretch.min(6.0 * soft.stiffness.shear);
-    let soft =
-        if method == Method::Implicit || tolerance >= SOFT { highest_frequency(&soft, design) } else { all };
-    let followed = |law: &Law| if law.method == Method::Implicit { soft } else { all };
-    let steps = |law: &Law| law.steps(followed(law) * delta, tolerance);
-    let law = match method {
-        Method::Auto => LAWS
-            .iter()
-            .filter(|law| law.method != Method::Implicit || tolerance >= SOFT)
-            .min_by_key(|law| steps(law) * law.work),
-        named => LAWS.iter().find(|law| law.method == named),
+    let allowed = |c: &Candidate| match method {
+        Method::Auto => c.law.method != Method::Implicit || tolerance >= SOFT,
+        named => c.law.method == named,
     };
-    let law = law.expect("a law for every method of equal steps");
-    let why = if method == Method::Auto { "least work" } else { "asked for" };
+    let best = candidates(scene, design)
+        .into_iter()
+        .filter(allowed)
+        .min_by_key(|c| c.steps(tolerance) * c.law.work)
+        .expect("a law for every method of equal steps");
+    let steps = best.steps(tolerance);
     let reason = format!(
-        "{why}: {} steps an interval for an error of {tolerance:.0e}, highest frequency followed {:.0} Hz of {:.0} Hz",
-        steps(law),
-        followed(law) / std::f64::consts::TAU,
-        all / std::f64::consts::TAU
+        "{}, {steps} steps an interval of {}: by a law for errors of {tolerance:.0e}; {}",
+        best.law.method.name(),
+        milliseconds(best.interval),
+        frequencies(&best),
     );
-    Plan { method: law.method, tolerance, steps: steps(law), reason }
+    Plan { method: best.law.method, tolerance, steps, reason }
+}
+
+/// An interval in words.
+pub(super) fn milliseconds(seconds: f64) -> String {
+    format!("{} ms", (seconds * 1e6).round() * 1e-3)
+}
+
+/// The frequencies that decide about steps, in words.
+pub(super) fn frequencies(c: &Candidate) -> String {
+    let hertz = |omega: f64| omega / std::f64::consts::TAU;
+    let followed = match c.followed < c.all {
+        true => format!(", followed up to {:.0} Hz", hertz(c.followed)),
+        false => String::new(),
+    };
+    format!("highest frequency {:.0} Hz{followed}", hertz(c.all))
 }

@@ -16,12 +16,14 @@ mod real;
 mod splitting;
 mod system;
 mod tsit5;
+mod tune;
 mod vector;
 
 use crate::body::Layout;
 pub use choose::{choose, highest_frequency};
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
 pub use model::damping;
+pub use tune::{Tuned, tune};
 
 /// Stiffnesses of a ligament.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -5,6 +5,7 @@
 use super::problem::Problem;
 use super::report::Failure;
 use super::setting::{Setting, all_well};
+use super::tuning::Tuning;
 use crate::brain::{self, Workspace};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
@@ -44,6 +45,7 @@ pub fn replay(
     weights: &[f32],
     pool: &rayon::ThreadPool,
 ) -> Result<Replay, Failure> {
+    let Tuning { problem, .. } = &Tuning::new(problem, pool);
     let setting = Setting::new(problem, pool)?;
     let forces = all_forces(problem);
     let (_, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
@@ -103,6 +105,7 @@ pub fn motion(
     sample: usize,
     pool: &rayon::ThreadPool,
 ) -> Result<Motion, Failure> {
+    let Tuning { problem, .. } = &Tuning::new(problem, pool);
     let forces = crate::stimuli::select(&all_forces(problem), &[sample]);
     let simulation = simulate(&problem.scene, design, &forces, &problem.solver, true, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;

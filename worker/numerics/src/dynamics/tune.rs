@@ -1,0 +1,208 @@
+//! Which integrator and how many steps, by measurement: a pilot of the first samples before all others.
+//!
+//! The laws of `choose` hold for the reference scene; sharp forces, contact or long ringing between instants have other
+//! factors. The pilot's truth is `nystrom6`, its steps doubled until two runs agree to the asked error. Then the method of
+//! least work by its law is measured at this many steps, and at more or fewer, until no cheaper one is left.
+
+use super::choose::{Candidate, candidates, choose, frequencies, milliseconds};
+use super::vector::LANES;
+use super::{Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, run};
+
+/// What a pilot made of a solver.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tuned {
+    /// Never `Auto`, its tolerance one by which the method's law keeps the asked error, for other designs too.
+    pub solver: Solver,
+    /// What that is for the design of the pilot, and why.
+    pub plan: Plan,
+    /// Relative error of the pilot's signals; none where it was not, or could not be, measured.
+    pub error: Option<f64>,
+    /// The pilot's work.
+    pub counters: Counters,
+}
+
+/// The asked error by the measured one, at least: other samples and the bodies to come are not those of the pilot.
+const SAFETY: f64 = 1.25;
+/// By how much the law's steps may have to be refined: from there on motion is chaotic rather than quick.
+const REFINED: usize = 8;
+/// Runs of one method.
+const TRIES: usize = 6;
+
+/// Finds the cheapest way to keep the solver's tolerance, a relative error of the signals, in this scene under these forces.
+///
+/// Takes the first eight samples, in the order given; the same inputs give the same answer on any number of threads.
+/// Where no steps reach the tolerance, the law's remain and the plan's reason says so. `Tsit5` is returned as it is: its
+/// tolerance is that of its own error norm.
+///
+/// # Panics
+/// As `simulate`.
+pub fn tune(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    solver: &Solver,
+    pool: &rayon::ThreadPool,
+) -> Tuned {
+    let asked = solver.tolerance;
+    let mut pilot =
+        Pilot { scene, design, forces: first(forces, LANES), pool, counters: Counters::default() };
+    let as_it_is = |why: Option<String>, counters| {
+        let mut plan = choose(scene, design, solver);
+        if let Some(why) = why {
+            plan.reason = format!("{}; {why}", plan.reason);
+        }
+        Tuned { solver: *solver, plan, error: None, counters }
+    };
+    let all = candidates(scene, design);
+    let moved = pilot.forces.values.iter().any(|f| *f != 0.0) && all[0].all > 0.0;
+    if solver.method == Method::Tsit5 || !moved || scene.sensors.is_empty() {
+        return as_it_is(None, Counters::default());
+    }
+    let six = all.iter().find(|c| c.law.method == Method::Nystrom6).expect("a law");
+    let (truth, known) = match pilot.truth(six, asked) {
+        Ok(found) => found,
+        Err(off) => {
+            let why = format!("no steps of the pilot reached the error asked, {off:.0e} is left");
+            return as_it_is(Some(why), pilot.counters);
+        }
+    };
+    let mut open: Vec<Candidate> =
+        all.into_iter().filter(|c| solver.method == Method::Auto || solver.method == c.law.method).collect();
+    let mut best: Option<(Candidate, Fewest)> = None;
+    // By their laws, the cheapest first; none is tried that would do more work than the best that was measured.
+    open.sort_by_key(|c| c.steps(asked) * c.law.work);
+    for candidate in open {
+        let work = |steps: usize| steps * candidate.law.work;
+        let bound = best.as_ref().map_or(usize::MAX, |(c, f)| f.steps * c.law.work);
+        if work(candidate.steps(asked)) >= bound {
+            continue;
+        }
+        let known = known.filter(|_| candidate.law.method == Method::Nystrom6);
+        if let Some(fewest) = pilot.fewest(&candidate, &truth, asked, known)
+            && work(fewest.steps) < bound
+        {
+            best = Some((candidate, fewest));
+        }
+    }
+    let Some((candidate, Fewest { steps, exact, error })) = best else {
+        return as_it_is(Some("no steps of the pilot reached the error asked".to_owned()), pilot.counters);
+    };
+    let reason = format!(
+        "{}, {steps} steps an interval of {}: error {error:.0e} measured, asked {asked:.0e}; {}",
+        candidate.law.method.name(),
+        milliseconds(candidate.interval),
+        frequencies(&candidate),
+    );
+    let plan = candidate.plan(steps, reason);
+    let solver = Solver { method: plan.method, tolerance: candidate.tolerance(exact) };
+    Tuned { solver, plan, error: Some(error), counters: pilot.counters }
+}
+
+/// The first samples.
+fn first(forces: &Forces, samples: usize) -> Forces {
+    let samples = forces.samples.min(samples);
+    let len = forces.values.len() / forces.samples.max(1);
+    Forces { samples, values: forces.values[..samples * len].to_vec(), ..*forces }
+}
+
+/// The fewest steps that keep an error.
+struct Fewest {
+    steps: usize,
+    /// How many it would be, were steps not whole: just above `steps` − 1 at least.
+    exact: f64,
+    /// Relative error measured at `steps`.
+    error: f64,
+}
+
+/// The first samples, run again and again.
+struct Pilot<'a> {
+    scene: &'a Scene,
+    design: &'a [f64],
+    forces: Forces,
+    pool: &'a rayon::ThreadPool,
+    counters: Counters,
+}
+
+impl Pilot<'_> {
+    fn run(&mut self, candidate: &Candidate, steps: usize) -> Simulation {
+        let plan = candidate.plan(steps, String::new());
+        let simulation = run(self.scene, self.design, &self.forces, &plan, false, self.pool);
+        self.counters += simulation.counters;
+        simulation
+    }
+
+    /// Signals that are exact to well below `asked`, with steps and error of the run before; or the least error left.
+    fn truth(&mut self, six: &Candidate, asked: f64) -> Result<(Simulation, Option<(usize, f64)>), f64> {
+        let start = six.steps(asked.min(0.01));
+        let (mut steps, mut least) = (start, f64::INFINITY);
+        let mut coarse = self.run(six, steps);
+        while steps < REFINED * start {
+            let fine = self.run(six, 2 * steps);
+            let error = distance(&coarse, &fine);
+            if error <= asked {
+                return Ok((fine, Some((steps, error))));
+            }
+            least = least.min(error);
+            (coarse, steps) = (fine, 2 * steps);
+        }
+        Err(least)
+    }
+
+    /// The fewest steps of a method whose error, with safety, is at most `asked`.
+    fn fewest(
+        &mut self,
+        candidate: &Candidate,
+        truth: &Simulation,
+        asked: f64,
+        known: Option<(usize, f64)>,
+    ) -> Option<Fewest> {
+        let start = candidate.steps(asked);
+        // What stability asks for whatever the error
+        let least = candidate.steps(f64::INFINITY);
+        let mut tried: Vec<(usize, f64)> = Vec::new();
+        let mut steps = start;
+        let power = candidate.law.power;
+        let exact = |(steps, error): (usize, f64), power: f64| {
+            steps as f64 * (SAFETY * error / asked).powf(1.0 / power)
+        };
+        for _ in 0..TRIES {
+            let error = match known {
+                Some((n, error)) if n == steps => error,
+                _ => distance(&self.run(candidate, steps), truth),
+            };
+            tried.push((steps, error));
+            // Where forces or contacts are not smooth, errors fall more slowly than the method's order has it.
+            let seen = match tried[..] {
+                [.., (n, e), (m, f)] if n != m => (e / f).ln() / (m as f64 / n as f64).ln(),
+                _ => power,
+            };
+            let seen = if seen >= 1.0 { seen.min(power) } else { 1.0 };
+            let wanted = exact((steps, error), seen);
+            if !wanted.is_finite() {
+                return None;
+            }
+            steps = (wanted.ceil() as usize).clamp(least, REFINED * start.max(least));
+            if tried.iter().any(|(n, _)| *n == steps) {
+                break;
+            }
+        }
+        let good = tried.into_iter().filter(|(_, error)| SAFETY * error <= asked).min_by_key(|t| t.0);
+        good.map(|(steps, error)| {
+            let n = steps as f64;
+            Fewest { steps, exact: exact((steps, error), power).clamp(n - 0.9, n * (1.0 - 1e-9)), error }
+        })
+    }
+}
+
+/// ‖a − b‖/‖b‖ of the samples that ended well in both; infinite where there is none.
+fn distance(a: &Simulation, b: &Simulation) -> f64 {
+    let len = b.signals.len() / b.outcomes.len().max(1);
+    let (mut off, mut size) = (0.0, 0.0);
+    for i in (0..b.outcomes.len()).filter(|&i| a.outcomes[i] == Outcome::Ok && b.outcomes[i] == Outcome::Ok) {
+        for (a, b) in a.signals[i * len..][..len].iter().zip(&b.signals[i * len..][..len]) {
+            off += (a - b) * (a - b);
+            size += b * b;
+        }
+    }
+    if size > 0.0 { (off / size).sqrt() } else { f64::INFINITY }
+}
