@@ -56,6 +56,16 @@ fn analyse_finds_what_was_put_into_the_database() {
     let ratio = iterations[0]["ratio"].as_f64().unwrap();
     assert!((ratio / 10.08 - 1.0).abs() < 0.02, "{:#?}", iterations[0]);
 
+    // 30 % and the law's 15.0 % at 168 parameters, noise of 3 % apart.
+    let random = rows(&answers, "random", &[("setting", "K = 2, M = 1"), ("set", "test")]);
+    assert_eq!((random.len(), &random[0]["bodies"]), (1, &Value::from(3)), "{:#?}", answers["random"]);
+    for (column, truth) in
+        [("over_initial", 1.5), ("over_optimised", 45.0 / (20.0 * 1.68f64.powf(-0.7) + 3.0))]
+    {
+        let ratio = random[0][column].as_f64().unwrap();
+        assert!((ratio / truth - 1.0).abs() < 0.04, "{column} {truth}: {:#?}", random[0]);
+    }
+
     let paired = rows(&answers, "paired", &[("setting", "K = 4, M = 2,"), ("set", "holdout")]);
     let truth = 0.93f64.powi(2) / (-1.48f64).exp();
     assert!((paired[0]["ratio"].as_f64().unwrap() / truth - 1.0).abs() < 1e-6, "{:#?}", paired[0]);
@@ -84,13 +94,30 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     }
     let links = html.matches("href=").count();
     assert_eq!(links, html.matches("href=\"data:text/csv").count(), "every link is a download");
-    for name in
-        ["pairs", "sensors", "forces", "samples", "bodies", "waves", "losses", "complexity", "run_time"]
-    {
+    for name in [
+        "pairs",
+        "sensors",
+        "random",
+        "forces",
+        "samples",
+        "bodies",
+        "waves",
+        "losses",
+        "complexity",
+        "run_time",
+    ] {
         assert!(html.contains(&format!("<h2 id=\"{name}\">")), "no figure {name}");
         assert!(figures.join(format!("{name}.csv")).is_file(), "no data of {name}");
     }
-    for said in ["elbow at M = 2", "no elbow", "non_finite: sample 3", "# made-up trials", "1 failed"] {
+    assert!(html.contains("class=\"active\""), "no constraint at its limit is drawn");
+    for said in [
+        "elbow at M = 2",
+        "3 random bodies have 1.",
+        "no elbow",
+        "non_finite: sample 3",
+        "# made-up trials",
+        "1 failed",
+    ] {
         assert!(html.contains(said), "the page does not say {said}");
     }
     let figure = std::fs::read_to_string(figures.join("sensors.svg")).unwrap();

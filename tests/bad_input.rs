@@ -73,6 +73,12 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("[sweep]", "[brain]\niterations = 0\n[sweep]", "s.toml:14: brain.iterations = 0: "),
     ("[sweep]", "[brain]\nlearning_rate = nan\n[sweep]", "s.toml:14: brain.learning_rate = NaN: "),
     ("[sweep]", "[optimise]\nlearning_rate = -0.1\n[sweep]", "s.toml:14: optimise.learning_rate = -0.1: "),
+    (
+        "[sweep]",
+        "[optimise]\ncurvature = \"damped\"\n[sweep]",
+        "s.toml:14: optimise.curvature = damped: means nothing to this optimise.protocol",
+    ),
+    ("[sweep]", "[evaluation]\nlong_iterations = 0\n[sweep]", "s.toml:14: evaluation.long_iterations = 0: "),
     ("[sweep]", "[evaluation]\nseeds = 0\n[sweep]", "s.toml:14: evaluation.seeds = 0: "),
     ("[sweep]", "[feasible]\nclearance = -1.0\n[sweep]", "s.toml:14: feasible.clearance = -1: "),
     ("[sweep]", "[sensors]\nplacements = [[14], [14, 14]]\n[sweep]", "s.toml:14: sensors.placements = 14: "),

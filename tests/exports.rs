@@ -27,6 +27,11 @@ fn what_is_exported_is_read_back_by_others() {
         export(&db, &trial, format, &file(&format!("t.{format}")));
     }
     export(&db, "v_trial", "parquet", &file("v.parquet"));
+    let asked = Command::new(env!("CARGO_BIN_EXE_metasense"))
+        .args(["query", db.to_str().unwrap(), "SELECT * FROM v_trial", "--format", "parquet"])
+        .output()
+        .unwrap();
+    assert!(asked.stdout == std::fs::read(file("v.parquet")).unwrap(), "query and export differ");
 
     let arrays = npz_arrays(&std::fs::read(file("t.npz")).unwrap());
     let shape = |name: &str| arrays.iter().find(|a| a.0 == name).map(|a| a.1.clone());

@@ -34,6 +34,10 @@ async fn rows_come_in_every_form() {
         serde_json::from_str(&bench.output(&["query", "s.sqlite", sql, "--format", "json"])).unwrap();
     assert_eq!(rows[1]["sensors"], 2, "{rows}");
     assert!(rows[1]["error_initial"].is_null(), "{rows}");
+    let parquet = ["query", "s.sqlite", sql, "--format", "parquet", "--out", "rows.parquet"];
+    assert_eq!(bench.output(&parquet), "");
+    let bytes = std::fs::read(bench.path("rows.parquet")).unwrap();
+    assert!(bytes.starts_with(b"PAR1") && bytes.ends_with(b"PAR1"), "{} bytes", bytes.len());
     let none = bench.output(&["query", "s.sqlite", "SELECT 1 WHERE 0", "--format", "json"]);
     assert_eq!(serde_json::from_str::<serde_json::Value>(&none).unwrap(), serde_json::json!([]));
     for view in ["v_trial", "v_step", "v_curve", "v_attempt", "v_error_time"] {

@@ -3,6 +3,7 @@
 //! ```text
 //! e_initial = 28·0.93^min(M, 6)·s       e_optimised = 28·exp(−0.7·min(M, 2) − 0.04·M)·s       (K = 4, 8 × 6 units)
 //! e_optimised = 20·(N/100)^(−0.7) + 3   (K = 2, M = 1, n × n units)
+//! e_random = 45                        (the same at n = 6, from random designs)
 //! loss = 0.5·n^(−0.6) initially, 0.25 of it optimised, after iteration 1
 //! ```
 //! s is a factor of each placement and a little noise.
@@ -14,7 +15,7 @@ use metasense::store::Store;
 use metasense_schemas::record::{
     BodyEvaluation, Checkpoint, NetworkEvaluation, Seconds, StepRecord, TrialResult,
 };
-use metasense_schemas::spec::{SweepSpec, TrialSpec};
+use metasense_schemas::spec::{Design, SweepSpec, TrialSpec};
 use serde_json::{Value, json};
 
 /// The spec text that the database keeps.
@@ -137,6 +138,11 @@ pub async fn fill(db: &Path) {
             let law = 20.0 * (trial.design_parameters as f64 / 100.0).powf(-0.7) + 3.0;
             trials.push((trial, 30.0 * noise, law * noise));
         }
+    }
+    for seed in 1..=3 {
+        let mut random = trial(trials.len(), (6, 6), 2, 1, 0);
+        random.spec.body.design = Some(Design::Random { random: seed });
+        trials.push((random, 45.0, 9.0));
     }
     for _ in 0..2 {
         trials.push((trial(trials.len(), (8, 6), 4, 6, trials.len()), 0.0, 0.0));

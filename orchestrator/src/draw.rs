@@ -168,7 +168,8 @@ fn draw_marks(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {
     }
 }
 
-fn mark(
+/// What a constraint holds, as line or dot: `class` for each. `units` with y downward.
+pub(crate) fn mark(
     kind: Kind,
     of: [usize; 2],
     node: Option<usize>,

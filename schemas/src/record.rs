@@ -44,6 +44,8 @@ pub struct Seconds {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ImplicitRecord {
+    /// What stood for H⁻¹: `truncate`, `damped`, `gauss_newton`, as the trial's spec says.
+    pub policy: String,
     /// Conjugate-gradient iterations.
     pub iterations: u32,
     /// ‖r‖/‖b‖ at the end.
@@ -114,6 +116,8 @@ pub struct BodyEvaluation {
     pub design: Vec<f64>,
     /// One entry a seed.
     pub networks: Vec<NetworkEvaluation>,
+    /// The same trained `evaluation.long_iterations`, where asked for; without weights.
+    pub long: Vec<NetworkEvaluation>,
     /// Samples without force, which have no error: train, test, holdout.
     pub zero_samples: [u32; 3],
 }

@@ -69,8 +69,11 @@ impl Arrays {
         }
         for (body, evaluation) in [("initial", &mut result.initial), ("optimised", &mut result.optimised)] {
             arrays.add(format!("alpha_{body}"), Values::F64(std::mem::take(&mut evaluation.design)));
-            for (seed, network) in evaluation.networks.iter_mut().enumerate() {
-                for (name, values) in [("weights", &mut network.weights), ("losses", &mut network.losses)] {
+            let ordinary = evaluation.networks.len();
+            let networks = evaluation.networks.iter_mut().chain(&mut evaluation.long);
+            for (seed, network) in networks.enumerate() {
+                let losses = if seed < ordinary { "losses" } else { "long_losses" };
+                for (name, values) in [("weights", &mut network.weights), (losses, &mut network.losses)] {
                     if !values.is_empty() {
                         let values = Values::F32(std::mem::take(values));
                         arrays.add(format!("{name}_{body}_{seed}"), values);
@@ -135,7 +138,8 @@ impl Arrays {
 /// Bytes of the arrays of a result.
 fn bytes(result: &TrialResult) -> usize {
     let body = |evaluation: &metasense_schemas::record::BodyEvaluation| {
-        let networks = evaluation.networks.iter().map(|n| 4 * (n.losses.len() + n.weights.len()));
+        let networks = evaluation.networks.iter().chain(&evaluation.long);
+        let networks = networks.map(|n| 4 * (n.losses.len() + n.weights.len()));
         8 * evaluation.design.len() + networks.sum::<usize>()
     };
     body(&result.initial) + body(&result.optimised)

@@ -6,6 +6,7 @@
 use std::fmt::Display;
 
 use metasense_numerics::body::Layout;
+use metasense_numerics::brain::Policy;
 use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::nested::{
@@ -84,6 +85,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
                 spec::Schedule::Cosine => Schedule::Cosine,
                 spec::Schedule::Constant => Schedule::Constant,
             },
+            long: trial.evaluation.long_iterations,
         },
         seed: trial.point.seed,
         scene,
@@ -168,6 +170,7 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     positive("brain.learning_rate", trial.brain.learning_rate)?;
     positive("optimise.learning_rate", trial.optimise.resolved().learning_rate.unwrap_or_default())?;
     at_least("evaluation.seeds", trial.evaluation.seeds, 1)?;
+    at_least("evaluation.long_iterations", trial.evaluation.long_iterations.unwrap_or(1), 1)?;
     at_most("evaluation.seeds", trial.evaluation.seeds, 1000)
 }
 
@@ -232,8 +235,17 @@ fn stimuli(stimuli: &spec::Stimuli) -> Result<Stimuli, Invalid> {
 }
 
 fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
-    let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, coarse, .. } =
-        optimise;
+    let &spec::Optimise {
+        protocol,
+        gradient,
+        curvature,
+        damping,
+        batch,
+        brain_iterations,
+        brain_learning_rate,
+        coarse,
+        ..
+    } = optimise;
     // a key that a protocol does not read is refused: it would make trials differ that are the same
     let unread = |key: &str, given: Option<String>, readers: &str| match given {
         Some(value) => {
@@ -258,6 +270,12 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
             gradient.map(|terms| if terms == spec::GradientTerms::Direct { "direct" } else { "implicit" });
         unread("optimise.gradient", name.map(String::from), "paper")?;
     }
+    let implicit = paper && gradient != Some(spec::GradientTerms::Direct);
+    if !implicit {
+        let reader = "paper with optimise.gradient = \"implicit\"";
+        unread("optimise.curvature", curvature.map(|c| format!("{c:?}").to_lowercase()), reader)?;
+        unread("optimise.damping", damping.map(|d| d.to_string()), reader)?;
+    }
     if paper || protocol == spec::Protocol::Warm {
         unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
         unread("optimise.coarse", coarse.map(|solver| format!("{solver:?}")), "envelope and joint")?;
@@ -274,13 +292,34 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     positive("optimise.brain_learning_rate", going.brain_rate)?;
     Ok(match protocol {
         spec::Protocol::Paper => Protocol::Paper(match gradient {
-            None | Some(spec::GradientTerms::Implicit) => Terms::Implicit,
+            None | Some(spec::GradientTerms::Implicit) => Terms::Implicit(policy(curvature, damping)?),
             Some(spec::GradientTerms::Direct) => Terms::Direct,
         }),
         spec::Protocol::Warm => Protocol::Warm(going),
         spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),
     })
+}
+
+/// What stands for the Hessian's inverse.
+fn policy(curvature: Option<spec::Curvature>, damping: Option<f64>) -> Result<Policy, Invalid> {
+    let lambda = damping.unwrap_or(0.0);
+    let shown = damping.map_or("absent".to_owned(), |lambda| lambda.to_string());
+    let least = "must be a number above 0 where optimise.curvature is \"damped\"";
+    not_negative("optimise.damping", lambda)?;
+    match curvature.unwrap_or(spec::Curvature::Truncate) {
+        spec::Curvature::Truncate => require(
+            damping.is_none(),
+            "optimise.damping",
+            shown,
+            "means nothing to optimise.curvature = \"truncate\", only to damped and gauss_newton",
+        )
+        .map(|()| Policy::Truncate),
+        spec::Curvature::Damped => {
+            require(lambda > 0.0, "optimise.damping", shown, least).map(|()| Policy::Damped(lambda))
+        }
+        spec::Curvature::GaussNewton => Ok(Policy::GaussNewton(lambda)),
+    }
 }
 
 /// Units that keep their initial shape.

@@ -1,6 +1,7 @@
 //! A finished trial once more, from what is stored of it: geometry, signals, predictions, motion.
 
 use metasense_numerics::body::Geometry;
+use metasense_numerics::feasible::{Active, Feasible};
 use metasense_numerics::nested;
 pub use metasense_numerics::nested::{Motion, Replay};
 use metasense_schemas::spec::TrialSpec;
@@ -25,6 +26,8 @@ pub struct Drawing {
     pub sensors: Vec<usize>,
     /// Units that are held.
     pub clamped: Vec<usize>,
+    /// Constraints at their limit.
+    pub active: Vec<Active>,
     /// Pitch of the grid (mm).
     pub spacing: f64,
     /// Instants (s) of signals and motion.
@@ -52,6 +55,12 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
         panels: scene.panels.iter().map(|p| (p.unit, p.direction)).collect(),
         sensors: scene.sensors.clone(),
         clamped: scene.clamped.clone(),
+        // the initial body may be given beyond a limit: then it is not at it
+        active: Feasible::new(&scene.layout, problem.limits, &[])
+            .active(design)
+            .into_iter()
+            .filter(|a| a.slack >= 0.0)
+            .collect(),
         spacing: scene.layout.spacing,
         clock: instants.map(|n| n as f64 * scene.duration / scene.instants as f64).collect(),
     })

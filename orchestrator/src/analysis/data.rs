@@ -92,8 +92,12 @@ pub struct Trial {
     pub design_parameters: u64,
     /// Error (%) by body and set, `[initial, optimised][test, holdout]`, mean over the evaluation's networks.
     pub errors: [[Option<f64>; 2]; 2],
+    /// The same after long training, of trials that have it.
+    pub long_errors: [[Option<f64>; 2]; 2],
     /// Training loss against iteration (from 1), by body, then network.
     pub curves: [Vec<Vec<CurvePoint>>; 2],
+    /// The same of long training.
+    pub long_curves: [Vec<Vec<CurvePoint>>; 2],
     /// Seconds and best test error so far (%), step by step.
     pub history: Vec<(f64, f64)>,
     /// Seconds by part of the outer loop, and of the evaluation.
@@ -105,6 +109,18 @@ impl Trial {
     #[must_use]
     pub fn error(&self, body: Body, set: Set) -> Option<f64> {
         self.errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
+    }
+
+    /// An error after long training (%), where there is a positive one.
+    #[must_use]
+    pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
+        self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
+    }
+
+    /// Whether its initial body is a random one.
+    #[must_use]
+    pub fn starts_random(&self) -> bool {
+        self.setting.contains_key("body.design.random")
     }
 
     /// A training protocol's name.
@@ -160,6 +176,9 @@ pub const COMPLEXITY: &[&str] = &[
     "feasible.clearance",
     "feasible.ligament_clearance",
 ];
+
+/// What random bodies vary, and how far they are trained.
+pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise."];
 
 /// What the way of training varies.
 pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver."];

@@ -67,6 +67,16 @@ pub fn error_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
     Ratio::of(&ratios)
 }
 
+/// The same after long training.
+#[must_use]
+pub fn long_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
+    let ratios: Vec<f64> = trials
+        .iter()
+        .filter_map(|t| Some(t.long_error(Body::Initial, set)? / t.long_error(Body::Optimised, set)?))
+        .collect();
+    Ratio::of(&ratios)
+}
+
 /// The first iteration whose loss is no more than `target`.
 #[must_use]
 pub fn first_at(curve: &[CurvePoint], target: f64) -> Option<u32> {

@@ -2,8 +2,11 @@
 
 use serde_json::{Value, json};
 
-use super::data::{COMPLEXITY, Group, SENSORS, TRAINING, groups, levels, observations};
+use super::data::{
+    COMPLEXITY, DESIGN, Group, SENSORS, TRAINING, geometric_mean, groups, levels, observations,
+};
 use super::paired::{self, Ratio};
+use super::random::random;
 use super::run_time::{mean_seconds, pareto, round_errors, time_to};
 use super::scaling::scaling;
 use super::sensors::{fewer, spread};
@@ -17,6 +20,8 @@ pub enum Question {
     Paired,
     /// Iterations of training the initial body's network needs over those of the optimised body's, to equal loss
     Iterations,
+    /// Initial against optimised body after long training (evaluation.long_iterations)
+    Long,
     /// Error against the number of sensors M, votes for an elbow there, what the next sensor brings
     Sensors,
     /// The elbow of error against M, by three methods
@@ -25,6 +30,8 @@ pub enum Question {
     Fewer,
     /// Spread of the error over sensor placements
     Placements,
+    /// Random bodies (body.design = { random = SEED }) against the initial and the optimised one
+    Random,
     /// Error against the number of design parameters N
     Sizes,
     /// The law L = a (N/N0)^(-b) + c
@@ -39,13 +46,15 @@ pub enum Question {
 
 impl Question {
     /// All of them, in the order in which they are answered.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 13] = [
         Self::Paired,
         Self::Iterations,
+        Self::Long,
         Self::Sensors,
         Self::Elbow,
         Self::Fewer,
         Self::Placements,
+        Self::Random,
         Self::Sizes,
         Self::Complexity,
         Self::TimeTo,
@@ -63,11 +72,15 @@ impl Question {
             Self::Iterations => {
                 "Iterations on the initial over those on the optimised body, to equal training loss"
             }
+            Self::Long => "Initial over optimised error after long training, paired by trial (95 % interval)",
             Self::Sensors => "Error (%, geometric mean) against the number of sensors M",
             Self::Elbow => "Elbow of error against M",
             Self::Fewer => "Fewest sensors of the optimised body that beat the most of the initial one",
             Self::Placements => {
                 "Spread of error over placements at equal M and seed (standard deviation of ln error)"
+            }
+            Self::Random => {
+                "Error (%, geometric mean) of random bodies beside the initial and the optimised one, and over theirs"
             }
             Self::Sizes => "Error (%, geometric mean) against the number of design parameters N",
             Self::Complexity => "Scaling law: error = a (N/N0)^(-b) + c (%, 95 % intervals)",
@@ -84,10 +97,12 @@ impl Question {
         match self {
             Self::Paired => paired_table(&trials),
             Self::Iterations => iterations_table(&trials),
+            Self::Long => long_table(&trials),
             Self::Sensors => sensors_table(&trials),
             Self::Elbow => elbow_table(&trials),
             Self::Fewer => fewer_table(&trials),
             Self::Placements => placements_table(&trials),
+            Self::Random => random_table(&trials),
             Self::Sizes => sizes_table(&trials),
             Self::Complexity => complexity_table(&trials),
             Self::TimeTo => time_table(&trials),
@@ -134,6 +149,78 @@ fn iterations_table(trials: &[&Trial]) -> Table {
         })
         .collect();
     table(&["setting", "trials", "faster", "ratio", "low", "high"], rows)
+}
+
+fn long_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for group in groups(trials, &[]) {
+        for set in Set::ALL {
+            if let Some(ratio) = paired::long_ratio(&group.trials, set) {
+                let iterations = group.trials[0].setting.get("evaluation.long_iterations");
+                let mut row = vec![json!(group.label), json!(set.name()), json!(iterations)];
+                for body in Body::ALL {
+                    let errors: Vec<f64> =
+                        group.trials.iter().filter_map(|t| t.long_error(body, set)).collect();
+                    row.push(json!(geometric_mean(&errors)));
+                }
+                row.extend(ratio_cells(ratio));
+                rows.push(row);
+            }
+        }
+    }
+    let columns = [
+        "setting",
+        "set",
+        "iterations",
+        "initial",
+        "optimised",
+        "trials",
+        "improved",
+        "ratio",
+        "low",
+        "high",
+    ];
+    table(&columns, rows)
+}
+
+fn random_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for group in groups(trials, DESIGN) {
+        for set in Set::ALL {
+            let Some(found) = random(&group.trials, set) else { continue };
+            let mean = |errors: &[f64]| json!((!errors.is_empty()).then(|| geometric_mean(errors)));
+            let end = |pick: fn(f64, f64) -> f64| json!(found.errors.iter().copied().reduce(pick));
+            let mut row = vec![json!(group.label), json!(set.name()), json!(found.errors.len())];
+            row.extend([mean(&found.errors), end(f64::min), end(f64::max), json!(found.deviation())]);
+            row.extend([mean(&found.others[0]), mean(&found.others[1]), mean(&found.trained)]);
+            for ratio in found.ratios {
+                let [low, high] = ends(ratio.and_then(|r| r.interval));
+                row.extend([json!(ratio.map(|r| r.above_one)), json!(ratio.map(|r| r.ratio)), low, high]);
+            }
+            rows.push(row);
+        }
+    }
+    let columns = [
+        "setting",
+        "set",
+        "bodies",
+        "random",
+        "least",
+        "most",
+        "deviation",
+        "initial",
+        "optimised",
+        "random_trained",
+        "worse_than_initial",
+        "over_initial",
+        "over_initial_low",
+        "over_initial_high",
+        "worse_than_optimised",
+        "over_optimised",
+        "over_optimised_low",
+        "over_optimised_high",
+    ];
+    table(&columns, rows)
 }
 
 /// The groups with a curve: at least two places on the axis; all groups where none has.

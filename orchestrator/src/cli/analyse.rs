@@ -20,7 +20,7 @@ pub(super) struct Args {
     /// Answer this question alone; may be given several times
     #[arg(long, value_enum)]
     question: Vec<Question>,
-    /// The form of the tables; JSON of several is an object of lists by question, CSV holds one
+    /// The form of the tables; JSON of several is an object of lists by question, CSV and Parquet hold one
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -28,8 +28,8 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let all = args.question.is_empty();
     let questions = if all { &Question::ALL[..] } else { &args.question };
-    if args.format == Format::Csv && questions.len() > 1 {
-        return Err(Error::Usage("CSV holds one table: choose it with --question".into()));
+    if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
+        return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
     let trials = finished_trials(&mut Reader::open(&args.db).await?).await?;
     let mut objects = Map::new();

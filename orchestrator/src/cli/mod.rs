@@ -29,7 +29,7 @@ use crate::store::StoreError;
 use metasense_schemas::source::SpecError;
 use metasense_worker::design::DesignError;
 
-pub use rows::{Format, print_rows};
+pub use rows::{Format, print_rows, write_rows};
 
 /// Trains bodies of flexible metamaterial together with the neural networks that read them, many variants at a time.
 ///

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use metasense_schemas::database::VIEWS;
 
-use super::{Error, Format, print_rows};
+use super::{Error, Format, print_rows, write_rows};
 use crate::exit::Exit;
 use crate::store::{Reader, Table};
 
@@ -26,6 +26,9 @@ pub(super) struct Args {
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
+    /// The file that the rows go to, instead of standard output
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -36,7 +39,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     reader.close().await;
     let table = table?;
-    print_rows(&table, args.format)?;
+    match args.out {
+        None => print_rows(&table, args.format)?,
+        Some(path) => {
+            let written = std::fs::File::create(&path).and_then(|file| write_rows(&table, args.format, file));
+            written.map_err(|source| Error::Io { doing: "writing", path, source })?;
+        }
+    }
     Ok(Exit::Done)
 }
 

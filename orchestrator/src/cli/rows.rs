@@ -1,11 +1,12 @@
-//! Rows as a table to read, as CSV or as JSON.
+//! Rows as a table to read, as CSV, JSON or Parquet.
 
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 
 use clap::ValueEnum;
 use comfy_table::{CellAlignment, ContentArrangement, Table as Grid, presets};
 use serde_json::{Map, Value};
 
+use crate::export::table::parquet;
 use crate::store::Table;
 
 /// The form in which rows are printed.
@@ -18,18 +19,27 @@ pub enum Format {
     Csv,
     /// A list of objects; numbers in full.
     Json,
+    /// A Parquet file; numbers in full.
+    Parquet,
 }
 
 /// Prints rows to standard output.
 ///
 /// # Errors
-/// Where standard output is closed or full.
+/// Where standard output is closed or full, or a terminal that Parquet's bytes would upset.
 pub fn print_rows(table: &Table, format: Format) -> io::Result<()> {
     let out = io::stdout().lock();
+    if format == Format::Parquet && out.is_terminal() {
+        return Err(io::Error::other("Parquet is not for a terminal: send it to a file"));
+    }
     write_rows(table, format, out)
 }
 
-fn write_rows(table: &Table, format: Format, mut out: impl Write) -> io::Result<()> {
+/// Writes rows.
+///
+/// # Errors
+/// Where `out` takes no more.
+pub fn write_rows(table: &Table, format: Format, mut out: impl Write) -> io::Result<()> {
     match format {
         Format::Table => writeln!(out, "{}", grid(table)),
         Format::Csv => {
@@ -50,6 +60,7 @@ fn write_rows(table: &Table, format: Format, mut out: impl Write) -> io::Result<
             }
             writeln!(out, "]")
         }
+        Format::Parquet => out.write_all(&parquet(table)),
     }
 }
 

@@ -53,8 +53,13 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     };
     add("hash", json!(trial.hash));
     for (name, error) in ERRORS {
-        add(&format!("{name}_initial"), json!(mean(&result.initial, *error)));
-        add(&format!("{name}_optimised"), json!(mean(&result.optimised, *error)));
+        add(&format!("{name}_initial"), json!(mean(&result.initial.networks, *error)));
+        add(&format!("{name}_optimised"), json!(mean(&result.optimised.networks, *error)));
+    }
+    let long = |body: &BodyEvaluation| mean(&body.long, |n| n.error_holdout);
+    if !result.initial.long.is_empty() {
+        add("long_holdout_error_initial", json!(long(&result.initial)));
+        add("long_holdout_error_optimised", json!(long(&result.optimised)));
     }
     add("best_step", json!(result.best_step));
     add("seconds", json!(seconds));
@@ -68,8 +73,8 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 type ErrorOf = fn(&NetworkEvaluation) -> Option<f64>;
 const ERRORS: &[(&str, ErrorOf)] = &[("error", |n| n.error_test), ("holdout_error", |n| n.error_holdout)];
 
-fn mean(body: &BodyEvaluation, error: ErrorOf) -> Option<f64> {
-    let errors: Vec<f64> = body.networks.iter().filter_map(error).collect();
+fn mean(networks: &[NetworkEvaluation], error: ErrorOf) -> Option<f64> {
+    let errors: Vec<f64> = networks.iter().filter_map(error).collect();
     (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
 }
 

@@ -210,6 +210,7 @@ pub(super) mod tests {
             panels: vec![(7, [0.0, -1.0])],
             sensors: vec![4],
             clamped: vec![0, 1, 2],
+            active: vec![],
             spacing: pitch,
             clock: vec![],
             units,

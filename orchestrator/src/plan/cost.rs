@@ -45,7 +45,8 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
         // on four batches, by the coarse integrator mostly
         Protocol::Joint => 0.5 * differentiate + going * 4.0 * batch / train_samples.max(1.0),
     };
-    let comparison = 2.0
-        * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trial.evaluation.seeds as f64 * train);
+    let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
+    let trainings = trial.evaluation.seeds as f64 * (1.0 + long);
+    let comparison = 2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train);
     (optimise.steps() as f64 * step, comparison)
 }

@@ -1,8 +1,10 @@
-//! A body as SVG: units, ligaments, panels with the direction of the blow, sensors.
+//! A body as SVG: units, ligaments, constraints at their limit, panels with the direction of the blow, sensors.
 
 use std::fmt::Write as _;
 
 use metasense_worker::replay::Drawing;
+
+use crate::draw::mark;
 
 /// Where a drawing lies on the page: x to the right, y downward, in mm.
 #[derive(Debug, Clone, Copy)]
@@ -55,6 +57,10 @@ pub fn svg(drawing: &Drawing, frame: &Frame, label: &str, fill: impl Fn(usize) -
     for (i, unit) in drawing.units.iter().enumerate() {
         let class = if drawing.clamped.contains(&i) { "unit clamped" } else { "unit" };
         let _ = write!(svg, "<polygon class=\"{class}\" points=\"{}\"{}/>", points(unit), fill(i));
+    }
+    let turned: Vec<[[f64; 2]; 4]> = drawing.units.iter().map(|u| u.map(|[x, y]| [x, -y])).collect();
+    for active in &drawing.active {
+        mark(active.kind, active.units, Some(active.node), ["active", "active-node"], &turned, &mut svg);
     }
     svg.push_str(&marks(drawing));
     svg.push_str("</svg>");

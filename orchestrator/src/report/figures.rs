@@ -4,12 +4,12 @@ use serde_json::{Value, json};
 
 use super::plot::{Axis, Plot, Scale, number};
 use crate::analysis::data::{
-    COMPLEXITY, Group, SENSORS, TRAINING, geometric_mean, groups, levels, observations,
+    COMPLEXITY, CurvePoint, DESIGN, Group, SENSORS, TRAINING, groups, levels, observations, places,
 };
+use crate::analysis::random::random;
 use crate::analysis::resample::quantile;
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
-use crate::analysis::tables::verdict_text;
 use crate::analysis::{Body, Question, Set, Trial, Verdict, elbow, paired};
 use crate::store::Table;
 
@@ -59,9 +59,9 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     );
     let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), e| (l.min(*e), h.max(*e)));
     plot.line("equal", [(low, low), (high, high)]);
-    plot.dots(
-        "optimised",
-        points.iter().map(|(t, i, o)| {
+    for (class, from_random) in [("optimised", false), ("front", true)] {
+        let drawn = points.iter().filter(|p| p.0.starts_random() == from_random);
+        let dots = drawn.map(|(t, i, o)| {
             let text = format!(
                 "K {} M {} placement {} seed {}, {} units: {} % → {} %",
                 t.panels,
@@ -73,8 +73,10 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
                 number(*o)
             );
             ((*i, *o), text)
-        }),
-    );
+        });
+        plot.dots(class, dots);
+    }
+    let random = points.iter().any(|p| p.0.starts_random());
     let data = Table {
         columns: [
             "hash",
@@ -111,7 +113,11 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
                   trained alike on its initial and on its optimised body. Below the dotted line the optimised body is \
                   better."
             .into(),
-        legend: vec![],
+        legend: if random {
+            vec![("dot sensor", "from rotated squares"), ("dot front", "from a random body")]
+        } else {
+            vec![]
+        },
         plots: vec![plot.svg()],
         small: false,
         data,
@@ -133,6 +139,7 @@ pub fn sensors(trials: &[Trial]) -> Option<Figure> {
         values.dedup();
         let x = Axis::new("sensors M", Scale::Linear, values.iter().copied().chain([0.7])).with_ticks(values);
         let mut plot = Plot::new(&group.label, x, Axis::new("holdout error (%)", Scale::Log, errors));
+        let mut marked = 0;
         for (body, points) in &curves {
             let curve = levels(points);
             plot.band(body.name(), &curve.iter().map(|l| (l.at, l.least, l.most)).collect::<Vec<_>>());
@@ -157,7 +164,8 @@ pub fn sensors(trials: &[Trial]) -> Option<Figure> {
             {
                 let vote = found.votes.iter().find(|v| v.0 == m && v.1 > 0.0);
                 let vote = vote.map_or(String::new(), |v| format!(", {:.0} % of votes", 100.0 * v.1));
-                plot.vertical(body.name(), m, &format!("elbow {m}{vote}"));
+                plot.vertical(body.name(), m, &format!("elbow at M = {m}{vote}"), marked);
+                marked += 1;
             }
         }
         plots.push(plot.svg());
@@ -180,11 +188,55 @@ pub fn sensors(trials: &[Trial]) -> Option<Figure> {
     })
 }
 
-fn distinct(group: &Group, at: fn(&Trial) -> u64) -> usize {
+pub(super) fn distinct(group: &Group, at: fn(&Trial) -> u64) -> usize {
     let mut values: Vec<u64> = group.trials.iter().map(|t| at(t)).collect();
     values.sort_unstable();
     values.dedup();
     values.len()
+}
+
+/// Errors of random bodies beside those of the initial and the optimised one.
+#[must_use]
+pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let mut plots = Vec::new();
+    for group in groups(&refs, DESIGN) {
+        let Some(found) = random(&group.trials, Set::Holdout) else { continue };
+        let [initial, optimised] = &found.others;
+        let columns = [
+            ("front", "random", &found.errors),
+            ("initial", "initial", initial),
+            ("optimised", "optimised", optimised),
+        ];
+        let names = columns.iter().zip(1..).map(|(c, i)| (f64::from(i), format!("{} {}", c.2.len(), c.1)));
+        let x = Axis::new("bodies", Scale::Linear, [0.5, 3.5]).with_names(names.collect());
+        let all = columns.iter().flat_map(|c| c.2.iter().copied());
+        let mut plot = Plot::new(&group.label, x, Axis::new("holdout error (%)", Scale::Log, all));
+        for ((class, name, errors), at) in columns.iter().zip(1..) {
+            let dots = errors.iter().zip(spread(errors.len())).map(|(error, aside)| {
+                ((f64::from(at) + aside, *error), format!("{name} body: {} %", number(*error)))
+            });
+            plot.dots(class, dots);
+        }
+        plots.push(plot.svg());
+    }
+    (!plots.is_empty()).then(|| Figure {
+        name: "random",
+        title: "Would any other body have done?".into(),
+        caption: "Prediction error on the holdout of random castable bodies, of the initial one and of the optimised one, \
+                  with equal sensors, stimuli and training of the network; a dot is a trial. What training made of the \
+                  random bodies is in the data."
+            .into(),
+        legend: vec![],
+        plots,
+        small: false,
+        data: Question::Random.answer(trials),
+    })
+}
+
+/// Places side by side, so that equal errors do not hide one another.
+fn spread(count: usize) -> impl Iterator<Item = f64> {
+    (0..count).map(move |i| 0.5 * ((i as f64 + 0.5) / count as f64 - 0.5))
 }
 
 /// Training loss against iterations: median over trials and networks, middle half shaded.
@@ -193,26 +245,34 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| t.curves.iter().all(|c| !c.is_empty())).collect();
     let mut rows = Vec::new();
     let mut plots = Vec::new();
+    let ways: [(&str, fn(&Trial) -> &[Vec<Vec<CurvePoint>>; 2]); 2] =
+        [("", |t| &t.curves), (", long training", |t| &t.long_curves)];
     for group in groups(&refs, &[SENSORS, COMPLEXITY].concat()).iter().take(MOST_PLOTS) {
-        let curves = Body::ALL.map(|body| {
-            let networks: Vec<&Vec<(u32, f64)>> =
-                group.trials.iter().flat_map(|t| t.curves[body as usize].iter()).collect();
-            (body, middle(&networks))
-        });
-        let all = || curves.iter().flat_map(|c| c.1.iter());
-        let mut plot = Plot::new(
-            &group.label,
-            Axis::new("brain iterations", Scale::Log, all().map(|p| p.0)),
-            Axis::new("training loss (normalised)", Scale::Log, all().flat_map(|p| [p.1, p.3])),
-        );
-        for (body, curve) in &curves {
-            plot.band(body.name(), &curve.iter().map(|p| (p.0, p.1, p.3)).collect::<Vec<_>>());
-            plot.line(body.name(), curve.iter().map(|p| (p.0, p.2)));
-            rows.extend(curve.iter().map(|p| {
-                vec![json!(group.label), json!(body.name()), json!(p.0), json!(p.2), json!(p.1), json!(p.3)]
-            }));
+        for (way, of) in ways {
+            let curves = Body::ALL.map(|body| {
+                let networks: Vec<&Vec<CurvePoint>> =
+                    group.trials.iter().flat_map(|t| of(t)[body as usize].iter()).collect();
+                (body, middle(&networks))
+            });
+            if curves.iter().all(|c| c.1.is_empty()) {
+                continue;
+            }
+            let label = format!("{}{way}", group.label);
+            let all = || curves.iter().flat_map(|c| c.1.iter());
+            let mut plot = Plot::new(
+                &label,
+                Axis::new("brain iterations", Scale::Log, all().map(|p| p.0)),
+                Axis::new("training loss (normalised)", Scale::Log, all().flat_map(|p| [p.1, p.3])),
+            );
+            for (body, curve) in &curves {
+                plot.band(body.name(), &curve.iter().map(|p| (p.0, p.1, p.3)).collect::<Vec<_>>());
+                plot.line(body.name(), curve.iter().map(|p| (p.0, p.2)));
+                rows.extend(curve.iter().map(|p| {
+                    vec![json!(label), json!(body.name()), json!(p.0), json!(p.2), json!(p.1), json!(p.3)]
+                }));
+            }
+            plots.push(plot.svg());
         }
-        plots.push(plot.svg());
     }
     let ratio = paired::iterations(&refs)?;
     let interval = ratio
@@ -235,7 +295,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
 }
 
 /// (iteration, lower quartile, median, upper quartile) at some hundred iterations, evenly spaced in their logarithm.
-fn middle(curves: &[&Vec<(u32, f64)>]) -> Vec<(f64, f64, f64, f64)> {
+fn middle(curves: &[&Vec<CurvePoint>]) -> Vec<(f64, f64, f64, f64)> {
     let length = curves.iter().map(|c| c.len()).min().unwrap_or(0);
     let mut at: Vec<usize> =
         (0..100).map(|i| (length as f64).powf(f64::from(i) / 99.0).round() as usize).collect();
@@ -260,19 +320,22 @@ fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
 pub fn complexity(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let mut plots = Vec::new();
-    let mut laws = Vec::new();
+    let mut laws: Vec<(String, String)> = Vec::new();
     let drawn = groups(&refs, COMPLEXITY);
     for group in drawn.iter().filter(|g| distinct(g, |t| t.design_parameters) > 1).take(MOST_PLOTS) {
         let curves =
             Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.design_parameters)));
         let all = || curves.iter().flat_map(|c| c.1.iter());
-        let mut plot = Plot::new(
-            &group.label,
-            Axis::new("design parameters N", Scale::Log, all().map(|o| o.at)),
-            Axis::new("holdout error (%)", Scale::Log, all().map(|o| o.error)),
-        );
+        let mut x = Axis::new("design parameters N", Scale::Log, all().map(|o| o.at));
+        let sizes = places(&curves[0].1);
+        if sizes.len() <= 6 {
+            x = x.with_ticks(sizes);
+        }
+        let y = Axis::new("holdout error (%)", Scale::Log, all().map(|o| o.error));
+        let mut plot = Plot::new(&group.label, x, y);
         for (body, points) in &curves {
             let curve = levels(points);
+            let who = format!("{}, {} body", group.label, body.name());
             match scaling(points) {
                 Ok(found) if found.not_identifiable.is_none() => {
                     let (low, high) = (curve[0].at, curve[curve.len() - 1].at);
@@ -284,22 +347,19 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
                     let b = found
                         .exponent
                         .map_or(String::new(), |i| format!(" ({} to {})", number(i.low), number(i.high)));
-                    laws.push(format!(
-                        "{}, {} body: b = {}{b}, c = {} %",
-                        group.label,
-                        body.name(),
-                        number(found.law.exponent),
-                        number(found.law.floor)
+                    laws.push((
+                        who,
+                        format!("b = {}{b}, c = {} %", number(found.law.exponent), number(found.law.floor)),
                     ));
                 }
                 Ok(found) => {
                     plot.line(body.name(), curve.iter().map(|l| (l.at, l.mean)));
                     let why = found.not_identifiable.unwrap_or_default();
-                    laws.push(format!("{}, {} body: not identifiable, {why}", group.label, body.name()));
+                    laws.push((who, format!("not identifiable, {why}")));
                 }
                 Err(why) => {
                     plot.line(body.name(), curve.iter().map(|l| (l.at, l.mean)));
-                    laws.push(format!("{}, {} body: {why}", group.label, body.name()));
+                    laws.push((who, why.to_string()));
                 }
             }
             plot.dots(
@@ -318,13 +378,23 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
             "Prediction error on the holdout against the number of design parameters of the body; task, sensors and \
              network stay. A dot is a trial; where the law L = a·(N/N₀)^(−b) + c is identified, its fit is drawn with \
              a 95 % band, elsewhere the means are joined. {}.",
-            laws.join("; ")
+            told(&laws)
         ),
         legend: BODIES.to_vec(),
         plots,
         small: false,
         data: Question::Sizes.answer(trials),
     })
+}
+
+/// Each verdict with whom it is about; once, where it is the same for all.
+fn told(laws: &[(String, String)]) -> String {
+    match laws {
+        [first, rest @ ..] if !rest.is_empty() && rest.iter().all(|l| l.1 == first.1) => {
+            format!("Every curve: {}", first.1)
+        }
+        _ => laws.iter().map(|(who, law)| format!("{who}: {law}")).collect::<Vec<_>>().join("; "),
+    }
 }
 
 /// Best error so far against seconds.
@@ -386,74 +456,4 @@ fn steps(history: &[(f64, f64)]) -> Vec<(f64, f64)> {
         last = Some(error);
     }
     stairs
-}
-
-/// The answers in words, best evidence first, and whether each is good news (`Some`) or undecided (`None`).
-#[must_use]
-pub fn answers(trials: &[Trial]) -> Vec<(Option<bool>, String)> {
-    let refs: Vec<&Trial> = trials.iter().collect();
-    let mut said = Vec::new();
-    for (set, what) in [
-        (Set::Holdout, "samples that neither loop has seen"),
-        (Set::Test, "the test set that steered the body"),
-    ] {
-        if let Some(r) = paired::error_ratio(&refs, set) {
-            let interval = r.interval.map_or(", one trial: no interval".into(), |i| {
-                format!(", 95 % interval {} to {}", number(i.low), number(i.high))
-            });
-            let verdict = match r.interval {
-                Some(i) if i.low > 1.0 => Some(true),
-                Some(i) if i.high < 1.0 => Some(false),
-                _ => None,
-            };
-            let initial = geometric_mean(&all_errors(&refs, Body::Initial, set));
-            let optimised = geometric_mean(&all_errors(&refs, Body::Optimised, set));
-            said.push((
-                verdict,
-                format!(
-                    "On {what}, the initial body's error is {} times the optimised body's ({} % against {} %{interval}); \
-                     the optimised one is better in {} of {} trials.",
-                    number(r.ratio), number(initial), number(optimised), r.above_one, r.trials
-                ),
-            ));
-        }
-    }
-    for group in groups(&refs, SENSORS) {
-        if distinct(&group, |t| t.sensors) < 2 {
-            continue;
-        }
-        let curve = |body| observations(&group.trials, body, Set::Holdout, |t| t.sensors);
-        let verdicts = Body::ALL.map(|b| match elbow(&curve(b)) {
-            Ok(found) => format!("{} body: {}", b.name(), verdict_text(found.verdict)),
-            Err(why) => format!("{} body: {why}", b.name()),
-        });
-        said.push((None, format!("{}: {}.", group.label, verdicts.join("; "))));
-        if let Some(f) = crate::analysis::sensors::fewer(&curve(Body::Initial), &curve(Body::Optimised)) {
-            let text = match (f.fewest, f.optimised_error) {
-                (Some(m), Some(error)) => format!(
-                    "{}: the optimised body with M = {m} ({} %) beats the initial one with M = {} ({} %).",
-                    group.label,
-                    number(error),
-                    f.most,
-                    number(f.initial_error)
-                ),
-                _ => format!(
-                    "{}: with no number of sensors tried does the optimised body beat the initial one with M = {} ({} %).",
-                    group.label,
-                    f.most,
-                    number(f.initial_error)
-                ),
-            };
-            said.push((Some(f.fewest.is_some()), text));
-        }
-    }
-    said
-}
-
-fn all_errors(trials: &[&Trial], body: Body, set: Set) -> Vec<f64> {
-    trials
-        .iter()
-        .filter(|t| Body::ALL.iter().all(|b| t.error(*b, set).is_some()))
-        .filter_map(|t| t.error(body, set))
-        .collect()
 }

@@ -99,7 +99,9 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     let places: HashMap<String, usize> =
         trials.iter().enumerate().map(|(i, t)| (t.hash.clone(), i)).collect();
     add_histories(reader, &mut trials, &places).await?;
-    add_curves(reader, &mut trials, &places).await?;
+    add_curves(reader, &mut trials, &places, "losses_", |t| &mut t.curves).await?;
+    add_curves(reader, &mut trials, &places, "long_losses_", |t| &mut t.long_curves).await?;
+    add_long_errors(reader, &mut trials, &places).await?;
     Ok(trials)
 }
 
@@ -137,10 +139,12 @@ async fn add_curves(
     reader: &mut Reader,
     trials: &mut [Trial],
     places: &HashMap<String, usize>,
+    prefix: &str,
+    curves: fn(&mut Trial) -> &mut [Vec<Vec<CurvePoint>>; 2],
 ) -> Result<(), StoreError> {
-    for artifact in reader.artifacts("losses_%").await? {
+    for artifact in reader.artifacts(&format!("{prefix}%")).await? {
         let Some(&i) = places.get(&artifact.hash) else { continue };
-        let name = artifact.name.trim_start_matches("losses_");
+        let name = artifact.name.trim_start_matches(prefix);
         let Some((body, network)) =
             name.rsplit_once('_').and_then(|(b, n)| Some((b, n.parse::<usize>().ok()?)))
         else {
@@ -149,11 +153,34 @@ async fn add_curves(
         let Some(body) = Body::ALL.into_iter().find(|b| b.name() == body) else { continue };
         let curve: Vec<CurvePoint> =
             artifact.values::<f32>()?.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
-        let curves = &mut trials[i].curves[body as usize];
+        let curves = &mut curves(&mut trials[i])[body as usize];
         if curves.len() <= network {
             curves.resize(network + 1, Vec::new());
         }
         curves[network] = curve;
+    }
+    Ok(())
+}
+
+/// Means over the networks that were trained long: those after the evaluation's ordinary ones.
+async fn add_long_errors(
+    reader: &mut Reader,
+    trials: &mut [Trial],
+    places: &HashMap<String, usize>,
+) -> Result<(), StoreError> {
+    let rows: Rows = reader
+        .query(
+            "SELECT n.hash, n.body, avg(n.error_test) AS test, avg(n.error_holdout) AS holdout
+             FROM v_network n JOIN v_trial t USING (hash)
+             WHERE n.network >= t.spec->>'$.evaluation.seeds' GROUP BY n.hash, n.body",
+        )
+        .await?
+        .into();
+    for row in rows.iter() {
+        let body = Body::ALL.into_iter().find(|b| b.name() == row.text("body"));
+        if let (Some(&i), Some(body)) = (places.get(row.text("hash")), body) {
+            trials[i].long_errors[body as usize] = [row.number("test"), row.number("holdout")];
+        }
     }
     Ok(())
 }
@@ -198,12 +225,13 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>) -> Result<Story, St
     })
 }
 
-/// The trial whose ratio of holdout errors is nearest to the mean of all.
+/// The trial whose ratio of holdout errors is nearest to the mean of all; none that began as a random body.
 fn typical(trials: &[Trial]) -> Option<&Trial> {
+    let trials = || trials.iter().filter(|t| !t.starts_random());
     let ratio = |t: &Trial| {
         Some((t.error(Body::Initial, Set::Holdout)? / t.error(Body::Optimised, Set::Holdout)?).ln())
     };
-    let ratios: Vec<(f64, &Trial)> = trials.iter().filter_map(|t| Some((ratio(t)?, t))).collect();
+    let ratios: Vec<(f64, &Trial)> = trials().filter_map(|t| Some((ratio(t)?, t))).collect();
     let mean = ratios.iter().map(|r| r.0).sum::<f64>() / ratios.len() as f64;
     ratios.iter().min_by(|a, b| (a.0 - mean).abs().total_cmp(&(b.0 - mean).abs())).map(|r| r.1)
 }

@@ -1,5 +1,6 @@
 //! From a database to one HTML file to look at: no network, no scripts but the animation's, both themes, phone and print.
 
+pub mod answers;
 pub mod body;
 pub mod figures;
 pub mod load;
@@ -47,7 +48,10 @@ pub struct Sweep {
 pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     let trials = &story.trials;
     let mut drawn: Vec<Figure> =
-        [figures::pairs(trials), figures::sensors(trials)].into_iter().flatten().collect();
+        [figures::pairs(trials), figures::sensors(trials), figures::random_bodies(trials)]
+            .into_iter()
+            .flatten()
+            .collect();
     let replayed = match &story.stored {
         Some(stored) => samples::figures(stored, threads).map_err(|e| e.to_string()),
         None if trials.is_empty() => Err("no trial is done yet".into()),
@@ -87,9 +91,12 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
     content.push_str("<h2>Tables</h2>");
     for question in [
         Question::Paired,
+        Question::Iterations,
+        Question::Long,
         Question::Elbow,
         Question::Fewer,
         Question::Placements,
+        Question::Random,
         Question::Complexity,
         Question::TimeTo,
         Question::Seconds,
@@ -115,7 +122,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
 
 fn summary(story: &Story) -> String {
     let mut list = String::from("<ul class=\"answer\">");
-    for (verdict, text) in figures::answers(&story.trials) {
+    for (verdict, text) in answers::answers(&story.trials) {
         let class = match verdict {
             Some(true) => "good",
             Some(false) => "bad",

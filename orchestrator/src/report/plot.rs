@@ -17,7 +17,7 @@ pub struct Axis {
     label: String,
     scale: Scale,
     range: [f64; 2],
-    ticks: Vec<f64>,
+    ticks: Vec<(f64, String)>,
 }
 
 impl Axis {
@@ -46,13 +46,19 @@ impl Axis {
             Scale::Linear => linear_ticks(range),
             Scale::Log => log_ticks(range),
         };
-        Self { label: label.into(), scale, range, ticks }
+        Self { label: label.into(), scale, range, ticks: numbered(ticks) }
     }
 
     /// With these ticks and no others.
     #[must_use]
-    pub fn with_ticks(mut self, ticks: Vec<f64>) -> Self {
-        self.ticks = ticks;
+    pub fn with_ticks(self, ticks: Vec<f64>) -> Self {
+        self.with_names(numbered(ticks))
+    }
+
+    /// With these texts at these places and no others.
+    #[must_use]
+    pub fn with_names(mut self, names: Vec<(f64, String)>) -> Self {
+        self.ticks = names;
         self
     }
 
@@ -64,6 +70,10 @@ impl Axis {
             Scale::Log => (value.max(low * 1e-3) / low).ln() / (high / low).ln(),
         }
     }
+}
+
+fn numbered(ticks: Vec<f64>) -> Vec<(f64, String)> {
+    ticks.into_iter().map(|t| (t, number(t))).collect()
 }
 
 fn linear_ticks([low, high]: [f64; 2]) -> Vec<f64> {
@@ -192,8 +202,8 @@ impl Plot {
         );
     }
 
-    /// A vertical line across the plot with a text at its top.
-    pub fn vertical(&mut self, class: &str, x: f64, text: &str) {
+    /// A vertical line across the plot with a text at its top, `row` lines down.
+    pub fn vertical(&mut self, class: &str, x: f64, text: &str, row: usize) {
         let [_, right, top, bottom] = MARGIN;
         let px = self.at((x, self.y.range[0])).0;
         let (low, high) = (self.size[1] - bottom, top);
@@ -203,7 +213,7 @@ impl Plot {
             self.marks,
             "<path class=\"mark {class}\" d=\"M{px:.1} {low:.1}L{px:.1} {high:.1}\"/>\
              <text class=\"note {class}\" x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\">{}</text>",
-            high + 10.0,
+            high + 10.0 + 13.0 * row as f64,
             escape(text)
         );
     }
@@ -218,17 +228,17 @@ impl Plot {
             escape(&self.title)
         );
         let _ = write!(svg, "<text class=\"title\" x=\"{left}\" y=\"16\">{}</text>", escape(&self.title));
-        for tick in &self.x.ticks {
+        for (tick, name) in &self.x.ticks {
             let x = self.at((*tick, self.y.range[0])).0;
             let _ = write!(
                 svg,
                 "<path class=\"grid\" d=\"M{x:.1} {top}V{:.1}\"/><text class=\"tick\" x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
                 height - bottom,
                 height - bottom + 14.0,
-                number(*tick)
+                escape(name)
             );
         }
-        for tick in &self.y.ticks {
+        for (tick, name) in &self.y.ticks {
             let y = self.at((self.x.range[0], *tick)).1;
             let _ = write!(
                 svg,
@@ -236,7 +246,7 @@ impl Plot {
                 width - right,
                 left - 5.0,
                 y + 3.5,
-                number(*tick)
+                escape(name)
             );
         }
         let _ = write!(
@@ -283,7 +293,7 @@ mod tests {
         ] {
             let axis = Axis::new("", scale, [low, high]);
             assert!((2..=9).contains(&axis.ticks.len()), "{low} {high}: {:?}", axis.ticks);
-            assert!(axis.ticks.iter().all(|t| (0.0..=1.0).contains(&axis.place(*t))), "{:?}", axis.ticks);
+            assert!(axis.ticks.iter().all(|t| (0.0..=1.0).contains(&axis.place(t.0))), "{:?}", axis.ticks);
         }
     }
 

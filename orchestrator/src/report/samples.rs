@@ -94,30 +94,30 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         replays[b].predictions[(sample * instants + n - 1) * panels + k]
     };
     let (mut plots, mut rows) = (Vec::new(), Vec::new());
-    let peak = chosen
-        .iter()
-        .flat_map(|&s| (0..panels).flat_map(move |k| (1..=instants).map(move |n| (s, k, n))))
-        .map(|(s, k, n)| truth(s, k, n))
-        .fold(0.0, f64::max);
+    // Panels stand one above the other, panel 0 on top; a step is what the greatest of their forces needs.
+    let step = 1.1
+        * chosen
+            .iter()
+            .flat_map(|&s| (0..panels).flat_map(move |k| (1..=instants).map(move |n| (s, k, n))))
+            .map(|(s, k, n)| truth(s, k, n).max(predicted(0, s, k, n)).max(predicted(1, s, k, n)))
+            .fold(1e-9, f64::max);
+    let zero = |k: usize| (panels - 1 - k) as f64 * step;
     for &sample in chosen {
+        let errors = [0, 1].map(|b| replays[b].errors[sample].map_or("–".into(), number));
+        let names = (0..panels).map(|k| (zero(k), format!("panel {k}"))).collect();
+        let mut plot = Plot::new(
+            &format!("sample {sample}: {} → {} %", errors[0], errors[1]),
+            Axis::new("time (s)", Scale::Linear, [0.0, stored.spec.time.duration]),
+            Axis::new("", Scale::Linear, [-0.3 * step, panels as f64 * step]).with_names(names),
+        )
+        .sized(300.0, 80.0 + 50.0 * panels as f64);
         for k in 0..panels {
-            let errors = [0, 1].map(|b| replays[b].errors[sample].map_or("–".into(), number));
-            let title = match k {
-                0 => format!("sample {sample}: {} → {} %", errors[0], errors[1]),
-                _ => format!("panel {k}"),
-            };
-            let mut plot = Plot::new(
-                &title,
-                Axis::new("time (s)", Scale::Linear, [0.0, stored.spec.time.duration]),
-                Axis::new("force (N)", Scale::Linear, [-0.12 * peak, 1.08 * peak]),
-            )
-            .sized(260.0, 165.0);
-            plot.line("truth", (0..=instants).map(|n| (seconds(n), truth(sample, k, n))));
+            plot.line("truth", (0..=instants).map(|n| (seconds(n), zero(k) + truth(sample, k, n))));
             for body in Body::ALL {
-                let curve = (1..=instants).map(|n| (seconds(n), predicted(body as usize, sample, k, n)));
-                plot.line(body.name(), curve);
+                let curve =
+                    (1..=instants).map(|n| (seconds(n), zero(k) + predicted(body as usize, sample, k, n)));
+                plot.line(&format!("fine {}", body.name()), curve);
             }
-            plots.push(plot.svg());
             rows.extend((1..=instants).map(|n| {
                 vec![
                     json!(sample),
@@ -129,15 +129,17 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
                 ]
             }));
         }
+        plots.push(plot.svg());
     }
     Figure {
         name: "forces",
         title: "True and predicted forces".into(),
         caption: format!(
             "Force histories of four test samples of {}, at the 12th, 37th, 62nd and 87th percentile of the optimised \
-             body's error, and what the first network of each body makes of its sensors' signals; one plot a panel. \
-             The titles give the sample's two errors, over all panels; its panel 0 comes first.",
-            who(stored)
+             body's error, and what the first network of each body makes of its sensors' signals. A panel's line lies \
+             {} N above that of the next. The titles give the sample's two errors, over all panels.",
+            who(stored),
+            number(step)
         ),
         legend: vec![("truth", "true force"), BODIES[0], BODIES[1]],
         plots,
@@ -217,11 +219,18 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
         title: "The body before and after".into(),
         caption: format!(
             "Initial and optimised body of {}: units, ligaments, input panels (arrows: the direction of the blow), \
-             sensors (dots), clamped units darker. The farthest shift moved {} mm.",
+             sensors (dots), clamped units darker; constraints of a castable body at their limit ({} and {} of them): edges \
+             and gaps as lines, angles as dots. The farthest shift moved {} mm.",
             who(stored),
+            drawings[0].active.len(),
+            drawings[1].active.len(),
             number(moved)
         ),
-        legend: vec![("arrow", "input panel"), ("dot sensor", "sensor")],
+        legend: vec![
+            ("arrow", "input panel"),
+            ("dot sensor", "sensor"),
+            ("active", "constraint at its limit"),
+        ],
         plots: plots.to_vec(),
         small: false,
         data: table(&["body", "unit", "node", "x", "y"], rows),
@@ -285,12 +294,12 @@ fn waves(
         name: "waves",
         title: "The wave in the body".into(),
         caption: format!(
-            "Speed of every unit (0 to {} mm/s, pale to strong) at four instants and as an animation, under test sample \
+            "Speed of every unit (0 to {} mm/s, by its root from pale to strong) at four instants and as an animation, under test sample \
              {sample} of {}: the same blows on the initial and on the optimised body, drawn as displaced.",
             number(most),
             who(stored)
         ),
-        legend: vec![("arrow", "input panel"), ("dot sensor", "sensor")],
+        legend: vec![("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")],
         plots,
         small: true,
         data: table(&["body", "seconds", "unit", "u", "v", "theta", "speed"], rows),
@@ -314,6 +323,7 @@ fn displaced(drawing: &Drawing, by: &[[f64; 3]]) -> Drawing {
         moved.centroids[unit] = [cx + u, cy + v];
     }
     moved.ligaments.clear();
+    moved.active.clear();
     moved
 }
 

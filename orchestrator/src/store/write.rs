@@ -275,8 +275,11 @@ impl Store {
         evaluation: &BodyEvaluation,
         arrays: &[Array<'_>],
     ) -> sqlx::Result<()> {
-        for (seed, network) in evaluation.networks.iter().enumerate() {
-            let name = format!("losses_{body}_{seed}");
+        // networks trained long are numbered on from the ordinary ones, and told by their iterations
+        let (ordinary, long) = (&evaluation.networks, &evaluation.long);
+        for (seed, network) in ordinary.iter().chain(long).enumerate() {
+            let kind = if seed < ordinary.len() { "losses" } else { "long_losses" };
+            let name = format!("{kind}_{body}_{seed}");
             let apart = arrays.iter().find(|array| array.name == name);
             let losses = match apart {
                 Some(array) => Cow::Owned(npy_values::<f32>(array.npy).map_err(sqlx::Error::Io)?),
@@ -466,7 +469,7 @@ fn without_bulk(result: &TrialResult) -> String {
     let mut small = result.clone();
     for body in [&mut small.initial, &mut small.optimised] {
         body.design.clear();
-        for network in &mut body.networks {
+        for network in body.networks.iter_mut().chain(&mut body.long) {
             network.losses.clear();
             network.weights.clear();
         }

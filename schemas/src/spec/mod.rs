@@ -12,7 +12,7 @@ mod trial;
 
 pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
-pub use optimise::{Brain, Evaluation, GradientTerms, Optimise, Protocol, Schedule};
+pub use optimise::{Brain, Curvature, Evaluation, GradientTerms, Optimise, Protocol, Schedule};
 pub use sensors::{Frame, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{Stimuli, StimuliKind};

@@ -45,6 +45,18 @@ pub enum GradientTerms {
     Direct,
 }
 
+/// What stands for the inverse of the brain's Hessian in the implicit term, which a stopped training leaves indefinite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Curvature {
+    /// Conjugate gradients on the Hessian, ended before negative curvature.
+    Truncate,
+    /// The same on the Hessian + `damping` times the identity.
+    Damped,
+    /// The same on the Gauss–Newton matrix + `damping` times the identity.
+    GaussNewton,
+}
+
 /// The outer loop over the body's design. What is left out gets the default of its protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -60,6 +72,12 @@ pub struct Optimise {
     /// Terms of the gradient; for `protocol = "paper"` alone. By default `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
+    /// What stands for H⁻¹ in the implicit term; for `protocol = "paper"` with it alone. By default `"truncate"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub curvature: Option<Curvature>,
+    /// λ added to the curvature; for `"damped"`, which needs it, and `"gauss_newton"`, where it is 0 by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub damping: Option<f64>,
     /// Samples whose gradient moves the body; for `"envelope"` and `"joint"`. By default 64.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
@@ -114,6 +132,8 @@ impl Default for Optimise {
             iterations: None,
             learning_rate: None,
             gradient: None,
+            curvature: None,
+            damping: None,
             batch: None,
             brain_iterations: None,
             brain_learning_rate: None,
@@ -140,10 +160,13 @@ pub struct Evaluation {
     pub seeds: usize,
     /// Rate schedule of their training.
     pub schedule: Schedule,
+    /// Iterations of as many further networks, for a long training beside the ordinary one; by default none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub long_iterations: Option<usize>,
 }
 
 impl Default for Evaluation {
     fn default() -> Self {
-        Self { seeds: 1, schedule: Schedule::Cosine }
+        Self { seeds: 1, schedule: Schedule::Cosine, long_iterations: None }
     }
 }

@@ -73,7 +73,10 @@ fn an_impossible_value_is_named_by_its_key() {
         ("optimise.learning_rate", json!(0.0), "optimise.learning_rate"),
         ("optimise.batch", json!(8), "optimise.batch"),
         ("optimise.brain_iterations", json!(8), "optimise.brain_iterations"),
+        ("optimise.curvature", json!("damped"), "optimise.damping"),
+        ("optimise.damping", json!(0.1), "optimise.damping"),
         ("evaluation.seeds", json!(0), "evaluation.seeds"),
+        ("evaluation.long_iterations", json!(0), "evaluation.long_iterations"),
         ("feasible.min_block_angle", json!(95.0), "feasible.min_block_angle"),
         ("feasible.clearance", json!(-1.0), "feasible.clearance"),
         ("panel_units.0", json!(2), "body.panel_units"),
@@ -91,12 +94,32 @@ fn an_impossible_value_is_named_by_its_key() {
     }
 }
 
+/// The implicit term's policy by its key; the direct term alone has none.
+#[test]
+fn the_curvature_policy_is_as_the_spec_says() {
+    let terms = |changes: &[(&str, Value)]| {
+        let paper = [("optimise.protocol", json!("paper"))];
+        let all: Vec<_> = paper.iter().chain(changes).cloned().collect();
+        problem(&trial(&all)).map(|problem| problem.optimise.protocol)
+    };
+    let implicit = |policy| Ok(Protocol::Paper(Terms::Implicit(policy)));
+    let (curvature, damping) = ("optimise.curvature", ("optimise.damping", json!(0.25)));
+    assert_eq!(terms(&[]), implicit(Policy::Truncate));
+    assert_eq!(terms(&[(curvature, json!("damped")), damping.clone()]), implicit(Policy::Damped(0.25)));
+    assert_eq!(terms(&[(curvature, json!("gauss_newton"))]), implicit(Policy::GaussNewton(0.0)));
+    assert_eq!(terms(&[(curvature, json!("gauss_newton")), damping]), implicit(Policy::GaussNewton(0.25)));
+    let direct = terms(&[("optimise.gradient", json!("direct")), (curvature, json!("truncate"))]);
+    assert_eq!(direct.unwrap_err().key, curvature);
+}
+
 /// A key that the protocol does not read is refused, not ignored.
 #[test]
 fn each_protocol_refuses_the_keys_of_the_others() {
     for (protocol, key, value) in [
         ("joint", "optimise.gradient", json!("direct")),
         ("warm", "optimise.gradient", json!("implicit")),
+        ("joint", "optimise.curvature", json!("damped")),
+        ("warm", "optimise.damping", json!(0.1)),
         ("warm", "optimise.batch", json!(8)),
         ("paper", "optimise.brain_learning_rate", json!(1e-3)),
     ] {

@@ -3,6 +3,7 @@
 //! It decides the default of `optimise.protocol`. All bodies meet fresh networks of the same initial weights; these
 //! evaluations are not counted.
 
+use std::collections::BTreeMap;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,7 +11,7 @@ use std::path::{Path, PathBuf};
 use metasense_schemas::record::BodyEvaluation;
 use metasense_schemas::spec::{Optimise, Protocol, TrialSpec};
 use metasense_worker::course::{course, evaluate};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::super::{Error, Format, print_rows, read_plan};
 use crate::exit::Exit;
@@ -21,14 +22,18 @@ use crate::store::Table;
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Args {
     /// The spec file (TOML), whose first trial is the scene
-    spec: PathBuf,
+    #[arg(required_unless_present = "redraw")]
+    spec: Option<PathBuf>,
+    /// Measures nothing and draws again what the file of rows holds
+    #[arg(long, conflicts_with = "spec")]
+    redraw: bool,
     /// Protocols, each at its own defaults; that of the spec as the spec says
     #[arg(long, value_delimiter = ',', default_values = ["paper", "warm", "envelope", "joint"])]
     protocols: Vec<String>,
     /// CPU seconds at which a body is kept, ascending; the last one ends a protocol
     #[arg(long, value_delimiter = ',', default_values_t = [15.0, 30.0, 60.0, 120.0, 240.0])]
     seconds: Vec<f64>,
-    /// Where the rows are appended as JSON lines, and the plot is drawn with `.svg` instead
+    /// Where the rows are appended as JSON lines, and a plot of all of them is drawn with `.svg` instead
     #[arg(long, value_name = "FILE", default_value = "results/protocols.jsonl")]
     append: PathBuf,
     /// The form of the rows
@@ -39,52 +44,49 @@ pub(in crate::cli) struct Args {
 const COLUMNS: [&str; 6] =
     ["protocol", "cpu_seconds", "step", "fresh_samples", "error_percent", "holdout_error_percent"];
 
-/// A protocol's name and its points: CPU seconds, holdout error (%).
-type Line = (String, Vec<(f64, f64)>);
-
 pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
+    if let Some(spec) = &args.spec {
+        measure(args, spec)?;
+    }
+    let picture = args.append.with_extension("svg");
+    let file = |doing, path: &Path, source| Error::Io { doing, path: path.into(), source };
+    let rows = std::fs::read_to_string(&args.append).map_err(|e| file("reading", &args.append, e))?;
+    std::fs::write(&picture, draw(&rows)).map_err(|e| file("writing", &picture, e))?;
+    Ok(Exit::Done)
+}
+
+/// Runs the protocols, prints the rows and appends them to the file.
+fn measure(args: &Args, path: &Path) -> Result<(), Error> {
     if args.seconds.is_empty() || !args.seconds.is_sorted() {
         return Err(Error::Usage(format!("--seconds {:?}: must ascend", args.seconds)));
     }
-    let plan = read_plan(&args.spec)?;
+    let plan = read_plan(path)?;
     let spec = &plan.trials.first().ok_or_else(|| Error::Usage("the spec has no trial".into()))?.spec;
     let trials: Vec<TrialSpec> =
         args.protocols.iter().map(|name| with_protocol(spec, name)).collect::<Result<_, _>>()?;
 
     let mut table = Table { columns: COLUMNS.map(String::from).to_vec(), rows: Vec::new() };
-    let mut lines: Vec<Line> = Vec::new();
     let initial = evaluate(spec, &[initial_design(spec)?], 1).map_err(failed)?;
-    let start = holdout(&initial[0]);
     table.rows.push(vec![
         json!("initial"),
         json!(0),
         json!(0),
         json!(0),
         json!(test(&initial[0])),
-        json!(start),
+        json!(holdout(&initial[0])),
     ]);
     for (trial, name) in trials.iter().zip(&args.protocols) {
         eprintln!("{name}: {} steps or {} s", trial.optimise.steps(), args.seconds[args.seconds.len() - 1]);
         let milestones = course(trial, &args.seconds, 1).map_err(failed)?;
         let designs: Vec<Vec<f64>> = milestones.iter().map(|m| m.design.clone()).collect();
-        let mut line = Vec::new();
         for (m, body) in milestones.iter().zip(evaluate(spec, &designs, 1).map_err(failed)?) {
             let error = holdout(&body);
-            line.extend(error.map(|error| (m.seconds, error)));
             let (seconds, step, fresh) = (json!(m.seconds), json!(m.step), json!(m.fresh_samples));
             table.rows.push(vec![json!(name), seconds, step, fresh, json!(test(&body)), json!(error)]);
         }
-        lines.push((name.clone(), line));
     }
     print_rows(&table, args.format)?;
-    append(args, spec, &table)?;
-    let picture = args.append.with_extension("svg");
-    std::fs::write(&picture, draw(&lines, start)).map_err(|source| Error::Io {
-        doing: "writing",
-        path: picture,
-        source,
-    })?;
-    Ok(Exit::Done)
+    append(&args.append, &file_name(path), spec, &table)
 }
 
 fn failed(failure: metasense_worker::run::Failure) -> Error {
@@ -121,16 +123,16 @@ fn test(body: &BodyEvaluation) -> Option<f64> {
     mean(body.networks.iter().map(|network| network.error_test))
 }
 
-fn append(args: &Args, spec: &TrialSpec, table: &Table) -> Result<(), Error> {
-    let failed = |source| Error::Io { doing: "appending to", path: args.append.clone(), source };
-    if let Some(folder) = args.append.parent() {
+fn append(path: &Path, name: &str, spec: &TrialSpec, table: &Table) -> Result<(), Error> {
+    let failed = |source| Error::Io { doing: "appending to", path: path.into(), source };
+    if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(failed)?;
     }
-    let mut file = OpenOptions::new().create(true).append(true).open(&args.append).map_err(failed)?;
+    let mut file = OpenOptions::new().create(true).append(true).open(path).map_err(failed)?;
     for values in &table.rows {
         let mut line = json!({
             "bench": "protocols", "version": env!("CARGO_PKG_VERSION"), "panels": spec.point.panels,
-            "sensors": spec.point.sensors, "seed": spec.point.seed, "spec": file_name(&args.spec),
+            "sensors": spec.point.sensors, "seed": spec.point.seed, "spec": name,
         });
         let fields = line.as_object_mut().expect("an object");
         fields.extend(table.columns.iter().cloned().zip(values.iter().cloned()));
@@ -143,12 +145,29 @@ fn file_name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// The plot as a file of its own, with the little style that it needs.
-fn draw(lines: &[Line], initial: Option<f64>) -> String {
-    let points = || lines.iter().flat_map(|(_, points)| points.iter().copied());
+/// A plot of JSON lines, one line a protocol, as a file of its own with the little style that it needs.
+fn draw(rows: &str) -> String {
+    let (mut lines, mut initial) = (BTreeMap::<String, Vec<(f64, f64)>>::new(), None);
+    for row in rows.lines().filter_map(|row| serde_json::from_str::<Value>(row).ok()) {
+        let number = |key: &str| row[key].as_f64();
+        match (row["protocol"].as_str(), number("cpu_seconds"), number("holdout_error_percent")) {
+            (Some("initial"), _, error) => initial = error,
+            (Some(name), Some(seconds), Some(error)) => {
+                lines.entry(name.to_owned()).or_default().push((seconds, error));
+            }
+            _ => {}
+        }
+    }
+    lines.values_mut().for_each(|points| points.sort_by(|a, b| a.0.total_cmp(&b.0)));
+    let points = || lines.values().flatten().copied();
     let x = Axis::new("CPU seconds of the outer steps", Scale::Log, points().map(|p| p.0));
     let y = Axis::new("holdout error (%)", Scale::Log, points().map(|p| p.1).chain(initial));
     let mut plot = Plot::new("Holdout error against CPU time", x, y).sized(560.0, 360.0);
+    if let (Some(error), Some(end)) = (initial, points().map(|p| p.0).reduce(f64::max)) {
+        let start = points().map(|p| p.0).fold(end, f64::min);
+        plot.line("grid", [(start, error), (end, error)]);
+        plot.note((end, error), "initial body");
+    }
     for (n, (name, points)) in lines.iter().enumerate() {
         let class = format!("c{}", n % 4);
         plot.line(&class, points.iter().copied());
@@ -158,8 +177,29 @@ fn draw(lines: &[Line], initial: Option<f64>) -> String {
         }
     }
     const STYLE: &str = "<style>text{font:11px sans-serif;fill:#333}.title{font-weight:bold}\
-        .grid{stroke:#ddd;fill:none}.axis{stroke:#333;fill:none}.line{fill:none;stroke-width:2}\
+        .grid{stroke:#ddd;fill:none}.axis{stroke:#333;fill:none}.line{fill:none;stroke-width:2}.line.grid{stroke:#999;stroke-dasharray:4 3}\
         .line.c0{stroke:#c44}.line.c1{stroke:#48a}.line.c2{stroke:#a80}.line.c3{stroke:#283}\
         .dot.c0{fill:#c44}.dot.c1{fill:#48a}.dot.c2{fill:#a80}.dot.c3{fill:#283}</style>";
     plot.svg().replacen('>', &format!(">{STYLE}"), 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows of two runs, a protocol's in both: one line a protocol through all its points in order of time.
+    #[test]
+    fn rows_of_several_runs_make_one_line_a_protocol() {
+        let row = |name: &str, seconds: f64, error: f64| {
+            json!({ "protocol": name, "cpu_seconds": seconds, "holdout_error_percent": error }).to_string()
+        };
+        let rows = [row("initial", 0.0, 22.0), row("joint", 100.0, 8.0), row("joint", 50.0, 10.0)];
+        let more = [row("paper", 900.0, 15.0), row("joint", 25.0, 12.0), "no row".into()];
+        let svg = draw(&[rows.join("\n"), more.join("\n")].join("\n"));
+        assert_eq!(svg.matches("line c").count(), 2, "{svg}");
+        let order: Vec<usize> = ["25 s, 12", "50 s, 10", "100 s, 8"]
+            .map(|told| svg.find(&format!("joint: {told}")).unwrap())
+            .to_vec();
+        assert!(order.is_sorted(), "{order:?}");
+    }
 }

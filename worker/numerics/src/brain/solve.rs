@@ -16,6 +16,17 @@ pub enum Policy {
     GaussNewton(f64),
 }
 
+impl Policy {
+    /// Its name in specs and records.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Truncate => "truncate",
+            Self::Damped(_) => "damped",
+            Self::GaussNewton(_) => "gauss_newton",
+        }
+    }
+}
+
 /// How conjugate gradients ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SolveOutcome {

@@ -30,6 +30,8 @@ pub struct BodyEvaluation {
     pub design: Vec<f64>,
     /// One entry a seed.
     pub networks: Vec<NetworkEvaluation>,
+    /// The same trained long, where asked for.
+    pub long: Vec<NetworkEvaluation>,
     /// Samples without force, which have no error: train, test, holdout.
     pub zero_samples: [u32; 3],
 }
@@ -55,12 +57,13 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
             Ok([train, signals(&setting.test)?, signals(&holdout)?])
         },
     );
-    let seeds = problem.evaluation.seeds;
     let mut zero_samples = [0; 3];
-    let networks = (0..seeds)
-        .map(|seed| {
+    let all = problem.evaluation_iterations();
+    let mut done = turn * all;
+    let mut trained = |iterations: usize| -> Vec<NetworkEvaluation> {
+        let one = |seed: usize| {
             let network = match &signals {
-                Ok(signals) => network(setting, seed, signals, &holdout, &mut zero_samples, log),
+                Ok(signals) => network(setting, seed, iterations, signals, &holdout, &mut zero_samples, log),
                 Err(trouble) => NetworkEvaluation {
                     error_train: None,
                     error_test: None,
@@ -70,19 +73,23 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
                     trouble: Some(*trouble),
                 },
             };
-            log.progress(
-                1.0 - (1.0 - problem.progress(problem.optimise.iterations))
-                    * (1.0 - (turn * seeds + seed + 1) as f64 / (2 * seeds) as f64),
-            );
+            done += iterations;
+            let left = 1.0 - problem.progress(problem.optimise.iterations);
+            log.progress(1.0 - left * (1.0 - done as f64 / (2 * all) as f64));
             network
-        })
-        .collect();
-    BodyEvaluation { design: design.to_vec(), networks, zero_samples }
+        };
+        (0..problem.evaluation.seeds).map(one).collect()
+    };
+    let networks = trained(problem.brain.iterations);
+    let mut long = problem.evaluation.long.map(trained).unwrap_or_default();
+    long.iter_mut().for_each(|network| network.weights.clear());
+    BodyEvaluation { design: design.to_vec(), networks, long, zero_samples }
 }
 
 fn network(
     setting: &Setting,
     seed: usize,
+    iterations: usize,
     [train, test, holdout_signals]: &[Vec<f64>; 3],
     holdout: &Forces,
     zero_samples: &mut [u32; 3],
@@ -96,7 +103,6 @@ fn network(
     let outcome = log.timed(
         |s| &mut s.train,
         |report| {
-            let iterations = problem.brain.iterations;
             let rate = |i| problem.brain.rate * problem.evaluation.schedule.factor(i, iterations);
             let mut adam = Adam::new(weights.len());
             let outcome = brain::train(

@@ -20,6 +20,7 @@ pub(super) fn implicit_term(
     weights: &[f32],
     train: &[f64],
     test: &[f64],
+    policy: Policy,
     log: &mut Log,
 ) -> Vec<f64> {
     let pool = setting.pool;
@@ -34,11 +35,11 @@ pub(super) fn implicit_term(
             let mut b = vec![0.0; weights.len()];
             brain::loss_gradient(&weights, test.all(), &mut b, &mut workspace, pool);
             let curvature = Curvature::new(&weights, train.all(), &mut workspace, pool);
-            let policy = Policy::Truncate;
             let solve =
                 brain::solve_implicit(&curvature, &b, policy, TOLERANCE, PRODUCTS_MAX, &mut workspace, pool);
             report.counters.hessian_products += solve.iterations as u64;
             report.implicit = Some(Implicit {
+                policy,
                 iterations: solve.iterations,
                 residual: solve.residual,
                 smallest_curvature: solve.smallest_curvature,

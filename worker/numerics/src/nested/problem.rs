@@ -1,5 +1,6 @@
 //! What a trial is to the maths.
 
+use crate::brain::Policy;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::Limits;
 use crate::random::Purpose;
@@ -92,10 +93,10 @@ pub struct Going {
 }
 
 /// Terms of the gradient of the test loss.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Terms {
     /// Through the test signals and, by the implicit function theorem, through the trained weights.
-    Implicit,
+    Implicit(Policy),
     /// Through the test signals alone.
     Direct,
 }
@@ -107,6 +108,8 @@ pub struct Evaluation {
     pub seeds: usize,
     /// Rate schedule of their training.
     pub schedule: Schedule,
+    /// Iterations of as many further networks, whose training is to be a long one.
+    pub long: Option<usize>,
 }
 
 /// Adam's rate over a training.
@@ -166,9 +169,14 @@ impl Problem {
 
     /// The part of the work that is done after `steps` outer steps, in brain iterations.
     pub(super) fn progress(&self, steps: u32) -> f64 {
-        let evaluation = 2.0 * self.evaluation.seeds as f64;
+        let evaluation = 2.0 * self.evaluation_iterations() as f64 / self.brain.iterations as f64;
         let loop_iterations = f64::from(self.optimise.iterations) * self.step_share();
         f64::from(steps) * self.step_share() / (loop_iterations + evaluation)
+    }
+
+    /// Brain iterations of the comparison at the end, a body.
+    pub(super) fn evaluation_iterations(&self) -> usize {
+        self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0))
     }
 
     /// Work of an outer step relative to a full training.

@@ -53,6 +53,8 @@ pub struct Seconds {
 /// The linear system of the implicit term.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Implicit {
+    /// What stood for the inverse.
+    pub policy: crate::brain::Policy,
     /// Conjugate-gradient iterations.
     pub iterations: usize,
     /// ‖r‖/‖b‖ at the end.

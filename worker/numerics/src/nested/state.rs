@@ -51,8 +51,6 @@ pub struct Best {
     pub step: u32,
 }
 
-/// Steps taken back in a row before a trial counts as stuck.
-const SETBACKS_MAX: u32 = 8;
 /// Designs remembered: `joint` trains on the batches of as many bodies beside the present one.
 pub(super) const TRAIL: usize = 3;
 /// A training loss above this many times its trend is a step too far. A fresh network's loss varies by a factor of two
@@ -130,11 +128,20 @@ impl State {
     /// This state (that before a step in trouble), its last move undone and the next one smaller.
     pub(super) fn taken_back(mut self, trouble: Trouble, log: &mut Log) -> Result<Self, Failure> {
         log.report.trouble = Some(trouble);
-        let Some(passed) = self.trail.pop() else { return Err(Failure::Initial(trouble)) };
-        self.design = passed.design;
         self.caution *= 0.5;
         self.setbacks += 1;
-        if self.setbacks > SETBACKS_MAX { Err(Failure::Stuck(self.setbacks, trouble)) } else { Ok(self) }
+        match self.trail.pop() {
+            Some(passed) => self.design = passed.design,
+            None if self.setbacks == 1 => return Err(Failure::Initial(trouble)),
+            None => return Err(Failure::Stuck(self.setbacks, trouble)),
+        }
+        // A network that died or went to infinity is no start: it gets another first training.
+        if matches!(trouble, Trouble::Training(_)) {
+            self.weights.clear();
+            self.weight_adam = Adam::new(self.weight_adam.m.len());
+            self.trend = None;
+        }
+        Ok(self)
     }
 }
 

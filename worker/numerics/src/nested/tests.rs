@@ -49,14 +49,14 @@ fn small(protocol: Protocol) -> Problem {
             rate: 0.1,
             coarse: Some(Solver { method: Method::Tsit5, tolerance: 1e-3 }),
         },
-        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine },
+        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None },
         seed: 3,
     }
 }
 
 const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
 const PROTOCOLS: [Protocol; 4] = [
-    Protocol::Paper(Terms::Implicit),
+    Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)),
     Protocol::Warm(GOING),
     Protocol::Envelope(GOING),
     Protocol::Joint(GOING),
@@ -157,6 +157,26 @@ fn bodies_are_compared_with_the_same_networks() {
     assert_eq!(result.initial.zero_samples, [0; 3]);
 }
 
+/// As many long trainings as ordinary ones, from the same initial weights; the ordinary ones stay as they are.
+#[test]
+fn long_trainings_stand_beside_the_ordinary_ones() {
+    let mut problem = small(Protocol::Paper(Terms::Direct));
+    problem.optimise.iterations = 0;
+    let plain = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    problem.evaluation.long = Some(70);
+    let mut keeper = Keeper::default();
+    let long = optimise(&problem, None, &pool(1), &mut keeper).unwrap().unwrap();
+    assert_eq!(long.optimised.networks, plain.optimised.networks);
+    assert!(plain.optimised.long.is_empty());
+    for (long, ordinary) in long.optimised.long.iter().zip(&long.optimised.networks) {
+        assert_eq!((long.losses.len(), long.losses[0]), (70, ordinary.losses[0]));
+        assert!(long.losses[69] < ordinary.losses[29], "{:?} {:?}", long.losses, ordinary.losses);
+        assert!(long.error_holdout.is_some() && long.weights.is_empty());
+    }
+    assert_eq!(long.counters.brain_iterations, 2 * 2 * (30 + 70));
+    assert!(keeper.fractions.is_sorted() && keeper.fractions.last() == Some(&1.0), "{:?}", keeper.fractions);
+}
+
 /// The design of every step has the kept units' nodes where the initial one has them, and moves others.
 #[test]
 fn kept_units_keep_their_shape() {
@@ -225,10 +245,60 @@ fn a_step_in_trouble_is_taken_back_at_half_the_rate() {
     let back = state.clone().taken_back(Trouble::GradientNonFinite, &mut log).unwrap();
     assert_eq!((back.design[0], back.caution, back.setbacks), (7.0, 0.5, 1));
     assert_eq!(log.report.trouble, Some(Trouble::GradientNonFinite));
-    assert_eq!(
-        back.taken_back(Trouble::GradientNonFinite, &mut log),
-        Err(Failure::Initial(Trouble::GradientNonFinite))
-    );
-    state.setbacks = 8;
-    assert!(matches!(state.taken_back(Trouble::GradientNonFinite, &mut log), Err(Failure::Stuck(9, _))));
+    let stuck = Failure::Stuck(2, Trouble::GradientNonFinite);
+    assert_eq!(back.taken_back(Trouble::GradientNonFinite, &mut log), Err(stuck));
+    state.trail.clear();
+    let initial = Failure::Initial(Trouble::GradientNonFinite);
+    assert_eq!(state.taken_back(Trouble::GradientNonFinite, &mut log), Err(initial));
+}
+
+/// The state after two steps, spoilt: the third step names what it met and is taken back, the fourth goes on from the
+/// second's body at half the rate.
+#[test]
+fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
+    let problem = Problem {
+        optimise: Optimise { iterations: 5, ..small(Protocol::Joint(GOING)).optimise },
+        ..small(Protocol::Joint(GOING))
+    };
+    let mut keeper = Keeper { stop_after: Some(2), ..Keeper::default() };
+    optimise(&problem, None, &pool(1), &mut keeper).unwrap();
+    let (good, shape) = (keeper.states[1].clone(), Setting::new(&problem, &pool(1)).unwrap().shape);
+    type Spoil = fn(&mut State, brain::Shape);
+    let spoilt: [(&[&str], Spoil); 4] = [
+        (&["loss_jump"], |state, _| state.weights.iter_mut().for_each(|w| *w *= 30.0)),
+        (&["non_finite"], |state, _| state.weights[0] = f32::NAN),
+        (&["dead_layer"], |state, shape| state.weights[shape.range(0)].fill(-1e3)),
+        (&["non_finite", "step_too_small", "step_limit"], |state, _| state.design[0] = f64::NAN),
+    ];
+    for (names, spoil) in spoilt {
+        let mut state = good.clone();
+        spoil(&mut state, shape);
+        let mut keeper = Keeper { stop_after: Some(3), ..Keeper::default() };
+        let ended = optimise(&problem, Some(state), &pool(1), &mut keeper);
+        let [third, fourth, ..] = &keeper.reports[..] else { panic!("{names:?}: {ended:?}") };
+        let name = third.trouble.expect("trouble").name();
+        assert!(names.contains(&name) && third.step_length.is_none(), "{names:?}: {third:?}");
+        assert_eq!(keeper.states[0].design, good.trail.last().unwrap().design, "{names:?}");
+        assert_eq!(keeper.states[0].caution, 0.5 * good.caution, "{names:?}");
+        if names[0] != "loss_jump" {
+            assert!(fourth.trouble.is_none() && fourth.step_length > Some(0.0), "{names:?}: {fourth:?}");
+        }
+    }
+}
+
+/// `warm` trains on while its loss is above the trend, to a limit, and ends after a round where it is not.
+#[test]
+fn a_warm_network_trains_by_need() {
+    let problem = small(Protocol::Warm(GOING));
+    let mut keeper = Keeper { stop_after: Some(1), ..Keeper::default() };
+    optimise(&problem, None, &pool(1), &mut keeper).unwrap();
+    let mut iterations = Vec::new();
+    for part in [3.0, 0.2] {
+        let mut state = keeper.states[0].clone();
+        state.trend = state.trend.map(|trend| part * trend);
+        let mut keeper = Keeper { stop_after: Some(1), ..Keeper::default() };
+        optimise(&problem, Some(state), &pool(1), &mut keeper).unwrap();
+        iterations.push(keeper.reports[0].counters.brain_iterations);
+    }
+    assert_eq!(iterations, [3, 24]);
 }

@@ -12,7 +12,8 @@ impl Session<'_> {
     /// A fresh network, trained to β*; dL_test/dα = direct (+ implicit) term.
     pub(super) fn paper(&mut self, state: &State, terms: Terms, log: &mut Log) -> Result<Sensed, Trouble> {
         let setting = self.setting;
-        let (design, problem, implicit) = (&state.design, setting.problem, terms == Terms::Implicit);
+        let (design, problem) = (&state.design, setting.problem);
+        let implicit = matches!(terms, Terms::Implicit(_));
         let solver = &problem.solver;
 
         // A(α), of the training samples with a tape only where their gradient is asked for
@@ -38,8 +39,8 @@ impl Session<'_> {
         let mut gradient = setting.pull_back(design, &setting.test, &test, &direct, log)?;
 
         // and through β*
-        if implicit {
-            let inputs = implicit_term(setting, &weights, &train.signals, &test.signals, log);
+        if let Terms::Implicit(policy) = terms {
+            let inputs = implicit_term(setting, &weights, &train.signals, &test.signals, policy, log);
             let through_brain = setting.pull_back(design, &setting.train, &train, &inputs, log)?;
             gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }

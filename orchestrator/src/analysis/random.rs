@@ -1,0 +1,95 @@
+//! Optimised and initial against random bodies: whether training finds what chance does not.
+//!
+//! A trial whose body starts from `{ random = SEED }` gives a random body's error with its `initial`; it is compared with
+//! the trials of rotated squares that share its sensors and stimuli.
+
+use super::data::{Trial, geometric_mean};
+use super::paired::Ratio;
+use super::{Body, Set};
+
+/// Random bodies beside the initial and the optimised one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Random {
+    /// Errors (%) of random bodies, one a trial.
+    pub errors: Vec<f64>,
+    /// Errors (%) of the initial and of the optimised body, of the trials that they are compared with.
+    pub others: [Vec<f64>; 2],
+    /// A random body's error over that of the initial and of the optimised body, with equal sensors and stimuli; above
+    /// 1 the random body is the worse one.
+    pub ratios: [Option<Ratio>; 2],
+    /// Errors (%) of the bodies that training made of the random ones.
+    pub trained: Vec<f64>,
+}
+
+impl Random {
+    /// Standard deviation of ln e over random bodies; `None` of a single one.
+    #[must_use]
+    pub fn deviation(&self) -> Option<f64> {
+        let mean = geometric_mean(&self.errors).ln();
+        let squares: f64 = self.errors.iter().map(|e| (e.ln() - mean).powi(2)).sum();
+        (self.errors.len() > 1).then(|| (squares / (self.errors.len() - 1) as f64).sqrt())
+    }
+}
+
+/// Compares a group's random bodies with its others; `None` where it lacks either.
+#[must_use]
+pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
+    let (random, others): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|t| t.starts_random());
+    let of =
+        |trials: &[&Trial], body| -> Vec<f64> { trials.iter().filter_map(|t| t.error(body, set)).collect() };
+    // the mean where several ways of training share sensors and stimuli
+    let alike = |trial: &Trial, body: Body| {
+        let same: Vec<f64> = others
+            .iter()
+            .filter(|o| o.cluster == trial.cluster && o.sensors == trial.sensors)
+            .filter_map(|o| o.error(body, set))
+            .collect();
+        (!same.is_empty()).then(|| geometric_mean(&same))
+    };
+    let ratios = Body::ALL.map(|body| {
+        let ratios = random.iter().filter_map(|t| Some(t.error(Body::Initial, set)? / alike(t, body)?));
+        Ratio::of(&ratios.collect::<Vec<f64>>())
+    });
+    let errors = of(&random, Body::Initial);
+    (ratios[0].is_some() && !errors.is_empty()).then(|| Random {
+        errors,
+        others: Body::ALL.map(|body| of(&others, body)),
+        ratios,
+        trained: of(&random, Body::Optimised),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::Cluster;
+    use serde_json::json;
+
+    fn trial(design: Option<u64>, placement: u64, initial: f64, optimised: f64) -> Trial {
+        Trial {
+            setting: design.map(|seed| ("body.design.random".to_owned(), json!(seed))).into_iter().collect(),
+            cluster: Cluster { placement, seed: 1 },
+            errors: [[None, Some(initial)], [None, Some(optimised)]],
+            ..Trial::default()
+        }
+    }
+
+    /// Placement 1 is twice as hard for every body: ratios within clusters do not see it.
+    #[test]
+    fn random_bodies_are_compared_with_those_of_their_sensors_and_stimuli() {
+        let mut trials = vec![trial(None, 0, 20.0, 10.0), trial(None, 1, 40.0, 20.0)];
+        for (seed, factor) in [(1, 1.2), (2, 1.8)] {
+            trials.push(trial(Some(seed), 0, 20.0 * factor, 11.0));
+            trials.push(trial(Some(seed), 1, 40.0 * factor, 22.0));
+        }
+        let trials: Vec<&Trial> = trials.iter().collect();
+        let found = random(&trials, Set::Holdout).unwrap();
+        let truth = (1.2f64 * 1.8).sqrt();
+        let [initial, optimised] = found.ratios;
+        assert!((initial.unwrap().ratio / truth - 1.0).abs() < 1e-12, "{found:?}");
+        assert!((optimised.unwrap().ratio / (2.0 * truth) - 1.0).abs() < 1e-12, "{found:?}");
+        assert_eq!((found.errors.len(), found.trained.len(), optimised.unwrap().above_one), (4, 4, 4));
+        assert_eq!(random(&trials[..2], Set::Holdout), None);
+        assert_eq!(random(&trials[2..], Set::Holdout), None);
+    }
+}

@@ -1,0 +1,143 @@
+//! The answers in words, the best evidence first.
+
+use super::figures::distinct;
+use super::plot::number;
+use crate::analysis::data::{DESIGN, Group, SENSORS, geometric_mean, groups, observations};
+use crate::analysis::paired::Ratio;
+use crate::analysis::random::random;
+use crate::analysis::sensors::fewer;
+use crate::analysis::tables::verdict_text;
+use crate::analysis::{Body, Set, Trial, Verdict, elbow, paired};
+
+/// An answer, and whether it is good news, or bad; `None`: neither, or undecided.
+pub type Answer = (Option<bool>, String);
+
+/// What the trials answer.
+#[must_use]
+pub fn answers(trials: &[Trial]) -> Vec<Answer> {
+    let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
+    let mut said = Vec::new();
+    for (set, what) in [
+        (Set::Holdout, "samples that neither loop has seen"),
+        (Set::Test, "the test set that steered the body"),
+    ] {
+        if let Some(r) = paired::error_ratio(&refs, set) {
+            let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
+            said.push((
+                verdict(&r),
+                format!(
+                    "On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
+                     {optimised} %{}); the optimised one is better in {} of {} trials.",
+                    number(r.ratio),
+                    interval(&r),
+                    r.above_one,
+                    r.trials
+                ),
+            ));
+        }
+    }
+    said.extend(long(&refs));
+    for group in groups(&refs, SENSORS).iter().filter(|g| distinct(g, |t| t.sensors) > 1) {
+        said.extend(sensors(group));
+    }
+    let all: Vec<&Trial> = trials.iter().collect();
+    said.extend(groups(&all, DESIGN).iter().filter_map(random_bodies));
+    said
+}
+
+fn interval(ratio: &Ratio) -> String {
+    ratio.interval.map_or(", one trial: no interval".into(), |i| {
+        format!(", 95 % interval {} to {}", number(i.low), number(i.high))
+    })
+}
+
+fn verdict(ratio: &Ratio) -> Option<bool> {
+    match ratio.interval {
+        Some(i) if i.low > 1.0 => Some(true),
+        Some(i) if i.high < 1.0 => Some(false),
+        _ => None,
+    }
+}
+
+/// Mean errors of both bodies, over the trials that have both.
+fn means(trials: &[&Trial], error: impl Fn(&Trial, Body) -> Option<f64>) -> [String; 2] {
+    let both = |t: &&&Trial| Body::ALL.iter().all(|b| error(t, *b).is_some());
+    Body::ALL.map(|body| {
+        let errors: Vec<f64> = trials.iter().filter(both).filter_map(|t| error(t, body)).collect();
+        number(geometric_mean(&errors))
+    })
+}
+
+fn long(trials: &[&Trial]) -> Option<Answer> {
+    let ratio = paired::long_ratio(trials, Set::Holdout)?;
+    let of_long = |t: &&&Trial| t.long_error(Body::Initial, Set::Holdout).is_some();
+    let iterations = trials.iter().find(of_long)?.setting.get("evaluation.long_iterations")?;
+    let [initial, optimised] = means(trials, |t, body| t.long_error(body, Set::Holdout));
+    Some((
+        verdict(&ratio),
+        format!(
+            "After {iterations} iterations of the brain the initial body's holdout error still is {} times the optimised \
+             body's ({initial} % against {optimised} %{}).",
+            number(ratio.ratio),
+            interval(&ratio)
+        ),
+    ))
+}
+
+/// Where more sensors stop to pay, and how few of the optimised body's suffice.
+fn sensors(group: &Group) -> Vec<Answer> {
+    let curve = |body| observations(&group.trials, body, Set::Holdout, |t| t.sensors);
+    let [initial, optimised] = Body::ALL.map(|b| match elbow(&curve(b)) {
+        Err(why) => why.to_string(),
+        Ok(found) => {
+            let votes = match found.verdict {
+                Verdict::At(m) | Verdict::Undecided(m) => {
+                    found.votes.iter().find(|v| v.0 == m).map(|v| format!(" ({:.0} % of votes)", 100.0 * v.1))
+                }
+                _ => None,
+            };
+            verdict_text(found.verdict) + &votes.unwrap_or_default()
+        }
+    });
+    let text = match initial == optimised {
+        true => format!("{}: both bodies: {initial}.", group.label),
+        false => format!("{}: optimised body: {optimised}; initial body: {initial}.", group.label),
+    };
+    let mut said = vec![(None, text)];
+    if let Some(f) = fewer(&curve(Body::Initial), &curve(Body::Optimised)) {
+        let initial = format!("the initial one with M = {} ({} %)", f.most, number(f.initial_error));
+        let text = match (f.fewest, f.optimised_error) {
+            (Some(m), Some(error)) => {
+                let least = if m == f.most { ", and with fewer it does not" } else { "" };
+                format!("the optimised body with M = {m} ({} %) beats {initial}{least}", number(error))
+            }
+            _ => format!("with no number of sensors tried does the optimised body beat {initial}"),
+        };
+        said.push((Some(f.fewest.is_some()), format!("{}: {text}.", group.label)));
+    }
+    said
+}
+
+fn random_bodies(group: &Group) -> Option<Answer> {
+    let found = random(&group.trials, Set::Holdout)?;
+    let [initial, optimised] = found.ratios;
+    let (initial, optimised) = (initial?, optimised?);
+    Some((
+        verdict(&optimised),
+        format!(
+            "{}: {} random bodies have {} times the holdout error of the initial body ({} of {} are worse) and {} times that \
+             of the optimised one{}.",
+            group.label,
+            found.errors.len(),
+            number(initial.ratio),
+            initial.above_one,
+            initial.trials,
+            number(optimised.ratio),
+            optimised.interval.map_or(String::new(), |i| format!(
+                " (95 % interval {} to {})",
+                number(i.low),
+                number(i.high)
+            ))
+        ),
+    ))
+}
