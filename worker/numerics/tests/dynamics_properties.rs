@@ -236,6 +236,42 @@ fn a_pilot_says_what_it_cannot_measure() {
     assert!(still.error.is_none() && still.counters.steps == 0, "{still:?}");
 }
 
+/// Histories with four kinks an interval: signals and gradients are those of a clock four times as fine, read at every
+/// fourth instant; steps that do not hit the kinks are rounded up; a pilot takes them into account.
+#[test]
+fn forces_may_have_a_finer_clock_than_the_signals() {
+    let coarse = Scene { frame: Frame::Body, ..small_scene() };
+    let fine = Scene { instants: 4 * coarse.instants, ..coarse.clone() };
+    let (design, mut forces) = (shaken(&coarse), pushes(&fine, 2, 0.4));
+    forces.values.iter_mut().enumerate().for_each(|(i, f)| *f += 0.1 * (1.9 * i as f64).sin());
+    let width = 3 * coarse.sensors.len();
+    let methods = EQUAL_STEPS.map(|(method, _, steps)| (method, steps)).into_iter();
+    for (method, steps) in methods.chain([(Method::Tsit5, 0)]) {
+        let solve = |scene: &Scene, steps| run(scene, &design, &forces, &plan(method, steps), true, &pool(1));
+        let (ours, theirs) = (solve(&coarse, 4 * steps), solve(&fine, steps));
+        let every_fourth: Vec<f64> =
+            theirs.signals.chunks(4 * width).flat_map(|c| &c[3 * width..]).copied().collect();
+        let cotangent: Vec<f64> = (0..ours.signals.len()).map(|i| (0.7 * i as f64).sin()).collect();
+        let mut spread = vec![0.0; theirs.signals.len()];
+        for (to, from) in spread.chunks_mut(4 * width).zip(cotangent.chunks(width)) {
+            to[3 * width..].copy_from_slice(from);
+        }
+        let gradient = |scene: &Scene, simulation: &_, cotangent: &[f64]| {
+            pull_back(scene, &design, &forces, simulation, &[0, 1], cotangent, &pool(1)).design
+        };
+        let (g, h) = (gradient(&coarse, &ours, &cotangent), gradient(&fine, &theirs, &spread));
+        let limit = if method == Method::Implicit { 1e-8 } else { 1e-11 };
+        let errors = [relative(&ours.signals, &every_fourth), relative(&g, &h)];
+        assert!(errors.iter().all(|e| *e < limit) && norm(&g) > 0.0, "{method:?}: {errors:?}");
+        if steps > 0 {
+            assert_eq!(solve(&coarse, 4 * steps - 1).signals, ours.signals, "{method:?}");
+        }
+    }
+    let solver = Solver { method: Method::Auto, tolerance: 1e-3 };
+    let tuned = tune(&coarse, &design, &forces, &solver, &pool(1));
+    assert!(tuned.plan.steps.is_multiple_of(4) && tuned.error.is_some_and(|e| e < 1e-3), "{tuned:?}");
+}
+
 /// Steps that a blow a hundred times as hard makes unstable are refined for that sample alone.
 #[test]
 fn a_sample_that_fails_is_tried_again_with_smaller_steps() {

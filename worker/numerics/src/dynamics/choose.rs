@@ -102,13 +102,20 @@ pub(super) struct Candidate {
     pub(super) all: f64,
     /// Length of an interval (s).
     pub(super) interval: f64,
+    /// Kinks of the forces in an interval, each of which ends a step.
+    pub(super) kinks: usize,
 }
 
 impl Candidate {
     /// Steps an interval by the law.
     pub(super) fn steps(&self, tolerance: f64) -> usize {
         let w = (tolerance / self.law.factor).powf(1.0 / self.law.power).min(self.law.limit);
-        (self.followed * self.interval / (w * self.stages())).ceil().clamp(1.0, 1e6) as usize
+        self.whole(self.followed * self.interval / (w * self.stages()))
+    }
+
+    /// So many steps or a few more: as many from kink to kink.
+    pub(super) fn whole(&self, steps: f64) -> usize {
+        (steps / self.kinks as f64).ceil().clamp(1.0, 1e6) as usize * self.kinks
     }
 
     /// The tolerance for which the law gives so many steps, rounded up.
@@ -125,8 +132,8 @@ impl Candidate {
     }
 }
 
-/// Every method of equal steps in this scene.
-pub(super) fn candidates(scene: &Scene, design: &[f64]) -> Vec<Candidate> {
+/// Every method of equal steps in this scene, under forces with so many kinks an interval.
+pub(super) fn candidates(scene: &Scene, design: &[f64], kinks: usize) -> Vec<Candidate> {
     let all = highest_frequency(scene, design);
     // Without the stiffness by which stretching exceeds shearing more than in the reference material
     let mut soft = scene.clone();
@@ -134,7 +141,7 @@ pub(super) fn candidates(scene: &Scene, design: &[f64]) -> Vec<Candidate> {
     let soft = if soft == *scene { all } else { highest_frequency(&soft, design) };
     let followed = |law: &Law| if law.method == Method::Implicit { soft } else { all };
     let interval = scene.duration / scene.instants as f64;
-    LAWS.iter().map(|law| Candidate { law, followed: followed(law), all, interval }).collect()
+    LAWS.iter().map(|law| Candidate { law, followed: followed(law), all, interval, kinks }).collect()
 }
 
 /// Turns a solver into a plan for this scene and design.
@@ -147,7 +154,7 @@ pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
         Method::Auto => c.law.method != Method::Implicit || tolerance >= SOFT,
         named => c.law.method == named,
     };
-    let best = candidates(scene, design)
+    let best = candidates(scene, design, 1)
         .into_iter()
         .filter(allowed)
         .min_by_key(|c| c.steps(tolerance) * c.law.work)

@@ -200,6 +200,7 @@ pub fn simulate(
 ) -> Simulation {
     let model = Model::new(scene, design);
     let machine = machine(width);
+    let plan = &Plan { steps: plan.steps.next_multiple_of(forces.kinks(scene)), ..plan.clone() };
     let n = forces.samples;
     let len = scene.instants * 3 * scene.sensors.len();
     let mut signals = vec![0.0; n * len];

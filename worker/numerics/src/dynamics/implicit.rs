@@ -307,15 +307,14 @@ pub fn forward<V: Vector>(
     let free = &system.model.free;
     let (width, len) = (3 * scene.sensors.len(), 6 * free.len());
     let h = scene.duration / (scene.instants * substeps) as f64;
-    let mut ramp = Ramp::new(scene.panels.len());
+    let histories = slots.iter().map(|s| forces.sample(s.index)).collect();
+    let mut ramp = Ramp::new(scene, forces, histories, substeps);
     let mut force = vec![V::splat(0.0); scene.panels.len()];
-    let histories: Vec<&[f64]> = slots.iter().map(|s| forces.sample(s.index)).collect();
     let (mut x, mut v) = (system.zeros(), system.zeros());
     let mut a: [Vec<Unit<V>>; STAGES] = std::array::from_fn(|_| system.zeros());
     let mut stage = Stage::new(system);
     let mut steps = 0;
     for interval in 0..scene.instants {
-        ramp.load(forces, &histories, interval);
         for step in 0..substeps {
             // The first guess is the A before; each interval starts from none, as the reverse sweep must.
             let guess = if step == 0 { system.zeros() } else { a[STAGES - 1].clone() };
@@ -323,7 +322,7 @@ pub fn forward<V: Vector>(
             if step == 0 {
                 stage.stale = V::splat(1.0);
             }
-            let at = |c: f64, force: &mut [V]| ramp.at((step as f64 + c) / substeps as f64, force);
+            let at = |c: f64, force: &mut [V]| ramp.at(interval * substeps + step, c, force);
             stage.step(system, h, at, &mut force, (&mut x, &mut v), &mut a);
         }
         steps += substeps as u64;
@@ -375,9 +374,9 @@ pub fn reverse<V: Vector>(
     let (width, len) = (3 * scene.sensors.len(), 6 * free.len());
     let h = scene.duration / (scene.instants * substeps) as f64;
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
-    let mut ramp = Ramp::new(scene.panels.len());
+    let histories = sweeps.iter().map(|s| s.history).collect();
+    let mut ramp = Ramp::new(scene, forces, histories, substeps);
     let mut force = vec![zero; scene.panels.len()];
-    let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
     let (mut x, mut v, mut scratch) = (system.zeros(), system.zeros(), system.zeros());
     let (mut bar_x, mut bar_v, mut read_a) = (system.zeros(), system.zeros(), system.zeros());
     let mut lambda = system.zeros();
@@ -389,7 +388,6 @@ pub fn reverse<V: Vector>(
     let empty = || Step { x: system.zeros(), v: system.zeros(), a: std::array::from_fn(|_| system.zeros()) };
     let mut steps: Vec<Step<V>> = (0..substeps).map(|_| empty()).collect();
     for interval in (0..scene.instants).rev() {
-        ramp.load(forces, &histories, interval);
         // The interval again
         let state = |l: usize| {
             let sweep = sweeps.get(l)?;
@@ -403,7 +401,7 @@ pub fn reverse<V: Vector>(
             step.x.copy_from_slice(&x);
             step.v.copy_from_slice(&v);
             step.a[0].copy_from_slice(&guess);
-            let at = |c: f64, force: &mut [V]| ramp.at((n as f64 + c) / substeps as f64, force);
+            let at = |c: f64, force: &mut [V]| ramp.at(interval * substeps + n, c, force);
             stage.step(system, h, at, &mut force, (&mut x, &mut v), &mut step.a);
         }
         // The sensors at its end
@@ -438,7 +436,7 @@ pub fn reverse<V: Vector>(
                 stage.complete(h, &step.a[i]);
                 stage.band.factor(system, &stage.x, h, &mut stage.entries, one);
                 stage.band.solve(&mut lambda, &mut stage.column);
-                ramp.at((n as f64 + C[i]) / substeps as f64, &mut force);
+                ramp.at(interval * substeps + n, C[i], &mut force);
                 let (x, v) = (&stage.x, &stage.v);
                 system.weighted_vjp(x, v, &force, &lambda, &mut to_x[i], &mut to_v[i], &mut scratch);
                 evaluations += 1;

@@ -133,21 +133,30 @@ pub struct Plan {
     pub reason: String,
 }
 
-/// Force histories (N, K, T+1), f_k at t_n = n·duration/T, n = 0…T, linear in between.
+/// Force histories (N, K, R+1), f_k at t_n = n·duration/R, n = 0…R, linear in between.
+///
+/// R is `instants`: that of the scene, T, or a whole multiple of it, for histories with more detail than T instants hold
+/// (recorded ones). Every method ends a step at each of the R kinks; signals are those of the T instants all the same,
+/// every (R/T)-th.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Forces {
     /// N.
     pub samples: usize,
     /// K.
     pub panels: usize,
-    /// T.
+    /// R, a multiple of T.
     pub instants: usize,
-    /// (N, K, T+1) (N).
+    /// (N, K, R+1) (N).
     pub values: Vec<f64>,
 }
 
 impl Forces {
-    /// The histories of sample i, (K, T+1).
+    /// R/T: kinks an interval of the scene.
+    pub fn kinks(&self, scene: &Scene) -> usize {
+        self.instants / scene.instants
+    }
+
+    /// The histories of sample i, (K, R+1).
     pub fn sample(&self, i: usize) -> &[f64] {
         let len = self.panels * (self.instants + 1);
         &self.values[i * len..][..len]
@@ -255,7 +264,7 @@ pub(crate) struct SampleTape {
     pub states: Vec<f64>,
     /// Accepted step sizes (s), empty where steps are equal.
     pub steps: Vec<f64>,
-    /// How many of them belong to each interval.
+    /// How many of them belong to each interval of the forces.
     pub counts: Vec<u32>,
     /// By how much equal steps were refined, after the plan's had failed.
     pub refined: usize,
@@ -302,7 +311,7 @@ pub fn simulate(
     run(scene, design, forces, &choose(scene, design, solver), keep_tape, pool)
 }
 
-/// Integrates as `plan` says.
+/// Integrates as `plan` says; its steps are rounded up to a multiple of the forces' kinks in an interval.
 ///
 /// # Panics
 /// As `simulate`.
@@ -343,7 +352,13 @@ pub fn pull_back(
 fn check(scene: &Scene, design: &[f64], forces: &Forces) {
     let units = scene.layout.units();
     assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
-    assert_eq!((forces.panels, forces.instants), (scene.panels.len(), scene.instants), "shape of the forces");
+    assert_eq!(forces.panels, scene.panels.len(), "panels of the forces");
+    assert!(
+        forces.instants > 0 && forces.instants.is_multiple_of(scene.instants),
+        "forces at {} instants, which is no multiple of the scene's {}",
+        forces.instants,
+        scene.instants
+    );
     assert_eq!(
         forces.values.len(),
         forces.samples * forces.panels * (forces.instants + 1),

@@ -144,6 +144,41 @@ impl Ready {
     }
 }
 
+/// What both directions start from.
+struct Course<'a, V> {
+    ready: Ready,
+    stages: usize,
+    /// The kicks at either end of a step.
+    first: f64,
+    last: f64,
+    ramp: Ramp<'a, V>,
+    force: Vec<V>,
+}
+
+impl<'a, V: Vector> Course<'a, V> {
+    #[inline(always)]
+    fn new(
+        system: &System<'_, V>,
+        scheme: &Scheme,
+        substeps: usize,
+        forces: &'a Forces,
+        histories: Vec<&'a [f64]>,
+    ) -> Self {
+        let scene = system.scene;
+        let h = scene.duration / (scene.instants * substeps) as f64;
+        let ready = Ready::new(scheme, system.model, h);
+        let stages = scheme.stages();
+        Self {
+            stages,
+            first: ready.kicks[0],
+            last: ready.kicks[stages],
+            ready,
+            ramp: Ramp::new(scene, forces, histories, substeps),
+            force: vec![V::splat(0.0); forces.panels],
+        }
+    }
+}
+
 #[inline(always)]
 fn kick<V: Vector>(v: &mut [Unit<V>], b: f64, g: &[Unit<V>]) {
     let b = V::splat(b);
@@ -166,23 +201,17 @@ pub fn forward<V: Vector>(
     let model = system.model;
     let free = &model.free;
     let width = 3 * scene.sensors.len();
-    let (instants, panels) = (scene.instants, scene.panels.len());
-    let h = scene.duration / (instants * substeps) as f64;
-    let ready = Ready::new(scheme, model, h);
-    let stages = scheme.stages();
-    let (first, last) = (ready.kicks[0], ready.kicks[stages]);
+    let instants = scene.instants;
     let zero = V::splat(0.0);
-    let mut ramp = Ramp::new(panels);
-    let mut force = vec![zero; panels];
-    let histories: Vec<&[f64]> = slots.iter().map(|s| forces.sample(s.index)).collect();
+    let histories = slots.iter().map(|s| forces.sample(s.index)).collect();
+    let Course { ready, stages, first, last, mut ramp, mut force } =
+        Course::new(system, scheme, substeps, forces, histories);
     let (mut x, mut v, mut g) = (system.zeros(), system.zeros(), system.zeros());
     let mut margin = V::splat(1.0);
 
-    ramp.load(forces, &histories, 0);
-    ramp.at(0.0, &mut force);
+    ramp.at(0, 0.0, &mut force);
     system.acceleration(&x, &v, &force, &mut g, &mut margin);
     for interval in 0..instants {
-        ramp.load(forces, &histories, interval);
         let mut part = 0;
         kick(&mut v, first, &g);
         for step in 0..substeps {
@@ -194,7 +223,7 @@ pub fn forward<V: Vector>(
                         v[d] = V::splat(drift[d].keep) * v[d];
                     }
                 }
-                ramp.at((step as f64 + ready.clock[j]) / substeps as f64, &mut force);
+                ramp.at(interval * substeps + step, ready.clock[j], &mut force);
                 system.acceleration(&x, &v, &force, &mut g, &mut margin);
                 let b = match j + 1 == stages {
                     true if boundary => last,
@@ -269,15 +298,11 @@ pub fn reverse<V: Vector>(
     let model = system.model;
     let free = &model.free;
     let width = 3 * scene.sensors.len();
-    let (instants, panels) = (scene.instants, scene.panels.len());
-    let h = scene.duration / (instants * substeps) as f64;
-    let ready = Ready::new(scheme, model, h);
-    let stages = scheme.stages();
-    let (first, last) = (ready.kicks[0], ready.kicks[stages]);
+    let instants = scene.instants;
     let zero = V::splat(0.0);
-    let mut ramp = Ramp::new(panels);
-    let mut force = vec![zero; panels];
-    let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
+    let histories = sweeps.iter().map(|s| s.history).collect();
+    let Course { ready, stages, first, last, mut ramp, mut force } =
+        Course::new(system, scheme, substeps, forces, histories);
     let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
     let (mut bar_x, mut bar_v, mut bar_g) = (system.zeros(), system.zeros(), system.zeros());
     let (mut bar_a, mut to_x, mut to_v) = (system.zeros(), system.zeros(), system.zeros());
@@ -287,7 +312,6 @@ pub fn reverse<V: Vector>(
     let mut evaluations = 1;
 
     for interval in (0..instants).rev() {
-        ramp.load(forces, &histories, interval);
         let mut step = substeps;
         for part in (0..parts).rev() {
             // The checkpoint: the state after the last kick of a step
@@ -296,7 +320,7 @@ pub fn reverse<V: Vector>(
                 sweeps.get(l).map(|s| &s.tape.states[(interval * parts + part) * len..][..len])
             });
             load_lanes(free, &states, &mut x, &mut v);
-            ramp.at(step as f64 / substeps as f64, &mut force);
+            ramp.at(interval * substeps + step - 1, 1.0, &mut force);
             let instant = part + 1 == parts;
             let next = if instant && interval + 1 == instants { 0.0 } else { first };
             for (bar_g, bar_v) in bar_g.as_flattened_mut().iter_mut().zip(bar_v.as_flattened()) {
@@ -356,7 +380,7 @@ pub fn reverse<V: Vector>(
                     }
                     let b = if j == 0 { last + first } else { ready.kicks[j] };
                     let clock = if j == 0 { 0.0 } else { ready.clock[j - 1] };
-                    ramp.at((step as f64 + clock) / substeps as f64, &mut force);
+                    ramp.at(interval * substeps + step, clock, &mut force);
                     for (bar_g, bar_v) in bar_g.as_flattened_mut().iter_mut().zip(bar_v.as_flattened()) {
                         *bar_g = V::splat(b) * *bar_v;
                     }
@@ -371,7 +395,7 @@ pub fn reverse<V: Vector>(
     // The first kick, from rest
     x.fill([zero; 3]);
     v.fill([zero; 3]);
-    ramp.at(0.0, &mut force);
+    ramp.at(0, 0.0, &mut force);
     for (bar_g, bar_v) in bar_g.as_flattened_mut().iter_mut().zip(bar_v.as_flattened()) {
         *bar_g = V::splat(first) * *bar_v;
     }

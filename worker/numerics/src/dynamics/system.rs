@@ -302,44 +302,58 @@ pub fn load_lanes<V: Vector>(
     }
 }
 
-/// f_k of one sample, in interval k at the fraction w of it.
+/// f_k of one sample, in an interval of the forces at the fraction w of it.
 #[inline(always)]
 pub fn force_at(forces: &Forces, history: &[f64], panel: usize, interval: usize, w: f64) -> f64 {
     let f = &history[panel * (forces.instants + 1) + interval..][..2];
     (1.0 - w) * f[0] + w * f[1]
 }
 
-/// Forces of up to eight samples in one interval, at its beginning and their rise over it.
-pub struct Ramp<V> {
+/// Forces of up to eight samples at equal steps, which end at every kink.
+pub struct Ramp<'a, V> {
+    forces: &'a Forces,
+    histories: Vec<&'a [f64]>,
+    /// Steps from kink to kink.
+    span: usize,
+    /// The kink that the present ramp begins at.
+    kink: Option<usize>,
     start: Vec<V>,
     rise: Vec<V>,
 }
 
-impl<V: Vector> Ramp<V> {
-    /// Of so many panels.
+impl<'a, V: Vector> Ramp<'a, V> {
+    /// Of the samples' histories, one a lane, `substeps` steps an interval of the scene.
     #[inline(always)]
-    pub fn new(panels: usize) -> Self {
-        Self { start: vec![V::splat(0.0); panels], rise: vec![V::splat(0.0); panels] }
+    pub fn new(scene: &Scene, forces: &'a Forces, histories: Vec<&'a [f64]>, substeps: usize) -> Self {
+        let zero = vec![V::splat(0.0); forces.panels];
+        let span = substeps / forces.kinks(scene);
+        Self { forces, histories, span, kink: None, start: zero.clone(), rise: zero }
     }
 
-    /// Takes up an interval of the samples' histories.
+    /// Overwrites `force` by the forces at the fraction c of a step, counted from the beginning of the sample.
     #[inline(always)]
-    pub fn load(&mut self, forces: &Forces, histories: &[&[f64]], interval: usize) {
+    pub fn at(&mut self, step: usize, c: f64, force: &mut [V]) {
+        let kink = step / self.span;
+        if self.kink != Some(kink) {
+            self.load(kink);
+        }
+        let w = ((step - kink * self.span) as f64 + c) / self.span as f64;
+        for ((f, s), r) in force.iter_mut().zip(&self.start).zip(&self.rise) {
+            *f = V::splat(w).mul_add(*r, *s);
+        }
+    }
+
+    #[inline(always)]
+    fn load(&mut self, kink: usize) {
+        self.kink = Some(kink);
+        let Self { forces, histories, .. } = self;
         for k in 0..forces.panels {
             let at = |n: usize| {
                 let value = |l: usize| histories.get(l).map_or(0.0, |h| h[k * (forces.instants + 1) + n]);
                 V::new(std::array::from_fn(value))
             };
-            self.start[k] = at(interval);
-            self.rise[k] = at(interval + 1) - at(interval);
-        }
-    }
-
-    /// Overwrites `force` by the forces at the fraction w of the interval.
-    #[inline(always)]
-    pub fn at(&self, w: f64, force: &mut [V]) {
-        for ((f, s), r) in force.iter_mut().zip(&self.start).zip(&self.rise) {
-            *f = V::splat(w).mul_add(*r, *s);
+            self.start[k] = at(kink);
+            self.rise[k] = at(kink + 1) - at(kink);
         }
     }
 }

@@ -111,7 +111,8 @@ pub fn forward<V: Vector>(
     slots: &mut [Slot<'_>],
 ) -> Counters {
     let scene = system.scene;
-    let (instants, panels) = (scene.instants, scene.panels.len());
+    // Intervals of the forces, each `kinks`-th of which ends at an instant of the scene
+    let (instants, kinks, panels) = (forces.instants, forces.kinks(scene), scene.panels.len());
     let delta = scene.duration / instants as f64;
     let free = &system.model.free;
     let width = 3 * scene.sensors.len();
@@ -282,15 +283,14 @@ pub fn forward<V: Vector>(
                 }
                 continue;
             }
-            read_lane(scene, &x, &v, &a[0], l, &mut slot.signals[lane.interval * width..][..width]);
+            if (lane.interval + 1).is_multiple_of(kinks) {
+                let (n, len) = (lane.interval / kinks, 6 * free.len());
+                read_lane(scene, &x, &v, &a[0], l, &mut slot.signals[n * width..][..width]);
+                if let Some(tape) = &mut slot.tape {
+                    store_lane(free, &x, &v, l, &mut tape.states[n * len..][..len]);
+                }
+            }
             if let Some(tape) = &mut slot.tape {
-                store_lane(
-                    free,
-                    &x,
-                    &v,
-                    l,
-                    &mut tape.states[lane.interval * 6 * free.len()..][..6 * free.len()],
-                );
                 tape.counts.push(lane.count);
             }
             lane.tau = 0.0;
@@ -352,6 +352,8 @@ struct Step<V> {
     a: [Vec<Unit<V>>; 7],
     h: V,
     tau: [f64; LANES],
+    /// Of the forces.
+    interval: usize,
 }
 
 /// One sample's part in a reverse sweep.
@@ -371,8 +373,8 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
     let scene = system.scene;
     let model = system.model;
     let free = &model.free;
-    let (instants, panels) = (scene.instants, scene.panels.len());
-    let delta = scene.duration / instants as f64;
+    let (instants, kinks, panels) = (scene.instants, forces.kinks(scene), scene.panels.len());
+    let delta = scene.duration / forces.instants as f64;
     let width = 3 * scene.sensors.len();
     let zero = V::splat(0.0);
     let mut counters = Counters::default();
@@ -410,7 +412,7 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                 sweeps.get(l).map_or(0.0, |s| s.cotangent[interval * width + k])
             }));
         }
-        forces_at(&mut force, interval, &[delta; LANES], zero, 0.0);
+        forces_at(&mut force, (interval + 1) * kinks - 1, &[delta; LANES], zero, 0.0);
         sensors_vjp(
             system,
             &xs,
@@ -427,44 +429,58 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
         counters.force_evaluations += 2 * sweeps.len() as u64;
 
         // The interval again, keeping every step's accelerations
-        let count = |l: usize| sweeps.get(l).map_or(0, |s| s.tape.counts[interval] as usize);
-        let begins: [usize; LANES] = std::array::from_fn(|l| ends.get(l).map_or(0, |e| e - count(l)));
-        let longest = (0..LANES).map(count).max().unwrap_or(0);
+        let count = |l: usize, kink: usize| sweeps.get(l).map_or(0, |s| s.tape.counts[kink] as usize);
+        for (l, end) in ends.iter_mut().enumerate() {
+            let steps: usize = (0..kinks).map(|k| count(l, interval * kinks + k)).sum();
+            *end -= steps;
+            counters.steps += steps as u64;
+            counters.force_evaluations += 12 * steps as u64;
+        }
         load_lanes(free, &state(interval), &mut xs, &mut vs);
+        let mut begins = ends.clone();
         let mut tau = [0.0; LANES];
-        for n in 0..longest {
-            if steps.len() == n {
-                steps.push(Step {
-                    x: system.zeros(),
-                    v: system.zeros(),
-                    a: std::array::from_fn(|_| system.zeros()),
-                    h: zero,
-                    tau: [0.0; LANES],
-                });
-            }
-            let step = &mut steps[n];
-            let sizes: [f64; LANES] =
-                std::array::from_fn(|l| if n < count(l) { sweeps[l].tape.steps[begins[l] + n] } else { 0.0 });
-            step.h = V::new(sizes);
-            step.tau = tau;
-            step.x.copy_from_slice(&xs);
-            step.v.copy_from_slice(&vs);
-            let mut margin = zero;
-            for i in 0..6 {
-                if i > 0 {
-                    stage(i, step.h, &step.x, &step.v, &step.a, &mut xs, &mut vs);
+        let mut used = 0;
+        for kink in interval * kinks..(interval + 1) * kinks {
+            tau.fill(0.0);
+            let longest = (0..LANES).map(|l| count(l, kink)).max().unwrap_or(0);
+            for n in 0..longest {
+                if steps.len() == used + n {
+                    steps.push(Step {
+                        x: system.zeros(),
+                        v: system.zeros(),
+                        a: std::array::from_fn(|_| system.zeros()),
+                        h: zero,
+                        tau: [0.0; LANES],
+                        interval: 0,
+                    });
                 }
-                forces_at(&mut force, interval, &tau, step.h, C[i]);
-                system.acceleration(&xs, &vs, &force, &mut step.a[i], &mut margin);
+                let step = &mut steps[used + n];
+                let size =
+                    |l: usize| if n < count(l, kink) { sweeps[l].tape.steps[begins[l] + n] } else { 0.0 };
+                let sizes: [f64; LANES] = std::array::from_fn(size);
+                step.h = V::new(sizes);
+                (step.tau, step.interval) = (tau, kink);
+                step.x.copy_from_slice(&xs);
+                step.v.copy_from_slice(&vs);
+                let mut margin = zero;
+                for i in 0..6 {
+                    if i > 0 {
+                        stage(i, step.h, &step.x, &step.v, &step.a, &mut xs, &mut vs);
+                    }
+                    forces_at(&mut force, kink, &tau, step.h, C[i]);
+                    system.acceleration(&xs, &vs, &force, &mut step.a[i], &mut margin);
+                }
+                stage(6, step.h, &step.x, &step.v, &step.a, &mut xs, &mut vs);
+                for l in 0..LANES {
+                    tau[l] += sizes[l];
+                }
             }
-            stage(6, step.h, &step.x, &step.v, &step.a, &mut xs, &mut vs);
-            for l in 0..LANES {
-                tau[l] += sizes[l];
-            }
+            used += longest;
+            begins.iter_mut().enumerate().for_each(|(l, b)| *b += count(l, kink));
         }
 
         // Backwards
-        for step in steps[..longest].iter().rev() {
+        for step in steps[..used].iter().rev() {
             let h = step.h;
             let h2 = h * h;
             for i in (0..6).rev() {
@@ -485,7 +501,7 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                     xs.copy_from_slice(&step.x);
                     vs.copy_from_slice(&step.v);
                 }
-                forces_at(&mut force, interval, &step.tau, h, C[i]);
+                forces_at(&mut force, step.interval, &step.tau, h, C[i]);
                 let (to_x, to_v) = (&mut bars_x[i], &mut bars_v[i]);
                 system.acceleration_vjp(&xs, &vs, &force, &bar_a, to_x, to_v, &mut acceleration);
             }
@@ -499,11 +515,6 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                     }
                 }
             }
-        }
-        for (l, end) in ends.iter_mut().enumerate() {
-            *end -= count(l);
-            counters.steps += count(l) as u64;
-            counters.force_evaluations += 12 * count(l) as u64;
         }
     }
     counters

@@ -53,7 +53,7 @@ pub fn tune(
         }
         Tuned { solver: *solver, plan, error: None, counters }
     };
-    let all = candidates(scene, design);
+    let all = candidates(scene, design, forces.kinks(scene));
     let moved = pilot.forces.values.iter().any(|f| *f != 0.0) && all[0].all > 0.0;
     if solver.method == Method::Tsit5 || !moved || scene.sensors.is_empty() {
         return as_it_is(None, Counters::default());
@@ -181,15 +181,15 @@ impl Pilot<'_> {
             if !wanted.is_finite() {
                 return None;
             }
-            steps = (wanted.ceil() as usize).clamp(least, REFINED * start.max(least));
+            steps = candidate.whole(wanted).clamp(least, REFINED * start.max(least));
             if tried.iter().any(|(n, _)| *n == steps) {
                 break;
             }
         }
         let good = tried.into_iter().filter(|(_, error)| SAFETY * error <= asked).min_by_key(|t| t.0);
         good.map(|(steps, error)| {
-            let n = steps as f64;
-            Fewest { steps, exact: exact((steps, error), power).clamp(n - 0.9, n * (1.0 - 1e-9)), error }
+            let (n, part) = (steps as f64, 0.9 * candidate.kinks as f64);
+            Fewest { steps, exact: exact((steps, error), power).clamp(n - part, n * (1.0 - 1e-9)), error }
         })
     }
 }
