@@ -120,6 +120,9 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     ] {
         assert!(html.contains(said), "the page does not say {said}");
     }
+    for name in ["answer-elbow.csv", "trials.csv", "synthetic.toml"] {
+        assert!(figures.join(name).is_file(), "no {name}");
+    }
     let figure = std::fs::read_to_string(figures.join("sensors.svg")).unwrap();
     assert!(figure.starts_with("<svg xmlns") && figure.contains("<style>"), "{}", &figure[..200]);
 }

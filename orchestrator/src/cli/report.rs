@@ -2,9 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
+
 use super::Error;
+use crate::analysis::Question;
 use crate::exit::Exit;
-use crate::report::{csv, figures, html, load, standalone};
+use crate::report::{Figure, Story, csv, figures, html, load, standalone};
 use crate::store::Reader;
 
 /// Writes what a database's trials teach as one HTML file: question and answer first, then figures with their data
@@ -18,7 +21,7 @@ pub(super) struct Args {
     /// The trial whose forces, bodies and waves are shown (the beginning of its hash); by default a typical one
     #[arg(long)]
     trial: Option<String>,
-    /// Also write every figure (SVG) and its data (CSV) into this folder
+    /// Also write into this folder every figure (SVG) with its data, every answer and the trials (CSV), and the specs
     #[arg(long)]
     figures: Option<PathBuf>,
     /// Threads for simulating the shown trial again
@@ -31,26 +34,43 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let story = load::story(&mut reader, args.trial.as_deref()).await?;
     let (drawn, missing) = figures(&story, args.threads);
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
-    write(&out, html(&story, &drawn, missing.as_deref()))?;
+    write(&out, &html(&story, &drawn, missing.as_deref()))?;
     println!("{}", out.display());
     if let Some(folder) = &args.figures {
-        std::fs::create_dir_all(folder).map_err(|source| Error::Io {
-            doing: "making the folder",
-            path: folder.clone(),
-            source,
-        })?;
-        for figure in &drawn {
-            for (i, svg) in figure.plots.iter().filter_map(|p| standalone(p)).enumerate() {
-                let number = if figure.plots.len() > 1 { format!("-{}", i + 1) } else { String::new() };
-                write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;
-            }
-            write(&folder.join(format!("{}.csv", figure.name)), csv(&figure.data))?;
-        }
+        write_parts(folder, &story, &drawn)?;
         println!("{}", folder.display());
     }
     Ok(Exit::Done)
 }
 
-fn write(path: &Path, text: String) -> Result<(), Error> {
+fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
+    std::fs::create_dir_all(folder).map_err(|source| Error::Io {
+        doing: "making the folder",
+        path: folder.to_owned(),
+        source,
+    })?;
+    for figure in drawn {
+        let stills: Vec<String> = figure.plots.iter().filter_map(|p| standalone(p)).collect();
+        for (i, svg) in stills.iter().enumerate() {
+            let number = if stills.len() > 1 { format!("-{}", i + 1) } else { String::new() };
+            write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;
+        }
+        write(&folder.join(format!("{}.csv", figure.name)), &csv(&figure.data))?;
+    }
+    for question in Question::ALL {
+        let table = question.answer(&story.trials);
+        if !table.rows.is_empty() {
+            let name = question.to_possible_value().expect("none is hidden");
+            write(&folder.join(format!("answer-{}.csv", name.get_name())), &csv(&table))?;
+        }
+    }
+    write(&folder.join("trials.csv"), &csv(&story.settled))?;
+    for sweep in &story.sweeps {
+        write(&folder.join(format!("{}.toml", sweep.name)), &sweep.text)?;
+    }
+    Ok(())
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Error> {
     std::fs::write(path, text).map_err(|source| Error::Io { doing: "writing", path: path.to_owned(), source })
 }

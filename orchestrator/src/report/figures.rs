@@ -242,16 +242,18 @@ fn spread(count: usize) -> impl Iterator<Item = f64> {
 /// Training loss against iterations: median over trials and networks, middle half shaded.
 #[must_use]
 pub fn losses(trials: &[Trial]) -> Option<Figure> {
-    let refs: Vec<&Trial> = trials.iter().filter(|t| t.curves.iter().all(|c| !c.is_empty())).collect();
+    let drawn = |t: &&Trial| !t.starts_random() && t.curves.iter().all(|c| !c.is_empty());
+    let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
     let mut rows = Vec::new();
     let mut plots = Vec::new();
-    let ways: [(&str, fn(&Trial) -> &[Vec<Vec<CurvePoint>>; 2]); 2] =
-        [("", |t| &t.curves), (", long training", |t| &t.long_curves)];
     for group in groups(&refs, &[SENSORS, COMPLEXITY].concat()).iter().take(MOST_PLOTS) {
-        for (way, of) in ways {
+        for (way, long) in [("", false), (", long training", true)] {
             let curves = Body::ALL.map(|body| {
-                let networks: Vec<&Vec<CurvePoint>> =
-                    group.trials.iter().flat_map(|t| of(t)[body as usize].iter()).collect();
+                let mut networks: Vec<&Vec<CurvePoint>> = Vec::new();
+                for trial in &group.trials {
+                    let curves = if long { &trial.long_curves } else { &trial.curves };
+                    networks.extend(&curves[body as usize]);
+                }
                 (body, middle(&networks))
             });
             if curves.iter().all(|c| c.1.is_empty()) {
@@ -400,7 +402,8 @@ fn told(laws: &[(String, String)]) -> String {
 /// Best error so far against seconds.
 #[must_use]
 pub fn run_time(trials: &[Trial]) -> Option<Figure> {
-    let refs: Vec<&Trial> = trials.iter().filter(|t| !t.history.is_empty()).collect();
+    let drawn = |t: &&Trial| !t.starts_random() && !t.history.is_empty();
+    let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
     let mut plots = Vec::new();
     let mut rows = Vec::new();
     for (i, group) in groups(&refs, &[TRAINING, SENSORS, COMPLEXITY].concat()).iter().enumerate() {

@@ -172,7 +172,8 @@ async fn add_long_errors(
         .query(
             "SELECT n.hash, n.body, avg(n.error_test) AS test, avg(n.error_holdout) AS holdout
              FROM v_network n JOIN v_trial t USING (hash)
-             WHERE n.network >= t.spec->>'$.evaluation.seeds' GROUP BY n.hash, n.body",
+             WHERE n.network >= t.spec->>'$.evaluation.seeds' AND t.spec->>'$.evaluation.long_iterations' > 0
+             GROUP BY n.hash, n.body",
         )
         .await?
         .into();

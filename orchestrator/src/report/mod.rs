@@ -103,8 +103,12 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
     ] {
         let table = question.answer(&story.trials);
         if !table.rows.is_empty() {
-            let _ =
-                write!(content, "<p class=\"quiet\">{}</p>{}", escape(question.title()), table_html(&table));
+            let _ = write!(
+                content,
+                "<p class=\"quiet tables\">{}</p>{}",
+                escape(question.title()),
+                table_html(&table)
+            );
         }
     }
     let _ = write!(
@@ -128,7 +132,7 @@ fn summary(story: &Story) -> String {
             Some(false) => "bad",
             None => "open",
         };
-        let _ = write!(list, "<li class=\"{class}\">{}</li>", escape(&text));
+        let _ = write!(list, "<li class=\"{class}\">{}</li>", prose(&text));
     }
     let state = story.settled.columns.iter().position(|c| c == "state");
     let count = |name: &str| {
@@ -163,10 +167,15 @@ fn figure_html(figure: &Figure) -> String {
     let _ = write!(
         html,
         "</div><figcaption>{} {}</figcaption></figure>",
-        escape(&figure.caption),
+        prose(&figure.caption),
         download(figure.name, &figure.data)
     );
     html
+}
+
+/// Text whose units stay on the line of their numbers.
+fn prose(text: &str) -> String {
+    escape(text).replace(" %", "&nbsp;%").replace(" mm", "&nbsp;mm")
 }
 
 /// A link that holds a table as CSV.
@@ -269,9 +278,12 @@ fn provenance(story: &Story) -> String {
     html
 }
 
-/// A plot as a file of its own, with the styles that it needs.
+/// A plot as a file of its own, with the styles that it needs; `None` for what moves.
 #[must_use]
 pub fn standalone(svg: &str) -> Option<String> {
+    if svg.contains("<script") {
+        return None;
+    }
     let start = svg.find("<svg")?;
     let end = svg.find("</svg>")? + "</svg>".len();
     let svg = &svg[start..end];

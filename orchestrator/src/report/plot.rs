@@ -86,6 +86,9 @@ fn linear_ticks([low, high]: [f64; 2]) -> Vec<f64> {
 
 fn log_ticks([low, high]: [f64; 2]) -> Vec<f64> {
     let decades = (high / low).log10();
+    if decades < 0.25 {
+        return linear_ticks([low, high]);
+    }
     let digits: &[f64] = match decades {
         d if d < 0.7 => &[1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0],
         d if d < 1.2 => &[1.0, 1.5, 2.0, 3.0, 5.0, 7.0],
@@ -290,6 +293,7 @@ mod tests {
             (Scale::Log, 4.0, 31.0),
             (Scale::Log, 1.0, 1e4),
             (Scale::Log, 20.0, 24.0),
+            (Scale::Log, 89.0, 103.0),
         ] {
             let axis = Axis::new("", scale, [low, high]);
             assert!((2..=9).contains(&axis.ticks.len()), "{low} {high}: {:?}", axis.ticks);

@@ -94,23 +94,25 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         replays[b].predictions[(sample * instants + n - 1) * panels + k]
     };
     let (mut plots, mut rows) = (Vec::new(), Vec::new());
-    // Panels stand one above the other, panel 0 on top; a step is what the greatest of their forces needs.
-    let step = 1.1
-        * chosen
-            .iter()
-            .flat_map(|&s| (0..panels).flat_map(move |k| (1..=instants).map(move |n| (s, k, n))))
-            .map(|(s, k, n)| truth(s, k, n).max(predicted(0, s, k, n)).max(predicted(1, s, k, n)))
-            .fold(1e-9, f64::max);
+    // Panels stand one above the other, panel 0 on top; a step is what the greatest of their true forces needs.
+    let each =
+        || chosen.iter().flat_map(|&s| (0..panels).flat_map(move |k| (1..=instants).map(move |n| (s, k, n))));
+    let step = 1.15 * each().map(|(s, k, n)| truth(s, k, n)).fold(1e-9, f64::max);
     let zero = |k: usize| (panels - 1 - k) as f64 * step;
+    let ends = |pick: fn(f64, f64) -> f64, start: f64| {
+        each().flat_map(|(s, k, n)| [0, 1].map(|b| zero(k) + predicted(b, s, k, n))).fold(start, pick)
+    };
+    let range = [ends(f64::min, -0.1 * step), ends(f64::max, panels as f64 * step)];
+    let strip = (200.0 / panels as f64).max(45.0);
     for &sample in chosen {
         let errors = [0, 1].map(|b| replays[b].errors[sample].map_or("–".into(), number));
         let names = (0..panels).map(|k| (zero(k), format!("panel {k}"))).collect();
         let mut plot = Plot::new(
             &format!("sample {sample}: {} → {} %", errors[0], errors[1]),
             Axis::new("time (s)", Scale::Linear, [0.0, stored.spec.time.duration]),
-            Axis::new("", Scale::Linear, [-0.3 * step, panels as f64 * step]).with_names(names),
+            Axis::new("", Scale::Linear, range).with_names(names),
         )
-        .sized(300.0, 80.0 + 50.0 * panels as f64);
+        .sized(300.0, 80.0 + strip * panels as f64);
         for k in 0..panels {
             plot.line("truth", (0..=instants).map(|n| (seconds(n), zero(k) + truth(sample, k, n))));
             for body in Body::ALL {
@@ -212,6 +214,11 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
             }));
         }
     }
+    let held = [0, 1].map(|b: usize| drawings[b].active.len());
+    let mut legend = vec![("arrow", "input panel"), ("dot sensor", "sensor")];
+    if held != [0, 0] {
+        legend.push(("active", "constraint at its limit"));
+    }
     let moved =
         stored.designs[0].iter().zip(&stored.designs[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     Figure {
@@ -219,18 +226,15 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
         title: "The body before and after".into(),
         caption: format!(
             "Initial and optimised body of {}: units, ligaments, input panels (arrows: the direction of the blow), \
-             sensors (dots), clamped units darker; constraints of a castable body at their limit ({} and {} of them): edges \
-             and gaps as lines, angles as dots. The farthest shift moved {} mm.",
+             sensors (dots), clamped units in a shade of their own. Constraints of a castable body at their limit: {} and \
+             {}{}. The farthest shift moved {} mm.",
             who(stored),
-            drawings[0].active.len(),
-            drawings[1].active.len(),
+            held[0],
+            held[1],
+            if held == [0, 0] { "" } else { ", edges and gaps drawn as lines, angles as dots" },
             number(moved)
         ),
-        legend: vec![
-            ("arrow", "input panel"),
-            ("dot sensor", "sensor"),
-            ("active", "constraint at its limit"),
-        ],
+        legend,
         plots: plots.to_vec(),
         small: false,
         data: table(&["body", "unit", "node", "x", "y"], rows),
@@ -289,7 +293,8 @@ fn waves(
             }));
         }
     }
-    plots.push(animation(drawings, motions, &frame, most));
+    let fastest = (0..instants).max_by(|a, b| mean[*a].total_cmp(&mean[*b])).unwrap_or(0);
+    plots.push(animation(drawings, motions, &frame, most, fastest));
     Figure {
         name: "waves",
         title: "The wave in the body".into(),
@@ -327,12 +332,13 @@ fn displaced(drawing: &Drawing, by: &[[f64; 3]]) -> Drawing {
     moved
 }
 
-/// Two bodies whose units a script moves and colours; without script they stand still.
+/// Two bodies whose units a script moves and colours, at first as at instant `start`; without script they stand still.
 fn animation(
     drawings: &[Drawing; 2],
     motions: &[metasense_worker::replay::Motion; 2],
     frame: &Frame,
     most: f64,
+    start: usize,
 ) -> String {
     let mut html = String::from("<div class=\"wave\"><div class=\"pair\">");
     for body in Body::ALL {
@@ -376,6 +382,7 @@ fn animation(
         drawings[0].clock.len() - 1,
         include_str!("wave.js")
             .replace("DURATION", &drawings[0].clock.last().copied().unwrap_or(1.0).to_string())
+            .replace("START", &start.to_string())
     );
     html
 }

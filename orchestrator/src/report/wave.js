@@ -32,6 +32,6 @@
   };
   button.onclick = () => play(last === null);
   range.oninput = () => { play(false); at = +range.value; show(); };
-  at = count / 5;
+  at = START;
   show();
 })();
