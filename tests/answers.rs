@@ -66,6 +66,13 @@ fn analyse_finds_what_was_put_into_the_database() {
         assert!((ratio / truth - 1.0).abs() < 0.04, "{column} {truth}: {:#?}", random[0]);
     }
 
+    let long = rows(&answers, "long", &[("setting", "K = 2, M = 1, 6 × 6")]);
+    let ratio = |rows: &[&Value]| rows[0]["ratio"].as_f64().unwrap();
+    let ordinary =
+        ratio(&rows(&answers, "paired", &[("setting", "K = 2, M = 1, 6 × 6 units"), ("set", "test")]));
+    assert_eq!((long.len(), &long[0]["iterations"]), (2, &Value::from(2000)), "{:#?}", answers["long"]);
+    assert!((ratio(&long) / ordinary / 2.5 - 1.0).abs() < 1e-6, "{ordinary} {:#?}", long[0]);
+
     let paired = rows(&answers, "paired", &[("setting", "K = 4, M = 2,"), ("set", "holdout")]);
     let truth = 0.93f64.powi(2) / (-1.48f64).exp();
     assert!((paired[0]["ratio"].as_f64().unwrap() / truth - 1.0).abs() < 1e-6, "{:#?}", paired[0]);
@@ -113,6 +120,7 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     for said in [
         "elbow at M = 2",
         "3 random bodies have 1.",
+        "After 2000 iterations",
         "no elbow",
         "non_finite: sample 3",
         "# made-up trials",

@@ -117,6 +117,12 @@ impl Trial {
         self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
     }
 
+    /// Iterations of long training, where it has some.
+    #[must_use]
+    pub fn long_iterations(&self) -> Option<u64> {
+        self.setting.get("evaluation.long_iterations").and_then(Value::as_u64)
+    }
+
     /// Whether its initial body is a random one.
     #[must_use]
     pub fn starts_random(&self) -> bool {
@@ -158,8 +164,9 @@ pub struct Group<'a> {
     pub trials: Vec<&'a Trial>,
 }
 
-/// What placements and seeds vary.
-const CLUSTER: &[&str] = &["point.placement", "point.seed", "sensor_units", "sensors.placements"];
+/// What placements and seeds vary, and what leaves the ordinary comparison as it is.
+const CLUSTER: &[&str] =
+    &["point.placement", "point.seed", "sensor_units", "sensors.placements", "evaluation.long_iterations"];
 
 /// What the number of sensors varies, besides.
 pub const SENSORS: &[&str] = &["point.sensors"];

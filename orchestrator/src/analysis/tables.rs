@@ -1,5 +1,7 @@
 //! The answers as tables, one a question.
 
+use std::collections::BTreeSet;
+
 use serde_json::{Value, json};
 
 use super::data::{
@@ -154,15 +156,16 @@ fn iterations_table(trials: &[&Trial]) -> Table {
 fn long_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for group in groups(trials, &[]) {
-        for set in Set::ALL {
-            if let Some(ratio) = paired::long_ratio(&group.trials, set) {
-                let iterations = group.trials[0].setting.get("evaluation.long_iterations");
+        let lengths: BTreeSet<u64> = group.trials.iter().filter_map(|t| t.long_iterations()).collect();
+        for (iterations, set) in lengths.into_iter().flat_map(|n| Set::ALL.map(|set| (n, set))) {
+            let of_length = |t: &&&Trial| t.long_iterations() == Some(iterations);
+            let trials: Vec<&Trial> = group.trials.iter().filter(of_length).copied().collect();
+            if let Some(ratio) = paired::long_ratio(&trials, set) {
                 let mut row = vec![json!(group.label), json!(set.name()), json!(iterations)];
-                for body in Body::ALL {
-                    let errors: Vec<f64> =
-                        group.trials.iter().filter_map(|t| t.long_error(body, set)).collect();
-                    row.push(json!(geometric_mean(&errors)));
-                }
+                row.extend(Body::ALL.map(|body| {
+                    let errors: Vec<f64> = trials.iter().filter_map(|t| t.long_error(body, set)).collect();
+                    json!(geometric_mean(&errors))
+                }));
                 row.extend(ratio_cells(ratio));
                 rows.push(row);
             }

@@ -69,10 +69,11 @@ fn means(trials: &[&Trial], error: impl Fn(&Trial, Body) -> Option<f64>) -> [Str
 }
 
 fn long(trials: &[&Trial]) -> Option<Answer> {
-    let ratio = paired::long_ratio(trials, Set::Holdout)?;
-    let of_long = |t: &&&Trial| t.long_error(Body::Initial, Set::Holdout).is_some();
-    let iterations = trials.iter().find(of_long)?.setting.get("evaluation.long_iterations")?;
-    let [initial, optimised] = means(trials, |t, body| t.long_error(body, Set::Holdout));
+    let iterations = trials.iter().filter_map(|t| t.long_iterations()).max()?;
+    let trials: Vec<&Trial> =
+        trials.iter().filter(|t| t.long_iterations() == Some(iterations)).copied().collect();
+    let ratio = paired::long_ratio(&trials, Set::Holdout)?;
+    let [initial, optimised] = means(&trials, |t, body| t.long_error(body, Set::Holdout));
     Some((
         verdict(&ratio),
         format!(
