@@ -2,6 +2,7 @@
 
 mod brain;
 mod engine;
+mod implicit;
 mod projection;
 mod protocols;
 mod soak;
@@ -22,6 +23,7 @@ pub struct Args {
 enum What {
     Brain(brain::Args),
     Engine(engine::Args),
+    Implicit(implicit::Args),
     Projection(projection::Args),
     Protocols(protocols::Args),
 }
@@ -30,6 +32,7 @@ pub async fn execute(args: Args) -> Result<Exit, Error> {
     match args.what {
         What::Brain(args) => brain::execute(&args),
         What::Engine(args) => engine::execute(args).await,
+        What::Implicit(args) => implicit::execute(&args),
         What::Projection(args) => projection::execute(&args),
         What::Protocols(args) => protocols::execute(&args),
     }

@@ -37,7 +37,7 @@ pub struct BodyEvaluation {
 }
 
 /// Initial weights of evaluations are numbered from here, out of the way of the outer steps'.
-const FIRST_NETWORK: u64 = 1 << 32;
+pub(super) const FIRST_NETWORK: u64 = 1 << 32;
 
 /// Simulates `design` with the accurate integrator and trains fresh networks on it. `turn` (0, 1) is for the progress.
 pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut Log) -> BodyEvaluation {
