@@ -4,7 +4,7 @@ use super::data::Batch;
 use super::network::{Workspace, loss_gradient};
 use super::real::Real;
 
-/// Moments and count of steps; β₁ = 0.9, β₂ = 0.999, ε = 1e-8 added to the root of the bias-corrected second moment.
+/// Moments and count of steps; β₁ = 0.9, ε = 1e-8 added to the root of the bias-corrected second moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adam<F> {
     /// First moment.
@@ -21,18 +21,26 @@ impl<F: Real> Adam<F> {
         Self { m: vec![F::ZERO; weights], v: vec![F::ZERO; weights], t: 0 }
     }
 
-    /// One step down the gradient.
+    /// One step down the gradient, β₂ = 0.999.
     ///
     /// # Panics
     /// If the lengths differ.
     pub fn step(&mut self, weights: &mut [F], gradient: &[F], rate: f64) {
+        self.step_with(weights, gradient, rate, 0.999);
+    }
+
+    /// One step down the gradient with another β₂, the same in all calls.
+    ///
+    /// # Panics
+    /// If the lengths differ.
+    pub fn step_with(&mut self, weights: &mut [F], gradient: &[F], rate: f64, beta: f64) {
         let n = self.m.len();
         assert!(weights.len() == n && gradient.len() == n && self.v.len() == n, "{n} moments");
         self.t += 1;
         let correction = |beta: f64| 1.0 - beta.powf(self.t as f64);
         let step = F::from_f64(-rate / correction(0.9));
-        let root = F::from_f64(1.0 / correction(0.999).sqrt());
-        let [b1, b2, a1, a2, epsilon] = [0.9, 0.999, 0.1, 0.001, 1e-8].map(F::from_f64);
+        let root = F::from_f64(1.0 / correction(beta).sqrt());
+        let [b1, b2, a1, a2, epsilon] = [0.9, beta, 0.1, 1.0 - beta, 1e-8].map(F::from_f64);
         for i in 0..n {
             let g = gradient[i];
             let (m, v) = (b1 * self.m[i] + a1 * g, b2 * self.v[i] + a2 * g * g);

@@ -147,6 +147,15 @@ impl Optimise {
         }
     }
 
+    /// Adam's β₂ on α, and whether it sees gradients of length 1: those of a going network grow and shrink by turns, and
+    /// a few great ones would hold the steps small for long. The paper's protocol takes them as they are.
+    pub(super) fn scaling(&self) -> (f64, bool) {
+        match self.protocol {
+            Protocol::Paper(_) => (0.999, false),
+            _ => (0.99, true),
+        }
+    }
+
     /// The integrator of an outer step.
     pub(super) fn solver_of(&self, step: u32, accurate: Solver) -> Solver {
         let far = f64::from(step) < COARSE * f64::from(self.iterations);

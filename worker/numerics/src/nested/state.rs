@@ -109,12 +109,16 @@ impl State {
     ) {
         let rate = problem.optimise.rate_of(self.step) * self.caution;
         let mut target = self.design.clone();
-        self.design_adam.step(&mut target, gradient, rate);
+        let length = norm(gradient.iter().copied());
+        let (beta, unit) = problem.optimise.scaling();
+        let scale = if unit && length > 0.0 { length.recip() } else { 1.0 };
+        let scaled: Vec<f64> = gradient.iter().map(|g| scale * g).collect();
+        self.design_adam.step_with(&mut target, &scaled, rate, beta);
         let metric = metric(&self.design_adam);
         let projection =
             log.timed(|s| &mut s.project, |_| castable.project(&self.design, &target, metric.as_deref()));
         log.report.counters.projection_iterations += projection.iterations;
-        log.report.gradient_norm = Some(norm(gradient.iter().copied()));
+        log.report.gradient_norm = Some(length);
         log.report.step_length =
             Some(norm(projection.design.iter().zip(&self.design).map(|(new, old)| new - old)));
         log.report.projection = Some(projection.status);
