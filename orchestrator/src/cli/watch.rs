@@ -17,8 +17,8 @@ use crate::store::{Reader, Table};
 
 /// Watches a run from another terminal: its workers with their trials, steps and errors, rate and time to go
 ///
-/// Trials come from the database, workers from /proc, the run itself is not asked. Ends with the run. `said` is the
-/// seconds since a worker's last record, `cpu_%` its part of a core since the look before.
+/// Trials come from the database, workers from /proc, the run itself is not asked. Ends with the run. `silent_s` is
+/// the time since the last record of a trial, `cpu_%` its part of a core since the look before.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; by default the one under results/ that was written last
@@ -38,7 +38,7 @@ SELECT t.hash, t.panels AS K, t.sensors AS M, t.placement, t.seed, t.units, 1 + 
   (SELECT round(e.error_test, 2) FROM step e WHERE e.trial_id = t.id AND e.error_test IS NOT NULL
    ORDER BY e.step DESC LIMIT 1) AS error_now,
   (SELECT round(min(b.error_test), 2) FROM step b WHERE b.trial_id = t.id) AS error_best,
-  CAST(round((julianday('now') - julianday(max(a.started_at, coalesce(p.recorded_at, '')))) * 86400) AS INTEGER) AS said,
+  CAST(round((julianday('now') - julianday(max(a.started_at, coalesce(p.recorded_at, '')))) * 86400) AS INTEGER) AS silent_s,
   a.number AS attempt
 FROM trial t JOIN attempt a ON a.trial_id = t.id AND a.state = 'running'
 LEFT JOIN step p ON p.trial_id = t.id AND p.step = (SELECT max(step) FROM step m WHERE m.trial_id = t.id)
@@ -80,14 +80,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let whole = reader.query(WHOLE).await?;
         let running = reader.query(RUNNING).await?;
         reader.close().await;
+        let run = run_of(&db);
+        let workers = run.map(|run| look(run, &mut before)).unwrap_or_default();
+        let table = by_worker(&running, &workers);
         if live {
             // Home, and clear to the end of the screen.
             print!("\x1b[H\x1b[2J");
         }
         println!("{}: {}", db.display(), summary(&whole, &mut first));
-        let run = run_of(&db);
-        let workers = run.map(|run| look(run, &mut before)).unwrap_or_default();
-        let table = by_worker(&running, &workers);
         if !table.rows.is_empty() {
             print_rows(&table, Format::Table)?;
         }
