@@ -173,7 +173,7 @@ fn is_simple(points: &[Point], corners: &[usize]) -> bool {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// 3 × 3 rotated squares of 20°, pitch 15 mm, ligaments 2.25 mm long.

@@ -103,3 +103,24 @@ pub fn marks(drawing: &Drawing) -> String {
     }
     svg
 }
+
+#[cfg(test)]
+mod tests {
+    use metasense_worker::design::{Active, Kind};
+
+    use super::*;
+    use crate::export::outline::tests::squares;
+
+    /// A gap as a line between its units, an angle as a dot at its corner; y downward.
+    #[test]
+    fn what_holds_a_body_is_drawn_where_it_is() {
+        let mut drawing = squares();
+        let [x, y] = drawing.units[4][2];
+        let held = |kind, units| Active { kind, units, node: 2, slack: 0.0 };
+        drawing.active = vec![held(Kind::Clearance, [4, 5]), held(Kind::BlockAngleLow, [4, 4])];
+        let svg = svg(&drawing, &Frame::around(&[&drawing]), "", |_| String::new());
+        assert_eq!(svg.matches("class=\"active\"").count(), 1, "{svg}");
+        let dot = format!("class=\"active-node\" cx=\"{x:.3}\" cy=\"{:.3}\"", -y);
+        assert!(svg.contains(&dot), "{dot} is not in {svg}");
+    }
+}

@@ -273,7 +273,7 @@ fn waves(
     for body in Body::ALL {
         let (b, d) = (body as usize, &drawings[body as usize]);
         for &n in &shots {
-            let label = format!("{} body, {} s", body.name(), number(d.clock[n]));
+            let label = format!("{}, {} s", body.name(), number(d.clock[n]));
             let fill = |u: usize| format!(" style=\"{}\"", colour(speed(b, n, u) / most));
             let moved = displaced(d, &motions[b].displacements[n]);
             plots.push(format!("<h3>{label}</h3>{}", body::svg(&moved, &frame, &label, fill)));
