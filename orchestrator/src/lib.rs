@@ -2,6 +2,7 @@
 
 pub mod analysis;
 pub mod cli;
+pub mod cluster;
 pub mod draw;
 pub mod engine;
 pub mod exit;

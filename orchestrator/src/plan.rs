@@ -6,7 +6,7 @@
 //! that a hundred thousand trials take seconds.
 
 mod axes;
-mod cost;
+pub mod cost;
 
 use std::collections::HashSet;
 use std::error::Error as _;

@@ -4,7 +4,8 @@
 pub const APPLICATION_ID: i32 = 0x6d74_736e;
 
 /// Entry v − 1 makes version v (`PRAGMA user_version`) out of version v − 1. Entries are never changed, only added.
-pub const MIGRATIONS: &[&str] = &[include_str!("../migrations/0001.sql")];
+pub const MIGRATIONS: &[&str] =
+    &[include_str!("../migrations/0001.sql"), include_str!("../migrations/0002.sql")];
 
 /// The stable views, and what a row of each is.
 pub const VIEWS: &[(&str, &str)] = &[
@@ -21,6 +22,7 @@ pub const VIEWS: &[(&str, &str)] = &[
         "v_curve",
         "a point of such a network's training loss (normalised); thinned, whole curves are artifacts",
     ),
+    ("v_run", "a call of `run`: which shard, where, what was estimated (s) and what came of it"),
     ("v_attempt", "an attempt at a trial, how it ended and why"),
     ("v_artifact", "an array of a trial as the bytes of an NPY file: designs, loss curves, weights"),
     ("v_error_time", "best test error so far (%) against seconds spent, step by step"),

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 
 use super::{Error, Format, print_rows, read_plan};
+use crate::cluster::Shard;
 use crate::exit::Exit;
 use crate::plan::Trial;
 use crate::store::Table;
@@ -14,13 +15,19 @@ use crate::store::Table;
 pub(super) struct Args {
     /// The spec file (TOML)
     spec: PathBuf,
+    /// Only those of shard I of N
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let plan = read_plan(&args.spec)?;
+    let mut plan = read_plan(&args.spec)?;
+    if let Some(shard) = args.shard {
+        shard.restrict(&mut plan);
+    }
     let axes: Vec<&String> = plan.spec.sweep.axes.keys().collect();
     let named = [
         "hash",

@@ -7,6 +7,7 @@ mod expand;
 mod export;
 mod live;
 mod log;
+mod merge;
 mod project;
 mod query;
 mod report;
@@ -14,6 +15,7 @@ mod rows;
 mod run;
 mod schema;
 mod status;
+mod submit;
 mod trial;
 mod verify;
 mod watch;
@@ -22,6 +24,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand};
 
+use crate::cluster::home::HomeError;
+use crate::cluster::merge::MergeError;
 use crate::engine::EngineError;
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::{OneBody, Plan};
@@ -46,6 +50,8 @@ pub struct Cli {
 enum Command {
     Run(run::Args),
     Expand(expand::Args),
+    Submit(submit::Args),
+    Merge(merge::Args),
     Trial(trial::Args),
     Status(status::Args),
     Watch(watch::Args),
@@ -76,6 +82,8 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Worker { start } => std::process::exit(metasense_worker::process::run(&start)),
         Command::Run(args) => block_on(run::execute(args)),
         Command::Expand(args) => expand::execute(&args),
+        Command::Submit(args) => block_on(submit::execute(args)),
+        Command::Merge(args) => block_on(merge::execute(args)),
         Command::Trial(args) => trial::execute(&args),
         Command::Status(args) => block_on(status::execute(args)),
         Command::Watch(args) => block_on(watch::execute(args)),
@@ -164,6 +172,12 @@ pub enum Error {
     /// A run that could not go on.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// A merge.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
+    /// A shard's database.
+    #[error(transparent)]
+    Home(#[from] HomeError),
 }
 
 impl Error {
@@ -174,6 +188,9 @@ impl Error {
             Self::Store(e) if e.is_bad_input() => Exit::BadInput,
             Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
             Self::Engine(_) => Exit::Io,
+            Self::Merge(MergeError::Store(_) | MergeError::Nothing { .. }) => Exit::BadInput,
+            Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
+            Self::Merge(_) | Self::Home(_) => Exit::Io,
             Self::Usage(_) | Self::Spec(_) | Self::Design(_) | Self::Unreadable { .. } => Exit::BadInput,
             Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
         }

@@ -1,17 +1,21 @@
 //! `run`: works through the trials of a spec, or goes on where an earlier run has stopped.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use metasense_schemas::spec::Run;
 use metasense_schemas::wire::Work;
+use tokio::sync::oneshot;
 
 use super::live::{Live, counted};
 use super::{Error, Format, log, print_rows, read_plan};
+use crate::cluster::Shard;
+use crate::cluster::home::{Home, SUBMITTED_SPEC, end_in_time};
 use crate::engine::{self, Again, Options, Signals};
 use crate::exit::Exit;
-use crate::plan::{Plan, Trial};
+use crate::plan::{Plan, Trial, cost};
 use crate::scheduler::{Outcome, PRUNED, Prune, Settings};
-use crate::store::{Reader, Store};
+use crate::store::{Reader, RunPlan, Store};
 
 /// Rows of the final table that a person may want to read at once.
 const MOST_ROWS: usize = 400;
@@ -36,36 +40,143 @@ pub(super) struct Args {
     /// Run trials of the spec again that have failed, from their last step; otherwise they stay as they are
     #[arg(long)]
     retry_failed: bool,
+    /// Only the trials of shard I of N, chosen by their hashes
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
+    /// Of a shard: goes on from what an earlier try has put into this folder, and puts the database there when the run
+    /// ends, whether by itself or by a signal; the live database is on the node's own disk, in TMPDIR or --db
+    #[arg(long, value_name = "DIR", requires = "shard")]
+    copy_to: Option<PathBuf>,
+    /// Also puts it there every so often (s), should the node be lost
+    #[arg(long, value_name = "S", default_value_t = 900.0, requires = "copy_to")]
+    copy_every: f64,
+    /// Stops in order after this time (s), where the scheduler does not announce the end by SIGTERM
+    #[arg(long, value_name = "S", requires = "copy_to")]
+    stop_after: Option<f64>,
     /// The form of the final table
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let plan = read_plan(&args.spec)?;
-    let db = args.db.clone().unwrap_or_else(|| plan.default_database());
+    let seconds = |name: &str, value: f64| match Duration::try_from_secs_f64(value) {
+        Ok(time) if value >= 1.0 => Ok(time),
+        _ => Err(Error::Usage(format!("--{name} {value} is not a time of at least 1 s"))),
+    };
+    let copy_every = seconds("copy-every", args.copy_every)?;
+    let stop_after = args.stop_after.map(|s| seconds("stop-after", s)).transpose()?;
     let mut signals = Signals::new()?;
-    let mut store = Store::open(&db).await?;
+    if args.copy_to.is_some() {
+        end_in_time(stop_after).map_err(|source| Error::Io {
+            doing: "waiting for",
+            path: PathBuf::from("signals"),
+            source,
+        })?;
+    }
+    let mut plan = read_plan(&args.spec)?;
+    let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
+        if let Some(shard) = args.shard {
+            shard.restrict(&mut plan);
+        }
+        let db = args.db.clone().unwrap_or_else(|| match args.shard {
+            Some(shard) => plan.default_database().with_extension(format!("{}.sqlite", shard.file_stem())),
+            None => plan.default_database(),
+        });
+        let outcome = run(&plan, &args, &db, &log::path(&db), &mut signals).await?;
+        return end(&db, &plan, args.format, outcome).await;
+    };
+    check_submitted(folder, &plan)?;
+    shard.restrict(&mut plan);
+    let mut home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
+    home.take_in().await?;
+    let (db, log) = (home.live().to_owned(), home.log());
+    let (stop, stopped) = oneshot::channel();
+    let running = async {
+        let outcome = run(&plan, &args, &db, &log, &mut signals).await;
+        drop(stop);
+        outcome
+    };
+    let (outcome, mut home) = tokio::join!(running, home.hand_in_every(copy_every, stopped));
+    // Whatever has gone wrong: what there is, is handed in.
+    let handed_in = home.hand_in().await;
+    let exit = end(&db, &plan, args.format, outcome?).await?;
+    handed_in?;
+    home.leave();
+    Ok(exit)
+}
+
+/// The spec that a folder's shards were submitted with is the one they run.
+fn check_submitted(folder: &Path, plan: &Plan) -> Result<(), Error> {
+    let submitted = folder.join(SUBMITTED_SPEC);
+    match std::fs::read_to_string(&submitted) {
+        Ok(text) if text != plan.source.text => Err(Error::Usage(format!(
+            "{} has changed since its shards were submitted ({}): put it back, or submit again",
+            plan.source.file.display(),
+            submitted.display()
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Runs what is open, and closes the database.
+async fn run(
+    plan: &Plan,
+    args: &Args,
+    db: &Path,
+    log: &Path,
+    signals: &mut Signals,
+) -> Result<Outcome, Error> {
+    let mut store = Store::open(db).await?;
     // What was given up as hopeless is not, where nobody asks for that any more.
     let again = Again { pruned: plan.spec.run.prune.is_none(), failed: args.retry_failed };
     let sweep = (&plan.spec, &*plan.source.text);
-    let Some(open) = engine::begin(&mut store, sweep, &plan.trials, again, &mut signals).await? else {
+    let Some(open) = engine::begin(&mut store, sweep, &plan.trials, again, signals).await? else {
         store.close().await?;
         eprintln!("stopped before any trial was begun; the same command begins");
-        return Ok(Exit::Interrupted);
+        return Ok(Outcome::Interrupted);
     };
-    let outcome = if open.is_empty() {
+    let options = options(&plan.spec.run, args, &open);
+    let planned = RunPlan {
+        sweep: (&plan.spec.name, &plan.source.text),
+        shard: args.shard.map_or((1, 1), |shard| (shard.index(), shard.count())),
+        workers: (options.settings.workers, options.threads),
+        trials: open.len(),
+        estimated_seconds: cost::seconds_on(&open, options.settings.workers, options.threads),
+    };
+    if open.is_empty() {
+        // A shard without work is not a shard that is missing.
+        if args.shard.is_some() {
+            let run = store.begin_run(&planned).await?;
+            store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
+        }
         store.close().await?;
         eprintln!("nothing left to do: all {} trials are settled", plan.trials.len());
-        Outcome::Complete
-    } else {
-        log::start(&log::path(&db))?;
-        let options = options(&plan.spec.run, &args, &open);
-        let mut live = Live::new(open.len(), plan.trials.len() - open.len(), options.settings.workers);
-        let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
-        engine::run(store, &open, &work, &options, &mut signals, &mut live).await?.outcome
-    };
-    let failed = print_results(&db, &plan, args.format).await?;
+        return Ok(Outcome::Complete);
+    }
+    log::start(log)?;
+    let run = store.begin_run(&planned).await?;
+    let mut live = Live::new(open.len(), plan.trials.len() - open.len(), options.settings.workers);
+    let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
+    let summary = engine::run(store, &open, &work, &options, signals, &mut live).await?;
+    let mut store = Store::open(db).await?;
+    store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await?;
+    store.close().await?;
+    Ok(summary.outcome)
+}
+
+/// As the database has it.
+fn name(outcome: Outcome) -> &'static str {
+    match outcome {
+        Outcome::Complete => "complete",
+        Outcome::Interrupted => "interrupted",
+        Outcome::StoreBroken => "store_broken",
+        Outcome::NoWorkers => "no_workers",
+    }
+}
+
+/// The table and the words at the end.
+async fn end(db: &Path, plan: &Plan, format: Format, outcome: Outcome) -> Result<Exit, Error> {
+    let failed = print_results(db, plan, format).await?;
     eprintln!("database: {}", db.display());
     Ok(match outcome {
         Outcome::Interrupted => Exit::Interrupted,

@@ -2,6 +2,7 @@
 //!
 //! One core with AVX-512, as README's rates; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
 
+use super::Trial;
 use metasense_schemas::spec::{Protocol, TrialSpec};
 
 /// Channels of the hidden layers.
@@ -49,4 +50,12 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let trainings = trial.evaluation.seeds as f64 * (1.0 + long);
     let comparison = 2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train);
     (optimise.steps() as f64 * step, comparison)
+}
+
+/// Seconds that trials take on so many workers of so many threads: the work shared out, but no less than the longest.
+#[must_use]
+pub fn seconds_on(trials: &[&Trial], workers: u32, threads: u32) -> f64 {
+    let (total, longest) =
+        trials.iter().fold((0.0, 0.0_f64), |(sum, most), trial| (sum + trial.cost, most.max(trial.cost)));
+    (total / f64::from(workers.max(1))).max(longest) / f64::from(threads.max(1))
 }

@@ -16,6 +16,18 @@ pub enum StoreError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// On a network file system.
+    #[error(
+        "the database {} would be on {system}, a network file system, where SQLite's write-ahead log does not work: \
+         choose a file on a disk of this machine with --db; `merge` copies the finished database anywhere",
+        path.display()
+    )]
+    NetworkDisk {
+        /// The file.
+        path: PathBuf,
+        /// The file system.
+        system: String,
+    },
     /// Another run holds it.
     #[error("the database {} is in use by another run; wait for it, or choose another file with --db", path.display())]
     InUse {
@@ -93,7 +105,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    pub(super) fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
+    pub(crate) fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
         let code = source.as_database_error().and_then(|e| e.code().map(|c| c.into_owned()));
         match code.as_deref() {
             Some("26") => Self::NotOurs { path: path.to_owned() },

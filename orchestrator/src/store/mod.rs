@@ -8,6 +8,7 @@ mod error;
 mod npy;
 mod prior;
 mod read;
+mod runs;
 mod sweep;
 mod write;
 
@@ -16,6 +17,7 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::cluster::disk;
 use metasense_schemas::database::{APPLICATION_ID, MIGRATIONS};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
@@ -24,6 +26,7 @@ use error::OPENING;
 pub use error::StoreError;
 pub use npy::{npy_bytes, npy_values};
 pub use read::{Artifact, Reader, Table};
+pub use runs::{RunKey, RunPlan};
 pub use sweep::Reopen;
 pub use write::Array;
 
@@ -91,8 +94,10 @@ impl Store {
 /// Makes the folder and the file where they are missing, and keeps other writers out.
 fn lock(path: &Path) -> Result<File, StoreError> {
     let unwritable = |source| StoreError::Unwritable { path: path.to_owned(), source };
-    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).map_err(unwritable)?;
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder).map_err(unwritable)?;
+    if let Some(system) = disk::network_of(folder) {
+        return Err(StoreError::NetworkDisk { path: path.to_owned(), system });
     }
     let file = OpenOptions::new()
         .read(true)
@@ -113,7 +118,10 @@ fn lock(path: &Path) -> Result<File, StoreError> {
 }
 
 /// The version of a database, 0 for an empty file.
-async fn check_version(connection: &mut SqliteConnection, path: &Path) -> Result<usize, StoreError> {
+pub(crate) async fn check_version(
+    connection: &mut SqliteConnection,
+    path: &Path,
+) -> Result<usize, StoreError> {
     let at = |source| StoreError::sql(path, "reading the version of", source);
     let application: i32 =
         sqlx::query_scalar("PRAGMA application_id").fetch_one(&mut *connection).await.map_err(at)?;
@@ -132,8 +140,18 @@ async fn check_version(connection: &mut SqliteConnection, path: &Path) -> Result
     }
 }
 
+/// Brings a copy of an older database to the newest version. Nobody else may know of it: nothing is locked.
+pub(crate) async fn upgrade(path: &Path) -> Result<(), StoreError> {
+    let at = |source| StoreError::sql(path, "upgrading", source);
+    let options = SqliteConnectOptions::new().filename(path).pragma("journal_mode", "MEMORY");
+    let mut connection = options.disable_statement_logging().connect().await.map_err(at)?;
+    let version = check_version(&mut connection, path).await?;
+    migrate(&mut connection, version).await.map_err(at)?;
+    connection.close().await.map_err(at)
+}
+
 /// Brings a database from `version` to the newest, all or nothing.
-async fn migrate(connection: &mut SqliteConnection, version: usize) -> sqlx::Result<()> {
+pub(crate) async fn migrate(connection: &mut SqliteConnection, version: usize) -> sqlx::Result<()> {
     let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
     for sql in &MIGRATIONS[version..] {
         sqlx::raw_sql(*sql).execute(&mut *transaction).await?;

@@ -167,7 +167,7 @@ fn cpu_seconds() -> Duration {
 }
 
 /// Highest resident size of this process so far.
-fn resident_mib() -> f64 {
+pub(super) fn resident_mib() -> f64 {
     // SAFETY: as above.
     let usage = unsafe {
         let mut usage: libc::rusage = std::mem::zeroed();

@@ -3,6 +3,7 @@
 mod brain;
 mod engine;
 mod implicit;
+mod merge;
 mod projection;
 mod protocols;
 mod soak;
@@ -24,6 +25,7 @@ enum What {
     Brain(brain::Args),
     Engine(engine::Args),
     Implicit(implicit::Args),
+    Merge(merge::Args),
     Projection(projection::Args),
     Protocols(protocols::Args),
 }
@@ -33,6 +35,7 @@ pub async fn execute(args: Args) -> Result<Exit, Error> {
         What::Brain(args) => brain::execute(&args),
         What::Engine(args) => engine::execute(args).await,
         What::Implicit(args) => implicit::execute(&args),
+        What::Merge(args) => merge::execute(args).await,
         What::Projection(args) => projection::execute(&args),
         What::Protocols(args) => protocols::execute(&args),
     }

@@ -1,0 +1,142 @@
+//! `bench merge`: databases of shards, made up, into one.
+//!
+//! It decides how many trials one merge, and one file, can hold. Rows and bytes of a trial are chosen; README says what
+//! they are for a real one.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde_json::json;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
+
+use super::super::Error;
+use crate::cluster::Shard;
+use crate::cluster::merge::merge;
+use crate::exit::Exit;
+use crate::store::{Store, StoreError};
+
+/// Trials a second, and bytes a second, of a merge of made-up shards.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Databases.
+    #[arg(long, default_value_t = 20)]
+    shards: u32,
+    /// Trials of each.
+    #[arg(long, default_value_t = 100)]
+    trials: u32,
+    /// Outer steps of a trial.
+    #[arg(long, default_value_t = 200)]
+    steps: u32,
+    /// Points of the loss curves of a trial.
+    #[arg(long, default_value_t = 400)]
+    points: u32,
+    /// Bytes of the arrays of a trial, in six.
+    #[arg(long, default_value_t = 120_000)]
+    bytes: u32,
+    /// Where the databases are made, and removed again.
+    #[arg(long, default_value = "results", value_name = "DIR")]
+    folder: PathBuf,
+}
+
+pub async fn execute(args: Args) -> Result<Exit, Error> {
+    let folder = args.folder.join(format!("bench-merge-{}", std::process::id()));
+    let measured = measure(&args, &folder).await;
+    let _ = std::fs::remove_dir_all(&folder);
+    measured
+}
+
+async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
+    let shards = folder.join("shards");
+    let mut bytes = 0;
+    for i in 1..=args.shards {
+        let Some(shard) = Shard::new(i, args.shards) else {
+            return Err(Error::Usage(format!("--shards {} is too many", args.shards)));
+        };
+        let file = shards.join(format!("{}.sqlite", shard.file_stem()));
+        make(&file, shard, args).await?;
+        bytes += size(&file);
+    }
+    let out = folder.join("merged.sqlite");
+    let began = Instant::now();
+    let summary = merge(std::slice::from_ref(&shards), &out).await?;
+    let seconds = began.elapsed().as_secs_f64();
+    let row = json!({
+        "bench": "merge",
+        "shards": args.shards,
+        "trials": summary.trials,
+        "steps": args.steps,
+        "points": args.points,
+        "bytes_per_trial": bytes / u64::from(args.shards * args.trials).max(1),
+        "seconds": seconds,
+        "trials_per_second": summary.trials as f64 / seconds,
+        "rows_per_second": summary.trials as f64 * f64::from(args.steps + args.points + 12) / seconds,
+        "bytes_per_second": bytes as f64 / seconds,
+        "merged_bytes": size(&out),
+        "resident_mib": super::engine::resident_mib(),
+        "version": env!("CARGO_PKG_VERSION"),
+    });
+    println!("{row}");
+    Ok(if summary.trials as u32 == args.shards * args.trials { Exit::Done } else { Exit::Failed })
+}
+
+fn size(file: &Path) -> u64 {
+    file.metadata().map_or(0, |m| m.len())
+}
+
+/// A shard whose trials are done, as the engine leaves them.
+async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
+    Store::open(file).await?.close().await?;
+    let at = |source| Error::Store(StoreError::sql(file, "making", source));
+    let options = SqliteConnectOptions::new().filename(file).pragma("synchronous", "OFF");
+    let mut db = options.disable_statement_logging().connect().await.map_err(at)?;
+    let (first, trials) = ((shard.index() - 1) * args.trials, args.trials);
+    let (steps, points, bytes) = (args.steps, args.points / 2, args.bytes / 6);
+    let count = |n: u32| {
+        format!("WITH RECURSIVE n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i + 1 < {n})")
+    };
+    let numbers = "0.1, 0.2, 0.3, 0.4, 0.5, 0.6";
+    let sql = [
+        "PRAGMA journal_mode = DELETE; BEGIN".to_owned(),
+        "INSERT INTO sweep VALUES (1, 'bench-merge', '', '{}', '0', '2026-01-01T00:00:00.000Z')".to_owned(),
+        format!(
+            "INSERT INTO run VALUES (1, '2026-01-01T00:00:00.000Z', 'bench', {}, {}, NULL, '0', 1, 1, {trials}, 1.0,
+               NULL, 'complete', {trials}, 0)",
+            shard.index(),
+            shard.count()
+        ),
+        format!(
+            "{} INSERT INTO trial SELECT i + 1, printf('%016x%016x', (i + {first}) * 7046029254386353131, i + {first}),
+               hex(zeroblob(700)), 'done', NULL, 'planar', 6, 6, 36, 2, 1, i, 1, 'joint', 168, 13122, 1.0, {numbers}, 3,
+               1.0, 'avx512', 'tsit5', hex(zeroblob(300)), '2026-01-01T00:00:00.000Z', '2026-01-01T00:00:00.000Z' FROM n",
+            count(trials)
+        ),
+        format!("INSERT INTO sweep_trial SELECT 1, id, id + {first} FROM trial"),
+        format!(
+            "INSERT INTO attempt SELECT id, 1, 'done', NULL, {steps}, '0', '2026-01-01T00:00:00.000Z',
+               '2026-01-01T00:00:00.000Z' FROM trial"
+        ),
+        format!(
+            "{} INSERT INTO step SELECT trial.id, n.i, 1, {numbers}, 'projected', 0.1, NULL, NULL, NULL, NULL, 'ok', 64, 1000000,
+               100000, 1000, 10, 0, 20, {numbers}, '2026-01-01T00:00:00.000Z' FROM trial CROSS JOIN n",
+            count(steps)
+        ),
+        "INSERT INTO network SELECT trial.id, value, 0, 0.1, 0.2, 0.3, 1000, 'ok'
+         FROM trial, json_each('[\"initial\", \"optimised\"]')"
+            .to_owned(),
+        format!(
+            "{} INSERT INTO curve SELECT trial.id, value, 0, n.i + 1, 0.5
+             FROM trial CROSS JOIN json_each('[\"initial\", \"optimised\"]') CROSS JOIN n",
+            count(points)
+        ),
+        format!(
+            "INSERT INTO artifact SELECT trial.id, 'array_' || value, '[1]', randomblob({bytes})
+             FROM trial, json_each('[1, 2, 3, 4, 5, 6]')"
+        ),
+        "COMMIT".to_owned(),
+    ]
+    .join(";\n");
+    // Our own text and numbers only.
+    db.execute(AssertSqlSafe(sql)).await.map_err(at)?;
+    db.close().await.map_err(at)
+}

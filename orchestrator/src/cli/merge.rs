@@ -1,0 +1,66 @@
+//! `merge`: databases of shards, or of whole sweeps, into one.
+
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use super::{Error, Format, print_rows};
+use crate::cluster::merge::{Kind, Summary, merge};
+use crate::cluster::ranges;
+use crate::exit::Exit;
+use crate::store::Table;
+
+/// Merges databases into one: the same rows whatever the order of the files, and however often they are merged
+///
+/// Of each trial the copy that has come farthest is kept. What disagrees or is left out is listed; bits are compared
+/// between runs of one instruction set alone. Inputs are not changed; `run SPEC --db FILE` finishes what is missing.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Databases, also of other versions or of runs that go on; of a folder, every *.sqlite in it
+    #[arg(required = true, value_name = "DB")]
+    files: Vec<PathBuf>,
+    /// The merged database; what it holds already stays in it
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// The form of the list of what disagrees or is left out
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let summary = merge(&args.files, &args.out).await?;
+    if !summary.findings.is_empty() {
+        print_rows(&table(&summary), args.format)?;
+    }
+    for (file, why) in &summary.refused {
+        eprintln!("refused: {}: {why}", file.display());
+    }
+    for (sweep, count, missing) in &summary.missing {
+        eprintln!("{sweep}: no database of {} of its {count} shards: {}", missing.len(), ranges(missing));
+    }
+    let Summary { read, trials, covered, not_compared, .. } = summary;
+    eprintln!("{trials} trials from {read} databases");
+    if covered + not_compared > 0 {
+        eprintln!(
+            "there more than once: {covered} with nothing new, {not_compared} not compared, as their instruction sets \
+             differ"
+        );
+    }
+    eprintln!("database: {}", args.out.display());
+    let disagrees = summary.findings.iter().any(|f| f.kind == Kind::Bits);
+    Ok(if disagrees || !summary.refused.is_empty() { Exit::Failed } else { Exit::Done })
+}
+
+fn table(summary: &Summary) -> Table {
+    let columns = ["finding", "trial", "what", "kept", "other"].map(str::to_owned).to_vec();
+    let row = |f: &crate::cluster::merge::Finding| {
+        vec![
+            json!(f.kind.name()),
+            json!(f.hash),
+            json!(f.what),
+            json!(f.kept.display().to_string()),
+            json!(f.other.display().to_string()),
+        ]
+    };
+    Table { columns, rows: summary.findings.iter().map(row).collect() }
+}

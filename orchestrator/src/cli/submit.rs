@@ -1,0 +1,225 @@
+//! `submit`: a sweep as shards on a cluster, with the merge behind them.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use sqlx::{ConnectOptions, Connection};
+
+use super::{Error, duration, read_plan};
+use crate::cluster::home::SUBMITTED_SPEC;
+use crate::cluster::queue::{self, Job};
+use crate::cluster::submit::{Scheduler, Submission, estimate, line, planned, seconds};
+use crate::cluster::{Shard, index, ranges};
+use crate::exit::Exit;
+use crate::plan::Plan;
+
+/// Submits a sweep to a cluster: an array of shards, each an ordinary run on one node, and a merge when all have ended
+///
+/// Called again, it submits the shards that are not complete; they go on from where they were.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The cluster's scheduler
+    scheduler: Scheduler,
+    /// The spec file (TOML); to be left as it is until the shards have ended
+    spec: PathBuf,
+    /// Shards; by default as many as make each take half of its time, by the estimate
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(Shard::MOST)))]
+    shards: Option<u32>,
+    /// Cores of a shard
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    cpus: u32,
+    /// Time limit of a shard: minutes, H:MM:SS or D-HH:MM:SS
+    #[arg(long, value_name = "TIME", default_value = "4:00:00", value_parser = seconds)]
+    time: u64,
+    /// Slurm's partition
+    #[arg(long, value_name = "NAME")]
+    partition: Option<String>,
+    /// Where scripts, outputs and databases of shards go; by default results/NAME.shards
+    #[arg(long, value_name = "DIR")]
+    folder: Option<PathBuf>,
+    /// The merged database; by default results/NAME.sqlite
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Prints scripts and commands; writes and submits nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// Handed on to sbatch or `hq submit` as they are, for instance --account=NAME
+    #[arg(last = true, value_name = "OPTIONS")]
+    further: Vec<String>,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    if args.partition.is_some() && args.scheduler == Scheduler::Hq {
+        return Err(Error::Usage("--partition: HyperQueue has none; leave it out".into()));
+    }
+    let results = Path::new("results");
+    let folder = args.folder.clone().unwrap_or_else(|| results.join(format!("{}.shards", plan.spec.name)));
+    let before = shards_of(&folder);
+    let shards = match (args.shards, before) {
+        (Some(asked), Some(before)) if asked != before => {
+            return Err(Error::Usage(format!(
+                "--shards {asked}: {} holds shards of {before}; leave --shards out to go on with them, or merge them \
+                 and choose another --folder",
+                folder.display()
+            )));
+        }
+        (asked, before) => asked.or(before).unwrap_or_else(|| planned(&plan.trials, args.cpus, args.time)),
+    };
+    let which = incomplete(&folder, &plan, shards).await?;
+    if which.is_empty() {
+        eprintln!(
+            "nothing left to do: all {shards} shards are complete; metasense merge {} --out FILE",
+            folder.display()
+        );
+        return Ok(Exit::Done);
+    }
+    let threads = plan.spec.run.threads.unwrap_or(1).clamp(1, args.cpus as usize) as u32;
+    let absolute = |path: &Path| {
+        std::path::absolute(path).map_err(|source| Error::Io {
+            doing: "finding",
+            path: path.to_owned(),
+            source,
+        })
+    };
+    let program = std::env::current_exe().map_err(|source| Error::Io {
+        doing: "finding",
+        path: "/proc/self/exe".into(),
+        source,
+    })?;
+    let submission = Submission {
+        scheduler: args.scheduler,
+        name: plan.spec.name.clone(),
+        program,
+        spec: absolute(&args.spec)?,
+        folder: absolute(&folder)?,
+        out: absolute(&args.out.clone().unwrap_or_else(|| plan.default_database()))?,
+        shards,
+        which,
+        cpus: args.cpus,
+        threads,
+        seconds: args.time,
+        partition: args.partition.clone(),
+        further: args.further.clone(),
+    };
+    say(&plan, &submission);
+    match args.dry_run {
+        true => print(&submission),
+        false => submit(&plan, &submission)?,
+    }
+    Ok(Exit::Done)
+}
+
+/// What is going to be submitted, and how long it is thought to take.
+fn say(plan: &Plan, submission: &Submission) {
+    let Submission { shards, which, cpus, seconds, .. } = submission;
+    let (mean, longest) = estimate(&plan.trials, *shards, *cpus);
+    eprintln!(
+        "{} trials in {shards} shards, each about {} on {cpus} cores, the longest {}; the time limit is {}",
+        plan.trials.len(),
+        duration(mean),
+        duration(longest),
+        duration(*seconds as f64)
+    );
+    if which.len() < *shards as usize {
+        eprintln!("{} of them are not complete: {}", which.len(), ranges(which));
+    }
+    if longest > *seconds as f64 {
+        eprintln!("that is more than the limit: what is cut off goes on with the next `submit`");
+    }
+}
+
+fn print(submission: &Submission) {
+    for script in submission.scripts() {
+        println!("# {}\n{}", submission.folder.join(script.name).display(), script.text);
+    }
+    println!("$ {}", line(&submission.submit_shards()));
+    println!("$ {}", line(&submission.submit_merge("JOB")));
+}
+
+fn submit(plan: &Plan, submission: &Submission) -> Result<(), Error> {
+    let folder = &submission.folder;
+    let io = |doing, path: &Path| {
+        let path = path.to_owned();
+        move |source| Error::Io { doing, path, source }
+    };
+    std::fs::create_dir_all(folder).map_err(io("making the folder", folder))?;
+    let spec = folder.join(SUBMITTED_SPEC);
+    std::fs::write(&spec, &plan.source.text).map_err(io("writing", &spec))?;
+    for script in submission.scripts() {
+        let file = folder.join(script.name);
+        std::fs::write(&file, script.text).map_err(io("writing", &file))?;
+    }
+    let job = run(&submission.submit_shards())?;
+    eprintln!("submitted: job {job}, shards {}", ranges(&submission.which));
+    let merge_job = run(&submission.submit_merge(&job))?;
+    eprintln!("submitted: job {merge_job}, which merges them into {}", submission.out.display());
+    eprintln!("metasense status --cluster {} says how they are", folder.display());
+    let scheduler = match submission.scheduler {
+        Scheduler::Slurm => "slurm",
+        Scheduler::Hq => "hq",
+    };
+    let job = Job { scheduler: scheduler.into(), job, merge_job, shards: submission.shards };
+    queue::note(folder, &job).map_err(io("writing to", folder))
+}
+
+/// Runs a scheduler's command; the number of the job that it prints.
+fn run(words: &[String]) -> Result<String, Error> {
+    let program = PathBuf::from(&words[0]);
+    let output = Command::new(&program).args(&words[1..]).output().map_err(|source| Error::Io {
+        doing: "starting",
+        path: program,
+        source,
+    })?;
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    // Slurm: `NUMBER` or `NUMBER;CLUSTER`.
+    let job = said.trim().split(';').next().unwrap_or_default();
+    if output.status.success() && job.parse::<u64>().is_ok() {
+        return Ok(job.to_owned());
+    }
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    Err(Error::Usage(format!(
+        "`{}` failed ({}): {}{}",
+        line(words),
+        output.status,
+        said.trim(),
+        errors.trim()
+    )))
+}
+
+/// Of how many shards a folder holds databases, or has had some submitted.
+fn shards_of(folder: &Path) -> Option<u32> {
+    let submitted = queue::jobs(folder).last().map(|job| job.shards);
+    let name = |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+    let count = |name: String| name.strip_suffix(".sqlite")?.rsplit_once("-of-")?.1.parse().ok();
+    submitted.or_else(|| std::fs::read_dir(folder).ok()?.flatten().map(name).find_map(count))
+}
+
+/// Shards that have handed nothing in, or not all of their trials settled. One without trials has to say so too.
+async fn incomplete(folder: &Path, plan: &Plan, shards: u32) -> Result<Vec<u32>, Error> {
+    let mut trials = vec![Vec::new(); shards as usize];
+    for trial in &plan.trials {
+        trials[index(&trial.hash, shards) as usize - 1].push(trial.hash.as_str());
+    }
+    let mut which = Vec::new();
+    for (shard, hashes) in (1..=shards).filter_map(|i| Shard::new(i, shards)).zip(trials) {
+        let file = folder.join(format!("{}.sqlite", shard.file_stem()));
+        // One that cannot be read is run again, and says why it cannot go on.
+        let settled = if file.is_file() { settled(&file).await.ok() } else { None };
+        if settled.is_none_or(|settled| hashes.iter().any(|hash| !settled.contains(*hash))) {
+            which.push(shard.index());
+        }
+    }
+    Ok(which)
+}
+
+async fn settled(file: &Path) -> sqlx::Result<HashSet<String>> {
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).immutable(true).read_only(true);
+    let mut db = options.disable_statement_logging().connect().await?;
+    let hashes: Vec<String> = sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
+        .fetch_all(&mut db)
+        .await?;
+    db.close().await?;
+    Ok(hashes.into_iter().collect())
+}

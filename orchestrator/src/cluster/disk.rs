@@ -1,0 +1,131 @@
+//! Whether a folder lies on a network file system. SQLite's write-ahead log needs memory shared between processes and
+//! locks that hold, which those do not give: a live database there is damaged sooner or later.
+
+use std::ffi::CString;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+
+/// `f_type` of FUSE: what is behind it stands in the mount table alone.
+const FUSE: u64 = 0x6573_5546;
+
+/// Network file systems by `f_type` (statfs(2), and the headers of those that are not in the kernel).
+const BY_MAGIC: &[(u64, &str)] = &[
+    (0x6969, "NFS"),
+    (0x517b, "SMB"),
+    (0xff53_4d42, "CIFS"),
+    (0xfe53_4d42, "SMB2"),
+    (0x0bd0_0bd0, "Lustre"),
+    (0x4750_4653, "GPFS"),
+    (0x1983_0326, "BeeGFS"),
+    (0x00c3_6400, "Ceph"),
+    (0x5346_414f, "AFS"),
+    (0x6b41_4653, "AFS"),
+    (0x7375_7245, "Coda"),
+    (0x2003_0528, "OrangeFS"),
+    (0x0102_1997, "9p"),
+    (0xaad7_aaea, "PanFS"),
+    (0x1803_1977, "WekaFS"),
+];
+
+/// Programs behind FUSE that fetch their files over a network, by the subtype in the mount table.
+const BY_SUBTYPE: &[&str] = &[
+    "afp",
+    "beegfs",
+    "blobfuse",
+    "ceph",
+    "curlftpfs",
+    "cvmfs",
+    "davfs",
+    "gcsfuse",
+    "geesefs",
+    "glusterfs",
+    "goofys",
+    "hdfs",
+    "juicefs",
+    "lizardfs",
+    "mfs",
+    "moosefs",
+    "mountpoint-s3",
+    "quobyte",
+    "rclone",
+    "s3fs",
+    "seaweedfs",
+    "smbnetfs",
+    "sshfs",
+    "vast",
+    "virtiofs",
+];
+
+/// Name of a network file system, by `f_type` and, for FUSE, the type in the mount table (`fuse.sshfs`); none for a
+/// local one.
+#[must_use]
+pub fn network(magic: u64, mounted_as: &str) -> Option<String> {
+    if magic == FUSE {
+        let program = mounted_as.strip_prefix("fuse.").unwrap_or(mounted_as);
+        return BY_SUBTYPE.iter().any(|name| program.starts_with(name)).then(|| mounted_as.to_owned());
+    }
+    BY_MAGIC.iter().find(|(known, _)| *known == magic).map(|(_, name)| (*name).to_owned())
+}
+
+/// Name of the network file system that a folder lies on. What cannot be asked counts as local.
+#[must_use]
+pub fn network_of(folder: &Path) -> Option<String> {
+    let path = CString::new(folder.as_os_str().as_bytes()).ok()?;
+    // SAFETY: a zeroed `statfs` is valid, the call reads a string that ends in NUL and writes within the struct.
+    let magic = unsafe {
+        let mut system: libc::statfs = std::mem::zeroed();
+        (libc::statfs(path.as_ptr(), &raw mut system) == 0).then_some(system.f_type as u64 & 0xffff_ffff)?
+    };
+    let device = if magic == FUSE { folder.metadata().ok()?.dev() } else { 0 };
+    network(magic, &mounted_as(device, &std::fs::read_to_string("/proc/self/mountinfo").unwrap_or_default()))
+}
+
+/// Type of the file system with a device number, by the mount table (proc_pid_mountinfo(5)).
+fn mounted_as(device: u64, table: &str) -> String {
+    let number = format!("{}:{}", libc::major(device), libc::minor(device));
+    let line = table.lines().find(|line| line.split(' ').nth(2) == Some(&number));
+    line.and_then(|line| line.split_once(" - ")?.1.split(' ').next()).unwrap_or_default().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn network_file_systems_are_known_by_name_and_local_ones_pass() {
+        for (magic, mounted_as, expected) in [
+            (0x6969, "nfs4", Some("NFS")),
+            (0xff53_4d42, "cifs", Some("CIFS")),
+            (0x0bd0_0bd0, "lustre", Some("Lustre")),
+            (0x4750_4653, "gpfs", Some("GPFS")),
+            (0x1983_0326, "beegfs", Some("BeeGFS")),
+            (0x00c3_6400, "ceph", Some("Ceph")),
+            (FUSE, "fuse.sshfs", Some("fuse.sshfs")),
+            (FUSE, "fuse.ceph-fuse", Some("fuse.ceph-fuse")),
+            (FUSE, "fuse.fuse-overlayfs", None),
+            (FUSE, "fuseblk", None),
+            (0xef53, "ext4", None),
+            (0x5846_5342, "xfs", None),
+            (0x9123_683e, "btrfs", None),
+            (0x0102_1994, "tmpfs", None),
+            (0x794c_7630, "overlay", None),
+            (0x2fc1_2fc1, "zfs", None),
+        ] {
+            assert_eq!(network(magic, mounted_as).as_deref(), expected, "{magic:#x} {mounted_as}");
+        }
+    }
+
+    #[test]
+    fn the_mount_table_names_the_program_behind_fuse() {
+        let table = "36 35 98:0 / / rw,noatime shared:1 - ext4 /dev/root rw\n\
+                     48 36 0:52 / /home/a rw,nosuid shared:2 - fuse.sshfs host:/home rw,user_id=0\n";
+        assert_eq!(mounted_as(libc::makedev(0, 52), table), "fuse.sshfs");
+        assert_eq!(mounted_as(libc::makedev(0, 53), table), "");
+    }
+
+    #[test]
+    fn folders_of_tests_are_local() {
+        assert_eq!(network_of(&std::env::temp_dir()), None);
+    }
+}

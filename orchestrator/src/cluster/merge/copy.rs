@@ -1,0 +1,169 @@
+//! The statements of a merge. Tables and columns are asked for, not named: what a later version adds comes along.
+//!
+//! Copies of trials are surveyed first (`candidate`), of each the best is chosen (`kept`), and then every input in turn
+//! hands over its share, so that each table grows at its end alone.
+
+use std::path::Path;
+
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions, Executor, Row};
+
+use crate::store;
+
+/// A new database, made at the speed of the disk: if the machine goes down in the middle, nothing has been done.
+pub(super) async fn create(path: &Path) -> sqlx::Result<SqliteConnection> {
+    let mut out = SqliteConnectOptions::new()
+        .filename(path)
+        .create_if_missing(true)
+        .foreign_keys(false)
+        .pragma("locking_mode", "EXCLUSIVE")
+        .pragma("journal_mode", "OFF")
+        .pragma("synchronous", "OFF")
+        .pragma("cache_size", "-131072")
+        .pragma("temp_store", "MEMORY")
+        .disable_statement_logging()
+        .connect()
+        .await?;
+    store::migrate(&mut out, 0).await?;
+    out.execute(
+        "CREATE TEMP TABLE candidate (input INTEGER, old INTEGER, hash TEXT, settled INTEGER, reached INTEGER,
+           attempts INTEGER, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT, simd TEXT, error REAL);
+         CREATE TEMP TABLE sweeps (input INTEGER, old INTEGER, name TEXT, text TEXT, version TEXT, spec TEXT,
+           created_at TEXT, new INTEGER, chosen INTEGER);
+         CREATE TEMP TABLE kept (new INTEGER PRIMARY KEY, input INTEGER, old INTEGER, hash TEXT);",
+    )
+    .await?;
+    Ok(out)
+}
+
+/// Notes an input's sweeps, and how far it has come with each trial.
+pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Result<()> {
+    for sql in [
+        "INSERT INTO temp.candidate
+         SELECT ?, t.id, t.hash,
+           CASE t.state WHEN 'done' THEN 2 WHEN 'failed' THEN 0 WHEN 'pending' THEN 0 WHEN 'running' THEN 0 ELSE 1 END,
+           coalesce((SELECT c.step FROM src.checkpoint c WHERE c.trial_id = t.id), 0),
+           (SELECT count(*) FROM src.attempt a WHERE a.trial_id = t.id),
+           coalesce((SELECT a.state <> 'running' AND a.reason IS NOT 'orchestrator_lost' FROM src.attempt a
+                     WHERE a.trial_id = t.id ORDER BY a.number DESC LIMIT 1), 0),
+           t.state IN ('pending', 'running'), t.finished_at,
+           (SELECT max(coalesce(a.ended_at, a.started_at)) FROM src.attempt a WHERE a.trial_id = t.id),
+           t.simd, t.error_optimised
+         FROM src.trial t",
+        "INSERT INTO temp.sweeps (input, old, name, text, version, spec, created_at)
+         SELECT ?, id, name, text, version, spec, created_at FROM src.sweep",
+    ] {
+        sqlx::query(sql).bind(input as i64).execute(&mut *out).await?;
+    }
+    Ok(())
+}
+
+/// Of each trial the copy that has come farthest: done; else with most steps behind it, then most attempts. A trial that
+/// failed and is open again has been asked for anew. Of several that are done, the first one.
+pub(super) async fn choose(out: &mut SqliteConnection) -> sqlx::Result<()> {
+    out.execute(
+        "INSERT INTO temp.kept
+         SELECT row_number() OVER (ORDER BY input, old), input, old, hash FROM
+           (SELECT input, old, hash, row_number() OVER (PARTITION BY hash ORDER BY settled DESC, reached DESC,
+              CASE WHEN settled = 0 THEN attempts END DESC, ended DESC, open DESC, finished_at, last DESC, simd, error,
+              input) AS place
+            FROM temp.candidate)
+         WHERE place = 1;
+         CREATE INDEX temp.kept_input ON kept (input, old);
+         CREATE INDEX temp.kept_hash ON kept (hash);
+         UPDATE temp.sweeps SET (new, chosen) = (n.new, n.chosen) FROM
+           (SELECT rowid AS row, dense_rank() OVER (ORDER BY first, name, text) AS new,
+              1 = row_number() OVER (PARTITION BY name, text ORDER BY version DESC, spec, input) AS chosen
+            FROM (SELECT rowid, *, min(created_at) OVER (PARTITION BY name, text) AS first FROM temp.sweeps)) n
+         WHERE n.row = sweeps.rowid;",
+    )
+    .await?;
+    Ok(())
+}
+
+/// Takes over what is chosen from an input.
+pub(super) async fn copy(out: &mut SqliteConnection, input: usize) -> sqlx::Result<()> {
+    out.execute("BEGIN").await?;
+    let sweep = columns(out, "sweep", "id").await?;
+    let run = columns(out, "run", "sweep_id").await?;
+    let mut statements = vec![
+        format!(
+            "INSERT INTO main.sweep (id, {sweep}) SELECT s.new, {} FROM temp.sweeps s JOIN src.sweep x ON x.id = s.old
+             WHERE s.input = ?1 AND s.chosen",
+            of_x(&sweep)
+        ),
+        format!(
+            "INSERT INTO main.run (sweep_id, {run}) SELECT s.new, {} FROM temp.sweeps s
+             JOIN src.run x ON x.sweep_id = s.old WHERE s.input = ?1
+             ON CONFLICT DO UPDATE SET ended_at = excluded.ended_at, outcome = excluded.outcome, done = excluded.done,
+               failed = excluded.failed WHERE ended_at IS NULL",
+            of_x(&run)
+        ),
+        "INSERT INTO main.sweep_trial (sweep_id, trial_id, position)
+         SELECT s.new, k.new, x.position FROM temp.sweeps s JOIN src.sweep_trial x ON x.sweep_id = s.old
+         JOIN src.trial t ON t.id = x.trial_id JOIN temp.kept k ON k.hash = t.hash WHERE s.input = ?1
+         ON CONFLICT DO UPDATE SET position = min(position, excluded.position)"
+            .to_owned(),
+    ];
+    for (table, key) in tables_of_trials(out).await? {
+        let columns = columns(out, &table, &key).await?;
+        // CROSS JOIN: in this order, so that rows come as they are to lie.
+        statements.push(format!(
+            "INSERT INTO main.{table} ({key}, {columns}) SELECT k.new, {} FROM temp.kept k
+             CROSS JOIN src.{table} x ON x.{key} = k.old WHERE k.input = ?1",
+            of_x(&columns)
+        ));
+    }
+    for sql in statements {
+        // Names of our own schema only.
+        sqlx::query(AssertSqlSafe(sql)).bind(input as i64).execute(&mut *out).await?;
+    }
+    out.execute("COMMIT").await?;
+    Ok(())
+}
+
+/// What is left when all is there: attempts that a dead run, or one that goes on elsewhere, has left running.
+pub(super) async fn finish(out: &mut SqliteConnection) -> sqlx::Result<()> {
+    out.execute(
+        "UPDATE main.attempt AS a SET state = 'failed', reason = 'orchestrator_lost',
+           ended_at = coalesce((SELECT max(p.recorded_at) FROM main.step p
+             WHERE p.trial_id = a.trial_id AND p.attempt = a.number), a.started_at) WHERE state = 'running';
+         UPDATE main.trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running';
+         UPDATE main.sweep SET created_at = (SELECT min(s.created_at) FROM temp.sweeps s WHERE s.new = sweep.id);",
+    )
+    .await?;
+    Ok(())
+}
+
+/// Trials in the result.
+pub(super) async fn trials(out: &mut SqliteConnection) -> sqlx::Result<usize> {
+    let count: i64 = sqlx::query_scalar("SELECT count(*) FROM main.trial").fetch_one(out).await?;
+    Ok(count as usize)
+}
+
+/// `trial`, and the tables whose rows belong to one, with the column that says to which.
+async fn tables_of_trials(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, String)>> {
+    let children = sqlx::query(
+        "SELECT t.name FROM main.sqlite_schema t, pragma_table_info(t.name) c
+         WHERE t.type = 'table' AND c.name = 'trial_id' AND t.name <> 'sweep_trial' ORDER BY t.name",
+    )
+    .fetch_all(out)
+    .await?;
+    let children = children.iter().map(|row| (row.get(0), "trial_id".to_owned()));
+    Ok([("trial".to_owned(), "id".to_owned())].into_iter().chain(children).collect())
+}
+
+/// The columns of a table but for one, as a list.
+async fn columns(out: &mut SqliteConnection, table: &str, but: &str) -> sqlx::Result<String> {
+    let names: Vec<String> =
+        sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main') WHERE name <> ? ORDER BY cid")
+            .bind(table)
+            .bind(but)
+            .fetch_all(out)
+            .await?;
+    Ok(names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(", "))
+}
+
+fn of_x(columns: &str) -> String {
+    columns.split(", ").map(|name| format!("x.{name}")).collect::<Vec<_>>().join(", ")
+}

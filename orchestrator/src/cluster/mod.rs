@@ -1,0 +1,15 @@
+//! Beyond one machine: shards of a sweep, and their databases merged.
+//!
+//! A shard is an ordinary run, with its own orchestrator, workers and database on a disk of its node; the cluster's own
+//! scheduler starts it. Shards know nothing of each other: trials belong to them by their hashes, and what comes back is
+//! a database each.
+
+pub mod disk;
+pub mod home;
+pub mod merge;
+pub mod queue;
+mod shard;
+pub mod state;
+pub mod submit;
+
+pub use shard::{Shard, ShardError, index, ranges};

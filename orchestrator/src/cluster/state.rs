@@ -1,0 +1,70 @@
+//! How the shards of a folder are: by the databases that they have handed in, and by the queue.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::time::SystemTime;
+
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection, Row};
+
+use super::Shard;
+
+/// A shard.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Which one.
+    pub shard: Shard,
+    /// `complete`, `partial` or `nothing` handed in, or what is wrong with it; what the queue says goes before.
+    pub state: String,
+    /// Trials, those done, and those that have failed, in what it has handed in.
+    pub trials: Option<[u32; 3]>,
+    /// Estimated and actual time of its last run (s), where it ran, and how that ended.
+    pub run: Option<(f64, Option<f64>, String, Option<String>)>,
+    /// Since it was handed in (s).
+    pub age: Option<f64>,
+}
+
+/// The shards of a folder. `queued`: what the scheduler says of each.
+pub async fn states(folder: &Path, shards: u32, queued: &HashMap<u32, String>) -> Vec<State> {
+    let mut states = Vec::with_capacity(shards as usize);
+    for shard in (1..=shards).filter_map(|index| Shard::new(index, shards)) {
+        let file = folder.join(format!("{}.sqlite", shard.file_stem()));
+        let mut state = State { shard, state: "nothing".into(), trials: None, run: None, age: None };
+        if let Ok(written) = file.metadata().and_then(|m| m.modified()) {
+            state.age = SystemTime::now().duration_since(written).ok().map(|age| age.as_secs_f64());
+            match read(&file, &mut state).await {
+                Ok([trials, done, failed]) => {
+                    let complete = done + failed == trials;
+                    state.state = if complete { "complete" } else { "partial" }.into();
+                    state.trials = Some([trials, done, failed]);
+                }
+                Err(error) => state.state = format!("unreadable: {error}"),
+            }
+        }
+        // A shard that has handed its last database in may still be in the queue for a moment.
+        if let Some(queued) = queued.get(&shard.index()).filter(|_| state.state != "complete") {
+            state.state.clone_from(queued);
+        }
+        states.push(state);
+    }
+    states
+}
+
+async fn read(file: &Path, state: &mut State) -> sqlx::Result<[u32; 3]> {
+    let options = SqliteConnectOptions::new().filename(file).immutable(true).read_only(true);
+    let mut db = options.disable_statement_logging().connect().await?;
+    let row = sqlx::query(
+        "SELECT count(*), coalesce(sum(state = 'done'), 0), coalesce(sum(state = 'failed'), 0) FROM trial",
+    )
+    .fetch_one(&mut db)
+    .await?;
+    let run = sqlx::query(
+        "SELECT estimated_seconds, seconds, host || coalesce(', ' || job, ''), outcome FROM v_run ORDER BY started_at DESC
+         LIMIT 1",
+    )
+    .fetch_optional(&mut db)
+    .await?;
+    state.run = run.map(|row| (row.get(0), row.get(1), row.get(2), row.get(3)));
+    db.close().await?;
+    Ok([row.get(0), row.get(1), row.get(2)])
+}

@@ -1,0 +1,100 @@
+//! Calls of `run`: what was planned, and what came of it.
+
+use super::{Store, StoreError};
+
+/// A run as it begins.
+#[derive(Debug, Clone)]
+pub struct RunPlan<'a> {
+    /// Name and text of its sweep.
+    pub sweep: (&'a str, &'a str),
+    /// Which shard, of how many; (1, 1) is the whole sweep.
+    pub shard: (u32, u32),
+    /// Worker processes and threads of each.
+    pub workers: (u32, u32),
+    /// Trials to run.
+    pub trials: usize,
+    /// Estimated time (s).
+    pub estimated_seconds: f64,
+}
+
+/// A run in the database, to be ended.
+#[derive(Debug, Clone)]
+pub struct RunKey {
+    sweep: i64,
+    started_at: String,
+    host: String,
+    shard: (u32, u32),
+}
+
+impl Store {
+    /// Records that a run begins. Its sweep has been begun.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn begin_run(&mut self, plan: &RunPlan<'_>) -> Result<RunKey, StoreError> {
+        let path = self.path.clone();
+        let at = |source| StoreError::sql(&path, "recording a run in", source);
+        let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default().trim().to_owned();
+        let (sweep, started_at): (i64, String) = sqlx::query_as(
+            "INSERT INTO run (sweep_id, started_at, host, shard, shards, job, version, workers, threads, trials,
+               estimated_seconds)
+             SELECT id, strftime('%Y-%m-%dT%H:%M:%fZ'), ?, ?, ?, ?, ?, ?, ?, ?, ? FROM sweep WHERE name = ? AND text = ?
+             RETURNING sweep_id, started_at",
+        )
+        .bind(&host)
+        .bind(plan.shard.0)
+        .bind(plan.shard.1)
+        .bind(job())
+        .bind(env!("CARGO_PKG_VERSION"))
+        .bind(plan.workers.0)
+        .bind(plan.workers.1)
+        .bind(plan.trials as i64)
+        .bind(plan.estimated_seconds)
+        .bind(plan.sweep.0)
+        .bind(plan.sweep.1)
+        .fetch_one(&mut self.connection)
+        .await
+        .map_err(at)?;
+        Ok(RunKey { sweep, started_at, host, shard: plan.shard })
+    }
+
+    /// Records what came of it.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn end_run(
+        &mut self,
+        key: &RunKey,
+        outcome: &str,
+        done: usize,
+        failed: usize,
+    ) -> Result<(), StoreError> {
+        sqlx::query(
+            "UPDATE run SET ended_at = strftime('%Y-%m-%dT%H:%M:%fZ'), outcome = ?, done = ?, failed = ?
+             WHERE sweep_id = ? AND started_at = ? AND host = ? AND shard = ? AND shards = ?",
+        )
+        .bind(outcome)
+        .bind(done as i64)
+        .bind(failed as i64)
+        .bind(key.sweep)
+        .bind(&key.started_at)
+        .bind(&key.host)
+        .bind(key.shard.0)
+        .bind(key.shard.1)
+        .execute(&mut self.connection)
+        .await
+        .map(|_| ())
+        .map_err(|source| StoreError::sql(&self.path, "recording a run in", source))
+    }
+}
+
+/// What the cluster's scheduler calls this run.
+fn job() -> Option<String> {
+    let variable = |name| std::env::var(name).ok();
+    let slurm = || {
+        let task = variable("SLURM_ARRAY_TASK_ID").map_or(String::new(), |task| format!("_{task}"));
+        variable("SLURM_ARRAY_JOB_ID").or(variable("SLURM_JOB_ID")).map(|job| format!("slurm {job}{task}"))
+    };
+    let hyperqueue = || Some(format!("hq {}.{}", variable("HQ_JOB_ID")?, variable("HQ_TASK_ID")?));
+    slurm().or_else(hyperqueue)
+}

@@ -1,0 +1,184 @@
+//! Shards on one machine: by hand, into a results folder, interrupted and killed; merged, they are the whole sweep.
+
+mod common;
+
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::Bench;
+
+/// Four trials of half a second each.
+const TINY: &str = r#"name = "tiny"
+[body]
+columns = 4
+rows = 4
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+[time]
+duration = 0.2
+samples = 20
+[stimuli]
+kind = "bell"
+samples = 8
+test = 2
+holdout = 2
+width = [0.05, 0.1]
+onset = [0.0, 0.1]
+[solver]
+tolerance = 1e-3
+[brain]
+iterations = 10
+[optimise]
+iterations = 4
+batch = 4
+[sweep]
+panels = [2]
+sensors = [1, 2]
+seeds = [1, 2]
+"#;
+
+/// All that a result is, but for times.
+fn results(bench: &Bench, db: &str) -> Vec<String> {
+    [
+        "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step
+           FROM v_trial ORDER BY hash",
+        "SELECT hash, step, loss_test, loss_train, gradient_norm, step_length, outcome FROM v_step ORDER BY hash, step",
+        "SELECT hash, name, shape, hex(bytes) FROM v_artifact ORDER BY hash, name",
+    ]
+    .iter()
+    .map(|sql| bench.output(&["query", db, sql, "--format", "csv"]))
+    .collect()
+}
+
+/// A number from a database; 0 while there is none.
+fn number(bench: &Bench, db: &str, sql: &str) -> u32 {
+    let output = bench.metasense(&["query", db, sql, "--format", "csv"]);
+    String::from_utf8_lossy(&output.stdout).lines().nth(1).and_then(|n| n.parse().ok()).unwrap_or(0)
+}
+
+/// The shards of a sweep are its trials, each once; merged, they are what one machine gives, to every analysis; what is
+/// missing from a merge is run by the same command as ever.
+#[test]
+fn shards_merged_are_the_sweep() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+    let lines = |args: &[&str]| {
+        let mut lines: Vec<String> = bench.output(args).lines().skip(1).map(str::to_owned).collect();
+        lines.sort();
+        lines
+    };
+    let all = lines(&["expand", "tiny.toml", "--format", "csv"]);
+    let mut parts = Vec::new();
+    for shard in ["1/3", "2/3", "3/3"] {
+        parts.extend(lines(&["expand", "tiny.toml", "--format", "csv", "--shard", shard]));
+        bench.output(&["run", "tiny.toml", "--shard", shard, "--db", &format!("s{}.sqlite", &shard[..1])]);
+    }
+    parts.sort();
+    assert_eq!(parts, all);
+
+    bench.output(&["merge", "s3.sqlite", "s1.sqlite", "--out", "merged.sqlite"]);
+    bench.output(&["run", "tiny.toml", "--db", "merged.sqlite"]);
+    assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
+    // The trials of the missing shard have been done twice now, with the same bits.
+    let said = bench.metasense(&["merge", "merged.sqlite", "s2.sqlite", "--out", "merged.sqlite"]);
+    let said = String::from_utf8_lossy(&said.stderr).into_owned();
+    assert!(said.contains("4 trials from 2 databases"), "{said}");
+    assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
+    let again = bench.metasense(&["run", "tiny.toml", "--db", "merged.sqlite"]);
+    assert!(String::from_utf8_lossy(&again.stderr).contains("nothing left to do"));
+    for question in ["paired", "sensors"] {
+        let answer = |db: &str| bench.output(&["analyse", db, "--question", question, "--format", "csv"]);
+        assert_eq!(answer("merged.sqlite"), answer("whole.sqlite"), "{question}");
+    }
+    let runs = "SELECT count(DISTINCT shard) FROM v_run WHERE shards = 3 AND outcome = 'complete' AND estimated_seconds >= 0";
+    assert_eq!(number(&bench, "merged.sqlite", runs), 3);
+}
+
+/// The whole sweep as one shard that hands in to `out`, on a node whose disk is `node`.
+fn start(bench: &Bench, node: &str) -> Child {
+    std::fs::create_dir_all(bench.path(node)).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_metasense"))
+        .args([
+            "run",
+            "tiny.toml",
+            "--shard",
+            "1/1",
+            "--copy-to",
+            "out",
+            "--copy-every",
+            "1",
+            "--workers",
+            "1",
+        ])
+        .current_dir(bench.path(""))
+        .env("TMPDIR", bench.path(node))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+fn signal(child: &Child, signal: i32) {
+    // SAFETY: sends a signal to a process that this test has started.
+    unsafe { libc::kill(child.id() as i32, signal) };
+}
+
+fn wait(child: &mut Child) -> Option<i32> {
+    let began = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            return status.code();
+        }
+        assert!(began.elapsed() < Duration::from_secs(60), "the shard does not end within a minute");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Killed on one node, where only what was handed in from time to time is left; ended by SIGTERM on a second; completed
+/// on a third. A node is left as it was found, but for the one that was lost.
+#[test]
+fn a_shard_goes_on_on_another_node() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+    let handed_in = "out/shard-1-of-1.sqlite";
+    let steps = || number(&bench, handed_in, "SELECT count(*) FROM v_step");
+    let left = |node: &str| bench.path(node).read_dir().unwrap().count();
+
+    let mut lost = start(&bench, "node1");
+    let began = Instant::now();
+    while steps() == 0 {
+        assert!(began.elapsed() < Duration::from_secs(60), "nothing is handed in within a minute");
+    }
+    signal(&lost, libc::SIGKILL);
+    lost.wait().unwrap();
+    let before = steps();
+    assert!(before > 0 && left("node1") == 1, "{before} steps");
+
+    let mut ended = start(&bench, "node2");
+    let log = bench.path("out/shard-1-of-1.log");
+    let runs = || std::fs::read_to_string(&log).unwrap_or_default().matches("worker started").count();
+    let workers = runs();
+    while runs() == workers && ended.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    signal(&ended, libc::SIGTERM);
+    assert_eq!(wait(&mut ended), Some(4));
+    assert!(steps() >= before && left("node2") == 0, "{} steps after {before}", steps());
+
+    let mut last = start(&bench, "node3");
+    assert_eq!(wait(&mut last), Some(0));
+    assert_eq!(left("node3"), 0);
+    assert_eq!(results(&bench, handed_in), results(&bench, "whole.sqlite"));
+    let outcomes = "SELECT count(*) FROM v_run WHERE outcome IN ('interrupted', 'complete')";
+    assert_eq!(number(&bench, handed_in, outcomes), 2);
+
+    // A spec that has changed since it was submitted is not run.
+    bench.file("out/spec.toml", &TINY.replace("[1, 2]", "[1]"));
+    let refused = bench.metasense(&["run", "tiny.toml", "--shard", "1/1", "--copy-to", "out"]);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
+}

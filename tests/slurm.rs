@@ -1,0 +1,176 @@
+//! Shards on a real Slurm, started by the test: killed, drained away, requeued, cut off; nothing is lost.
+//!
+//! Without Slurm (Debian: slurm-wlm and munge) or root it says so and passes.
+
+#[path = "support/slurm.rs"]
+mod support;
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use support::{Slurm, missing};
+
+/// Trials of half a second (4 outer steps) to some seconds.
+fn spec(name: &str, steps: u32, seeds: &str) -> String {
+    format!(
+        "name = \"{name}\"\n\
+         [body]\ncolumns = 4\nrows = 4\nspacing = 15.0\nligament_length = 2.25\ndensity = 1e-8\n\
+         stiffness = {{ stretch = 3.0, shear = 0.5, bend = 1.0 }}\n\
+         [time]\nduration = 0.2\nsamples = 20\n\
+         [stimuli]\nkind = \"bell\"\nsamples = 8\ntest = 2\nholdout = 2\nwidth = [0.05, 0.1]\nonset = [0.0, 0.1]\n\
+         [solver]\ntolerance = 1e-3\n\
+         [brain]\niterations = 10\n\
+         [optimise]\niterations = {steps}\nbatch = 4\n\
+         [sweep]\npanels = [2]\nsensors = [1]\nseeds = {seeds}\n"
+    )
+}
+
+/// A user's folder, shared by all nodes, and the cluster.
+struct Site {
+    slurm: Slurm,
+    home: PathBuf,
+    _folder: tempfile::TempDir,
+}
+
+impl Site {
+    fn new(test: &str) -> Option<Self> {
+        if let Some(why) = missing() {
+            eprintln!("{test} is skipped: {why}");
+            return None;
+        }
+        let folder = tempfile::Builder::new().prefix("sl").tempdir_in("/tmp").unwrap();
+        let home = folder.path().join("home");
+        std::fs::create_dir(&home).unwrap();
+        Some(Self { slurm: Slurm::start(folder.path()), home, _folder: folder })
+    }
+
+    fn call(&self, arguments: &str) -> Output {
+        let mut command = self.slurm.command(env!("CARGO_BIN_EXE_metasense"));
+        command.args(arguments.split_whitespace()).current_dir(&self.home).output().unwrap()
+    }
+
+    /// What a call says that must end with this code.
+    fn says(&self, code: i32, arguments: &str) -> String {
+        let output = self.call(arguments);
+        let said =
+            format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        assert_eq!(output.status.code(), Some(code), "{arguments}: {said}");
+        said
+    }
+
+    fn rows(&self, db: &str, sql: &str) -> String {
+        let mut command = self.slurm.command(env!("CARGO_BIN_EXE_metasense"));
+        let output =
+            command.args(["query", db, sql, "--format", "csv"]).current_dir(&self.home).output().unwrap();
+        String::from_utf8_lossy(&output.stdout).lines().skip(1).collect::<Vec<_>>().join("\n")
+    }
+
+    fn results(&self, db: &str) -> String {
+        let trials =
+            "SELECT hash, state, error_initial, error_optimised, best_step FROM v_trial ORDER BY hash";
+        let steps = "SELECT hash, step, loss_test, gradient_norm FROM v_step ORDER BY hash, step";
+        format!("{}\n{}", self.rows(db, trials), self.rows(db, steps))
+    }
+
+    fn read(&self, file: &str) -> String {
+        std::fs::read_to_string(self.home.join(file)).unwrap_or_default()
+    }
+
+    /// Waits until a shard has begun its `nth` run, by its log.
+    fn until_running(&self, log: &str, nth: usize) {
+        self.slurm.until("a shard runs", 60, || self.read(log).matches("worker started").count() >= nth);
+    }
+}
+
+/// Process id of the run that puts its database into this folder.
+fn shard_process(folder: &Path) -> Option<i32> {
+    let folder = folder.to_string_lossy().into_owned();
+    std::fs::read_dir("/proc").unwrap().flatten().find_map(|entry| {
+        let pid: i32 = entry.file_name().to_str()?.parse().ok()?;
+        let command = std::fs::read_to_string(entry.path().join("cmdline")).ok()?;
+        (command.contains("--copy-to") && command.contains(&folder)).then_some(pid)
+    })
+}
+
+/// Two shards one after the other, as one node is drained; a merge before the last; the merge that Slurm starts.
+#[test]
+fn a_sweep_in_shards_is_the_sweep() {
+    let Some(site) = Site::new("a_sweep_in_shards_is_the_sweep") else { return };
+    std::fs::write(site.home.join("tiny.toml"), spec("tiny", 4, "[1, 2, 3, 4]")).unwrap();
+    site.says(0, "run tiny.toml --db whole.sqlite");
+    site.slurm.tool("scontrol", "update nodename=n2 state=drain reason=test");
+    let said = site.says(0, "submit slurm tiny.toml --shards 2 --cpus 1 --time 5 --partition main");
+    assert!(said.contains("4 trials in 2 shards") && said.contains("submitted: job"), "{said}");
+    let handed_in = site.home.join("results/tiny.shards/shard-1-of-2.sqlite");
+    site.slurm.until("the first shard is handed in", 60, || handed_in.exists());
+    let early = site.says(0, "merge results/tiny.shards --out early.sqlite");
+    assert!(early.contains("no database of 1 of its 2 shards: 2"), "{early}");
+    site.slurm.tool("scontrol", "update nodename=n2 state=resume");
+    site.slurm.until_empty(90);
+    assert_eq!(
+        site.results("results/tiny.sqlite"),
+        site.results("whole.sqlite"),
+        "{}",
+        site.read("results/tiny.shards/merge.out")
+    );
+    let status = site.says(0, "status --cluster");
+    assert!(status.contains("2 of 2 shards complete, 0 in the queue"), "{status}");
+    assert!(site.says(0, "submit slurm tiny.toml").contains("nothing left to do"));
+    let jobs = "SELECT count(*) FROM v_run WHERE job LIKE 'slurm %\\__' ESCAPE '\\' AND outcome = 'complete'";
+    assert_eq!(site.rows("results/tiny.sqlite", jobs), "2");
+    assert_eq!(site.slurm.tool("ls", &site.home.parent().unwrap().join("tmp").display().to_string()), "");
+}
+
+/// Killed, it has to be submitted again; requeued, it comes back by itself; each time it goes on.
+#[test]
+fn a_shard_that_is_killed_or_requeued_goes_on() {
+    let Some(site) = Site::new("a_shard_that_is_killed_or_requeued_goes_on") else { return };
+    std::fs::write(site.home.join("slow.toml"), spec("slow", 80, "[1]")).unwrap();
+    site.says(0, "run slow.toml --db whole.sqlite");
+    let log = "results/slow.shards/shard-1-of-1.log";
+    site.says(0, "submit slurm slow.toml --shards 1 --cpus 1 --time 5");
+    site.until_running(log, 1);
+    let pid = shard_process(&site.home.join("results/slow.shards")).expect("the shard is a process");
+    // SAFETY: sends a signal to a process that this test has had started.
+    unsafe { libc::kill(pid, libc::SIGKILL) };
+    site.slurm.until_empty(60);
+    let status = site.says(0, "status --cluster results/slow.shards");
+    assert!(
+        status.contains("0 of 1 shards complete") && status.contains("`metasense submit` goes on"),
+        "{status}"
+    );
+
+    site.says(0, "submit slurm slow.toml --cpus 1 --time 5");
+    site.until_running(log, 2);
+    let job = site.slurm.tool("squeue", "-h -t running -o %A").trim().to_owned();
+    site.slurm.tool("scontrol", &format!("requeue {job}"));
+    // Slurm lets it wait for two minutes, unless it is told otherwise.
+    site.slurm.until("the shard waits again", 60, || {
+        site.slurm.tool("squeue", "-h -r -t pending -o %r").contains("BeginTime")
+    });
+    assert!(site.says(0, "status --cluster results/slow.shards").contains("pending"));
+    let interrupted = "SELECT outcome FROM v_run ORDER BY started_at DESC LIMIT 1";
+    assert_eq!(site.rows("results/slow.shards/shard-1-of-1.sqlite", interrupted), "interrupted");
+    let id = site.slurm.tool("squeue", "-h -r -t pending -o %i");
+    let id = id.lines().find(|id| id.contains('_')).expect("an array's job");
+    site.slurm.tool("scontrol", &format!("update jobid={id} starttime=now"));
+    site.slurm.until_empty(90);
+    assert_eq!(site.results("results/slow.sqlite"), site.results("whole.sqlite"));
+    let runs =
+        "SELECT group_concat(coalesce(outcome, 'lost')) FROM (SELECT outcome FROM v_run ORDER BY started_at)";
+    assert_eq!(site.rows("results/slow.sqlite", runs).trim_matches('"'), "lost,interrupted,complete");
+}
+
+/// SIGTERM comes a minute before the time limit, here at once; what is cut off goes on with the next submission.
+#[test]
+fn a_time_limit_cuts_a_shard_off_in_order() {
+    let Some(site) = Site::new("a_time_limit_cuts_a_shard_off_in_order") else { return };
+    std::fs::write(site.home.join("long.toml"), spec("long", 6000, "[1]")).unwrap();
+    site.says(0, "submit slurm long.toml --shards 1 --cpus 1 --time 1");
+    site.slurm.until_empty(100);
+    let outcome = "SELECT outcome, shards, estimated_seconds > 0 FROM v_run";
+    assert_eq!(site.rows("results/long.sqlite", outcome), "interrupted,1,1");
+    assert_ne!(site.rows("results/long.sqlite", "SELECT count(*) FROM v_step"), "0");
+    let status = site.says(0, "status --cluster");
+    assert!(status.contains("partial") && status.contains("`metasense submit` goes on"), "{status}");
+}
