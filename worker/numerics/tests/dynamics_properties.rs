@@ -6,7 +6,7 @@ use common::{dot, norm, pool, relative};
 use metasense_numerics::body::{Geometry, Layout};
 use metasense_numerics::dynamics::{
     Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Solver, Stiffness, choose, energy,
-    highest_frequency, pull_back, run, simulate, tune,
+    highest_frequency, pull_back, push_forward, run, simulate, tune,
 };
 use std::f64::consts::TAU;
 
@@ -234,6 +234,62 @@ fn a_pilot_says_what_it_cannot_measure() {
     forces.values.fill(0.0);
     let still = tune(&scene, &design, &forces, &auto, &pool(1));
     assert!(still.error.is_none() && still.counters.steps == 0, "{still:?}");
+}
+
+/// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩ to rounding for every explicit method on scenes of every kind, J v by dual numbers in a plain
+/// program of its own, whose signals are those of the lanes.
+#[test]
+fn pull_back_is_the_transpose_of_push_forward() {
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 });
+    let base = small_scene();
+    for (what, scene, kinks) in [
+        ("plain", base.clone(), 1),
+        ("finer forces", base.clone(), 2),
+        ("body frame, contact", Scene { frame: Frame::Body, contact, ..base.clone() }, 1),
+        ("linearised, body frame", Scene { linearised: true, frame: Frame::Body, ..base.clone() }, 1),
+        ("undamped", Scene { damping_ratio: 0.0, ..base.clone() }, 1),
+        ("damped", Scene { damping_ratio: 0.5, ..base }, 1),
+    ] {
+        let design = shaken(&scene);
+        let forces = pushes(&Scene { instants: kinks * scene.instants, ..scene.clone() }, 2, 0.4);
+        let v: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
+        let explicit = EQUAL_STEPS.into_iter().filter(|(method, ..)| *method != Method::Implicit);
+        for (method, steps) in explicit.map(|(method, _, n)| (method, 2 * n)).chain([(Method::Tsit5, 0)]) {
+            let plan = Plan { tolerance: 1e-7, ..plan(method, steps) };
+            let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));
+            let (signals, along) = push_forward(&scene, &design, &v, &forces, &simulation, 1);
+            // Of one sign with J v, lest the sum cancel
+            let w: Vec<f64> =
+                along.iter().enumerate().map(|(i, a)| a * (1.2 + (0.7 * i as f64).sin())).collect();
+            let gradient = pull_back(&scene, &design, &forces, &simulation, &[1], &w, &pool(1)).design;
+            let (ours, theirs) = (dot(&gradient, &v), dot(&w, &along));
+            let same = relative(&simulation.signals[along.len()..], &signals);
+            let error = (ours - theirs).abs() / theirs.abs();
+            assert!(error < 1e-12 && same < 1e-11, "{what}, {method:?}: {error:e}, signals {same:e}");
+        }
+    }
+}
+
+/// A tape holds the states of the free units at the instants: not the steps in between, but for a few adaptive ones.
+#[test]
+fn a_tape_grows_with_units_and_instants_not_with_steps() {
+    let bytes = |columns, instants, method, steps, tolerance| {
+        let layout = Layout::planar(columns, 3, 15.0, 2.25);
+        let clamped = layout.bottom();
+        let scene = Scene { layout, clamped, instants, ..small_scene() };
+        let plan = Plan { tolerance, ..plan(method, steps) };
+        let run = run(&scene, &shaken(&scene), &pushes(&scene, 3, 0.4), &plan, true, &pool(1));
+        run.tape.expect("asked for").bytes()
+    };
+    for method in EQUAL_STEPS.map(|m| m.0) {
+        for (columns, instants, steps) in [(3, 20, 8), (3, 20, 32), (6, 20, 8), (3, 40, 8)] {
+            let found = bytes(columns, instants, method, steps, 0.0);
+            assert_eq!(found, 3 * instants * 2 * columns * 6 * 8, "{method:?} {columns} {instants} {steps}");
+        }
+    }
+    let (loose, tight) = (bytes(6, 20, Method::Tsit5, 0, 1e-6), bytes(6, 20, Method::Tsit5, 0, 1e-9));
+    let states = 3 * 20 * 12 * 6 * 8;
+    assert!(loose < 2 * states && tight < 4 * states, "{states} {loose} {tight}");
 }
 
 /// Histories with four kinks an interval: signals and gradients are those of a clock four times as fine, read at every

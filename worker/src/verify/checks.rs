@@ -5,7 +5,7 @@ use metasense_numerics::body::Geometry;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Forces, Frame, Method, Panel, Plan, Scene, Simulation, Solver, Stiffness, damping, energy, pull_back,
-    run, simulate,
+    push_forward, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
@@ -57,36 +57,47 @@ fn fine() -> (Scene, Vec<f64>, Forces) {
 /// All checks for `method`.
 pub fn rows(methods: &[(Method, f64)], pool: &rayon::ThreadPool) -> Vec<Row> {
     let mut rows = orders(pool);
+    rows.push(implicit_gradient(pool));
+    rows.extend([(Method::Nystrom6, 1e-3), (Method::Tsit5, 1e-6)].map(|m| tape(m, pool)));
     for &(method, tolerance) in methods {
         let solver = Solver { method, tolerance };
         rows.push(balance(solver, pool));
         rows.push(taylor(solver, pool));
+        rows.extend(transpose(solver, pool));
         rows.push(threads(solver));
     }
     rows
 }
 
-/// Order of convergence of each scheme of equal steps, from n and 2n steps an interval against a far finer run; of Tsit5
-/// from the steps that two tolerances take.
-fn orders(pool: &rayon::ThreadPool) -> Vec<Row> {
+/// The same for 0.1 s with one smooth blow on both panels.
+fn short() -> (Scene, Vec<f64>, Forces) {
     let (mut scene, design, _) = fine();
     (scene.duration, scene.instants) = (0.1, 20);
     let push = |n: usize| 0.4 * (std::f64::consts::PI * n as f64 / 20.0).sin().powi(2);
     let values = (0..2).flat_map(|_| (0..=20).map(push)).collect();
-    let forces = Forces { samples: 1, panels: 2, instants: 20, values };
+    (scene, design, Forces { samples: 1, panels: 2, instants: 20, values })
+}
+
+/// Order of convergence of each scheme of equal steps, from n and 2n steps an interval against a far finer run; of Tsit5
+/// from the steps that two tolerances take.
+fn orders(pool: &rayon::ThreadPool) -> Vec<Row> {
+    let (scene, design, forces) = short();
     let solve = |method, steps, tolerance| {
         run(&scene, &design, &forces, &Plan { method, tolerance, steps, reason: String::new() }, false, pool)
     };
     let truth = solve(Method::Nystrom6, 120, 0.0).signals;
-    let mut rows: Vec<Row> =
-        [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 16)]
-            .into_iter()
-            .map(|(method, order, steps)| {
-                let [coarse, fine] =
-                    [steps, 2 * steps].map(|n| relative(&solve(method, n, 0.0).signals, &truth));
-                order_row(method, order, (coarse / fine).log2())
-            })
-            .collect();
+    let mut rows: Vec<Row> = [
+        (Method::Leapfrog, 2.0, 64),
+        (Method::Nystrom4, 4.0, 36),
+        (Method::Nystrom6, 6.0, 16),
+        (Method::Implicit, 4.0, 64),
+    ]
+    .into_iter()
+    .map(|(method, order, steps)| {
+        let [coarse, fine] = [steps, 2 * steps].map(|n| relative(&solve(method, n, 0.0).signals, &truth));
+        order_row(method, order, (coarse / fine).log2())
+    })
+    .collect();
     let [coarse, fine] = [1e-8, 1e-11].map(|tolerance| solve(Method::Tsit5, 0, tolerance));
     let ratio = |f: &dyn Fn(&Simulation) -> f64| (f(&coarse) / f(&fine)).ln();
     let steps = -ratio(&|s| s.counters.steps as f64);
@@ -163,6 +174,63 @@ fn taylor(solver: Solver, pool: &rayon::ThreadPool) -> Row {
     let off = (slopes[0] - 2.0).abs().max((slopes[1] - 2.0).abs());
     Row::new(name, if slope == 0.0 { f64::NAN } else { off }, 0.1)
         .noted(format!("slopes {:.3} {:.3}", slopes[0], slopes[1]))
+}
+
+/// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩, J v by a plain program in dual numbers, and the signals by that program; of explicit methods.
+fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
+    if solver.method == Method::Implicit {
+        return Vec::new();
+    }
+    let (scene, design, mut forces) = short();
+    let mut stream = Stream::new(Purpose::Design, 6, [0, 0]);
+    // Accelerations of slow motion are small differences of large forces, and mostly rounding at 1e-12.
+    forces.values.iter_mut().for_each(|f| *f = 0.4 * stream.normal());
+    let solver = Solver { tolerance: solver.tolerance.max(1e-7), ..solver };
+    let simulation = simulate(&scene, &design, &forces, &solver, true, pool);
+    let v: Vec<f64> = design.iter().map(|_| stream.normal()).collect();
+    let (signals, along) = push_forward(&scene, &design, &v, &forces, &simulation, 0);
+    // Of one sign with J v, lest the sum cancel
+    let w: Vec<f64> = along.iter().map(|a| a * stream.normal().abs()).collect();
+    let gradient = pull_back(&scene, &design, &forces, &simulation, &[0], &w, pool).design;
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let (ours, theirs) = (dot(&gradient, &v), dot(&w, &along));
+    let name = solver.method.name();
+    vec![
+        Row::new(format!("⟨w, J v⟩ = ⟨Jᵀ w, v⟩, {name}"), (ours - theirs).abs() / theirs.abs(), 1e-12)
+            .noted(format!("{ours:.6e}")),
+        Row::new(
+            format!("signals by a plain program, {name}"),
+            relative(&simulation.signals[..signals.len()], &signals),
+            1e-12,
+        ),
+    ]
+}
+
+/// dα of the implicit method against that of a splitting scheme, both at tight steps.
+fn implicit_gradient(pool: &rayon::ThreadPool) -> Row {
+    let (scene, design, forces) = short();
+    let gradient = |method, steps, cotangent: Option<&[f64]>| {
+        let plan = Plan { method, tolerance: 0.0, steps, reason: String::new() };
+        let run = run(&scene, &design, &forces, &plan, true, pool);
+        let scale = run.signals.iter().map(|s| s * s).sum::<f64>();
+        let own: Vec<f64> = run.signals.iter().map(|s| s / scale).collect();
+        let cotangent = cotangent.unwrap_or(&own);
+        (pull_back(&scene, &design, &forces, &run, &[0], cotangent, pool).design, cotangent.to_vec())
+    };
+    let (theirs, cotangent) = gradient(Method::Nystrom6, 60, None);
+    let (ours, _) = gradient(Method::Implicit, 300, Some(&cotangent));
+    Row::new("dα of implicit against nystrom6", relative(&ours, &theirs), 1e-6)
+}
+
+/// What 300 samples of the reference scene keep for their gradient, in MB.
+fn tape((method, tolerance): (Method, f64), pool: &rayon::ThreadPool) -> Row {
+    let scene = reference();
+    let design = scene.layout.initial_design(25f64.to_radians());
+    let run = simulate(&scene, &design, &bells(&scene, 2), &Solver { method, tolerance }, true, pool);
+    let bytes = run.tape.map_or(f64::NAN, |tape| tape.bytes() as f64);
+    let states = (scene.instants * 6 * 30 * 8 * 2) as f64;
+    Row::new(format!("MB of tape for 300 samples, {}", method.name()), bytes * 150e-6, 200.0)
+        .noted(format!("{:.1} % of it steps", 100.0 * (1.0 - states / bytes)))
 }
 
 /// One thread and three give the same bits, and so does a sample alone.

@@ -77,7 +77,12 @@ pub fn built_in(pool: &rayon::ThreadPool) -> Vec<Row> {
         rows.into_iter().map(move |row| Row { case: name.clone(), ..row }).collect::<Vec<_>>()
     };
     let usual = crate::problem::solver(&metasense_schemas::spec::Solver::default());
-    let methods = [(Method::Tsit5, 1e-11), (Method::Nystrom4, 1e-6), (Method::Nystrom6, 1e-7)];
+    let methods = [
+        (Method::Tsit5, 1e-11),
+        (Method::Nystrom4, 1e-6),
+        (Method::Nystrom6, 1e-7),
+        (Method::Implicit, 1e-3),
+    ];
     let mut rows = named("numerics", checks::rows(&methods, pool));
     rows.extend(named("extreme", extreme::rows(usual, pool)));
     rows

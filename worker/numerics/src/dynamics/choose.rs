@@ -144,8 +144,13 @@ pub(super) fn candidates(scene: &Scene, design: &[f64], kinks: usize) -> Vec<Can
     LAWS.iter().map(|law| Candidate { law, followed: followed(law), all, interval, kinks }).collect()
 }
 
-/// Turns a solver into a plan for this scene and design.
+/// Turns a solver into a plan for this scene and design, under forces on the scene's clock.
 pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
+    choose_under(scene, design, 1, solver)
+}
+
+/// The same under forces with so many kinks an interval.
+pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: &Solver) -> Plan {
     let Solver { method, tolerance } = *solver;
     if method == Method::Tsit5 {
         return Plan { method, tolerance, steps: 0, reason: "asked for".to_owned() };
@@ -154,7 +159,7 @@ pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
         Method::Auto => c.law.method != Method::Implicit || tolerance >= SOFT,
         named => c.law.method == named,
     };
-    let best = candidates(scene, design, 1)
+    let best = candidates(scene, design, kinks)
         .into_iter()
         .filter(allowed)
         .min_by_key(|c| c.steps(tolerance) * c.law.work)

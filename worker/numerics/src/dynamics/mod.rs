@@ -12,6 +12,7 @@ mod energy;
 mod implicit;
 mod ligaments;
 mod model;
+mod push_forward;
 mod real;
 mod splitting;
 mod system;
@@ -23,6 +24,7 @@ use crate::body::Layout;
 pub use choose::{choose, highest_frequency};
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
 pub use model::damping;
+pub use push_forward::push_forward;
 pub use tune::{Tuned, tune};
 
 /// Stiffnesses of a ligament.
@@ -243,6 +245,12 @@ pub struct Tape {
 }
 
 impl Tape {
+    /// Memory that the samples hold: the states at the instants and, of adaptive methods, eight bytes a step.
+    pub fn bytes(&self) -> usize {
+        let of = |s: &SampleTape| 8 * (s.states.capacity() + s.steps.capacity()) + 4 * s.counts.capacity();
+        self.samples.iter().map(of).sum()
+    }
+
     /// Displacement (u, v, θ) and velocity of every unit of a sample at instant n = 1…T.
     pub fn state(&self, scene: &Scene, sample: usize, n: usize) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
         let units = scene.layout.units();
@@ -308,7 +316,8 @@ pub fn simulate(
     keep_tape: bool,
     pool: &rayon::ThreadPool,
 ) -> Simulation {
-    run(scene, design, forces, &choose(scene, design, solver), keep_tape, pool)
+    let plan = choose::choose_under(scene, design, forces.kinks(scene), solver);
+    run(scene, design, forces, &plan, keep_tape, pool)
 }
 
 /// Integrates as `plan` says; its steps are rounded up to a multiple of the forces' kinks in an interval.

@@ -75,15 +75,20 @@ impl Scheme {
 
 /// e and (1 − e)/γ of a drift over τ, and the derivatives of both in γ.
 #[derive(Clone, Copy)]
-struct Drift {
-    keep: f64,
-    reach: f64,
-    keep_slope: f64,
-    reach_slope: f64,
+pub struct Drift {
+    /// e.
+    pub keep: f64,
+    /// (1 − e)/γ.
+    pub reach: f64,
+    /// de/dγ.
+    pub keep_slope: f64,
+    /// d((1 − e)/γ)/dγ.
+    pub reach_slope: f64,
 }
 
 impl Drift {
-    fn new(gamma: f64, tau: f64) -> Self {
+    /// For τ = `tau`.
+    pub fn new(gamma: f64, tau: f64) -> Self {
         let z = gamma * tau;
         let keep = (-z).exp();
         // (1 − e⁻ᶻ)/z and (z e⁻ᶻ − 1 + e⁻ᶻ)/z², by series where they cancel

@@ -12,7 +12,7 @@ use super::vector::{LANES, Vector};
 use super::{Counters, Forces, Outcome, SampleTape};
 
 /// a_ij of the seven stages; the last row is also the weights b.
-const A: [[f64; 6]; 7] = [
+pub const A: [[f64; 6]; 7] = [
     [0.0; 6],
     [0.161, 0.0, 0.0, 0.0, 0.0, 0.0],
     [-0.008480655492356989, 0.335480655492357, 0.0, 0.0, 0.0, 0.0],
@@ -21,7 +21,8 @@ const A: [[f64; 6]; 7] = [
     [5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383, 0.0],
     [0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774],
 ];
-const C: [f64; 7] = [0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0];
+/// Clock of the stages.
+pub const C: [f64; 7] = [0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0];
 /// b − b̂.
 const E: [f64; 7] = [
     -0.001780011052225777,
@@ -51,7 +52,8 @@ const fn squared() -> [[f64; 6]; 7] {
     }
     s
 }
-const A2: [[f64; 6]; 7] = squared();
+/// ā.
+pub const A2: [[f64; 6]; 7] = squared();
 
 /// Σ_j e_j a_jm: the weights of the displacement's error.
 const fn error_squared() -> [f64; 7] {
@@ -297,6 +299,10 @@ pub fn forward<V: Vector>(
             lane.count = 0;
             lane.interval += 1;
             if lane.interval == instants {
+                if let Some(tape) = &mut slot.tape {
+                    tape.steps.shrink_to_fit();
+                    tape.counts.shrink_to_fit();
+                }
                 *slot.outcome = Outcome::Ok;
                 lane.slot = None;
             }

@@ -4,7 +4,7 @@
 //! factors. The pilot's truth is `nystrom6`, its steps doubled until two runs agree to the asked error. Then the method of
 //! least work by its law is measured at this many steps, and at more or fewer, until no cheaper one is left.
 
-use super::choose::{Candidate, candidates, choose, frequencies, milliseconds};
+use super::choose::{Candidate, candidates, choose_under, frequencies, milliseconds};
 use super::vector::LANES;
 use super::{Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, run};
 
@@ -47,7 +47,7 @@ pub fn tune(
     let mut pilot =
         Pilot { scene, design, forces: first(forces, LANES), pool, counters: Counters::default() };
     let as_it_is = |why: Option<String>, counters| {
-        let mut plan = choose(scene, design, solver);
+        let mut plan = choose_under(scene, design, forces.kinks(scene), solver);
         if let Some(why) = why {
             plan.reason = format!("{}; {why}", plan.reason);
         }

@@ -1,0 +1,352 @@
+//! Derivative of one sample's signals along a direction in the design: the transpose of `pull_back`, for checks of it.
+//!
+//! Plain dual numbers a + ε b, ε² = 0, unit by unit and without lanes. Of the production code it takes the coefficients of
+//! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
+//! that signals which agree to rounding check those too.
+
+use super::splitting::Drift;
+use super::{Forces, Frame, Method, Scene, Simulation, Tape, dispatch, tsit5};
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Dual(f64, f64);
+
+impl Add for Dual {
+    type Output = Self;
+    fn add(self, o: Self) -> Self {
+        Self(self.0 + o.0, self.1 + o.1)
+    }
+}
+impl Sub for Dual {
+    type Output = Self;
+    fn sub(self, o: Self) -> Self {
+        Self(self.0 - o.0, self.1 - o.1)
+    }
+}
+impl Neg for Dual {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self(-self.0, -self.1)
+    }
+}
+impl Mul for Dual {
+    type Output = Self;
+    fn mul(self, o: Self) -> Self {
+        Self(self.0 * o.0, self.0 * o.1 + self.1 * o.0)
+    }
+}
+impl Mul<Dual> for f64 {
+    type Output = Dual;
+    fn mul(self, o: Dual) -> Dual {
+        Dual(self * o.0, self * o.1)
+    }
+}
+impl Div for Dual {
+    type Output = Self;
+    fn div(self, o: Self) -> Self {
+        let q = self.0 / o.0;
+        Self(q, (self.1 - q * o.1) / o.0)
+    }
+}
+
+impl Dual {
+    fn sin_cos(self) -> (Self, Self) {
+        let (s, c) = self.0.sin_cos();
+        (Self(s, c * self.1), Self(c, -s * self.1))
+    }
+    fn sqrt(self) -> Self {
+        let r = self.0.sqrt();
+        Self(r, 0.5 * self.1 / r)
+    }
+}
+
+type Pair = [Dual; 2];
+/// (u, v, θ), or what belongs to it, of every unit.
+type State = Vec<[Dual; 3]>;
+
+fn plus(a: Pair, b: Pair) -> Pair {
+    [a[0] + b[0], a[1] + b[1]]
+}
+fn minus(a: Pair, b: Pair) -> Pair {
+    [a[0] - b[0], a[1] - b[1]]
+}
+fn dot(a: Pair, b: Pair) -> Dual {
+    a[0] * b[0] + a[1] * b[1]
+}
+fn cross(a: Pair, b: Pair) -> Dual {
+    a[0] * b[1] - a[1] * b[0]
+}
+/// The angle from a to b.
+fn angle(a: Pair, b: Pair) -> Dual {
+    let (y, x) = (cross(a, b), dot(a, b));
+    Dual(y.0.atan2(x.0), (x.0 * y.1 - y.0 * x.1) / (x.0 * x.0 + y.0 * y.0))
+}
+fn scaled(s: f64, a: &State) -> State {
+    a.iter().map(|a| a.map(|a| s * a)).collect()
+}
+fn add(to: &mut State, from: &State) {
+    for (t, f) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
+        *t = *t + *f;
+    }
+}
+
+/// A scene with a design that moves.
+struct Body<'a> {
+    scene: &'a Scene,
+    arms: Vec<[Pair; 4]>,
+    /// (m, m, J).
+    mass: State,
+    damping: [f64; 3],
+    history: &'a [f64],
+    forces: &'a Forces,
+    tape: &'a Tape,
+    sample: usize,
+}
+
+impl<'a> Body<'a> {
+    fn new(
+        scene: &'a Scene,
+        design: &[f64],
+        direction: &[f64],
+        forces: &'a Forces,
+        tape: &'a Tape,
+        sample: usize,
+    ) -> Self {
+        let layout = &scene.layout;
+        let (mut arms, mut mass) = (Vec::new(), Vec::new());
+        for u in 0..layout.units() {
+            let q: [Pair; 4] = std::array::from_fn(|p| {
+                let (at, group) = (layout.node(design, u, p), layout.groups[u][p]);
+                [0, 1].map(|d| Dual(at[d], direction[2 * group + d]))
+            });
+            let edges = [0, 1, 2, 3].map(|p| (p, (p + 1) % 4));
+            let doubled = edges.iter().fold(Dual::default(), |s, &(p, n)| s + cross(q[p], q[n]));
+            let first = edges.iter().fold([Dual::default(); 2], |s, &(p, n)| {
+                plus(s, plus(q[p], q[n]).map(|x| cross(q[p], q[n]) * x))
+            });
+            let r = q.map(|q| minus(q, first.map(|x| x / (3.0 * doubled))));
+            let polar = edges.iter().fold(Dual::default(), |s, &(p, n)| {
+                s + cross(r[p], r[n]) * (dot(r[p], r[p]) + dot(r[p], r[n]) + dot(r[n], r[n]))
+            });
+            let m = 0.5 * scene.density * doubled;
+            arms.push(r);
+            mass.push([m, m, scene.density / 12.0 * polar]);
+        }
+        Self {
+            scene,
+            arms,
+            mass,
+            damping: super::damping(scene),
+            history: forces.sample(sample),
+            forces,
+            tape,
+            sample,
+        }
+    }
+
+    fn still(&self) -> State {
+        vec![[Dual::default(); 3]; self.arms.len()]
+    }
+
+    /// Gives the state at instant n the values that `pull_back` starts from: own rounding, much amplified in
+    /// accelerations, would let the two run apart.
+    fn meet(&self, n: usize, x: &mut State, v: &mut State) {
+        let (at, speed) = self.tape.state(self.scene, self.sample, n);
+        for (own, kept) in [(x, at), (v, speed)] {
+            for (own, kept) in own.as_flattened_mut().iter_mut().zip(kept.as_flattened()) {
+                own.0 = *kept;
+            }
+        }
+    }
+
+    /// f_k at the fraction w of an interval of the forces.
+    fn force(&self, panel: usize, interval: usize, w: f64) -> f64 {
+        let f = &self.history[panel * (self.forces.instants + 1) + interval..];
+        f[0] + w * (f[1] - f[0])
+    }
+
+    /// M⁻¹(−∂U/∂s − C v + f), zero where clamped.
+    fn acceleration(&self, x: &State, v: &State, damping: [f64; 3], (interval, w): (usize, f64)) -> State {
+        let Self { scene, arms, .. } = self;
+        let k = scene.stiffness;
+        let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
+        for (k, panel) in scene.panels.iter().enumerate() {
+            for d in 0..2 {
+                let push = Dual(panel.direction[d] * self.force(k, interval, w), 0.0);
+                net[panel.unit][d] = net[panel.unit][d] + push;
+            }
+        }
+        for ligament in &scene.layout.ligaments {
+            let (a, b) = (ligament.a.unit, ligament.b.unit);
+            let (ra, rb) = (arms[a][ligament.a.node], arms[b][ligament.b.node]);
+            let length = ligament.reference[0].hypot(ligament.reference[1]);
+            let e = ligament.reference.map(|d| Dual(d / length, 0.0));
+            let mean = 0.5 * (x[a][2] + x[b][2]);
+            let bend = x[b][2] - x[a][2];
+            // An end's displacement, and its derivative in θ
+            let end = |x: [Dual; 3], r: Pair| -> (Pair, Pair) {
+                let (s, c) = x[2].sin_cos();
+                let at = [c * r[0] - s * r[1], s * r[0] + c * r[1]];
+                (plus([x[0], x[1]], minus(at, r)), [-at[1], at[0]])
+            };
+            let ((ua, ta), (ub, tb)) = (end(x[a], ra), end(x[b], rb));
+            let du = minus(ub, ua);
+            // Force on the end at b, and k_s l₀² γ
+            let (pull, shear) = if scene.linearised {
+                let slide = cross(e, du) - length * mean;
+                let along = k.stretch * dot(du, e);
+                let pull = plus(e.map(|e| along * e), [-e[1], e[0]].map(|n| k.shear * (slide * n)));
+                (pull, k.shear * length * slide)
+            } else {
+                let d = plus(du, e.map(|e| length * e));
+                let (s, c) = mean.sin_cos();
+                let shear = k.shear * length.powi(2) * angle([c * e[0] - s * e[1], s * e[0] + c * e[1]], d);
+                let size = dot(d, d).sqrt();
+                let along = k.stretch * (Dual(1.0, 0.0) - Dual(length, 0.0) / size);
+                let across = shear / (size * size);
+                (plus(d.map(|d| along * d), [-d[1], d[0]].map(|n| across * n)), shear)
+            };
+            let mut moment = k.bend * bend;
+            if let Some(contact) = scene.contact {
+                let edge = |(u, p, to): (usize, usize, usize)| minus(arms[u][to], arms[u][p]);
+                let next = |e: crate::body::End| edge((e.unit, e.node, (e.node + 1) % 4));
+                let previous = |e: crate::body::End| edge((e.unit, e.node, (e.node + 3) % 4));
+                let (i, j) = (ligament.a, ligament.b);
+                for (void, sign) in [(angle(previous(j), next(i)), -1.0), (angle(previous(i), next(j)), 1.0)]
+                {
+                    let branch =
+                        if void.0 < -std::f64::consts::FRAC_PI_2 { std::f64::consts::TAU } else { 0.0 };
+                    let width = contact.cutoff_angle - contact.min_angle;
+                    let psi = void + sign * bend + Dual(branch - contact.cutoff_angle, 0.0);
+                    let z = (1.0 / width) * psi;
+                    if z.0 > -1.0 && z.0 < 0.0 {
+                        let rest = Dual(1.0, 0.0) - z * z;
+                        moment = moment + (sign * contact.stiffness * width) * (z / (rest * rest));
+                    }
+                }
+            }
+            for d in 0..2 {
+                net[a][d] = net[a][d] + pull[d];
+                net[b][d] = net[b][d] - pull[d];
+            }
+            net[a][2] = net[a][2] + dot(pull, ta) + 0.5 * shear + moment;
+            net[b][2] = net[b][2] - dot(pull, tb) + 0.5 * shear - moment;
+        }
+        for (u, net) in net.iter_mut().enumerate() {
+            for (net, m) in net.iter_mut().zip(self.mass[u]) {
+                *net = if scene.clamped.contains(&u) { Dual::default() } else { *net / m };
+            }
+        }
+        net
+    }
+
+    /// Adds the sensors' readings at an instant.
+    fn read(&self, x: &State, v: &State, a: &State, signals: &mut Vec<Dual>) {
+        for &u in &self.scene.sensors {
+            let (s, c) = match self.scene.frame {
+                Frame::World => (Dual::default(), Dual(1.0, 0.0)),
+                Frame::Body => x[u][2].sin_cos(),
+            };
+            signals.extend([c * a[u][0] + s * a[u][1], c * a[u][1] - s * a[u][0], v[u][2]]);
+        }
+    }
+}
+
+/// Signals (T, 3M) of one sample of `simulation`, and their derivative along `direction`, its steps held, from the tape's state
+/// at each instant to the next.
+///
+/// # Panics
+/// If the simulation kept no tape, the sample failed, the method is `Implicit`, or lengths do not fit together.
+pub fn push_forward(
+    scene: &Scene,
+    design: &[f64],
+    direction: &[f64],
+    forces: &Forces,
+    simulation: &Simulation,
+    sample: usize,
+) -> (Vec<f64>, Vec<f64>) {
+    assert_eq!(direction.len(), design.len(), "length of the direction");
+    let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
+    let body = Body::new(scene, design, direction, forces, tape, sample);
+    let tape = &tape.samples[sample];
+    let signals = match simulation.plan.method {
+        Method::Tsit5 => adaptive(&body, &tape.steps, &tape.counts),
+        method => equal(&body, method, simulation.plan.steps * tape.refined),
+    };
+    signals.into_iter().map(|s| (s.0, s.1)).unzip()
+}
+
+fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
+    let Body { scene, forces, .. } = body;
+    let scheme = dispatch::scheme(method).expect("a splitting scheme");
+    let h = scene.duration / (scene.instants * substeps) as f64;
+    let span = substeps / forces.kinks(scene);
+    let gamma = |u: usize, d: usize| match scene.clamped.contains(&u) {
+        true => Dual::default(),
+        false => Dual(body.damping[d], 0.0) / body.mass[u][d],
+    };
+    let (mut x, mut v, mut signals) = (body.still(), body.still(), Vec::new());
+    let mut g = body.acceleration(&x, &v, [0.0; 3], (0, 0.0));
+    for step in 0..scene.instants * substeps {
+        add(&mut v, &scaled(scheme.kicks[0] * h, &g));
+        let mut clock = 0.0;
+        for (a, b) in scheme.drifts.iter().zip(&scheme.kicks[1..]) {
+            for u in 0..x.len() {
+                for d in 0..3 {
+                    let gamma = gamma(u, d);
+                    let drift = Drift::new(gamma.0, a * h);
+                    let v = &mut v[u][d];
+                    x[u][d] = x[u][d] + Dual(drift.reach, drift.reach_slope * gamma.1) * *v;
+                    *v = Dual(drift.keep, drift.keep_slope * gamma.1) * *v;
+                }
+            }
+            clock += a;
+            let at = (step / span, ((step % span) as f64 + clock) / span as f64);
+            g = body.acceleration(&x, &v, [0.0; 3], at);
+            add(&mut v, &scaled(b * h, &g));
+        }
+        if (step + 1).is_multiple_of(substeps) {
+            let mut a = g.clone();
+            for u in 0..a.len() {
+                (0..3).for_each(|d| a[u][d] = a[u][d] - gamma(u, d) * v[u][d]);
+            }
+            body.read(&x, &v, &a, &mut signals);
+            body.meet((step + 1) / substeps, &mut x, &mut v);
+        }
+    }
+    signals
+}
+
+fn adaptive(body: &Body<'_>, steps: &[f64], counts: &[u32]) -> Vec<Dual> {
+    let (kinks, delta) = (body.forces.kinks(body.scene), body.scene.duration / counts.len() as f64);
+    let (mut x, mut v, mut signals) = (body.still(), body.still(), Vec::new());
+    let mut a = vec![body.acceleration(&x, &v, body.damping, (0, 0.0))];
+    let mut steps = steps.iter();
+    for (interval, &count) in counts.iter().enumerate() {
+        let mut tau = 0.0;
+        for &h in steps.by_ref().take(count as usize) {
+            for i in 1..7 {
+                let mut xs = scaled(tsit5::C[i] * h, &v);
+                let mut vs = v.clone();
+                add(&mut xs, &x);
+                for j in 0..i {
+                    add(&mut vs, &scaled(h * tsit5::A[i][j], &a[j]));
+                    add(&mut xs, &scaled(h * h * tsit5::A2[i][j], &a[j]));
+                }
+                let w = ((tau + tsit5::C[i] * h) / delta).min(1.0);
+                a.push(body.acceleration(&xs, &vs, body.damping, (interval, w)));
+                if i == 6 {
+                    (x, v) = (xs, vs);
+                }
+            }
+            a.drain(..6);
+            tau += h;
+        }
+        if (interval + 1).is_multiple_of(kinks) {
+            body.read(&x, &v, &a[0], &mut signals);
+            body.meet((interval + 1) / kinks, &mut x, &mut v);
+            a = vec![body.acceleration(&x, &v, body.damping, (interval, 1.0))];
+        }
+    }
+    signals
+}
