@@ -32,7 +32,7 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     };
     let plain = hashes(SPEC);
     let wordy = SPEC.replace("name = \"s\"", "name = \"other\"")
-        + "seeds = [1]\n[optimise]\niterations = 200\nprotocol = \"joint\"\n[time]\nsamples = 200\n[run]\nworkers = 3\n";
+        + "seeds = [1]\n[optimise]\niterations = 350\nprotocol = \"joint\"\n[time]\nsamples = 200\n[run]\nworkers = 3\n";
     let wordy = wordy
         .replace("columns = 6", "columns = 6\nclamp = \"bottom\"\npanel_units = [31, 34]\nspacing = 15")
         .replace("\nspacing = 15.0", "");

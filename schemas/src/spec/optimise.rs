@@ -63,7 +63,7 @@ pub enum Curvature {
 pub struct Optimise {
     /// How body and brain are trained together. By default `"joint"`, which gains most in its time.
     pub protocol: Protocol,
-    /// Outer steps. By default 200, for the other protocols 100.
+    /// Outer steps. By default 350, for the other protocols 100.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
     /// Adam's rate on α (mm). By default 0.2, for the other protocols 0.1.
@@ -78,7 +78,8 @@ pub struct Optimise {
     /// λ added to the curvature; for `"damped"`, which needs it, and `"gauss_newton"`, where it is 0 by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
-    /// Samples whose gradient moves the body; for `"envelope"` and `"joint"`. By default 64.
+    /// Samples whose gradient moves the body; for `"envelope"` and `"joint"`. By default 32 for
+    /// `"joint"`, 64 for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Brain iterations an outer step; not for `"paper"`, which has `brain.iterations`. By default 10.
@@ -99,7 +100,7 @@ impl Optimise {
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
             Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
-            Protocol::Joint => (200, 0.2),
+            Protocol::Joint => (350, 0.2),
         };
         self.iterations.get_or_insert(iterations);
         self.learning_rate.get_or_insert(learning_rate);
@@ -109,11 +110,15 @@ impl Optimise {
             self.brain_iterations.get_or_insert(10);
             self.brain_learning_rate.get_or_insert(1e-3);
         }
-        if matches!(self.protocol, Protocol::Envelope | Protocol::Joint) {
-            self.batch.get_or_insert(64);
-        }
-        if self.protocol == Protocol::Joint {
-            self.coarse.get_or_insert(Solver { method: Method::Auto, tolerance: 0.03 });
+        match self.protocol {
+            Protocol::Paper | Protocol::Warm => {}
+            Protocol::Envelope => {
+                self.batch.get_or_insert(64);
+            }
+            Protocol::Joint => {
+                self.batch.get_or_insert(32);
+                self.coarse.get_or_insert(Solver { method: Method::Auto, tolerance: 0.03 });
+            }
         }
         self
     }

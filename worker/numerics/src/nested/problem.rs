@@ -131,8 +131,9 @@ impl Schedule {
     }
 }
 
-/// Outer steps between two looks at the test set, where a protocol does not need it anyway.
-const LOOK: u32 = 10;
+/// Looks at the test set in a loop, where a protocol does not need it anyway: so many, at least ten steps apart.
+const LOOKS: u32 = 20;
+const APART: u32 = 10;
 
 /// The part of the outer steps for which a coarse integrator serves.
 const COARSE: f64 = 0.9;
@@ -162,9 +163,9 @@ impl Optimise {
         self.coarse.filter(|_| far).unwrap_or(accurate)
     }
 
-    /// Whether a step looks at the test set: every tenth, and the last.
+    /// Whether a step looks at the test set: some do, and the last.
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
-        step.is_multiple_of(LOOK) || step + 1 == self.iterations
+        step.is_multiple_of((self.iterations / LOOKS).max(APART)) || step + 1 == self.iterations
     }
 }
 
