@@ -112,7 +112,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
             Axis::new("time (s)", Scale::Linear, [0.0, stored.spec.time.duration]),
             Axis::new("", Scale::Linear, range).with_names(names),
         )
-        .sized(300.0, 80.0 + strip * panels as f64);
+        .sized(400.0, 80.0 + strip * panels as f64);
         for k in 0..panels {
             plot.line("truth", (0..=instants).map(|n| (seconds(n), zero(k) + truth(sample, k, n))));
             for body in Body::ALL {
@@ -145,7 +145,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         ),
         legend: vec![("truth", "true force"), BODIES[0], BODIES[1]],
         plots,
-        small: true,
+        small: false,
         data: table(&["sample", "panel", "seconds", "force", "initial", "optimised"], rows),
     }
 }
