@@ -13,9 +13,10 @@ use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
-use metasense_schemas::spec::{Body, Design, Point, Run, SweepSpec, TrialSpec};
+use metasense_schemas::spec::{Body, Design, Disturbance, Point, Run, Stimuli, SweepSpec, TrialSpec};
 use metasense_worker::design::{self, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
+use metasense_worker::records;
 
 use axes::Combination;
 
@@ -200,7 +201,11 @@ fn add_points(
     let spec = &combination.spec;
     let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
     let layout = problem::layout(&spec.body).map_err(located)?;
-    let spec = &SweepSpec { body: with_design(&spec.body, &layout, source)?, ..spec.clone() };
+    let spec = &SweepSpec {
+        body: with_design(&spec.body, &layout, source)?,
+        stimuli: with_records(&spec.stimuli, source)?,
+        ..spec.clone()
+    };
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
     let seeded: Vec<Vec<usize>> =
         (0..sweep.sweep.placements).map(|p| layout.placement(p as u64, &clamped)).collect();
@@ -260,6 +265,26 @@ fn with_design(body: &Body, layout: &Layout, source: &Source) -> Result<Body, Sp
         body.design = Some(Design::Shifts { shifts });
     }
     Ok(body)
+}
+
+/// The stimuli with the files of their records where a worker finds them, and the digest of what these hold.
+fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError> {
+    let mut stimuli = stimuli.clone();
+    if let Some(recorded) = &mut stimuli.recorded {
+        let folder = source.file.parent().unwrap_or(Path::new(""));
+        for file in &mut recorded.files {
+            let path = folder.join(&*file);
+            let fault = |e| {
+                let remedy = format!("cannot be read: {e}");
+                source.error_with("stimuli.recorded.files", Some(&format!("{file:?}")), &remedy)
+            };
+            *file = path.canonicalize().map_err(fault)?;
+        }
+        let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
+        let digest = records::digest(recorded).map_err(located)?;
+        recorded.digest.get_or_insert(digest);
+    }
+    Ok(stimuli)
 }
 
 /// One body of a spec, for commands that look at a design and not at trials.
@@ -329,12 +354,19 @@ fn template(spec: &SweepSpec, panels: usize, panel_units: &[usize], sensors: usi
     }
     let mut read = spec.sensors.clone();
     read.placements = None;
+    let none =
+        |size: &Disturbance| matches!(size, Disturbance::Relative(0.0) | Disturbance::Physical([0.0, 0.0]));
+    read.noise = read.noise.filter(|size| !none(size));
+    read.bias = read.bias.filter(|size| !none(size));
+    read.delay = read.delay.filter(|delay| *delay != 0.0);
+    let mut stimuli = spec.stimuli.clone().resolved();
+    stimuli.force_samples = stimuli.force_samples.filter(|instants| *instants != spec.time.samples);
     TrialSpec {
         body,
         time: spec.time,
         solver: spec.solver,
         sensors: read,
-        stimuli: spec.stimuli.clone(),
+        stimuli,
         brain: spec.brain,
         optimise: spec.optimise.resolved(),
         evaluation: spec.evaluation,

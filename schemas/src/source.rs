@@ -359,7 +359,7 @@ exclude = [{ sensors = 2, "body.columns" = 5 }]
             (
                 "\"bell\"",
                 "\"ball\"",
-                "a.toml:10: stimuli.kind = \"ball\": unknown variant `ball`, expected `bell`",
+                "a.toml:10: stimuli.kind = \"ball\": unknown variant `ball`, expected one of `bell`, `irregular`, `recorded`",
             ),
             ("rows = 6", "rows = ", "a.toml:4: not valid TOML: "),
             (

@@ -9,11 +9,12 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::brain::Policy;
 use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
-use metasense_numerics::nested::{
-    Evaluation, Going, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training,
-};
-use metasense_numerics::stimuli::Bell;
+use metasense_numerics::nested::{Evaluation, Going, Optimise, Problem, Protocol, Schedule, Terms, Training};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, TrialSpec};
+
+mod stimuli;
+
+use stimuli::{disturbance, stimuli};
 
 /// A value that no trial can be made of.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -27,7 +28,7 @@ pub struct Invalid {
     pub remedy: String,
 }
 
-fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Invalid {
+pub(crate) fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Invalid {
     Invalid { key: key.into(), value: value.to_string(), remedy: remedy.into() }
 }
 
@@ -70,7 +71,8 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         initial,
         solver: solver(&trial.solver),
         limits,
-        stimuli: stimuli(&trial.stimuli)?,
+        stimuli: stimuli(trial)?,
+        disturbance: disturbance(&trial.sensors, &trial.time)?,
         brain: Training { iterations: trial.brain.iterations, rate: trial.brain.learning_rate, width: 64 },
         optimise: Optimise {
             protocol: protocol(&trial.optimise)?,
@@ -188,50 +190,6 @@ pub(crate) fn solver(solver: &spec::Solver) -> Solver {
         spec::Method::Implicit => Method::Implicit,
     };
     Solver { method, tolerance: solver.tolerance }
-}
-
-fn stimuli(stimuli: &spec::Stimuli) -> Result<Stimuli, Invalid> {
-    let &spec::Stimuli {
-        kind: spec::StimuliKind::Bell,
-        samples,
-        test,
-        holdout,
-        amplitude,
-        width,
-        onset,
-        peak,
-        power,
-    } = stimuli;
-    at_most("stimuli.samples", samples, 1_000_000)?;
-    at_most("stimuli.holdout", holdout, 1_000_000)?;
-    at_least("stimuli.test", test, 1)?;
-    require(
-        test < samples,
-        "stimuli.test",
-        test,
-        "must be less than stimuli.samples: the rest trains the brain",
-    )?;
-    at_least("stimuli.holdout", holdout, 1)?;
-    let intervals = [
-        ("stimuli.amplitude", amplitude, 0.0, f64::INFINITY),
-        ("stimuli.width", width, f64::MIN_POSITIVE, f64::INFINITY),
-        ("stimuli.onset", onset, f64::NEG_INFINITY, f64::INFINITY),
-        ("stimuli.peak", peak, f64::MIN_POSITIVE, 1.0 - f64::EPSILON),
-        ("stimuli.power", power, f64::MIN_POSITIVE, f64::INFINITY),
-    ];
-    for (key, [least, most], lowest, highest) in intervals {
-        let shown = format!("[{least}, {most}]");
-        require(least.is_finite() && most.is_finite(), key, &shown, "must be two finite numbers")?;
-        require(least <= most, key, &shown, "must be [least, most]")?;
-        let remedy = match key {
-            "stimuli.amplitude" => "must not be negative",
-            "stimuli.peak" => "must lie between 0 and 1",
-            _ => "must be above 0",
-        };
-        require(least >= lowest && most <= highest, key, &shown, remedy)?;
-    }
-    require(amplitude[1] > 0.0, "stimuli.amplitude", format!("{amplitude:?}"), "must allow forces above 0")?;
-    Ok(Stimuli { bell: Bell { amplitude, width, onset, peak, power }, samples, test, holdout })
 }
 
 fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {

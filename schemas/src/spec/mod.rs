@@ -13,9 +13,9 @@ mod trial;
 pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
 pub use optimise::{Brain, Curvature, Evaluation, GradientTerms, Optimise, Protocol, Schedule};
-pub use sensors::{Frame, Sensors};
+pub use sensors::{Disturbance, Frame, Sensors};
 pub use solver::{Method, Solver, Time};
-pub use stimuli::{Stimuli, StimuliKind};
+pub use stimuli::{Augment, ForceUnit, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger};
 pub use trial::{Point, TrialSpec};
 
 use schemars::JsonSchema;

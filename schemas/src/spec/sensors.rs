@@ -14,8 +14,18 @@ pub enum Frame {
     Body,
 }
 
+/// Size of what a chip adds to its signals: standard deviations.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Disturbance {
+    /// Relative to the RMS of each channel over the initial body's training signals.
+    Relative(f64),
+    /// Of accelerations (mm/s²) and of angular velocities (rad/s).
+    Physical([f64; 2]),
+}
+
 /// Where and how the body is read.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Sensors {
     /// World or body frame.
@@ -23,4 +33,13 @@ pub struct Sensors {
     /// Lists of units instead of `sweep.placements`; a trial with M sensors takes every list of M units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placements: Option<Vec<Vec<usize>>>,
+    /// White noise of every reading; by default none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub noise: Option<Disturbance>,
+    /// A constant added to every reading of a sample and channel, drawn anew a sample; by default none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bias: Option<Disturbance>,
+    /// How late the signals come (s); by default not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub delay: Option<f64>,
 }

@@ -53,10 +53,15 @@ impl TrialSpec {
     ///
     /// A key added to the spec later must be left out of the JSON at its default (`skip_serializing_if`), so that the
     /// trials of older databases keep their names.
+    /// Recorded stimuli count by their digest, not by the paths of their files.
     #[must_use]
     pub fn hash(&self) -> String {
         let mut text = String::with_capacity(2048);
-        write_canonical(&serde_json::to_value(self).expect("a trial is JSON"), &mut text);
+        let mut value = serde_json::to_value(self).expect("a trial is JSON");
+        if let Some(recorded) = value.pointer_mut("/stimuli/recorded").and_then(|r| r.as_object_mut()) {
+            recorded.remove("files");
+        }
+        write_canonical(&value, &mut text);
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
     }
 }

@@ -7,6 +7,7 @@
 //! How far β is trained and which loss moves the body is the [`Protocol`]'s matter; the rest is the same for all.
 //! Afterwards the initial and the best body meet fresh networks, on the holdout too, which nothing else touches.
 
+mod chip;
 mod downhill;
 mod evaluation;
 mod implicit;
@@ -18,6 +19,7 @@ mod setting;
 mod state;
 mod tuning;
 
+pub use chip::{Disturbance, Size};
 pub use downhill::{Downhill, downhill};
 pub use evaluation::{BodyEvaluation, NetworkEvaluation};
 pub use problem::{Evaluation, Going, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};

@@ -25,6 +25,8 @@ pub enum Purpose {
     Batch = 7,
     /// Random designs; counters: which design, attempt.
     Design = 8,
+    /// Noise and bias of sensors; counters: the sample's history, channel.
+    Chip = 9,
 }
 
 /// A stream of random numbers, addressed by its key.

@@ -194,7 +194,7 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
         time: sweep.time,
         solver: sweep.solver,
         sensors: sweep.sensors.clone(),
-        stimuli: sweep.stimuli.clone(),
+        stimuli: sweep.stimuli.clone().resolved(),
         brain: sweep.brain,
         optimise: sweep.optimise,
         evaluation: sweep.evaluation,

@@ -1,10 +1,11 @@
 //! What a trial is to the maths.
 
+use super::chip::Disturbance;
 use crate::brain::Policy;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::Limits;
 use crate::random::Purpose;
-use crate::stimuli::{Bell, bells};
+use crate::stimuli::{Deal, Source, bells, irregular, targets};
 
 /// Everything that a nested optimisation starts from. Angles in rad.
 #[derive(Debug, Clone)]
@@ -21,6 +22,8 @@ pub struct Problem {
     pub kept: Vec<usize>,
     /// Where the forces come from.
     pub stimuli: Stimuli,
+    /// What the sensors' chips add to the signals, where they do.
+    pub disturbance: Option<Disturbance>,
     /// The brain, and its training where it starts fresh.
     pub brain: Training,
     /// The outer loop.
@@ -32,10 +35,12 @@ pub struct Problem {
 }
 
 /// Force histories and how many of them.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Stimuli {
-    /// Intervals of the pulses' parameters.
-    pub bell: Bell,
+    /// Where they come from.
+    pub source: Source,
+    /// Instants of the forces' own clock, a multiple of the scene's.
+    pub instants: usize,
     /// N: samples that train and test the brain.
     pub samples: usize,
     /// How many of the N are the test set.
@@ -173,8 +178,42 @@ impl Problem {
     /// `count` force histories of the scene's clock and panels, from number `first` of `purpose`.
     pub(super) fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
         let (panels, scene) = (self.scene.panels.len(), &self.scene);
+        let (duration, instants) = (scene.duration, self.stimuli.instants);
         let samples = first..first + count as u64;
-        bells(&self.stimuli.bell, purpose, self.seed, samples, panels, scene.duration, scene.instants)
+        match &self.stimuli.source {
+            Source::Bell(bell) => bells(bell, purpose, self.seed, samples, panels, duration, instants),
+            Source::Irregular(kind) => {
+                irregular(kind, purpose, self.seed, samples, panels, duration, instants)
+            }
+            Source::Recorded(records) => {
+                let Stimuli { samples, test, .. } = self.stimuli;
+                let deal = Deal { seed: self.seed, samples, test };
+                records.forces(deal, purpose, first, count, panels, duration)
+            }
+        }
+    }
+
+    /// What the network is to say of `forces` (N, T, K) in N.
+    pub(super) fn targets(&self, forces: &Forces) -> Vec<f64> {
+        let low_pass = matches!(&self.stimuli.source, Source::Recorded(records) if records.low_pass);
+        targets(forces, self.scene.instants, low_pass)
+    }
+
+    /// Histories on the clock of the signals: those of the targets, and the forces at the beginning.
+    pub(super) fn seen(&self, forces: Forces) -> Forces {
+        let (instants, panels) = (self.scene.instants, forces.panels);
+        if forces.instants == instants {
+            return forces;
+        }
+        let targets = self.targets(&forces);
+        let mut values = Vec::with_capacity(forces.samples * panels * (instants + 1));
+        for (i, sample) in targets.chunks_exact(instants * panels).enumerate() {
+            for k in 0..panels {
+                values.push(forces.sample(i)[k * (forces.instants + 1)]);
+                values.extend(sample[k..].iter().step_by(panels));
+            }
+        }
+        Forces { samples: forces.samples, panels, instants, values }
     }
 
     /// The part of the work that is done after `steps` outer steps, in brain iterations.

@@ -9,12 +9,12 @@ use super::tuning::Tuning;
 use crate::brain::{self, Workspace};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
-use crate::stimuli::{split, targets};
+use crate::stimuli::split;
 
 /// What a body and a network do with every sample of a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Replay {
-    /// Force histories (N, K, T+1) in N.
+    /// Force histories (N, K, T+1) in N, as targets have them where the forces' own clock is finer.
     pub forces: Forces,
     /// 0 training, 1 test, 2 holdout (N).
     pub split: Vec<u8>,
@@ -52,15 +52,17 @@ pub fn replay(
     let mut kinds = vec![0; problem.stimuli.samples];
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);
-    let simulation = simulate(&problem.scene, design, &forces, &problem.solver, false, pool);
+    let mut simulation = simulate(&problem.scene, design, &forces, &problem.solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+    setting.disturb(&mut simulation.signals, &forces);
+    let forces = problem.seen(forces);
     let (mut predictions, mut errors) = (Vec::new(), Vec::new());
     if !weights.is_empty() {
         let data = setting.data::<f32>(&simulation.signals, &forces);
         let mut workspace = Workspace::new(setting.shape);
         predictions = setting.scales.physical(&brain::predict(weights, data.all(), &mut workspace, pool));
         errors = brain::prediction_error(
-            &targets(&forces),
+            &problem.targets(&forces),
             &predictions,
             setting.shape.outputs,
             setting.shape.instants,

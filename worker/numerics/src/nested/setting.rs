@@ -5,12 +5,13 @@
 //! ```
 //! rms a channel of the initial body's training signals A₀, mean and deviation a panel of the training forces.
 
+use super::chip::Chip;
 use super::problem::Problem;
 use super::report::{Failure, Log, Report, Trouble};
 use crate::brain::{self, Data, Real, Shape, Workspace};
 use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, simulate};
 use crate::random::Purpose;
-use crate::stimuli::{select, split, targets};
+use crate::stimuli::{select, split};
 
 /// The fixed part of a trial.
 pub(super) struct Setting<'a> {
@@ -20,6 +21,7 @@ pub(super) struct Setting<'a> {
     pub(super) train: Forces,
     pub(super) test: Forces,
     pub(super) scales: Scales,
+    chip: Option<Chip>,
     /// The initial body's training signals, from which the scales come (N, T, 3M).
     pub(super) initial_signals: Vec<f64>,
 }
@@ -49,8 +51,22 @@ impl<'a> Setting<'a> {
         };
         let simulation = simulate(&problem.scene, &problem.initial, &train, &problem.solver, false, pool);
         all_well(&simulation.outcomes).map_err(Failure::Initial)?;
-        let scales = Scales::new(&shape, &simulation.signals, &targets(&train));
-        Ok(Self { problem, pool, shape, train, test, scales, initial_signals: simulation.signals })
+        let scales = Scales::new(&shape, &simulation.signals, &problem.targets(&train));
+        let delta = problem.scene.duration / problem.scene.instants as f64;
+        let chip = problem.disturbance.map(|d| Chip::new(&d, problem.seed, delta, &scales.channels));
+        let mut setting =
+            Self { problem, pool, shape, train, test, scales, chip, initial_signals: simulation.signals };
+        let mut signals = std::mem::take(&mut setting.initial_signals);
+        setting.disturb(&mut signals, &setting.train);
+        setting.initial_signals = signals;
+        Ok(setting)
+    }
+
+    /// Simulated signals as the chips say them.
+    pub(super) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
+        if let Some(chip) = &self.chip {
+            chip.disturb(signals, forces);
+        }
     }
 
     /// Simulates a body under `forces` and counts the work.
@@ -62,9 +78,10 @@ impl<'a> Setting<'a> {
         keep_tape: bool,
         report: &mut Report,
     ) -> Result<Simulation, Trouble> {
-        let simulation = simulate(&self.problem.scene, design, forces, solver, keep_tape, self.pool);
+        let mut simulation = simulate(&self.problem.scene, design, forces, solver, keep_tape, self.pool);
         report.counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
+        self.disturb(&mut simulation.signals, forces);
         Ok(simulation)
     }
 
@@ -78,7 +95,10 @@ impl<'a> Setting<'a> {
         log: &mut Log,
     ) -> Result<Vec<f64>, Trouble> {
         let samples: Vec<usize> = (0..forces.samples).collect();
-        let cotangent = self.scales.inputs_vjp(inputs);
+        let mut cotangent = self.scales.inputs_vjp(inputs);
+        if let Some(chip) = &self.chip {
+            chip.disturb_vjp(&mut cotangent, forces.samples);
+        }
         let scene = &self.problem.scene;
         let gradient = log.timed(
             |s| &mut s.differentiate,
@@ -95,12 +115,16 @@ impl<'a> Setting<'a> {
 
     /// Inputs and targets of the network, normalised.
     pub(super) fn data<F: Real>(&self, signals: &[f64], forces: &Forces) -> Data<F> {
-        Data::new(self.shape, &self.scales.inputs(signals), &self.scales.targets(&targets(forces)))
+        Data::new(
+            self.shape,
+            &self.scales.inputs(signals),
+            &self.scales.targets(&self.problem.targets(forces)),
+        )
     }
 
     /// Overwrites the samples of `data` from number `first` on.
     pub(super) fn fill(&self, data: &mut Data<f32>, first: usize, signals: &[f64], forces: &Forces) {
-        let (x, y) = (self.scales.inputs(signals), self.scales.targets(&targets(forces)));
+        let (x, y) = (self.scales.inputs(signals), self.scales.targets(&self.problem.targets(forces)));
         let (row_x, row_y) =
             (self.shape.instants * self.shape.inputs, self.shape.instants * self.shape.outputs);
         for (n, (x, y)) in x.chunks_exact(row_x).zip(y.chunks_exact(row_y)).enumerate() {
@@ -123,8 +147,12 @@ impl<'a> Setting<'a> {
         workspace: &mut Workspace<f32>,
     ) -> (Option<f64>, u32) {
         let predicted = self.scales.physical(&brain::predict(weights, data.all(), workspace, self.pool));
-        let errors =
-            brain::prediction_error(&targets(forces), &predicted, self.shape.outputs, self.shape.instants);
+        let errors = brain::prediction_error(
+            &self.problem.targets(forces),
+            &predicted,
+            self.shape.outputs,
+            self.shape.instants,
+        );
         let known: Vec<f64> = errors.iter().flatten().copied().collect();
         let mean = known.iter().sum::<f64>() / known.len() as f64;
         (mean.is_finite().then_some(mean), (errors.len() - known.len()) as u32)

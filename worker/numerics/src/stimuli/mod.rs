@@ -1,17 +1,19 @@
-//! Force histories: bell pulses drawn per sample and panel, and the split into training and test set.
+//! Force histories: bell pulses drawn per sample and panel, hand-held blows, records; the split into training and test set.
 //!
 //! ```text
 //! z = (t − O)/W in (0, 1):  f = A sin(π z^κ)^q,  κ = ln ½ / ln p      else f = 0
 //! ```
 //! Sampled on t_n = n·duration/T, n = 0…T; between its instants f is linear, and nothing else enters a simulation.
 
+mod irregular;
 mod recorded;
 
 use std::ops::Range;
 
 use crate::dynamics::Forces;
 use crate::random::{Purpose, Stream};
-pub use recorded::{anti_aliased, resample};
+pub use irregular::{Irregular, irregular};
+pub use recorded::{Deal, Recorded, anti_aliased, resample};
 
 /// Intervals, `[least, most]`, from which the parameters of a bell pulse are drawn uniformly.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,6 +28,29 @@ pub struct Bell {
     pub peak: [f64; 2],
     /// Power q.
     pub power: [f64; 2],
+}
+
+impl Bell {
+    fn draw(&self, stream: &mut Stream) -> Pulse {
+        Pulse {
+            amplitude: stream.between(self.amplitude),
+            width: stream.between(self.width),
+            onset: stream.between(self.onset),
+            peak: stream.between(self.peak),
+            power: stream.between(self.power),
+        }
+    }
+}
+
+/// Where force histories come from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Source {
+    /// Bell pulses on every panel.
+    Bell(Bell),
+    /// Blows of a hand-held hammer on one.
+    Irregular(Irregular),
+    /// Records.
+    Recorded(Recorded),
 }
 
 /// One bell pulse.
@@ -79,14 +104,7 @@ pub fn bells(
     for (slot, history) in values.chunks_exact_mut(instants + 1).enumerate() {
         let key = [samples.start + (slot / panels) as u64, (slot % panels) as u64];
         let mut stream = Stream::new(purpose, seed, key);
-        let pulse = Pulse {
-            amplitude: stream.between(bell.amplitude),
-            width: stream.between(bell.width),
-            onset: stream.between(bell.onset),
-            peak: stream.between(bell.peak),
-            power: stream.between(bell.power),
-        };
-        pulse.history_into(duration, history);
+        bell.draw(&mut stream).history_into(duration, history);
     }
     Forces { samples: count, panels, instants, values }
 }
@@ -98,13 +116,18 @@ pub fn select(forces: &Forces, samples: &[usize]) -> Forces {
     Forces { samples: samples.len(), values, ..*forces }
 }
 
-/// Training targets (N, T, K): f at n = 1…T.
-pub fn targets(forces: &Forces) -> Vec<f64> {
-    let (panels, clock) = (forces.panels, forces.instants + 1);
-    let mut targets = Vec::with_capacity(forces.samples * forces.instants * panels);
+/// Training targets (N, T, K): f at n = 1…T, T = `instants`, of which the clock of the forces is a multiple. With
+/// `low_pass` a finer clock is read without what T instants cannot say.
+pub fn targets(forces: &Forces, instants: usize, low_pass: bool) -> Vec<f64> {
+    let (panels, clock, every) = (forces.panels, forces.instants + 1, forces.instants / instants);
+    let mut targets = Vec::with_capacity(forces.samples * instants * panels);
     for sample in forces.values.chunks_exact(panels * clock) {
-        for n in 1..clock {
-            targets.extend((0..panels).map(|k| sample[k * clock + n]));
+        if low_pass && every > 1 {
+            let read = |history| anti_aliased(history, 0.0, 1.0, forces.instants as f64, instants);
+            let histories: Vec<Vec<f64>> = sample.chunks_exact(clock).map(read).collect();
+            (1..=instants).for_each(|n| targets.extend(histories.iter().map(|f| f[n])));
+        } else {
+            (1..=instants).for_each(|n| targets.extend((0..panels).map(|k| sample[k * clock + n * every])));
         }
     }
     targets

@@ -4,6 +4,101 @@
 //! own) loses nothing; a target must hold what a clock of T instants can say, so `anti_aliased` takes out all above
 //! half its rate first: a sinc of that cutoff in a Kaiser window (β = 8, stopband −80 dB), normalised at rest.
 
+use std::sync::Arc;
+
+use super::split;
+use crate::dynamics::Forces;
+use crate::random::{Purpose, Stream};
+
+/// Records on the clock of the forces, and how samples are made of them.
+///
+/// A seeded shuffle deals them out: first those that train and test, then the holdout. Fresh samples are drawn from the
+/// training set, with a factor on the force and a shift in time by whole instants.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recorded {
+    /// The histories: of all panels, or of one, which is then drawn or told by `struck`.
+    pub histories: Arc<Forces>,
+    /// Which panel each record strikes, where it holds one history.
+    pub struck: Option<Vec<usize>>,
+    /// Interval of a factor on the force of a fresh sample.
+    pub scale: [f64; 2],
+    /// Interval of its shift in time (s).
+    pub shift: [f64; 2],
+    /// Whether targets are read without what their clock cannot say.
+    pub low_pass: bool,
+}
+
+/// How records are dealt out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Deal {
+    /// Seed of the split.
+    pub seed: u64,
+    /// Records that train and test.
+    pub samples: usize,
+    /// How many of them test.
+    pub test: usize,
+}
+
+impl Recorded {
+    /// `count` samples of a purpose from number `first` on.
+    ///
+    /// # Panics
+    /// If there are not as many records.
+    pub fn forces(
+        &self,
+        deal: Deal,
+        purpose: Purpose,
+        first: u64,
+        count: usize,
+        panels: usize,
+        duration: f64,
+    ) -> Forces {
+        let Deal { seed, samples, test } = deal;
+        let order = Stream::new(Purpose::Split, seed, [self.histories.samples as u64, 1])
+            .permutation(self.histories.samples);
+        let instants = self.histories.instants;
+        let mut values = Vec::with_capacity(count * panels * (instants + 1));
+        let training = split(seed, samples, test).0;
+        for number in first..first + count as u64 {
+            let n = number as usize;
+            match purpose {
+                Purpose::Holdout => self.add(order[samples + n], deal, panels, 1.0, 0, &mut values),
+                Purpose::Fresh => {
+                    let mut stream = Stream::new(Purpose::Fresh, seed, [number, 0]);
+                    let record = order[training[stream.below(training.len())]];
+                    let factor = stream.between(self.scale);
+                    let shift = (stream.between(self.shift) * instants as f64 / duration).round() as i64;
+                    self.add(record, deal, panels, factor, shift, &mut values);
+                }
+                _ => self.add(order[n], deal, panels, 1.0, 0, &mut values),
+            }
+        }
+        Forces { samples: count, panels, instants, values }
+    }
+
+    /// Appends a record, its histories at their panels.
+    fn add(&self, record: usize, deal: Deal, panels: usize, factor: f64, shift: i64, values: &mut Vec<f64>) {
+        let held = self.histories.panels;
+        let struck = match &self.struck {
+            Some(struck) => struck[record],
+            None => Stream::new(Purpose::Stimulus, deal.seed, [record as u64, u64::MAX]).below(panels),
+        };
+        for panel in 0..panels {
+            let history = match held {
+                1 if panel != struck => None,
+                1 => Some(0),
+                _ => Some(panel),
+            };
+            let clock = self.histories.instants + 1;
+            let source = history.map(|h| &self.histories.sample(record)[h * clock..][..clock]);
+            values.extend((0..clock as i64).map(|n| {
+                let before = usize::try_from(n - shift).ok();
+                source.and_then(|f| f.get(before?)).map_or(0.0, |f| factor * f)
+            }));
+        }
+    }
+}
+
 /// f at t_n = n·duration/T, n = 0…T, of a record whose entry i belongs to `start` + i·`dt`: linear, zero outside.
 pub fn resample(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
     (0..=instants).map(|n| at(record, (n as f64 * duration / instants as f64 - start) / dt)).collect()
@@ -34,6 +129,7 @@ pub fn anti_aliased(record: &[f64], start: f64, dt: f64, duration: f64, instants
         return resample(record, start, dt, duration, instants);
     }
     let reach = REACH * delta / dt;
+    let mut known = (0.0, Vec::new());
     let weight = |offset: f64| {
         let z = offset * dt / delta;
         let inside = 1.0 - (z / REACH).powi(2);
@@ -45,16 +141,17 @@ pub fn anti_aliased(record: &[f64], start: f64, dt: f64, duration: f64, instants
     };
     let value = |n: usize| {
         let centre = (n as f64 * delta - start) / dt;
-        let (first, last) = ((centre - reach).ceil() as i64, (centre + reach).floor() as i64);
-        let (mut sum, mut total) = (0.0, 0.0);
-        for i in first..=last {
-            let w = weight(i as f64 - centre);
-            total += w;
-            if let Some(f) = usize::try_from(i).ok().and_then(|i| record.get(i)) {
-                sum += w * f;
-            }
+        let first = (centre - reach).ceil();
+        // where the clocks are in step, every instant has the same weights
+        if known.1.is_empty() || (centre - first - known.0).abs() > 1e-9 {
+            let last = (centre + reach).floor();
+            let weights: Vec<f64> =
+                (0..=(last - first) as i64).map(|i| weight(first + i as f64 - centre)).collect();
+            let total: f64 = weights.iter().sum();
+            known = (centre - first, weights.into_iter().map(|w| w / total).collect());
         }
-        sum / total
+        let at = |i: usize| usize::try_from(first as i64 + i as i64).ok().and_then(|i| record.get(i));
+        known.1.iter().enumerate().filter_map(|(i, w)| Some(w * at(i)?)).sum()
     };
     (0..=instants).map(value).collect()
 }
@@ -63,8 +160,11 @@ pub fn anti_aliased(record: &[f64], start: f64, dt: f64, duration: f64, instants
 fn bessel(x: f64) -> f64 {
     let (mut sum, mut term) = (1.0, 1.0);
     for k in 1..60 {
-        term *= (0.5 * x / k as f64).powi(2);
+        term *= (0.5 * x / f64::from(k)).powi(2);
         sum += term;
+        if term < 1e-17 * sum {
+            break;
+        }
     }
     sum
 }

@@ -96,5 +96,59 @@ fn a_split_is_a_partition() {
 #[test]
 fn targets_are_the_forces_at_the_instants_of_the_signals() {
     let forces = Forces { samples: 1, panels: 2, instants: 2, values: vec![0.0, 1.0, 2.0, 0.0, 10.0, 20.0] };
-    assert_eq!(targets(&forces), [1.0, 10.0, 2.0, 20.0]);
+    assert_eq!(targets(&forces, 2, false), [1.0, 10.0, 2.0, 20.0]);
+    assert_eq!(targets(&forces, 1, false), [2.0, 20.0]);
+}
+
+/// Records are dealt out once each; fresh samples come from the training set, larger or smaller, earlier or later.
+#[test]
+fn records_are_dealt_out_once_and_varied_when_drawn_afresh() {
+    let (records, instants) = (12, 50);
+    let mut values = vec![0.0; records * (instants + 1)];
+    for (i, history) in values.chunks_exact_mut(instants + 1).enumerate() {
+        history[20] = 1.0 + i as f64;
+    }
+    let histories = Forces { samples: records, panels: 1, instants, values };
+    let source = Recorded {
+        histories: std::sync::Arc::new(histories),
+        struck: None,
+        scale: [0.9, 1.1],
+        shift: [-0.1, 0.1],
+        low_pass: true,
+    };
+    let deal = Deal { seed: 3, samples: 8, test: 2 };
+    let draw = |purpose, count| source.forces(deal, purpose, 0, count, 2, 1.0);
+    let peaks = |forces: &Forces| -> Vec<f64> {
+        (0..forces.samples).map(|i| forces.sample(i).iter().copied().fold(0.0, f64::max)).collect()
+    };
+    let both = [peaks(&draw(Purpose::Stimulus, 8)), peaks(&draw(Purpose::Holdout, 4))].concat();
+    let mut sorted = both.clone();
+    sorted.sort_by(f64::total_cmp);
+    assert_eq!(sorted, (1..=12).map(f64::from).collect::<Vec<_>>());
+    assert_ne!(both, sorted, "not shuffled");
+
+    let training: Vec<f64> = split(3, 8, 2).0.iter().map(|&i| both[i]).collect();
+    let fresh = draw(Purpose::Fresh, 100);
+    let mut places = std::collections::HashSet::new();
+    for (i, peak) in peaks(&fresh).iter().enumerate() {
+        let nearest = training.iter().map(|t| peak / t).find(|ratio| (0.9..=1.1).contains(ratio));
+        assert!(nearest.is_some(), "{peak} of {training:?}");
+        let place = fresh.sample(i).iter().position(|f| f == peak).unwrap();
+        places.insert((place / 51, place % 51));
+    }
+    assert!(places.iter().all(|(_, n)| (15..=25).contains(n)) && places.len() > 15, "{places:?}");
+}
+
+/// A clock of targets coarser than the forces' own: a tone above half its rate does not come back as another.
+#[test]
+fn targets_of_a_finer_clock_are_read_without_what_they_cannot_say() {
+    let tone = |hertz: f64| -> Vec<f64> {
+        (0..=1600).map(|n| (std::f64::consts::TAU * hertz * n as f64 / 1600.0).sin()).collect()
+    };
+    let size = |v: Vec<f64>| v[40..160].iter().map(|x| x * x).sum::<f64>().sqrt();
+    let of = |hertz, low_pass| {
+        size(targets(&Forces { samples: 1, panels: 1, instants: 1600, values: tone(hertz) }, 200, low_pass))
+    };
+    let (kept, left, aliased) = (of(20.0, true) / of(20.0, false), of(170.0, true), of(170.0, false));
+    assert!((kept - 1.0).abs() < 1e-3 && left < 1e-2 && aliased > 5.0, "{kept} {left} {aliased}");
 }

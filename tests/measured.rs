@@ -1,0 +1,125 @@
+//! Records and what real sensors do to signals, from the spec to a result.
+
+mod common;
+
+use common::Bench;
+
+const SPEC: &str = r#"name = "measured"
+[body]
+columns = 4
+rows = 4
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+[time]
+duration = 0.2
+samples = 40
+[sensors]
+delay = 0.004
+[stimuli]
+kind = "recorded"
+samples = 9
+test = 2
+holdout = 3
+force_samples = 160
+[stimuli.recorded]
+files = ["blows.npz"]
+time = "time"
+force = ["force"]
+remove_offset = true
+trigger = { threshold = 0.1, before = 0.02 }
+[brain]
+iterations = 10
+[optimise]
+iterations = 2
+batch = 4
+[sweep]
+panels = [2]
+sensors = [1]
+"sensors.noise" = [0.0, 0.1]
+"#;
+
+fn bench() -> Bench {
+    let bench = Bench::new();
+    std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/blows.npz"), bench.path("blows.npz"))
+        .unwrap();
+    bench.file("s.toml", SPEC);
+    bench
+}
+
+/// Twelve blows at 2 kHz through both trials; the noisy one reads its forces worse or otherwise, and an export
+/// has forces and signals on one clock.
+#[test]
+fn recorded_blows_run_from_file_to_result() {
+    let bench = bench();
+    bench.output(&["run", "s.toml"]);
+    let sql = "SELECT hash, holdout_error_initial, spec->>'$.stimuli.recorded.digest' AS digest FROM v_trial
+        WHERE state = 'done' ORDER BY spec->>'$.sensors.noise'";
+    let rows = bench.output(&["query", "results/measured.sqlite", sql, "--format", "csv"]);
+    let rows: Vec<Vec<&str>> = rows.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 2, "{rows:?}");
+    assert_eq!((rows[0][2], rows[0][2].len()), (rows[1][2], 32), "{rows:?}");
+    let errors: Vec<f64> = rows.iter().map(|row| row[1].parse().unwrap()).collect();
+    assert!(errors.iter().all(|e| *e > 0.0 && *e < 200.0) && errors[0] != errors[1], "{errors:?}");
+    bench.output(&["export", "results/measured.sqlite", rows[0][0], "--format", "npz", "--out", "t.npz"]);
+    let bytes = std::fs::read(bench.path("t.npz")).unwrap();
+    let text = String::from_utf8_lossy(&bytes);
+    assert!(text.contains("(12, 2, 41") && text.contains("(12, 40, 3"), "shapes of forces and signals");
+}
+
+/// A trial is named by what its records hold, not by where they lie.
+#[test]
+fn the_content_of_the_records_and_not_their_path_names_a_trial() {
+    let bench = bench();
+    let hash = || -> String {
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
+    };
+    let first = hash();
+    std::fs::create_dir(bench.path("data")).unwrap();
+    std::fs::rename(bench.path("blows.npz"), bench.path("data/blows.npz")).unwrap();
+    bench.file("s.toml", &SPEC.replace("blows.npz", "data/blows.npz"));
+    assert_eq!(hash(), first);
+    let mut bytes = std::fs::read(bench.path("data/blows.npz")).unwrap();
+    let last = bytes.iter().rposition(|b| *b == b'P').unwrap() - 1000;
+    bytes[last] ^= 1;
+    std::fs::write(bench.path("data/blows.npz"), bytes).unwrap();
+    assert_ne!(hash(), first);
+}
+
+/// What cannot be meant is refused with its key and the file.
+#[test]
+fn bad_records_and_sensors_are_refused() {
+    let bench = bench();
+    for (from, to, said) in [
+        ("blows.npz", "none.npz", "s.toml:21: stimuli.recorded.files = \"none.npz\": cannot be read"),
+        (
+            "samples = 9",
+            "samples = 10",
+            "s.toml:16: stimuli.samples = 10: with 3 of stimuli.holdout more than the 12",
+        ),
+        ("force = [\"force\"]", "force = [\"F\"]", "has no array \"F\", but force, time"),
+        ("threshold = 0.1", "threshold = 50.0", "never reaches the trigger's 50 N"),
+        (
+            "force_samples = 160",
+            "force_samples = 100",
+            "s.toml:19: stimuli.force_samples = 100: must be a multiple",
+        ),
+        (
+            "force_samples = 160",
+            "double = 0.5",
+            "s.toml:19: stimuli.double = 0.5: means nothing to this stimuli.kind",
+        ),
+        ("delay = 0.004", "delay = -1.0", "s.toml:13: sensors.delay = -1: "),
+        ("[0.0, 0.1]", "[0.0, -0.1]", "sensors.noise = [-0.1]: "),
+        ("\"recorded\"", "\"irregular\"", "stimuli.recorded = { … }: means nothing"),
+    ] {
+        assert!(SPEC.contains(from), "{from}");
+        bench.file("s.toml", &SPEC.replacen(from, to, 1));
+        let output = bench.metasense(&["expand", "s.toml"]);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{to}: {errors}");
+        assert!(errors.contains(said), "{errors}\n{said}");
+    }
+}

@@ -1,0 +1,191 @@
+//! What a real chip adds to the signals that networks see: a delay, a bias, noise.
+//!
+//! ```text
+//! a′_c(t_n) = a_c(t_n − delay) + b_c + e_c(t_n)      linear between instants, at rest before the first
+//! ```
+//! b normal a sample and channel, e a reading. Draws are keyed by the sample's own force history, sensor and channel, so
+//! that every body, and every set in which a sample stands, meets the same ones.
+
+use crate::dynamics::Forces;
+use crate::random::{Purpose, Stream};
+
+/// A chip's imperfections.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Disturbance {
+    /// Standard deviation of e.
+    pub noise: Size,
+    /// Standard deviation of b.
+    pub bias: Size,
+    /// How late signals come (s).
+    pub delay: f64,
+}
+
+/// A standard deviation of signals.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Size {
+    /// Relative to each channel's RMS over the initial body's training signals.
+    Relative(f64),
+    /// Of accelerations (mm/s²) and angular velocities (rad/s).
+    Physical([f64; 2]),
+}
+
+impl Size {
+    /// Of each channel of the given RMS.
+    fn of(self, rms: &[f64]) -> Vec<f64> {
+        let size = |(c, rms): (usize, &f64)| match self {
+            Self::Relative(part) => part * rms,
+            Self::Physical(size) => size[usize::from(c % 3 == 2)],
+        };
+        rms.iter().enumerate().map(size).collect()
+    }
+}
+
+/// A disturbance at the scale of one trial.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Chip {
+    seed: u64,
+    /// A channel (3M).
+    noise: Vec<f64>,
+    bias: Vec<f64>,
+    /// In instants.
+    delay: f64,
+}
+
+impl Chip {
+    /// `delta` is the time between two instants (s), `rms` that of each channel.
+    pub(super) fn new(disturbance: &Disturbance, seed: u64, delta: f64, rms: &[f64]) -> Self {
+        Self {
+            seed,
+            noise: disturbance.noise.of(rms),
+            bias: disturbance.bias.of(rms),
+            delay: disturbance.delay / delta,
+        }
+    }
+
+    /// Overwrites signals (N, T, 3M) of `forces` with what the chip says.
+    pub(super) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
+        let channels = self.noise.len();
+        for (i, sample) in signals.chunks_exact_mut(signals.len() / forces.samples.max(1)).enumerate() {
+            self.late(sample);
+            let key = forces.sample(i).iter().fold(0, |key: u64, f| {
+                (key.rotate_left(5) ^ f.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95)
+            });
+            for c in (0..channels).filter(|&c| self.noise[c] > 0.0 || self.bias[c] > 0.0) {
+                let mut stream = Stream::new(Purpose::Chip, self.seed, [key, c as u64]);
+                let bias = self.bias[c] * stream.normal();
+                for reading in sample[c..].iter_mut().step_by(channels) {
+                    *reading += bias + self.noise[c] * stream.normal();
+                }
+            }
+        }
+    }
+
+    /// Whole instants of the delay, and the part of one.
+    fn parts(&self) -> (usize, f64) {
+        (self.delay.floor() as usize, self.delay.fract())
+    }
+
+    /// a(t_n − delay) of a sample's signals (T, 3M).
+    fn late(&self, sample: &mut [f64]) {
+        let (whole, part) = self.parts();
+        let channels = self.noise.len();
+        if self.delay == 0.0 {
+            return;
+        }
+        for i in (0..sample.len()).rev() {
+            let at = |back: usize| i.checked_sub(back * channels).map_or(0.0, |j| sample[j]);
+            sample[i] = (1.0 - part) * at(whole) + part * at(whole + 1);
+        }
+    }
+
+    /// Transpose of the delay: a cotangent (N, T, 3M) of `samples` samples on what the chip says as one on the signals.
+    pub(super) fn disturb_vjp(&self, cotangent: &mut [f64], samples: usize) {
+        let (whole, part) = self.parts();
+        let channels = self.noise.len();
+        if self.delay == 0.0 {
+            return;
+        }
+        for sample in cotangent.chunks_exact_mut(cotangent.len() / samples.max(1)) {
+            for i in 0..sample.len() {
+                let at = |on: usize| sample.get(i + on * channels).copied().unwrap_or(0.0);
+                sample[i] = (1.0 - part) * at(whole) + part * at(whole + 1);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: Disturbance =
+        Disturbance { noise: Size::Relative(0.1), bias: Size::Physical([3.0, 0.2]), delay: 0.0 };
+
+    fn forces(samples: usize) -> Forces {
+        let values = (0..samples * 5).map(|i| i as f64 * 0.37).collect();
+        Forces { samples, panels: 1, instants: 4, values }
+    }
+
+    /// (D a)·c = a·(Dᵀ c) for delays of a part of an instant, whole ones, and both.
+    #[test]
+    fn the_delay_and_its_pull_back_are_transposes() {
+        for delay in [0.0, 0.003, 0.01, 0.0275, 0.1] {
+            let chip = Chip::new(
+                &Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay },
+                1,
+                0.01,
+                &[1.0; 3],
+            );
+            let mut stream = Stream::new(Purpose::Design, 3, [0, 0]);
+            let mut draw = || -> Vec<f64> { (0..2 * 4 * 3).map(|_| stream.normal()).collect() };
+            let (a, c) = (draw(), draw());
+            let (mut late, mut early) = (a.clone(), c.clone());
+            chip.disturb(&mut late, &forces(2));
+            chip.disturb_vjp(&mut early, 2);
+            let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+            let (left, right) = (dot(&late, &c), dot(&a, &early));
+            assert!((left - right).abs() < 1e-12 * (1.0 + left.abs()), "{delay}: {left} {right}");
+        }
+    }
+
+    /// A ramp that starts at rest comes late by the delay.
+    #[test]
+    fn signals_come_late_by_the_delay() {
+        let chip = Chip::new(
+            &Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay: 0.015 },
+            1,
+            0.01,
+            &[1.0; 3],
+        );
+        let mut ramp: Vec<f64> = (1..=4).flat_map(|n| [f64::from(n), 0.0, 0.0]).collect();
+        chip.disturb(&mut ramp, &forces(1));
+        let late: Vec<f64> = ramp.iter().step_by(3).copied().collect();
+        assert!(late.iter().zip([0.0, 0.5, 1.5, 2.5]).all(|(a, b)| (a - b).abs() < 1e-12), "{late:?}");
+    }
+
+    /// Sizes are those asked for; a sample's draw is the same wherever it stands.
+    #[test]
+    fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
+        let chip = Chip::new(&SIZE, 7, 0.01, &[10.0, 20.0, 1.0]);
+        let all = forces(40);
+        let mut signals = vec![0.0; 40 * 500 * 3];
+        chip.disturb(&mut signals, &all);
+        for (c, (noise, bias)) in [(1.0, 3.0), (2.0, 3.0), (0.1, 0.2)].into_iter().enumerate() {
+            let of_samples: Vec<(f64, f64)> = signals
+                .chunks_exact(1500)
+                .map(|sample| {
+                    let x: Vec<f64> = sample[c..].iter().step_by(3).copied().collect();
+                    let mean = x.iter().sum::<f64>() / 500.0;
+                    (mean, x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 499.0)
+                })
+                .collect();
+            let found = (of_samples.iter().map(|s| s.1).sum::<f64>() / 40.0).sqrt() / noise;
+            let spread = (of_samples.iter().map(|s| s.0 * s.0).sum::<f64>() / 40.0).sqrt() / bias;
+            assert!((found - 1.0).abs() < 0.03 && (spread - 1.0).abs() < 0.5, "{c}: {found} {spread}");
+        }
+        let last = Forces { samples: 1, values: all.sample(39).to_vec(), ..all };
+        let mut alone = vec![0.0; 500 * 3];
+        chip.disturb(&mut alone, &last);
+        assert_eq!(alone, signals[39 * 1500..]);
+    }
+}

@@ -1,0 +1,139 @@
+//! Blows of a hand-held hammer: skewed, rough, at times double; each sample strikes one panel, drawn.
+//!
+//! ```text
+//! f(t) = b(t)·max(0, 1 + ρ·r(z)) + λ·b(t − W − G)·max(0, 1 + ρ·r′(z′))        z = (t − O)/W
+//! r(z) = Σ c_j sin(π j z + φ_j), j = 3…9,  c_j ~ normal/√j,  of RMS 1
+//! ```
+//! b is a bell pulse with an early peak; the second hit (probability `double`) comes a gap G after the end of the first,
+//! λ as strong, with a roughness of its own.
+
+use std::f64::consts::PI;
+use std::ops::Range;
+
+use super::{Bell, Pulse};
+use crate::dynamics::Forces;
+use crate::random::{Purpose, Stream};
+
+/// Intervals, `[least, most]`, from which the parameters of a blow are drawn uniformly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Irregular {
+    /// The smooth part.
+    pub bell: Bell,
+    /// ρ: RMS of the rough part relative to the smooth one.
+    pub roughness: [f64; 2],
+    /// Probability of a second hit.
+    pub double: f64,
+    /// G (s).
+    pub gap: [f64; 2],
+    /// λ.
+    pub rebound: [f64; 2],
+}
+
+/// Harmonics of the rough part, in half waves a width.
+const HARMONICS: [f64; 7] = [3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
+
+/// One hit: a pulse and its roughness.
+struct Hit {
+    pulse: Pulse,
+    roughness: f64,
+    /// Amplitude and phase of each harmonic.
+    waves: [[f64; 2]; HARMONICS.len()],
+}
+
+impl Hit {
+    fn new(pulse: Pulse, roughness: f64, stream: &mut Stream) -> Self {
+        let mut waves = HARMONICS.map(|j| [stream.normal() / j.sqrt(), stream.between([0.0, 2.0 * PI])]);
+        let size = (0.5 * waves.iter().map(|w| w[0] * w[0]).sum::<f64>()).sqrt().max(f64::MIN_POSITIVE);
+        waves.iter_mut().for_each(|w| w[0] /= size);
+        Self { pulse, roughness, waves }
+    }
+
+    fn force(&self, t: f64) -> f64 {
+        let z = (t - self.pulse.onset) / self.pulse.width;
+        let rough: f64 =
+            HARMONICS.iter().zip(&self.waves).map(|(j, [c, phase])| c * (PI * j * z + phase).sin()).sum();
+        self.pulse.force(t) * (1.0 + self.roughness * rough).max(0.0)
+    }
+}
+
+/// The force histories of the samples numbered `samples`: each is a function of (purpose, seed, sample) alone.
+pub fn irregular(
+    kind: &Irregular,
+    purpose: Purpose,
+    seed: u64,
+    samples: Range<u64>,
+    panels: usize,
+    duration: f64,
+    instants: usize,
+) -> Forces {
+    let count = (samples.end - samples.start) as usize;
+    let mut values = vec![0.0; count * panels * (instants + 1)];
+    for (sample, histories) in samples.zip(values.chunks_exact_mut(panels * (instants + 1))) {
+        let mut stream = Stream::new(purpose, seed, [sample, u64::MAX]);
+        let panel = stream.below(panels);
+        let first = kind.bell.draw(&mut stream);
+        let roughness = stream.between(kind.roughness);
+        let mut hits = vec![Hit::new(first, roughness, &mut stream)];
+        if stream.uniform() < kind.double {
+            let onset = first.onset + first.width + stream.between(kind.gap);
+            let second = Pulse { onset, amplitude: first.amplitude * stream.between(kind.rebound), ..first };
+            hits.push(Hit::new(second, roughness, &mut stream));
+        }
+        let history = &mut histories[panel * (instants + 1)..][..=instants];
+        for (n, f) in history.iter_mut().enumerate() {
+            let t = n as f64 * duration / instants as f64;
+            *f = hits.iter().map(|hit| hit.force(t)).sum();
+        }
+    }
+    Forces { samples: count, panels, instants, values }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KIND: Irregular = Irregular {
+        bell: Bell {
+            amplitude: [0.3, 1.0],
+            width: [0.02, 0.08],
+            onset: [0.0, 0.5],
+            peak: [0.2, 0.45],
+            power: [1.0, 2.0],
+        },
+        roughness: [0.1, 0.35],
+        double: 0.25,
+        gap: [0.01, 0.05],
+        rebound: [0.2, 0.7],
+    };
+
+    /// One panel a sample, either in turn; no force pulls; a sample is what it is whoever else is drawn.
+    #[test]
+    fn a_sample_strikes_one_panel_and_depends_on_its_number_alone() {
+        let all = irregular(&KIND, Purpose::Stimulus, 5, 0..200, 2, 1.0, 200);
+        let struck: Vec<Vec<usize>> = (0..200)
+            .map(|i| (0..2).filter(|k| all.sample(i)[k * 201..][..201].iter().any(|f| *f > 0.0)).collect())
+            .collect();
+        assert!(struck.iter().all(|panels| panels.len() == 1), "{struck:?}");
+        let right = struck.iter().filter(|panels| panels[0] == 1).count();
+        assert!((70..130).contains(&right), "{right} of 200");
+        assert!(all.values.iter().all(|f| *f >= 0.0 && *f < 3.0));
+        let alone = irregular(&KIND, Purpose::Stimulus, 5, 17..18, 2, 1.0, 200);
+        assert_eq!(alone.values, all.sample(17));
+        assert_ne!(irregular(&KIND, Purpose::Fresh, 5, 17..18, 2, 1.0, 200).values, alone.values);
+    }
+
+    /// The share of blows with a gap of no force between two hits, and of rough ones: more maxima than hits.
+    #[test]
+    fn blows_are_at_times_double_and_rough() {
+        let all = irregular(&KIND, Purpose::Stimulus, 1, 0..400, 1, 1.0, 2000);
+        let (mut double, mut rough) = (0, 0);
+        for i in 0..400 {
+            let f = all.sample(i);
+            let hits = f.windows(2).filter(|w| w[0] == 0.0 && w[1] > 0.0).count();
+            let maxima = f.windows(3).filter(|w| w[0] < w[1] && w[1] > w[2]).count();
+            double += usize::from(hits == 2);
+            rough += usize::from(maxima > hits);
+        }
+        assert!((70..130).contains(&double) && rough > 200, "{double} double, {rough} rough of 400");
+    }
+}

@@ -1,0 +1,182 @@
+//! Numbers from files that others wrote: CSV tables, NPY arrays, NPZ archives of arrays.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use npyz::NpyFile;
+
+/// An array of any shape, the last index fastest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Array {
+    /// Its shape.
+    pub shape: Vec<usize>,
+    /// Its numbers.
+    pub values: Vec<f64>,
+}
+
+/// What a file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Content {
+    /// Columns of a CSV with their names.
+    Table(Vec<(String, Vec<f64>)>),
+    /// An NPY.
+    Array(Array),
+    /// The arrays of an NPZ by name; of those that are no numbers, why not.
+    Archive(BTreeMap<String, Result<Array, String>>),
+}
+
+/// Takes a file's bytes apart, by its ending.
+///
+/// # Errors
+/// Says what is wrong, and where.
+pub fn content(path: &Path, bytes: &[u8]) -> Result<Content, String> {
+    match path.extension().and_then(|e| e.to_str()) {
+        Some("csv") => table(bytes).map(Content::Table),
+        Some("npy") => array(bytes).map(Content::Array),
+        Some("npz") => archive(bytes).map(Content::Archive),
+        _ => Err("must be a .csv, .npy or .npz file".into()),
+    }
+}
+
+/// A CSV: a line of names, then lines of numbers.
+fn table(bytes: &[u8]) -> Result<Vec<(String, Vec<f64>)>, String> {
+    let text = std::str::from_utf8(bytes).map_err(|e| e.to_string())?;
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let (_, names) = lines.next().ok_or("is empty")?;
+    let bare = |field: &str| field.trim().trim_matches('"').to_owned();
+    let mut columns: Vec<(String, Vec<f64>)> =
+        names.split(',').map(|name| (bare(name), Vec::new())).collect();
+    for (number, line) in lines {
+        let fields: Vec<&str> = line.split(',').collect();
+        if fields.len() != columns.len() {
+            let (found, wanted) = (fields.len(), columns.len());
+            return Err(format!("line {}: {found} fields where the first line names {wanted}", number + 1));
+        }
+        for ((name, values), field) in columns.iter_mut().zip(fields) {
+            let value = bare(field).parse();
+            values.push(value.map_err(|_| format!("line {}: {name} = {field:?} is no number", number + 1))?);
+        }
+    }
+    Ok(columns)
+}
+
+/// An NPY of real numbers, in either order.
+fn array(bytes: &[u8]) -> Result<Array, String> {
+    let file = NpyFile::new(bytes).map_err(|e| e.to_string())?;
+    let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
+    let order = file.order();
+    let mut values = numbers(file)?;
+    if order == npyz::Order::Fortran && shape.len() > 1 {
+        values = (0..values.len())
+            .map(|mut at| {
+                let mut from = 0;
+                for (axis, &length) in shape.iter().enumerate().rev() {
+                    from += at % length * shape[..axis].iter().product::<usize>();
+                    at /= length;
+                }
+                values[from]
+            })
+            .collect();
+    }
+    Ok(Array { shape, values })
+}
+
+fn numbers(file: NpyFile<&[u8]>) -> Result<Vec<f64>, String> {
+    fn read<T: npyz::Deserialize, R: std::io::Read>(
+        data: npyz::NpyReader<T, R>,
+        wide: fn(T) -> f64,
+    ) -> Result<Vec<f64>, String> {
+        data.map(|x| x.map(wide)).collect::<Result<_, _>>().map_err(|e| e.to_string())
+    }
+    let file = match file.try_data::<f64>() {
+        Ok(data) => return read(data, |x| x),
+        Err(file) => file,
+    };
+    let file = match file.try_data::<f32>() {
+        Ok(data) => return read(data, f64::from),
+        Err(file) => file,
+    };
+    let file = match file.try_data::<u8>() {
+        Ok(data) => return read(data, f64::from),
+        Err(file) => file,
+    };
+    let file = match file.try_data::<i64>() {
+        Ok(data) => return read(data, |x| x as f64),
+        Err(file) => file,
+    };
+    let file = match file.try_data::<i32>() {
+        Ok(data) => return read(data, f64::from),
+        Err(file) => file,
+    };
+    match file.try_data::<i16>() {
+        Ok(data) => read(data, f64::from),
+        Err(file) => Err(format!("holds {}; must hold real numbers", file.dtype().descr())),
+    }
+}
+
+/// The arrays of an NPZ: a zip archive (PKWARE APPNOTE 6.3), read from its directory, uncompressed as `numpy.savez` writes it.
+fn archive(bytes: &[u8]) -> Result<BTreeMap<String, Result<Array, String>>, String> {
+    let cut = || "is no whole zip archive".to_owned();
+    let number = |at: usize, length: usize| -> Result<usize, String> {
+        let part = bytes.get(at..at + length).ok_or_else(cut)?;
+        Ok(part.iter().rev().fold(0, |n, &b| n << 8 | usize::from(b)))
+    };
+    let end = bytes.windows(4).rposition(|w| w == b"PK\x05\x06").ok_or_else(cut)?;
+    let (count, mut at) = (number(end + 10, 2)?, number(end + 16, 4)?);
+    let mut arrays = BTreeMap::new();
+    for _ in 0..count {
+        if number(at, 4)? != 0x0201_4b50 {
+            return Err(cut());
+        }
+        let (method, mut size) = (number(at + 10, 2)?, number(at + 20, 4)?);
+        let (named, extra, comment) = (number(at + 28, 2)?, number(at + 30, 2)?, number(at + 32, 2)?);
+        let start = number(at + 42, 4)?;
+        let name = String::from_utf8_lossy(bytes.get(at + 46..at + 46 + named).ok_or_else(cut)?).into_owned();
+        if size == 0xffff_ffff {
+            // numpy writes large arrays with a zip64 field: uncompressed, then compressed size
+            size = number(at + 46 + named + 12, 8)?;
+        }
+        let data = start + 30 + number(start + 26, 2)? + number(start + 28, 2)?;
+        let held = match method {
+            0 => array(bytes.get(data..data.saturating_add(size)).ok_or_else(cut)?),
+            _ => Err("is compressed; write it with numpy.savez".into()),
+        };
+        arrays.insert(name.trim_end_matches(".npy").to_owned(), held);
+        at += 46 + named + extra + comment;
+    }
+    Ok(arrays)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Names, numbers, and the line of what is none.
+    #[test]
+    fn a_table_is_read_and_its_faults_named() {
+        let read = |text: &str| content(Path::new("a.csv"), text.as_bytes());
+        let expected = vec![("t".to_owned(), vec![0.0, 1e-3]), ("F 1".to_owned(), vec![2.0, -3.5])];
+        assert_eq!(read("t,\"F 1\"\n0,2\n\n1e-3, -3.5\n"), Ok(Content::Table(expected)));
+        for (text, said) in [
+            ("", "is empty"),
+            ("t,f\n0,1\n0\n", "line 3: 1 fields where the first line names 2"),
+            ("t,f\n0,x\n", "line 2: f = \"x\" is no number"),
+        ] {
+            assert_eq!(read(text), Err(said.to_owned()));
+        }
+        assert!(content(Path::new("a.txt"), b"").is_err());
+    }
+
+    /// What numpy.save(numpy.array([[1, 2, 3], [4, 5, 6]], order="F")) writes has its rows again.
+    #[test]
+    fn an_array_in_fortran_order_is_turned() {
+        let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+        let header = "{'descr': '<f8', 'fortran_order': True, 'shape': (2, 3), }";
+        bytes.extend(format!("{header:<117}\n").bytes());
+        bytes.extend([1.0f64, 4.0, 2.0, 5.0, 3.0, 6.0].iter().flat_map(|x| x.to_le_bytes()));
+        let array = Array { shape: vec![2, 3], values: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
+        assert_eq!(content(Path::new("a.npy"), &bytes), Ok(Content::Array(array)));
+        assert!(content(Path::new("a.npy"), &bytes[..150]).is_err());
+        assert!(content(Path::new("a.npz"), &bytes).is_err());
+    }
+}

@@ -1,0 +1,158 @@
+//! Force histories and what the sensors' chips add, from their spec.
+
+use metasense_numerics::nested::{Disturbance, Size, Stimuli};
+use metasense_numerics::stimuli::{Bell, Irregular, Source};
+use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
+
+use super::{Invalid, at_least, at_most, invalid, require};
+use crate::records;
+
+/// Where the forces of a trial come from, and how many samples there are.
+pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
+    let stimuli = trial.stimuli.clone().resolved();
+    let &spec::Stimuli { kind, samples, test, holdout, .. } = &stimuli;
+    at_most("stimuli.samples", samples, 1_000_000)?;
+    at_most("stimuli.holdout", holdout, 1_000_000)?;
+    at_least("stimuli.test", test, 1)?;
+    require(
+        test < samples,
+        "stimuli.test",
+        test,
+        "must be less than stimuli.samples: the rest trains the brain",
+    )?;
+    at_least("stimuli.holdout", holdout, 1)?;
+    let instants = force_instants(trial)?;
+    refuse_unread(&stimuli)?;
+    let source = match (kind, &stimuli.recorded) {
+        (StimuliKind::Bell, _) => Source::Bell(bell(&stimuli)?),
+        (StimuliKind::Irregular, _) => Source::Irregular(irregular(&stimuli)?),
+        (StimuliKind::Recorded, Some(recorded)) => {
+            Source::Recorded(records::recorded(trial, recorded, instants)?)
+        }
+        (StimuliKind::Recorded, None) => {
+            return Err(invalid(
+                "stimuli.recorded",
+                "absent",
+                "must be given: the files and what stands in them",
+            ));
+        }
+    };
+    Ok(Stimuli { source, instants, samples, test, holdout })
+}
+
+/// The forces' own clock.
+fn force_instants(trial: &TrialSpec) -> Result<usize, Invalid> {
+    let own = trial.time.samples;
+    let instants = trial.stimuli.force_samples.unwrap_or(own);
+    let remedy = format!("must be a multiple of time.samples = {own}");
+    require(
+        own > 0 && instants >= own && instants.is_multiple_of(own),
+        "stimuli.force_samples",
+        instants,
+        &remedy,
+    )?;
+    at_most("stimuli.force_samples", instants, 1_000_000)?;
+    Ok(instants)
+}
+
+/// A key that a kind does not read is refused: it would make trials differ that are the same.
+fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
+    let shown = |interval: Option<[f64; 2]>| interval.map(|i| format!("{i:?}"));
+    let pulse = [
+        ("amplitude", shown(stimuli.amplitude)),
+        ("width", shown(stimuli.width)),
+        ("onset", shown(stimuli.onset)),
+        ("peak", shown(stimuli.peak)),
+        ("power", shown(stimuli.power)),
+    ];
+    let blow = [
+        ("roughness", shown(stimuli.roughness)),
+        ("double", stimuli.double.map(|p| p.to_string())),
+        ("gap", shown(stimuli.gap)),
+        ("rebound", shown(stimuli.rebound)),
+    ];
+    let files = [("recorded", stimuli.recorded.as_ref().map(|_| "{ … }".to_owned()))];
+    let unread: Vec<_> = match stimuli.kind {
+        StimuliKind::Bell => blow.into_iter().chain(files).collect(),
+        StimuliKind::Irregular => files.into_iter().collect(),
+        StimuliKind::Recorded => pulse.into_iter().chain(blow).collect(),
+    };
+    for (key, value) in unread {
+        if let Some(value) = value {
+            return Err(invalid(&format!("stimuli.{key}"), value, "means nothing to this stimuli.kind"));
+        }
+    }
+    Ok(())
+}
+
+/// An interval of finite numbers within limits; `resolved` has seen to it that it is there.
+fn interval(
+    key: &str,
+    given: Option<[f64; 2]>,
+    lowest: f64,
+    highest: f64,
+    remedy: &str,
+) -> Result<[f64; 2], Invalid> {
+    let [least, most] = given.unwrap_or_default();
+    let (key, shown) = (format!("stimuli.{key}"), format!("[{least}, {most}]"));
+    require(least.is_finite() && most.is_finite(), &key, &shown, "must be two finite numbers")?;
+    require(least <= most, &key, &shown, "must be [least, most]")?;
+    require(least >= lowest && most <= highest, &key, &shown, remedy)?;
+    Ok([least, most])
+}
+
+fn bell(stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
+    let (above, any) = (f64::MIN_POSITIVE, f64::INFINITY);
+    let bell = Bell {
+        amplitude: interval("amplitude", stimuli.amplitude, 0.0, any, "must not be negative")?,
+        width: interval("width", stimuli.width, above, any, "must be above 0")?,
+        onset: interval("onset", stimuli.onset, -any, any, "")?,
+        peak: interval("peak", stimuli.peak, above, 1.0 - f64::EPSILON, "must lie between 0 and 1")?,
+        power: interval("power", stimuli.power, above, any, "must be above 0")?,
+    };
+    let shown = format!("{:?}", bell.amplitude);
+    require(bell.amplitude[1] > 0.0, "stimuli.amplitude", shown, "must allow forces above 0")?;
+    Ok(bell)
+}
+
+fn irregular(stimuli: &spec::Stimuli) -> Result<Irregular, Invalid> {
+    let double = stimuli.double.unwrap_or_default();
+    require((0.0..=1.0).contains(&double), "stimuli.double", double, "must lie between 0 and 1")?;
+    let not_negative = |key, given| interval(key, given, 0.0, f64::INFINITY, "must not be negative");
+    Ok(Irregular {
+        bell: bell(stimuli)?,
+        roughness: not_negative("roughness", stimuli.roughness)?,
+        double,
+        gap: not_negative("gap", stimuli.gap)?,
+        rebound: not_negative("rebound", stimuli.rebound)?,
+    })
+}
+
+/// What the sensors' chips add; none where nothing is asked for.
+pub(super) fn disturbance(
+    sensors: &spec::Sensors,
+    time: &spec::Time,
+) -> Result<Option<Disturbance>, Invalid> {
+    let size = |key: &str, given: Option<spec::Disturbance>| -> Result<Size, Invalid> {
+        let (values, size) = match given {
+            None => return Ok(Size::Relative(0.0)),
+            Some(spec::Disturbance::Relative(part)) => (vec![part], Size::Relative(part)),
+            Some(spec::Disturbance::Physical(sizes)) => (sizes.to_vec(), Size::Physical(sizes)),
+        };
+        let sound = values.iter().all(|x| *x >= 0.0 && x.is_finite());
+        require(
+            sound,
+            key,
+            format!("{values:?}"),
+            "must be 0 or above: a part of the RMS, or [mm/s², rad/s]",
+        )?;
+        Ok(size)
+    };
+    let (noise, bias) = (size("sensors.noise", sensors.noise)?, size("sensors.bias", sensors.bias)?);
+    let delay = sensors.delay.unwrap_or(0.0);
+    let remedy = "must be 0 or above, and less than time.duration (s)";
+    require(delay >= 0.0 && delay < time.duration, "sensors.delay", delay, remedy)?;
+    let disturbance = Disturbance { noise, bias, delay };
+    let still = |size| matches!(size, Size::Relative(0.0)) || size == Size::Physical([0.0; 2]);
+    Ok((!(still(noise) && still(bias) && delay == 0.0)).then_some(disturbance))
+}

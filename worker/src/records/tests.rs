@@ -1,0 +1,146 @@
+use super::*;
+use serde_json::{Value, json};
+
+/// A folder with files, and what becomes of them.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new(files: &[(&str, &[u8])]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes) in files {
+            std::fs::write(folder.path().join(name), bytes).unwrap();
+        }
+        Self(folder)
+    }
+
+    /// Reads `stimuli.recorded` with the keys given, for one training, one test and one holdout sample on two panels.
+    fn read(&self, names: &[&str], keys: Value) -> Result<Recorded, Invalid> {
+        let mut table = json!({ "files": names.iter().map(|n| self.0.path().join(n)).collect::<Vec<_>>() });
+        table.as_object_mut().unwrap().extend(keys.as_object().unwrap().clone());
+        let trial: TrialSpec = serde_json::from_value(json!({
+            "body": { "columns": 3, "rows": 3, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
+                "stiffness": { "stretch": 3.0, "shear": 0.5, "bend": 1.0 } },
+            "time": { "duration": 1.0, "samples": 10 }, "solver": {}, "sensors": {},
+            "stimuli": { "kind": "recorded", "samples": 2, "test": 1, "holdout": 1, "recorded": table },
+            "brain": {}, "optimise": {}, "evaluation": {}, "feasible": {},
+            "point": { "panels": 2, "sensors": 1, "placement": 0, "seed": 3 },
+            "panel_units": [6, 8], "sensor_units": [4],
+        }))
+        .unwrap();
+        recorded(&trial, trial.stimuli.recorded.as_ref().unwrap(), 10)
+    }
+}
+
+/// 11 entries a tenth of a second apart, in ms and mN: a blow of `size` N at entry 3, an offset of 0.5 N.
+fn csv(size: f64) -> Vec<u8> {
+    let line = |n: usize| format!("{},{}\n", 100 * n + 2000, 1000.0 * if n == 3 { size + 0.5 } else { 0.5 });
+    ("time,force\n".to_owned() + &(0..11).map(line).collect::<String>()).into_bytes()
+}
+
+fn npy(shape: &[u64], values: &[f64]) -> Vec<u8> {
+    use npyz::WriterBuilder;
+    let mut bytes = Vec::new();
+    let mut writer =
+        npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
+    writer.extend(values.iter().copied()).unwrap();
+    writer.finish().unwrap();
+    bytes
+}
+
+const KEYS: &str = r#"{ "time": "time", "force": ["force"], "time_unit": "ms", "force_unit": "mN", "resample": "linear",
+    "remove_offset": true, "trigger": { "threshold": 0.5, "before": 0.2 } }"#;
+
+/// Units, offset and trigger: each blow stands at 0.2 s in N, whatever its file's clock says.
+#[test]
+fn a_record_comes_in_newtons_and_seconds_where_the_trigger_wants_it() {
+    let folder = Folder::new(&[("1.csv", &csv(1.0)), ("2.csv", &csv(2.0)), ("3.csv", &csv(3.0))]);
+    let found = folder.read(&["1.csv", "2.csv", "3.csv"], serde_json::from_str(KEYS).unwrap()).unwrap();
+    assert_eq!((found.histories.samples, found.histories.panels, found.low_pass), (3, 1, false));
+    for i in 0..3 {
+        let expected: Vec<f64> = (0..11).map(|n| if n == 2 { i as f64 + 1.0 } else { 0.0 }).collect();
+        let wrong = found.histories.sample(i).iter().zip(&expected).any(|(a, b)| (a - b).abs() > 1e-9);
+        assert!(!wrong, "{:?}", found.histories.sample(i));
+    }
+}
+
+/// An array of (samples, panels, entries) with a rate; an uneven clock is evened out.
+#[test]
+fn arrays_and_uneven_clocks_are_read() {
+    let values: Vec<f64> = (0..3 * 2 * 21).map(f64::from).collect();
+    let uneven = "t,f\n0,0\n0.05,0.5\n0.2,2\n1,10\n";
+    let folder = Folder::new(&[("a.npy", &npy(&[3, 2, 21], &values)), ("b.csv", uneven.as_bytes())]);
+    let found = folder.read(&["a.npy"], json!({ "rate": 20.0, "resample": "linear" })).unwrap();
+    assert_eq!(found.histories.sample(1)[11..14], [63.0, 65.0, 67.0]);
+    let keys = json!({ "time": 0, "force": [1], "resample": "linear" });
+    let found = folder.read(&["b.csv", "b.csv", "b.csv"], keys).unwrap();
+    let wrong = found.histories.sample(0).iter().enumerate().find(|(n, f)| (**f - *n as f64).abs() > 1e-9);
+    assert_eq!(wrong, None);
+}
+
+/// The digest is that of the contents.
+#[test]
+fn what_the_files_hold_and_not_where_they_lie_makes_the_digest() {
+    let (one, other) =
+        (Folder::new(&[("a.csv", &csv(1.0))]), Folder::new(&[("b.csv", &csv(1.0)), ("c.csv", &csv(2.0))]));
+    let of = |folder: &Folder, name: &str| {
+        let recorded = serde_json::from_value(json!({ "files": [folder.0.path().join(name)] })).unwrap();
+        digest(&recorded).unwrap()
+    };
+    assert_eq!(of(&one, "a.csv"), of(&other, "b.csv"));
+    assert_ne!(of(&one, "a.csv"), of(&other, "c.csv"));
+}
+
+/// Each fault is named with its key or its file.
+#[test]
+fn what_is_no_record_is_refused_by_name() {
+    let good = csv(1.0);
+    let text = |from: &str, to: &str| String::from_utf8(good.clone()).unwrap().replace(from, to).into_bytes();
+    let folder = Folder::new(&[
+        ("good.csv", &good),
+        ("back.csv", &text("2300,", "2200,")),
+        ("nan.csv", &text("2400,500", "2400,nan")),
+        ("wide.npy", &npy(&[3, 3, 4], &[1.0; 36])),
+        ("deep.npy", &npy(&[1, 1, 1, 4], &[1.0; 4])),
+    ]);
+    let keys: Value = serde_json::from_str(KEYS).unwrap();
+    let with = |key: &str, value: Value| {
+        let mut keys = keys.clone();
+        keys[key] = value;
+        keys
+    };
+    let thrice = ["good.csv"; 3];
+    for (names, keys, said) in [
+        (
+            &["good.csv"; 2][..],
+            keys.clone(),
+            "stimuli.samples = 2: with 1 of stimuli.holdout more than the 2 records",
+        ),
+        (&["none.csv"], keys.clone(), "none.csv\": cannot be read"),
+        (&["back.csv"], keys.clone(), "back.csv\": time does not ascend: entry 2 is 2200, the next 2200"),
+        (&["nan.csv"], keys.clone(), "nan.csv\": entry 4 of a force is NaN"),
+        (&["wide.npy"], json!({ "rate": 10.0 }), "holds 3 forces a record; must be 1 or 2"),
+        (&["deep.npy"], json!({ "rate": 10.0 }), "is of shape [1, 1, 1, 4]"),
+        (&thrice, with("force", json!(["F"])), "has no signal Name(\"F\"), but time, force"),
+        (
+            &thrice,
+            with("rate", json!(10.0)),
+            "stimuli.recorded.rate = Some(10.0): give the clock by time or by rate",
+        ),
+        (&thrice, with("trigger", json!({ "threshold": 9.0 })), "never reaches the trigger's 9 N"),
+        (
+            &thrice,
+            with("panels", json!([0, 1, 2])),
+            "stimuli.recorded.panels = [0, 1, 2]: must name one of panels 0 to 1",
+        ),
+        (&thrice, with("scale", json!(0.0)), "stimuli.recorded.scale = 0: "),
+        (
+            &thrice,
+            with("digest", json!("abc")),
+            "stimuli.recorded.digest = abc: the files' contents now give",
+        ),
+        (&[], keys.clone(), "stimuli.recorded.files = []: must name a file"),
+    ] {
+        let error = folder.read(names, keys).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}\n{said}");
+    }
+}
