@@ -63,7 +63,7 @@ fn every_committed_spec_expands() {
         let called = format!("name = \"{}\"", name.trim_end_matches(".toml"));
         assert!(text.contains(&called), "{name}: {called} is not in it");
     }
-    for figure in ["fig4b", "fig4c", "fig5"] {
+    for figure in ["fig2", "fig3", "fig4b", "fig4c", "fig5"] {
         for name in [format!("{figure}.toml"), format!("{figure}-two-core.toml")] {
             assert!(names.contains(&name), "{name} is missing of {names:?}");
         }
