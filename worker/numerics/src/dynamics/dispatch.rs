@@ -315,7 +315,9 @@ pub fn pull_back(
     let mut blocks: Vec<(Plan, Vec<Sweep<'_>>)> = Vec::new();
     for refined in [1, 2, 4, 8] {
         let finer = Plan { steps: plan.steps * refined, ..plan.clone() };
-        let group: Vec<&Sweep<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
+        let mut group: Vec<&Sweep<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
+        // In lockstep from instant to instant, lanes wait for the one of most steps.
+        group.sort_by_key(|s| s.tape.steps.len());
         blocks.extend(group.chunks(LANES).map(|s| (finer.clone(), s.iter().map(|s| **s).collect())));
     }
     let blocks: Vec<(ModelCotangent, Counters)> = pool.install(|| {

@@ -7,69 +7,13 @@
 //! ```
 //! Lanes step on their own clocks and take up the next sample when one is done. Every instant is hit exactly.
 
+mod stages;
+
 use super::system::{System, Unit, add_into, force_at, load_lanes, read_lane, store_lane};
 use super::vector::{LANES, Vector};
 use super::{Counters, Forces, Outcome, SampleTape};
-
-/// a_ij of the seven stages; the last row is also the weights b.
-pub const A: [[f64; 6]; 7] = [
-    [0.0; 6],
-    [0.161, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [-0.008480655492356989, 0.335480655492357, 0.0, 0.0, 0.0, 0.0],
-    [2.8971530571054935, -6.359448489975075, 4.3622954328695815, 0.0, 0.0, 0.0],
-    [5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525, 0.0, 0.0],
-    [5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383, 0.0],
-    [0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774],
-];
-/// Clock of the stages.
-pub const C: [f64; 7] = [0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0];
-/// b − b̂.
-const E: [f64; 7] = [
-    -0.001780011052225777,
-    -0.0008164344596567469,
-    0.007880878010261995,
-    -0.1447110071732629,
-    0.5823571654525552,
-    -0.45808210592918697,
-    0.015151515151515152,
-];
-
-/// ā = a·a; row i of stage i.
-const fn squared() -> [[f64; 6]; 7] {
-    let mut s = [[0.0; 6]; 7];
-    let mut i = 0;
-    while i < 7 {
-        let mut m = 0;
-        while m < 6 {
-            let mut j = 0;
-            while j < i {
-                s[i][m] += A[i][j] * A[j][m];
-                j += 1;
-            }
-            m += 1;
-        }
-        i += 1;
-    }
-    s
-}
-/// ā.
-pub const A2: [[f64; 6]; 7] = squared();
-
-/// Σ_j e_j a_jm: the weights of the displacement's error.
-const fn error_squared() -> [f64; 7] {
-    let mut s = [0.0; 7];
-    let mut m = 0;
-    while m < 6 {
-        let mut j = 0;
-        while j < 7 {
-            s[m] += E[j] * A[j][m];
-            j += 1;
-        }
-        m += 1;
-    }
-    s
-}
-const E2: [f64; 7] = error_squared();
+pub use stages::{A, A2, C};
+use stages::{E, E2, Stages, stage, stage_vjp, step_vjp};
 
 /// Attempted steps after which a sample is given up.
 const STEP_LIMIT: u64 = 4_000_000;
@@ -324,38 +268,11 @@ fn add_lane<V: Vector>(v: &mut V, lane: usize, y: f64) {
     *v = V::new(array);
 }
 
-/// State of stage i = 1…6 (the last: the new state) from the accelerations of those before.
-#[inline(always)]
-fn stage<V: Vector>(
-    i: usize,
-    h: V,
-    x: &[Unit<V>],
-    v: &[Unit<V>],
-    a: &[Vec<Unit<V>>; 7],
-    xs: &mut [Unit<V>],
-    vs: &mut [Unit<V>],
-) {
-    let (h2, hc) = (h * h, h * V::splat(C[i]));
-    for u in 0..x.len() {
-        for d in 0..3 {
-            let (mut first, mut second) = (V::splat(0.0), V::splat(0.0));
-            for j in 0..i {
-                first = V::splat(A[i][j]).mul_add(a[j][u][d], first);
-                if j + 1 < i {
-                    second = V::splat(A2[i][j]).mul_add(a[j][u][d], second);
-                }
-            }
-            xs[u][d] = h2.mul_add(second, hc.mul_add(v[u][d], x[u][d]));
-            vs[u][d] = h.mul_add(first, v[u][d]);
-        }
-    }
-}
-
 /// What the reverse sweep keeps of one step.
 struct Step<V> {
     x: Vec<Unit<V>>,
     v: Vec<Unit<V>>,
-    a: [Vec<Unit<V>>; 7],
+    a: Stages<V>,
     h: V,
     tau: [f64; LANES],
     /// Of the forces.
@@ -387,8 +304,8 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
     let (mut bar_x, mut bar_v) = (system.zeros(), system.zeros());
     let (mut xs, mut vs) = (system.zeros(), system.zeros());
     let (mut bar_a, mut acceleration) = (system.zeros(), system.zeros());
-    let mut bars_x: [Vec<Unit<V>>; 6] = std::array::from_fn(|_| system.zeros());
-    let mut bars_v: [Vec<Unit<V>>; 6] = std::array::from_fn(|_| system.zeros());
+    let mut bars_x: Stages<V> = std::array::from_fn(|_| system.zeros());
+    let mut bars_v: Stages<V> = std::array::from_fn(|_| system.zeros());
     let mut steps: Vec<Step<V>> = Vec::new();
     let mut force = vec![zero; panels];
     let mut bar = vec![zero; width];
@@ -488,19 +405,8 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
         // Backwards
         for step in steps[..used].iter().rev() {
             let h = step.h;
-            let h2 = h * h;
             for i in (0..6).rev() {
-                for u in 0..bar_a.len() {
-                    for d in 0..3 {
-                        let (mut first, mut second) =
-                            (V::splat(A[6][i]) * bar_v[u][d], V::splat(A2[6][i]) * bar_x[u][d]);
-                        for j in i + 1..6 {
-                            first = V::splat(A[j][i]).mul_add(bars_v[j][u][d], first);
-                            second = V::splat(A2[j][i]).mul_add(bars_x[j][u][d], second);
-                        }
-                        bar_a[u][d] = h2.mul_add(second, h * first);
-                    }
-                }
+                stage_vjp(i, h, (&bar_x, &bar_v), (&bars_x, &bars_v), &mut bar_a);
                 if i > 0 {
                     stage(i, h, &step.x, &step.v, &step.a, &mut xs, &mut vs);
                 } else {
@@ -511,16 +417,7 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                 let (to_x, to_v) = (&mut bars_x[i], &mut bars_v[i]);
                 system.acceleration_vjp(&xs, &vs, &force, &bar_a, to_x, to_v, &mut acceleration);
             }
-            for u in 0..bar_x.len() {
-                for d in 0..3 {
-                    bar_v[u][d] = h.mul_add(bar_x[u][d], bar_v[u][d]);
-                    for i in 0..6 {
-                        bar_v[u][d] =
-                            (h * V::splat(C[i])).mul_add(bars_x[i][u][d], bar_v[u][d]) + bars_v[i][u][d];
-                        bar_x[u][d] = bar_x[u][d] + bars_x[i][u][d];
-                    }
-                }
-            }
+            step_vjp(h, &mut bar_x, &mut bar_v, (&bars_x, &bars_v));
         }
     }
     counters
