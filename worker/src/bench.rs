@@ -1,4 +1,6 @@
-//! Clocks around the brain's kernels: numerics itself has none.
+//! Clocks around the brain's kernels and the integrators: numerics itself has none.
+
+pub mod dynamics;
 
 use metasense_numerics::brain::{
     Adam, Curvature, Data, Matrix, Real, Shape, Workspace, initial_weights, loss, loss_gradient,
@@ -6,6 +8,12 @@ use metasense_numerics::brain::{
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::simd::Width;
 use std::time::Instant;
+
+/// The instruction set that the kernels take on this machine.
+#[must_use]
+pub fn simd() -> &'static str {
+    Width::detect().name()
+}
 
 /// What is measured.
 #[derive(Debug, Clone, Copy)]

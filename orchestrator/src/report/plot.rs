@@ -184,11 +184,20 @@ impl Plot {
 
     /// Dots, each with a text that shows when pointed at.
     pub fn dots(&mut self, class: &str, points: impl IntoIterator<Item = ((f64, f64), String)>) {
+        self.circles(&format!("dot {class}"), 3.2, points);
+    }
+
+    /// Circles around points, each with such a text.
+    pub fn rings(&mut self, class: &str, points: impl IntoIterator<Item = ((f64, f64), String)>) {
+        self.circles(class, 5.5, points);
+    }
+
+    fn circles(&mut self, class: &str, r: f64, points: impl IntoIterator<Item = ((f64, f64), String)>) {
         for (point, text) in points {
             let (x, y) = self.at(point);
             let _ = write!(
                 self.marks,
-                "<circle class=\"dot {class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.2\"><title>{}</title></circle>",
+                "<circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{r}\"><title>{}</title></circle>",
                 escape(&text)
             );
         }

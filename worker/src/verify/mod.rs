@@ -6,7 +6,7 @@
 mod body;
 mod brain;
 mod case;
-mod checks;
+pub(crate) mod checks;
 mod extreme;
 
 use case::{Case, CaseError};
@@ -103,7 +103,7 @@ fn compare(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError>
 }
 
 /// ‖a − b‖/‖b‖, or ‖a‖ where b is zero; infinite where lengths differ.
-fn relative(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn relative(a: &[f64], b: &[f64]) -> f64 {
     if a.len() != b.len() {
         return f64::INFINITY;
     }

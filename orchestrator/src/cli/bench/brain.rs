@@ -2,14 +2,13 @@
 //!
 //! It decides whether the kernels leave anything to gain, and what a Hessian-vector product costs in iterations.
 
-use std::fs::OpenOptions;
-use std::io::Write;
 use std::path::PathBuf;
 
 use metasense_worker::bench::{BrainBench, BrainTimes, brain_rows};
 use serde_json::{Value, json};
 
 use super::super::{Error, Format, print_rows};
+use super::append;
 use crate::exit::Exit;
 use crate::store::Table;
 
@@ -86,17 +85,8 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     let table = Table { columns: COLUMNS.map(String::from).to_vec(), rows: rows.iter().map(row).collect() };
     print_rows(&table, args.format)?;
 
-    let failed = |source| Error::Io { doing: "appending to", path: args.append.clone(), source };
-    if let Some(folder) = args.append.parent() {
-        std::fs::create_dir_all(folder).map_err(failed)?;
-    }
-    let mut file = OpenOptions::new().create(true).append(true).open(&args.append).map_err(failed)?;
-    for values in table.rows {
-        let mut line = json!({"bench": "brain", "version": env!("CARGO_PKG_VERSION"), "samples": args.samples,
-            "instants": args.instants, "sensors": args.sensors, "panels": args.panels});
-        let fields = line.as_object_mut().expect("an object");
-        fields.extend(table.columns.iter().cloned().zip(values));
-        writeln!(file, "{line}").map_err(failed)?;
-    }
+    let head = json!({"bench": "brain", "samples": args.samples, "instants": args.instants,
+        "sensors": args.sensors, "panels": args.panels});
+    append(&args.append, &head, &table)?;
     Ok(Exit::Done)
 }

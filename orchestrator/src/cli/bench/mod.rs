@@ -1,17 +1,25 @@
 //! `bench`: how fast, in rows that can be compared over the years.
 
 mod brain;
+mod dynamics;
 mod engine;
 mod implicit;
 mod merge;
+mod picture;
 mod projection;
 mod protocols;
 mod soak;
 
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::Path;
+
 use clap::Subcommand;
+use serde_json::{Value, json};
 
 use super::Error;
 use crate::exit::Exit;
+use crate::store::Table;
 
 /// Measures.
 #[derive(Debug, clap::Args)]
@@ -23,6 +31,7 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum What {
     Brain(brain::Args),
+    Dynamics(dynamics::Args),
     Engine(engine::Args),
     Implicit(implicit::Args),
     Merge(merge::Args),
@@ -33,10 +42,29 @@ enum What {
 pub async fn execute(args: Args) -> Result<Exit, Error> {
     match args.what {
         What::Brain(args) => brain::execute(&args),
+        What::Dynamics(args) => dynamics::execute(&args),
         What::Engine(args) => engine::execute(args).await,
         What::Implicit(args) => implicit::execute(&args),
         What::Merge(args) => merge::execute(args).await,
         What::Projection(args) => projection::execute(&args),
         What::Protocols(args) => protocols::execute(&args),
     }
+}
+
+/// Appends rows as JSON lines: the fields of `head`, the version and the instruction set, then those of the row.
+fn append(path: &Path, head: &Value, table: &Table) -> Result<(), Error> {
+    let failed = |source| Error::Io { doing: "appending to", path: path.to_owned(), source };
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(failed)?;
+    }
+    let mut file = OpenOptions::new().create(true).append(true).open(path).map_err(failed)?;
+    for values in &table.rows {
+        let mut line = head.clone();
+        line["version"] = json!(env!("CARGO_PKG_VERSION"));
+        line["simd"] = json!(metasense_worker::bench::simd());
+        let fields = line.as_object_mut().expect("a head that is an object");
+        fields.extend(table.columns.iter().cloned().zip(values.iter().cloned()));
+        writeln!(file, "{line}").map_err(failed)?;
+    }
+    Ok(())
 }

@@ -1,0 +1,151 @@
+//! `bench dynamics`: error of the signals and of dα against milliseconds a sample, for every integrator; or the race.
+//!
+//! It decides what `auto` picks and whether a stiff scene has a method of its own; `--race` is what is set beside a peer.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use metasense_worker::bench::dynamics::{BenchScene, Lap, Point, race, work_precision};
+use serde_json::{Value, json};
+
+use super::super::{Error, Format, print_rows};
+use super::{append, picture};
+use crate::exit::Exit;
+use crate::store::Table;
+
+/// Error of the signals and of dα against milliseconds a sample, for every integrator; or the race against a peer
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Args {
+    /// Scenes of the diagram, cheapest first
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["reference", "contact", "stretch100", "stretch10000"])]
+    scenes: Vec<SceneName>,
+    /// Samples: eight fill the lanes; of the race 300
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
+    samples: Option<u16>,
+    /// A tenth of a second, with blows ten times as fast, instead of a second
+    #[arg(long)]
+    quick: bool,
+    /// Forward and gradient of the reference scene by tsit5 at 1e-6 and by the default, on one thread and on two
+    #[arg(long, conflicts_with = "redraw")]
+    race: bool,
+    /// Threads of the race's second rows
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// Repetitions of the race, of which the quickest counts
+    #[arg(long, default_value_t = 2)]
+    repeat: usize,
+    /// Measures nothing and draws the rows that are there
+    #[arg(long)]
+    redraw: bool,
+    /// Where the rows are appended as JSON lines
+    #[arg(long, value_name = "FILE", default_value = "results/bench.jsonl")]
+    append: PathBuf,
+    /// Where the newest rows of that file are drawn
+    #[arg(long, value_name = "SVG", default_value = "results/work-precision.svg")]
+    picture: PathBuf,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum SceneName {
+    Reference,
+    Contact,
+    Stretch100,
+    Stretch10000,
+}
+
+impl From<SceneName> for BenchScene {
+    fn from(name: SceneName) -> Self {
+        match name {
+            SceneName::Reference => Self::Reference,
+            SceneName::Contact => Self::Contact,
+            SceneName::Stretch100 => Self::Stretch100,
+            SceneName::Stretch10000 => Self::Stretch10000,
+        }
+    }
+}
+
+const POINT: [&str; 10] = [
+    "scene",
+    "method",
+    "setting",
+    "auto",
+    "force_evaluations",
+    "forward_ms",
+    "gradient_ms",
+    "signals_error",
+    "gradient_error",
+    "failed",
+];
+
+fn point(p: &Point) -> Vec<Value> {
+    vec![
+        json!(p.scene),
+        json!(p.method),
+        json!(p.setting),
+        json!(p.auto),
+        json!(p.evaluations),
+        json!(p.forward),
+        json!(p.forward + p.reverse),
+        json!(p.signals),
+        json!(p.gradient),
+        json!(p.failed),
+    ]
+}
+
+const LAP: [&str; 8] = [
+    "solver",
+    "threads",
+    "samples",
+    "forward_s",
+    "forward_cpu_s",
+    "gradient_s",
+    "gradient_cpu_s",
+    "cycles_a_ligament_and_lane",
+];
+
+fn lap(l: &Lap) -> Vec<Value> {
+    vec![
+        json!(l.solver),
+        json!(l.threads),
+        json!(l.samples),
+        json!(l.forward.wall),
+        json!(l.forward.cpu),
+        json!(l.both.wall),
+        json!(l.both.cpu),
+        json!(l.cycles),
+    ]
+}
+
+fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
+    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
+}
+
+pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
+    let instants: u16 = if args.quick { 20 } else { 200 };
+    if args.race {
+        let samples = args.samples.unwrap_or(300);
+        let laps = race(samples.into(), instants.into(), args.threads.into(), args.repeat);
+        let table = table(&LAP, laps.iter().map(lap).collect());
+        print_rows(&table, args.format)?;
+        append(&args.append, &json!({"bench": "race", "instants": instants}), &table)?;
+        return Ok(Exit::Done);
+    }
+    let samples = args.samples.unwrap_or(8);
+    let mut all = Vec::new();
+    for &scene in args.scenes.iter().filter(|_| !args.redraw) {
+        let points = work_precision(scene.into(), samples.into(), instants.into(), |p| {
+            eprintln!("{}: {} {}, {:.2} ms a sample", p.scene, p.method, p.setting, p.forward);
+        });
+        let rows: Vec<Vec<Value>> = points.iter().map(point).collect();
+        // Scene by scene: the stiffest takes most of the time, and what is before it should not be lost with it.
+        let head = json!({"bench": "dynamics", "samples": samples, "instants": instants});
+        append(&args.append, &head, &table(&POINT, rows.clone()))?;
+        all.extend(rows);
+    }
+    print_rows(&table(&POINT, all), args.format)?;
+    picture::write(&args.append, &args.picture, instants)?;
+    Ok(Exit::Done)
+}

@@ -1,0 +1,361 @@
+//! Clocks around the integrators: error of the signals and of dα against milliseconds a sample, and the race of 300
+//! samples that is set beside a peer's.
+//!
+//! The truth of a scene is `nystrom6` with steps so short that its error is far below all that is drawn; the tightest
+//! run of Tsit5, another method, is a point of the diagram and says by its own error how true it is.
+
+use metasense_numerics::body::Layout;
+use metasense_numerics::dynamics::{
+    Contact, Forces, Method, Outcome, Panel, Plan, Scene, Simulation, Solver, highest_frequency, pull_back,
+    run, tune,
+};
+use std::time::Instant;
+
+use crate::verify::checks::{bells, reference};
+use crate::verify::relative;
+
+/// A scene of the diagram.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BenchScene {
+    /// K = 2, M = 1 on 6 × 6 units.
+    Reference,
+    /// 8 × 4 units, K = 3, M = 2, contact from 30° on, so that these forces reach it.
+    Contact,
+    /// The reference scene with a hundred times its k_stretch.
+    Stretch100,
+    /// With ten thousand times.
+    Stretch10000,
+}
+
+impl BenchScene {
+    /// All, cheapest first.
+    pub const ALL: [Self; 4] = [Self::Reference, Self::Contact, Self::Stretch100, Self::Stretch10000];
+
+    /// The name on the command line and in rows.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Contact => "contact",
+            Self::Stretch100 => "stretch100",
+            Self::Stretch10000 => "stretch10000",
+        }
+    }
+
+    fn scene(self) -> Scene {
+        let mut scene = reference();
+        match self {
+            Self::Reference => {}
+            Self::Contact => {
+                scene.layout = Layout::planar(8, 4, 15.0, 2.25);
+                scene.clamped = scene.layout.bottom();
+                scene.panels = [25, 28, 30].map(|unit| Panel { unit, direction: [0.0, -1.0] }).to_vec();
+                scene.sensors = vec![20, 11];
+                let [min_angle, cutoff_angle] = [1.0, 30.0].map(f64::to_radians);
+                scene.contact = Some(Contact { stiffness: 1.0, min_angle, cutoff_angle });
+            }
+            Self::Stretch100 => scene.stiffness.stretch *= 1e2,
+            Self::Stretch10000 => scene.stiffness.stretch *= 1e4,
+        }
+        scene
+    }
+
+    /// Tolerances of Tsit5: it needs smaller ones where modes are stiffer, and gives nothing but noise at greater ones.
+    fn tolerances(self) -> &'static [f64] {
+        match self {
+            Self::Reference | Self::Contact => &[1e-4, 1e-5, 1e-6, 1e-7, 1e-8],
+            Self::Stretch100 => &[1e-6, 1e-7, 1e-8, 1e-9],
+            Self::Stretch10000 => &[1e-7, 1e-8],
+        }
+    }
+}
+
+/// Parts of a radian of the highest mode that a force of the truth's stands for.
+const TRUTH: f64 = 0.12;
+
+/// The same of the points of a method of equal steps; of `implicit`, steps an interval.
+///
+/// On the stiffest scene the long points say all: leapfrog's error stays that of the ringing it does not follow.
+fn ladder(kind: BenchScene, method: Method) -> &'static [f64] {
+    match (method, kind) {
+        (Method::Leapfrog, BenchScene::Stretch10000) => &[1.4, 0.7],
+        (Method::Leapfrog, _) => &[1.4, 0.7, 0.35, 0.18, 0.09],
+        (Method::Nystrom4, _) => &[0.68, 0.6, 0.42, 0.3, 0.21],
+        (Method::Nystrom6, _) => &[0.5, 0.4, 0.3, 0.22],
+        _ => &[2.0, 4.0, 8.0, 16.0],
+    }
+}
+
+/// A point of the diagram: one run forward and back.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Point {
+    /// Scene.
+    pub scene: &'static str,
+    /// Integrator.
+    pub method: &'static str,
+    /// Its setting, in words.
+    pub setting: String,
+    /// Whether `auto` chose it.
+    pub auto: bool,
+    /// Forces a sample, forward.
+    pub evaluations: f64,
+    /// CPU milliseconds a sample, forward.
+    pub forward: f64,
+    /// CPU milliseconds a sample of the reverse sweep.
+    pub reverse: f64,
+    /// Relative error of the signals.
+    pub signals: Option<f64>,
+    /// Relative error of dα.
+    pub gradient: Option<f64>,
+    /// Samples that failed; such a point has no errors.
+    pub failed: usize,
+}
+
+/// Seconds of the wall clock and of the CPU.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Time {
+    /// Wall clock.
+    pub wall: f64,
+    /// All threads of this process.
+    pub cpu: f64,
+}
+
+fn timed<R>(work: impl FnOnce() -> R) -> (R, Time) {
+    let (wall, cpu) = (Instant::now(), cpu_seconds());
+    let result = work();
+    (result, Time { wall: wall.elapsed().as_secs_f64(), cpu: cpu_seconds() - cpu })
+}
+
+fn cpu_seconds() -> f64 {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: the pointer is to a timespec of our own; the clock exists on every Linux.
+    let code = unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &raw mut time) };
+    assert_eq!(code, 0, "clock_gettime(CLOCK_PROCESS_CPUTIME_ID)");
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+/// A scene with design, forces and the cotangent that stands for a loss.
+struct Subject {
+    scene: Scene,
+    design: Vec<f64>,
+    forces: Forces,
+    cotangent: Vec<f64>,
+}
+
+impl Subject {
+    fn new(mut scene: Scene, samples: usize, instants: usize) -> Self {
+        let part = instants as f64 / scene.instants as f64;
+        scene.instants = instants;
+        let forces = bells(&scene, samples as u64);
+        scene.duration *= part; // the same blows, so much faster
+        let design = scene.layout.initial_design(25f64.to_radians());
+        Self { scene, design, forces, cotangent: Vec::new() }
+    }
+
+    /// Makes dα the gradient of half the mean square of these signals, each channel divided by its own RMS.
+    fn differentiate(&mut self, signals: &[f64]) {
+        let channels = 3 * self.scene.sensors.len();
+        let mut square = vec![0.0; channels];
+        for reading in signals.chunks_exact(channels) {
+            square.iter_mut().zip(reading).for_each(|(sum, x)| *sum += x * x);
+        }
+        let scale = |k: usize| if square[k] > 0.0 { 1.0 / square[k] } else { 0.0 };
+        self.cotangent = signals.iter().enumerate().map(|(i, x)| x * scale(i % channels)).collect();
+    }
+
+    fn simulate(&self, plan: &Plan, pool: &rayon::ThreadPool) -> (Simulation, Time) {
+        timed(|| run(&self.scene, &self.design, &self.forces, plan, true, pool))
+    }
+
+    fn gradient(&self, simulation: &Simulation, pool: &rayon::ThreadPool) -> (Vec<f64>, Time) {
+        let Self { scene, design, forces, cotangent } = self;
+        let all: Vec<usize> = (0..forces.samples).collect();
+        let (gradient, time) = timed(|| pull_back(scene, design, forces, simulation, &all, cotangent, pool));
+        (gradient.design, time)
+    }
+
+    /// Steps an interval for one force in so many radians of the highest mode.
+    fn steps(&self, method: Method, radians: f64) -> usize {
+        let interval = self.scene.duration / self.scene.instants as f64;
+        let stages = method.stages().expect("equal steps") as f64;
+        (highest_frequency(&self.scene, &self.design) * interval / (radians * stages)).ceil() as usize
+    }
+
+    fn plan(&self, method: Method, at: f64) -> Plan {
+        let steps = match method {
+            Method::Tsit5 => 0,
+            Method::Implicit => at as usize,
+            _ => self.steps(method, at),
+        };
+        Plan { method, tolerance: at, steps, reason: String::new() }
+    }
+}
+
+fn pool(threads: usize) -> rayon::ThreadPool {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
+}
+
+/// The points of one scene, `samples` samples of `instants` instants (200: one second), on one thread.
+///
+/// `report` is told of every point as it is measured.
+pub fn work_precision(
+    kind: BenchScene,
+    samples: usize,
+    instants: usize,
+    mut report: impl FnMut(&Point),
+) -> Vec<Point> {
+    let pool = pool(1);
+    let mut subject = Subject::new(kind.scene(), samples, instants);
+    let plan = subject.plan(Method::Nystrom6, TRUTH);
+    let simulation = subject.simulate(&plan, &pool).0;
+    subject.differentiate(&simulation.signals);
+    let truth = subject.gradient(&simulation, &pool).0;
+    let mut points = Vec::new();
+    let mut measure = |plan: &Plan, setting: String, auto: bool| {
+        let (run, forward) = subject.simulate(plan, &pool);
+        let (gradient, reverse) = subject.gradient(&run, &pool);
+        let failed = run.outcomes.iter().filter(|o| **o != Outcome::Ok).count();
+        let error = |a: &[f64], b: &[f64]| (failed == 0).then(|| relative(a, b));
+        let n = samples as f64;
+        let point = Point {
+            scene: kind.name(),
+            method: plan.method.name(),
+            setting,
+            auto,
+            evaluations: run.counters.force_evaluations as f64 / n,
+            forward: 1e3 * forward.cpu / n,
+            reverse: 1e3 * reverse.cpu / n,
+            signals: error(&run.signals, &simulation.signals),
+            gradient: error(&gradient, &truth),
+            failed,
+        };
+        report(&point);
+        points.push(point);
+    };
+    for &tolerance in kind.tolerances() {
+        measure(&subject.plan(Method::Tsit5, tolerance), format!("tolerance {tolerance:.0e}"), false);
+    }
+    for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6, Method::Implicit] {
+        for &at in ladder(kind, method) {
+            let plan = subject.plan(method, at);
+            measure(&plan, format!("{} steps", plan.steps), false);
+        }
+    }
+    for tolerance in [1e-2, 1e-3, 1e-4] {
+        let solver = Solver { method: Method::Auto, tolerance };
+        let plan = tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool).plan;
+        let setting = format!("auto {tolerance:.0e}: {} steps", plan.steps);
+        measure(&plan, setting, true);
+    }
+    points
+}
+
+/// A row of the race: forward, and forward with the gradient, of the reference scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lap {
+    /// Integrator and tolerance.
+    pub solver: String,
+    /// Threads.
+    pub threads: usize,
+    /// Samples.
+    pub samples: usize,
+    /// Forward alone.
+    pub forward: Time,
+    /// Forward and gradient.
+    pub both: Time,
+    /// CPU cycles a ligament and lane of a force evaluation forward, with all else that its step does.
+    pub cycles: f64,
+}
+
+/// Tsit5 at 1e-6, as the peer runs, and the default, each on one thread and on `threads`; least of `repeat` runs.
+#[must_use]
+pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Lap> {
+    let mut subject = Subject::new(reference(), samples, instants);
+    let mut laps = Vec::new();
+    for (method, tolerance) in [(Method::Tsit5, 1e-6), (Method::Auto, 1e-3)] {
+        // The pilot of a trial comes once, before its hundreds of simulations.
+        let solver = Solver { method, tolerance };
+        let plan = tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool(1)).plan;
+        for threads in [1, threads] {
+            if threads == 1 && laps.last().is_some_and(|lap: &Lap| lap.solver.starts_with(method.name())) {
+                continue;
+            }
+            let pool = pool(threads);
+            let (mut forward, mut both) = (None, None);
+            let mut cycles = f64::INFINITY;
+            for _ in 0..repeat.max(1) {
+                let frequency = clock_frequency();
+                let (run, there) = subject.simulate(&plan, &pool);
+                if subject.cotangent.is_empty() {
+                    subject.differentiate(&run.signals);
+                }
+                let back = subject.gradient(&run, &pool).1;
+                let work =
+                    (run.counters.force_evaluations * subject.scene.layout.ligaments.len() as u64) as f64;
+                cycles = f64::min(cycles, frequency * there.cpu / work);
+                let sum = Time { wall: there.wall + back.wall, cpu: there.cpu + back.cpu };
+                forward = Some(least(forward, there));
+                both = Some(least(both, sum));
+            }
+            laps.push(Lap {
+                solver: format!("{} {tolerance:.0e}", method.name()),
+                threads,
+                samples,
+                forward: forward.expect("a run"),
+                both: both.expect("a run"),
+                cycles,
+            });
+        }
+    }
+    laps
+}
+
+fn least(so_far: Option<Time>, time: Time) -> Time {
+    so_far.map_or(time, |t| Time { wall: t.wall.min(time.wall), cpu: t.cpu.min(time.cpu) })
+}
+
+/// Cycles a second that this thread gets, by multiplications that wait for each other: three cycles each on every
+/// x86-64 processor with AVX2.
+fn clock_frequency() -> f64 {
+    const PRODUCTS: u32 = 8_000_000;
+    let (x, time) = timed(|| {
+        let mut x = std::hint::black_box(3u64);
+        for _ in 0..PRODUCTS {
+            x = x.wrapping_mul(x);
+        }
+        x
+    });
+    std::hint::black_box(x);
+    3.0 * f64::from(PRODUCTS) / time.cpu
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The diagram of a tenth of a second: every method comes, from short steps on errors are small, longer ones cost less.
+    #[test]
+    fn shorter_steps_cost_more_and_err_less() {
+        let points = work_precision(BenchScene::Reference, 2, 10, |_| ());
+        for method in ["tsit5", "leapfrog", "nystrom4", "nystrom6", "implicit"] {
+            let of: Vec<&Point> = points.iter().filter(|p| p.method == method && !p.auto).collect();
+            assert!(of.len() >= 4, "{method}: {of:?}");
+            let (first, last) = (of[0], of[of.len() - 1]);
+            assert!(first.evaluations < last.evaluations, "{method}: {first:?} {last:?}");
+            assert!(first.signals > last.signals && first.gradient > last.gradient, "{first:?} {last:?}");
+        }
+        let last = points.iter().rfind(|p| p.method == "tsit5").and_then(|p| p.signals);
+        assert!(last.is_some_and(|e| e < 1e-5), "the truth against another method: {last:?}");
+    }
+
+    /// The race itself, tiny: every figure is a positive number.
+    #[test]
+    fn the_race_runs() {
+        let laps = race(2, 4, 2, 1);
+        assert_eq!(laps.len(), 4, "{laps:?}");
+        for lap in laps {
+            let figures = [lap.forward.cpu, lap.both.cpu, lap.forward.wall, lap.both.wall, lap.cycles];
+            assert!(figures.iter().all(|x| x.is_finite() && *x > 0.0), "{lap:?}");
+        }
+    }
+}
