@@ -70,8 +70,10 @@ impl BenchScene {
     }
 }
 
-/// Parts of a radian of the highest mode that a force of the truth's stands for.
-const TRUTH: f64 = 0.12;
+/// Parts of a radian of the highest mode that a force of the truth's stands for; fewer where contact is not smooth.
+fn truth(kind: BenchScene) -> f64 {
+    if kind == BenchScene::Contact { 0.03 } else { 0.12 }
+}
 
 /// The same of the points of a method of equal steps; of `implicit`, steps an interval.
 ///
@@ -206,7 +208,7 @@ pub fn work_precision(
 ) -> Vec<Point> {
     let pool = pool(1);
     let mut subject = Subject::new(kind.scene(), samples, instants);
-    let plan = subject.plan(Method::Nystrom6, TRUTH);
+    let plan = subject.plan(Method::Nystrom6, truth(kind));
     let simulation = subject.simulate(&plan, &pool).0;
     subject.differentiate(&simulation.signals);
     let truth = subject.gradient(&simulation, &pool).0;

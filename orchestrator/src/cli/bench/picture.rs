@@ -34,7 +34,11 @@ struct Mark {
 
 fn mark(row: &Value) -> Option<Mark> {
     let text = |key: &str| row[key].as_str().map(str::to_owned);
-    let point = |cost: &str, error: &str| Some((row[cost].as_f64()?, row[error].as_f64()?));
+    // A run with the truth's own steps has no error that a logarithm could show.
+    let point = |cost: &str, error: &str| {
+        let error = row[error].as_f64().filter(|e| *e > 0.0)?;
+        Some((row[cost].as_f64()?, error))
+    };
     Some(Mark {
         scene: text("scene")?,
         method: text("method")?,
