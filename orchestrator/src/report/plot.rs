@@ -109,8 +109,8 @@ pub fn number(value: f64) -> String {
         return if value == 0.0 { "0".into() } else { "–".into() };
     }
     let power = value.abs().log10().floor() as i32;
-    if !(-4..6).contains(&power) {
-        return format!("{value:.1e}");
+    if !(-3..6).contains(&power) {
+        return format!("{value:.1e}").replace(".0e", "e");
     }
     let text = format!("{value:.*}", (2 - power).max(0) as usize);
     match text.contains('.') {
@@ -291,8 +291,8 @@ mod tests {
 
     #[test]
     fn numbers_have_three_digits_and_no_trailing_zeros() {
-        let texts = [20.0, 0.125, 1234.5, 0.000012, 7.0, 1.5, 0.0, f64::NAN].map(number);
-        assert_eq!(texts, ["20", "0.125", "1234", "1.2e-5", "7", "1.5", "0", "–"]);
+        let texts = [20.0, 0.125, 1234.5, 0.000012, 1e-4, 7.0, 1.5, 0.0, f64::NAN].map(number);
+        assert_eq!(texts, ["20", "0.125", "1234", "1.2e-5", "1e-4", "7", "1.5", "0", "–"]);
     }
 
     #[test]

@@ -147,7 +147,7 @@ fn panel(title: &str, [cost, what]: [&str; 2], marks: &[&Mark], row: usize) -> S
     plot.svg()
 }
 
-const STYLE: &str = "<style>text{font:11px sans-serif;fill:#333}.title{font-weight:bold}.page{fill:#fff}\
+const STYLE: &str = "<style>text{font:11px sans-serif;fill:#333}.tick{font-size:9.5px}.title{font-weight:bold}.page{fill:#fff}\
     .grid{stroke:#e4e4e4;fill:none}.axis{stroke:#333;fill:none}.line{fill:none;stroke-width:1.8}\
     .line.c0{stroke:#777}.line.c1{stroke:#a80}.line.c2{stroke:#48a}.line.c3{stroke:#c44}.line.c4{stroke:#283}\
     .dot.c0{fill:#777}.dot.c1{fill:#a80}.dot.c2{fill:#48a}.dot.c3{fill:#c44}.dot.c4{fill:#283}\
