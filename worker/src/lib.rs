@@ -12,4 +12,5 @@ pub mod process;
 pub mod records;
 pub mod replay;
 pub mod run;
+pub mod simulate;
 pub mod verify;

@@ -14,6 +14,7 @@ mod report;
 mod rows;
 mod run;
 mod schema;
+mod simulate;
 mod status;
 mod submit;
 mod trial;
@@ -53,6 +54,7 @@ enum Command {
     Submit(submit::Args),
     Merge(merge::Args),
     Trial(trial::Args),
+    Simulate(simulate::Args),
     Status(status::Args),
     Watch(watch::Args),
     Query(query::Args),
@@ -85,6 +87,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Submit(args) => block_on(submit::execute(args)),
         Command::Merge(args) => block_on(merge::execute(args)),
         Command::Trial(args) => trial::execute(&args),
+        Command::Simulate(args) => simulate::execute(&args),
         Command::Status(args) => block_on(status::execute(args)),
         Command::Watch(args) => block_on(watch::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),

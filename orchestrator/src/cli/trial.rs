@@ -79,7 +79,7 @@ fn mean(networks: &[NetworkEvaluation], error: ErrorOf) -> Option<f64> {
 }
 
 /// The one trial whose hash begins so.
-fn find<'a>(plan: &'a Plan, hash: &str, spec: &Path) -> Result<&'a Trial, Error> {
+pub(super) fn find<'a>(plan: &'a Plan, hash: &str, spec: &Path) -> Result<&'a Trial, Error> {
     let mut found = plan.trials.iter().filter(|trial| trial.hash.starts_with(hash));
     let remedy = format!("`metasense expand {}` lists them", spec.display());
     match (found.next(), found.next()) {

@@ -1,0 +1,94 @@
+//! `simulate`: one body under given forces, from arrays to arrays.
+
+use std::path::{Path, PathBuf};
+
+use metasense_worker::simulate::{Simulated, body, simulate};
+use serde_json::json;
+
+use super::trial::find;
+use super::{Error, Format, print_rows, read_plan};
+use crate::exit::Exit;
+use crate::store::{Table, npy_bytes};
+
+/// Simulates the body of a trial under given forces: signals, motion and energies as NPY arrays, and dα of a cotangent
+///
+/// Writes signals.npy (N, T, 3M), displacements.npy and velocities.npy (N, T, units, 3), energies.npy (N, T) and, with
+/// --cotangent, gradient.npy, in the units and orders of MODEL.md. Exit code 1 if a sample does not reach its end.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML)
+    spec: PathBuf,
+    /// The trial, by its hash or the beginning of it; `metasense expand SPEC` lists them
+    #[arg(long)]
+    hash: String,
+    /// Force histories (N, K, T + 1) in N, as NPY; a clock finer by a whole factor will do, too
+    #[arg(long, value_name = "NPY")]
+    forces: PathBuf,
+    /// The design (.npy or .csv); by default the trial's initial one
+    #[arg(long, value_name = "FILE")]
+    design: Option<PathBuf>,
+    /// Writes dα of Σ cotangent·signals, too; an NPY of the signals' shape
+    #[arg(long, value_name = "NPY")]
+    cotangent: Option<PathBuf>,
+    /// The folder for the arrays; made where it is missing
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// The form of the summary
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    let trial = &find(&plan, &args.hash, &args.spec)?.spec;
+    let usage = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
+    let (layout, initial) = body(trial).map_err(|e| usage(&e))?;
+    let design = match &args.design {
+        Some(file) => metasense_worker::design::read(file, &layout)?,
+        None => initial,
+    };
+    let (shape, forces) = array(&args.forces)?;
+    let cotangent = args.cotangent.as_deref().map(array).transpose()?;
+    let cotangent = cotangent.as_ref().map(|(shape, values)| (&shape[..], &values[..]));
+    let found =
+        simulate(trial, &design, (&shape, &forces), cotangent, args.threads.into()).map_err(|e| usage(&e))?;
+
+    let Simulated { shape: [samples, instants, units, sensors], .. } = found;
+    let io = |path: &Path| {
+        let path = path.to_owned();
+        move |source| Error::Io { doing: "writing", path, source }
+    };
+    std::fs::create_dir_all(&args.out).map_err(io(&args.out))?;
+    let write = |name: &str, shape: &[usize], values: &[f64]| {
+        let path = args.out.join(name);
+        std::fs::write(&path, npy_bytes(shape, values)).map_err(io(&path))
+    };
+    write("signals.npy", &[samples, instants, 3 * sensors], &found.signals)?;
+    write("displacements.npy", &[samples, instants, units, 3], &found.displacements)?;
+    write("velocities.npy", &[samples, instants, units, 3], &found.velocities)?;
+    write("energies.npy", &[samples, instants], &found.energies)?;
+    if let Some(gradient) = &found.gradient {
+        write("gradient.npy", &[gradient.len()], gradient)?;
+    }
+    let columns = ["sample", "outcome", "force_evaluations", "solver"].map(String::from).to_vec();
+    let a_sample = found.force_evaluations / samples as u64;
+    let row = |(n, outcome)| vec![json!(n), json!(outcome), json!(a_sample), json!(found.solver)];
+    let table = Table { columns, rows: found.outcomes.iter().enumerate().map(row).collect() };
+    print_rows(&table, args.format)?;
+    Ok(if found.outcomes.iter().all(|o| *o == "ok") { Exit::Done } else { Exit::Failed })
+}
+
+/// Shape and values of an NPY file of numbers in C order.
+fn array(path: &Path) -> Result<(Vec<usize>, Vec<f64>), Error> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Unreadable { path: path.to_owned(), source })?;
+    let bad = |what: &dyn std::fmt::Display| Error::Usage(format!("{}: {what}", path.display()));
+    let file = npyz::NpyFile::new(&bytes[..]).map_err(|e| bad(&e))?;
+    if file.order() != npyz::Order::C && file.shape().len() > 1 {
+        return Err(bad(&"Fortran order; save it in C order (numpy.ascontiguousarray)"));
+    }
+    let shape = file.shape().iter().map(|&n| n as usize).collect();
+    Ok((shape, file.into_vec().map_err(|e| bad(&e))?))
+}
