@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use common::Bench;
 
-/// Four trials of half a second each.
+/// Four trials of some tenths of a second each.
 const TINY: &str = r#"name = "tiny"
 [body]
 columns = 4
@@ -142,7 +142,9 @@ fn wait(child: &mut Child) -> Option<i32> {
 #[test]
 fn a_shard_goes_on_on_another_node() {
     let bench = Bench::new();
-    bench.file("tiny.toml", TINY);
+    // Long enough that a node is lost, and another ended, with most of the work still to be done
+    let tiny = TINY.replace("iterations = 4\n", "iterations = 100\n");
+    bench.file("tiny.toml", &tiny);
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     let handed_in = "out/shard-1-of-1.sqlite";
     let steps = || number(&bench, handed_in, "SELECT count(*) FROM v_step");
@@ -177,7 +179,7 @@ fn a_shard_goes_on_on_another_node() {
     assert_eq!(number(&bench, handed_in, outcomes), 2);
 
     // A spec that has changed since it was submitted is not run.
-    bench.file("out/spec.toml", &TINY.replace("[1, 2]", "[1]"));
+    bench.file("out/spec.toml", &tiny.replace("[1, 2]", "[1]"));
     let refused = bench.metasense(&["run", "tiny.toml", "--shard", "1/1", "--copy-to", "out"]);
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
