@@ -91,6 +91,7 @@ fn evaluation(design: Vec<f64>, weights: usize, error: f64, loss: f32) -> BodyEv
         error_test: Some(error * factor),
         error_holdout: Some(1.05 * error * factor),
         losses: (1..=1000u16).map(|n| if n == 1 { 1.0 } else { loss * f32::from(n).powf(-0.6) }).collect(),
+        errors: (1..=1000).map(|n| (n, 1.05 * error * factor * (1000.0 / f64::from(n)).sqrt())).collect(),
         outcome: "ok".into(),
         weights: Vec::new(),
     };

@@ -4,8 +4,11 @@
 pub const APPLICATION_ID: i32 = 0x6d74_736e;
 
 /// Entry v − 1 makes version v (`PRAGMA user_version`) out of version v − 1. Entries are never changed, only added.
-pub const MIGRATIONS: &[&str] =
-    &[include_str!("../migrations/0001.sql"), include_str!("../migrations/0002.sql")];
+pub const MIGRATIONS: &[&str] = &[
+    include_str!("../migrations/0001.sql"),
+    include_str!("../migrations/0002.sql"),
+    include_str!("../migrations/0003.sql"),
+];
 
 /// The stable views, and what a row of each is.
 pub const VIEWS: &[(&str, &str)] = &[
@@ -20,7 +23,7 @@ pub const VIEWS: &[(&str, &str)] = &[
     ("v_network", "a fresh network on the initial or the optimised body, with its errors (%)"),
     (
         "v_curve",
-        "a point of such a network's training loss (normalised); thinned, whole curves are artifacts",
+        "a point of such a network's training loss (normalised) and holdout error (%); thinned, whole losses are artifacts",
     ),
     ("v_run", "a call of `run`: which shard, where, what was estimated (s) and what came of it"),
     ("v_attempt", "an attempt at a trial, how it ended and why"),

@@ -102,6 +102,8 @@ pub struct NetworkEvaluation {
     pub error_holdout: Option<f64>,
     /// Training loss (normalised) after every iteration.
     pub losses: Vec<f32>,
+    /// (iteration, from 1, prediction error on the holdout before it (%)), thinned.
+    pub errors: Vec<(u32, f64)>,
     /// Its weights, flat as b1, b2, b3, w1, w2, w3, each (kernel, in, out); of the first network, empty of others.
     pub weights: Vec<f32>,
     /// `ok`, or the named numerical outcome.

@@ -62,6 +62,7 @@ pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
         error_test: finite(network.error_test),
         error_holdout: finite(network.error_holdout),
         losses: network.losses,
+        errors: network.errors,
         weights: network.weights,
         outcome: network.trouble.map_or("ok", |trouble| trouble.name()).into(),
     };

@@ -14,3 +14,5 @@ pub mod replay;
 pub mod run;
 pub mod simulate;
 pub mod verify;
+
+pub use metasense_numerics::brain::milestones;

@@ -96,7 +96,9 @@ pub struct Trial {
     pub long_errors: [[Option<f64>; 2]; 2],
     /// Training loss against iteration (from 1), by body, then network.
     pub curves: [Vec<Vec<CurvePoint>>; 2],
-    /// The same of long training.
+    /// Holdout error (%) against iteration likewise, thinned; none in trials of versions before 3.
+    pub error_curves: [Vec<Vec<CurvePoint>>; 2],
+    /// Training loss of long training.
     pub long_curves: [Vec<Vec<CurvePoint>>; 2],
     /// Seconds and best test error so far (%), step by step.
     pub history: Vec<(f64, f64)>,

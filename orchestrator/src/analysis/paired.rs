@@ -77,13 +77,45 @@ pub fn long_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
     Ratio::of(&ratios)
 }
 
-/// The first iteration whose loss is no more than `target`.
-#[must_use]
-pub fn first_at(curve: &[CurvePoint], target: f64) -> Option<u32> {
-    curve.iter().find(|(_, loss)| *loss <= target).map(|(iteration, _)| *iteration)
+/// By what two trainings are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Progress {
+    /// Training loss, at every iteration.
+    Loss,
+    /// Error on the holdout, at some hundred iterations.
+    Error,
 }
 
-/// Iterations of training on the initial body over those on the optimised body until both first have the loss that the
+impl Progress {
+    /// Both, the more telling first.
+    pub const ALL: [Self; 2] = [Self::Error, Self::Loss];
+
+    /// In words.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Loss => "training loss",
+            Self::Error => "holdout error",
+        }
+    }
+
+    /// The trial's curves, by body, then network.
+    #[must_use]
+    pub fn curves(self, trial: &Trial) -> &[Vec<Vec<CurvePoint>>; 2] {
+        match self {
+            Self::Loss => &trial.curves,
+            Self::Error => &trial.error_curves,
+        }
+    }
+}
+
+/// The first iteration at which a curve is no more than `target`.
+#[must_use]
+pub fn first_at(curve: &[CurvePoint], target: f64) -> Option<u32> {
+    curve.iter().find(|(_, value)| *value <= target).map(|(iteration, _)| *iteration)
+}
+
+/// Iterations of training on the initial body over those on the optimised body until both first have the value that the
 /// worse of the two ends at its best; `None` where a curve is empty.
 #[must_use]
 pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Option<f64> {
@@ -94,11 +126,11 @@ pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Opti
 
 /// [`iteration_ratio`] over trials, each the geometric mean over its networks.
 #[must_use]
-pub fn iterations(trials: &[&Trial]) -> Option<Ratio> {
+pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
     let ratios: Vec<f64> = trials
         .iter()
         .filter_map(|t| {
-            let [initial, optimised] = &t.curves;
+            let [initial, optimised] = by.curves(t);
             let networks: Vec<f64> =
                 initial.iter().zip(optimised).filter_map(|(i, o)| iteration_ratio(i, o)).collect();
             (!networks.is_empty()).then(|| super::data::geometric_mean(&networks))

@@ -144,13 +144,15 @@ fn paired_table(trials: &[&Trial]) -> Table {
 fn iterations_table(trials: &[&Trial]) -> Table {
     let rows = groups(trials, &[])
         .into_iter()
-        .filter_map(|group| {
-            let mut row = vec![json!(group.label)];
-            row.extend(ratio_cells(paired::iterations(&group.trials)?));
-            Some(row)
+        .flat_map(|group| {
+            paired::Progress::ALL.into_iter().filter_map(move |by| {
+                let mut row = vec![json!(group.label), json!(by.name())];
+                row.extend(ratio_cells(paired::iterations(&group.trials, by)?));
+                Some(row)
+            })
         })
         .collect();
-    table(&["setting", "trials", "faster", "ratio", "low", "high"], rows)
+    table(&["setting", "to_equal", "trials", "faster", "ratio", "low", "high"], rows)
 }
 
 fn long_table(trials: &[&Trial]) -> Table {

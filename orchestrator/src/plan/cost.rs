@@ -30,7 +30,11 @@ pub(super) fn brain_parameters(panels: usize, sensors: usize) -> usize {
 pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let stimuli = &trial.stimuli;
     let scale = (trial.solver.tolerance / 1e-6).powf(-0.2);
-    let one_sample = trial.time.duration * STEPS_PER_SECOND * scale * units as f64 * SECONDS_PER_UNIT_STEP;
+    // A step ends at every instant, and wherever the forces' own clock has a kink.
+    let instants = trial.time.samples as f64;
+    let kinks = stimuli.force_samples.map_or(1.0, |n| n as f64 / instants);
+    let steps = (trial.time.duration * STEPS_PER_SECOND * scale / instants / kinks).ceil() * kinks * instants;
+    let one_sample = steps * units as f64 * SECONDS_PER_UNIT_STEP;
     let simulate = stimuli.samples as f64 * one_sample;
     let weights = brain_parameters(trial.point.panels, trial.point.sensors) as f64;
     let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;

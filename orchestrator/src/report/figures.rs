@@ -239,21 +239,24 @@ fn spread(count: usize) -> impl Iterator<Item = f64> {
     (0..count).map(move |i| 0.5 * ((i as f64 + 0.5) / count as f64 - 0.5))
 }
 
-/// Training loss against iterations: median over trials and networks, middle half shaded.
+/// Training loss and holdout error against iterations: median over trials and networks, middle half shaded.
 #[must_use]
 pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let drawn = |t: &&Trial| !t.starts_random() && t.curves.iter().all(|c| !c.is_empty());
     let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
     let mut rows = Vec::new();
     let mut plots = Vec::new();
+    type Curves = fn(&Trial) -> &[Vec<Vec<CurvePoint>>; 2];
+    let ways: [(&str, &str, Curves); 3] = [
+        ("", "training loss (normalised)", |t| &t.curves),
+        ("", "holdout error (%)", |t| &t.error_curves),
+        (", long training", "training loss (normalised)", |t| &t.long_curves),
+    ];
     for group in groups(&refs, &[SENSORS, COMPLEXITY].concat()).iter().take(MOST_PLOTS) {
-        for (way, long) in [("", false), (", long training", true)] {
+        for (way, quantity, of) in ways {
             let curves = Body::ALL.map(|body| {
-                let mut networks: Vec<&Vec<CurvePoint>> = Vec::new();
-                for trial in &group.trials {
-                    let curves = if long { &trial.long_curves } else { &trial.curves };
-                    networks.extend(&curves[body as usize]);
-                }
+                let networks: Vec<&Vec<CurvePoint>> =
+                    group.trials.iter().flat_map(|trial| &of(trial)[body as usize]).collect();
                 (body, middle(&networks))
             });
             if curves.iter().all(|c| c.1.is_empty()) {
@@ -264,51 +267,70 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
             let mut plot = Plot::new(
                 &label,
                 Axis::new("brain iterations", Scale::Log, all().map(|p| p.0)),
-                Axis::new("training loss (normalised)", Scale::Log, all().flat_map(|p| [p.1, p.3])),
+                Axis::new(quantity, Scale::Log, all().flat_map(|p| [p.1, p.3])),
             );
             for (body, curve) in &curves {
                 plot.band(body.name(), &curve.iter().map(|p| (p.0, p.1, p.3)).collect::<Vec<_>>());
                 plot.line(body.name(), curve.iter().map(|p| (p.0, p.2)));
                 rows.extend(curve.iter().map(|p| {
-                    vec![json!(label), json!(body.name()), json!(p.0), json!(p.2), json!(p.1), json!(p.3)]
+                    let numbers = [p.0, p.2, p.1, p.3].map(|x| json!(x));
+                    [json!(label), json!(quantity), json!(body.name())].into_iter().chain(numbers).collect()
                 }));
             }
             plots.push(plot.svg());
         }
     }
-    let ratio = paired::iterations(&refs)?;
-    let interval = ratio
-        .interval
-        .map_or(String::new(), |i| format!(" (95 % interval {} to {})", number(i.low), number(i.high)));
+    let ratios: Vec<String> = paired::Progress::ALL
+        .into_iter()
+        .filter_map(|by| {
+            let ratio = paired::iterations(&refs, by)?;
+            let interval = ratio.interval.map_or(String::new(), |i| {
+                format!(" (95 % interval {} to {})", number(i.low), number(i.high))
+            });
+            Some(format!("{} times{interval} by {}", number(ratio.ratio), by.name()))
+        })
+        .collect();
+    if ratios.is_empty() {
+        return None;
+    }
     Some(Figure {
         name: "losses",
         title: "Is the body easier to learn from?".into(),
         caption: format!(
-            "Training loss of fresh networks of one architecture and budget on the initial and on the optimised body: \
-             median over trials, the middle half shaded. To the loss that the worse body ends at, the network on the \
-             initial body takes {} times the iterations of that on the optimised one{interval}.",
-            number(ratio.ratio)
+            "Training loss, and error on samples that are not trained on, of fresh networks of one architecture and budget \
+             on the initial and on the optimised body: median over trials, the middle half shaded. To reach what the worse \
+             body ends at, the network on the initial body takes so many times the iterations of that on the optimised \
+             one: {}.",
+            ratios.join(", ")
         ),
         legend: BODIES.to_vec(),
         plots,
         small: false,
-        data: table(&["setting", "body", "iteration", "median", "lower_quartile", "upper_quartile"], rows),
+        data: table(
+            &["setting", "quantity", "body", "iteration", "median", "lower_quartile", "upper_quartile"],
+            rows,
+        ),
     })
 }
 
-/// (iteration, lower quartile, median, upper quartile) at some hundred iterations, evenly spaced in their logarithm.
+/// (iteration, lower quartile, median, upper quartile) at some hundred iterations that all curves have, evenly spaced in
+/// their logarithm.
 fn middle(curves: &[&Vec<CurvePoint>]) -> Vec<(f64, f64, f64, f64)> {
-    let length = curves.iter().map(|c| c.len()).min().unwrap_or(0);
-    let mut at: Vec<usize> =
-        (0..100).map(|i| (length as f64).powf(f64::from(i) / 99.0).round() as usize).collect();
+    let Some(shortest) = curves.iter().min_by_key(|c| c.len()) else { return Vec::new() };
+    let Some(last) = shortest.last().map(|p| f64::from(p.0)) else { return Vec::new() };
+    let mut at: Vec<usize> = (0..100)
+        .map(|i| last.powf(f64::from(i) / 99.0))
+        .map(|n| shortest.partition_point(|p| f64::from(p.0) < n - 0.5).min(shortest.len() - 1))
+        .collect();
     at.dedup();
     at.into_iter()
-        .filter(|&n| n >= 1 && n <= length)
-        .filter_map(|n| {
-            let mut losses: Vec<f64> = curves.iter().map(|c| c[n - 1].1).filter(|l| l.is_finite()).collect();
-            losses.sort_by(f64::total_cmp);
-            let of = |q| quantile(&losses, q);
-            (!losses.is_empty()).then(|| (n as f64, of(0.25), of(0.5), of(0.75)))
+        .filter_map(|place| {
+            let n = shortest[place].0;
+            let value = |c: &&Vec<CurvePoint>| Some(c[c.binary_search_by_key(&n, |p| p.0).ok()?].1);
+            let mut values: Vec<f64> = curves.iter().filter_map(value).filter(|v| v.is_finite()).collect();
+            values.sort_by(f64::total_cmp);
+            let of = |q| quantile(&values, q);
+            (!values.is_empty()).then(|| (f64::from(n), of(0.25), of(0.5), of(0.75)))
         })
         .collect()
 }

@@ -101,6 +101,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     add_histories(reader, &mut trials, &places).await?;
     add_curves(reader, &mut trials, &places, "losses_", |t| &mut t.curves).await?;
     add_curves(reader, &mut trials, &places, "long_losses_", |t| &mut t.long_curves).await?;
+    add_error_curves(reader, &mut trials, &places).await?;
     add_long_errors(reader, &mut trials, &places).await?;
     Ok(trials)
 }
@@ -150,14 +151,48 @@ async fn add_curves(
         else {
             continue;
         };
-        let Some(body) = Body::ALL.into_iter().find(|b| b.name() == body) else { continue };
+        let Some(body) = body_named(body) else { continue };
         let curve: Vec<CurvePoint> =
             artifact.values::<f32>()?.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
-        let curves = &mut curves(&mut trials[i])[body as usize];
-        if curves.len() <= network {
-            curves.resize(network + 1, Vec::new());
+        *of_network(&mut curves(&mut trials[i])[body as usize], network) = curve;
+    }
+    Ok(())
+}
+
+fn body_named(name: &str) -> Option<Body> {
+    Body::ALL.into_iter().find(|b| b.name() == name)
+}
+
+fn of_network(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<CurvePoint> {
+    if curves.len() <= network {
+        curves.resize(network + 1, Vec::new());
+    }
+    &mut curves[network]
+}
+
+/// Errors on the way of ordinary training.
+async fn add_error_curves(
+    reader: &mut Reader,
+    trials: &mut [Trial],
+    places: &HashMap<String, usize>,
+) -> Result<(), StoreError> {
+    let rows: Rows = reader
+        .query(
+            "SELECT c.hash, c.body, c.network, c.iteration, c.error_holdout
+             FROM v_curve c JOIN v_trial t USING (hash)
+             WHERE c.error_holdout IS NOT NULL AND c.network < t.spec->>'$.evaluation.seeds'
+             ORDER BY c.hash, c.body, c.network, c.iteration",
+        )
+        .await?
+        .into();
+    for row in rows.iter() {
+        let numbers = ["network", "iteration", "error_holdout"].map(|column| row.number(column));
+        if let (Some(&i), Some(body), [Some(network), Some(iteration), Some(error)]) =
+            (places.get(row.text("hash")), body_named(row.text("body")), numbers)
+        {
+            let curves = &mut trials[i].error_curves[body as usize];
+            of_network(curves, network as usize).push((iteration as u32, error));
         }
-        curves[network] = curve;
     }
     Ok(())
 }
@@ -178,7 +213,7 @@ async fn add_long_errors(
         .await?
         .into();
     for row in rows.iter() {
-        let body = Body::ALL.into_iter().find(|b| b.name() == row.text("body"));
+        let body = body_named(row.text("body"));
         if let (Some(&i), Some(body)) = (places.get(row.text("hash")), body) {
             trials[i].long_errors[body as usize] = [row.number("test"), row.number("holdout")];
         }

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense_worker::milestones;
 use sqlx::Executor;
 
 use super::{Store, StoreError, npy_bytes, npy_values};
@@ -296,13 +297,15 @@ impl Store {
                 .bind(&network.outcome)
                 .execute(&mut self.connection)
                 .await?;
-            for iteration in thinned(losses.len()) {
-                sqlx::query("INSERT OR REPLACE INTO curve VALUES (?, ?, ?, ?, ?)")
+            for iteration in milestones(losses.len()) {
+                let at = network.errors.iter().find(|(n, _)| *n as usize == iteration);
+                sqlx::query("INSERT OR REPLACE INTO curve VALUES (?, ?, ?, ?, ?, ?)")
                     .bind(id)
                     .bind(body)
                     .bind(seed as i64)
                     .bind(iteration as i64)
                     .bind(finite(Some(losses[iteration - 1].into())))
+                    .bind(finite(at.map(|(_, error)| *error)))
                     .execute(&mut self.connection)
                     .await?;
             }
@@ -471,21 +474,9 @@ fn without_bulk(result: &TrialResult) -> String {
         body.design.clear();
         for network in body.networks.iter_mut().chain(&mut body.long) {
             network.losses.clear();
+            network.errors.clear();
             network.weights.clear();
         }
     }
     serde_json::to_string(&small).expect("a result is JSON")
-}
-
-/// Iterations, from 1, at which a curve of `n` points is kept: all of a short one, some 200 of a long one, closer
-/// together where a loss falls fastest.
-fn thinned(n: usize) -> Vec<usize> {
-    const KEPT: usize = 200;
-    if n <= KEPT {
-        return (1..=n).collect();
-    }
-    let mut kept: Vec<usize> =
-        (0..KEPT).map(|i| (n as f64).powf(i as f64 / (KEPT - 1) as f64).round() as usize).collect();
-    kept.dedup();
-    kept
 }

@@ -125,7 +125,7 @@ async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
          FROM trial, json_each('[\"initial\", \"optimised\"]')"
             .to_owned(),
         format!(
-            "{} INSERT INTO curve SELECT trial.id, value, 0, n.i + 1, 0.5
+            "{} INSERT INTO curve SELECT trial.id, value, 0, n.i + 1, 0.5, 10.0
              FROM trial CROSS JOIN json_each('[\"initial\", \"optimised\"]') CROSS JOIN n",
             count(points)
         ),

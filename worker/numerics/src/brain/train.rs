@@ -88,6 +88,21 @@ pub fn train<F: Real>(
     ws: &mut Workspace<F>,
     pool: &rayon::ThreadPool,
 ) -> TrainOutcome {
+    train_watched(weights, adam, batch, schedule, iterations, losses, ws, pool, &mut |_, _| ())
+}
+
+/// As [`train`]; shows `watch` the weights before each step, whose loss was just appended, with its number from 0.
+pub fn train_watched<F: Real>(
+    weights: &mut [F],
+    adam: &mut Adam<F>,
+    batch: Batch<F>,
+    schedule: &dyn Fn(usize) -> f64,
+    iterations: usize,
+    losses: &mut Vec<f32>,
+    ws: &mut Workspace<F>,
+    pool: &rayon::ThreadPool,
+    watch: &mut dyn FnMut(usize, &[F]),
+) -> TrainOutcome {
     let shape = batch.shape();
     let mut gradient = vec![F::ZERO; weights.len()];
     let mut last = weights.to_vec();
@@ -100,6 +115,7 @@ pub fn train<F: Real>(
             return TrainOutcome::NonFinite;
         }
         losses.push(loss as f32);
+        watch(i, weights);
         if i == 0 {
             ceiling = 100.0 * loss.max(ceiling);
         }
@@ -122,4 +138,17 @@ pub fn train<F: Real>(
 /// A rate that falls from `rate` to 0 by a cosine over `iterations`.
 pub fn cosine(rate: f64, iterations: usize) -> impl Fn(usize) -> f64 {
     move |i| 0.5 * rate * (1.0 + (std::f64::consts::PI * i as f64 / iterations as f64).cos())
+}
+
+/// Iterations, from 1, at which a curve of `n` points is kept: all of a short one, some 200 of a long one, closer
+/// together where a loss falls fastest.
+pub fn milestones(n: usize) -> Vec<usize> {
+    const KEPT: usize = 200;
+    if n <= KEPT {
+        return (1..=n).collect();
+    }
+    let mut kept: Vec<usize> =
+        (0..KEPT).map(|i| (n as f64).powf(i as f64 / (KEPT - 1) as f64).round() as usize).collect();
+    kept.dedup();
+    kept
 }

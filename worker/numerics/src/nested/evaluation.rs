@@ -17,6 +17,8 @@ pub struct NetworkEvaluation {
     pub error_holdout: Option<f64>,
     /// Training loss (normalised) at every iteration.
     pub losses: Vec<f32>,
+    /// (iteration, from 1, mean prediction error on the holdout before it (%)) at `brain::milestones`.
+    pub errors: Vec<(u32, f64)>,
     /// Weights of the first network, by which its predictions can be had again; empty of the others.
     pub weights: Vec<f32>,
     /// What went wrong.
@@ -69,6 +71,7 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
                     error_test: None,
                     error_holdout: None,
                     losses: Vec::new(),
+                    errors: Vec::new(),
                     weights: Vec::new(),
                     trouble: Some(*trouble),
                 },
@@ -100,12 +103,21 @@ fn network(
     let mut workspace = Workspace::new(*shape);
     let mut losses = Vec::new();
     let data = setting.data(train, &setting.train);
+    let unseen = setting.data(holdout_signals, holdout);
+    let milestones = brain::milestones(iterations);
+    let (mut errors, mut aside) = (Vec::new(), Workspace::new(*shape));
+    let mut watch = |i: usize, weights: &[f32]| {
+        if milestones.binary_search(&(i + 1)).is_ok() {
+            let error = setting.error(weights, &unseen, holdout, &mut aside).0;
+            errors.extend(error.map(|error| (i as u32 + 1, error)));
+        }
+    };
     let outcome = log.timed(
         |s| &mut s.train,
         |report| {
             let rate = |i| problem.brain.rate * problem.evaluation.schedule.factor(i, iterations);
             let mut adam = Adam::new(weights.len());
-            let outcome = brain::train(
+            let outcome = brain::train_watched(
                 &mut weights,
                 &mut adam,
                 data.all(),
@@ -114,6 +126,7 @@ fn network(
                 &mut losses,
                 &mut workspace,
                 pool,
+                &mut watch,
             );
             report.counters.brain_iterations += losses.len() as u64;
             outcome
@@ -127,8 +140,9 @@ fn network(
     NetworkEvaluation {
         error_train: error(0, &data, &setting.train),
         error_test: error(1, &setting.data(test, &setting.test), &setting.test),
-        error_holdout: error(2, &setting.data(holdout_signals, holdout), holdout),
+        error_holdout: error(2, &unseen, holdout),
         losses,
+        errors,
         weights: if seed == 0 { weights } else { Vec::new() },
         trouble: (outcome != TrainOutcome::Ok).then_some(Trouble::Training(outcome)),
     }

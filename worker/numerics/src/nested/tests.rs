@@ -96,7 +96,27 @@ impl Observe for Keeper {
 fn figures(body: &BodyEvaluation) -> Vec<u64> {
     let network =
         |n: &NetworkEvaluation| [n.error_train, n.error_test, n.error_holdout].map(|e| e.unwrap().to_bits());
-    body.networks.iter().flat_map(network).collect()
+    let on_the_way = |n: &NetworkEvaluation| n.errors.iter().map(|e| e.1.to_bits()).collect::<Vec<_>>();
+    body.networks.iter().flat_map(|n| [network(n).to_vec(), on_the_way(n)].concat()).collect()
+}
+
+/// Trained to just before an iteration, a network has the error that was noted on the way of a longer training.
+#[test]
+fn errors_on_the_way_are_those_of_a_training_that_ends_there() {
+    let mut problem = small(PROTOCOLS[0]);
+    (problem.evaluation.schedule, problem.brain.iterations) = (Schedule::Constant, 12);
+    let evaluated = |problem: &Problem| {
+        optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap().initial.networks
+    };
+    let long = evaluated(&problem);
+    problem.brain.iterations = 7;
+    let short = evaluated(&problem);
+    for (long, short) in long.iter().zip(&short) {
+        let iterations: Vec<u32> = long.errors.iter().map(|e| e.0).collect();
+        assert_eq!(iterations, (1..=12).collect::<Vec<_>>());
+        assert_eq!(Some(long.errors[7].1), short.error_holdout);
+        assert_eq!(long.errors[..7], short.errors);
+    }
 }
 
 /// Stopped after each step and resumed from the state of that step, on another number of threads: the same bits.
