@@ -5,6 +5,8 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 use toml::de::{DeTable, DeValue};
 
@@ -70,7 +72,15 @@ impl Source {
     /// # Errors
     /// The first unknown key, missing key, or value of a wrong type.
     pub fn parse(&self) -> Result<SweepSpec, SpecError> {
-        let known = KnownKeys::of_spec();
+        self.parse_as()
+    }
+
+    /// Reads another kind of file in the same way.
+    ///
+    /// # Errors
+    /// As [`Source::parse`].
+    pub fn parse_as<T: DeserializeOwned + JsonSchema>(&self) -> Result<T, SpecError> {
+        let known = KnownKeys::of::<T>();
         for place in &self.places {
             self.check_key(place, &known)?;
         }
@@ -190,7 +200,7 @@ fn find_places(table: &DeTable<'_>, prefix: &str, places: &mut Vec<Place>) {
     }
 }
 
-/// All keys that a spec may have, by path.
+/// All keys that a file may have, by path.
 #[derive(Debug)]
 pub struct KnownKeys {
     paths: Vec<String>,
@@ -200,7 +210,11 @@ impl KnownKeys {
     /// Those of `SweepSpec`.
     #[must_use]
     pub fn of_spec() -> Self {
-        let schema = spec_schema();
+        Self::of::<SweepSpec>()
+    }
+
+    fn of<T: JsonSchema>() -> Self {
+        let schema = schemars::schema_for!(T).to_value();
         let mut paths = Vec::new();
         add_paths(&schema, &schema, "", &mut paths);
         Self { paths }

@@ -6,6 +6,7 @@ pub mod convert;
 pub mod course;
 pub mod design;
 pub mod files;
+pub mod measured;
 pub mod noop;
 pub mod problem;
 pub mod process;

@@ -8,17 +8,54 @@ use std::sync::Arc;
 
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::{Recorded, anti_aliased, resample};
-use metasense_schemas::spec::{self, Resample, Signal, TrialSpec};
+use metasense_schemas::spec::{self, Resample, Signal, TimeUnit, TrialSpec};
 
 use crate::files::{Array, Content, content};
 use crate::problem::{Invalid, invalid};
 
-/// A history of each panel, or of the one that was struck, on an even clock.
+/// Histories on an even clock: one of each panel, or of the one that was struck; or one of each channel.
 #[derive(Debug, Clone, PartialEq)]
-struct Record {
-    start: f64,
-    dt: f64,
-    forces: Vec<Vec<f64>>,
+pub(crate) struct Record {
+    /// When the first entry is (s).
+    pub start: f64,
+    /// Time between two entries (s).
+    pub dt: f64,
+    /// The histories, equally long.
+    pub values: Vec<Vec<f64>>,
+}
+
+/// What is to be read from a file, and its clock.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pick<'a> {
+    /// The key that names it.
+    pub key: &'static str,
+    /// Its columns or arrays.
+    pub signals: Option<&'a [Signal]>,
+    /// The clock, or `rate`.
+    pub time: Option<&'a Signal>,
+    /// Entries a second.
+    pub rate: Option<f64>,
+    /// Unit of the clock.
+    pub unit: TimeUnit,
+    /// When the clock reads 0 (s).
+    pub start: f64,
+    /// Histories a record, where known: an array may then have them along its last side, too.
+    pub count: Option<usize>,
+}
+
+impl<'a> Pick<'a> {
+    /// The forces of a record.
+    pub fn forces(recorded: &'a spec::Recorded) -> Self {
+        Self {
+            key: "force",
+            signals: recorded.force.as_deref(),
+            time: recorded.time.as_ref(),
+            rate: recorded.rate,
+            unit: recorded.time_unit,
+            start: 0.0,
+            count: None,
+        }
+    }
 }
 
 /// A clock may be uneven by so much of its step.
@@ -44,8 +81,13 @@ fn read(file: &Path) -> Result<Vec<u8>, Invalid> {
     std::fs::read(file).map_err(|e| at(file, format!("cannot be read: {e}")))
 }
 
-fn at(file: &Path, what: impl Into<String>) -> Invalid {
+pub(crate) fn at(file: &Path, what: impl Into<String>) -> Invalid {
     invalid("stimuli.recorded.files", format!("{:?}", file.display().to_string()), what)
+}
+
+/// A file taken apart.
+pub(crate) fn open(file: &Path) -> Result<Content, Invalid> {
+    content(file, &read(file)?).map_err(|what| at(file, what))
 }
 
 /// The records of a trial as the maths take them, on a clock of `instants` instants.
@@ -55,32 +97,13 @@ pub(crate) fn recorded(
     instants: usize,
 ) -> Result<Recorded, Invalid> {
     check(recorded)?;
-    let now = digest(recorded)?;
-    if let Some(known) = recorded.digest.as_ref().filter(|known| **known != now) {
-        return Err(invalid("stimuli.recorded.digest", known, format!("the files' contents now give {now}")));
-    }
     let panels = trial.panel_units.len();
     let mut records = Vec::new();
     for file in &recorded.files {
-        let held = content(file, &read(file)?).map_err(|what| at(file, what))?;
-        for record in of_file(recorded, held).map_err(|what| at(file, what))? {
-            if ![1, panels].contains(&record.forces.len()) {
-                let what = format!(
-                    "holds {} forces a record; must be 1 or {panels}, one a panel",
-                    record.forces.len()
-                );
-                return Err(at(file, what));
-            }
-            records.push(aligned(recorded, record).map_err(|what| at(file, what))?);
+        for mut record in forces(recorded, file, &open(file)?, panels)? {
+            align(recorded, &mut record).map_err(|what| at(file, what))?;
+            records.push(record);
         }
-    }
-    let held = records.first().map_or(1, |record| record.forces.len());
-    if records.iter().any(|record| record.forces.len() != held) {
-        return Err(invalid(
-            "stimuli.recorded.force",
-            "mixed",
-            "all files must hold as many forces a record",
-        ));
     }
     let wanted = trial.stimuli.samples + trial.stimuli.holdout;
     if records.len() < wanted {
@@ -91,37 +114,72 @@ pub(crate) fn recorded(
         );
         return Err(invalid("stimuli.samples", trial.stimuli.samples, remedy));
     }
-    let struck = match &recorded.panels {
-        Some(struck) if held != 1 => {
-            let remedy = format!("means nothing where a record holds {held} forces");
-            return Err(invalid("stimuli.recorded.panels", format!("{struck:?}"), remedy));
-        }
-        Some(struck) if struck.len() != records.len() || struck.iter().any(|&k| k >= panels) => {
-            let remedy =
-                format!("must name one of panels 0 to {} for each of {} records", panels - 1, records.len());
-            return Err(invalid("stimuli.recorded.panels", format!("{struck:?}"), remedy));
-        }
-        struck => struck.clone(),
-    };
-    let clock = match recorded.resample {
-        Resample::Antialias => anti_aliased,
-        Resample::Linear => resample,
-    };
+    check_panels(recorded, &records, panels)?;
+    let clock = clock(recorded.resample);
     let values = records
         .iter()
-        .flat_map(|r| r.forces.iter().map(move |f| clock(f, r.start, r.dt, trial.time.duration, instants)))
+        .flat_map(|r| r.values.iter().map(move |f| clock(f, r.start, r.dt, trial.time.duration, instants)))
         .flatten()
         .collect();
+    let held = records[0].values.len();
     Ok(Recorded {
         histories: Arc::new(Forces { samples: records.len(), panels: held, instants, values }),
-        struck,
+        struck: recorded.panels.clone(),
         scale: recorded.augment.scale,
         shift: recorded.augment.shift,
         low_pass: recorded.resample == Resample::Antialias,
     })
 }
 
-fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
+/// How a history is read onto another clock: (history, start, dt, duration, instants).
+pub(crate) fn clock(kind: Resample) -> fn(&[f64], f64, f64, f64, usize) -> Vec<f64> {
+    match kind {
+        Resample::Antialias => anti_aliased,
+        Resample::Linear => resample,
+    }
+}
+
+/// The forces of a file: of all panels a record, or of one.
+pub(crate) fn forces(
+    recorded: &spec::Recorded,
+    file: &Path,
+    held: &Content,
+    panels: usize,
+) -> Result<Vec<Record>, Invalid> {
+    let records = of_file(&Pick::forces(recorded), held).map_err(|what| at(file, what))?;
+    match records.iter().map(|record| record.values.len()).find(|held| ![1, panels].contains(held)) {
+        Some(held) => {
+            Err(at(file, format!("holds {held} forces a record; must be 1 or {panels}, one a panel")))
+        }
+        None => Ok(records),
+    }
+}
+
+/// Whether all records hold as many forces, and `panels` says which is struck where it may.
+pub(crate) fn check_panels(
+    recorded: &spec::Recorded,
+    records: &[Record],
+    panels: usize,
+) -> Result<(), Invalid> {
+    let held = records.first().map_or(1, |record| record.values.len());
+    if records.iter().any(|record| record.values.len() != held) {
+        return Err(invalid(
+            "stimuli.recorded.force",
+            "mixed",
+            "all files must hold as many forces a record",
+        ));
+    }
+    let Some(struck) = &recorded.panels else { return Ok(()) };
+    let remedy = match held {
+        1 if struck.len() == records.len() && struck.iter().all(|&k| k < panels) => return Ok(()),
+        1 => format!("must name one of panels 0 to {} for each of {} records", panels - 1, records.len()),
+        _ => format!("means nothing where a record holds {held} forces"),
+    };
+    Err(invalid("stimuli.recorded.panels", format!("{struck:?}"), remedy))
+}
+
+/// Refuses keys that cannot be meant, and files that are not those of the digest.
+pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     let key = |name: &str| format!("stimuli.recorded.{name}");
     let wrong = |name: &str, value: String, remedy: &str| Err(invalid(&key(name), value, remedy));
     if recorded.files.is_empty() {
@@ -150,20 +208,22 @@ fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
             return wrong(name, format!("[{least}, {most}]"), "must be [least, most]");
         }
     }
-    Ok(())
+    let Some(known) = &recorded.digest else { return Ok(()) };
+    let now = digest(recorded)?;
+    let remedy = format!("the files' contents now give {now}");
+    if *known == now { Ok(()) } else { Err(invalid("stimuli.recorded.digest", known, remedy)) }
 }
 
 /// The records of a file, as they stand in it.
-fn of_file(recorded: &spec::Recorded, held: Content) -> Result<Vec<Record>, String> {
+pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
+    let turned: Vec<(String, Vec<f64>)>;
     let columns = match held {
         Content::Table(columns) => columns,
         Content::Array(array) if array.shape.len() == 3 => {
-            if recorded.time.is_some() {
+            if pick.time.is_some() {
                 return Err("of three dimensions has no clock: give rate".into());
             }
-            return Ok(split(&array, [array.shape[0], array.shape[1]])
-                .map(|forces| even(recorded, forces))
-                .collect());
+            return Ok(histories(pick, array)?.into_iter().map(|values| even(pick, values)).collect());
         }
         Content::Array(Array { shape, values }) => {
             let [rows, columns] = match shape[..] {
@@ -175,9 +235,11 @@ fn of_file(recorded: &spec::Recorded, held: Content) -> Result<Vec<Record>, Stri
                 if rows <= columns { (rows, columns, false) } else { (columns, rows, true) };
             let value =
                 |s: usize, n: usize| if across { values[n * columns + s] } else { values[s * columns + n] };
-            (0..signals).map(|s| (s.to_string(), (0..length).map(|n| value(s, n)).collect())).collect()
+            turned =
+                (0..signals).map(|s| (s.to_string(), (0..length).map(|n| value(s, n)).collect())).collect();
+            &turned
         }
-        Content::Archive(arrays) => return of_archive(recorded, &arrays),
+        Content::Archive(arrays) => return of_archive(pick, arrays),
     };
     let column = |signal: &Signal| -> Result<Vec<f64>, String> {
         let place = match signal {
@@ -187,90 +249,101 @@ fn of_file(recorded: &spec::Recorded, held: Content) -> Result<Vec<Record>, Stri
         let names = || columns.iter().map(|c| c.0.as_str()).collect::<Vec<_>>().join(", ");
         place.map(|c| c.1.clone()).ok_or_else(|| format!("has no signal {signal:?}, but {}", names()))
     };
-    let forces = match &recorded.force {
+    let values = match pick.signals {
         Some(signals) => signals.iter().map(column).collect::<Result<Vec<_>, _>>()?,
-        None if columns.len() == 1 => vec![columns[0].1.clone()],
-        None => return Err(format!("has {} signals: name those that are forces by force", columns.len())),
+        None if columns.len() == pick.count.unwrap_or(1) => columns.iter().map(|c| c.1.clone()).collect(),
+        None => {
+            return Err(format!("has {} signals: name those that are meant by {}", columns.len(), pick.key));
+        }
     };
-    Ok(vec![match &recorded.time {
-        Some(time) => timed(recorded, &column(time)?, forces)?,
-        None => even(recorded, forces),
+    Ok(vec![match pick.time {
+        Some(time) => timed(pick, &column(time)?, values)?,
+        None => even(pick, values),
     }])
 }
 
 fn of_archive(
-    recorded: &spec::Recorded,
+    pick: &Pick,
     arrays: &std::collections::BTreeMap<String, Result<Array, String>>,
 ) -> Result<Vec<Record>, String> {
+    let key = pick.key;
     let named = |signal: &Signal| -> Result<&Array, String> {
         let Signal::Name(name) = signal else {
-            return Err("holds arrays by name: force and time must be names".into());
+            return Err(format!("holds arrays by name: {key} and time must be names"));
         };
         let names = || arrays.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
         let array = arrays.get(name).ok_or_else(|| format!("has no array {name:?}, but {}", names()))?;
         array.as_ref().map_err(|what| format!("{name} {what}"))
     };
-    let Some(signals) = &recorded.force else {
-        return Err("has arrays by name: name the forces by force".into());
+    let Some(signals) = pick.signals else {
+        return Err(format!("has arrays by name: name those that are meant by {key}"));
     };
+    let alone = Pick { count: pick.count.filter(|_| signals.len() == 1), ..*pick };
     let mut records: Vec<Vec<Vec<f64>>> = Vec::new();
     for signal in signals {
-        let array = named(signal)?;
-        let counts = match array.shape[..] {
-            [_] => [1, 1],
-            [samples, _] => [samples, 1],
-            [samples, panels, _] => [samples, panels],
-            _ => {
-                return Err(format!("{signal:?} is of shape {:?}; must have 1 to 3 dimensions", array.shape));
-            }
-        };
+        let held = histories(&alone, named(signal)?).map_err(|what| format!("{signal:?} {what}"))?;
         if records.is_empty() {
-            records = vec![Vec::new(); counts[0]];
+            records = vec![Vec::new(); held.len()];
         }
-        if records.len() != counts[0] {
-            return Err(format!("{signal:?} holds {} samples, another force {}", counts[0], records.len()));
+        if records.len() != held.len() {
+            let (these, others) = (held.len(), records.len());
+            return Err(format!("{signal:?} holds {these} samples, another of {key} {others}"));
         }
-        records.iter_mut().zip(split(array, counts)).for_each(|(record, forces)| record.extend(forces));
+        records.iter_mut().zip(held).for_each(|(record, values)| record.extend(values));
     }
-    match &recorded.time {
-        None => Ok(records.into_iter().map(|forces| even(recorded, forces)).collect()),
+    match pick.time {
+        None => Ok(records.into_iter().map(|values| even(pick, values)).collect()),
         Some(time) => {
             let clock = &named(time)?.values;
-            records.into_iter().map(|forces| timed(recorded, clock, forces)).collect()
+            records.into_iter().map(|values| timed(pick, clock, values)).collect()
         }
     }
 }
 
-/// (samples, panels, entries) as a list of histories a sample.
-fn split(array: &Array, [samples, panels]: [usize; 2]) -> impl Iterator<Item = Vec<Vec<f64>>> {
-    let entries = array.values.len() / (samples * panels).max(1);
-    (0..samples).map(move |i| {
-        (0..panels).map(|k| array.values[(i * panels + k) * entries..][..entries].to_vec()).collect()
-    })
+/// (entries), (samples, entries) or (samples, histories, entries) as a list of histories a sample. Where their number
+/// is known, (entries, histories) and (samples, entries, histories), too.
+fn histories(pick: &Pick, array: &Array) -> Result<Vec<Vec<Vec<f64>>>, String> {
+    let [samples, rows, columns] = match (array.shape[..].as_ref(), pick.count) {
+        ([entries], _) => [1, 1, *entries],
+        ([rows, columns], Some(_)) => [1, *rows, *columns],
+        ([samples, entries], None) => [*samples, 1, *entries],
+        ([samples, rows, columns], _) => [*samples, *rows, *columns],
+        _ => return Err(format!("is of shape {:?}; must have 1 to 3 dimensions", array.shape)),
+    };
+    let last = pick.count == Some(columns);
+    let value = |i: usize, row: usize, column: usize| array.values[(i * rows + row) * columns + column];
+    let sample = |i: usize| -> Vec<Vec<f64>> {
+        if last {
+            (0..columns).map(|c| (0..rows).map(|n| value(i, n, c)).collect()).collect()
+        } else {
+            (0..rows).map(|r| (0..columns).map(|n| value(i, r, n)).collect()).collect()
+        }
+    };
+    Ok((0..samples).map(sample).collect())
 }
 
-fn even(recorded: &spec::Recorded, forces: Vec<Vec<f64>>) -> Record {
-    Record { start: 0.0, dt: 1.0 / recorded.rate.unwrap_or(1.0), forces }
+fn even(pick: &Pick, values: Vec<Vec<f64>>) -> Record {
+    Record { start: pick.start, dt: 1.0 / pick.rate.unwrap_or(1.0), values }
 }
 
 /// A record with its clock; one that is uneven is read linearly onto an even one, as fine as its finest step.
-fn timed(recorded: &spec::Recorded, clock: &[f64], forces: Vec<Vec<f64>>) -> Result<Record, String> {
-    if let Some(force) = forces.iter().find(|force| force.len() != clock.len()) {
-        return Err(format!("has {} entries of force, {} of time", force.len(), clock.len()));
+fn timed(pick: &Pick, clock: &[f64], values: Vec<Vec<f64>>) -> Result<Record, String> {
+    if let Some(history) = values.iter().find(|history| history.len() != clock.len()) {
+        return Err(format!("has {} entries of {}, {} of time", history.len(), pick.key, clock.len()));
     }
     if clock.len() < 2 {
         return Err("must hold at least two entries".into());
     }
-    let unit = recorded.time_unit.seconds();
+    let unit = pick.unit.seconds();
     let steps = || clock.windows(2).map(|w| w[1] - w[0]);
     if let Some(n) = steps().position(|step| !(step > 0.0 && step.is_finite())) {
         return Err(format!("time does not ascend: entry {} is {}, the next {}", n, clock[n], clock[n + 1]));
     }
     let span = clock[clock.len() - 1] - clock[0];
     let mean = span / (clock.len() - 1) as f64;
-    let start = clock[0] * unit;
+    let start = pick.start + clock[0] * unit;
     if steps().all(|step| (step - mean).abs() <= UNEVEN * mean) {
-        return Ok(Record { start, dt: mean * unit, forces });
+        return Ok(Record { start, dt: mean * unit, values });
     }
     let finest = steps().fold(f64::INFINITY, f64::min);
     let count = (span / finest).ceil();
@@ -278,7 +351,7 @@ fn timed(recorded: &spec::Recorded, clock: &[f64], forces: Vec<Vec<f64>>) -> Res
         return Err(format!("time is uneven, with steps from {finest} to much more: resample it first"));
     }
     let dt = span / count;
-    let read = |force: &Vec<f64>| {
+    let read = |history: &Vec<f64>| {
         let mut i = 0;
         let value = |n: usize| {
             let t = clock[0] + n as f64 * dt;
@@ -286,34 +359,47 @@ fn timed(recorded: &spec::Recorded, clock: &[f64], forces: Vec<Vec<f64>>) -> Res
                 i += 1;
             }
             let w = ((t - clock[i]) / (clock[i + 1] - clock[i])).clamp(0.0, 1.0);
-            (1.0 - w) * force[i] + w * force[i + 1]
+            (1.0 - w) * history[i] + w * history[i + 1]
         };
         (0..=count as usize).map(value).collect()
     };
-    Ok(Record { start, dt: dt * unit, forces: forces.iter().map(read).collect() })
+    Ok(Record { start, dt: dt * unit, values: values.iter().map(read).collect() })
 }
 
-/// In newtons, without offset, the blow where the trigger wants it.
-fn aligned(recorded: &spec::Recorded, mut record: Record) -> Result<Record, String> {
-    for force in &mut record.forces {
-        if let Some(n) = force.iter().position(|f| !f.is_finite()) {
-            return Err(format!("entry {n} of a force is {}; must be a finite number", force[n]));
+/// Puts forces into newtons, without offset, and the blow where the trigger wants it. Returns by how much that is later
+/// than it was (s).
+pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record) -> Result<f64, String> {
+    let factor = recorded.force_unit.newtons() * recorded.scale;
+    let factors = vec![factor; record.values.len()];
+    in_units("force", &mut record.values, &factors, recorded.remove_offset)?;
+    let Some(trigger) = recorded.trigger else { return Ok(0.0) };
+    let reached = |force: &Vec<f64>| force.iter().position(|f| f.abs() >= trigger.threshold);
+    let Some(first) = record.values.iter().filter_map(reached).min() else {
+        return Err(format!("holds a record that never reaches the trigger's {} N", trigger.threshold));
+    };
+    let before = record.start;
+    record.start = trigger.before - first as f64 * record.dt;
+    Ok(record.start - before)
+}
+
+/// Multiplies each history by its factor, its median taken off first where asked.
+pub(crate) fn in_units(
+    what: &str,
+    values: &mut [Vec<f64>],
+    factors: &[f64],
+    remove_offset: bool,
+) -> Result<(), String> {
+    for (history, factor) in values.iter_mut().zip(factors) {
+        if let Some(n) = history.iter().position(|x| !x.is_finite()) {
+            return Err(format!("entry {n} of a {what} is {}; must be a finite number", history[n]));
         }
-        if force.is_empty() {
+        if history.is_empty() {
             return Err("holds a record without entries".into());
         }
-        let offset = if recorded.remove_offset { median(force) } else { 0.0 };
-        let factor = recorded.force_unit.newtons() * recorded.scale;
-        force.iter_mut().for_each(|f| *f = (*f - offset) * factor);
+        let offset = if remove_offset { median(history) } else { 0.0 };
+        history.iter_mut().for_each(|x| *x = (*x - offset) * factor);
     }
-    if let Some(trigger) = recorded.trigger {
-        let reached = |force: &Vec<f64>| force.iter().position(|f| f.abs() >= trigger.threshold);
-        let Some(first) = record.forces.iter().filter_map(reached).min() else {
-            return Err(format!("holds a record that never reaches the trigger's {} N", trigger.threshold));
-        };
-        record.start = trigger.before - first as f64 * record.dt;
-    }
-    Ok(record)
+    Ok(())
 }
 
 fn median(values: &[f64]) -> f64 {
@@ -322,4 +408,4 @@ fn median(values: &[f64]) -> f64 {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -33,6 +33,7 @@ use crate::plan::{OneBody, Plan};
 use crate::store::StoreError;
 use metasense_schemas::source::SpecError;
 use metasense_worker::design::DesignError;
+use metasense_worker::measured::MeasuredError;
 
 pub use rows::{Format, print_rows, write_rows};
 
@@ -153,6 +154,9 @@ pub enum Error {
     /// A design file.
     #[error(transparent)]
     Design(#[from] DesignError),
+    /// Measured records.
+    #[error(transparent)]
+    Measured(#[from] MeasuredError),
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -194,7 +198,11 @@ impl Error {
             Self::Merge(MergeError::Store(_) | MergeError::Nothing { .. }) => Exit::BadInput,
             Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
             Self::Merge(_) | Self::Home(_) => Exit::Io,
-            Self::Usage(_) | Self::Spec(_) | Self::Design(_) | Self::Unreadable { .. } => Exit::BadInput,
+            Self::Usage(_)
+            | Self::Spec(_)
+            | Self::Design(_)
+            | Self::Measured(_)
+            | Self::Unreadable { .. } => Exit::BadInput,
             Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
         }
     }

@@ -4,6 +4,7 @@
 
 mod body;
 mod feasible;
+mod measured;
 mod optimise;
 mod sensors;
 mod solver;
@@ -12,6 +13,7 @@ mod trial;
 
 pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
+pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
 pub use optimise::{Brain, Curvature, Evaluation, GradientTerms, Optimise, Protocol, Schedule};
 pub use sensors::{Disturbance, Frame, Sensors};
 pub use solver::{Method, Solver, Time};

@@ -37,7 +37,7 @@ fn csv(size: f64) -> Vec<u8> {
     ("time,force\n".to_owned() + &(0..11).map(line).collect::<String>()).into_bytes()
 }
 
-fn npy(shape: &[u64], values: &[f64]) -> Vec<u8> {
+pub(crate) fn npy(shape: &[u64], values: &[f64]) -> Vec<u8> {
     use npyz::WriterBuilder;
     let mut bytes = Vec::new();
     let mut writer =

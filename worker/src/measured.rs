@@ -1,0 +1,245 @@
+//! Measured records: forces and the signals that a body's sensors gave under them, on the clock of a trial.
+//!
+//! A file of its own says what stands where (`spec::Measured`). A record is moved as a whole where a trigger wants its
+//! blow. Before its first and after its last entry a signal is held, so that the low-pass does not see it jump.
+
+use std::path::{Path, PathBuf};
+
+use metasense_numerics::dynamics::Forces;
+use metasense_schemas::source::{Source, SpecError};
+use metasense_schemas::spec::{self, Augment, Resample, TrialSpec};
+
+use crate::problem::{Invalid, invalid};
+use crate::records::{self, Pick, Record};
+
+/// Records of one body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// (N, K, R + 1) (N), on the clock of the trial's forces.
+    pub forces: Forces,
+    /// (N, T, 3M) (mm/s², rad/s).
+    pub signals: Vec<f64>,
+    /// Whether targets of a finer clock of the forces are read through a low-pass.
+    pub low_pass: bool,
+}
+
+/// Why records cannot be had.
+#[derive(Debug, thiserror::Error)]
+pub enum MeasuredError {
+    /// The file that describes them.
+    #[error("cannot read {}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// What it says.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+}
+
+/// Reads the records that `file` (TOML) describes, for a trial's panels, sensors and clock.
+///
+/// # Errors
+/// Names file, key and value of what no record can have, or does not fit the trial.
+pub fn read(file: &Path, trial: &TrialSpec) -> Result<Measured, MeasuredError> {
+    let text = std::fs::read_to_string(file)
+        .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
+    let source = Source::new(file, text)?;
+    let mut spec: spec::Measured = source.parse_as()?;
+    let folder = file.parent().unwrap_or(Path::new(""));
+    let paths = spec.recorded.files.iter_mut().chain(spec.signals.files.iter_mut().flatten());
+    paths.for_each(|path| *path = folder.join(&path));
+    measured(&spec, trial).map_err(|Invalid { key, value, remedy }| {
+        let key = key.strip_prefix("stimuli.").unwrap_or(&key);
+        source.error_with(key, Some(&value), &remedy).into()
+    })
+}
+
+fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invalid> {
+    let spec::Measured { recorded, signals } = spec;
+    check(recorded, signals, trial)?;
+    let (panels, channels) = (trial.panel_units.len(), 3 * trial.sensor_units.len());
+    let (duration, instants) = (trial.time.duration, trial.time.samples);
+    let pick = pick(recorded, signals, channels);
+    let (mut forces, mut readings) = (Vec::new(), Vec::new());
+    for (n, file) in recorded.files.iter().enumerate() {
+        let held = records::open(file)?;
+        let of_file = records::forces(recorded, file, &held, panels)?;
+        let (beside, read) = match &signals.files {
+            Some(files) => (&files[n], records::of_file(&pick, &records::open(&files[n])?)),
+            None => (file, records::of_file(&pick, &held)),
+        };
+        let read = read.map_err(|what| faulty(beside, what))?;
+        if read.len() != of_file.len() {
+            let what = format!("holds signals of {} records, forces of {}", read.len(), of_file.len());
+            return Err(faulty(beside, what));
+        }
+        for (mut force, mut signal) in of_file.into_iter().zip(read) {
+            fit(signals, &force, &signal, channels).map_err(|what| faulty(beside, what))?;
+            let later = records::align(recorded, &mut force).map_err(|what| records::at(file, what))?;
+            signal.start += later;
+            records::in_units(
+                "signal",
+                &mut signal.values,
+                &factors(signals, channels),
+                recorded.remove_offset,
+            )
+            .map_err(|what| faulty(beside, what))?;
+            lasts(&signal, duration, instants).map_err(|what| faulty(beside, what))?;
+            forces.push(force);
+            readings.push(signal);
+        }
+    }
+    let Some(first) = forces.first() else {
+        return Err(faulty(&recorded.files[0], "holds no record"));
+    };
+    records::check_panels(recorded, &forces, panels)?;
+    if first.values.len() < panels && recorded.panels.is_none() {
+        let remedy = format!("must name the panel, from 0 to {}, that each record strikes", panels - 1);
+        return Err(invalid("stimuli.recorded.panels", "absent", remedy));
+    }
+    let clock = records::clock(recorded.resample);
+    let own = trial.stimuli.force_samples.unwrap_or(instants);
+    let mut values = Vec::with_capacity(forces.len() * panels * (own + 1));
+    for (n, record) in forces.iter().enumerate() {
+        let struck = recorded.panels.as_ref().map(|struck| struck[n]);
+        for panel in 0..panels {
+            let history = match struck {
+                Some(struck) => record.values.first().filter(|_| panel == struck),
+                None => record.values.get(panel),
+            };
+            match history {
+                Some(force) => values.extend(clock(force, record.start, record.dt, duration, own)),
+                None => values.resize(values.len() + own + 1, 0.0),
+            }
+        }
+    }
+    let read = |record: &Record| -> Vec<f64> {
+        let delta = duration / instants as f64;
+        let on_clock = |history: &Vec<f64>| {
+            let (start, held) = held(record, history, duration, delta);
+            clock(&held, start, record.dt, duration, instants)
+        };
+        let histories: Vec<Vec<f64>> = record.values.iter().map(on_clock).collect();
+        (1..=instants).flat_map(|n| histories.iter().map(move |h| h[n])).collect()
+    };
+    Ok(Measured {
+        signals: readings.iter().flat_map(read).collect(),
+        forces: Forces { samples: forces.len(), panels, instants: own, values },
+        low_pass: recorded.resample == Resample::Antialias,
+    })
+}
+
+fn faulty(file: &Path, what: impl Into<String>) -> Invalid {
+    invalid("signals.files", format!("{:?}", file.display().to_string()), what)
+}
+
+fn check(
+    recorded: &spec::Recorded,
+    signals: &spec::MeasuredSignals,
+    trial: &TrialSpec,
+) -> Result<(), Invalid> {
+    records::check(recorded)?;
+    let wrong =
+        |key: &str, value: String, remedy: String| Err(invalid(&format!("signals.{key}"), value, remedy));
+    if recorded.augment != Augment::default() {
+        let remedy = "means nothing here: measured records are taken as they are";
+        return Err(invalid("stimuli.recorded.augment", "{ … }", remedy));
+    }
+    if let Some(files) = signals.files.as_ref().filter(|files| files.len() != recorded.files.len()) {
+        let remedy = format!("must be one for each of the {} of recorded.files", recorded.files.len());
+        return wrong("files", format!("{} files", files.len()), remedy);
+    }
+    if signals.time.is_some() && signals.rate.is_some() {
+        let remedy = "give the clock by time or by rate, one of them".into();
+        return wrong("rate", format!("{:?}", signals.rate), remedy);
+    }
+    if let Some(rate) = signals.rate.filter(|rate| !(*rate > 0.0 && rate.is_finite())) {
+        return wrong("rate", rate.to_string(), "must be a number above 0".into());
+    }
+    if let Some(start) = signals.start.filter(|start| !start.is_finite()) {
+        return wrong("start", start.to_string(), "must be a finite number (s)".into());
+    }
+    let channels = 3 * trial.sensor_units.len();
+    match &signals.factors {
+        Some(factors) if factors.len() != channels || factors.iter().any(|f| !f.is_finite() || *f == 0.0) => {
+            let remedy = format!("must be {channels} numbers other than 0, one a channel");
+            wrong("factors", format!("{factors:?}"), remedy)
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The signals of a file; their clock is that of the forces where they have none of their own.
+fn pick<'a>(recorded: &'a spec::Recorded, signals: &'a spec::MeasuredSignals, channels: usize) -> Pick<'a> {
+    let (time, rate) = match (&signals.time, signals.rate) {
+        (None, None) => (recorded.time.as_ref(), recorded.rate),
+        (time, rate) => (time.as_ref(), rate),
+    };
+    Pick {
+        key: "signals.channels",
+        signals: signals.channels.as_deref(),
+        time,
+        rate,
+        unit: recorded.time_unit,
+        start: signals.start.unwrap_or(0.0),
+        count: Some(channels),
+    }
+}
+
+/// Whether a record's signals are as many as the sensors', and as long as the forces where they share a clock.
+fn fit(
+    signals: &spec::MeasuredSignals,
+    force: &Record,
+    signal: &Record,
+    channels: usize,
+) -> Result<(), String> {
+    if signal.values.len() != channels {
+        let held = signal.values.len();
+        return Err(format!("holds {held} signals a record; must be {channels}: a_x, a_y, ω of each sensor"));
+    }
+    let shared = signals.time.is_none() && signals.rate.is_none() && signals.start.is_none();
+    let (found, expected) = (signal.values[0].len(), force.values[0].len());
+    if shared && found != expected {
+        return Err(format!(
+            "holds {found} entries of signals, {expected} of force: say by signals.start, .rate or .time when they are"
+        ));
+    }
+    Ok(())
+}
+
+/// Of each channel, to mm/s² and rad/s.
+fn factors(signals: &spec::MeasuredSignals, channels: usize) -> Vec<f64> {
+    let units = [signals.acceleration_unit.factor(), signals.angular_velocity_unit.factor()];
+    let own = |c: usize| signals.factors.as_ref().map_or(1.0, |factors| factors[c]);
+    (0..channels).map(|c| units[usize::from(c % 3 == 2)] * own(c)).collect()
+}
+
+/// Signals that end before the sample does would be made up: refused, but for an instant.
+fn lasts(signal: &Record, duration: f64, instants: usize) -> Result<(), String> {
+    let end = signal.start + (signal.values[0].len() - 1) as f64 * signal.dt;
+    if end >= duration * (1.0 - 1.000_001 / instants as f64) {
+        return Ok(());
+    }
+    Err(format!(
+        "holds signals that end at {end:.4} s where a sample lasts {duration} s: shorten time.duration, \
+         or let a trigger put the blow later"
+    ))
+}
+
+/// A history with its first and last value held as far as a low-pass looks, and its new start.
+fn held(record: &Record, history: &[f64], duration: f64, delta: f64) -> (f64, Vec<f64>) {
+    const REACH: f64 = 13.0;
+    let end = record.start + (history.len() - 1) as f64 * record.dt;
+    let missing = |time: f64| (time / record.dt).ceil().max(0.0) as usize;
+    let (before, after) = (missing(record.start + REACH * delta), missing(duration + REACH * delta - end));
+    let mut held = vec![history[0]; before];
+    held.extend(history);
+    held.resize(held.len() + after, history[history.len() - 1]);
+    (record.start - before as f64 * record.dt, held)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,202 @@
+use super::*;
+use crate::records::tests::npy;
+use crate::simulate::simulate;
+use serde_json::json;
+
+fn trial(panels: &[usize], sensors: &[usize]) -> TrialSpec {
+    serde_json::from_value(json!({
+        "body": { "columns": 3, "rows": 3, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
+            "stiffness": { "stretch": 3.0, "shear": 0.5, "bend": 1.0 } },
+        "time": { "duration": 0.1, "samples": 20 }, "solver": {}, "sensors": {},
+        "stimuli": { "kind": "bell" }, "brain": {}, "optimise": {}, "evaluation": {}, "feasible": {},
+        "point": { "panels": panels.len(), "sensors": sensors.len(), "placement": 0, "seed": 3 },
+        "panel_units": panels, "sensor_units": sensors,
+    }))
+    .unwrap()
+}
+
+/// A folder with files; `records.toml` is read.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new(files: &[(&str, &[u8])]) -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        files.iter().for_each(|(name, bytes)| folder.file(name, bytes));
+        folder
+    }
+
+    fn file(&self, name: &str, bytes: &[u8]) {
+        std::fs::write(self.0.path().join(name), bytes).unwrap();
+    }
+
+    fn read(&self, text: &str, trial: &TrialSpec) -> Result<Measured, String> {
+        self.file("records.toml", text.as_bytes());
+        read(&self.0.path().join("records.toml"), trial).map_err(|e| e.to_string())
+    }
+}
+
+fn furthest(a: &[f64], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let scale = b.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+    a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / scale
+}
+
+/// What a simulation writes comes back, whichever side of the array the channels lie along.
+#[test]
+fn simulated_signals_are_read_back_as_measured_ones() {
+    let trial = trial(&[6, 8], &[4, 3]);
+    let design = crate::simulate::body(&trial).unwrap().1;
+    let forces: Vec<f64> = (0..3 * 2 * 21).map(|i| (f64::from(i) * 0.7).sin()).collect();
+    let signals = simulate(&trial, &design, (&[3, 2, 21], &forces), None, 1).unwrap().signals;
+    let turned: Vec<f64> = (0..3 * 6 * 20)
+        .map(|at| {
+            let (i, c, n) = (at / 120, at / 20 % 6, at % 20);
+            signals[(i * 20 + n) * 6 + c]
+        })
+        .collect();
+    let folder = Folder::new(&[
+        ("forces.npy", &npy(&[3, 2, 21], &forces)),
+        ("signals.npy", &npy(&[3, 20, 6], &signals)),
+        ("turned.npy", &npy(&[3, 6, 20], &turned)),
+    ]);
+    for name in ["signals.npy", "turned.npy"] {
+        let text = format!(
+            "[recorded]\nfiles = [\"forces.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"{name}\"]\nstart = 0.005\n"
+        );
+        let found = folder.read(&text, &trial).unwrap();
+        let far = [furthest(&found.forces.values, &forces), furthest(&found.signals, &signals)];
+        assert!(far.iter().all(|far| *far < 1e-9), "{name}: {far:?}");
+        assert_eq!((found.forces.samples, found.forces.panels, found.forces.instants), (3, 2, 20));
+    }
+}
+
+/// 201 lines at 1 kHz: a blow of 2 N at 30 ms on an offset, a chip that says g and degrees a second.
+fn csv() -> String {
+    let line = |n: i32| {
+        let ring = f64::from(n - 30).max(0.0) * 1e-3;
+        let blow = if n == 30 { 2000.0 } else { 0.0 };
+        format!("{n},{},{},{},{}\n", blow + 7.0, ring + 1.0, -ring, 180.0 * ring)
+    };
+    "ms,F,x,y,w\n".to_owned() + &(0..=200).map(line).collect::<String>()
+}
+
+const CSV: &str = r#"[recorded]
+files = ["a.csv"]
+time = "ms"
+time_unit = "ms"
+force = ["F"]
+force_unit = "mN"
+resample = "linear"
+panels = [1]
+trigger = { threshold = 1.0, before = 0.02 }
+[signals]
+channels = ["x", "y", "w"]
+acceleration_unit = "g"
+angular_velocity_unit = "deg/s"
+factors = [1, -1, 1]
+"#;
+
+/// Units, factors, the struck panel, and the trigger, which moves both.
+#[test]
+fn a_chip_s_record_comes_in_the_trial_s_units_and_where_the_trigger_wants_it() {
+    let folder = Folder::new(&[("a.csv", csv().as_bytes())]);
+    let found = folder.read(CSV, &trial(&[6, 8], &[4])).unwrap();
+    let [quiet, struck] = [0, 1].map(|k| &found.forces.values[k * 21..][..21]);
+    assert!(quiet.iter().all(|f| *f == 0.0) && (struck[4] - 2.007).abs() < 1e-12, "{struck:?}");
+    for (n, signals) in found.signals.chunks_exact(3).enumerate() {
+        // 5 ms an instant, the blow 10 ms earlier than in the file
+        let ring = (f64::from(n as u32 + 1) * 0.005 - 0.02).max(0.0);
+        let expected = [(ring + 1.0) * 9806.65, ring * 9806.65, std::f64::consts::PI * ring];
+        let wrong = signals.iter().zip(expected).any(|(a, b)| (a - b).abs() > 1e-9 * (1.0 + b.abs()));
+        assert!(!wrong, "{n}: {signals:?} {expected:?}");
+    }
+    let without = CSV.replace("[signals]", "remove_offset = true\n[signals]");
+    let found = folder.read(&without, &trial(&[6, 8], &[4])).unwrap();
+    assert!((found.forces.values[21 + 4] - 2.0).abs() < 1e-12, "{:?}", found.forces.values);
+    assert!(found.signals[1].abs() < 2e3, "{}", found.signals[1]);
+}
+
+/// A tone of the chip's own clock, 5 kHz, begins 12 ms after the hammer's; what 200 Hz cannot say is gone.
+#[test]
+fn signals_have_a_clock_of_their_own_and_pass_the_low_pass() {
+    let tone = |hertz: f64, t: f64| (std::f64::consts::TAU * hertz * t).sin();
+    let lines = |t: f64| format!("{},{},{}\n", tone(20.0, t), tone(1300.0, t), 3.0);
+    let chip =
+        "x,y,w\n".to_owned() + &(0..600).map(|n| lines(f64::from(n) * 2e-4 + 0.012)).collect::<String>();
+    let folder = Folder::new(&[("f.npy", &npy(&[1, 1, 21], &[0.5; 21])), ("a.csv", chip.as_bytes())]);
+    let text = "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"a.csv\"]\nrate = 5000.0\nstart = 0.012\n";
+    let found = folder.read(text, &trial(&[7], &[4])).unwrap();
+    for (n, signals) in found.signals.chunks_exact(3).enumerate().skip(8) {
+        let t = f64::from(n as u32 + 1) * 0.005;
+        let far = [signals[0] - tone(20.0, t), signals[1], signals[2] - 3.0];
+        assert!(far.iter().all(|far| far.abs() < 0.05), "{t}: {signals:?} {far:?}");
+    }
+}
+
+/// Each fault is named with file, line, key, value and remedy.
+#[test]
+fn what_is_no_measured_record_is_refused_by_name() {
+    let folder = Folder::new(&[
+        ("a.csv", csv().as_bytes()),
+        ("short.csv", csv().lines().take(90).collect::<Vec<_>>().join("\n").as_bytes()),
+        ("nan.csv", csv().replace("\n7,7,1,", "\n7,7,NaN,").as_bytes()),
+        ("s.npy", &npy(&[1, 20, 3], &[1.0; 60])),
+        ("two.npy", &npy(&[2, 201, 3], &[1.0; 1206])),
+        ("four.npy", &npy(&[1, 201, 4], &[1.0; 804])),
+    ]);
+    let trial = trial(&[6, 8], &[4]);
+    let beside = |name: &str| format!("[signals]\nfiles = [\"{name}\"]\nrate = 1000.0\n");
+    let own = &CSV[CSV.find("[signals]").unwrap()..];
+    for (from, to, said) in [
+        ("panels = [1]", "", "records.toml:1: recorded.panels = absent: must name the panel, from 0 to 1"),
+        (
+            "panels = [1]",
+            "panels = [2]",
+            "records.toml:8: recorded.panels = [2]: must name one of panels 0 to 1",
+        ),
+        (
+            "panels = [1]",
+            "panel = [1]",
+            "records.toml:8: recorded.panel = [1]: unknown key; the nearest known one",
+        ),
+        ("\"w\"]", "\"o\"]", "records.toml:10: signals.files = "),
+        ("\"w\"]", "\"o\"]", "has no signal Name(\"o\"), but ms, F, x, y, w"),
+        (", \"w\"]", "]", "holds 2 signals a record; must be 3: a_x, a_y, ω of each sensor"),
+        ("\"g\"", "\"G\"", "records.toml:12: signals.acceleration_unit = \"G\": unknown variant `G`"),
+        (
+            "[1, -1, 1]",
+            "[1, -1]",
+            "records.toml:14: signals.factors = [1.0, -1.0]: must be 3 numbers other than 0",
+        ),
+        ("a.csv", "none.csv", "none.csv\": cannot be read"),
+        ("a.csv", "short.csv", "short.csv\": holds signals that end at 0.0780 s where a sample lasts 0.1 s"),
+        ("a.csv", "nan.csv", "nan.csv\": entry 7 of a signal is NaN; must be a finite number"),
+        ("panels", "augment = { shift = [0, 0] }\npanels", "recorded.augment = { … }: means nothing here"),
+        (own, &beside("s.npy"), "holds signals that end at 0.0090 s"),
+        (
+            own,
+            &beside("s.npy").replace("rate", "start"),
+            "s.npy\": of three dimensions has no clock: give rate",
+        ),
+        (own, &beside("two.npy"), "two.npy\": holds signals of 2 records, forces of 1"),
+        (own, &beside("four.npy"), "four.npy\": holds 201 signals a record; must be 3"),
+        (
+            own,
+            &beside("s.npy").replace("npy\"]", "npy\", \"s.npy\"]"),
+            "signals.files = 2 files: must be one for each of the 1",
+        ),
+        (
+            own,
+            &(beside("s.npy") + "time = \"t\"\n"),
+            "signals.rate = Some(1000.0): give the clock by time or by rate",
+        ),
+    ] {
+        assert!(CSV.contains(from), "{from}");
+        let error = folder.read(&CSV.replacen(from, to, 1), &trial).unwrap_err();
+        assert!(error.contains(said), "{error}\n{said}");
+    }
+    let short = "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"s.npy\"]\n";
+    folder.file("f.npy", &npy(&[1, 2, 21], &[0.5; 42]));
+    let error = folder.read(short, &trial).unwrap_err();
+    assert!(error.contains("holds 20 entries of signals, 21 of force: say by signals.start"), "{error}");
+}
