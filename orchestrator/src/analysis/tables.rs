@@ -20,7 +20,7 @@ use crate::store::Table;
 pub enum Question {
     /// Initial against optimised body, paired by trial: ratio of errors
     Paired,
-    /// Iterations of training the initial body's network needs over those of the optimised body's, to equal loss
+    /// Iterations of training the initial body's network needs over those of the optimised body's, to equal error and loss
     Iterations,
     /// Initial against optimised body after long training (evaluation.long_iterations)
     Long,
@@ -72,7 +72,7 @@ impl Question {
                 "Initial over optimised error, paired by trial (above 1: the optimised body is better; 95 % interval)"
             }
             Self::Iterations => {
-                "Iterations on the initial over those on the optimised body, to equal training loss"
+                "Iterations on the initial over those on the optimised body, to equal holdout error and training loss"
             }
             Self::Long => "Initial over optimised error after long training, paired by trial (95 % interval)",
             Self::Sensors => "Error (%, geometric mean) against the number of sensors M",

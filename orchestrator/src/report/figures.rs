@@ -297,10 +297,9 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
         name: "losses",
         title: "Is the body easier to learn from?".into(),
         caption: format!(
-            "Training loss, and error on samples that are not trained on, of fresh networks of one architecture and budget \
-             on the initial and on the optimised body: median over trials, the middle half shaded. To reach what the worse \
-             body ends at, the network on the initial body takes so many times the iterations of that on the optimised \
-             one: {}.",
+            "Fresh networks of one architecture and budget on the initial and on the optimised body: median over trials, the \
+             middle half shaded. To reach what the worse body ends at, the network on the initial body takes so many times \
+             the iterations of that on the optimised one: {}.",
             ratios.join(", ")
         ),
         legend: BODIES.to_vec(),
