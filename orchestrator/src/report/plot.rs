@@ -203,13 +203,14 @@ impl Plot {
         }
     }
 
-    /// A text that ends at a point.
+    /// A text beside the right end of a line: behind it where there is room, or else above.
     pub fn note(&mut self, point: (f64, f64), text: &str) {
         let (x, y) = self.at(point);
+        let fits = x + 6.0 + 6.5 * text.chars().count() as f64 <= self.size[0];
+        let (x, y, anchor) = if fits { (x + 6.0, y + 4.0, "start") } else { (x, y - 5.0, "end") };
         let _ = write!(
             self.marks,
-            "<text class=\"note\" x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-            y - 5.0,
+            "<text class=\"note\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{}</text>",
             escape(text)
         );
     }

@@ -311,9 +311,30 @@ fn waves(
     }
 }
 
-fn colour(part: f64) -> String {
+pub(super) fn colour(part: f64) -> String {
     // Speeds of a wave span decades; the root shows the quiet ones too.
-    format!("fill:color-mix(in oklab,var(--fast) {:.0}%,var(--slow))", 100.0 * part.clamp(0.0, 1.0).sqrt())
+    format!("fill:{MIX}{:.0}{MIXED}", 100.0 * part.clamp(0.0, 1.0).sqrt())
+}
+
+const MIX: &str = "color-mix(in oklab,var(--fast) ";
+const MIXED: &str = "%,var(--slow))";
+
+/// Speeds' colours as numbers (mixed in sRGB), for programs that know no other.
+pub(super) fn mixed(svg: &str, palette: &[(&str, &str)]) -> String {
+    let channels = |name: &str| -> [f64; 3] {
+        let hex = palette.iter().find(|(n, _)| *n == name).expect("a colour of the palette").1;
+        std::array::from_fn(|i| u8::from_str_radix(&hex[2 * i + 1..][..2], 16).expect("#rrggbb").into())
+    };
+    let (slow, fast) = (channels("slow"), channels("fast"));
+    let mut pieces = svg.split(MIX);
+    let mut out = pieces.next().unwrap_or_default().to_owned();
+    for piece in pieces {
+        let (part, rest) = piece.split_once(MIXED).expect("as `colour` writes it");
+        let part = part.parse::<f64>().expect("a percentage") / 100.0;
+        let mix = [0, 1, 2].map(|i| (slow[i] + part * (fast[i] - slow[i])).round() as u8);
+        out += &format!("#{:02x}{:02x}{:02x}{rest}", mix[0], mix[1], mix[2]);
+    }
+    out
 }
 
 fn displaced(drawing: &Drawing, by: &[[f64; 3]]) -> Drawing {
