@@ -5,52 +5,9 @@ mod common;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::Bench;
+use common::{Bench, TINY, results};
 use metasense::plan::Plan;
 use metasense::store::Store;
-
-/// Two trials of a second each.
-const TINY: &str = r#"name = "tiny"
-[body]
-columns = 4
-rows = 4
-spacing = 15.0
-ligament_length = 2.25
-density = 1e-8
-stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
-[time]
-duration = 0.2
-samples = 20
-[stimuli]
-kind = "bell"
-samples = 8
-test = 2
-holdout = 2
-width = [0.05, 0.1]
-onset = [0.0, 0.1]
-[solver]
-tolerance = 1e-4
-[brain]
-iterations = 10
-[optimise]
-iterations = 4
-batch = 4
-[sweep]
-panels = [2]
-sensors = [1, 2]
-"#;
-
-/// All that a result is, but for times.
-const RESULTS: &[&str] = &[
-    "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step
-       FROM v_trial ORDER BY hash",
-    "SELECT hash, step, loss_test, loss_train, gradient_norm, step_length, outcome FROM v_step ORDER BY hash, step",
-    "SELECT hash, name, shape, hex(bytes) FROM v_artifact ORDER BY hash, name",
-];
-
-fn results(bench: &Bench, db: &str) -> Vec<String> {
-    RESULTS.iter().map(|sql| bench.output(&["query", db, sql, "--format", "csv"])).collect()
-}
 
 #[test]
 fn a_sweep_runs_once_and_only_what_is_new_is_added() {

@@ -5,51 +5,11 @@ mod common;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::Bench;
+use common::{Bench, TINY, results};
 
-/// Four trials of some tenths of a second each.
-const TINY: &str = r#"name = "tiny"
-[body]
-columns = 4
-rows = 4
-spacing = 15.0
-ligament_length = 2.25
-density = 1e-8
-stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
-[time]
-duration = 0.2
-samples = 20
-[stimuli]
-kind = "bell"
-samples = 8
-test = 2
-holdout = 2
-width = [0.05, 0.1]
-onset = [0.0, 0.1]
-[solver]
-tolerance = 1e-3
-[brain]
-iterations = 10
-[optimise]
-iterations = 4
-batch = 4
-[sweep]
-panels = [2]
-sensors = [1, 2]
-seeds = [1, 2]
-"#;
-
-/// All that a result is, but for times.
-fn results(bench: &Bench, db: &str) -> Vec<String> {
-    [
-        "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step
-           FROM v_trial ORDER BY hash",
-        "SELECT hash, step, loss_test, loss_train, gradient_norm, step_length, outcome FROM v_step ORDER BY hash, step",
-        "SELECT hash, name, shape, hex(bytes) FROM v_artifact ORDER BY hash, name",
-    ]
-    .iter()
-    .map(|sql| bench.output(&["query", db, sql, "--format", "csv"]))
-    .collect()
+/// Four trials, quick ones.
+fn four() -> String {
+    TINY.replace("1e-4", "1e-3") + "seeds = [1, 2]\n"
 }
 
 /// A number from a database; 0 while there is none.
@@ -63,7 +23,7 @@ fn number(bench: &Bench, db: &str, sql: &str) -> u32 {
 #[test]
 fn shards_merged_are_the_sweep() {
     let bench = Bench::new();
-    bench.file("tiny.toml", TINY);
+    bench.file("tiny.toml", &four());
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     let lines = |args: &[&str]| {
         let mut lines: Vec<String> = bench.output(args).lines().skip(1).map(str::to_owned).collect();
@@ -143,7 +103,7 @@ fn wait(child: &mut Child) -> Option<i32> {
 fn a_shard_goes_on_on_another_node() {
     let bench = Bench::new();
     // Long enough that a node is lost, and another ended, with most of the work still to be done
-    let tiny = TINY.replace("iterations = 4\n", "iterations = 100\n");
+    let tiny = four().replace("iterations = 4\n", "iterations = 100\n");
     bench.file("tiny.toml", &tiny);
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     let handed_in = "out/shard-1-of-1.sqlite";

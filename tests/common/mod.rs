@@ -22,6 +22,38 @@ panels = [2]
 sensors = [1, 2]
 "#;
 
+/// Two trials of some tenths of a second each.
+#[allow(dead_code, reason = "each test file uses its share")]
+pub const TINY: &str = r#"name = "tiny"
+[body]
+columns = 4
+rows = 4
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+[time]
+duration = 0.2
+samples = 20
+[stimuli]
+kind = "bell"
+samples = 8
+test = 2
+holdout = 2
+width = [0.05, 0.1]
+onset = [0.0, 0.1]
+[solver]
+tolerance = 1e-4
+[brain]
+iterations = 10
+[optimise]
+iterations = 4
+batch = 4
+[sweep]
+panels = [2]
+sensors = [1, 2]
+"#;
+
 /// A folder that goes with the test.
 pub struct Bench {
     folder: tempfile::TempDir,
@@ -59,4 +91,18 @@ impl Bench {
         assert!(output.status.success(), "{args:?}: {}\n{errors}", output.status);
         String::from_utf8(output.stdout).unwrap()
     }
+}
+
+/// All that a result is, but for times.
+#[allow(dead_code, reason = "each test file uses its share")]
+const RESULTS: &[&str] = &[
+    "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step
+       FROM v_trial ORDER BY hash",
+    "SELECT hash, step, loss_test, loss_train, gradient_norm, step_length, outcome FROM v_step ORDER BY hash, step",
+    "SELECT hash, name, shape, hex(bytes) FROM v_artifact ORDER BY hash, name",
+];
+
+#[allow(dead_code, reason = "each test file uses its share")]
+pub fn results(bench: &Bench, db: &str) -> Vec<String> {
+    RESULTS.iter().map(|sql| bench.output(&["query", db, sql, "--format", "csv"])).collect()
 }
