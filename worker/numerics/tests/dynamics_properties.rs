@@ -345,6 +345,28 @@ fn a_sample_that_fails_is_tried_again_with_smaller_steps() {
     assert!(run.signals.iter().all(|s| s.is_finite()));
 }
 
+/// A cutoff above the voids of the body at rest: it is pushed apart from the first instant on, also where no force acts.
+#[test]
+fn contact_that_acts_at_rest_moves_the_body_from_the_start() {
+    let scene = Scene {
+        contact: Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 }),
+        ..small_scene()
+    };
+    let design = shaken(&scene);
+    let mut forces = pushes(&scene, 3, 0.3);
+    let per_sample = forces.values.len() / 3;
+    forces.values[2 * per_sample..].fill(0.0);
+    let tight = Solver { method: Method::Tsit5, tolerance: 1e-12 };
+    let adaptive = simulate(&scene, &design, &forces, &tight, false, &pool(1));
+    assert_eq!(adaptive.outcomes, [Outcome::Ok; 3]);
+    let equal = run(&scene, &design, &forces, &plan(Method::Nystrom6, 96), false, &pool(1));
+    let (still, off) = (
+        norm(&adaptive.signals[2 * adaptive.signals.len() / 3..]),
+        relative(&adaptive.signals, &equal.signals),
+    );
+    assert!(still > 1.0 && off < 1e-8, "norm {still:.1e} without force, {off:.1e} apart");
+}
+
 /// Units in the disc, four neighbours inside, and the group order of a planar body with absent groups left out.
 #[test]
 fn circular_bodies_are_bodies() {

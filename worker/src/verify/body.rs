@@ -96,14 +96,14 @@ pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, Cas
     let tuned = tune(&scene, &design, &forces, &solver, pool);
     let usual = run(&scene, &design, &forces, &tuned.plan, false, pool);
     let work = usual.counters.force_evaluations / forces.samples.max(1) as u64;
-    rows.push(
-        Row::new(
-            "sensors at default settings",
-            relative(&usual.signals, &signals),
-            LEEWAY * solver.tolerance,
-        )
-        .noted(format!("{work} forces a sample; {} {}", tuned.plan.reason, outcomes(&usual)).trim_end()),
-    );
+    let (name, error) = ("sensors at default settings", relative(&usual.signals, &signals));
+    // Where the pilot found that no steps keep the tolerance, none was promised.
+    let row = match tuned.error {
+        Some(_) => Row::new(name, error, LEEWAY * solver.tolerance),
+        None => Row::shown(name, error),
+    };
+    let note = format!("{work} forces a sample; {} {}", tuned.plan.reason, outcomes(&usual));
+    rows.push(row.noted(note.trim_end()));
     Ok(rows)
 }
 

@@ -87,20 +87,18 @@ pub fn forward<V: Vector>(
             if lane.slot.is_none() {
                 clear_lane(&mut x, l);
                 clear_lane(&mut v, l);
-                clear_lane(&mut a[0], l);
                 lane.h = 0.0;
                 if next < slots.len() {
+                    // Not the push alone: contact may act at rest.
                     let history = forces.sample(slots[next].index);
-                    let mut first = vec![zero; panels];
-                    for (k, f) in first.iter_mut().enumerate() {
+                    for (k, f) in force.iter_mut().enumerate() {
                         *f = V::splat(force_at(forces, history, k, 0, 0.0));
                     }
-                    for (panel, f) in scene.panels.iter().zip(&first) {
-                        for d in 0..2 {
-                            let push = panel.direction[d] * system.model.inverse_mass[panel.unit][d];
-                            add_lane(&mut a[0][panel.unit][d], l, push * f.array()[l]);
-                        }
-                    }
+                    xs.fill([zero; 3]);
+                    vs.fill([zero; 3]);
+                    system.acceleration(&xs, &vs, &force, &mut a[1], &mut { one });
+                    copy_lane(&mut a, l);
+                    counters.force_evaluations += 1;
                     *lane = Lane {
                         slot: Some(next),
                         proposed: delta / 16.0,
@@ -262,10 +260,14 @@ fn clear_lane<V: Vector>(x: &mut [Unit<V>], lane: usize) {
     }
 }
 
-fn add_lane<V: Vector>(v: &mut V, lane: usize, y: f64) {
-    let mut array = v.array();
-    array[lane] += y;
-    *v = V::new(array);
+/// A lane of the second stage's accelerations to the first's.
+fn copy_lane<V: Vector>(a: &mut [Vec<Unit<V>>; 7], lane: usize) {
+    let [to, from, ..] = a;
+    for (to, from) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
+        let mut array = to.array();
+        array[lane] = from.array()[lane];
+        *to = V::new(array);
+    }
 }
 
 /// What the reverse sweep keeps of one step.
