@@ -92,6 +92,17 @@ impl Question {
         }
     }
 
+    /// Whether the trials differ in what the question is about, so that there is something to say on it.
+    #[must_use]
+    pub fn was_put(self, trials: &[Trial]) -> bool {
+        let varies = |of: fn(&Trial) -> u64| trials.iter().any(|t| of(t) != of(&trials[0]));
+        match self {
+            Self::Sensors | Self::Elbow | Self::Fewer => varies(|t| t.sensors),
+            Self::Sizes | Self::Complexity => varies(|t| t.design_parameters),
+            _ => true,
+        }
+    }
+
     /// The answer; no rows where the trials cannot give one.
     #[must_use]
     pub fn answer(self, trials: &[Trial]) -> Table {

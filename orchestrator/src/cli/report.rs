@@ -59,7 +59,7 @@ fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Err
     }
     for question in Question::ALL {
         let table = question.answer(&story.trials);
-        if !table.rows.is_empty() {
+        if !table.rows.is_empty() && question.was_put(&story.trials) {
             let name = question.to_possible_value().expect("none is hidden");
             write(&folder.join(format!("answer-{}.csv", name.get_name())), &csv(&table))?;
         }

@@ -102,7 +102,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
         Question::Seconds,
     ] {
         let table = question.answer(&story.trials);
-        if !table.rows.is_empty() && was_put(question, &story.trials) {
+        if !table.rows.is_empty() && question.was_put(&story.trials) {
             let _ = write!(
                 content,
                 "<p class=\"quiet tables\">{}</p>{}",
@@ -176,16 +176,6 @@ fn figure_html(figure: &Figure) -> String {
 /// Text whose units stay on the line of their numbers.
 fn prose(text: &str) -> String {
     escape(text).replace(" %", "&nbsp;%").replace(" mm", "&nbsp;mm")
-}
-
-/// Whether the sweep varied what a question is about.
-fn was_put(question: Question, trials: &[Trial]) -> bool {
-    let varies = |of: fn(&Trial) -> u64| trials.iter().any(|t| of(t) != of(&trials[0]));
-    match question {
-        Question::Elbow | Question::Fewer => varies(|t| t.sensors),
-        Question::Complexity => varies(|t| t.design_parameters),
-        _ => true,
-    }
 }
 
 /// A link that holds a table as CSV.
