@@ -68,6 +68,29 @@ fn recorded_blows_run_from_file_to_result() {
     assert!(text.contains("(12, 2, 41") && text.contains("(12, 40, 3"), "shapes of forces and signals");
 }
 
+/// Moved with its data, a sweep finds them again once it has been run there; nothing is done twice.
+#[test]
+fn a_sweep_may_move_with_its_data() {
+    let bench = bench();
+    std::fs::create_dir(bench.path("here")).unwrap();
+    for file in ["blows.npz", "s.toml"] {
+        std::fs::rename(bench.path(file), bench.path("here").join(file)).unwrap();
+    }
+    bench.output(&["run", "here/s.toml", "--db", "s.sqlite"]);
+    let hash = bench.output(&["query", "s.sqlite", "SELECT hash FROM v_trial", "--format", "csv"]);
+    let hash = hash.lines().nth(1).unwrap();
+    let export = || bench.metasense(&["export", "s.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
+    std::fs::rename(bench.path("here"), bench.path("there")).unwrap();
+    let output = export();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success() && said.contains("here/blows.npz"), "{said}");
+    bench.output(&["run", "there/s.toml", "--db", "s.sqlite"]);
+    assert!(export().status.success(), "{}", String::from_utf8_lossy(&export().stderr));
+    let attempts =
+        bench.output(&["query", "s.sqlite", "SELECT max(attempts) FROM v_trial", "--format", "csv"]);
+    assert!(attempts.ends_with("1\n"), "{attempts}");
+}
+
 /// A trial is named by what its records hold, not by where they lie.
 #[test]
 fn the_content_of_the_records_and_not_their_path_names_a_trial() {

@@ -18,7 +18,8 @@ pub enum Reopen {
 }
 
 impl Store {
-    /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing.
+    /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing; where recorded
+    /// forces lie elsewhere by now, it learns that.
     ///
     /// # Errors
     /// Where SQLite fails.
@@ -30,12 +31,17 @@ impl Store {
     ) -> Result<(), StoreError> {
         let path = self.path.clone();
         let at = |source| StoreError::sql(&path, "recording the sweep in", source);
+        // One for all: they move together.
+        let first = trials.first().map(|t| serde_json::to_string(&t.spec).expect("a trial is JSON"));
         let known: Option<i64> = sqlx::query_scalar(
             "SELECT s.id FROM sweep s WHERE s.name = ? AND s.text = ?
+             AND coalesce(?, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?)
              AND ? = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)",
         )
         .bind(&spec.name)
         .bind(text)
+        .bind(&first)
+        .bind(trials.first().map(|t| &t.hash))
         .bind(trials.len() as i64)
         .fetch_optional(&mut self.connection)
         .await
@@ -113,7 +119,7 @@ const INSERT_TRIALS: &str = "
     SELECT value->>0, value->>1, value->>2, value->>3, value->>4, value->>5, value->>6, value->>7, value->>8, value->>9,
       value->>10, value->>11, value->>12, value->>13, strftime('%Y-%m-%dT%H:%M:%fZ')
     FROM json_each(?1) WHERE ?2 IS NOT NULL
-    ON CONFLICT (hash) DO NOTHING";
+    ON CONFLICT (hash) DO UPDATE SET spec = excluded.spec WHERE spec <> excluded.spec";
 
 const INSERT_SWEEP_TRIALS: &str = "
     INSERT INTO sweep_trial (sweep_id, trial_id, position)
