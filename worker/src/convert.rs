@@ -7,7 +7,7 @@ use metasense_schemas::record::{
 };
 
 /// Not a number becomes absent.
-fn finite(value: Option<f64>) -> Option<f64> {
+pub(crate) fn finite(value: Option<f64>) -> Option<f64> {
     value.filter(|x| x.is_finite())
 }
 

@@ -5,6 +5,7 @@ pub mod bench;
 pub mod convert;
 pub mod course;
 pub mod design;
+pub mod evaluate;
 pub mod files;
 pub mod measured;
 pub mod noop;

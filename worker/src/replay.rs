@@ -92,7 +92,7 @@ pub fn motion(trial: &TrialSpec, design: &[f64], sample: usize, threads: usize) 
     nested::motion(&problem, design, sample, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
 }
 
-fn check(design: &[f64], expected: usize) -> Result<(), Failure> {
+pub(crate) fn check(design: &[f64], expected: usize) -> Result<(), Failure> {
     check_length("design", design.len(), expected)
 }
 
@@ -105,7 +105,7 @@ fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure
     }
 }
 
-fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
+pub(crate) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads.max(1))
         .build()

@@ -9,6 +9,7 @@ pub mod data;
 pub mod elbow;
 pub mod paired;
 pub mod random;
+pub mod records;
 pub mod resample;
 pub mod run_time;
 pub mod scaling;

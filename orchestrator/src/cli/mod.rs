@@ -3,6 +3,7 @@
 mod analyse;
 mod bench;
 mod draw;
+mod evaluate;
 mod expand;
 mod export;
 mod live;
@@ -64,6 +65,7 @@ enum Command {
     Project(project::Args),
     Draw(draw::Args),
     Export(export::Args),
+    Evaluate(evaluate::Args),
     Schema(schema::Args),
     Bench(bench::Args),
     /// What the orchestrator starts; not for people.
@@ -98,6 +100,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Schema(args) => schema::execute(&args),
         Command::Report(args) => block_on(report::execute(args)),
         Command::Export(args) => block_on(export::execute(args)),
+        Command::Evaluate(args) => block_on(evaluate::execute(args)),
         Command::Verify(args) => verify::execute(&args),
     }
 }

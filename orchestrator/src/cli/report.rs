@@ -44,19 +44,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
-    std::fs::create_dir_all(folder).map_err(|source| Error::Io {
-        doing: "making the folder",
-        path: folder.to_owned(),
-        source,
-    })?;
-    for figure in drawn {
-        let stills: Vec<String> = figure.plots.iter().filter_map(|p| standalone(p)).collect();
-        for (i, svg) in stills.iter().enumerate() {
-            let number = if stills.len() > 1 { format!("-{}", i + 1) } else { String::new() };
-            write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;
-        }
-        write(&folder.join(format!("{}.csv", figure.name)), &csv(&figure.data))?;
-    }
+    write_figures(folder, drawn)?;
     for question in Question::ALL {
         let table = question.answer(&story.trials);
         if !table.rows.is_empty() && question.was_put(&story.trials) {
@@ -71,6 +59,24 @@ fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Err
     Ok(())
 }
 
-fn write(path: &Path, text: &str) -> Result<(), Error> {
+/// Every figure with its data, into a folder that is made where it is missing.
+pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error> {
+    std::fs::create_dir_all(folder).map_err(|source| Error::Io {
+        doing: "making the folder",
+        path: folder.to_owned(),
+        source,
+    })?;
+    for figure in drawn {
+        let stills: Vec<String> = figure.plots.iter().filter_map(|p| standalone(p)).collect();
+        for (i, svg) in stills.iter().enumerate() {
+            let number = if stills.len() > 1 { format!("-{}", i + 1) } else { String::new() };
+            write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;
+        }
+        write(&folder.join(format!("{}.csv", figure.name)), &csv(&figure.data))?;
+    }
+    Ok(())
+}
+
+pub(super) fn write(path: &Path, text: &str) -> Result<(), Error> {
     std::fs::write(path, text).map_err(|source| Error::Io { doing: "writing", path: path.to_owned(), source })
 }

@@ -80,15 +80,19 @@ fn text_array(text: &str) -> Vec<u8> {
 }
 
 /// A zip archive in the making.
-#[derive(Default)]
-struct Zip {
+#[derive(Debug, Default)]
+pub struct Zip {
     bytes: Vec<u8>,
     directory: Vec<u8>,
     files: u16,
 }
 
 impl Zip {
-    fn array<T: npyz::AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) {
+    /// Adds an array as `name.npy`.
+    ///
+    /// # Panics
+    /// If the shape does not hold as many values as there are, or they are 4 GiB and more.
+    pub fn array<T: npyz::AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) {
         self.file(&format!("{name}.npy"), &npy_bytes(shape, values));
     }
 
@@ -118,7 +122,12 @@ impl Zip {
         self.files += 1;
     }
 
-    fn finish(mut self) -> Vec<u8> {
+    /// Its bytes.
+    ///
+    /// # Panics
+    /// If they are 4 GiB and more.
+    #[must_use]
+    pub fn finish(mut self) -> Vec<u8> {
         let at = u32::try_from(self.bytes.len()).expect("an archive of less than 4 GiB");
         self.bytes.extend(&self.directory);
         self.bytes.extend(b"PK\x05\x06\x00\x00\x00\x00");

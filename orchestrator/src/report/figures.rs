@@ -23,7 +23,7 @@ pub struct Figure {
     /// What was measured, and how to read it.
     pub caption: String,
     /// Entries of the legend: class and text.
-    pub legend: Vec<(&'static str, &'static str)>,
+    pub legend: Vec<(&'static str, String)>,
     /// SVG elements.
     pub plots: Vec<String>,
     /// Whether the plots are small ones.
@@ -34,6 +34,12 @@ pub struct Figure {
 
 /// The usual legend.
 pub const BODIES: [(&str, &str); 2] = [("initial", "initial body"), ("optimised", "optimised body")];
+
+/// Entries of a legend.
+#[must_use]
+pub fn legend(entries: &[(&'static str, &str)]) -> Vec<(&'static str, String)> {
+    entries.iter().map(|(class, text)| (*class, (*text).to_owned())).collect()
+}
 
 /// At most so many plots of a kind; the data hold all.
 const MOST_PLOTS: usize = 6;
@@ -114,7 +120,7 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
                   better."
             .into(),
         legend: if random {
-            vec![("dot sensor", "from rotated squares"), ("dot front", "from a random body")]
+            legend(&[("dot sensor", "from rotated squares"), ("dot front", "from a random body")])
         } else {
             vec![]
         },
@@ -181,7 +187,7 @@ pub fn sensors(trials: &[Trial]) -> Option<Figure> {
              shaded from the best to the worst of them. A dotted line marks the elbow where there is one (broken stick \
              on ln error, votes by bootstrap over placements and seeds).{rest}"
         ),
-        legend: BODIES.to_vec(),
+        legend: legend(&BODIES),
         plots,
         small: false,
         data: Question::Sensors.answer(trials),
@@ -302,7 +308,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
              the iterations of that on the optimised one: {}.",
             ratios.join(", ")
         ),
-        legend: BODIES.to_vec(),
+        legend: legend(&BODIES),
         plots,
         small: false,
         data: table(
@@ -403,7 +409,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
              a 95 % band, elsewhere the means are joined. {}.",
             told(&laws)
         ),
-        legend: BODIES.to_vec(),
+        legend: legend(&BODIES),
         plots,
         small: false,
         data: Question::Sizes.answer(trials),
@@ -463,7 +469,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
                   steps took (evaluation excluded). Thin: each trial; thick: geometric mean of each way of training; the \
                   front is what no trial beats in both."
             .into(),
-        legend: vec![("", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")],
+        legend: legend(&[("", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),
         plots,
         small: false,
         data: table(&["hash", "protocol", "seconds", "best_error_test"], rows),

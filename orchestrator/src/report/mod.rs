@@ -5,10 +5,13 @@ pub mod body;
 pub mod figures;
 pub mod load;
 pub mod plot;
+pub mod records;
 pub mod samples;
+pub mod strips;
 
 use std::fmt::Write as _;
 
+use answers::Answer;
 pub use figures::Figure;
 use plot::{escape, number};
 use samples::Stored;
@@ -118,22 +121,19 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
         download("trials", &story.settled)
     );
     content.push_str(&provenance(story));
+    page(&title, &content)
+}
+
+/// A page of its own in the report's look.
+fn page(title: &str, content: &str) -> String {
     include_str!("page.html")
-        .replace("{{title}}", &escape(&title))
+        .replace("{{title}}", &escape(title))
         .replace("{{style}}", include_str!("figure.css"))
-        .replace("{{content}}", &content)
+        .replace("{{content}}", content)
 }
 
 fn summary(story: &Story) -> String {
-    let mut list = String::from("<ul class=\"answer\">");
-    for (verdict, text) in answers::answers(&story.trials) {
-        let class = match verdict {
-            Some(true) => "good",
-            Some(false) => "bad",
-            None => "open",
-        };
-        let _ = write!(list, "<li class=\"{class}\">{}</li>", prose(&text));
-    }
+    let mut list = answer_list(&answers::answers(&story.trials));
     let state = story.settled.columns.iter().position(|c| c == "state");
     let count = |name: &str| {
         state.map_or(0, |i| story.settled.rows.iter().filter(|r| r[i].as_str() == Some(name)).count())
@@ -146,6 +146,20 @@ fn summary(story: &Story) -> String {
          with Student's 95 % interval.</li></ul>",
         if failed > 0 { " (reasons in the table of trials)" } else { "" }
     );
+    list
+}
+
+/// A list that is still open.
+fn answer_list(answers: &[Answer]) -> String {
+    let mut list = String::from("<ul class=\"answer\">");
+    for (verdict, text) in answers {
+        let class = match verdict {
+            Some(true) => "good",
+            Some(false) => "bad",
+            None => "open",
+        };
+        let _ = write!(list, "<li class=\"{class}\">{}</li>", prose(text));
+    }
     list
 }
 

@@ -8,8 +8,9 @@ use metasense_worker::run::Failure;
 use serde_json::{Value, json};
 
 use super::body::{self, Frame, marks, points};
-use super::figures::{BODIES, Figure};
-use super::plot::{Axis, Plot, Scale, number};
+use super::figures::{BODIES, Figure, legend};
+use super::plot::number;
+use super::strips::{Curve, Errors, Strip, dots, representative, strips};
 use crate::analysis::Body;
 use crate::store::Table;
 
@@ -41,7 +42,7 @@ pub fn figures(stored: &Stored, threads: usize) -> Result<Vec<Figure>, Failure> 
     let test: Vec<usize> =
         replays[0].split.iter().enumerate().filter(|(_, s)| **s == 1).map(|(n, _)| n).collect();
     if stored.weights.iter().all(|w| !w.is_empty()) {
-        let chosen = representative(&replays[1].errors, &test);
+        let chosen = representative(&replays[1].errors, test.iter().copied());
         figures.push(forces(stored, &replays, &chosen));
         figures.push(every_sample(stored, &replays, &test));
     }
@@ -65,16 +66,6 @@ fn who(stored: &Stored) -> String {
     )
 }
 
-/// Four test samples at the 12th, 37th, 62nd and 87th percentile of the optimised body's error.
-fn representative(errors: &[Option<f64>], test: &[usize]) -> Vec<usize> {
-    let mut known: Vec<(f64, usize)> = test.iter().filter_map(|&n| errors[n].map(|e| (e, n))).collect();
-    known.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut chosen: Vec<usize> =
-        (0..4).filter_map(|q| known.get((2 * q + 1) * known.len() / 8)).map(|k| k.1).collect();
-    chosen.dedup();
-    chosen
-}
-
 /// The test sample with the greatest impulse.
 fn loudest(forces: &[f64], test: &[usize], stored: &Stored) -> usize {
     let size = stored.spec.panel_units.len() * (stored.spec.time.samples + 1);
@@ -93,33 +84,20 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
     let predicted = |b: usize, sample: usize, k: usize, n: usize| {
         replays[b].predictions[(sample * instants + n - 1) * panels + k]
     };
-    let (mut plots, mut rows) = (Vec::new(), Vec::new());
-    // Panels stand one above the other, panel 0 on top; a step is what the greatest of their true forces needs.
-    let each =
-        || chosen.iter().flat_map(|&s| (0..panels).flat_map(move |k| (1..=instants).map(move |n| (s, k, n))));
-    let step = 1.15 * each().map(|(s, k, n)| truth(s, k, n)).fold(1e-9, f64::max);
-    let zero = |k: usize| (panels - 1 - k) as f64 * step;
-    let ends = |pick: fn(f64, f64) -> f64, start: f64| {
-        each().flat_map(|(s, k, n)| [0, 1].map(|b| zero(k) + predicted(b, s, k, n))).fold(start, pick)
-    };
-    let range = [ends(f64::min, -0.1 * step), ends(f64::max, panels as f64 * step)];
-    let strip = (200.0 / panels as f64).max(45.0);
-    for &sample in chosen {
+    let mut rows = Vec::new();
+    let strip = |&sample: &usize| {
         let errors = [0, 1].map(|b| replays[b].errors[sample].map_or("–".into(), number));
-        let names = (0..panels).map(|k| (zero(k), format!("panel {k}"))).collect();
-        let mut plot = Plot::new(
-            &format!("sample {sample}: {} → {} %", errors[0], errors[1]),
-            Axis::new("time (s)", Scale::Linear, [0.0, stored.spec.time.duration]),
-            Axis::new("", Scale::Linear, range).with_names(names),
-        )
-        .sized(400.0, 80.0 + strip * panels as f64);
+        let by_panel = |curve: &dyn Fn(usize) -> Curve| (0..panels).map(curve).collect::<Vec<Curve>>();
+        let mut sources = vec![(
+            "truth".to_owned(),
+            by_panel(&|k| (0..=instants).map(|n| (seconds(n), truth(sample, k, n))).collect()),
+        )];
+        for b in Body::ALL {
+            let curve =
+                |k| (1..=instants).map(|n| (seconds(n), predicted(b as usize, sample, k, n))).collect();
+            sources.push((format!("fine {}", b.name()), by_panel(&curve)));
+        }
         for k in 0..panels {
-            plot.line("truth", (0..=instants).map(|n| (seconds(n), zero(k) + truth(sample, k, n))));
-            for body in Body::ALL {
-                let curve =
-                    (1..=instants).map(|n| (seconds(n), zero(k) + predicted(body as usize, sample, k, n)));
-                plot.line(&format!("fine {}", body.name()), curve);
-            }
             rows.extend((1..=instants).map(|n| {
                 vec![
                     json!(sample),
@@ -131,8 +109,11 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
                 ]
             }));
         }
-        plots.push(plot.svg());
-    }
+        Strip { title: format!("sample {sample}: {} → {} %", errors[0], errors[1]), sources }
+    };
+    let samples: Vec<Strip> = chosen.iter().map(strip).collect();
+    let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
+    let (plots, step) = strips(&samples, &names, stored.spec.time.duration);
     Figure {
         name: "forces",
         title: "True and predicted forces".into(),
@@ -143,7 +124,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
             who(stored),
             number(step)
         ),
-        legend: vec![("truth", "true force"), BODIES[0], BODIES[1]],
+        legend: legend(&[("truth", "true force"), BODIES[0], BODIES[1]]),
         plots,
         small: false,
         data: table(&["sample", "panel", "seconds", "force", "initial", "optimised"], rows),
@@ -154,28 +135,12 @@ fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
     let mut pairs: Vec<(usize, f64, f64)> =
         test.iter().filter_map(|&n| Some((n, replays[0].errors[n]?, replays[1].errors[n]?))).collect();
     pairs.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let x = Axis::new(
-        "test samples, by the initial body's error",
-        Scale::Linear,
-        [0.0, pairs.len() as f64 + 1.0],
-    );
-    let y = Axis::new("error (%)", Scale::Log, pairs.iter().flat_map(|p| [p.1, p.2]));
-    let mut plot = Plot::new("Every test sample", x.with_ticks(vec![]), y).sized(480.0, 280.0);
-    for (i, (_, initial, optimised)) in pairs.iter().enumerate() {
-        plot.line("thin", [(i as f64 + 1.0, *initial), (i as f64 + 1.0, *optimised)]);
-    }
-    for body in Body::ALL {
-        plot.dots(
-            body.name(),
-            pairs.iter().enumerate().map(|(i, p)| {
-                let error = [p.1, p.2][body as usize];
-                (
-                    (i as f64 + 1.0, error),
-                    format!("sample {}, {} body: {} %", p.0, body.name(), number(error)),
-                )
-            }),
-        );
-    }
+    let bodies = Body::ALL.map(|body| Errors {
+        class: body.name(),
+        body: body.name(),
+        errors: pairs.iter().map(|p| (p.0, [p.1, p.2][body as usize])).collect(),
+    });
+    let plot = dots("Every test sample", "test samples, by the initial body's error", &bodies, true);
     let better = pairs.iter().filter(|p| p.2 < p.1).count();
     Figure {
         name: "samples",
@@ -186,8 +151,8 @@ fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
             who(stored),
             pairs.len()
         ),
-        legend: BODIES.to_vec(),
-        plots: vec![plot.svg()],
+        legend: legend(&BODIES),
+        plots: vec![plot],
         small: false,
         data: table(
             &["sample", "error_initial", "error_optimised"],
@@ -215,9 +180,9 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
         }
     }
     let held = [0, 1].map(|b: usize| drawings[b].active.len());
-    let mut legend = vec![("arrow", "input panel"), ("dot sensor", "sensor")];
+    let mut entries = vec![("arrow", "input panel"), ("dot sensor", "sensor")];
     if held != [0, 0] {
-        legend.push(("active", "constraint at its limit"));
+        entries.push(("active", "constraint at its limit"));
     }
     let moved =
         stored.designs[0].iter().zip(&stored.designs[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -234,7 +199,7 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
             if held == [0, 0] { "" } else { ", edges and gaps drawn as lines, angles as dots" },
             number(moved)
         ),
-        legend,
+        legend: legend(&entries),
         plots: plots.to_vec(),
         small: false,
         data: table(&["body", "unit", "node", "x", "y"], rows),
@@ -304,7 +269,7 @@ fn waves(
             number(most),
             who(stored)
         ),
-        legend: vec![("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")],
+        legend: legend(&[("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")]),
         plots,
         small: true,
         data: table(&["body", "seconds", "unit", "u", "v", "theta", "speed"], rows),

@@ -18,6 +18,7 @@ mod report;
 mod setting;
 mod state;
 mod tuning;
+mod unseen;
 
 pub use chip::{Disturbance, Size};
 pub use downhill::{Downhill, downhill};
@@ -26,6 +27,7 @@ pub use problem::{Evaluation, Going, Optimise, Problem, Protocol, Schedule, Stim
 pub use replay::{Motion, Replay, motion, replay};
 pub use report::{Control, Counters, Failure, Implicit, Observe, Report, Seconds, Trouble};
 pub use state::{Best, State, Waypoint};
+pub use unseen::{Records, Unseen, folds, sense};
 
 use evaluation::evaluate;
 use protocol::Session;

@@ -1,5 +1,6 @@
 //! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
 
+use super::problem::{Schedule, Training};
 use super::report::{Log, Trouble};
 use super::setting::Setting;
 use crate::brain::{self, Adam, Data, Shape, TrainOutcome, Workspace};
@@ -99,37 +100,19 @@ fn network(
     log: &mut Log,
 ) -> NetworkEvaluation {
     let Setting { problem, shape, pool, .. } = setting;
-    let mut weights = fresh_weights(*shape, problem.seed, FIRST_NETWORK + seed as u64);
     let mut workspace = Workspace::new(*shape);
-    let mut losses = Vec::new();
     let data = setting.data(train, &setting.train);
     let unseen = setting.data(holdout_signals, holdout);
-    let milestones = brain::milestones(iterations);
-    let (mut errors, mut aside) = (Vec::new(), Workspace::new(*shape));
-    let mut watch = |i: usize, weights: &[f32]| {
-        if milestones.binary_search(&(i + 1)).is_ok() {
-            let error = setting.error(weights, &unseen, holdout, &mut aside).0;
-            errors.extend(error.map(|error| (i as u32 + 1, error)));
-        }
-    };
-    let outcome = log.timed(
+    let mut aside = Workspace::new(*shape);
+    let mut progress = |weights: &[f32]| setting.error(weights, &unseen, holdout, &mut aside).0;
+    let training = Training { iterations, ..problem.brain };
+    let Fresh { weights, losses, errors, outcome } = log.timed(
         |s| &mut s.train,
         |report| {
-            let rate = |i| problem.brain.rate * problem.evaluation.schedule.factor(i, iterations);
-            let mut adam = Adam::new(weights.len());
-            let outcome = brain::train_watched(
-                &mut weights,
-                &mut adam,
-                data.all(),
-                &rate,
-                iterations,
-                &mut losses,
-                &mut workspace,
-                pool,
-                &mut watch,
-            );
-            report.counters.brain_iterations += losses.len() as u64;
-            outcome
+            let (schedule, start) = (problem.evaluation.schedule, [problem.seed, seed as u64]);
+            let fresh = train_fresh(&data, training, schedule, start, &mut progress, &mut workspace, pool);
+            report.counters.brain_iterations += fresh.losses.len() as u64;
+            fresh
         },
     );
     let mut error = |set: usize, data: &Data<f32>, forces: &Forces| {
@@ -146,6 +129,50 @@ fn network(
         weights: if seed == 0 { weights } else { Vec::new() },
         trouble: (outcome != TrainOutcome::Ok).then_some(Trouble::Training(outcome)),
     }
+}
+
+/// A network trained from the beginning.
+pub(super) struct Fresh {
+    pub(super) weights: Vec<f32>,
+    /// Training loss (normalised) at every iteration.
+    pub(super) losses: Vec<f32>,
+    /// (Iteration, from 1, `error` there) at its milestones.
+    pub(super) errors: Vec<(u32, f64)>,
+    pub(super) outcome: TrainOutcome,
+}
+
+/// Trains the network that starts from evaluation's initial weights of [seed, number].
+pub(super) fn train_fresh(
+    data: &Data<f32>,
+    training: Training,
+    schedule: Schedule,
+    [seed, number]: [u64; 2],
+    error: &mut dyn FnMut(&[f32]) -> Option<f64>,
+    workspace: &mut Workspace<f32>,
+    pool: &rayon::ThreadPool,
+) -> Fresh {
+    let Training { iterations, rate, .. } = training;
+    let mut weights = fresh_weights(data.shape(), seed, FIRST_NETWORK + number);
+    let (mut adam, mut losses, mut errors) = (Adam::new(weights.len()), Vec::new(), Vec::new());
+    let milestones = brain::milestones(iterations);
+    let mut watch = |i: usize, weights: &[f32]| {
+        if milestones.binary_search(&(i + 1)).is_ok() {
+            errors.extend(error(weights).map(|error| (i as u32 + 1, error)));
+        }
+    };
+    let rate = |i| rate * schedule.factor(i, iterations);
+    let outcome = brain::train_watched(
+        &mut weights,
+        &mut adam,
+        data.all(),
+        &rate,
+        iterations,
+        &mut losses,
+        workspace,
+        pool,
+        &mut watch,
+    );
+    Fresh { weights, losses, errors, outcome }
 }
 
 /// Initial weights in the precision of training.

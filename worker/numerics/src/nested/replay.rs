@@ -6,7 +6,7 @@ use super::problem::Problem;
 use super::report::Failure;
 use super::setting::{Setting, all_well};
 use super::tuning::Tuning;
-use crate::brain::{self, Workspace};
+use crate::brain::Workspace;
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
@@ -60,13 +60,8 @@ pub fn replay(
     if !weights.is_empty() {
         let data = setting.data::<f32>(&simulation.signals, &forces);
         let mut workspace = Workspace::new(setting.shape);
-        predictions = setting.scales.physical(&brain::predict(weights, data.all(), &mut workspace, pool));
-        errors = brain::prediction_error(
-            &problem.targets(&forces),
-            &predictions,
-            setting.shape.outputs,
-            setting.shape.instants,
-        );
+        let targets = problem.targets(&forces);
+        (predictions, errors) = setting.scales.predict(weights, &data, &targets, &mut workspace, pool);
     }
     Ok(Replay {
         forces,

@@ -115,11 +115,7 @@ impl<'a> Setting<'a> {
 
     /// Inputs and targets of the network, normalised.
     pub(super) fn data<F: Real>(&self, signals: &[f64], forces: &Forces) -> Data<F> {
-        Data::new(
-            self.shape,
-            &self.scales.inputs(signals),
-            &self.scales.targets(&self.problem.targets(forces)),
-        )
+        self.scales.data(self.shape, signals, &self.problem.targets(forces))
     }
 
     /// Overwrites the samples of `data` from number `first` on.
@@ -146,17 +142,18 @@ impl<'a> Setting<'a> {
         forces: &Forces,
         workspace: &mut Workspace<f32>,
     ) -> (Option<f64>, u32) {
-        let predicted = self.scales.physical(&brain::predict(weights, data.all(), workspace, self.pool));
-        let errors = brain::prediction_error(
-            &self.problem.targets(forces),
-            &predicted,
-            self.shape.outputs,
-            self.shape.instants,
-        );
-        let known: Vec<f64> = errors.iter().flatten().copied().collect();
-        let mean = known.iter().sum::<f64>() / known.len() as f64;
-        (mean.is_finite().then_some(mean), (errors.len() - known.len()) as u32)
+        let targets = self.problem.targets(forces);
+        let errors = self.scales.predict(weights, data, &targets, workspace, self.pool).1;
+        let zero = errors.iter().filter(|error| error.is_none()).count();
+        (mean_error(&errors), zero as u32)
     }
+}
+
+/// Mean over the samples with force; `None` where there is none, or it is no number.
+pub(super) fn mean_error(errors: &[Option<f64>]) -> Option<f64> {
+    let known: Vec<f64> = errors.iter().flatten().copied().collect();
+    let mean = known.iter().sum::<f64>() / known.len() as f64;
+    mean.is_finite().then_some(mean)
 }
 
 /// The first sample that did not end well gives its name.
@@ -168,7 +165,7 @@ pub(super) fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
 }
 
 impl Scales {
-    fn new(shape: &Shape, signals: &[f64], targets: &[f64]) -> Self {
+    pub(super) fn new(shape: &Shape, signals: &[f64], targets: &[f64]) -> Self {
         let moments = |values: &[f64], width: usize| -> Vec<(f64, f64)> {
             let count = (values.len() / width) as f64;
             (0..width)
@@ -205,8 +202,28 @@ impl Scales {
         forces.iter().zip(panels).map(|(f, (mean, deviation))| F::from_f64((f - mean) / deviation)).collect()
     }
 
+    /// Signals (N, T, 3M) and targets (N, T, K) in N as a network takes them.
+    pub(super) fn data<F: Real>(&self, shape: Shape, signals: &[f64], targets: &[f64]) -> Data<F> {
+        Data::new(shape, &self.inputs(signals), &self.targets(targets))
+    }
+
+    /// What a network says (N, T, K) in N, and its error of each sample (%).
+    pub(super) fn predict(
+        &self,
+        weights: &[f32],
+        data: &Data<f32>,
+        targets: &[f64],
+        workspace: &mut Workspace<f32>,
+        pool: &rayon::ThreadPool,
+    ) -> (Vec<f64>, Vec<Option<f64>>) {
+        let shape = data.shape();
+        let predicted = self.physical(&brain::predict(weights, data.all(), workspace, pool));
+        let errors = brain::prediction_error(targets, &predicted, shape.outputs, shape.instants);
+        (predicted, errors)
+    }
+
     /// f̂ in N of ŷ (N, T, K).
-    pub(super) fn physical(&self, normalised: &[f32]) -> Vec<f64> {
+    fn physical(&self, normalised: &[f32]) -> Vec<f64> {
         let panels = self.mean.iter().zip(&self.deviation).cycle();
         normalised.iter().zip(panels).map(|(&y, (mean, deviation))| mean + deviation * f64::from(y)).collect()
     }

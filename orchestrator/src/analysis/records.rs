@@ -1,0 +1,255 @@
+//! Bodies judged by records: each record's error is that of networks that have not seen it, a mean over seeds.
+//!
+//! Intervals are for records drawn anew, of bodies under the same blows the same ones. They say how much other records
+//! would differ, not other networks: for that there is the spread over folds and seeds.
+
+use metasense_worker::evaluate::Evaluated;
+use serde_json::json;
+
+use super::data::CurvePoint;
+use super::paired::iteration_ratio;
+use super::resample::{Draw, Interval, REPLICATES, SEED};
+use crate::store::Table;
+
+/// What fresh networks made of a body's records.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judged {
+    /// The body.
+    pub body: String,
+    /// Whether the signals are those of the trial's model instead of measured ones.
+    pub simulated: bool,
+    /// Error of each record (%), a mean over seeds; `None` where there is none.
+    pub errors: Vec<Option<f64>>,
+    /// Mean error on training records (%).
+    pub error_train: Option<f64>,
+    /// Mean error of each seed's networks (%).
+    pub by_seed: Vec<f64>,
+    /// Mean error of each fold's records (%).
+    pub by_fold: Vec<f64>,
+    /// Mean error on unseen records at some iterations.
+    pub progress: Vec<CurvePoint>,
+    /// Of simulated signals: how they agree with the measured ones.
+    pub agreement: Option<Agreement>,
+}
+
+/// How two bodies' signals agree, channels at equal weight.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Agreement {
+    /// Mean over channels of the coefficient of correlation.
+    pub correlation: f64,
+    /// Root mean square over channels of ‖difference‖/‖measured‖ (%).
+    pub difference: f64,
+}
+
+impl Agreement {
+    /// Of signals whose channels stand last.
+    #[must_use]
+    pub fn of(measured: &[f64], simulated: &[f64], channels: usize) -> Self {
+        let (mut correlation, mut difference) = (0.0, 0.0);
+        for c in 0..channels {
+            let pairs =
+                || measured[c..].iter().step_by(channels).zip(simulated[c..].iter().step_by(channels));
+            let count = pairs().count() as f64;
+            let mean = pairs().fold([0.0; 2], |[a, b], (m, s)| [a + m / count, b + s / count]);
+            let [mut mm, mut ss, mut ms, mut dd, mut power] = [0.0; 5];
+            for (m, s) in pairs() {
+                let (dm, ds) = (m - mean[0], s - mean[1]);
+                mm += dm * dm;
+                ss += ds * ds;
+                ms += dm * ds;
+                dd += (m - s).powi(2);
+                power += m * m;
+            }
+            correlation += ms / (mm * ss).sqrt().max(f64::MIN_POSITIVE);
+            difference += dd / power.max(f64::MIN_POSITIVE);
+        }
+        let channels = channels as f64;
+        Self { correlation: correlation / channels, difference: 100.0 * (difference / channels).sqrt() }
+    }
+}
+
+/// The mean of the first over the mean of the second, with its interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeanRatio {
+    /// Above 1 the second body is the better one.
+    pub ratio: f64,
+    /// 95 % over records; `None` of few.
+    pub interval: Option<Interval>,
+}
+
+/// Ratio of mean errors. `paired`: record by record under the same blows, so that both draw the same ones.
+#[must_use]
+pub fn mean_ratio(first: &Judged, second: &Judged, paired: bool) -> Option<MeanRatio> {
+    let [a, b]: [Vec<f64>; 2] = if paired {
+        let both = first.errors.iter().zip(&second.errors).filter_map(|(a, b)| Some([(*a)?, (*b)?]));
+        let both: Vec<[f64; 2]> = both.collect();
+        [0, 1].map(|body: usize| both.iter().map(|pair| pair[body]).collect())
+    } else {
+        [first, second].map(Judged::known)
+    };
+    let ratio = mean(&a)? / mean(&b)?;
+    let (a, b) = (replicates(&a, 0), replicates(&b, u64::from(!paired)));
+    let interval = Interval::of(a.iter().zip(&b).map(|(a, b)| a / b).collect());
+    Some(MeanRatio { ratio, interval })
+}
+
+impl Judged {
+    /// What networks have made of a body's records.
+    #[must_use]
+    pub fn new(body: &str, simulated: bool, evaluated: &Evaluated, agreement: Option<Agreement>) -> Self {
+        let Evaluated { folds, errors: by_seed, errors_train, progress, .. } = evaluated;
+        let of_record = |i: usize| -> Option<f64> {
+            let errors: Option<Vec<f64>> = by_seed.iter().map(|errors| errors[i]).collect();
+            mean(&errors?)
+        };
+        let errors: Vec<Option<f64>> = (0..folds.len()).map(of_record).collect();
+        let count = folds.iter().max().map_or(0, |last| last + 1);
+        let of_fold = |fold: usize| -> Vec<f64> {
+            folds.iter().zip(&errors).filter(|(f, _)| **f == fold).filter_map(|(_, e)| *e).collect()
+        };
+        let sizes: Vec<f64> =
+            (0..count).map(|fold| folds.iter().filter(|f| **f == fold).count() as f64).collect();
+        let networks = || progress.iter().flat_map(|networks| networks.iter().zip(&sizes));
+        let milestones = networks().map(|(curve, _)| curve.len()).min().unwrap_or(0);
+        let at = |i: usize| -> CurvePoint {
+            let sum = networks().fold([0.0; 2], |[e, w], (curve, size)| [e + size * curve[i].1, w + size]);
+            (progress[0][0][i].0, sum[0] / sum[1])
+        };
+        let known = |errors: &Vec<Option<f64>>| errors.iter().flatten().copied().collect::<Vec<f64>>();
+        Self {
+            body: body.to_owned(),
+            simulated,
+            error_train: mean(&errors_train.iter().flat_map(known).collect::<Vec<f64>>()),
+            by_seed: by_seed.iter().filter_map(|errors| mean(&known(errors))).collect(),
+            by_fold: (0..count).filter_map(|fold| mean(&of_fold(fold))).collect(),
+            progress: (0..milestones).map(at).collect(),
+            errors,
+            agreement,
+        }
+    }
+
+    fn known(&self) -> Vec<f64> {
+        self.errors.iter().flatten().copied().collect()
+    }
+
+    /// Mean error over records (%).
+    #[must_use]
+    pub fn error(&self) -> Option<f64> {
+        mean(&self.known())
+    }
+}
+
+/// `None` of nothing.
+#[must_use]
+pub fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Standard deviation; `None` of fewer than two.
+fn deviation(values: &[f64]) -> Option<f64> {
+    let mean = mean(values)?;
+    let squares = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
+    (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
+}
+
+/// Means of values drawn anew; of a single one there are none.
+fn replicates(values: &[f64], stream: u64) -> Vec<f64> {
+    if values.len() < 2 {
+        return Vec::new();
+    }
+    let one = |replicate: usize| {
+        let mut draw = Draw::new(SEED + stream, replicate as u64);
+        (0..values.len()).map(|_| values[draw.below(values.len())]).sum::<f64>() / values.len() as f64
+    };
+    (0..REPLICATES).map(one).collect()
+}
+
+/// A row a body and kind of signals; ratios are to the first body's row of the same kind.
+#[must_use]
+pub fn table(judged: &[Judged], paired: bool) -> Table {
+    let columns = [
+        "body",
+        "signals",
+        "records",
+        "error_train",
+        "error_test",
+        "test_low",
+        "test_high",
+        "spread_folds",
+        "spread_seeds",
+        "ratio",
+        "ratio_low",
+        "ratio_high",
+        "iterations_ratio",
+        "correlation",
+        "difference",
+    ];
+    let row = |body: &Judged| {
+        let first = judged.iter().find(|other| other.simulated == body.simulated);
+        let first = first.filter(|first| first.body != body.body);
+        let ratio = first.and_then(|first| mean_ratio(first, body, paired));
+        let test = Interval::of(replicates(&body.known(), 0));
+        vec![
+            json!(body.body),
+            json!(if body.simulated { "simulated" } else { "measured" }),
+            json!(body.errors.len()),
+            json!(body.error_train),
+            json!(body.error()),
+            json!(test.map(|i| i.low)),
+            json!(test.map(|i| i.high)),
+            json!(deviation(&body.by_fold)),
+            json!(deviation(&body.by_seed)),
+            json!(ratio.map(|r| r.ratio)),
+            json!(ratio.and_then(|r| r.interval).map(|i| i.low)),
+            json!(ratio.and_then(|r| r.interval).map(|i| i.high)),
+            json!(first.and_then(|first| iteration_ratio(&first.progress, &body.progress))),
+            json!(body.agreement.map(|a| a.correlation)),
+            json!(body.agreement.map(|a| a.difference)),
+        ]
+    };
+    Table { columns: columns.map(String::from).to_vec(), rows: judged.iter().map(row).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn judged(body: &str, errors: &[f64]) -> Judged {
+        Judged {
+            body: body.into(),
+            simulated: false,
+            errors: errors.iter().map(|e| Some(*e)).collect(),
+            error_train: None,
+            by_seed: vec![],
+            by_fold: vec![],
+            progress: vec![],
+            agreement: None,
+        }
+    }
+
+    /// Errors that differ by the factor 2 record by record: pairs know it exactly, unpaired records do not.
+    #[test]
+    fn pairs_know_a_ratio_better_than_records_apart() {
+        let errors: Vec<f64> = (1..=30).map(|i| 4.0 + f64::from(i * i % 17)).collect();
+        let half: Vec<f64> = errors.iter().map(|e| 0.5 * e).collect();
+        let (first, second) = (judged("a", &errors), judged("b", &half));
+        let paired = mean_ratio(&first, &second, true).unwrap();
+        let apart = mean_ratio(&first, &second, false).unwrap();
+        let (tight, wide) = (paired.interval.unwrap(), apart.interval.unwrap());
+        assert!((paired.ratio - 2.0).abs() < 1e-12 && (apart.ratio - 2.0).abs() < 1e-12);
+        assert!((tight.high - tight.low) < 1e-12, "{tight:?}");
+        assert!(wide.low < 1.9 && wide.high > 2.1 && wide.low > 1.0, "{wide:?}");
+    }
+
+    /// A channel as it is, one that is twice as large, one of the other sign.
+    #[test]
+    fn signals_agree_by_shape_and_by_size() {
+        let measured: Vec<f64> =
+            (0..300).map(|i| (f64::from(i / 3) * 0.7 + f64::from(i % 3)).sin()).collect();
+        let factors = [1.0, 2.0, -1.0];
+        let simulated: Vec<f64> = measured.iter().enumerate().map(|(i, m)| m * factors[i % 3]).collect();
+        let found = Agreement::of(&measured, &simulated, 3);
+        assert!((found.correlation - 1.0 / 3.0).abs() < 1e-9, "{found:?}");
+        assert!((found.difference - 100.0 * (5.0f64 / 3.0).sqrt()).abs() < 1e-9, "{found:?}");
+    }
+}

@@ -1,0 +1,247 @@
+//! `evaluate`: bodies compared by measured signals.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::evaluate::{Effort, Evaluated, evaluate, simulated};
+use metasense_worker::measured::{self, Measured};
+use metasense_worker::run::Failure;
+
+use super::report::{write, write_figures};
+use super::trial::find;
+use super::{Error, Format, duration, print_rows, read_plan};
+use crate::exit::Exit;
+use crate::export::npz::Zip;
+use crate::report::load;
+use crate::report::records::{Body, Comparison};
+use crate::store::Reader;
+
+/// Compares bodies by measured signals: fresh networks read forces from what the bodies' own sensors gave
+///
+/// Each record is predicted by networks that have not seen it (cross-validation). Where a body's design is known, the
+/// trial's model of it is put under the same forces and judged in the same way: what it promises, and how its signals
+/// agree with the measured ones. README describes the files of records.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The database, or the spec file (.toml), that holds the trial
+    source: PathBuf,
+    /// The trial, by the beginning of its hash: its panels, sensors, clock and networks are those of the records
+    trial: String,
+    /// A body and the file (TOML) of its records; more bodies, more of these: ratios are to the first. `initial` and
+    /// `optimised` are the trial's own
+    #[arg(long, value_name = "BODY=FILE", required = true, value_parser = pair)]
+    records: Vec<(String, PathBuf)>,
+    /// The design (.npy or .csv) of a body that is not the trial's own
+    #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
+    design: Vec<(String, PathBuf)>,
+    /// Parts of the records, each predicted by networks trained on all others [default: 10, or as many as records]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
+    folds: Option<u32>,
+    /// Networks a fold, from different weights [default: the trial's evaluation.seeds]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    seeds: Option<u32>,
+    /// Iterations of each network [default: the trial's brain.iterations]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: Option<u32>,
+    /// Writes into this folder the page to look at (index.html), its figures, the table and every record's error (CSV),
+    /// forces, predictions and signals (records.npz)
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// The form of the table
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// BODY=FILE; a body's name becomes part of those of arrays.
+fn pair(text: &str) -> Result<(String, PathBuf), String> {
+    match text.split_once('=') {
+        Some((name, file)) if !name.is_empty() && !file.is_empty() => {
+            match name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
+                true => Ok((name.to_owned(), PathBuf::from(file))),
+                false => Err(format!("{name:?} is no name: letters, digits, - and _")),
+            }
+        }
+        _ => Err("must be BODY=FILE, for instance initial=records.toml".into()),
+    }
+}
+
+/// Time between two lines of progress.
+const LINE_EVERY: Duration = Duration::from_secs(10);
+/// Folds, unless asked for otherwise: nine tenths of the records train, as in a trial.
+const FOLDS: usize = 10;
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let (trial, mut designs) = of_trial(&args).await?;
+    let (layout, initial) =
+        metasense_worker::simulate::body(&trial).map_err(|e| Error::Usage(format!("trial: {e}")))?;
+    designs.entry("initial".into()).or_insert(initial);
+    for (i, (name, _)) in args.records.iter().enumerate() {
+        if args.records[..i].iter().any(|(other, _)| other == name) {
+            return Err(Error::Usage(format!("--records {name}: given twice")));
+        }
+    }
+    for (name, file) in &args.design {
+        if !args.records.iter().any(|(other, _)| other == name) {
+            return Err(Error::Usage(format!("--design {name}: there are no --records {name}=FILE")));
+        }
+        designs.insert(name.clone(), metasense_worker::design::read(file, &layout)?);
+    }
+    let read = |(name, file): &(String, PathBuf)| Ok((name.clone(), measured::read(file, &trial)?));
+    let records = args.records.iter().map(read).collect::<Result<Vec<_>, Error>>()?;
+    let comparison = compare(&args, &trial, records, &designs)?;
+    if let Some(folder) = &args.out {
+        write_parts(folder, &comparison)?;
+    }
+    print_rows(&comparison.table(), args.format)?;
+    let failed = comparison.bodies.iter().filter(|body| !well(body)).count();
+    Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
+}
+
+/// The trial, and the designs that are known of it.
+async fn of_trial(args: &Args) -> Result<(TrialSpec, BTreeMap<String, Vec<f64>>), Error> {
+    if args.source.extension().is_some_and(|e| e == "toml") {
+        let plan = read_plan(&args.source)?;
+        return Ok((find(&plan, &args.trial, &args.source)?.spec.clone(), BTreeMap::new()));
+    }
+    let mut reader = Reader::open(&args.source).await?;
+    let stored = load::stored(&mut reader, &args.trial).await?;
+    let stored = stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.trial)))?;
+    let [initial, optimised] = stored.designs;
+    Ok((stored.spec, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))
+}
+
+fn compare(
+    args: &Args,
+    trial: &TrialSpec,
+    records: Vec<(String, Measured)>,
+    designs: &BTreeMap<String, Vec<f64>>,
+) -> Result<Comparison, Error> {
+    let fewest = records.iter().map(|(_, measured)| measured.forces.samples).min().unwrap_or(0);
+    let effort = Effort {
+        folds: args.folds.map_or(FOLDS.min(fewest).max(2), |n| n as usize),
+        seeds: args.seeds.map_or(trial.evaluation.seeds, |n| n as usize),
+        iterations: args.iterations.map_or(trial.brain.iterations, |n| n as usize),
+    };
+    let known = records.iter().filter(|(name, _)| designs.contains_key(name)).count();
+    let progress = Progress::new((records.len() + known) * effort.folds * effort.seeds);
+    let threads = usize::from(args.threads);
+    let judge = |name: &str, kind: &str, measured: &Measured| -> Result<Evaluated, Error> {
+        evaluate(trial, measured, effort, threads, &|| progress.done(name, kind)).map_err(|e| match e {
+            Failure::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
+            other => Error::Usage(format!("--records {name}: {other}")),
+        })
+    };
+    let paired =
+        records.iter().all(|(_, measured)| alike(&measured.forces.values, &records[0].1.forces.values));
+    let mut bodies = Vec::new();
+    for (name, measured) in records {
+        let by_measured = judge(&name, "measured", &measured)?;
+        let model = match designs.get(&name) {
+            None => None,
+            Some(design) => match simulated(trial, design, &measured.forces, threads) {
+                Ok(signals) => {
+                    let modelled = Measured { signals, ..measured.clone() };
+                    let judged = judge(&name, "simulated", &modelled)?;
+                    Some((modelled.signals, judged))
+                }
+                Err(Failure::NonFinite(why)) => {
+                    eprintln!("{name}: the model has nothing to say: {why}");
+                    None
+                }
+                Err(e) => return Err(Error::Usage(format!("--design {name}: {e}"))),
+            },
+        };
+        bodies.push(Body { name, signals: measured.signals, measured: by_measured, simulated: model });
+    }
+    let shape = [trial.panel_units.len(), trial.time.samples, 3 * trial.sensor_units.len()];
+    Ok(Comparison { bodies, paired, shape, duration: trial.time.duration })
+}
+
+/// Whether two bodies met the same blows.
+fn alike(a: &[f64], b: &[f64]) -> bool {
+    let scale = b.iter().fold(0.0f64, |most, f| most.max(f.abs()));
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-6 * scale)
+}
+
+/// Whether all networks trained as planned; says so of those that did not.
+fn well(body: &Body) -> bool {
+    let kinds = [("measured", Some(&body.measured)), ("simulated", body.simulated.as_ref().map(|s| &s.1))];
+    let mut well = true;
+    for (kind, evaluated) in kinds {
+        let outcomes = evaluated.iter().flat_map(|evaluated| evaluated.outcomes.iter().flatten());
+        for outcome in outcomes.filter(|outcome| **outcome != "ok") {
+            eprintln!("{}, {kind} signals: a training ended with {outcome}", body.name);
+            well = false;
+        }
+    }
+    well
+}
+
+fn write_parts(folder: &Path, comparison: &Comparison) -> Result<(), Error> {
+    let figures = comparison.figures();
+    write_figures(folder, &figures)?;
+    write(&folder.join("index.html"), &comparison.html(&figures))?;
+    write(&folder.join("table.csv"), &crate::report::csv(&comparison.table()))?;
+    let path = folder.join("records.npz");
+    std::fs::write(&path, archive(comparison)).map_err(|source| Error::Io { doing: "writing", path, source })
+}
+
+/// Everything by record as NumPy arrays.
+fn archive(comparison: &Comparison) -> Vec<u8> {
+    let [panels, instants, channels] = comparison.shape;
+    let mut zip = Zip::default();
+    for body in &comparison.bodies {
+        let Evaluated { folds, targets, predictions, errors, .. } = &body.measured;
+        let (n, name) = (folds.len(), &body.name);
+        let numbers = |errors: &[Vec<Option<f64>>]| -> Vec<f64> {
+            errors.iter().flatten().map(|error| error.unwrap_or(f64::NAN)).collect()
+        };
+        let folds: Vec<i64> = folds.iter().map(|fold| *fold as i64).collect();
+        zip.array(&format!("fold_{name}"), &[n], &folds);
+        zip.array(&format!("forces_{name}"), &[n, instants, panels], targets);
+        zip.array(&format!("signals_{name}"), &[n, instants, channels], &body.signals);
+        zip.array(&format!("predictions_{name}"), &[n, instants, panels], predictions);
+        zip.array(&format!("errors_{name}"), &[errors.len(), n], &numbers(errors));
+        if let Some((signals, judged)) = &body.simulated {
+            zip.array(&format!("simulated_signals_{name}"), &[n, instants, channels], signals);
+            zip.array(&format!("simulated_predictions_{name}"), &[n, instants, panels], &judged.predictions);
+            zip.array(&format!("simulated_errors_{name}"), &[errors.len(), n], &numbers(&judged.errors));
+        }
+    }
+    zip.finish()
+}
+
+/// Lines on standard error, with the time to go.
+struct Progress {
+    networks: usize,
+    start: Instant,
+    /// Networks that are done, and when the last line was.
+    said: Mutex<(usize, Instant)>,
+}
+
+impl Progress {
+    fn new(networks: usize) -> Self {
+        let start = Instant::now();
+        Self { networks, start, said: Mutex::new((0, start)) }
+    }
+
+    fn done(&self, body: &str, kind: &str) {
+        let mut said = self.said.lock().expect("no line panics");
+        said.0 += 1;
+        if said.1.elapsed() >= LINE_EVERY || said.0 == self.networks {
+            said.1 = Instant::now();
+            let left = (self.networks - said.0) as f64 / said.0 as f64 * self.start.elapsed().as_secs_f64();
+            let (done, all) = (said.0, self.networks);
+            eprintln!(
+                "{done} of {all} networks trained, now {body} by {kind} signals; {} to go",
+                duration(left)
+            );
+        }
+    }
+}

@@ -1,0 +1,340 @@
+//! Bodies judged by measured records: the table in words, figures, and a page of them.
+
+use metasense_worker::evaluate::Evaluated;
+use serde_json::json;
+
+use super::answers::Answer;
+use super::figures::{Figure, legend};
+use super::plot::{Axis, Plot, Scale, escape, number};
+use super::strips::{Curve, Errors, Strip, dots, representative, strips};
+use super::{answer_list, figure_html, page, table_html};
+use crate::analysis::records::{Agreement, Judged, mean_ratio, table};
+use crate::store::Table;
+
+/// A body's records and what networks make of them.
+#[derive(Debug, Clone)]
+pub struct Body {
+    /// Its name.
+    pub name: String,
+    /// Measured signals (N, T, 3M) (mm/s², rad/s).
+    pub signals: Vec<f64>,
+    /// By them.
+    pub measured: Evaluated,
+    /// Where the design is known: the model's signals, and what networks make of those.
+    pub simulated: Option<(Vec<f64>, Evaluated)>,
+}
+
+/// All bodies under the same clock, panels and sensors.
+#[derive(Debug, Clone)]
+pub struct Comparison {
+    /// The first is what others are compared with.
+    pub bodies: Vec<Body>,
+    /// Whether all were struck by the same blows.
+    pub paired: bool,
+    /// K, T, 3M.
+    pub shape: [usize; 3],
+    /// Length of a record (s).
+    pub duration: f64,
+}
+
+/// Styles of lines and dots, by body.
+const CLASSES: [&str; 3] = ["initial", "optimised", "front"];
+
+fn class(body: usize) -> &'static str {
+    CLASSES[body.min(CLASSES.len() - 1)]
+}
+
+impl Comparison {
+    /// A row a body and kind of signals: those of measured signals first.
+    #[must_use]
+    pub fn judged(&self) -> Vec<Judged> {
+        let channels = self.shape[2];
+        let measured = self.bodies.iter().map(|body| Judged::new(&body.name, false, &body.measured, None));
+        let simulated = self.bodies.iter().filter_map(|body| {
+            let (signals, evaluated) = body.simulated.as_ref()?;
+            let agreement = Agreement::of(&body.signals, signals, channels);
+            Some(Judged::new(&body.name, true, evaluated, Some(agreement)))
+        });
+        measured.chain(simulated).collect()
+    }
+
+    /// The comparison as a table.
+    #[must_use]
+    pub fn table(&self) -> Table {
+        table(&self.judged(), self.paired)
+    }
+
+    /// The table in words.
+    #[must_use]
+    pub fn answers(&self) -> Vec<Answer> {
+        let judged = self.judged();
+        let of = |name: &str, simulated| judged.iter().find(|j| j.body == name && j.simulated == simulated);
+        let mut said = Vec::new();
+        for (body, judged) in self.bodies.iter().zip(&judged) {
+            let shown = |error: Option<f64>| error.map_or("–".to_owned(), number);
+            let mut text = format!(
+                "The {} body: {} % on {} records, each unseen by the network that reads it ({} % on those that trained it)",
+                body.name,
+                shown(judged.error()),
+                judged.errors.len(),
+                shown(judged.error_train)
+            );
+            if let Some(promised) = of(&body.name, true) {
+                text += &format!("; the model promises {} %", shown(promised.error()));
+            }
+            said.push((None, text + "."));
+        }
+        for body in self.bodies.iter().skip(1) {
+            let ratio = |simulated| {
+                mean_ratio(of(&self.bodies[0].name, simulated)?, of(&body.name, simulated)?, self.paired)
+            };
+            let Some(found) = ratio(false) else { continue };
+            let verdict = found.interval.and_then(|i| match (i.low > 1.0, i.high < 1.0) {
+                (true, _) => Some(true),
+                (_, true) => Some(false),
+                _ => None,
+            });
+            let interval = found.interval.map_or(String::new(), |i| {
+                format!(" (95 % over records: {} to {})", number(i.low), number(i.high))
+            });
+            let promised = ratio(true)
+                .map_or(String::new(), |r| format!("; the model promises {} times", number(r.ratio)));
+            let text = format!(
+                "On records that no network had seen, the {} body's error is {} times the {} body's{interval}{promised}.",
+                self.bodies[0].name,
+                number(found.ratio),
+                body.name
+            );
+            said.insert(0, (verdict, text));
+        }
+        said
+    }
+
+    /// Error of every record: a row a body and record.
+    #[must_use]
+    pub fn records(&self) -> Table {
+        let columns = ["body", "record", "fold", "error", "error_simulated"].map(String::from).to_vec();
+        let judged = self.judged();
+        let mut rows = Vec::new();
+        for (body, measured) in self.bodies.iter().zip(&judged) {
+            let promised = judged.iter().find(|j| j.simulated && j.body == body.name);
+            rows.extend(measured.errors.iter().enumerate().map(|(i, error)| {
+                let simulated = promised.and_then(|promised| promised.errors[i]);
+                vec![
+                    json!(body.name),
+                    json!(i),
+                    json!(body.measured.folds[i]),
+                    json!(error),
+                    json!(simulated),
+                ]
+            }));
+        }
+        Table { columns, rows }
+    }
+
+    /// Forces, errors, networks' progress, signals beside the model's.
+    #[must_use]
+    pub fn figures(&self) -> Vec<Figure> {
+        let mut figures = vec![self.forces(), self.errors(), self.progress()];
+        figures.extend(self.signals());
+        figures
+    }
+
+    /// The page.
+    #[must_use]
+    pub fn html(&self, figures: &[Figure]) -> String {
+        let title = "metasense: bodies judged by measured records";
+        let mut content = format!(
+            "<h1>{}</h1><p class=\"question\">How well do fresh networks read forces from the signals that the bodies' \
+             sensors really gave?</p>{}</ul>",
+            escape(title),
+            answer_list(&self.answers())
+        );
+        content.extend(figures.iter().map(figure_html));
+        content += &format!("<h2>Table</h2>{}", table_html(&self.table()));
+        page(title, &content)
+    }
+
+    fn legend(&self) -> Vec<(&'static str, String)> {
+        self.bodies.iter().enumerate().map(|(b, body)| (class(b), body.name.clone())).collect()
+    }
+
+    fn seconds(&self, n: usize) -> f64 {
+        (n + 1) as f64 * self.duration / self.shape[1] as f64
+    }
+
+    /// A sample's histories (T, width), each over its own factor.
+    fn curves(&self, values: &[f64], sample: usize, width: usize, factors: &[f64]) -> Vec<Curve> {
+        let instants = self.shape[1];
+        let sample = &values[sample * instants * width..][..instants * width];
+        let curve = |k: usize| {
+            let values = sample[k..].iter().step_by(width);
+            values.enumerate().map(|(n, x)| (self.seconds(n), x / factors[k])).collect()
+        };
+        (0..width).map(curve).collect()
+    }
+
+    /// Four records: of all bodies together where they met the same blows, else four of each.
+    fn forces(&self) -> Figure {
+        let (panels, judged) = (self.shape[0], self.judged());
+        let mut rows = Vec::new();
+        let mut strip = |record: usize, bodies: &[usize]| {
+            let curves = |values: &[f64]| self.curves(values, record, panels, &vec![1.0; panels]);
+            let truth = curves(&self.bodies[bodies[0]].measured.targets);
+            let (mut sources, mut errors) = (vec![("truth".to_owned(), truth.clone())], Vec::new());
+            for &b in bodies {
+                let predicted = curves(&self.bodies[b].measured.predictions);
+                errors.push(judged[b].errors[record].map_or("–".into(), number));
+                for (k, (truth, predicted)) in truth.iter().zip(&predicted).enumerate() {
+                    rows.extend(truth.iter().zip(predicted).map(|((t, f), (_, p))| {
+                        vec![
+                            json!(self.bodies[b].name),
+                            json!(record),
+                            json!(k),
+                            json!(t),
+                            json!(f),
+                            json!(p),
+                        ]
+                    }));
+                }
+                sources.push((format!("fine {}", class(b)), predicted));
+            }
+            let whose =
+                if self.paired { String::new() } else { format!("{}, ", self.bodies[bodies[0]].name) };
+            Strip { title: format!("{whose}record {record}: {} %", errors.join(" → ")), sources }
+        };
+        let all: Vec<usize> = (0..self.bodies.len()).collect();
+        let chosen = |b: usize| {
+            representative(&judged[b].errors, 0..judged[b].errors.len()).into_iter().collect::<Vec<_>>()
+        };
+        let samples: Vec<Strip> = if self.paired {
+            chosen(all[all.len() - 1]).into_iter().map(|record| strip(record, &all)).collect()
+        } else {
+            all.iter()
+                .flat_map(|&b| chosen(b).into_iter().map(move |r| (b, r)))
+                .map(|(b, r)| strip(r, &[b]))
+                .collect()
+        };
+        let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
+        let (plots, step) = strips(&samples, &names, self.duration);
+        let mut entries = legend(&[("truth", "true force")]);
+        entries.extend(self.legend());
+        Figure {
+            name: "forces",
+            title: "True and predicted forces".into(),
+            caption: format!(
+                "Measured forces of four records{}, at the 12th, 37th, 62nd and 87th percentile of the error, and what \
+                 networks that have not seen them make of the measured signals (first seed). A panel's line lies {} N \
+                 above that of the next. The titles give the errors, means over seeds.",
+                if self.paired { " of all bodies" } else { " of each body" },
+                number(step)
+            ),
+            legend: entries,
+            plots,
+            small: false,
+            data: of(&["body", "record", "panel", "seconds", "force", "predicted"], rows),
+        }
+    }
+
+    fn errors(&self) -> Figure {
+        let judged = self.judged();
+        let known = |b: usize| judged[b].errors.iter().enumerate().filter_map(|(i, e)| Some((i, (*e)?)));
+        // joined, only what all bodies have
+        let whole = |i: usize| (0..self.bodies.len()).all(|b| !self.paired || judged[b].errors[i].is_some());
+        let bodies: Vec<Errors> = (0..self.bodies.len())
+            .map(|b| Errors {
+                class: class(b),
+                body: &self.bodies[b].name,
+                errors: known(b).filter(|(i, _)| whole(*i)).collect(),
+            })
+            .collect();
+        let label = match self.paired {
+            true => format!("records, by the error of {}", self.bodies[0].name),
+            false => "records of each body, by their error".to_owned(),
+        };
+        Figure {
+            name: "errors",
+            title: "Error of every record".into(),
+            caption: format!(
+                "Prediction error of each record by networks that have not seen it, means over seeds{}.",
+                if self.paired { "; the bodies' errors under the same blow are joined" } else { "" }
+            ),
+            legend: self.legend(),
+            plots: vec![dots("Every record, measured signals", &label, &bodies, self.paired)],
+            small: false,
+            data: self.records(),
+        }
+    }
+
+    fn progress(&self) -> Figure {
+        let judged = self.judged();
+        let curves = || judged.iter().filter(|judged| !judged.simulated).map(|judged| &judged.progress);
+        let points = || curves().flatten();
+        let x = Axis::new("iterations of the brain", Scale::Log, points().map(|p| f64::from(p.0)));
+        let y = Axis::new("error on unseen records (%)", Scale::Log, points().map(|p| p.1));
+        let mut plot = Plot::new("Networks on their way, measured signals", x, y);
+        for (b, curve) in curves().enumerate() {
+            plot.line(class(b), curve.iter().map(|p| (f64::from(p.0), p.1)));
+        }
+        let row = |judged: &Judged, p: &(u32, f64)| {
+            let signals = if judged.simulated { "simulated" } else { "measured" };
+            vec![json!(judged.body), json!(signals), json!(p.0), json!(p.1)]
+        };
+        let rows =
+            judged.iter().flat_map(|judged| judged.progress.iter().map(move |p| row(judged, p))).collect();
+        Figure {
+            name: "progress",
+            title: "How fast networks learn".into(),
+            caption: "Error on unseen records against iterations of training, a mean over folds and seeds."
+                .into(),
+            legend: self.legend(),
+            plots: vec![plot.svg()],
+            small: false,
+            data: of(&["body", "signals", "iteration", "error"], rows),
+        }
+    }
+
+    /// One record of each body whose design is known, beside the model's signals.
+    fn signals(&self) -> Option<Figure> {
+        let (judged, channels) = (self.judged(), self.shape[2]);
+        let names: Vec<String> =
+            (0..channels).map(|c| format!("{}{}", ["ax", "ay", "ω"][c % 3], c / 3)).collect();
+        let (mut plots, mut rows) = (Vec::new(), Vec::new());
+        for (b, body) in self.bodies.iter().enumerate() {
+            let Some((simulated, _)) = &body.simulated else { continue };
+            let typical = representative(&judged[b].errors, 0..judged[b].errors.len());
+            let Some(&record) = typical.get(typical.len() / 2) else { continue };
+            let rms = |c: usize| {
+                let values = || body.signals[c..].iter().step_by(channels);
+                (values().map(|x| x * x).sum::<f64>() / values().count() as f64).sqrt().max(f64::MIN_POSITIVE)
+            };
+            let factors: Vec<f64> = (0..channels).map(rms).collect();
+            let [measured, model] =
+                [&body.signals, simulated].map(|values| self.curves(values, record, channels, &factors));
+            for (c, (measured, model)) in measured.iter().zip(&model).enumerate() {
+                rows.extend(measured.iter().zip(model).map(|((t, m), (_, s))| {
+                    let [m, s] = [m, s].map(|x| x * factors[c]);
+                    vec![json!(body.name), json!(record), json!(names[c]), json!(t), json!(m), json!(s)]
+                }));
+            }
+            let sources = vec![("truth".to_owned(), measured), ("fine front".to_owned(), model)];
+            let strip = Strip { title: format!("{}, record {record}", body.name), sources };
+            plots.extend(strips(&[strip], &names, self.duration).0);
+        }
+        (!plots.is_empty()).then(|| Figure {
+            name: "signals",
+            title: "Measured and modelled signals".into(),
+            caption: "What the sensors said under one record of each body, and what the trial's model of the body says under \
+                      the same forces, each channel over its RMS."
+                .into(),
+            legend: legend(&[("truth", "measured"), ("front", "model")]),
+            plots,
+            small: false,
+            data: of(&["body", "record", "channel", "seconds", "measured", "simulated"], rows),
+        })
+    }
+}
+
+fn of(columns: &[&str], rows: Vec<Vec<serde_json::Value>>) -> Table {
+    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
+}

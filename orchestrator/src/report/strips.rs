@@ -1,0 +1,104 @@
+//! Histories of some samples, one above the other, and the error of every sample: what trials and records both show.
+
+use super::plot::{Axis, Plot, Scale, number};
+
+/// Points of a curve.
+pub type Curve = Vec<(f64, f64)>;
+
+/// The histories of a sample.
+#[derive(Debug, Clone)]
+pub struct Strip {
+    /// Above the plot.
+    pub title: String,
+    /// By source: the style of its lines, and a curve (s, value) a history. The first source is the truth.
+    pub sources: Vec<(String, Vec<Curve>)>,
+}
+
+/// A plot a sample. Histories stand one above the other, the first on top, each by the step that is returned above the
+/// next: what the true values need.
+#[must_use]
+pub fn strips(samples: &[Strip], names: &[String], duration: f64) -> (Vec<String>, f64) {
+    let count = names.len();
+    let truth = samples.iter().flat_map(|s| s.sources[0].1.iter().flatten());
+    let (least, most) = truth.fold((0.0f64, 1e-9f64), |(l, m), point| (l.min(point.1), m.max(point.1)));
+    let step = 1.15 * (most - least);
+    let zero = |k: usize| (count - 1 - k) as f64 * step;
+    let ends = |pick: fn(f64, f64) -> f64, start: f64| {
+        let curves = samples.iter().flat_map(|s| &s.sources).flat_map(|source| source.1.iter().enumerate());
+        let values = curves.flat_map(|(k, curve)| curve.iter().map(move |point| zero(k) + point.1));
+        values.fold(start, pick)
+    };
+    let range = [ends(f64::min, -0.1 * step), ends(f64::max, count as f64 * step)];
+    let height = 80.0 + (200.0 / count as f64).max(45.0) * count as f64;
+    let draw = |sample: &Strip| {
+        let names = names.iter().enumerate().map(|(k, name)| (zero(k), name.clone())).collect();
+        let mut plot = Plot::new(
+            &sample.title,
+            Axis::new("time (s)", Scale::Linear, [0.0, duration]),
+            Axis::new("", Scale::Linear, range).with_names(names),
+        )
+        .sized(400.0, height);
+        for k in 0..count {
+            for (class, curves) in &sample.sources {
+                plot.line(class, curves[k].iter().map(|(t, value)| (*t, zero(k) + value)));
+            }
+        }
+        plot.svg()
+    };
+    (samples.iter().map(draw).collect(), step)
+}
+
+/// Four of the samples given, at the 12th, 37th, 62nd and 87th percentile of their errors.
+#[must_use]
+pub fn representative(errors: &[Option<f64>], among: impl Iterator<Item = usize>) -> Vec<usize> {
+    let mut known: Vec<(f64, usize)> = among.filter_map(|n| errors[n].map(|e| (e, n))).collect();
+    known.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut chosen: Vec<usize> =
+        (0..4).filter_map(|q| known.get((2 * q + 1) * known.len() / 8)).map(|k| k.1).collect();
+    chosen.dedup();
+    chosen
+}
+
+/// Errors of a body's samples.
+#[derive(Debug, Clone)]
+pub struct Errors<'a> {
+    /// Style of its dots.
+    pub class: &'a str,
+    /// The body.
+    pub body: &'a str,
+    /// (Sample, its error (%)).
+    pub errors: Vec<(usize, f64)>,
+}
+
+/// A dot a sample and body, samples by error. `joined`: all bodies have the same samples, which stand by the first
+/// body's error with a line through their dots; else each body's stand by its own.
+#[must_use]
+pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> String {
+    let ranked = |errors: &[(usize, f64)]| -> Vec<usize> {
+        let mut order: Vec<usize> = (0..errors.len()).collect();
+        order.sort_by(|a, b| errors[*a].1.total_cmp(&errors[*b].1));
+        order
+    };
+    let first = bodies.first().map(|body| ranked(&body.errors)).unwrap_or_default();
+    let of = |body: &Errors| -> Vec<(usize, f64)> {
+        let order = if joined { first.clone() } else { ranked(&body.errors) };
+        order.into_iter().map(|i| body.errors[i]).collect()
+    };
+    let drawn: Vec<Vec<(usize, f64)>> = bodies.iter().map(of).collect();
+    let most = drawn.iter().map(Vec::len).max().unwrap_or(0);
+    let x = Axis::new(label, Scale::Linear, [0.0, most as f64 + 1.0]).with_ticks(vec![]);
+    let y = Axis::new("error (%)", Scale::Log, drawn.iter().flatten().map(|sample| sample.1));
+    let mut plot = Plot::new(title, x, y).sized(480.0, 280.0);
+    let place = |i: usize| i as f64 + 1.0;
+    if joined {
+        for i in 0..most {
+            plot.line("thin", drawn.iter().map(|errors| (place(i), errors[i].1)));
+        }
+    }
+    for (body, errors) in bodies.iter().zip(&drawn) {
+        let text = |n: usize, error| format!("sample {n}, {} body: {} %", body.body, number(error));
+        let dots = errors.iter().enumerate().map(|(i, &(n, error))| ((place(i), error), text(n, error)));
+        plot.dots(body.class, dots);
+    }
+    plot.svg()
+}

@@ -1,0 +1,221 @@
+//! Measured signals, from files to the table that compares bodies.
+
+mod common;
+
+use common::Bench;
+use metasense_worker::design::{self, Layout};
+use npyz::WriterBuilder;
+
+const SPEC: &str = r#"name = "s"
+[body]
+columns = 4
+rows = 4
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+[time]
+duration = 0.2
+samples = 40
+[stimuli]
+kind = "irregular"
+samples = 10
+test = 2
+holdout = 2
+onset = [0.0, 0.05]
+[brain]
+iterations = 60
+[optimise]
+iterations = 2
+batch = 4
+[sweep]
+panels = [2]
+sensors = [1]
+"#;
+
+const RECORDS: usize = 12;
+const INSTANTS: usize = 40;
+
+fn write(bench: &Bench, name: &str, shape: &[u64], values: &[f64]) {
+    let mut bytes = Vec::new();
+    let mut npy =
+        npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
+    npy.extend(values.iter().copied()).unwrap();
+    npy.finish().unwrap();
+    std::fs::write(bench.path(name), bytes).unwrap();
+}
+
+fn read(bench: &Bench, name: &str) -> Vec<f64> {
+    let bytes = std::fs::read(bench.path(name)).unwrap();
+    npyz::NpyFile::new(&bytes[..]).unwrap().into_vec().unwrap()
+}
+
+/// A value of a CSV by its column's name, in the row that begins so.
+fn value(csv: &str, row: &str, column: &str) -> Option<f64> {
+    let at = csv.lines().next().unwrap().split(',').position(|name| name == column).unwrap();
+    let line = csv.lines().find(|line| line.starts_with(row)).unwrap_or_else(|| panic!("{row}\n{csv}"));
+    line.split(',').nth(at).unwrap().parse().ok()
+}
+
+/// Two bodies under twelve blows, simulated; a chip that is bad on one (a CSV a record, in m/s² and degrees) and good on
+/// the other (an array); the files that describe them. Returns the trial's hash.
+fn bench() -> (Bench, String) {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+    let hash = csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned();
+    let layout = Layout::planar(4, 4, 15.0, 2.25);
+    design::write(&bench.path("other.npy"), &layout, &layout.initial_design(0.3)).unwrap();
+    let force = |i: usize, k: usize, n: usize| -> f64 {
+        let t = n as f64 / INSTANTS as f64 * (1.0 + 0.2 * i as f64) - 0.1 * k as f64;
+        0.5 * (7.0 * t).sin().max(0.0) * (-3.0 * t).exp()
+    };
+    let mut forces = Vec::new();
+    for (i, k) in (0..RECORDS).flat_map(|i| [(i, 0), (i, 1)]) {
+        forces.extend((0..=INSTANTS).map(|n| force(i, k, n)));
+    }
+    write(&bench, "forces.npy", &[RECORDS as u64, 2, INSTANTS as u64 + 1], &forces);
+    let simulate =
+        ["simulate", "s.toml", "--hash", &hash, "--forces", "forces.npy", "--format", "csv", "--out"];
+    bench.output(&[&simulate[..], &["a"]].concat());
+    bench.output(&[&simulate[..], &["b", "--design", "other.npy"]].concat());
+
+    let mut state = 1u64;
+    let mut noise = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / (1u64 << 23) as f64 - 1.0
+    };
+    let mut disturbed = |name: &str, size: f64| -> Vec<f64> {
+        let signals = read(&bench, name);
+        let rms = |c: usize| {
+            let channel = signals[c..].iter().step_by(3);
+            (channel.map(|x| x * x).sum::<f64>() / (RECORDS * INSTANTS) as f64).sqrt()
+        };
+        let rms = [0, 1, 2].map(rms);
+        signals.iter().enumerate().map(|(i, x)| x + size * rms[i % 3] * noise()).collect()
+    };
+    let (bad, good) = (disturbed("a/signals.npy", 1.5), disturbed("b/signals.npy", 0.02));
+    write(&bench, "good.npy", &[RECORDS as u64, INSTANTS as u64, 3], &good);
+    let mut names = Vec::new();
+    for i in 0..RECORDS {
+        let mut text = "ms,f0,f1,x,y,w\n0,0,0,0,0,0\n".to_owned();
+        for n in 1..=INSTANTS {
+            let s = &bad[(i * INSTANTS + n - 1) * 3..][..3];
+            let (f, g) = (1e3 * force(i, 0, n), 1e3 * force(i, 1, n));
+            text += &format!("{},{f},{g},{},{},{}\n", 5 * n, s[0] / 1e3, s[1] / 1e3, s[2].to_degrees());
+        }
+        bench.file(&format!("{i}.csv"), &text);
+        names.push(format!("\"{i}.csv\""));
+    }
+    bench.file(
+        "bad.toml",
+        &format!(
+            "[recorded]\nfiles = [{}]\ntime = \"ms\"\ntime_unit = \"ms\"\nforce = [\"f0\", \"f1\"]\nforce_unit = \"mN\"\n\
+             [signals]\nchannels = [\"x\", \"y\", \"w\"]\nacceleration_unit = \"m/s2\"\nangular_velocity_unit = \"deg/s\"\n",
+            names.join(", ")
+        ),
+    );
+    bench.file(
+        "good.toml",
+        "[recorded]\nfiles = [\"forces.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"good.npy\"]\nstart = 0.005\n",
+    );
+    (bench, hash)
+}
+
+/// The body whose chip is good is read better, by far; the numbers do not depend on the number of threads; the model of
+/// the body agrees with signals that hardly differ from it.
+#[test]
+fn the_body_that_is_truly_better_is_found_so() {
+    let (bench, hash) = bench();
+    let call = |more: &[&str]| {
+        let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
+        let rest = ["--folds", "3", "--seeds", "2", "--format", "csv"];
+        bench.output(&[&["evaluate", "s.toml", &hash][..], &bodies, &rest, more].concat())
+    };
+    let csv = call(&["--design", "other=other.npy", "--out", "out"]);
+    assert_eq!(csv, call(&["--design", "other=other.npy", "--threads", "2"]));
+    let [bad, good, promised] = ["initial,measured", "other,measured", "other,simulated"]
+        .map(|row| value(&csv, row, "error_test").unwrap());
+    assert!(good < 0.7 * bad, "{csv}");
+    let low = value(&csv, "other,measured", "ratio_low").unwrap();
+    assert!(
+        low > 1.2 && (value(&csv, "other,measured", "ratio").unwrap() - bad / good).abs() < 1e-9,
+        "{csv}"
+    );
+    assert!((promised / good - 1.0).abs() < 0.3, "{promised} {good}");
+    let [near, far] =
+        ["other", "initial"].map(|body| value(&csv, &format!("{body},simulated"), "difference").unwrap());
+    assert!(near < 3.0 && (60.0..110.0).contains(&far), "{near} {far}");
+    assert_eq!(value(&csv, "other,measured", "records"), Some(RECORDS as f64));
+
+    let page = std::fs::read_to_string(bench.path("out/index.html")).unwrap();
+    assert!(page.contains("the initial body's error is") && page.matches("<svg").count() == 8, "{page}");
+    let npz = std::fs::read(bench.path("out/records.npz")).unwrap();
+    let text = String::from_utf8_lossy(&npz);
+    for held in ["predictions_other.npy", "(12, 40, 2", "simulated_signals_initial.npy", "(2, 12"] {
+        assert!(text.contains(held), "{held}");
+    }
+    let errors = std::fs::read_to_string(bench.path("out/errors.csv")).unwrap();
+    let of_body = errors.lines().filter(|line| line.starts_with("other,"));
+    let known: Vec<f64> = of_body.map(|line| line.split(',').nth(3).unwrap().parse().unwrap()).collect();
+    let mean = known.iter().sum::<f64>() / known.len() as f64;
+    assert!(known.len() == RECORDS && (mean / good - 1.0).abs() < 1e-5, "{mean} {good}");
+}
+
+/// A trial from its database, signals as its export wrote them: they are the model's own.
+#[test]
+fn an_export_is_read_back_as_measured() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    bench.output(&["run", "s.toml"]);
+    let hash = bench.output(&["query", "results/s.sqlite", "SELECT hash FROM v_trial", "--format", "csv"]);
+    let hash = hash.lines().nth(1).unwrap();
+    bench.output(&["export", "results/s.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
+    let mut call: Vec<String> =
+        ["evaluate", "results/s.sqlite", &hash[..8], "--iterations", "5"].map(String::from).to_vec();
+    for body in ["initial", "optimised"] {
+        let text = format!(
+            "[recorded]\nfiles = [\"t.npz\"]\nrate = 200.0\nforce = [\"forces\"]\n[signals]\nchannels = [\"signals_{body}\"]\n\
+             start = 0.005\n"
+        );
+        bench.file(&format!("{body}.toml"), &text);
+        call.extend(["--records".into(), format!("{body}={body}.toml")]);
+    }
+    let call: Vec<&str> = call.iter().map(String::as_str).chain(["--format", "csv"]).collect();
+    let csv = bench.output(&call);
+    for row in ["initial,simulated", "optimised,simulated"] {
+        let [correlation, difference] = ["correlation", "difference"].map(|c| value(&csv, row, c).unwrap());
+        assert!(correlation > 0.9999 && difference < 0.2, "{csv}");
+    }
+    assert_eq!(value(&csv, "initial,measured", "records"), Some(12.0));
+}
+
+/// What cannot be meant is refused with its argument, or file and key, before anything trains.
+#[test]
+fn bad_calls_are_refused() {
+    let (bench, hash) = bench();
+    let initial = "--records=initial=bad.toml";
+    for (arguments, said) in [
+        (vec![], "--records <BODY=FILE>"),
+        (vec!["--records", "bad.toml"], "must be BODY=FILE, for instance initial=records.toml"),
+        (vec!["--records", "a b=bad.toml"], "\"a b\" is no name: letters, digits, - and _"),
+        (vec![initial, initial], "--records initial: given twice"),
+        (vec!["--records", "initial=none.toml"], "cannot read none.toml"),
+        (vec![initial, "--design", "o=other.npy"], "--design o: there are no --records o=FILE"),
+        (vec![initial, "--design", "initial=none.npy"], "reading none.npy"),
+        (
+            vec![initial, "--folds", "13"],
+            "--records initial: --folds 13: must lie between 2 and the 12 records",
+        ),
+        (vec![initial, "--folds", "1"], "invalid value '1' for '--folds <N>'"),
+        (vec!["--records", "initial=typo.toml"], "typo.toml:2: recorded.file = "),
+    ] {
+        bench.file("typo.toml", "[recorded]\nfile = [\"0.csv\"]\n");
+        let output = bench.metasense(&[vec!["evaluate", "s.toml", &hash], arguments.clone()].concat());
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
+        assert!(errors.contains(said), "{errors}\n{said}");
+    }
+    let output = bench.metasense(&["evaluate", "s.toml", "ffff", initial]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("holds no such trial"));
+}

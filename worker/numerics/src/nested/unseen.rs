@@ -1,0 +1,195 @@
+//! Networks on given signals and forces, wherever they come from: each record is predicted by one that has not seen it.
+//!
+//! A seeded shuffle deals the records into folds; a fold's network trains on all others, from the initial weights of the
+//! comparison at the end of a trial. Its scales are those of its own training records.
+
+use super::chip::Chip;
+use super::evaluation::{Fresh, train_fresh};
+use super::problem::{Problem, Schedule, Training};
+use super::report::{Failure, Trouble};
+use super::setting::{Scales, all_well, mean_error};
+use crate::brain::{Shape, TrainOutcome, Workspace};
+use crate::dynamics::{Forces, simulate, tune};
+use crate::random::{Purpose, Stream};
+use crate::stimuli::targets;
+
+/// Records of one body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Records {
+    /// N, T, 3M, K and the network's width.
+    shape: Shape,
+    samples: usize,
+    /// (N, T, 3M) (mm/s², rad/s).
+    signals: Vec<f64>,
+    /// (N, T, K) (N).
+    targets: Vec<f64>,
+}
+
+/// What a fold's network says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Unseen {
+    /// Predicted forces (n, T, K) (N) of the fold's n records.
+    pub predictions: Vec<f64>,
+    /// Their errors (%); `None` where there is no force.
+    pub errors: Vec<Option<f64>>,
+    /// Mean error on the records that trained it (%).
+    pub error_train: Option<f64>,
+    /// Training loss (normalised) at every iteration.
+    pub losses: Vec<f32>,
+    /// (Iteration, from 1, mean error on the fold's records there) at the milestones of the training.
+    pub progress: Vec<(u32, f64)>,
+    /// What went wrong.
+    pub trouble: Option<Trouble>,
+}
+
+impl Records {
+    /// Signals (N, T, 3M) under forces; with `low_pass` targets hold what T instants can say.
+    ///
+    /// # Panics
+    /// If the signals are not as many as those of `inputs` = 3M channels at `instants` = T.
+    pub fn new(
+        forces: &Forces,
+        signals: Vec<f64>,
+        [instants, inputs, width]: [usize; 3],
+        low_pass: bool,
+    ) -> Self {
+        assert_eq!(
+            signals.len(),
+            forces.samples * instants * inputs,
+            "signals of {} samples",
+            forces.samples
+        );
+        Self {
+            shape: Shape { instants, inputs, width, outputs: forces.panels },
+            samples: forces.samples,
+            signals,
+            targets: targets(forces, instants, low_pass),
+        }
+    }
+
+    /// True forces (N, T, K) (N).
+    pub fn targets(&self) -> &[f64] {
+        &self.targets
+    }
+
+    /// Signals (n, T, 3M) and targets (n, T, K) of the records listed.
+    fn select(&self, records: &[usize]) -> (Vec<f64>, Vec<f64>) {
+        let pick = |values: &[f64]| {
+            let size = values.len() / self.samples;
+            records.iter().flat_map(|&i| &values[i * size..][..size]).copied().collect()
+        };
+        (pick(&self.signals), pick(&self.targets))
+    }
+
+    /// Trains a network on the records outside `fold` (of each record, as `folds` deals them) and lets it predict those
+    /// inside. `start` is a seed and the number of its initial weights.
+    ///
+    /// # Panics
+    /// If there is no record inside or outside.
+    pub fn unseen(
+        &self,
+        folds: &[usize],
+        fold: usize,
+        training: Training,
+        schedule: Schedule,
+        start: [u64; 2],
+        pool: &rayon::ThreadPool,
+    ) -> Unseen {
+        let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|&i| folds[i] == fold);
+        let (signals, targets) = self.select(&train);
+        let scales = Scales::new(&self.shape, &signals, &targets);
+        let data = scales.data(self.shape, &signals, &targets);
+        let (signals, truth) = self.select(&test);
+        let unseen = scales.data(self.shape, &signals, &truth);
+        let [mut workspace, mut aside] = [(); 2].map(|()| Workspace::new(self.shape));
+        let mut progress =
+            |weights: &[f32]| mean_error(&scales.predict(weights, &unseen, &truth, &mut aside, pool).1);
+        let Fresh { weights, losses, errors: progress, outcome } =
+            train_fresh(&data, training, schedule, start, &mut progress, &mut workspace, pool);
+        let error_train = mean_error(&scales.predict(&weights, &data, &targets, &mut workspace, pool).1);
+        let (predictions, errors) = scales.predict(&weights, &unseen, &truth, &mut workspace, pool);
+        let trouble = (outcome != TrainOutcome::Ok).then_some(Trouble::Training(outcome));
+        Unseen { predictions, errors, error_train, losses, progress, trouble }
+    }
+}
+
+/// The fold, from 0, of each of `records` records: a seeded shuffle, sizes that differ by one at most.
+pub fn folds(seed: u64, records: usize, folds: usize) -> Vec<usize> {
+    let mut of = vec![0; records];
+    let order = Stream::new(Purpose::Split, seed, [records as u64, 2]).permutation(records);
+    order.into_iter().enumerate().for_each(|(n, record)| of[record] = n % folds);
+    of
+}
+
+/// Signals (N, T, 3M) of a body under given forces, as its chips say them; what is relative in a chip is so to these
+/// signals' RMS.
+///
+/// # Errors
+/// If a sample does not reach its end.
+pub fn sense(
+    problem: &Problem,
+    design: &[f64],
+    forces: &Forces,
+    pool: &rayon::ThreadPool,
+) -> Result<Vec<f64>, Failure> {
+    let scene = &problem.scene;
+    let solver = tune(scene, design, forces, &problem.solver, pool).solver;
+    let simulation = simulate(scene, design, forces, &solver, false, pool);
+    all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+    let mut signals = simulation.signals;
+    if let Some(disturbance) = &problem.disturbance {
+        let shape = Shape {
+            instants: scene.instants,
+            inputs: 3 * scene.sensors.len(),
+            width: problem.brain.width,
+            outputs: forces.panels,
+        };
+        let scales = Scales::new(&shape, &signals, &[]);
+        let delta = scene.duration / scene.instants as f64;
+        Chip::new(disturbance, problem.seed, delta, &scales.channels).disturb(&mut signals, forces);
+    }
+    Ok(signals)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folds_are_equal_but_for_one_and_follow_the_seed() {
+        let found = folds(3, 32, 5);
+        let mut sizes: Vec<usize> = (0..5).map(|f| found.iter().filter(|&&g| g == f).count()).collect();
+        sizes.sort_unstable();
+        assert_eq!(sizes, [6, 6, 6, 7, 7], "{found:?}");
+        assert_eq!(found, folds(3, 32, 5));
+        assert_ne!(found, folds(4, 32, 5));
+    }
+
+    /// A record whose forces are made up: whoever has seen it knows them, its own fold's network cannot.
+    #[test]
+    fn a_fold_s_network_has_not_seen_its_records() {
+        let (samples, instants) = (12, 16);
+        let mut stream = Stream::new(Purpose::Design, 5, [0, 0]);
+        let mut forces = Forces { samples, panels: 1, instants, values: Vec::new() };
+        let mut signals = Vec::new();
+        for _ in 0..samples {
+            let f: Vec<f64> = (0..=instants).map(|_| stream.uniform()).collect();
+            f[1..].iter().for_each(|f| signals.extend([3e3 * f, -1e3 * f, 0.1 * f]));
+            forces.values.extend(f);
+        }
+        // the made-up one
+        signals[..instants * 3].iter_mut().for_each(|x| *x = -*x);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let records = Records::new(&forces, signals, [instants, 3, 64], false);
+        let dealt = folds(1, samples, 4);
+        let training = Training { iterations: 150, rate: 1e-2, width: 64 };
+        let fold = |fold| records.unseen(&dealt, fold, training, Schedule::Cosine, [1, 0], &pool);
+        let (own, other) = (fold(dealt[0]), fold((dealt[0] + 1) % 4));
+        let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
+        let first = own.errors[inside.iter().position(|&i| i == 0).unwrap()].unwrap();
+        let train = other.error_train.unwrap();
+        assert!(first > 50.0 && train < 10.0, "unseen {first} %, seen {train} %");
+        assert_eq!((own.errors.len(), own.predictions.len()), (3, 3 * instants));
+        assert_eq!(own, fold(dealt[0]));
+    }
+}

@@ -1,0 +1,140 @@
+//! A body judged by given records: fresh networks, each record predicted by those that have not seen it.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use metasense_numerics::dynamics::Forces;
+use metasense_numerics::nested::{self, Records, Training, Unseen};
+use metasense_schemas::spec::TrialSpec;
+
+use crate::convert::finite;
+use crate::measured::Measured;
+use crate::problem::problem;
+use crate::replay::{check, pool};
+use crate::run::Failure;
+
+/// How many networks, and how long they train.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Effort {
+    /// Parts into which the records are dealt, each predicted by networks trained on the others; at least 2.
+    pub folds: usize,
+    /// Networks a fold.
+    pub seeds: usize,
+    /// Adam iterations of each.
+    pub iterations: usize,
+}
+
+/// What fresh networks make of records.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluated {
+    /// The fold of each record (N).
+    pub folds: Vec<usize>,
+    /// True forces (N, T, K) (N).
+    pub targets: Vec<f64>,
+    /// Forces as the first seed's networks that have not seen a record predict them (N, T, K) (N).
+    pub predictions: Vec<f64>,
+    /// Errors (%) by seed, then record; `None` where there is no force.
+    pub errors: Vec<Vec<Option<f64>>>,
+    /// Mean error on its training records (%), by seed, then fold.
+    pub errors_train: Vec<Vec<Option<f64>>>,
+    /// (Iteration, mean error on unseen records (%) there), by seed, then fold.
+    pub progress: Vec<Vec<Vec<(u32, f64)>>>,
+    /// How each training ended, likewise.
+    pub outcomes: Vec<Vec<&'static str>>,
+}
+
+/// Trains `effort.seeds` networks a fold on measured or simulated signals, on `threads` threads; `done` hears of each.
+///
+/// # Errors
+/// If the spec stands for no trial, or there are fewer records than folds.
+///
+/// # Panics
+/// If the records are not of this trial's panels, sensors and clock.
+pub fn evaluate(
+    trial: &TrialSpec,
+    measured: &Measured,
+    effort: Effort,
+    threads: usize,
+    done: &(dyn Fn() + Sync),
+) -> Result<Evaluated, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let Effort { folds, seeds, iterations } = effort;
+    let Measured { forces, signals, low_pass } = measured;
+    let samples = forces.samples;
+    if !(2..=samples).contains(&folds) {
+        return Err(Failure::Rejected(format!(
+            "--folds {folds}: must lie between 2 and the {samples} records"
+        )));
+    }
+    let shape = [trial.time.samples, 3 * trial.sensor_units.len(), problem.brain.width];
+    let records = Records::new(forces, signals.clone(), shape, *low_pass);
+    let training = Training { iterations, ..problem.brain };
+    let dealt = nested::folds(problem.seed, samples, folds);
+
+    // a network a thread: few records would not keep more of them busy
+    let next = AtomicUsize::new(0);
+    let work = || -> Result<Vec<(usize, Unseen)>, Failure> {
+        let (pool, mut found) = (pool(1)?, Vec::new());
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            if number >= seeds * folds {
+                return Ok(found);
+            }
+            let (fold, start) = (number % folds, [problem.seed, (number / folds) as u64]);
+            let schedule = problem.evaluation.schedule;
+            found.push((number, records.unseen(&dealt, fold, training, schedule, start, &pool)));
+            done();
+        }
+    };
+    let mut networks = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads.max(1)).map(|_| scope.spawn(work)).collect();
+        let found = threads.into_iter().map(|thread| thread.join().expect("training does not panic"));
+        found.collect::<Result<Vec<_>, _>>().map(|found| found.concat())
+    })?;
+    networks.sort_by_key(|(number, _)| *number);
+    let mut networks = networks.into_iter().map(|(_, network)| network);
+    let by_seed: Vec<Vec<Unseen>> = (0..seeds).map(|_| networks.by_ref().take(folds).collect()).collect();
+    let of = |fold: usize| (0..samples).filter(|i| dealt[*i] == fold).collect::<Vec<usize>>();
+    let members: Vec<Vec<usize>> = (0..folds).map(of).collect();
+    let size = records.targets().len() / samples;
+    let mut predictions = vec![0.0; records.targets().len()];
+    for (network, records) in by_seed.iter().flatten().take(folds).zip(&members) {
+        for (predicted, record) in network.predictions.chunks_exact(size).zip(records) {
+            predictions[record * size..][..size].copy_from_slice(predicted);
+        }
+    }
+    let errors_of = |networks: &Vec<Unseen>| {
+        let mut errors = vec![None; samples];
+        for (network, records) in networks.iter().zip(&members) {
+            records.iter().zip(&network.errors).for_each(|(record, error)| errors[*record] = finite(*error));
+        }
+        errors
+    };
+    Ok(Evaluated {
+        errors: by_seed.iter().map(errors_of).collect(),
+        errors_train: each(&by_seed, |network| network.error_train),
+        progress: each(&by_seed, |network| network.progress.clone()),
+        outcomes: each(&by_seed, |network| network.trouble.map_or("ok", |trouble| trouble.name())),
+        targets: records.targets().to_vec(),
+        folds: dealt,
+        predictions,
+    })
+}
+
+fn each<T>(by_seed: &[Vec<Unseen>], what: impl Fn(&Unseen) -> T) -> Vec<Vec<T>> {
+    by_seed.iter().map(|networks| networks.iter().map(&what).collect()).collect()
+}
+
+/// Signals (N, T, 3M) that the trial's model of `design` gives under the same forces, its chips' noise included.
+///
+/// # Errors
+/// If the spec stands for no trial, the design is of another length, or a sample does not reach its end.
+pub fn simulated(
+    trial: &TrialSpec,
+    design: &[f64],
+    forces: &Forces,
+    threads: usize,
+) -> Result<Vec<f64>, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    check(design, problem.initial.len())?;
+    nested::sense(&problem, design, forces, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
+}
