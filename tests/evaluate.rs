@@ -4,7 +4,6 @@ mod common;
 
 use common::Bench;
 use metasense_worker::design::{self, Layout};
-use npyz::WriterBuilder;
 
 const SPEC: &str = r#"name = "s"
 [body]
@@ -36,20 +35,6 @@ sensors = [1]
 const RECORDS: usize = 12;
 const INSTANTS: usize = 40;
 
-fn write(bench: &Bench, name: &str, shape: &[u64], values: &[f64]) {
-    let mut bytes = Vec::new();
-    let mut npy =
-        npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
-    npy.extend(values.iter().copied()).unwrap();
-    npy.finish().unwrap();
-    std::fs::write(bench.path(name), bytes).unwrap();
-}
-
-fn read(bench: &Bench, name: &str) -> Vec<f64> {
-    let bytes = std::fs::read(bench.path(name)).unwrap();
-    npyz::NpyFile::new(&bytes[..]).unwrap().into_vec().unwrap()
-}
-
 /// A value of a CSV by its column's name, in the row that begins so.
 fn value(csv: &str, row: &str, column: &str) -> Option<f64> {
     let at = csv.lines().next().unwrap().split(',').position(|name| name == column).unwrap();
@@ -74,7 +59,7 @@ fn bench() -> (Bench, String) {
     for (i, k) in (0..RECORDS).flat_map(|i| [(i, 0), (i, 1)]) {
         forces.extend((0..=INSTANTS).map(|n| force(i, k, n)));
     }
-    write(&bench, "forces.npy", &[RECORDS as u64, 2, INSTANTS as u64 + 1], &forces);
+    bench.write_array("forces.npy", &[RECORDS as u64, 2, INSTANTS as u64 + 1], &forces);
     let simulate =
         ["simulate", "s.toml", "--hash", &hash, "--forces", "forces.npy", "--format", "csv", "--out"];
     bench.output(&[&simulate[..], &["a"]].concat());
@@ -86,7 +71,7 @@ fn bench() -> (Bench, String) {
         (state >> 40) as f64 / (1u64 << 23) as f64 - 1.0
     };
     let mut disturbed = |name: &str, size: f64| -> Vec<f64> {
-        let signals = read(&bench, name);
+        let signals = bench.array(name).1;
         let rms = |c: usize| {
             let channel = signals[c..].iter().step_by(3);
             (channel.map(|x| x * x).sum::<f64>() / (RECORDS * INSTANTS) as f64).sqrt()
@@ -95,7 +80,7 @@ fn bench() -> (Bench, String) {
         signals.iter().enumerate().map(|(i, x)| x + size * rms[i % 3] * noise()).collect()
     };
     let (bad, good) = (disturbed("a/signals.npy", 1.5), disturbed("b/signals.npy", 0.02));
-    write(&bench, "good.npy", &[RECORDS as u64, INSTANTS as u64, 3], &good);
+    bench.write_array("good.npy", &[RECORDS as u64, INSTANTS as u64, 3], &good);
     let mut names = Vec::new();
     for i in 0..RECORDS {
         let mut text = "ms,f0,f1,x,y,w\n0,0,0,0,0,0\n".to_owned();

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
+use npyz::WriterBuilder;
+
 /// A spec of two trials, small but whole.
 #[allow(dead_code, reason = "each test file uses its share")]
 pub const SPEC: &str = r#"name = "s"
@@ -73,6 +75,23 @@ impl Bench {
     pub fn file(&self, name: &str, text: &str) -> PathBuf {
         std::fs::write(self.path(name), text).unwrap();
         self.path(name)
+    }
+
+    /// Writes an NPY.
+    pub fn write_array(&self, name: &str, shape: &[u64], values: &[f64]) {
+        let mut bytes = Vec::new();
+        let mut npy =
+            npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
+        npy.extend(values.iter().copied()).unwrap();
+        npy.finish().unwrap();
+        std::fs::write(self.path(name), bytes).unwrap();
+    }
+
+    /// Shape and numbers of an NPY.
+    pub fn array(&self, name: &str) -> (Vec<u64>, Vec<f64>) {
+        let bytes = std::fs::read(self.path(name)).unwrap();
+        let file = npyz::NpyFile::new(&bytes[..]).unwrap();
+        (file.shape().to_vec(), file.into_vec().unwrap())
     }
 
     /// Runs the program in the folder.

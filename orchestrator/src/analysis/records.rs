@@ -39,32 +39,48 @@ pub struct Agreement {
     pub correlation: f64,
     /// Root mean square over channels of ‖difference‖/‖measured‖ (%).
     pub difference: f64,
+    /// By how many instants the measured signals come later, where they correlate best.
+    pub lag: i64,
 }
 
+/// Lags that are looked at, in instants, either way.
+const LAGS: i64 = 20;
+
 impl Agreement {
-    /// Of signals whose channels stand last.
+    /// Of signals (N, T, channels).
     #[must_use]
-    pub fn of(measured: &[f64], simulated: &[f64], channels: usize) -> Self {
-        let (mut correlation, mut difference) = (0.0, 0.0);
-        for c in 0..channels {
-            let pairs =
-                || measured[c..].iter().step_by(channels).zip(simulated[c..].iter().step_by(channels));
-            let count = pairs().count() as f64;
-            let mean = pairs().fold([0.0; 2], |[a, b], (m, s)| [a + m / count, b + s / count]);
-            let [mut mm, mut ss, mut ms, mut dd, mut power] = [0.0; 5];
-            for (m, s) in pairs() {
-                let (dm, ds) = (m - mean[0], s - mean[1]);
-                mm += dm * dm;
-                ss += ds * ds;
-                ms += dm * ds;
-                dd += (m - s).powi(2);
-                power += m * m;
-            }
-            correlation += ms / (mm * ss).sqrt().max(f64::MIN_POSITIVE);
-            difference += dd / power.max(f64::MIN_POSITIVE);
-        }
-        let channels = channels as f64;
-        Self { correlation: correlation / channels, difference: 100.0 * (difference / channels).sqrt() }
+    pub fn of(measured: &[f64], simulated: &[f64], [instants, channels]: [usize; 2]) -> Self {
+        // pairs of a channel, of the same record
+        let pairs = |c: usize, lag: i64| {
+            let shift = lag * channels as i64;
+            let at = (c..measured.len()).step_by(channels);
+            let inside = at.filter(move |at| {
+                let n = (at / channels % instants) as i64 - lag;
+                (0..instants as i64).contains(&n)
+            });
+            inside.map(move |at| (measured[at], simulated[(at as i64 - shift) as usize]))
+        };
+        let correlation = |lag: i64| {
+            let of_channel = |c: usize| {
+                let count = pairs(c, lag).count() as f64;
+                let mean = pairs(c, lag).fold([0.0; 2], |[a, b], (m, s)| [a + m / count, b + s / count]);
+                let [mm, ss, ms] = pairs(c, lag).fold([0.0; 3], |[mm, ss, ms], (m, s)| {
+                    let (m, s) = (m - mean[0], s - mean[1]);
+                    [mm + m * m, ss + s * s, ms + m * s]
+                });
+                ms / (mm * ss).sqrt().max(f64::MIN_POSITIVE)
+            };
+            (0..channels).map(of_channel).sum::<f64>() / channels as f64
+        };
+        let of_channel = |c: usize| {
+            let power = pairs(c, 0).map(|(m, _)| m * m).sum::<f64>();
+            pairs(c, 0).map(|(m, s)| (m - s).powi(2)).sum::<f64>() / power.max(f64::MIN_POSITIVE)
+        };
+        let difference = (0..channels).map(of_channel).sum::<f64>() / channels as f64;
+        let most = LAGS.min(instants as i64 / 4);
+        let lags: Vec<(f64, i64)> = (-most..=most).map(|lag| (correlation(lag), lag)).collect();
+        let best = lags.iter().max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |best| best.1);
+        Self { correlation: correlation(0), difference: 100.0 * difference.sqrt(), lag: best }
     }
 }
 
@@ -164,9 +180,9 @@ fn replicates(values: &[f64], stream: u64) -> Vec<f64> {
     (0..REPLICATES).map(one).collect()
 }
 
-/// A row a body and kind of signals; ratios are to the first body's row of the same kind.
+/// A row a body and kind of signals; ratios are to the first body's row of the same kind. `delta` is an instant's length (s).
 #[must_use]
-pub fn table(judged: &[Judged], paired: bool) -> Table {
+pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
     let columns = [
         "body",
         "signals",
@@ -183,6 +199,7 @@ pub fn table(judged: &[Judged], paired: bool) -> Table {
         "iterations_ratio",
         "correlation",
         "difference",
+        "lag",
     ];
     let row = |body: &Judged| {
         let first = judged.iter().find(|other| other.simulated == body.simulated);
@@ -205,6 +222,7 @@ pub fn table(judged: &[Judged], paired: bool) -> Table {
             json!(first.and_then(|first| iteration_ratio(&first.progress, &body.progress))),
             json!(body.agreement.map(|a| a.correlation)),
             json!(body.agreement.map(|a| a.difference)),
+            json!(body.agreement.map(|a| a.lag as f64 * delta)),
         ]
     };
     Table { columns: columns.map(String::from).to_vec(), rows: judged.iter().map(row).collect() }
@@ -241,15 +259,23 @@ mod tests {
         assert!(wide.low < 1.9 && wide.high > 2.1 && wide.low > 1.0, "{wide:?}");
     }
 
-    /// A channel as it is, one that is twice as large, one of the other sign.
+    /// A channel as it is, one that is twice as large, one of the other sign; then all of them two instants late.
     #[test]
-    fn signals_agree_by_shape_and_by_size() {
-        let measured: Vec<f64> =
-            (0..300).map(|i| (f64::from(i / 3) * 0.7 + f64::from(i % 3)).sin()).collect();
+    fn signals_agree_by_shape_by_size_and_in_time() {
+        let value = |at: usize| {
+            let (record, n, c) = (at / 150, at / 3 % 50, at % 3);
+            (0.7 * n as f64 + c as f64 + record as f64).sin() * (-0.05 * n as f64).exp()
+        };
+        let measured: Vec<f64> = (0..600).map(value).collect();
         let factors = [1.0, 2.0, -1.0];
         let simulated: Vec<f64> = measured.iter().enumerate().map(|(i, m)| m * factors[i % 3]).collect();
-        let found = Agreement::of(&measured, &simulated, 3);
+        let found = Agreement::of(&measured, &simulated, [50, 3]);
         assert!((found.correlation - 1.0 / 3.0).abs() < 1e-9, "{found:?}");
         assert!((found.difference - 100.0 * (5.0f64 / 3.0).sqrt()).abs() < 1e-9, "{found:?}");
+        let late = |at: usize| if at / 3 % 50 < 2 { 0.0 } else { measured[at - 6] };
+        let late: Vec<f64> = (0..600).map(late).collect();
+        let found = Agreement::of(&late, &measured, [50, 3]);
+        assert!(found.lag == 2 && found.correlation < 0.9, "{found:?}");
+        assert_eq!(Agreement::of(&measured, &late, [50, 3]).lag, -2);
     }
 }

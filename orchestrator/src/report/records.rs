@@ -48,11 +48,11 @@ impl Comparison {
     /// A row a body and kind of signals: those of measured signals first.
     #[must_use]
     pub fn judged(&self) -> Vec<Judged> {
-        let channels = self.shape[2];
+        let [_, instants, channels] = self.shape;
         let measured = self.bodies.iter().map(|body| Judged::new(&body.name, false, &body.measured, None));
         let simulated = self.bodies.iter().filter_map(|body| {
             let (signals, evaluated) = body.simulated.as_ref()?;
-            let agreement = Agreement::of(&body.signals, signals, channels);
+            let agreement = Agreement::of(&body.signals, signals, [instants, channels]);
             Some(Judged::new(&body.name, true, evaluated, Some(agreement)))
         });
         measured.chain(simulated).collect()
@@ -61,7 +61,7 @@ impl Comparison {
     /// The comparison as a table.
     #[must_use]
     pub fn table(&self) -> Table {
-        table(&self.judged(), self.paired)
+        table(&self.judged(), self.paired, self.duration / self.shape[1] as f64)
     }
 
     /// The table in words.
