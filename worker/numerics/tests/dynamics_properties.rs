@@ -5,8 +5,8 @@ mod common;
 use common::{dot, norm, pool, relative};
 use metasense_numerics::body::{Geometry, Layout};
 use metasense_numerics::dynamics::{
-    Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Solver, Stiffness, choose, energy,
-    highest_frequency, pull_back, push_forward, run, simulate, tune,
+    Contact, Forces, Frame, Method, Outcome, Panel, Parameters, Plan, Scene, Solver, Stiffness, choose,
+    energy, highest_frequency, pull_back, pull_back_parameters, push_forward, run, simulate, tune,
 };
 use std::f64::consts::TAU;
 
@@ -253,19 +253,74 @@ fn pull_back_is_the_transpose_of_push_forward() {
         let design = shaken(&scene);
         let forces = pushes(&Scene { instants: kinks * scene.instants, ..scene.clone() }, 2, 0.4);
         let v: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
+        let still = vec![0.0; design.len()];
         let explicit = EQUAL_STEPS.into_iter().filter(|(method, ..)| *method != Method::Implicit);
         for (method, steps) in explicit.map(|(method, _, n)| (method, 2 * n)).chain([(Method::Tsit5, 0)]) {
             let plan = Plan { tolerance: 1e-7, ..plan(method, steps) };
             let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));
-            let (signals, along) = push_forward(&scene, &design, &v, &forces, &simulation, 1);
-            // Of one sign with J v, lest the sum cancel
-            let w: Vec<f64> =
-                along.iter().enumerate().map(|(i, a)| a * (1.2 + (0.7 * i as f64).sin())).collect();
-            let gradient = pull_back(&scene, &design, &forces, &simulation, &[1], &w, &pool(1)).design;
-            let (ours, theirs) = (dot(&gradient, &v), dot(&w, &along));
-            let same = relative(&simulation.signals[along.len()..], &signals);
-            let error = (ours - theirs).abs() / theirs.abs();
-            assert!(error < 1e-12 && same < 1e-11, "{what}, {method:?}: {error:e}, signals {same:e}");
+            // The design, then each parameter alone, relative to its value
+            let at = Parameters::of(&scene).array();
+            for k in 0..=at.len() {
+                let of = |i: usize| if i + 1 == k { at[i] } else { 0.0 };
+                let parameters = Parameters::from_array(std::array::from_fn(of));
+                let v = if k == 0 { &v } else { &still };
+                let (signals, along) = push_forward(&scene, &design, v, parameters, &forces, &simulation, 1);
+                // Of one sign with J v, lest the sum cancel
+                let w: Vec<f64> =
+                    along.iter().enumerate().map(|(i, a)| a * (1.2 + (0.7 * i as f64).sin())).collect();
+                let gradient =
+                    pull_back_parameters(&scene, &design, &forces, &simulation, &[1], &w, &pool(1));
+                let slopes = gradient.parameters.expect("asked for").array();
+                let ours = dot(&gradient.design, v) + dot(&slopes, &parameters.array());
+                let theirs = dot(&w, &along);
+                let same = relative(&simulation.signals[along.len()..], &signals);
+                let absent = k > 0 && at[k - 1] == 0.0;
+                let error = (ours - theirs).abs() / if absent { 1.0 } else { theirs.abs() };
+                let what = format!("{what}, {method:?}, direction {k}");
+                // No closer than the two programs' signals are
+                assert!(error < 1e-12 + 2.0 * same && same < 1e-11, "{what}: {error:e}, signals {same:e}");
+            }
+        }
+    }
+}
+
+/// The gradient in every parameter against central differences with the same steps, for every method; asking for it changes
+/// nothing in that of the design.
+#[test]
+fn gradients_in_the_parameters_are_those_of_the_signals() {
+    let base = small_scene();
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 });
+    for scene in [
+        base.clone(),
+        Scene { contact, frame: Frame::Body, ..base.clone() },
+        Scene { linearised: true, ..base },
+    ] {
+        let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
+        for (method, steps) in EQUAL_STEPS.map(|(method, _, steps)| (method, steps)) {
+            let solve = |scene: &Scene| run(scene, &design, &forces, &plan(method, steps), true, &pool(1));
+            let simulation = solve(&scene);
+            let w: Vec<f64> = (0..simulation.signals.len()).map(|i| (0.7 * i as f64).sin()).collect();
+            let all = [0, 1, 2];
+            let gradient = pull_back_parameters(&scene, &design, &forces, &simulation, &all, &w, &pool(1));
+            let plain = pull_back(&scene, &design, &forces, &simulation, &all, &w, &pool(1));
+            assert_eq!((plain.design, plain.parameters), (gradient.design.clone(), None), "{method:?}");
+            let at = Parameters::of(&scene).array();
+            let ours = gradient.parameters.expect("asked for").array();
+            for k in (0..at.len()).filter(|&k| at[k] != 0.0) {
+                let value = |step: f64| {
+                    let mut moved = at;
+                    moved[k] *= 1.0 + step;
+                    dot(&solve(&Parameters::from_array(moved).set(&scene)).signals, &w)
+                };
+                let central = |step: f64| (value(step) - value(-step)) / (2.0 * step);
+                // Where contact sets in, the second derivative jumps; Newton's method leaves a little noise.
+                let touches = scene.contact.is_some();
+                let step = if touches { 1e-7 } else { 1e-5 };
+                let (ours, theirs) = (ours[k] * at[k], (4.0 * central(step) - central(2.0 * step)) / 3.0);
+                let error = (ours - theirs).abs() / theirs.abs();
+                let least = if touches { 1e-3 } else { 1e-5 };
+                assert!(error < least, "{method:?}, parameter {k}: {ours} against {theirs}: {error:e}");
+            }
         }
     }
 }

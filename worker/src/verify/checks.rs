@@ -4,8 +4,8 @@ use super::{Row, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Forces, Frame, Method, Panel, Plan, Scene, Simulation, Solver, Stiffness, damping, energy, pull_back,
-    push_forward, run, simulate,
+    Forces, Frame, Method, Panel, Parameters, Plan, Scene, Simulation, Solver, Stiffness, choose, damping,
+    energy, pull_back, pull_back_parameters, push_forward, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
@@ -63,6 +63,7 @@ pub fn rows(methods: &[(Method, f64)], pool: &rayon::ThreadPool) -> Vec<Row> {
         let solver = Solver { method, tolerance };
         rows.push(balance(solver, pool));
         rows.push(taylor(solver, pool));
+        rows.push(taylor_parameters(solver, pool));
         rows.extend(transpose(solver, pool));
         rows.push(threads(solver));
     }
@@ -176,6 +177,46 @@ fn taylor(solver: Solver, pool: &rayon::ThreadPool) -> Row {
         .noted(format!("slopes {:.3} {:.3}", slopes[0], slopes[1]))
 }
 
+/// The same along each parameter, relative to its value, with the steps of the scene as it is; shown is the slope farthest
+/// from 2.
+fn taylor_parameters(solver: Solver, pool: &rayon::ThreadPool) -> Row {
+    let (scene, design, forces) = short();
+    let name = format!("Taylor tests of the parameters, slope 2, {}", solver.method.name());
+    // What error control changes from value to value would drown the remainder.
+    let plan = match solver.method {
+        Method::Tsit5 => Plan { tolerance: 1e-11, ..choose(&scene, &design, &solver) },
+        _ => choose(&scene, &design, &solver),
+    };
+    let simulation = run(&scene, &design, &forces, &plan, true, pool);
+    let mut stream = Stream::new(Purpose::Design, 7, [0, 0]);
+    let scale = simulation.signals.iter().map(|s| s * s).sum::<f64>().sqrt();
+    let cotangent: Vec<f64> = simulation.signals.iter().map(|_| stream.normal() / scale).collect();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let value = dot(&simulation.signals, &cotangent);
+    let gradient = pull_back_parameters(&scene, &design, &forces, &simulation, &[0], &cotangent, pool);
+    let at = Parameters::of(&scene).array();
+    let Some(gradient) = gradient.parameters.map(Parameters::array) else {
+        return Row::new(name, f64::NAN, 0.0);
+    };
+    let slopes: Vec<f64> = (0..5)
+        .flat_map(|k| {
+            let slope = gradient[k] * at[k];
+            let r = [1e-3, 5e-4, 2.5e-4].map(|epsilon| {
+                let mut moved = at;
+                moved[k] *= 1.0 + epsilon;
+                let moved = Parameters::from_array(moved).set(&scene);
+                let there = run(&moved, &design, &forces, &plan, false, pool);
+                (dot(&there.signals, &cotangent) - value - epsilon * slope).abs()
+            });
+            let found = [(r[0] / r[1]).log2(), (r[1] / r[2]).log2()];
+            if slope == 0.0 { [f64::NAN; 2] } else { found }
+        })
+        .collect();
+    let farthest = |far: f64, s: &f64| if (s - 2.0).abs() <= (far - 2.0).abs() { far } else { *s };
+    let farthest = slopes.iter().fold(2.0, farthest);
+    Row::new(name, (farthest - 2.0).abs(), 0.1).noted(format!("{farthest:.3} of stretch … density"))
+}
+
 /// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩, J v by a plain program in dual numbers, and the signals by that program; of explicit methods.
 fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
     if solver.method == Method::Implicit {
@@ -188,18 +229,31 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
     let solver = Solver { tolerance: solver.tolerance.max(1e-7), ..solver };
     let simulation = simulate(&scene, &design, &forces, &solver, true, pool);
     let v: Vec<f64> = design.iter().map(|_| stream.normal()).collect();
-    let (signals, along) = push_forward(&scene, &design, &v, &forces, &simulation, 0);
-    // Of one sign with J v, lest the sum cancel
-    let w: Vec<f64> = along.iter().map(|a| a * stream.normal().abs()).collect();
-    let gradient = pull_back(&scene, &design, &forces, &simulation, &[0], &w, pool).design;
+    let (none, still) = (Parameters::default(), vec![0.0; design.len()]);
+    let turned = Parameters::of(&scene).array().map(|p| p * stream.normal());
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let (ours, theirs) = (dot(&gradient, &v), dot(&w, &along));
-    let name = solver.method.name();
+    let method = solver.method.name();
+    let mut row = |name: &str, v: &[f64], parameters: Parameters| {
+        let (signals, along) = push_forward(&scene, &design, v, parameters, &forces, &simulation, 0);
+        // Of one sign with J v, lest the sum cancel
+        let w: Vec<f64> = along.iter().map(|a| a * stream.normal().abs()).collect();
+        let gradient = pull_back_parameters(&scene, &design, &forces, &simulation, &[0], &w, pool);
+        let slopes = gradient.parameters.unwrap_or_default().array();
+        let (ours, theirs) = (dot(&gradient.design, v) + dot(&slopes, &parameters.array()), dot(&w, &along));
+        let row = Row::new(
+            format!("⟨w, J v⟩ = ⟨Jᵀ w, v⟩{name}, {method}"),
+            (ours - theirs).abs() / theirs.abs(),
+            1e-12,
+        );
+        (row.noted(format!("{ours:.6e}")), signals)
+    };
+    let (design_row, signals) = row("", &v, none);
+    let (parameters_row, _) = row(" in the parameters", &still, Parameters::from_array(turned));
     vec![
-        Row::new(format!("⟨w, J v⟩ = ⟨Jᵀ w, v⟩, {name}"), (ours - theirs).abs() / theirs.abs(), 1e-12)
-            .noted(format!("{ours:.6e}")),
+        design_row,
+        parameters_row,
         Row::new(
-            format!("signals by a plain program, {name}"),
+            format!("signals by a plain program, {method}"),
             relative(&simulation.signals[..signals.len()], &signals),
             1e-12,
         ),

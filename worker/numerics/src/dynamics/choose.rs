@@ -59,12 +59,12 @@ fn hessian_at_rest(model: &Model, scene: &Scene, w: &[f64]) -> Vec<f64> {
     let x = vec![[zero; 3]; units];
     let (mut turn, mut g, mut h) = (vec![[zero; 4]; units], x.clone(), x.clone());
     let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => gradient::<Array, Dual<Array>, false, false, false>,
-        (false, true) => gradient::<Array, Dual<Array>, false, true, false>,
-        (true, false) => gradient::<Array, Dual<Array>, true, false, false>,
-        (true, true) => gradient::<Array, Dual<Array>, true, true, false>,
+        (false, false) => gradient::<Array, Dual<Array>, false, false, false, false>,
+        (false, true) => gradient::<Array, Dual<Array>, false, true, false, false>,
+        (true, false) => gradient::<Array, Dual<Array>, true, false, false, false>,
+        (true, true) => gradient::<Array, Dual<Array>, true, true, false, false>,
     };
-    let shape = Shape { arms: &mut [], voids: &mut [] };
+    let shape = Shape { arms: &mut [], voids: &mut [], stiffness: &mut [zero; 4] };
     kernel(model, &x, &direction, &mut turn, &mut g, &mut h, shape, &mut { zero });
     h.as_flattened().iter().map(|h| h.array()[0]).collect()
 }

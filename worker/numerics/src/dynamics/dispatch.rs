@@ -16,7 +16,8 @@ use rayon::prelude::*;
 const CHUNK: usize = 40;
 
 type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &mut [Slot<'_>]) -> Counters;
-type Reverse = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>]) -> (ModelCotangent, Counters);
+type Reverse =
+    unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], bool) -> (ModelCotangent, Counters);
 
 /// The code of one instruction set.
 struct Machine {
@@ -37,24 +38,22 @@ macro_rules! machine {
                 g: &mut [Unit<$vector>],
                 margin: &mut $vector,
             ) {
-                let shape = Shape { arms: &mut [], voids: &mut [] };
-                gradient::<$vector, $vector, LINEAR, CONTACT, false>(model, x, &[], turn, g, &mut [], shape, margin);
+                let shape = Shape { arms: &mut [], voids: &mut [], stiffness: &mut [<$vector>::splat(0.0); 4] };
+                gradient::<$vector, $vector, LINEAR, CONTACT, false, false>(model, x, &[], turn, g, &mut [], shape, margin);
             }
 
             $(#[target_feature(enable = $feature)])?
-            unsafe fn second<const LINEAR: bool, const CONTACT: bool>(
+            unsafe fn second<const LINEAR: bool, const CONTACT: bool, const PARAMETERS: bool>(
                 model: &Model,
                 x: &[Unit<$vector>],
                 w: &[Unit<$vector>],
                 turn: &mut [Turn<$vector>],
                 g: &mut [Unit<$vector>],
                 h: &mut [Unit<$vector>],
-                arms: &mut [[[$vector; 2]; 4]],
-                voids: &mut [[$vector; 2]],
+                shape: Shape<'_, $vector>,
             ) {
                 let mut margin = <$vector>::splat(0.0);
-                let shape = Shape { arms, voids };
-                gradient::<$vector, Dual<$vector>, LINEAR, CONTACT, true>(
+                gradient::<$vector, Dual<$vector>, LINEAR, CONTACT, true, PARAMETERS>(
                     model, x, w, turn, g, h, shape, &mut margin,
                 );
             }
@@ -80,28 +79,19 @@ macro_rules! machine {
                 });
             }
 
-            fn kernels(scene: &Scene) -> Kernels<$vector> {
+            fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {
+                fn of<const LINEAR: bool, const CONTACT: bool>(parameters: bool) -> Kernels<$vector> {
+                    let second = match parameters {
+                        false => second::<LINEAR, CONTACT, false>,
+                        true => second::<LINEAR, CONTACT, true>,
+                    };
+                    Kernels { gradient: first::<LINEAR, CONTACT>, second, hessian: third::<LINEAR, CONTACT> }
+                }
                 match (scene.linearised, scene.contact.is_some()) {
-                    (false, false) => Kernels {
-                        gradient: first::<false, false>,
-                        second: second::<false, false>,
-                        hessian: third::<false, false>,
-                    },
-                    (false, true) => Kernels {
-                        gradient: first::<false, true>,
-                        second: second::<false, true>,
-                        hessian: third::<false, true>,
-                    },
-                    (true, false) => Kernels {
-                        gradient: first::<true, false>,
-                        second: second::<true, false>,
-                        hessian: third::<true, false>,
-                    },
-                    (true, true) => Kernels {
-                        gradient: first::<true, true>,
-                        second: second::<true, true>,
-                        hessian: third::<true, true>,
-                    },
+                    (false, false) => of::<false, false>(parameters),
+                    (false, true) => of::<false, true>(parameters),
+                    (true, false) => of::<true, false>(parameters),
+                    (true, true) => of::<true, true>(parameters),
                 }
             }
 
@@ -115,7 +105,7 @@ macro_rules! machine {
                 slots: &mut [Slot<'_>],
             ) -> Counters {
                 if plan.method == Method::Implicit {
-                    let mut system = System::<$vector>::new(scene, model, kernels(scene), true);
+                    let mut system = System::<$vector>::new(scene, model, kernels(scene, false), true, false);
                     let blocks = slots.chunks_mut(LANES);
                     let work = blocks.map(|slots| implicit::forward(&mut system, plan.steps, forces, slots));
                     return work.fold(Counters::default(), |mut sum, work| {
@@ -124,10 +114,10 @@ macro_rules! machine {
                     });
                 }
                 let Some(scheme) = scheme(plan.method) else {
-                    let system = System::<$vector>::new(scene, model, kernels(scene), true);
+                    let system = System::<$vector>::new(scene, model, kernels(scene, false), true, false);
                     return tsit5::forward(system, forces, plan.tolerance, slots);
                 };
-                let mut system = System::<$vector>::new(scene, model, kernels(scene), false);
+                let mut system = System::<$vector>::new(scene, model, kernels(scene, false), false, false);
                 let mut counters = Counters::default();
                 for slots in slots.chunks_mut(LANES) {
                     counters += splitting::forward(&mut system, &scheme, plan.steps, parts, forces, slots);
@@ -143,9 +133,11 @@ macro_rules! machine {
                 plan: &Plan,
                 parts: usize,
                 sweeps: &[Sweep<'_>],
+                parameters: bool,
             ) -> (ModelCotangent, Counters) {
                 let scheme = scheme(plan.method);
-                let mut system = System::<$vector>::new(scene, model, kernels(scene), scheme.is_none());
+                let kernels = kernels(scene, parameters);
+                let mut system = System::<$vector>::new(scene, model, kernels, scheme.is_none(), parameters);
                 let counters = match scheme {
                     None if plan.method == Method::Implicit => {
                         implicit::reverse(&mut system, plan.steps, forces, sweeps)
@@ -294,6 +286,7 @@ pub fn pull_back(
     simulation: &Simulation,
     samples: &[usize],
     cotangent: &[f64],
+    parameters: bool,
     pool: &rayon::ThreadPool,
 ) -> Gradient {
     let model = Model::new(scene, design);
@@ -325,7 +318,7 @@ pub fn pull_back(
             .par_iter()
             // SAFETY: `width` is what this machine has.
             .map(|(plan, sweeps)| unsafe {
-                (machine.reverse)(scene, &model, forces, plan, tape.parts, sweeps)
+                (machine.reverse)(scene, &model, forces, plan, tape.parts, sweeps, parameters)
             })
             .collect()
     });
@@ -335,6 +328,8 @@ pub fn pull_back(
         total.add(&cotangent);
         counters += work;
     }
+    let parameters = parameters.then(|| total.parameters(&model, scene));
     let design = total.design(&model, &scene.layout, scene.density);
-    Gradient { design, outcomes: samples.iter().map(|&i| simulation.outcomes[i]).collect(), counters }
+    let outcomes = samples.iter().map(|&i| simulation.outcomes[i]).collect();
+    Gradient { design, parameters, outcomes, counters }
 }

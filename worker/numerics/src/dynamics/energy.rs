@@ -72,13 +72,13 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
     let x: Vec<[Array; 3]> = displacement.iter().map(|d| d.map(Array::splat)).collect();
     let (mut turn, mut g) = (vec![[zero; 4]; n], vec![[zero; 3]; n]);
     let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; n], vec![[zero; 2]; model.bars.len()]);
-    let shape = Shape { arms: &mut arms, voids: &mut voids };
+    let shape = Shape { arms: &mut arms, voids: &mut voids, stiffness: &mut [Array::splat(0.0); 4] };
     let mut margin = zero;
     let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => gradient::<Array, Array, false, false, true>,
-        (false, true) => gradient::<Array, Array, false, true, true>,
-        (true, false) => gradient::<Array, Array, true, false, true>,
-        (true, true) => gradient::<Array, Array, true, true, true>,
+        (false, false) => gradient::<Array, Array, false, false, true, false>,
+        (false, true) => gradient::<Array, Array, false, true, true, false>,
+        (true, false) => gradient::<Array, Array, true, false, true, false>,
+        (true, true) => gradient::<Array, Array, true, true, true, false>,
     };
     kernel(&model, &x, &[], &mut turn, &mut g, &mut [], shape, &mut margin);
     let mut cotangent = ModelCotangent::new(&model);

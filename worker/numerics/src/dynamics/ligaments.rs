@@ -14,12 +14,14 @@ use super::vector::Vector;
 /// Of one unit: sin and cos of θ/2, then sin θ and cos θ − 1.
 pub type Turn<V> = [V; 4];
 
-/// Where a kernel adds cotangents of the arms (node by node) and of the void angles at rest.
+/// Where a kernel adds cotangents of the arms (node by node), of the void angles at rest and of the stiffnesses.
 pub struct Shape<'a, V> {
     /// One entry a unit.
     pub arms: &'a mut [[[V; 2]; 4]],
     /// One entry a ligament.
     pub voids: &'a mut [[V; 2]],
+    /// Of k_l, k_s, k_θ and k_c; touched with `PARAMETERS` alone.
+    pub stiffness: &'a mut [V; 4],
 }
 
 /// What a ligament does to the units at its ends.
@@ -32,14 +34,24 @@ struct Pull<R> {
     turns: [[R; 2]; 2],
     /// ∂U/∂ψ.
     voids: [R; 2],
+    /// Δl, l₀γ and Δθ.
+    strains: [R; 3],
 }
 
 /// Overwrites `g` by ∂U/∂s at `x` and, with duals, `h` by its derivative along `w`. Allocates nothing.
 ///
 /// With `SHAPE` adds to `shape` ∂U/∂r and ∂U/∂ψ at rest (plain lanes) or their derivatives along `w` (duals).
+/// With `PARAMETERS`, which takes duals, adds to `shape` ∂²U/∂s∂k·w, too: Σ strain · (strain's derivative along w).
 /// With `CONTACT` lowers `margin` to the least ψ − ψ_min. A ligament of length zero gives NaN.
 #[inline(always)]
-pub fn gradient<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool, const SHAPE: bool>(
+pub fn gradient<
+    V: Vector,
+    R: Real<V>,
+    const LINEAR: bool,
+    const CONTACT: bool,
+    const SHAPE: bool,
+    const PARAMETERS: bool,
+>(
     model: &Model,
     x: &[[V; 3]],
     w: &[[V; 3]],
@@ -72,6 +84,17 @@ pub fn gradient<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool, 
             if CONTACT {
                 let to = &mut shape.voids[q];
                 *to = [to[0] + pull.voids[0].last(), to[1] + pull.voids[1].last()];
+            }
+        }
+        if PARAMETERS {
+            for (to, strain) in shape.stiffness.iter_mut().zip(pull.strains) {
+                *to = Vector::mul_add(strain.value(), strain.last(), *to);
+            }
+            if CONTACT && let Some(contact) = model.contact {
+                // ∂E_c/∂ψ is k_c times what does not depend on it
+                let turned = pull.strains[2].last() * V::splat(1.0 / contact.stiffness);
+                let moment = pull.voids[1].value() - pull.voids[0].value();
+                shape.stiffness[3] = Vector::mul_add(moment, turned, shape.stiffness[3]);
             }
         }
     }
@@ -143,10 +166,11 @@ fn pull<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool>(
     let dux = (xb[0] + pb[0]) - (xa[0] + pa[0]);
     let duy = (xb[1] + pb[1]) - (xa[1] + pa[1]);
 
-    let (gx, gy, shear);
+    let (gx, gy, shear, strains);
     if LINEAR {
         let stretch = dux.scale(k.stretch * e[0]) + duy.scale(k.stretch * e[1]);
         let slide = duy.scale(e[0]) - dux.scale(e[1]) - (xa[2] + xb[2]).scale(0.5 * length);
+        strains = [dux.scale(e[0]) + duy.scale(e[1]), slide, xb[2] - xa[2]];
         let slide = slide.scale(k.shear);
         gx = stretch.scale(e[0]) - slide.scale(e[1]);
         gy = stretch.scale(e[1]) + slide.scale(e[0]);
@@ -170,6 +194,8 @@ fn pull<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool>(
             swing - V::splat(0.5) * (xa[2].last() + xb[2].last())
         });
         let stretch = inverse.scale_add(-k.stretch * length, R::constant(k.stretch));
+        let stretched = square * inverse - R::constant(length);
+        strains = [stretched, gamma.scale(length), xb[2] - xa[2]];
         let twist = gamma.scale(k.shear * length * length);
         let side = twist * inverse_square;
         gx = side.mul_sub_from(dy, stretch * dx);
@@ -202,6 +228,7 @@ fn pull<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool>(
         force: [gx, gy],
         turns: [[sa, ca], [sb, cb]],
         voids: moments,
+        strains,
     }
 }
 

@@ -49,6 +49,56 @@ pub struct Contact {
     pub cutoff_angle: f64,
 }
 
+/// The material's parameters, what is done to them, or a gradient in them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Parameters {
+    /// k_l.
+    pub stretch: f64,
+    /// k_s.
+    pub shear: f64,
+    /// k_θ.
+    pub bend: f64,
+    /// ζ.
+    pub damping_ratio: f64,
+    /// Plane density.
+    pub density: f64,
+    /// k_c.
+    pub contact: f64,
+}
+
+impl Parameters {
+    /// Those of a scene; `contact` is zero in one without.
+    pub fn of(scene: &Scene) -> Self {
+        let Stiffness { stretch, shear, bend } = scene.stiffness;
+        let contact = scene.contact.map_or(0.0, |c| c.stiffness);
+        Self { stretch, shear, bend, damping_ratio: scene.damping_ratio, density: scene.density, contact }
+    }
+
+    /// The scene with these.
+    pub fn set(self, scene: &Scene) -> Scene {
+        let Self { stretch, shear, bend, damping_ratio, density, contact: stiffness } = self;
+        let contact = scene.contact.map(|c| Contact { stiffness, ..c });
+        Scene {
+            stiffness: Stiffness { stretch, shear, bend },
+            damping_ratio,
+            density,
+            contact,
+            ..scene.clone()
+        }
+    }
+
+    /// In the order of the fields.
+    pub fn array(self) -> [f64; 6] {
+        let Self { stretch, shear, bend, damping_ratio, density, contact } = self;
+        [stretch, shear, bend, damping_ratio, density, contact]
+    }
+
+    /// Likewise.
+    pub fn from_array([stretch, shear, bend, damping_ratio, density, contact]: [f64; 6]) -> Self {
+        Self { stretch, shear, bend, damping_ratio, density, contact }
+    }
+}
+
 /// The frame in which accelerations are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Frame {
@@ -298,6 +348,8 @@ pub struct Simulation {
 pub struct Gradient {
     /// Gradient in α of the sum of cotangent · signals.
     pub design: Vec<f64>,
+    /// Likewise in the parameters, of `pull_back_parameters`.
+    pub parameters: Option<Parameters>,
     /// Of the samples asked for; one that is not `Ok` adds nothing.
     pub outcomes: Vec<Outcome>,
     /// Work done.
@@ -351,11 +403,40 @@ pub fn pull_back(
     cotangent: &[f64],
     pool: &rayon::ThreadPool,
 ) -> Gradient {
+    reverse(scene, design, forces, simulation, samples, cotangent, false, pool)
+}
+
+/// As `pull_back`, and the gradient in the scene's parameters, those on which damping depends through its formula too.
+///
+/// # Panics
+/// As `pull_back`.
+pub fn pull_back_parameters(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    simulation: &Simulation,
+    samples: &[usize],
+    cotangent: &[f64],
+    pool: &rayon::ThreadPool,
+) -> Gradient {
+    reverse(scene, design, forces, simulation, samples, cotangent, true, pool)
+}
+
+fn reverse(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    simulation: &Simulation,
+    samples: &[usize],
+    cotangent: &[f64],
+    parameters: bool,
+    pool: &rayon::ThreadPool,
+) -> Gradient {
     check(scene, design, forces);
     let len = samples.len() * scene.instants * 3 * scene.sensors.len();
     assert_eq!(cotangent.len(), len, "length of the cotangent");
     let width = crate::simd::Width::detect();
-    dispatch::pull_back(width, scene, design, forces, simulation, samples, cotangent, pool)
+    dispatch::pull_back(width, scene, design, forces, simulation, samples, cotangent, parameters, pool)
 }
 
 fn check(scene: &Scene, design: &[f64], forces: &Forces) {

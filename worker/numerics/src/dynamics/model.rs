@@ -1,6 +1,6 @@
 //! A scene with a design, in the form that the kernels read.
 
-use super::{Contact, Scene, Stiffness};
+use super::{Contact, Parameters, Scene, Stiffness};
 use crate::body::{Geometry, Layout, void_angles_vjp};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -108,6 +108,10 @@ pub struct ModelCotangent {
     pub mass: Vec<[f64; 3]>,
     /// Of the void angles at rest.
     pub voids: Vec<[f64; 2]>,
+    /// Of k_l, k_s, k_θ, k_c, where asked for, C held.
+    pub stiffness: [f64; 4],
+    /// Of C, where asked for.
+    pub damping: [f64; 3],
 }
 
 impl ModelCotangent {
@@ -118,6 +122,8 @@ impl ModelCotangent {
             arms: vec![[[0.0; 2]; 4]; n],
             mass: vec![[0.0; 3]; n],
             voids: vec![[0.0; 2]; model.bars.len()],
+            stiffness: [0.0; 4],
+            damping: [0.0; 3],
         }
     }
 
@@ -127,6 +133,25 @@ impl ModelCotangent {
         add(self.arms.as_flattened_mut().as_flattened_mut(), other.arms.as_flattened().as_flattened());
         add(self.mass.as_flattened_mut(), other.mass.as_flattened());
         add(self.voids.as_flattened_mut(), other.voids.as_flattened());
+        add(&mut self.stiffness, &other.stiffness);
+        add(&mut self.damping, &other.damping);
+    }
+
+    /// Gradient in the parameters, where it was asked for: C ∝ ζ √ρ (√k_s, √k_s, √k_θ), masses ∝ ρ.
+    pub fn parameters(&self, model: &Model, scene: &Scene) -> Parameters {
+        let c: [f64; 3] = std::array::from_fn(|d| self.damping[d] * model.damping[d]);
+        let per_ratio = damping(&Scene { damping_ratio: 1.0, ..scene.clone() });
+        let [stretch, shear, bend, contact] = self.stiffness;
+        let mass = self.mass.iter().zip(&model.geometry.mass).map(|(bar, m)| (bar[0] + bar[1]) * m);
+        let moment = self.mass.iter().zip(&model.geometry.moment).map(|(bar, j)| bar[2] * j);
+        Parameters {
+            stretch,
+            shear: shear + 0.5 * (c[0] + c[1]) / scene.stiffness.shear,
+            bend: bend + 0.5 * c[2] / scene.stiffness.bend,
+            damping_ratio: (0..3).map(|d| self.damping[d] * per_ratio[d]).sum(),
+            density: (mass.chain(moment).sum::<f64>() + 0.5 * c.iter().sum::<f64>()) / scene.density,
+            contact,
+        }
     }
 
     /// Gradient in the design.

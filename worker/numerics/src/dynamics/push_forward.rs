@@ -1,11 +1,11 @@
-//! Derivative of one sample's signals along a direction in the design: the transpose of `pull_back`, for checks of it.
+//! Derivative of one sample's signals along a direction in design and parameters: the transpose of `pull_back`, to check it.
 //!
 //! Plain dual numbers a + ε b, ε² = 0, unit by unit and without lanes. Of the production code it takes the coefficients of
 //! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
 //! that signals which agree to rounding check those too.
 
 use super::splitting::Drift;
-use super::{Forces, Frame, Method, Scene, Simulation, Tape, dispatch, tsit5};
+use super::{Forces, Frame, Method, Parameters, Scene, Simulation, Tape, dispatch, tsit5};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -96,7 +96,10 @@ struct Body<'a> {
     arms: Vec<[Pair; 4]>,
     /// (m, m, J).
     mass: State,
-    damping: [f64; 3],
+    /// k_l, k_s, k_θ, k_c.
+    stiffness: [Dual; 4],
+    /// C.
+    damping: [Dual; 3],
     history: &'a [f64],
     forces: &'a Forces,
     tape: &'a Tape,
@@ -107,12 +110,14 @@ impl<'a> Body<'a> {
     fn new(
         scene: &'a Scene,
         design: &[f64],
-        direction: &[f64],
+        (direction, parameters): (&[f64], Parameters),
         forces: &'a Forces,
         tape: &'a Tape,
         sample: usize,
     ) -> Self {
         let layout = &scene.layout;
+        let (at, along) = (Parameters::of(scene).array(), parameters.array());
+        let [stretch, shear, bend, ratio, density, contact] = std::array::from_fn(|k| Dual(at[k], along[k]));
         let (mut arms, mut mass) = (Vec::new(), Vec::new());
         for u in 0..layout.units() {
             let q: [Pair; 4] = std::array::from_fn(|p| {
@@ -128,15 +133,20 @@ impl<'a> Body<'a> {
             let polar = edges.iter().fold(Dual::default(), |s, &(p, n)| {
                 s + cross(r[p], r[n]) * (dot(r[p], r[p]) + dot(r[p], r[n]) + dot(r[n], r[n]))
             });
-            let m = 0.5 * scene.density * doubled;
+            let m = 0.5 * density * doubled;
             arms.push(r);
-            mass.push([m, m, scene.density / 12.0 * polar]);
+            mass.push([m, m, 1.0 / 12.0 * density * polar]);
         }
+        // C of the square of angle 0
+        let area = 2.0 * layout.half.powi(2);
+        let shift = 2.0 * ratio * (area * density * shear).sqrt();
+        let turn = 2.0 * ratio * (area.powi(2) / 6.0 * density * bend).sqrt();
         Self {
             scene,
             arms,
             mass,
-            damping: super::damping(scene),
+            stiffness: [stretch, shear, bend, contact],
+            damping: [shift, shift, turn],
             history: forces.sample(sample),
             forces,
             tape,
@@ -166,9 +176,9 @@ impl<'a> Body<'a> {
     }
 
     /// M⁻¹(−∂U/∂s − C v + f), zero where clamped.
-    fn acceleration(&self, x: &State, v: &State, damping: [f64; 3], (interval, w): (usize, f64)) -> State {
-        let Self { scene, arms, .. } = self;
-        let k = scene.stiffness;
+    fn acceleration(&self, x: &State, v: &State, damping: [Dual; 3], (interval, w): (usize, f64)) -> State {
+        let Self { scene, arms, stiffness: [stretch, shearing, bending, touch], .. } = self;
+        let (stretch, shearing, bending, touch) = (*stretch, *shearing, *bending, *touch);
         let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
         for (k, panel) in scene.panels.iter().enumerate() {
             for d in 0..2 {
@@ -194,19 +204,19 @@ impl<'a> Body<'a> {
             // Force on the end at b, and k_s l₀² γ
             let (pull, shear) = if scene.linearised {
                 let slide = cross(e, du) - length * mean;
-                let along = k.stretch * dot(du, e);
-                let pull = plus(e.map(|e| along * e), [-e[1], e[0]].map(|n| k.shear * (slide * n)));
-                (pull, k.shear * length * slide)
+                let along = stretch * dot(du, e);
+                let pull = plus(e.map(|e| along * e), [-e[1], e[0]].map(|n| shearing * (slide * n)));
+                (pull, length * shearing * slide)
             } else {
                 let d = plus(du, e.map(|e| length * e));
                 let (s, c) = mean.sin_cos();
-                let shear = k.shear * length.powi(2) * angle([c * e[0] - s * e[1], s * e[0] + c * e[1]], d);
+                let shear = length.powi(2) * shearing * angle([c * e[0] - s * e[1], s * e[0] + c * e[1]], d);
                 let size = dot(d, d).sqrt();
-                let along = k.stretch * (Dual(1.0, 0.0) - Dual(length, 0.0) / size);
+                let along = stretch * (Dual(1.0, 0.0) - Dual(length, 0.0) / size);
                 let across = shear / (size * size);
                 (plus(d.map(|d| along * d), [-d[1], d[0]].map(|n| across * n)), shear)
             };
-            let mut moment = k.bend * bend;
+            let mut moment = bending * bend;
             if let Some(contact) = scene.contact {
                 let edge = |(u, p, to): (usize, usize, usize)| minus(arms[u][to], arms[u][p]);
                 let next = |e: crate::body::End| edge((e.unit, e.node, (e.node + 1) % 4));
@@ -221,7 +231,7 @@ impl<'a> Body<'a> {
                     let z = (1.0 / width) * psi;
                     if z.0 > -1.0 && z.0 < 0.0 {
                         let rest = Dual(1.0, 0.0) - z * z;
-                        moment = moment + (sign * contact.stiffness * width) * (z / (rest * rest));
+                        moment = moment + sign * width * touch * (z / (rest * rest));
                     }
                 }
             }
@@ -252,8 +262,8 @@ impl<'a> Body<'a> {
     }
 }
 
-/// Signals (T, 3M) of one sample of `simulation`, and their derivative along `direction`, its steps held, from the tape's state
-/// at each instant to the next.
+/// Signals (T, 3M) of one sample of `simulation`, and their derivative along `direction` in the design and `parameters` in the
+/// scene's, its steps held, from the tape's state at each instant to the next.
 ///
 /// # Panics
 /// If the simulation kept no tape, the sample failed, the method is `Implicit`, or lengths do not fit together.
@@ -261,13 +271,14 @@ pub fn push_forward(
     scene: &Scene,
     design: &[f64],
     direction: &[f64],
+    parameters: Parameters,
     forces: &Forces,
     simulation: &Simulation,
     sample: usize,
 ) -> (Vec<f64>, Vec<f64>) {
     assert_eq!(direction.len(), design.len(), "length of the direction");
     let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
-    let body = Body::new(scene, design, direction, forces, tape, sample);
+    let body = Body::new(scene, design, (direction, parameters), forces, tape, sample);
     let tape = &tape.samples[sample];
     let signals = match simulation.plan.method {
         Method::Tsit5 => adaptive(&body, &tape.steps, &tape.counts),
@@ -283,10 +294,10 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
     let span = substeps / forces.kinks(scene);
     let gamma = |u: usize, d: usize| match scene.clamped.contains(&u) {
         true => Dual::default(),
-        false => Dual(body.damping[d], 0.0) / body.mass[u][d],
+        false => body.damping[d] / body.mass[u][d],
     };
     let (mut x, mut v, mut signals) = (body.still(), body.still(), Vec::new());
-    let mut g = body.acceleration(&x, &v, [0.0; 3], (0, 0.0));
+    let mut g = body.acceleration(&x, &v, [Dual::default(); 3], (0, 0.0));
     for step in 0..scene.instants * substeps {
         add(&mut v, &scaled(scheme.kicks[0] * h, &g));
         let mut clock = 0.0;
@@ -302,7 +313,7 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
             }
             clock += a;
             let at = (step / span, ((step % span) as f64 + clock) / span as f64);
-            g = body.acceleration(&x, &v, [0.0; 3], at);
+            g = body.acceleration(&x, &v, [Dual::default(); 3], at);
             add(&mut v, &scaled(b * h, &g));
         }
         if (step + 1).is_multiple_of(substeps) {

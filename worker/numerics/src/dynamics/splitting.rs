@@ -405,13 +405,7 @@ pub fn reverse<V: Vector>(
         *bar_g = V::splat(first) * *bar_v;
     }
     system.acceleration_vjp(&x, &v, &force, &bar_g, &mut to_x, &mut to_v, &mut g);
-    // γ = C/m
-    for u in 0..x.len() {
-        for d in 0..3 {
-            bar_gamma[u][d] = V::splat(-ready.gamma[u][d] * model.inverse_mass[u][d]) * bar_gamma[u][d];
-        }
-    }
-    system.add_mass_cotangent(&bar_gamma);
+    system.add_rate_cotangent(&bar_gamma);
     let lanes = sweeps.len() as u64;
     Counters {
         force_evaluations: lanes * evaluations,

@@ -1,6 +1,6 @@
 //! The equations of motion in lanes: accelerations, their transpose, and the sensors, for every integrator.
 
-use super::ligaments::Turn;
+use super::ligaments::{Shape, Turn};
 use super::model::{Model, ModelCotangent};
 use super::vector::{LANES, Vector};
 use super::{Forces, Frame, Scene};
@@ -11,17 +11,9 @@ pub type Unit<V> = [V; 3];
 /// (model, x, scratch, ∂U/∂s, margin): lowers the margin to the least ψ − ψ_min.
 pub type First<V> = unsafe fn(&Model, &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>], &mut V);
 
-/// (model, x, w, scratch, ∂U/∂s, its derivative along w, and where to add that of arms and void angles).
-pub type Second<V> = unsafe fn(
-    &Model,
-    &[Unit<V>],
-    &[Unit<V>],
-    &mut [Turn<V>],
-    &mut [Unit<V>],
-    &mut [Unit<V>],
-    &mut [[[V; 2]; 4]],
-    &mut [[V; 2]],
-);
+/// (model, x, w, scratch, ∂U/∂s, its derivative along w, and where to add that of arms, void angles and stiffnesses).
+pub type Second<V> =
+    unsafe fn(&Model, &[Unit<V>], &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>], &mut [Unit<V>], Shape<'_, V>);
 
 /// (model, x, scratch, factor, place, stride, band): adds factor·∂²U/∂s_i∂s_j, j ≤ i, at place i·stride + i − j.
 pub type Hessian<V> = unsafe fn(&Model, &[Unit<V>], &mut [Turn<V>], f64, &[Option<usize>], usize, &mut [V]);
@@ -36,11 +28,13 @@ pub struct Kernels<V> {
     pub hessian: Hessian<V>,
 }
 
-/// Cotangents of the model, in lanes, as negatives of the arms' and void angles'.
+/// Cotangents of the model, in lanes, as negatives of the arms', void angles' and stiffnesses'.
 pub struct Cotangent<V> {
     arms: Vec<[[V; 2]; 4]>,
     voids: Vec<[V; 2]>,
     mass: Vec<Unit<V>>,
+    stiffness: [V; 4],
+    damping: [V; 3],
 }
 
 /// A model with scratch, for one block of lanes.
@@ -52,6 +46,8 @@ pub struct System<'a, V> {
     kernels: Kernels<V>,
     /// The model's, or none where the integrator treats damping apart.
     damping: [f64; 3],
+    /// Whether `damping` is the model's and its cotangent asked for.
+    damping_asked: bool,
     inverse_mass: Vec<[f64; 3]>,
     turn: Vec<Turn<V>>,
     h: Vec<Unit<V>>,
@@ -60,9 +56,16 @@ pub struct System<'a, V> {
 }
 
 impl<'a, V: Vector> System<'a, V> {
-    /// Allocates the scratch.
+    /// Allocates the scratch. With `parameters` cotangents of stiffnesses and damping are summed, too; `kernels` must be
+    /// those that do.
     #[inline(always)]
-    pub fn new(scene: &'a Scene, model: &'a Model, kernels: Kernels<V>, damped: bool) -> Self {
+    pub fn new(
+        scene: &'a Scene,
+        model: &'a Model,
+        kernels: Kernels<V>,
+        damped: bool,
+        parameters: bool,
+    ) -> Self {
         let n = model.units();
         let zero = V::splat(0.0);
         Self {
@@ -70,6 +73,7 @@ impl<'a, V: Vector> System<'a, V> {
             model,
             kernels,
             damping: if damped { model.damping } else { [0.0; 3] },
+            damping_asked: damped && parameters,
             inverse_mass: model.inverse_mass.clone(),
             turn: vec![[zero; 4]; n],
             h: vec![[zero; 3]; n],
@@ -78,6 +82,8 @@ impl<'a, V: Vector> System<'a, V> {
                 arms: vec![[[zero; 2]; 4]; n],
                 voids: vec![[zero; 2]; model.bars.len()],
                 mass: vec![[zero; 3]; n],
+                stiffness: [zero; 4],
+                damping: [zero; 3],
             },
         }
     }
@@ -180,9 +186,10 @@ impl<'a, V: Vector> System<'a, V> {
         bar_v: &mut [Unit<V>],
         a: &mut [Unit<V>],
     ) {
-        let Cotangent { arms, voids, .. } = &mut self.cotangent;
+        let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
+        let shape = Shape { arms, voids, stiffness };
         // SAFETY: as in `acceleration`.
-        unsafe { (self.kernels.second)(self.model, x, &self.w, &mut self.turn, a, &mut self.h, arms, voids) };
+        unsafe { (self.kernels.second)(self.model, x, &self.w, &mut self.turn, a, &mut self.h, shape) };
         self.finish(v, force, a);
         let zero = V::splat(0.0);
         for u in 0..self.model.units() {
@@ -191,6 +198,13 @@ impl<'a, V: Vector> System<'a, V> {
                 bar_x[u][d] = zero - self.h[u][d];
                 bar_v[u][d] = zero - V::splat(self.damping[d]) * w;
                 self.cotangent.mass[u][d] = w.mul_sub_from(a[u][d], self.cotangent.mass[u][d]);
+            }
+        }
+        if self.damping_asked {
+            for (w, v) in self.w.iter().zip(v) {
+                for d in 0..3 {
+                    self.cotangent.damping[d] = w[d].mul_sub_from(v[d], self.cotangent.damping[d]);
+                }
             }
         }
     }
@@ -221,11 +235,16 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Adds to the cotangent of (m, m, J).
+    /// Adds the cotangent of γ = C/m to those of m and C.
     #[inline(always)]
-    pub fn add_mass_cotangent(&mut self, bar: &[Unit<V>]) {
-        for (to, from) in self.cotangent.mass.as_flattened_mut().iter_mut().zip(bar.as_flattened()) {
-            *to = *to + *from;
+    pub fn add_rate_cotangent(&mut self, bar: &[Unit<V>]) {
+        let Cotangent { mass, damping, .. } = &mut self.cotangent;
+        for ((mass, bar), inverse) in mass.iter_mut().zip(bar).zip(&self.inverse_mass) {
+            for d in 0..3 {
+                let gamma = inverse[d] * self.model.damping[d];
+                mass[d] = mass[d] + V::splat(-gamma * inverse[d]) * bar[d];
+                damping[d] = V::splat(inverse[d]).mul_add(bar[d], damping[d]);
+            }
         }
     }
 
@@ -243,6 +262,9 @@ impl<'a, V: Vector> System<'a, V> {
         for (to, from) in sum.mass.iter_mut().zip(&mut self.cotangent.mass) {
             *to = std::array::from_fn(|d| total(&mut from[d]));
         }
+        let Cotangent { stiffness, damping, .. } = &mut self.cotangent;
+        sum.stiffness = std::array::from_fn(|k| -total(&mut stiffness[k]));
+        sum.damping = std::array::from_fn(|d| total(&mut damping[d]));
         sum
     }
 }
