@@ -236,7 +236,7 @@ fn a_pilot_says_what_it_cannot_measure() {
     assert!(still.error.is_none() && still.counters.steps == 0, "{still:?}");
 }
 
-/// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩ to rounding for every explicit method on scenes of every kind, J v by dual numbers in a plain
+/// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩ to rounding for every method on scenes of every kind, J v by dual numbers in a plain
 /// program of its own, whose signals are those of the lanes.
 #[test]
 fn pull_back_is_the_transpose_of_push_forward() {
@@ -254,8 +254,10 @@ fn pull_back_is_the_transpose_of_push_forward() {
         let forces = pushes(&Scene { instants: kinks * scene.instants, ..scene.clone() }, 2, 0.4);
         let v: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
         let still = vec![0.0; design.len()];
-        let explicit = EQUAL_STEPS.into_iter().filter(|(method, ..)| *method != Method::Implicit);
-        for (method, steps) in explicit.map(|(method, _, n)| (method, 2 * n)).chain([(Method::Tsit5, 0)]) {
+        // Newton's method in plain dual numbers takes its time.
+        let steps = |method, n: usize| if method == Method::Implicit { 8 } else { 2 * n };
+        let equal = EQUAL_STEPS.map(|(method, _, n)| (method, steps(method, n)));
+        for (method, steps) in equal.into_iter().chain([(Method::Tsit5, 0)]) {
             let plan = Plan { tolerance: 1e-7, ..plan(method, steps) };
             let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));
             // The design, then each parameter alone, relative to its value
@@ -278,7 +280,10 @@ fn pull_back_is_the_transpose_of_push_forward() {
                 let error = (ours - theirs).abs() / if absent { 1.0 } else { theirs.abs() };
                 let what = format!("{what}, {method:?}, direction {k}");
                 // No closer than the two programs' signals are
-                assert!(error < 1e-12 + 2.0 * same && same < 1e-11, "{what}: {error:e}, signals {same:e}");
+                // Newton's iterations end where rounding of the forces hides their residual.
+                let near = if method == Method::Implicit { 1e-10 } else { 1e-11 };
+                let what = format!("{what}: {error:e}, signals {same:e}");
+                assert!(error < 1e-12 + 2.0 * same.min(1e-11) && same < near, "{what}");
             }
         }
     }
@@ -325,26 +330,29 @@ fn gradients_in_the_parameters_are_those_of_the_signals() {
     }
 }
 
-/// A tape holds the states of the free units at the instants: not the steps in between, but for a few adaptive ones.
+/// A tape holds the states of the free units at the instants: not the steps in between, but for a byte or two of adaptive ones.
 #[test]
 fn a_tape_grows_with_units_and_instants_not_with_steps() {
-    let bytes = |columns, instants, method, steps, tolerance| {
+    let kept = |columns, instants, method, steps, tolerance| {
         let layout = Layout::planar(columns, 3, 15.0, 2.25);
         let clamped = layout.bottom();
         let scene = Scene { layout, clamped, instants, ..small_scene() };
         let plan = Plan { tolerance, ..plan(method, steps) };
         let run = run(&scene, &shaken(&scene), &pushes(&scene, 3, 0.4), &plan, true, &pool(1));
-        run.tape.expect("asked for").bytes()
+        (run.tape.expect("asked for").bytes(), run.counters.steps as usize)
     };
+    let states = |columns, instants| 3 * instants * 2 * columns * 6 * 8;
     for method in EQUAL_STEPS.map(|m| m.0) {
         for (columns, instants, steps) in [(3, 20, 8), (3, 20, 32), (6, 20, 8), (3, 40, 8)] {
-            let found = bytes(columns, instants, method, steps, 0.0);
-            assert_eq!(found, 3 * instants * 2 * columns * 6 * 8, "{method:?} {columns} {instants} {steps}");
+            let found = kept(columns, instants, method, steps, 0.0).0;
+            assert_eq!(found, states(columns, instants), "{method:?} {columns} {instants} {steps}");
         }
     }
-    let (loose, tight) = (bytes(6, 20, Method::Tsit5, 0, 1e-6), bytes(6, 20, Method::Tsit5, 0, 1e-9));
-    let states = 3 * 20 * 12 * 6 * 8;
-    assert!(loose < 2 * states && tight < 4 * states, "{states} {loose} {tight}");
+    for tolerance in [1e-6, 1e-9, 1e-12] {
+        let (bytes, steps) = kept(6, 20, Method::Tsit5, 0, tolerance);
+        let rest = bytes - states(6, 20) - 3 * 20 * 4;
+        assert!(steps <= rest && rest <= 2 * steps, "{tolerance:.0e}: {rest} bytes for {steps} steps");
+    }
 }
 
 /// Histories with four kinks an interval: signals and gradients are those of a clock four times as fine, read at every
@@ -398,6 +406,39 @@ fn a_sample_that_fails_is_tried_again_with_smaller_steps() {
     assert_eq!(run.outcomes[0], Outcome::Ok);
     assert!(run.counters.rejected > 0 || run.outcomes[1] == Outcome::Ok, "{:?}", run.counters);
     assert!(run.signals.iter().all(|s| s.is_finite()));
+}
+
+/// Equal steps at and beyond the limit of stability: what ends well has signals as large as the truth's, the rest is
+/// refined or named, some of it as unstable. Wild motion with steps that follow it is not taken for it.
+#[test]
+fn steps_that_make_energy_of_nothing_are_unstable() {
+    let (mut named, mut refined) = (0, 0);
+    for stretch in [3.0, 300.0, 3e5] {
+        let base = small_scene();
+        let scene = Scene { stiffness: Stiffness { stretch, ..base.stiffness }, ..base };
+        let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
+        let tight = Solver { method: Method::Nystrom6, tolerance: 1e-4 };
+        let truth = norm(&simulate(&scene, &design, &forces, &tight, false, &pool(2)).signals);
+        for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
+            for steps in [1, 2, 3, 5, 8, 13, 21] {
+                let run = run(&scene, &design, &forces, &plan(method, steps), false, &pool(1));
+                let size = norm(&run.signals);
+                assert!(size < 3.0 * truth, "{method:?} {steps} {stretch}: {size:.1e} for {truth:.1e}");
+                named += run.outcomes.iter().filter(|o| **o == Outcome::Unstable).count();
+                refined += run.counters.rejected;
+            }
+        }
+    }
+    assert!(named > 0 && refined > 0, "{named} unstable, {refined} refined");
+
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    for (scene, amplitude) in
+        [(small_scene(), 400.0), (Scene { contact, ..small_scene() }, 0.4), (small_scene(), 0.0)]
+    {
+        let (design, forces) = (shaken(&scene), pushes(&scene, 3, amplitude));
+        let run = run(&scene, &design, &forces, &plan(Method::Nystrom4, 400), false, &pool(2));
+        assert_eq!((&run.outcomes[..], run.counters.rejected), (&[Outcome::Ok; 3][..], 0), "{amplitude} N");
+    }
 }
 
 /// A cutoff above the voids of the body at rest: it is pushed apart from the first instant on, also where no force acts.

@@ -1,8 +1,7 @@
 //! Which integrator and how many steps: from the scene's own highest frequency and the accuracy asked.
 
-use super::ligaments::{Shape, gradient};
+use super::ligaments::{Shape, product};
 use super::model::Model;
-use super::real::Dual;
 use super::vector::{Array, Vector};
 use super::{Method, Plan, Scene, Solver};
 
@@ -57,15 +56,16 @@ fn hessian_at_rest(model: &Model, scene: &Scene, w: &[f64]) -> Vec<f64> {
     let units = model.units();
     let direction: Vec<[Array; 3]> = w.as_chunks::<3>().0.iter().map(|w| w.map(Array::splat)).collect();
     let x = vec![[zero; 3]; units];
-    let (mut turn, mut g, mut h) = (vec![[zero; 4]; units], x.clone(), x.clone());
+    let (mut turn, mut h) = (vec![[zero; 4]; units], x.clone());
+    let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; units], vec![[zero; 2]; model.ligaments]);
     let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => gradient::<Array, Dual<Array>, false, false, false, false>,
-        (false, true) => gradient::<Array, Dual<Array>, false, true, false, false>,
-        (true, false) => gradient::<Array, Dual<Array>, true, false, false, false>,
-        (true, true) => gradient::<Array, Dual<Array>, true, true, false, false>,
+        (false, false) => product::<Array, false, false, false, false>,
+        (false, true) => product::<Array, false, true, false, false>,
+        (true, false) => product::<Array, true, false, false, false>,
+        (true, true) => product::<Array, true, true, false, false>,
     };
-    let shape = Shape { arms: &mut [], voids: &mut [], stiffness: &mut [zero; 4] };
-    kernel(model, &x, &direction, &mut turn, &mut g, &mut h, shape, &mut { zero });
+    let shape = Shape { arms: &mut arms, voids: &mut voids, stiffness: &mut [zero; 4] };
+    kernel(model, &x, &direction, &mut turn, &mut [], &mut h, shape);
     h.as_flattened().iter().map(|h| h.array()[0]).collect()
 }
 

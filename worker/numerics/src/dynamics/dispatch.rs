@@ -1,11 +1,10 @@
 //! Entry points of each instruction set, and the division of samples among lanes and threads.
 
 use super::implicit;
-use super::ligaments::{Shape, Turn, gradient, hessian};
+use super::ligaments::{Shape, Turn, gradient, hessian, product};
 use super::model::{Model, ModelCotangent};
-use super::real::Dual;
 use super::splitting::{self, Scheme};
-use super::system::{Kernels, System, Unit};
+use super::system::{Kernels, Second, System, Unit};
 use super::tsit5::{self, Slot, Sweep};
 use super::vector::{Array, LANES, Vector};
 use super::{Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
@@ -23,6 +22,7 @@ type Reverse =
 struct Machine {
     forward: Forward,
     reverse: Reverse,
+    repeat: unsafe fn(&Scene, &Model, usize, bool),
 }
 
 macro_rules! machine {
@@ -38,12 +38,11 @@ macro_rules! machine {
                 g: &mut [Unit<$vector>],
                 margin: &mut $vector,
             ) {
-                let shape = Shape { arms: &mut [], voids: &mut [], stiffness: &mut [<$vector>::splat(0.0); 4] };
-                gradient::<$vector, $vector, LINEAR, CONTACT, false, false>(model, x, &[], turn, g, &mut [], shape, margin);
+                gradient::<$vector, LINEAR, CONTACT>(model, x, turn, g, margin, |_, _, _, _| ());
             }
 
             $(#[target_feature(enable = $feature)])?
-            unsafe fn second<const LINEAR: bool, const CONTACT: bool, const PARAMETERS: bool>(
+            unsafe fn second<const LINEAR: bool, const CONTACT: bool, const GRADIENT: bool, const PARAMETERS: bool>(
                 model: &Model,
                 x: &[Unit<$vector>],
                 w: &[Unit<$vector>],
@@ -52,10 +51,7 @@ macro_rules! machine {
                 h: &mut [Unit<$vector>],
                 shape: Shape<'_, $vector>,
             ) {
-                let mut margin = <$vector>::splat(0.0);
-                gradient::<$vector, Dual<$vector>, LINEAR, CONTACT, true, PARAMETERS>(
-                    model, x, w, turn, g, h, shape, &mut margin,
-                );
+                product::<$vector, LINEAR, CONTACT, GRADIENT, PARAMETERS>(model, x, w, turn, g, h, shape);
             }
 
             $(#[target_feature(enable = $feature)])?
@@ -81,11 +77,12 @@ macro_rules! machine {
 
             fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {
                 fn of<const LINEAR: bool, const CONTACT: bool>(parameters: bool) -> Kernels<$vector> {
-                    let second = match parameters {
-                        false => second::<LINEAR, CONTACT, false>,
-                        true => second::<LINEAR, CONTACT, true>,
+                    let (second, product): (Second<$vector>, Second<$vector>) = match parameters {
+                        false => (second::<LINEAR, CONTACT, true, false>, second::<LINEAR, CONTACT, false, false>),
+                        true => (second::<LINEAR, CONTACT, true, true>, second::<LINEAR, CONTACT, false, true>),
                     };
-                    Kernels { gradient: first::<LINEAR, CONTACT>, second, hessian: third::<LINEAR, CONTACT> }
+                    let (gradient, hessian) = (first::<LINEAR, CONTACT>, third::<LINEAR, CONTACT>);
+                    Kernels { gradient, second, product, hessian }
                 }
                 match (scene.linearised, scene.contact.is_some()) {
                     (false, false) => of::<false, false>(parameters),
@@ -148,7 +145,25 @@ macro_rules! machine {
                 (system.take_cotangent(), counters)
             }
 
-            pub const MACHINE: Machine = Machine { forward, reverse };
+            $(#[target_feature(enable = $feature)])?
+            unsafe fn repeat(scene: &Scene, model: &Model, times: usize, second: bool) {
+                let mut system = System::<$vector>::new(scene, model, kernels(scene, false), true, false);
+                let (mut x, mut w) = (system.zeros(), system.zeros());
+                for (i, (x, w)) in x.as_flattened_mut().iter_mut().zip(w.as_flattened_mut()).enumerate() {
+                    *x = <$vector>::splat(0.1 * (i as f64).sin());
+                    *w = <$vector>::splat((i as f64).cos());
+                }
+                let mut out = system.zeros();
+                for _ in 0..times {
+                    match second {
+                        true => system.product(std::hint::black_box(&x), &w, &mut out),
+                        false => system.gradient(std::hint::black_box(&x), &mut out),
+                    }
+                }
+                std::hint::black_box(&out);
+            }
+
+            pub const MACHINE: Machine = Machine { forward, reverse, repeat };
         }
     };
 }
@@ -180,6 +195,14 @@ pub fn scheme(method: Method) -> Option<Scheme> {
     }
 }
 
+/// `super::repeat_kernel` with the code of `width`, which the machine must have.
+pub fn repeat_kernel(width: Width, scene: &Scene, design: &[f64], times: usize, second: bool) -> u64 {
+    let model = Model::new(scene, design).moving();
+    // SAFETY: `width` is what this machine has.
+    unsafe { (machine(width).repeat)(scene, &model, times, second) };
+    (times * LANES * model.bars.len()) as u64
+}
+
 /// `super::run` with the code of `width`, which the machine must have.
 pub fn simulate(
     width: Width,
@@ -190,7 +213,7 @@ pub fn simulate(
     keep_tape: bool,
     pool: &rayon::ThreadPool,
 ) -> Simulation {
-    let model = Model::new(scene, design);
+    let model = Model::new(scene, design).moving();
     let machine = machine(width);
     let plan = &Plan { steps: plan.steps.next_multiple_of(forces.kinks(scene)), ..plan.clone() };
     let n = forces.samples;
@@ -289,7 +312,7 @@ pub fn pull_back(
     parameters: bool,
     pool: &rayon::ThreadPool,
 ) -> Gradient {
-    let model = Model::new(scene, design);
+    let model = Model::new(scene, design).moving();
     let machine = machine(width);
     let plan = &simulation.plan;
     let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
@@ -309,9 +332,13 @@ pub fn pull_back(
     for refined in [1, 2, 4, 8] {
         let finer = Plan { steps: plan.steps * refined, ..plan.clone() };
         let mut group: Vec<&Sweep<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
-        // In lockstep from instant to instant, lanes wait for the one of most steps.
-        group.sort_by_key(|s| s.tape.steps.len());
-        blocks.extend(group.chunks(LANES).map(|s| (finer.clone(), s.iter().map(|s| **s).collect())));
+        // Tsit5 makes up its own blocks, of samples that take about as many steps; but threads want work, too.
+        let task = match plan.method {
+            Method::Tsit5 => (group.len() / 4).next_multiple_of(LANES).clamp(LANES, CHUNK),
+            _ => LANES,
+        };
+        group.sort_by_key(|s| s.tape.counts.iter().sum::<u32>());
+        blocks.extend(group.chunks(task).map(|s| (finer.clone(), s.iter().map(|s| **s).collect())));
     }
     let blocks: Vec<(ModelCotangent, Counters)> = pool.install(|| {
         blocks

@@ -1,7 +1,7 @@
 //! Energy of one state, its gradient and its derivative in the design: for checks and reports, not for time steps.
 
-use super::ligaments::{Shape, gradient};
-use super::model::{Model, ModelCotangent};
+use super::ligaments::{Turn, gradient};
+use super::model::{Bar, Model, ModelCotangent};
 use super::vector::{Array, Vector};
 use super::{Contact, Scene};
 
@@ -46,7 +46,8 @@ pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energ
     sum
 }
 
-fn contact_energy(contact: Contact, psi: f64) -> f64 {
+/// E_c of one void angle.
+pub fn contact_energy(contact: Contact, psi: f64) -> f64 {
     let width = contact.cutoff_angle - contact.min_angle;
     let x = (psi - contact.cutoff_angle) / width;
     if !(-1.0..0.0).contains(&x) {
@@ -71,24 +72,28 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
     let zero = Array::splat(0.0);
     let x: Vec<[Array; 3]> = displacement.iter().map(|d| d.map(Array::splat)).collect();
     let (mut turn, mut g) = (vec![[zero; 4]; n], vec![[zero; 3]; n]);
-    let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; n], vec![[zero; 2]; model.bars.len()]);
-    let shape = Shape { arms: &mut arms, voids: &mut voids, stiffness: &mut [Array::splat(0.0); 4] };
-    let mut margin = zero;
-    let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => gradient::<Array, Array, false, false, true, false>,
-        (false, true) => gradient::<Array, Array, false, true, true, false>,
-        (true, false) => gradient::<Array, Array, true, false, true, false>,
-        (true, true) => gradient::<Array, Array, true, true, true, false>,
-    };
-    kernel(&model, &x, &[], &mut turn, &mut g, &mut [], shape, &mut margin);
     let mut cotangent = ModelCotangent::new(&model);
+    let add = |bar: &Bar, turns: [Turn<Array>; 2], force: [Array; 2], voids: [Array; 2]| {
+        let first = |v: Array| v.array()[0];
+        let [gx, gy] = force.map(first);
+        // (R − I)ᵀ ∂U/∂node at b, its negative at a
+        for (unit, node, turn, sign) in
+            [(bar.a, bar.node_a, turns[0], -1.0), (bar.b, bar.node_b, turns[1], 1.0)]
+        {
+            let [_, _, s, c1] = turn.map(first);
+            let to = &mut cotangent.arms[unit][node];
+            *to = [to[0] + sign * (c1 * gx + s * gy), to[1] + sign * (c1 * gy - s * gx)];
+        }
+        cotangent.voids[bar.index] = voids.map(first);
+    };
+    let margin = &mut { zero };
+    match (scene.linearised, scene.contact.is_some()) {
+        (false, false) => gradient::<Array, false, false>(&model, &x, &mut turn, &mut g, margin, add),
+        (false, true) => gradient::<Array, false, true>(&model, &x, &mut turn, &mut g, margin, add),
+        (true, false) => gradient::<Array, true, false>(&model, &x, &mut turn, &mut g, margin, add),
+        (true, true) => gradient::<Array, true, true>(&model, &x, &mut turn, &mut g, margin, add),
+    }
     let first = |v: &Array| v.array()[0];
-    for (to, from) in cotangent.arms.iter_mut().zip(&arms) {
-        *to = from.map(|node| [first(&node[0]), first(&node[1])]);
-    }
-    for (to, from) in cotangent.voids.iter_mut().zip(&voids) {
-        *to = [first(&from[0]), first(&from[1])];
-    }
     let gradient = g.iter().map(|g| [first(&g[0]), first(&g[1]), first(&g[2])]).collect();
     (gradient, cotangent.design(&model, &scene.layout, scene.density))
 }

@@ -15,17 +15,20 @@ use super::{Counters, Forces, Outcome};
 
 /// Newton solves a step.
 pub const STAGES: usize = 5;
-const GAMMA: f64 = 0.25;
-const A: [[f64; STAGES]; STAGES] = [
+/// γ, on the diagonal of every stage.
+pub const GAMMA: f64 = 0.25;
+/// a_ij.
+pub const A: [[f64; STAGES]; STAGES] = [
     [GAMMA, 0.0, 0.0, 0.0, 0.0],
     [0.5, GAMMA, 0.0, 0.0, 0.0],
     [17.0 / 50.0, -1.0 / 25.0, GAMMA, 0.0, 0.0],
     [371.0 / 1360.0, -137.0 / 2720.0, 15.0 / 544.0, GAMMA, 0.0],
     [25.0 / 24.0, -49.0 / 48.0, 125.0 / 16.0, -85.0 / 12.0, GAMMA],
 ];
-const C: [f64; STAGES] = [0.25, 0.75, 0.55, 0.5, 1.0];
+/// Clock of the stages.
+pub const C: [f64; STAGES] = [0.25, 0.75, 0.55, 0.5, 1.0];
 /// ā = a·a.
-const A2: [[f64; STAGES]; STAGES] = {
+pub const A2: [[f64; STAGES]; STAGES] = {
     let mut s = [[0.0; STAGES]; STAGES];
     let mut at = 0;
     while at < STAGES * STAGES * STAGES {
@@ -37,7 +40,7 @@ const A2: [[f64; STAGES]; STAGES] = {
 };
 /// Relative change of A that ends Newton's iterations, or `ROUNDED` once changes no longer fall: stiff forces are
 /// differences of large numbers.
-const CONVERGED: f64 = 1e-11;
+const CONVERGED: f64 = 1e-12;
 const ROUNDED: f64 = 1e-7;
 const ITERATIONS: usize = 30;
 /// Iterations from which a factorisation no longer serves.

@@ -8,7 +8,7 @@
 //! its value at rest plus the units' relative rotation: continuous, hence on the branch of the rest state.
 
 use super::model::{Bar, Model};
-use super::real::{Dual, Real, angle, sin_cos};
+use super::trigonometry::{angle, sin_cos};
 use super::vector::Vector;
 
 /// Of one unit: sin and cos of θ/2, then sin θ and cos θ − 1.
@@ -24,32 +24,95 @@ pub struct Shape<'a, V> {
     pub stiffness: &'a mut [V; 4],
 }
 
-/// What a ligament does to the units at its ends.
-struct Pull<R> {
-    /// ∂U/∂(u, v, θ) of either unit.
-    ends: [[R; 3]; 2],
-    /// ∂U/∂(node of b), the negative of that of a.
-    force: [R; 2],
-    /// (sin θ, cos θ − 1) of either unit.
-    turns: [[R; 2]; 2],
-    /// ∂U/∂ψ.
-    voids: [R; 2],
-    /// Δl, l₀γ and Δθ.
-    strains: [R; 3],
+/// Where the ends of a ligament are.
+#[derive(Clone, Copy)]
+struct Place<V> {
+    /// R r of either end.
+    levers: [[V; 2]; 2],
+    /// d; in linearised scenes d − d₀.
+    d: [V; 2],
+    /// |d| and 1/|d|; zero in linearised scenes, as are the next two.
+    size: V,
+    inverse: V,
+    /// d seen from the turned reference, and the tangent of half the angle in between.
+    seen: [V; 2],
+    tangent: V,
+    /// θ_b + θ_a, θ_b − θ_a.
+    sum: V,
+    relative: V,
 }
 
-/// Overwrites `g` by ∂U/∂s at `x` and, with duals, `h` by its derivative along `w`. Allocates nothing.
+/// What a ligament does to the units at its ends.
+struct Pull<V> {
+    place: Place<V>,
+    /// 1/|d|²; zero in linearised scenes, as are the next two.
+    inverse_square: V,
+    /// The force is stretch·d + side·d⊥, d⊥ = (−d_y, d_x).
+    stretch: V,
+    side: V,
+    /// ∂U/∂(node of b), the negative of that of a.
+    force: [V; 2],
+    /// −∂U/∂θ of either unit by the shear, whose reference turns with both.
+    shear: V,
+    /// ∂U/∂θ_b of bending and contact, the negative of that of a.
+    bend: V,
+    /// dE_c/dψ and d²E_c/dψ².
+    contact: [(V, V); 2],
+    /// Δl, l₀γ and Δθ.
+    strains: [V; 3],
+}
+
+/// The derivative of a pull along a direction.
+struct Swing<V> {
+    force: [V; 2],
+    /// Of ∂U/∂θ of either unit.
+    moments: [V; 2],
+    /// Of ∂U/∂ψ.
+    voids: [V; 2],
+    strains: [V; 3],
+}
+
+/// Overwrites `g` by ∂U/∂s at `x`. Allocates nothing.
 ///
-/// With `SHAPE` adds to `shape` ∂U/∂r and ∂U/∂ψ at rest (plain lanes) or their derivatives along `w` (duals).
-/// With `PARAMETERS`, which takes duals, adds to `shape` ∂²U/∂s∂k·w, too: Σ strain · (strain's derivative along w).
+/// Of each ligament `also` is told the force on its end at b and ∂U/∂ψ, with the turns of its units.
 /// With `CONTACT` lowers `margin` to the least ψ − ψ_min. A ligament of length zero gives NaN.
 #[inline(always)]
-pub fn gradient<
+pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool>(
+    model: &Model,
+    x: &[[V; 3]],
+    turn: &mut [Turn<V>],
+    g: &mut [[V; 3]],
+    margin: &mut V,
+    mut also: impl FnMut(&Bar, [Turn<V>; 2], [V; 2], [V; 2]),
+) {
+    let units = model.units();
+    assert!(x.len() == units && turn.len() == units && g.len() == units, "one entry per unit");
+    g.fill([V::splat(0.0); 3]);
+    turns(x, turn);
+    // One ahead: a ligament is a long chain of dependent operations, and processors look ahead by less than two.
+    let Some(bar) = model.bars.first() else { return };
+    let mut next = place::<V, LINEAR>(bar, x, turn);
+    for (q, bar) in model.bars.iter().enumerate() {
+        let at = next;
+        if let Some(bar) = model.bars.get(q + 1) {
+            next = place::<V, LINEAR>(bar, x, turn);
+        }
+        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, margin);
+        pull.add_to(g, bar);
+        also(bar, [turn[bar.a], turn[bar.b]], pull.force, pull.contact.map(|c| c.0));
+    }
+}
+
+/// Overwrites `h` by the derivative of ∂U/∂s along `w` and, with `GRADIENT`, `g` by ∂U/∂s itself. Allocates nothing.
+///
+/// Adds to `shape` the derivatives along `w` of ∂U/∂r and of ∂U/∂ψ at rest and, with `PARAMETERS`, ∂²U/∂s∂k·w:
+/// Σ strain · (strain's derivative along w).
+#[inline(always)]
+pub fn product<
     V: Vector,
-    R: Real<V>,
     const LINEAR: bool,
     const CONTACT: bool,
-    const SHAPE: bool,
+    const GRADIENT: bool,
     const PARAMETERS: bool,
 >(
     model: &Model,
@@ -59,42 +122,66 @@ pub fn gradient<
     g: &mut [[V; 3]],
     h: &mut [[V; 3]],
     shape: Shape<'_, V>,
-    margin: &mut V,
 ) {
-    let zero = [V::splat(0.0); 3];
     let units = model.units();
-    assert!(x.len() == units && turn.len() == units && g.len() == units, "one entry per unit");
-    g.fill(zero);
-    h.fill(zero);
+    assert!(x.len() == units && turn.len() == units && h.len() == units, "one entry per unit");
+    assert!(w.len() == units && shape.arms.len() == units, "one entry per unit");
+    let zero = V::splat(0.0);
+    if GRADIENT {
+        g.fill([zero; 3]);
+    }
+    h.fill([zero; 3]);
     turns(x, turn);
+    let Some(bar) = model.bars.first() else { return };
+    let mut next = place::<V, LINEAR>(bar, x, turn);
     for (q, bar) in model.bars.iter().enumerate() {
-        let &Bar { a, b, node_a, node_b, .. } = bar;
-        let (xa, xb) = (R::load(x, w, a), R::load(x, w, b));
-        let pull = pull::<V, R, LINEAR, CONTACT>(model, bar, xa, xb, turn[a], turn[b], margin);
-        R::scatter(pull.ends[0], g, h, a);
-        R::scatter(pull.ends[1], g, h, b);
-        if SHAPE {
-            let [gx, gy] = pull.force;
-            let [[sa, ca], [sb, cb]] = pull.turns;
-            // (R − I)ᵀ g at b, its negative at a
-            let to = &mut shape.arms[b][node_b];
-            *to = [to[0] + cb.mul_add(gx, sb * gy).last(), to[1] + sb.mul_sub_from(gx, cb * gy).last()];
-            let to = &mut shape.arms[a][node_a];
-            *to = [to[0] - ca.mul_add(gx, sa * gy).last(), to[1] - sa.mul_sub_from(gx, ca * gy).last()];
-            if CONTACT {
-                let to = &mut shape.voids[q];
-                *to = [to[0] + pull.voids[0].last(), to[1] + pull.voids[1].last()];
-            }
+        let at = next;
+        if let Some(bar) = model.bars.get(q + 1) {
+            next = place::<V, LINEAR>(bar, x, turn);
+        }
+        let &Bar { a, b, .. } = bar;
+        let turns = [turn[a], turn[b]];
+        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, &mut { zero });
+        if GRADIENT {
+            pull.add_to(g, bar);
+        }
+        let swing = pull.along::<LINEAR, CONTACT>(model, bar, [w[a], w[b]]);
+        let [fx, fy] = swing.force;
+        let [hx, hy, ht] = h[a];
+        h[a] = [hx - fx, hy - fy, ht + swing.moments[0]];
+        let [hx, hy, ht] = h[b];
+        h[b] = [hx + fx, hy + fy, ht + swing.moments[1]];
+        // (R − I)ᵀ ∂U/∂node at b, its negative at a; a turn of R by ω is one of the force by −ω
+        let [gx, gy] = pull.force;
+        let [_, _, s, c1] = turns[1];
+        let omega = w[b][2];
+        let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
+        let to = &mut shape.arms[b][bar.node_b];
+        *to = [
+            omega.mul_add(gy, s.mul_add(ty, c1.mul_add(tx, to[0]))),
+            omega.mul_sub_from(gx, s.mul_sub_from(tx, c1.mul_add(ty, to[1]))),
+        ];
+        let [_, _, s, c1] = turns[0];
+        let omega = w[a][2];
+        let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
+        let to = &mut shape.arms[a][bar.node_a];
+        *to = [
+            omega.mul_sub_from(gy, s.mul_sub_from(ty, c1.mul_sub_from(tx, to[0]))),
+            omega.mul_add(gx, s.mul_add(tx, c1.mul_sub_from(ty, to[1]))),
+        ];
+        if CONTACT {
+            let to = &mut shape.voids[bar.index];
+            *to = [to[0] + swing.voids[0], to[1] + swing.voids[1]];
         }
         if PARAMETERS {
-            for (to, strain) in shape.stiffness.iter_mut().zip(pull.strains) {
-                *to = Vector::mul_add(strain.value(), strain.last(), *to);
+            for ((to, strain), along) in shape.stiffness.iter_mut().zip(pull.strains).zip(swing.strains) {
+                *to = strain.mul_add(along, *to);
             }
             if CONTACT && let Some(contact) = model.contact {
                 // ∂E_c/∂ψ is k_c times what does not depend on it
-                let turned = pull.strains[2].last() * V::splat(1.0 / contact.stiffness);
-                let moment = pull.voids[1].value() - pull.voids[0].value();
-                shape.stiffness[3] = Vector::mul_add(moment, turned, shape.stiffness[3]);
+                let turned = swing.strains[2] * V::splat(1.0 / contact.stiffness);
+                let moment = pull.contact[1].0 - pull.contact[0].0;
+                shape.stiffness[3] = moment.mul_add(turned, shape.stiffness[3]);
             }
         }
     }
@@ -111,18 +198,17 @@ pub fn hessian<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     turns(x, turn);
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     for bar in &model.bars {
+        let ends = [bar.a, bar.b];
+        let at = place::<V, LINEAR>(bar, x, turn);
+        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, &mut { zero });
         for column in 0..6 {
-            let along = |end: usize, x: [V; 3]| -> [Dual<V>; 3] {
-                [0, 1, 2].map(|d| Dual::from_parts(x[d], || if 3 * end + d == column { one } else { zero }))
-            };
-            let (xa, xb) = (along(0, x[bar.a]), along(1, x[bar.b]));
-            let turns = (turn[bar.a], turn[bar.b]);
-            let pull =
-                pull::<V, Dual<V>, LINEAR, CONTACT>(model, bar, xa, xb, turns.0, turns.1, &mut { zero });
-            let j = 3 * [bar.a, bar.b][column / 3] + column % 3;
-            for (unit, end) in [bar.a, bar.b].into_iter().zip(pull.ends) {
-                for (d, value) in end.into_iter().enumerate() {
-                    entry(3 * unit + d, j, value.last());
+            let unit = |end: usize| [0, 1, 2].map(|d| if 3 * end + d == column { one } else { zero });
+            let swing = pull.along::<LINEAR, CONTACT>(model, bar, [unit(0), unit(1)]);
+            let j = 3 * ends[column / 3] + column % 3;
+            let [fx, fy] = swing.force;
+            for (end, [p, q, t]) in [(0, [-fx, -fy, swing.moments[0]]), (1, [fx, fy, swing.moments[1]])] {
+                for (d, value) in [p, q, t].into_iter().enumerate() {
+                    entry(3 * ends[end] + d, j, value);
                 }
             }
         }
@@ -138,97 +224,163 @@ fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
     }
 }
 
-/// One ligament, with contact.
+/// Where a ligament is.
 #[inline(always)]
-fn pull<V: Vector, R: Real<V>, const LINEAR: bool, const CONTACT: bool>(
-    model: &Model,
-    bar: &Bar,
-    xa: [R; 3],
-    xb: [R; 3],
-    turn_a: Turn<V>,
-    turn_b: Turn<V>,
-    margin: &mut V,
-) -> Pull<R> {
-    let k = model.stiffness;
-    let &Bar { arm_a, arm_b, e, length, voids, .. } = bar;
-    let [sha, cha, sa, ca] = turn_a;
-    let [shb, chb, sb, cb] = turn_b;
-    // d sin θ = cos θ dθ, d(cos θ − 1) = −sin θ dθ
-    let along = |s: V, c1: V, theta: R| {
-        let sin = R::from_parts(s, || Vector::mul_add(c1, theta.last(), theta.last()));
-        (sin, R::from_parts(c1, || -(s * theta.last())))
-    };
-    let ((sa, ca), (sb, cb)) = (along(sa, ca, xa[2]), along(sb, cb, xb[2]));
+fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>]) -> Place<V> {
+    let (xa, xb, zero) = (x[bar.a], x[bar.b], V::splat(0.0));
+    let ([sha, cha, sa, ca], [shb, chb, sb, cb]) = (turn[bar.a], turn[bar.b]);
+    let (ra, rb) = (bar.arm_a.map(V::splat), bar.arm_b.map(V::splat));
 
     // (R − I) r of both ends, and d − d₀
-    let pa = [ca.scale(arm_a[0]) - sa.scale(arm_a[1]), sa.scale_add(arm_a[0], ca.scale(arm_a[1]))];
-    let pb = [cb.scale(arm_b[0]) - sb.scale(arm_b[1]), sb.scale_add(arm_b[0], cb.scale(arm_b[1]))];
-    let dux = (xb[0] + pb[0]) - (xa[0] + pa[0]);
-    let duy = (xb[1] + pb[1]) - (xa[1] + pa[1]);
-
-    let (gx, gy, shear, strains);
-    if LINEAR {
-        let stretch = dux.scale(k.stretch * e[0]) + duy.scale(k.stretch * e[1]);
-        let slide = duy.scale(e[0]) - dux.scale(e[1]) - (xa[2] + xb[2]).scale(0.5 * length);
-        strains = [dux.scale(e[0]) + duy.scale(e[1]), slide, xb[2] - xa[2]];
-        let slide = slide.scale(k.shear);
-        gx = stretch.scale(e[0]) - slide.scale(e[1]);
-        gy = stretch.scale(e[1]) + slide.scale(e[0]);
-        shear = slide.scale(0.5 * length);
-    } else {
-        let dx = dux + R::constant(length * e[0]);
-        let dy = duy + R::constant(length * e[1]);
+    let moved = |s: V, c1: V, r: [V; 2]| [s.mul_sub_from(r[1], c1 * r[0]), s.mul_add(r[0], c1 * r[1])];
+    let (pa, pb) = (moved(sa, ca, ra), moved(sb, cb, rb));
+    let du = [(xb[0] + pb[0]) - (xa[0] + pa[0]), (xb[1] + pb[1]) - (xa[1] + pa[1])];
+    let mut at = Place {
+        levers: [[pa[0] + ra[0], pa[1] + ra[1]], [pb[0] + rb[0], pb[1] + rb[1]]],
+        d: du,
+        size: zero,
+        inverse: zero,
+        seen: [zero; 2],
+        tangent: zero,
+        sum: xa[2] + xb[2],
+        relative: xb[2] - xa[2],
+    };
+    if !LINEAR {
+        let (e, length) = (bar.e.map(V::splat), V::splat(bar.length));
+        let (dx, dy) = (length.mul_add(e[0], du[0]), length.mul_add(e[1], du[1]));
         let square = dx.mul_add(dx, dy * dy);
-        let inverse = square.rsqrt();
-        let inverse_square = inverse * inverse;
+        at.d = [dx, dy];
+        at.inverse = square.rsqrt();
+        at.size = square * at.inverse;
         // The reference turned by the mean rotation, from the half angles
-        let cm = Vector::mul_sub_from(sha, shb, cha * chb);
-        let sm = Vector::mul_add(sha, chb, cha * shb);
-        let nx = Vector::mul_sub_from(sm, V::splat(e[1]), cm * V::splat(e[0]));
-        let ny = Vector::mul_add(cm, V::splat(e[1]), sm * V::splat(e[0]));
-        let (vx, vy) = (dx.value(), dy.value());
-        let along = Vector::mul_add(nx, vx, ny * vy);
-        let across = Vector::mul_sub_from(ny, vx, nx * vy);
-        let gamma = R::from_parts(angle(across, along, square.value() * inverse.value()), || {
-            let swing = Vector::mul_sub_from(vy, dx.last(), vx * dy.last()) * inverse_square.value();
-            swing - V::splat(0.5) * (xa[2].last() + xb[2].last())
-        });
-        let stretch = inverse.scale_add(-k.stretch * length, R::constant(k.stretch));
-        let stretched = square * inverse - R::constant(length);
-        strains = [stretched, gamma.scale(length), xb[2] - xa[2]];
-        let twist = gamma.scale(k.shear * length * length);
-        let side = twist * inverse_square;
-        gx = side.mul_sub_from(dy, stretch * dx);
-        gy = side.mul_add(dx, stretch * dy);
-        shear = twist.scale(0.5);
+        let cm = sha.mul_sub_from(shb, cha * chb);
+        let sm = sha.mul_add(chb, cha * shb);
+        let nx = sm.mul_sub_from(e[1], cm * e[0]);
+        let ny = cm.mul_add(e[1], sm * e[0]);
+        at.seen = [nx.mul_add(dx, ny * dy), ny.mul_sub_from(dx, nx * dy)];
+        at.tangent = at.seen[1].over(at.size + at.seen[0]);
     }
+    at
+}
 
-    let mut bend = (xb[2] - xa[2]).scale(k.bend);
-    let mut moments = [R::constant(0.0); 2];
+/// What a ligament does there, with contact.
+#[inline(always)]
+fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
+    model: &Model,
+    bar: &Bar,
+    at: Place<V>,
+    margin: &mut V,
+) -> Pull<V> {
+    let (k, zero, length, relative) = (model.stiffness, V::splat(0.0), bar.length, at.relative);
+    let mut of = Pull {
+        place: at,
+        inverse_square: zero,
+        stretch: zero,
+        side: zero,
+        force: [zero; 2],
+        shear: zero,
+        bend: V::splat(k.bend) * relative,
+        contact: [(zero, zero); 2],
+        strains: [zero; 3],
+    };
+    if LINEAR {
+        (of.force, of.shear, of.strains) = linear(model, bar, at.d, at.sum, relative);
+    } else {
+        let [dx, dy] = at.d;
+        let gamma = angle(at.tangent, at.seen);
+        of.inverse_square = at.inverse * at.inverse;
+        of.stretch = V::splat(-k.stretch * length).mul_add(at.inverse, V::splat(k.stretch));
+        let twist = V::splat(k.shear * length * length) * gamma;
+        of.side = twist * of.inverse_square;
+        of.force = [of.side.mul_sub_from(dy, of.stretch * dx), of.side.mul_add(dx, of.stretch * dy)];
+        of.shear = V::splat(0.5) * twist;
+        of.strains = [at.size - V::splat(length), V::splat(length) * gamma, relative];
+    }
     if CONTACT && let Some(contact) = model.contact {
         // ψ₁ falls and ψ₂ rises with θ_b − θ_a
-        let relative = (xb[2] - xa[2]).value();
-        let psi = [V::splat(voids[0]) - relative, V::splat(voids[1]) + relative];
+        let psi = [V::splat(bar.voids[0]) - relative, V::splat(bar.voids[1]) + relative];
         for (s, sign) in [(0, -1.0), (1, 1.0)] {
             *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
             if psi[s].any_less(V::splat(contact.cutoff_angle)) {
-                let slope = contact_slope(contact, psi[s]);
-                let turned = || slope.1 * (xb[2].last() - xa[2].last()) * V::splat(sign);
-                moments[s] = R::from_parts(slope.0, turned);
-                bend = moments[s].scale_add(sign, bend);
+                of.contact[s] = contact_slope(contact, psi[s]);
+                of.bend = V::splat(sign).mul_add(of.contact[s].0, of.bend);
             }
         }
     }
+    of
+}
 
-    let lever_a = (pa[0] + R::constant(arm_a[0])).mul_sub_from(gy, (pa[1] + R::constant(arm_a[1])) * gx);
-    let lever_b = (pb[0] + R::constant(arm_b[0])).mul_sub_from(gy, (pb[1] + R::constant(arm_b[1])) * gx);
-    let none = R::constant(0.0);
-    Pull {
-        ends: [[none - gx, none - gy, lever_a - shear - bend], [gx, gy, bend - shear - lever_b]],
-        force: [gx, gy],
-        turns: [[sa, ca], [sb, cb]],
-        voids: moments,
-        strains,
+/// Force, moment and strains of linear measures: linear in displacement, sum and difference of rotations.
+#[inline(always)]
+fn linear<V: Vector>(model: &Model, bar: &Bar, du: [V; 2], sum: V, relative: V) -> ([V; 2], V, [V; 3]) {
+    let (k, e, length) = (model.stiffness, bar.e.map(V::splat), V::splat(bar.length));
+    let stretched = du[0].mul_add(e[0], du[1] * e[1]);
+    let slid = du[0].mul_sub_from(e[1], du[1] * e[0]) - V::splat(0.5) * length * sum;
+    let (stretch, slide) = (V::splat(k.stretch) * stretched, V::splat(k.shear) * slid);
+    let force = [slide.mul_sub_from(e[1], stretch * e[0]), slide.mul_add(e[0], stretch * e[1])];
+    (force, V::splat(0.5) * length * slide, [stretched, slid, relative])
+}
+
+impl<V: Vector> Pull<V> {
+    /// Adds ∂U/∂s of both units.
+    #[inline(always)]
+    fn add_to(&self, g: &mut [[V; 3]], bar: &Bar) {
+        let [fx, fy] = self.force;
+        let lever = self.place.levers.map(|l| l[0].mul_sub_from(fy, l[1] * fx));
+        let [x, y, t] = g[bar.a];
+        g[bar.a] = [x - fx, y - fy, t + (lever[0] - self.shear - self.bend)];
+        let [x, y, t] = g[bar.b];
+        g[bar.b] = [x + fx, y + fy, t + (self.bend - self.shear - lever[1])];
+    }
+
+    /// ```text
+    /// δd = δu_b − δu_a + ω_b (R r_b)⊥ − ω_a (R r_a)⊥,   ρ = d·δd/|d|²,   δγ = d⊥·δd/|d|² − ½(ω_a + ω_b)
+    /// δg = stretch δd + side δd⊥ + k_l l₀/|d| ρ d + (k_s l₀² δγ/|d|² − 2 side ρ) d⊥
+    /// ```
+    #[inline(always)]
+    fn along<const LINEAR: bool, const CONTACT: bool>(
+        &self,
+        model: &Model,
+        bar: &Bar,
+        [wa, wb]: [[V; 3]; 2],
+    ) -> Swing<V> {
+        let (k, length, zero) = (model.stiffness, bar.length, V::splat(0.0));
+        let Place { levers: [la, lb], d: [dx, dy], size, inverse, .. } = self.place;
+        let p = wa[2].mul_add(la[1], wb[2].mul_sub_from(lb[1], wb[0] - wa[0]));
+        let q = wa[2].mul_sub_from(la[0], wb[2].mul_add(lb[0], wb[1] - wa[1]));
+        let (sum, relative) = (wa[2] + wb[2], wb[2] - wa[2]);
+        let (force, shear, strains);
+        if LINEAR {
+            (force, shear, strains) = linear(model, bar, [p, q], sum, relative);
+        } else {
+            let rho = dx.mul_add(p, dy * q) * self.inverse_square;
+            let swing = dy.mul_sub_from(p, dx * q) * self.inverse_square;
+            let gamma = V::splat(-0.5).mul_add(sum, swing);
+            let twist = V::splat(k.shear * length * length) * gamma;
+            let stretch = V::splat(k.stretch * length) * inverse * rho;
+            let side = (self.side + self.side).mul_sub_from(rho, self.inverse_square * twist);
+            force = [
+                side.mul_sub_from(dy, stretch.mul_add(dx, self.side.mul_sub_from(q, self.stretch * p))),
+                side.mul_add(dx, stretch.mul_add(dy, self.side.mul_add(p, self.stretch * q))),
+            ];
+            shear = V::splat(0.5) * twist;
+            strains = [rho * size, V::splat(length) * gamma, relative];
+        }
+        let mut bend = V::splat(k.bend) * relative;
+        let mut voids = [zero; 2];
+        if CONTACT && model.contact.is_some() {
+            for (s, sign) in [(0, -1.0), (1, 1.0)] {
+                voids[s] = V::splat(sign) * self.contact[s].1 * relative;
+                bend = V::splat(sign).mul_add(voids[s], bend);
+            }
+        }
+        let [gx, gy] = self.force;
+        let lever = |l: [V; 2], omega: V| {
+            let turned = omega * l[0].mul_add(gx, l[1] * gy);
+            l[0].mul_sub_from(force[1], l[1].mul_add(force[0], turned))
+        };
+        let moments = [lever(la, wa[2]) - shear - bend, bend - shear - lever(lb, wb[2])];
+        Swing { force, moments, voids, strains }
     }
 }
 

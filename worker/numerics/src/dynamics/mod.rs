@@ -6,6 +6,7 @@
 //! Samples are integrated eight at a time, one a lane; a sample's result does not depend on the others, on the number
 //! of threads or on which samples are asked for. Gradients are those of the discrete method.
 
+mod balance;
 mod choose;
 mod dispatch;
 mod energy;
@@ -13,9 +14,9 @@ mod implicit;
 mod ligaments;
 mod model;
 mod push_forward;
-mod real;
 mod splitting;
 mod system;
+mod trigonometry;
 mod tsit5;
 mod tune;
 mod vector;
@@ -230,6 +231,8 @@ pub enum Outcome {
     ForbiddenContact,
     /// Newton's method did not find an implicit step.
     NoConvergence,
+    /// Steps too long for the highest mode made kinetic energy out of nothing.
+    Unstable,
 }
 
 impl Method {
@@ -262,6 +265,7 @@ impl Outcome {
             Self::NonFinite => "non_finite",
             Self::ForbiddenContact => "forbidden_contact",
             Self::NoConvergence => "no_convergence",
+            Self::Unstable => "unstable",
         }
     }
 }
@@ -295,9 +299,9 @@ pub struct Tape {
 }
 
 impl Tape {
-    /// Memory that the samples hold: the states at the instants and, of adaptive methods, eight bytes a step.
+    /// Memory that the samples hold: the states at the instants and, of adaptive methods, a byte or two a step.
     pub fn bytes(&self) -> usize {
-        let of = |s: &SampleTape| 8 * (s.states.capacity() + s.steps.capacity()) + 4 * s.counts.capacity();
+        let of = |s: &SampleTape| 8 * s.states.capacity() + s.steps.capacity() + 4 * s.counts.capacity();
         self.samples.iter().map(of).sum()
     }
 
@@ -320,8 +324,8 @@ impl Tape {
 pub(crate) struct SampleTape {
     /// (T, parts, free units, 6): displacement and velocity at each part's end, the last that of instant n = 1…T.
     pub states: Vec<f64>,
-    /// Accepted step sizes (s), empty where steps are equal.
-    pub steps: Vec<f64>,
+    /// Accepted steps, empty where steps are equal: each as the number of such that were left in the interval, coded.
+    pub steps: Vec<u8>,
     /// How many of them belong to each interval of the forces.
     pub counts: Vec<u32>,
     /// By how much equal steps were refined, after the plan's had failed.
@@ -437,6 +441,12 @@ fn reverse(
     assert_eq!(cotangent.len(), len, "length of the cotangent");
     let width = crate::simd::Width::detect();
     dispatch::pull_back(width, scene, design, forces, simulation, samples, cotangent, parameters, pool)
+}
+
+/// Evaluates the forces, or with `second` their derivatives along a direction, so many times on eight lanes of one state,
+/// to be timed; returns ligaments times lanes times `times`, without ligaments between held units, which none evaluates.
+pub fn repeat_kernel(scene: &Scene, design: &[f64], times: usize, second: bool) -> u64 {
+    dispatch::repeat_kernel(crate::simd::Width::detect(), scene, design, times, second)
 }
 
 fn check(scene: &Scene, design: &[f64], forces: &Forces) {

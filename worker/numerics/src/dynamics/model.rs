@@ -7,6 +7,8 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 /// A ligament with what the kernel needs of its ends.
 #[derive(Debug, Clone, Copy)]
 pub struct Bar {
+    /// Its place among the layout's ligaments.
+    pub index: usize,
     /// Units at the ends.
     pub a: usize,
     /// Likewise.
@@ -32,6 +34,8 @@ pub struct Bar {
 pub struct Model {
     /// Ligaments.
     pub bars: Vec<Bar>,
+    /// How many the layout has.
+    pub ligaments: usize,
     /// Stiffnesses.
     pub stiffness: Stiffness,
     /// Contact.
@@ -62,9 +66,10 @@ impl Model {
         let geometry = Geometry::new(layout, design, scene.density);
         let voids = geometry.void_angles(layout);
         let branch = |psi: f64| if psi < -FRAC_PI_2 { psi + TAU } else { psi };
-        let bar = |(l, voids): (&crate::body::Ligament, &[f64; 2])| {
+        let bar = |(index, (l, voids)): (usize, (&crate::body::Ligament, &[f64; 2]))| {
             let length = l.reference[0].hypot(l.reference[1]);
             Bar {
+                index,
                 a: l.a.unit,
                 b: l.b.unit,
                 node_a: l.a.node,
@@ -76,7 +81,7 @@ impl Model {
                 voids: voids.map(branch),
             }
         };
-        let bars = layout.ligaments.iter().zip(&voids).map(bar).collect();
+        let bars = layout.ligaments.iter().zip(&voids).enumerate().map(bar).collect();
         let mut inverse_mass: Vec<[f64; 3]> =
             geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [1.0 / m, 1.0 / m, 1.0 / j]).collect();
         for &u in &scene.clamped {
@@ -84,6 +89,7 @@ impl Model {
         }
         Self {
             bars,
+            ligaments: layout.ligaments.len(),
             stiffness: scene.stiffness,
             contact: scene.contact,
             inverse_mass,
@@ -91,6 +97,19 @@ impl Model {
             free: (0..layout.units()).filter(|u| !scene.clamped.contains(u)).collect(),
             geometry,
         }
+    }
+
+    /// Without the ligaments between held units, which never change; but for those whose contact is forbidden from the start.
+    pub fn moving(mut self) -> Self {
+        let moves = |u: usize| self.inverse_mass[u] != [0.0; 3];
+        let least = self.contact.map_or(f64::NEG_INFINITY, |c| c.min_angle);
+        self.bars.retain(|b| moves(b.a) || moves(b.b) || b.voids.iter().any(|psi| *psi < least));
+        self
+    }
+
+    /// From the first to the last unit that moves.
+    pub fn moving_range(&self) -> std::ops::Range<usize> {
+        self.free.first().map_or(0..0, |first| *first..self.free[self.free.len() - 1] + 1)
     }
 
     /// Number of units.
@@ -121,7 +140,7 @@ impl ModelCotangent {
         Self {
             arms: vec![[[0.0; 2]; 4]; n],
             mass: vec![[0.0; 3]; n],
-            voids: vec![[0.0; 2]; model.bars.len()],
+            voids: vec![[0.0; 2]; model.ligaments],
             stiffness: [0.0; 4],
             damping: [0.0; 3],
         }

@@ -11,6 +11,7 @@
 //! The schemes run backwards too: the reverse sweep rebuilds states from the next checkpoint, with the forces that
 //! its dual evaluations yield on the way.
 
+use super::balance::Balance;
 use super::system::{Ramp, System, Unit, add_into, load_lanes, read_lane, store_lane};
 use super::tsit5::{Slot, Sweep};
 use super::vector::Vector;
@@ -215,6 +216,7 @@ pub fn forward<V: Vector>(
     let mut margin = V::splat(1.0);
 
     ramp.at(0, 0.0, &mut force);
+    let mut balance = Balance::new(scene, model, &force);
     system.acceleration(&x, &v, &force, &mut g, &mut margin);
     for interval in 0..instants {
         let mut part = 0;
@@ -229,6 +231,7 @@ pub fn forward<V: Vector>(
                     }
                 }
                 ramp.at(interval * substeps + step, ready.clock[j], &mut force);
+                balance.add(&x, &force);
                 system.acceleration(&x, &v, &force, &mut g, &mut margin);
                 let b = match j + 1 == stages {
                     true if boundary => last,
@@ -268,6 +271,7 @@ pub fn forward<V: Vector>(
         for (x, v) in x.as_flattened().iter().zip(v.as_flattened()) {
             size = size + x.abs() + v.abs();
         }
+        let excess = balance.excess(&v).array();
         for (l, slot) in slots.iter_mut().enumerate() {
             if *slot.outcome != Outcome::Ok {
                 continue;
@@ -276,6 +280,8 @@ pub fn forward<V: Vector>(
                 *slot.outcome = Outcome::ForbiddenContact;
             } else if !size.array()[l].is_finite() {
                 *slot.outcome = Outcome::NonFinite;
+            } else if excess[l] > 0.0 {
+                *slot.outcome = Outcome::Unstable;
             } else {
                 read_lane(scene, &x, &v, &a, l, &mut slot.signals[interval * width..][..width]);
             }

@@ -11,7 +11,8 @@ pub type Unit<V> = [V; 3];
 /// (model, x, scratch, ∂U/∂s, margin): lowers the margin to the least ψ − ψ_min.
 pub type First<V> = unsafe fn(&Model, &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>], &mut V);
 
-/// (model, x, w, scratch, ∂U/∂s, its derivative along w, and where to add that of arms, void angles and stiffnesses).
+/// (model, x, w, scratch, ∂U/∂s or nothing, its derivative along w, and where to add that of arms, void angles and
+/// stiffnesses).
 pub type Second<V> =
     unsafe fn(&Model, &[Unit<V>], &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>], &mut [Unit<V>], Shape<'_, V>);
 
@@ -24,6 +25,8 @@ pub struct Kernels<V> {
     pub gradient: First<V>,
     /// Gradient and second derivatives along a direction.
     pub second: Second<V>,
+    /// The same without the gradient.
+    pub product: Second<V>,
     /// All second derivatives.
     pub hessian: Hessian<V>,
 }
@@ -37,6 +40,16 @@ pub struct Cotangent<V> {
     damping: [V; 3],
 }
 
+/// What makes cotangents of accelerations into weights of the forces' derivatives.
+pub struct Weigh<'a, V> {
+    /// 1/(m, m, J).
+    pub inverse_mass: &'a [[f64; 3]],
+    /// C.
+    pub damping: [f64; 3],
+    /// Cotangent of (m, m, J).
+    pub mass: &'a mut [Unit<V>],
+}
+
 /// A model with scratch, for one block of lanes.
 pub struct System<'a, V> {
     /// The scene.
@@ -45,9 +58,9 @@ pub struct System<'a, V> {
     pub model: &'a Model,
     kernels: Kernels<V>,
     /// The model's, or none where the integrator treats damping apart.
-    damping: [f64; 3],
+    pub damping: [f64; 3],
     /// Whether `damping` is the model's and its cotangent asked for.
-    damping_asked: bool,
+    pub damping_asked: bool,
     inverse_mass: Vec<[f64; 3]>,
     turn: Vec<Turn<V>>,
     h: Vec<Unit<V>>,
@@ -80,7 +93,7 @@ impl<'a, V: Vector> System<'a, V> {
             w: vec![[zero; 3]; n],
             cotangent: Cotangent {
                 arms: vec![[[zero; 2]; 4]; n],
-                voids: vec![[zero; 2]; model.bars.len()],
+                voids: vec![[zero; 2]; model.ligaments],
                 mass: vec![[zero; 3]; n],
                 stiffness: [zero; 4],
                 damping: [zero; 3],
@@ -107,6 +120,13 @@ impl<'a, V: Vector> System<'a, V> {
         // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
         unsafe { (self.kernels.gradient)(self.model, x, &mut self.turn, a, margin) };
         self.finish(v, force, a);
+    }
+
+    /// Overwrites `g` by ∂U/∂s.
+    #[inline(always)]
+    pub fn gradient(&mut self, x: &[Unit<V>], g: &mut [Unit<V>]) {
+        // SAFETY: as in `acceleration`.
+        unsafe { (self.kernels.gradient)(self.model, x, &mut self.turn, g, &mut { V::splat(0.0) }) };
     }
 
     /// Adds factor·∂²U, lower half, to a band matrix.
@@ -201,12 +221,31 @@ impl<'a, V: Vector> System<'a, V> {
             }
         }
         if self.damping_asked {
-            for (w, v) in self.w.iter().zip(v) {
-                for d in 0..3 {
-                    self.cotangent.damping[d] = w[d].mul_sub_from(v[d], self.cotangent.damping[d]);
-                }
-            }
+            let Cotangent { damping, .. } = &mut self.cotangent;
+            damping_cotangent(damping, &self.w, v);
         }
+    }
+
+    /// What weights of forces are made by.
+    #[inline(always)]
+    pub fn weigh(&mut self) -> Weigh<'_, V> {
+        let Self { inverse_mass, damping, cotangent, .. } = self;
+        Weigh { inverse_mass, damping: *damping, mass: &mut cotangent.mass }
+    }
+
+    /// Overwrites `curved` by ∂²U w at x and adds to the model's cotangents but those of masses and damping.
+    #[inline(always)]
+    pub fn product(&mut self, x: &[Unit<V>], w: &[Unit<V>], curved: &mut [Unit<V>]) {
+        let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
+        let shape = Shape { arms, voids, stiffness };
+        // SAFETY: as in `acceleration`.
+        unsafe { (self.kernels.product)(self.model, x, w, &mut self.turn, &mut [], curved, shape) };
+    }
+
+    /// Adds to the cotangent of C, of forces of weights `w` at velocities `v`.
+    #[inline(always)]
+    pub fn add_damping_cotangent(&mut self, w: &[Unit<V>], v: &[Unit<V>]) {
+        damping_cotangent(&mut self.cotangent.damping, w, v);
     }
 
     /// Adds the cotangent of the sensors' readings, `bar`[3m + channel], to those of state and acceleration.
@@ -269,6 +308,15 @@ impl<'a, V: Vector> System<'a, V> {
     }
 }
 
+#[inline(always)]
+fn damping_cotangent<V: Vector>(damping: &mut [V; 3], w: &[Unit<V>], v: &[Unit<V>]) {
+    for (w, v) in w.iter().zip(v) {
+        for d in 0..3 {
+            damping[d] = w[d].mul_sub_from(v[d], damping[d]);
+        }
+    }
+}
+
 /// (cos, sin) by the standard library: once a sensor and instant.
 #[inline(always)]
 pub fn cos_sin<V: Vector>(theta: V) -> (V, V) {
@@ -322,13 +370,6 @@ pub fn load_lanes<V: Vector>(
             v[u][d] = V::new(at(3 + d));
         }
     }
-}
-
-/// f_k of one sample, in an interval of the forces at the fraction w of it.
-#[inline(always)]
-pub fn force_at(forces: &Forces, history: &[f64], panel: usize, interval: usize, w: f64) -> f64 {
-    let f = &history[panel * (forces.instants + 1) + interval..][..2];
-    (1.0 - w) * f[0] + w * f[1]
 }
 
 /// Forces of up to eight samples at equal steps, which end at every kink.

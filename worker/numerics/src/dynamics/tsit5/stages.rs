@@ -1,8 +1,9 @@
 //! Tsit5's coefficients, and its sums over stages with the number of terms known to the compiler: written as loops
 //! they took as long as half the forces.
 
-use super::super::system::Unit;
+use super::super::system::{Unit, Weigh};
 use super::super::vector::Vector;
+use std::ops::Range;
 
 /// What belongs to each of the six stages that a step evaluates.
 pub type Stages<V> = [Vec<Unit<V>>; 6];
@@ -68,40 +69,45 @@ const fn error_squared() -> [f64; 7] {
 /// Weights of the displacement's error.
 pub const E2: [f64; 7] = error_squared();
 
-/// State of stage i = 1…6 (the last: the new state) from the accelerations of those before.
+/// State of stage i = 1…6 (the last: the new state) of the units `within`, from the accelerations of those before.
 #[inline(always)]
 pub fn stage<V: Vector>(
     i: usize,
     h: V,
-    x: &[Unit<V>],
-    v: &[Unit<V>],
+    within: &Range<usize>,
+    from: (&[Unit<V>], &[Unit<V>]),
     a: &[Vec<Unit<V>>],
-    xs: &mut [Unit<V>],
-    vs: &mut [Unit<V>],
+    to: (&mut [Unit<V>], &mut [Unit<V>]),
 ) {
     match i {
-        1 => nth_stage::<V, 1>(h, x, v, a, xs, vs),
-        2 => nth_stage::<V, 2>(h, x, v, a, xs, vs),
-        3 => nth_stage::<V, 3>(h, x, v, a, xs, vs),
-        4 => nth_stage::<V, 4>(h, x, v, a, xs, vs),
-        5 => nth_stage::<V, 5>(h, x, v, a, xs, vs),
-        _ => nth_stage::<V, 6>(h, x, v, a, xs, vs),
+        1 => nth_stage::<V, 1>(h, within, from, a, to),
+        2 => nth_stage::<V, 2>(h, within, from, a, to),
+        3 => nth_stage::<V, 3>(h, within, from, a, to),
+        4 => nth_stage::<V, 4>(h, within, from, a, to),
+        5 => nth_stage::<V, 5>(h, within, from, a, to),
+        _ => nth_stage::<V, 6>(h, within, from, a, to),
     }
+}
+
+/// The numbers of some units.
+#[inline(always)]
+fn of<'a, V>(y: &'a [Unit<V>], within: &Range<usize>) -> &'a [V] {
+    y[within.clone()].as_flattened()
 }
 
 #[inline(always)]
 fn nth_stage<V: Vector, const I: usize>(
     h: V,
-    x: &[Unit<V>],
-    v: &[Unit<V>],
+    within: &Range<usize>,
+    (x, v): (&[Unit<V>], &[Unit<V>]),
     a: &[Vec<Unit<V>>],
-    xs: &mut [Unit<V>],
-    vs: &mut [Unit<V>],
+    (xs, vs): (&mut [Unit<V>], &mut [Unit<V>]),
 ) {
-    let (xs, vs) = (xs.as_flattened_mut(), vs.as_flattened_mut());
+    let xs = xs[within.clone()].as_flattened_mut();
     let n = xs.len();
-    let (x, v, vs) = (&x.as_flattened()[..n], &v.as_flattened()[..n], &mut vs[..n]);
-    let a: [&[V]; I] = std::array::from_fn(|j| &a[j].as_flattened()[..n]);
+    let vs = &mut vs[within.clone()].as_flattened_mut()[..n];
+    let (x, v) = (&of(x, within)[..n], &of(v, within)[..n]);
+    let a: [&[V]; I] = std::array::from_fn(|j| &of(&a[j], within)[..n]);
     let (h2, hc) = (h * h, h * V::splat(C[I]));
     for k in 0..n {
         let (mut first, mut second) = (V::splat(0.0), V::splat(0.0));
@@ -116,67 +122,89 @@ fn nth_stage<V: Vector, const I: usize>(
     }
 }
 
-/// Transpose of a step in the accelerations of stage i = 0…5, given what later stages pass on.
+/// Transpose of a step in the accelerations a of stage i = 0…5: overwrites `w` by M⁻¹ times their cotangent and takes w a
+/// from that of (m, m, J).
+///
+/// `later` holds ∂²U w and w of later stages; what those pass on to their states is the negative of the first, to their
+/// velocities −C w.
 #[inline(always)]
 pub fn stage_vjp<V: Vector>(
     i: usize,
     h: V,
+    within: &Range<usize>,
     bar: (&[Unit<V>], &[Unit<V>]),
     later: (&Stages<V>, &Stages<V>),
-    bar_a: &mut [Unit<V>],
+    by: Weigh<'_, V>,
+    a: &[Unit<V>],
+    w: &mut [Unit<V>],
 ) {
     match i {
-        0 => nth_stage_vjp::<V, 0>(h, bar, later, bar_a),
-        1 => nth_stage_vjp::<V, 1>(h, bar, later, bar_a),
-        2 => nth_stage_vjp::<V, 2>(h, bar, later, bar_a),
-        3 => nth_stage_vjp::<V, 3>(h, bar, later, bar_a),
-        4 => nth_stage_vjp::<V, 4>(h, bar, later, bar_a),
-        _ => nth_stage_vjp::<V, 5>(h, bar, later, bar_a),
+        0 => nth_stage_vjp::<V, 0>(h, within, bar, later, by, a, w),
+        1 => nth_stage_vjp::<V, 1>(h, within, bar, later, by, a, w),
+        2 => nth_stage_vjp::<V, 2>(h, within, bar, later, by, a, w),
+        3 => nth_stage_vjp::<V, 3>(h, within, bar, later, by, a, w),
+        4 => nth_stage_vjp::<V, 4>(h, within, bar, later, by, a, w),
+        _ => nth_stage_vjp::<V, 5>(h, within, bar, later, by, a, w),
     }
 }
 
 #[inline(always)]
-fn nth_stage_vjp<V: Vector, const I: usize>(
+fn nth_stage_vjp<'a, V: Vector, const I: usize>(
     h: V,
-    (bar_x, bar_v): (&[Unit<V>], &[Unit<V>]),
-    (to_x, to_v): (&Stages<V>, &Stages<V>),
-    bar_a: &mut [Unit<V>],
+    within: &Range<usize>,
+    (bar_x, bar_v): (&'a [Unit<V>], &'a [Unit<V>]),
+    (curved, weights): (&'a Stages<V>, &'a Stages<V>),
+    by: Weigh<'_, V>,
+    a: &'a [Unit<V>],
+    w: &mut [Unit<V>],
 ) {
-    let bar_a = bar_a.as_flattened_mut();
-    let n = bar_a.len();
-    let (bar_x, bar_v) = (&bar_x.as_flattened()[..n], &bar_v.as_flattened()[..n]);
-    let to_x: [&[V]; 6] = std::array::from_fn(|j| &to_x[j].as_flattened()[..n]);
-    let to_v: [&[V]; 6] = std::array::from_fn(|j| &to_v[j].as_flattened()[..n]);
+    let n = within.len();
+    let cut = |y: &'a [Unit<V>]| -> &'a [Unit<V>] { &y[within.clone()][..n] };
+    let (bar_x, bar_v, a) = (cut(bar_x), cut(bar_v), cut(a));
+    let curved: [&[Unit<V>]; 6] = std::array::from_fn(|j| cut(&curved[j]));
+    let weights: [&[Unit<V>]; 6] = std::array::from_fn(|j| cut(&weights[j]));
+    let (w, mass) = (&mut w[within.clone()][..n], &mut by.mass[within.clone()][..n]);
+    let inverse = &by.inverse_mass[within.clone()][..n];
     let h2 = h * h;
-    for k in 0..n {
-        let (mut first, mut second) = (V::splat(A[6][I]) * bar_v[k], V::splat(A2[6][I]) * bar_x[k]);
-        for j in I + 1..6 {
-            first = V::splat(A[j][I]).mul_add(to_v[j][k], first);
-            second = V::splat(A2[j][I]).mul_add(to_x[j][k], second);
+    for u in 0..n {
+        for d in 0..3 {
+            let (mut first, mut second) = (V::splat(0.0), V::splat(A2[6][I]) * bar_x[u][d]);
+            for j in I + 1..6 {
+                first = V::splat(A[j][I]).mul_add(weights[j][u][d], first);
+                second = V::splat(A2[j][I]).mul_sub_from(curved[j][u][d], second);
+            }
+            let first = V::splat(by.damping[d]).mul_sub_from(first, V::splat(A[6][I]) * bar_v[u][d]);
+            let bar = h2.mul_add(second, h * first);
+            w[u][d] = V::splat(inverse[u][d]) * bar;
+            mass[u][d] = w[u][d].mul_sub_from(a[u][d], mass[u][d]);
         }
-        bar_a[k] = h2.mul_add(second, h * first);
     }
 }
 
 /// Passes a step's cotangents from its end to its beginning.
 #[inline(always)]
-pub fn step_vjp<V: Vector>(
+pub fn step_vjp<'a, V: Vector>(
     h: V,
-    bar_x: &mut [Unit<V>],
-    bar_v: &mut [Unit<V>],
-    (to_x, to_v): (&Stages<V>, &Stages<V>),
+    within: &Range<usize>,
+    (bar_x, bar_v): (&mut [Unit<V>], &mut [Unit<V>]),
+    (curved, weights): (&'a Stages<V>, &'a Stages<V>),
+    damping: [f64; 3],
 ) {
-    let (bar_x, bar_v) = (bar_x.as_flattened_mut(), bar_v.as_flattened_mut());
-    let n = bar_x.len();
-    let bar_v = &mut bar_v[..n];
-    let to_x: [&[V]; 6] = std::array::from_fn(|j| &to_x[j].as_flattened()[..n]);
-    let to_v: [&[V]; 6] = std::array::from_fn(|j| &to_v[j].as_flattened()[..n]);
-    for k in 0..n {
-        let (mut x, mut v) = (bar_x[k], h.mul_add(bar_x[k], bar_v[k]));
-        for i in 0..6 {
-            v = (h * V::splat(C[i])).mul_add(to_x[i][k], v) + to_v[i][k];
-            x = x + to_x[i][k];
+    let n = within.len();
+    let cut = |y: &'a [Unit<V>]| -> &'a [Unit<V>] { &y[within.clone()][..n] };
+    let curved: [&[Unit<V>]; 6] = std::array::from_fn(|j| cut(&curved[j]));
+    let weights: [&[Unit<V>]; 6] = std::array::from_fn(|j| cut(&weights[j]));
+    let (bar_x, bar_v) = (&mut bar_x[within.clone()][..n], &mut bar_v[within.clone()][..n]);
+    for u in 0..n {
+        for d in 0..3 {
+            let (mut x, mut v) = (bar_x[u][d], h.mul_add(bar_x[u][d], bar_v[u][d]));
+            let mut damped = V::splat(0.0);
+            for i in 0..6 {
+                v = (h * V::splat(C[i])).mul_sub_from(curved[i][u][d], v);
+                x = x - curved[i][u][d];
+                damped = damped + weights[i][u][d];
+            }
+            (bar_x[u][d], bar_v[u][d]) = (x, V::splat(damping[d]).mul_sub_from(damped, v));
         }
-        (bar_x[k], bar_v[k]) = (x, v);
     }
 }

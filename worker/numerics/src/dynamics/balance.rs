@@ -1,0 +1,68 @@
+//! Whether equal steps still integrate anything: no motion has more kinetic energy than the forces have done work.
+//!
+//! ```text
+//! ½ v·M v = W − U − dissipated ≤ W,   W = U(rest) + ∫ f·dx,   U ≥ 0     (contact may act at rest)
+//! ```
+//! Steps too long for the highest mode feed energy into it that nobody has put in; signals can then be finite and huge.
+
+use super::Scene;
+use super::energy::contact_energy;
+use super::model::Model;
+use super::system::Unit;
+use super::vector::Vector;
+
+/// By how much kinetic energy may exceed the most work done so far: twice is what a leapfrog's energy swings by at ωh = 1.4.
+const LEEWAY: f64 = 4.0;
+
+/// Work done by the panels' forces on up to eight samples.
+pub struct Balance<'a, V> {
+    scene: &'a Scene,
+    /// (m, m, J), zero where clamped.
+    mass: Vec<[f64; 3]>,
+    /// Of each panel: its unit's place along the force, and the force.
+    before: Vec<[V; 2]>,
+    work: V,
+    most: V,
+    /// What rounding alone may move.
+    floor: f64,
+}
+
+impl<'a, V: Vector> Balance<'a, V> {
+    /// At rest, under the forces at the beginning.
+    #[inline(always)]
+    pub fn new(scene: &'a Scene, model: &Model, force: &[V]) -> Self {
+        let zero = V::splat(0.0);
+        let mass = model.inverse_mass.iter().map(|m| m.map(|m| if m > 0.0 { 1.0 / m } else { 0.0 }));
+        let before = force.iter().map(|f| [zero, *f]).collect();
+        let touching =
+            |c| model.bars.iter().flat_map(|bar| bar.voids).map(|psi| contact_energy(c, psi)).sum();
+        let work = V::splat(model.contact.map_or(0.0, touching));
+        let length = model.bars.first().map_or(1.0, |bar| bar.length);
+        let floor = f64::EPSILON * model.stiffness.stretch * length * length;
+        Self { scene, mass: mass.collect(), before, work, most: work, floor }
+    }
+
+    /// Adds the work on the way to the places `x`, where `force` acts.
+    #[inline(always)]
+    pub fn add(&mut self, x: &[Unit<V>], force: &[V]) {
+        for ((panel, before), f) in self.scene.panels.iter().zip(&mut self.before).zip(force) {
+            let [p, q] = panel.direction.map(V::splat);
+            let at = p.mul_add(x[panel.unit][0], q * x[panel.unit][1]);
+            self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
+            *before = [at, *f];
+        }
+        self.most = self.most.max(self.work);
+    }
+
+    /// Kinetic energy less all that there can be: positive in a lane that makes energy out of nothing.
+    #[inline(always)]
+    pub fn excess(&self, v: &[Unit<V>]) -> V {
+        let mut kinetic = V::splat(0.0);
+        for (v, mass) in v.iter().zip(&self.mass) {
+            for d in 0..3 {
+                kinetic = (V::splat(0.5 * mass[d]) * v[d]).mul_add(v[d], kinetic);
+            }
+        }
+        kinetic - V::splat(LEEWAY).mul_add(self.most, V::splat(self.floor))
+    }
+}

@@ -1,0 +1,195 @@
+//! The reverse sweep of Tsit5: each interval is repeated from its checkpoint and then swept, step by step backwards.
+//!
+//! Steps are a sample's own. The lanes of a block go in lockstep through one interval, so blocks are made up anew for
+//! each, of samples whose steps in it are about as many: an idle lane costs as much as a busy one.
+
+use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
+use super::super::vector::{LANES, Vector};
+use super::super::{Counters, Forces, Frame};
+use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
+use super::{Reach, Sweep, steps};
+
+/// What a sweep keeps of one step.
+struct Step<V> {
+    /// States of the stages.
+    x: Stages<V>,
+    /// Velocity at the beginning.
+    v: Vec<Unit<V>>,
+    /// Accelerations of the stages.
+    a: Stages<V>,
+    h: V,
+}
+
+/// Where a lane is among its steps.
+#[derive(Clone, Copy, Default)]
+struct Place {
+    /// The code of its next step, and how many are left in the interval and before the next kink.
+    code: usize,
+    left: usize,
+    until: usize,
+    /// Of the forces.
+    kink: usize,
+    tau: f64,
+}
+
+/// Sweeps samples backwards, adding to the cotangents of `system`.
+#[inline(always)]
+pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &[Sweep<'_>]) -> Counters {
+    let scene = system.scene;
+    let free = &system.model.free;
+    let within = system.model.moving_range();
+    let (instants, kinks) = (scene.instants, forces.kinks(scene));
+    let (width, len) = (3 * scene.sensors.len(), 6 * free.len());
+    let delta = scene.duration / forces.instants as f64;
+    let (zero, one) = (V::splat(0.0), V::splat(1.0));
+    let mut counters = Counters::default();
+    let (mut bar_x, mut bar_v) = (system.zeros(), system.zeros());
+    let (mut xs, mut vs) = (system.zeros(), system.zeros());
+    let (mut w, mut acceleration) = (system.zeros(), system.zeros());
+    // ∂²U w and w of each stage
+    let mut curved: Stages<V> = std::array::from_fn(|_| system.zeros());
+    let mut weights: Stages<V> = std::array::from_fn(|_| system.zeros());
+    let mut kept: Vec<Step<V>> = Vec::new();
+    let mut reach = Reach::new(scene.panels.len());
+    let mut force = vec![zero; scene.panels.len()];
+    let mut bar = vec![zero; width];
+    // Of each sample: the cotangents of its state, and where the steps of the interval end
+    let mut bars = vec![vec![0.0; len]; sweeps.len()];
+    let mut ends: Vec<usize> = sweeps.iter().map(|s| s.tape.steps.len()).collect();
+    let mut order: Vec<usize> = (0..sweeps.len()).collect();
+
+    for interval in (0..instants).rev() {
+        let count = |s: usize, kink: usize| sweeps[s].tape.counts[interval * kinks + kink] as usize;
+        let total = |s: usize| (0..kinks).map(|kink| count(s, kink)).sum::<usize>();
+        order.sort_by_key(|&s| (total(s), s));
+        for lanes in order.chunks(LANES) {
+            let state = |n: usize| -> [Option<&[f64]>; LANES] {
+                std::array::from_fn(|l| {
+                    let sweep = &sweeps[*lanes.get(l)?];
+                    n.checked_sub(1).map(|n| &sweep.tape.states[n * len..][..len])
+                })
+            };
+            let given = std::array::from_fn(|l| lanes.get(l).map(|&s| bars[s].as_slice()));
+            load_lanes(free, &given, &mut bar_x, &mut bar_v);
+
+            // The sensors at the interval's end
+            load_lanes(free, &state(interval + 1), &mut xs, &mut vs);
+            for (k, b) in bar.iter_mut().enumerate() {
+                let at = |l: usize| lanes.get(l).map_or(0.0, |&s| sweeps[s].cotangent[interval * width + k]);
+                *b = V::new(std::array::from_fn(at));
+            }
+            let last = (interval + 1) * kinks - 1;
+            reach.load(forces, |l| lanes.get(l).map(|&s| (sweeps[s].history, last)));
+            reach.at(one, &mut force);
+            let to = (&mut *curved[0], &mut *weights[0]);
+            sensors_vjp(system, (&xs, &vs), &force, &bar, &mut w, &mut acceleration, to);
+            add_into(&mut bar_x, &curved[0]);
+            add_into(&mut bar_v, &weights[0]);
+
+            // The interval again, keeping the stages of every step
+            let mut places = [Place::default(); LANES];
+            for (place, &s) in places.iter_mut().zip(lanes) {
+                let left = total(s);
+                ends[s] = steps::back(&sweeps[s].tape.steps, ends[s], left);
+                *place = Place { code: ends[s], left, until: count(s, 0), kink: interval * kinks, tau: 0.0 };
+                counters.steps += left as u64;
+                counters.force_evaluations += 2 + 12 * left as u64;
+            }
+            let longest = places.iter().map(|p| p.left).max().unwrap_or(0);
+            load_lanes(free, &state(interval), &mut xs, &mut vs);
+            for n in 0..longest {
+                if kept.len() == n {
+                    let stages = || std::array::from_fn(|_| system.zeros());
+                    kept.push(Step { x: stages(), v: system.zeros(), a: stages(), h: zero });
+                }
+                let step = &mut kept[n];
+                let mut sizes = [0.0; LANES];
+                for ((place, size), &s) in places.iter_mut().zip(&mut sizes).zip(lanes) {
+                    if place.left == 0 {
+                        continue;
+                    }
+                    while place.until == 0 {
+                        (place.kink, place.tau) = (place.kink + 1, 0.0);
+                        place.until = sweeps[s].tape.counts[place.kink] as usize;
+                    }
+                    let parts = steps::next(&sweeps[s].tape.steps, &mut place.code);
+                    *size = (delta - place.tau) / parts as f64;
+                }
+                step.h = V::new(sizes);
+                let tau = V::new(places.map(|p| p.tau));
+                reach.load(forces, |l| lanes.get(l).map(|&s| (sweeps[s].history, places[l].kink)));
+                step.x[0].copy_from_slice(&xs);
+                step.v.copy_from_slice(&vs);
+                for i in 0..6 {
+                    if i > 0 {
+                        let (before, at) = step.x.split_at_mut(i);
+                        stage(i, step.h, &within, (&before[0], &step.v), &step.a, (&mut at[0], &mut vs));
+                    }
+                    let part = (tau + V::splat(C[i]) * step.h).over(V::splat(delta));
+                    reach.at(-(-part).max(-one), &mut force);
+                    system.acceleration(&step.x[i], &vs, &force, &mut step.a[i], &mut { zero });
+                }
+                stage(6, step.h, &within, (&step.x[0], &step.v), &step.a, (&mut xs, &mut vs));
+                for (place, size) in places.iter_mut().zip(sizes).filter(|(p, _)| p.left > 0) {
+                    place.tau += size;
+                    (place.left, place.until) = (place.left - 1, place.until - 1);
+                }
+            }
+
+            // Backwards
+            for step in kept[..longest].iter().rev() {
+                for i in (0..6).rev() {
+                    let later = (&curved, &weights);
+                    stage_vjp(
+                        i,
+                        step.h,
+                        &within,
+                        (&bar_x, &bar_v),
+                        later,
+                        system.weigh(),
+                        &step.a[i],
+                        &mut w,
+                    );
+                    std::mem::swap(&mut w, &mut weights[i]);
+                    system.product(&step.x[i], &weights[i], &mut curved[i]);
+                    if system.damping_asked {
+                        if i == 0 {
+                            vs.copy_from_slice(&step.v);
+                        } else {
+                            stage(i, step.h, &within, (&step.x[0], &step.v), &step.a, (&mut xs, &mut vs));
+                        }
+                        system.add_damping_cotangent(&weights[i], &vs);
+                    }
+                }
+                step_vjp(step.h, &within, (&mut bar_x, &mut bar_v), (&curved, &weights), system.damping);
+            }
+            for (l, &s) in lanes.iter().enumerate() {
+                store_lane(free, &bar_x, &bar_v, l, &mut bars[s]);
+            }
+        }
+    }
+    counters
+}
+
+/// Transpose of the sensors' readings at a state: overwrites `to_x` and `to_v`.
+#[inline(always)]
+fn sensors_vjp<V: Vector>(
+    system: &mut System<'_, V>,
+    (x, v): (&[Unit<V>], &[Unit<V>]),
+    force: &[V],
+    bar: &[V],
+    bar_a: &mut [Unit<V>],
+    a: &mut [Unit<V>],
+    (to_x, to_v): (&mut [Unit<V>], &mut [Unit<V>]),
+) {
+    let zero = [V::splat(0.0); 3];
+    if system.scene.frame == Frame::Body {
+        system.acceleration(x, v, force, a, &mut { zero[0] });
+    }
+    let (mut direct_x, mut direct_v) = (system.zeros(), system.zeros());
+    bar_a.fill(zero);
+    system.read_vjp(x, a, bar, &mut direct_x, &mut direct_v, bar_a);
+    system.acceleration_vjp(x, v, force, bar_a, to_x, to_v, a);
+    add_into(to_x, &direct_x);
+    add_into(to_v, &direct_v);
+}
