@@ -65,6 +65,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("[sweep]", "[time]\nsamples = 0\n[sweep]", "s.toml:14: time.samples = 0: "),
     ("[sweep]", "[time]\nduration = -1.0\n[sweep]", "s.toml:14: time.duration = -1: "),
     ("[sweep]", "[solver]\ntolerance = 0.0\n[sweep]", "s.toml:14: solver.tolerance = 0: "),
+    ("[sweep]", "[solver]\ntolerance = 1e-13\n[sweep]", "s.toml:14: solver.tolerance = 0.0000000000001: "),
     (
         "[sweep]",
         "[solver]\nmethod = \"euler\"\n[sweep]",

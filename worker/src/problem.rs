@@ -177,7 +177,8 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
 }
 
 fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {
-    require(tolerance > 0.0 && tolerance <= 0.5, key, tolerance, "must lie in (0, 0.5]")
+    // Below 1e-12 rounding decides, and a tape would hold nothing but ever more steps.
+    require((1e-12..=0.5).contains(&tolerance), key, tolerance, "must lie in [1e-12, 0.5]")
 }
 
 pub(crate) fn solver(solver: &spec::Solver) -> Solver {

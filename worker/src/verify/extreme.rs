@@ -15,6 +15,8 @@ struct Extreme {
     forces: Forces,
     /// Whether an independent tight run is affordable, so that the error can be shown.
     judged: bool,
+    /// How every sample must end.
+    expected: Outcome,
     /// Where the forces come from, if not from the seed.
     source: &'static str,
 }
@@ -26,7 +28,7 @@ fn initial(layout: &Layout) -> Vec<f64> {
 fn usual() -> Extreme {
     let scene = reference();
     let forces = bells(&scene, 2);
-    Extreme { design: initial(&scene.layout), scene, forces, judged: true, source: "" }
+    Extreme { design: initial(&scene.layout), scene, forces, judged: true, expected: Outcome::Ok, source: "" }
 }
 
 fn with(change: impl FnOnce(&mut Extreme)) -> Extreme {
@@ -140,6 +142,14 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
                 e.forces.values.iter_mut().for_each(|f| *f *= 3.0);
             }),
         ),
+        (
+            "voids closed at rest",
+            with(|e| {
+                let [min_angle, cutoff_angle] = [60.0, 65.0].map(f64::to_radians);
+                e.scene.contact = Some(Contact { stiffness: 1.0, min_angle, cutoff_angle });
+                e.expected = Outcome::ForbiddenContact;
+            }),
+        ),
         ("zero force", with(|e| e.forces.values.fill(0.0))),
         (
             "one free unit",
@@ -199,6 +209,7 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &rayon::ThreadPo
         .collect();
     let gradient = pull_back(scene, design, forces, &run, &samples, &cotangent, pool);
     let finite = run.signals.iter().chain(&gradient.design).all(|v| v.is_finite());
+    let ended = run.outcomes.iter().all(|outcome| *outcome == extreme.expected);
     let mut names: Vec<&str> = run.outcomes.iter().chain(&gradient.outcomes).map(|o| o.name()).collect();
     names.sort_unstable();
     names.dedup();
@@ -209,7 +220,7 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &rayon::ThreadPo
         tuned.plan.reason,
         tuned.counters.force_evaluations,
     );
-    let row = if !finite {
+    let row = if !finite || !ended {
         Row::new(name, f64::NAN, 0.0)
     } else if extreme.judged && samples.len() == forces.samples {
         if forces.values.iter().all(|f| *f == 0.0) {
@@ -227,5 +238,6 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &rayon::ThreadPo
         Row { error: None, tolerance: None, pass: true, ..Row::new(name, 0.0, 0.0) }
     };
     let source = if extreme.source.is_empty() { String::new() } else { format!("; {}", extreme.source) };
-    row.noted(note + &source)
+    let expected = if ended { String::new() } else { format!("; {} was expected", extreme.expected.name()) };
+    row.noted(note + &source + &expected)
 }
