@@ -7,7 +7,7 @@
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Contact, Forces, Method, Outcome, Panel, Plan, Scene, Simulation, Solver, highest_frequency, pull_back,
-    run, tune,
+    repeat_kernel, run, tune,
 };
 use std::time::Instant;
 
@@ -65,7 +65,7 @@ impl BenchScene {
         match self {
             Self::Reference | Self::Contact => &[1e-4, 1e-5, 1e-6, 1e-7, 1e-8],
             Self::Stretch100 => &[1e-6, 1e-7, 1e-8, 1e-9],
-            Self::Stretch10000 => &[1e-8, 1e-9],
+            Self::Stretch10000 => &[1e-8, 1e-9, 1e-10],
         }
     }
 }
@@ -267,7 +267,12 @@ pub struct Lap {
     pub both: Time,
     /// CPU cycles a ligament and lane of a force evaluation forward, with all else that its step does.
     pub cycles: f64,
+    /// The same of the kernels alone, plain and with derivatives, over the ligaments that they take.
+    pub kernels: [f64; 2],
 }
+
+/// Evaluations by which kernels are timed: some hundredths of a second.
+const KERNELS: usize = 10_000;
 
 /// Tsit5 at 1e-6, as the peer runs, and the default, each on one thread and on `threads`; least of `repeat` runs.
 #[must_use]
@@ -284,7 +289,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
             }
             let pool = pool(threads);
             let (mut forward, mut both) = (None, None);
-            let mut cycles = f64::INFINITY;
+            let (mut cycles, mut kernels) = (f64::INFINITY, [f64::INFINITY; 2]);
             for _ in 0..repeat.max(1) {
                 let frequency = clock_frequency();
                 let (run, there) = subject.simulate(&plan, &pool);
@@ -295,6 +300,11 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
                 let work =
                     (run.counters.force_evaluations * subject.scene.layout.ligaments.len() as u64) as f64;
                 cycles = f64::min(cycles, frequency * there.cpu / work);
+                for (second, least) in [false, true].into_iter().zip(&mut kernels) {
+                    let (count, time) =
+                        timed(|| repeat_kernel(&subject.scene, &subject.design, KERNELS, second));
+                    *least = f64::min(*least, frequency * time.cpu / count as f64);
+                }
                 let sum = Time { wall: there.wall + back.wall, cpu: there.cpu + back.cpu };
                 forward = Some(least(forward, there));
                 both = Some(least(both, sum));
@@ -306,6 +316,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
                 forward: forward.expect("a run"),
                 both: both.expect("a run"),
                 cycles,
+                kernels,
             });
         }
     }
@@ -357,6 +368,7 @@ mod tests {
         assert_eq!(laps.len(), 4, "{laps:?}");
         for lap in laps {
             let figures = [lap.forward.cpu, lap.both.cpu, lap.forward.wall, lap.both.wall, lap.cycles];
+            let figures = figures.into_iter().chain(lap.kernels).collect::<Vec<f64>>();
             assert!(figures.iter().all(|x| x.is_finite() && *x > 0.0), "{lap:?}");
         }
     }

@@ -1,4 +1,5 @@
-//! `bench dynamics`: error of the signals and of dα against milliseconds a sample, for every integrator; or the race.
+//! `bench dynamics`: error of the signals and of dα against milliseconds a sample, for every integrator, and what that
+//! says of each scene; or the race.
 //!
 //! It decides what `auto` picks and whether a stiff scene has a method of its own; `--race` is what is set beside a peer.
 
@@ -9,7 +10,7 @@ use metasense_worker::bench::dynamics::{BenchScene, Lap, Point, race, work_preci
 use serde_json::{Value, json};
 
 use super::super::{Error, Format, print_rows};
-use super::{append, picture};
+use super::{append, judgement, picture};
 use crate::exit::Exit;
 use crate::store::Table;
 
@@ -95,7 +96,7 @@ fn point(p: &Point) -> Vec<Value> {
     ]
 }
 
-const LAP: [&str; 8] = [
+const LAP: [&str; 10] = [
     "solver",
     "threads",
     "samples",
@@ -104,6 +105,8 @@ const LAP: [&str; 8] = [
     "gradient_s",
     "gradient_cpu_s",
     "cycles_a_ligament_and_lane",
+    "kernel_cycles",
+    "dual_kernel_cycles",
 ];
 
 fn lap(l: &Lap) -> Vec<Value> {
@@ -116,6 +119,8 @@ fn lap(l: &Lap) -> Vec<Value> {
         json!(l.both.wall),
         json!(l.both.cpu),
         json!(l.cycles),
+        json!(l.kernels[0]),
+        json!(l.kernels[1]),
     ]
 }
 
@@ -146,6 +151,8 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
         all.extend(rows);
     }
     print_rows(&table(&POINT, all), args.format)?;
-    picture::write(&args.append, &args.picture, instants)?;
+    for line in judgement::lines(&picture::write(&args.append, &args.picture, instants)?) {
+        eprintln!("{line}");
+    }
     Ok(Exit::Done)
 }

@@ -4,6 +4,7 @@ mod brain;
 mod dynamics;
 mod engine;
 mod implicit;
+mod judgement;
 mod merge;
 mod picture;
 mod projection;

@@ -13,23 +13,24 @@ const PANEL: [f64; 2] = [310.0, 270.0];
 const LEGEND: f64 = 34.0;
 
 /// Scenes and what a panel calls them.
-const SCENES: [(&str, &str); 4] = [
+pub(super) const SCENES: [(&str, &str); 4] = [
     ("reference", "reference scene, 6 × 6"),
     ("contact", "contact, 8 × 4"),
     ("stretch100", "k_stretch × 100"),
     ("stretch10000", "k_stretch × 10 000"),
 ];
-const METHODS: [&str; 5] = ["tsit5", "leapfrog", "nystrom4", "nystrom6", "implicit"];
+/// Integrators.
+pub(super) const METHODS: [&str; 5] = ["tsit5", "leapfrog", "nystrom4", "nystrom6", "implicit"];
 
 /// One measured run.
 #[derive(Debug, Clone, PartialEq)]
-struct Mark {
-    scene: String,
-    method: String,
-    setting: String,
-    auto: bool,
+pub(super) struct Mark {
+    pub scene: String,
+    pub method: String,
+    pub setting: String,
+    pub auto: bool,
     /// Milliseconds a sample and error: signals forward, then dα with its sweep.
-    points: [Option<(f64, f64)>; 2],
+    pub points: [Option<(f64, f64)>; 2],
 }
 
 fn mark(row: &Value) -> Option<Mark> {
@@ -65,11 +66,11 @@ fn newest(lines: &str, instants: u16) -> Vec<Mark> {
     marks
 }
 
-/// Draws what `rows` holds into `picture`.
+/// Draws what `rows` holds into `picture` and returns it.
 ///
 /// # Errors
 /// Where reading or writing fails.
-pub(super) fn write(rows: &Path, picture: &Path, instants: u16) -> Result<(), Error> {
+pub(super) fn write(rows: &Path, picture: &Path, instants: u16) -> Result<Vec<Mark>, Error> {
     let failed = |doing, path: &Path| {
         let path = path.to_owned();
         move |source| Error::Io { doing, path, source }
@@ -78,7 +79,9 @@ pub(super) fn write(rows: &Path, picture: &Path, instants: u16) -> Result<(), Er
     if let Some(folder) = picture.parent() {
         std::fs::create_dir_all(folder).map_err(failed("making", folder))?;
     }
-    std::fs::write(picture, draw(&newest(&lines, instants))).map_err(failed("writing", picture))
+    let marks = newest(&lines, instants);
+    std::fs::write(picture, draw(&marks)).map_err(failed("writing", picture))?;
+    Ok(marks)
 }
 
 fn draw(marks: &[Mark]) -> String {

@@ -1,0 +1,103 @@
+//! What the diagram says in words: the cheapest method at an error of 1e-3, what `auto` takes, and Tsit5 at equal error.
+
+use super::picture::{METHODS, Mark, SCENES};
+
+/// The error asked.
+const ASKED: f64 = 1e-3;
+
+/// A line a scene and quantity, of what has been measured.
+pub(super) fn lines(marks: &[Mark]) -> Vec<String> {
+    let mut lines = Vec::new();
+    for (scene, title) in SCENES {
+        let of: Vec<&Mark> = marks.iter().filter(|m| m.scene == scene).collect();
+        for (row, what) in ["signals", "dα"].into_iter().enumerate() {
+            lines.extend(judge(&of, row).map(|said| format!("{title}, {what}: {said}")));
+        }
+    }
+    lines
+}
+
+fn judge(marks: &[&Mark], row: usize) -> Option<String> {
+    let curve = |name: &str| curve(marks, name, row);
+    let least = |points: &[(f64, f64)]| points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
+    let tsit5 = curve("tsit5");
+    // What one of the others and Tsit5 both reach, 1e-3 if they do
+    let others = METHODS.iter().filter(|name| **name != "tsit5");
+    let reached = others.clone().map(|name| least(&curve(name))).fold(f64::INFINITY, f64::min);
+    let error = ASKED.max(reached).max(least(&tsit5));
+    if !error.is_finite() {
+        return None;
+    }
+    let costs = others.filter_map(|name| Some((*name, cost(&curve(name), error)?)));
+    let (name, cheapest) = costs.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let reference = cost(&tsit5, error)?;
+    let auto = marks.iter().find(|m| m.auto && m.setting.starts_with("auto 1e-3"));
+    let auto = auto.and_then(|m| m.points[row]).map(|(cost, error)| {
+        format!("; auto {cost:.3} ms at {error:.1e}, {:.2} of the cheapest", cost / cheapest)
+    });
+    let at = if error > ASKED { " (the least that Tsit5 and another both reach)" } else { "" };
+    Some(format!(
+        "at {error:.1e}{at} {name} {cheapest:.3} ms, tsit5 {reference:.3} ms, {:.2} times as long{}",
+        reference / cheapest,
+        auto.unwrap_or_default()
+    ))
+}
+
+/// Milliseconds and error of a method, the cheapest first.
+fn curve(marks: &[&Mark], method: &str, row: usize) -> Vec<(f64, f64)> {
+    let of = marks.iter().filter(|m| m.method == method && !m.auto);
+    let mut points: Vec<(f64, f64)> = of.filter_map(|m| m.points[row]).collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    points
+}
+
+/// What an error costs, on straight lines between the logarithms of neighbouring points; the cheapest point's cost where
+/// that errs less already.
+fn cost(curve: &[(f64, f64)], error: f64) -> Option<f64> {
+    let first = curve.iter().position(|p| p.1 <= error)?;
+    let (cost, there) = curve[first];
+    let Some((before, off)) = first.checked_sub(1).map(|i| curve[i]) else { return Some(cost) };
+    let part = (off / error).ln() / (off / there).ln();
+    Some(before * (cost / before).powf(part))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Half a decade of error on a line of slope −2 in the logarithms; beyond the curve nothing, before it its first point.
+    #[test]
+    fn costs_lie_on_lines_between_logarithms() {
+        let curve = [(1.0, 1e-2), (10.0, 1e-4)];
+        let middle = cost(&curve, 1e-3).expect("within");
+        assert!((middle - 10f64.sqrt()).abs() < 1e-12, "{middle}");
+        assert_eq!([cost(&curve, 1e-5), cost(&curve, 1e-1), cost(&[], 1.0)], [None, Some(1.0), None]);
+    }
+
+    /// Of three methods, one of which never reaches the error, the cheapest is named, with Tsit5 at equal error and `auto`.
+    #[test]
+    fn the_cheapest_is_named() {
+        let mark = |method: &str, setting: &str, points: [Option<(f64, f64)>; 2]| Mark {
+            scene: "contact".into(),
+            method: method.into(),
+            setting: setting.into(),
+            auto: setting.starts_with("auto"),
+            points,
+        };
+        let marks = [
+            mark("leapfrog", "1", [Some((1.0, 1e-2)), None]),
+            mark("nystrom6", "1", [Some((2.0, 1e-2)), Some((5.0, 2e-2))]),
+            mark("nystrom6", "2", [Some((4.0, 1e-4)), Some((9.0, 5e-3))]),
+            mark("tsit5", "1", [Some((20.0, 1e-3)), Some((60.0, 5e-3))]),
+            mark("nystrom6", "auto 1e-3: 7 steps", [Some((3.0, 9e-4)), Some((7.0, 8e-3))]),
+        ];
+        let said = lines(&marks);
+        assert_eq!(said.len(), 2, "{said:#?}");
+        assert_eq!(
+            said[0],
+            "contact, 8 × 4, signals: at 1.0e-3 nystrom6 2.828 ms, tsit5 20.000 ms, 7.07 times as long; \
+             auto 3.000 ms at 9.0e-4, 1.06 of the cheapest"
+        );
+        assert!(said[1].contains("dα: at 5.0e-3 (the least that Tsit5"), "{}", said[1]);
+    }
+}
