@@ -166,11 +166,19 @@ fn an_export_is_read_back_as_measured() {
         bench.file(&format!("{body}.toml"), &text);
         call.extend(["--records".into(), format!("{body}={body}.toml")]);
     }
+    // the optimised body once more, by a design of its own
+    bench.output(&["export", "results/s.sqlite", hash, "--format", "npy", "--out", "o.npy"]);
+    call.extend(["--records", "again=optimised.toml", "--design", "again=o.npy"].map(String::from));
     let call: Vec<&str> = call.iter().map(String::as_str).chain(["--format", "csv"]).collect();
     let csv = bench.output(&call);
     for row in ["initial,simulated", "optimised,simulated"] {
         let [correlation, difference] = ["correlation", "difference"].map(|c| value(&csv, row, c).unwrap());
         assert!(correlation > 0.9999 && difference < 0.2, "{csv}");
+    }
+    for signals in ["measured", "simulated"] {
+        let [again, optimised] =
+            ["again", "optimised"].map(|body| value(&csv, &format!("{body},{signals}"), "error_test"));
+        assert_eq!(again, optimised, "{csv}");
     }
     assert_eq!(value(&csv, "initial,measured", "records"), Some(12.0));
 }

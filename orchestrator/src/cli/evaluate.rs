@@ -160,7 +160,7 @@ fn compare(
         bodies.push(Body { name, signals: measured.signals, measured: by_measured, simulated: model });
     }
     let shape = [trial.panel_units.len(), trial.time.samples, 3 * trial.sensor_units.len()];
-    Ok(Comparison { bodies, paired, shape, duration: trial.time.duration })
+    Ok(Comparison::new(bodies, paired, shape, trial.time.duration))
 }
 
 /// Whether two bodies met the same blows.
@@ -234,14 +234,13 @@ impl Progress {
     fn done(&self, body: &str, kind: &str) {
         let mut said = self.said.lock().expect("no line panics");
         said.0 += 1;
-        if said.1.elapsed() >= LINE_EVERY || said.0 == self.networks {
+        let (done, all, spent) = (said.0, self.networks, self.start.elapsed().as_secs_f64());
+        if done == all {
+            eprintln!("{all} networks trained in {}", duration(spent));
+        } else if said.1.elapsed() >= LINE_EVERY {
             said.1 = Instant::now();
-            let left = (self.networks - said.0) as f64 / said.0 as f64 * self.start.elapsed().as_secs_f64();
-            let (done, all) = (said.0, self.networks);
-            eprintln!(
-                "{done} of {all} networks trained, now {body} by {kind} signals; {} to go",
-                duration(left)
-            );
+            let left = duration(spent * (all - done) as f64 / done as f64);
+            eprintln!("{done} of {all} networks trained, now {body} by {kind} signals; {left} to go");
         }
     }
 }

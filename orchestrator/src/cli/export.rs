@@ -12,7 +12,7 @@ use super::Error;
 use crate::exit::Exit;
 use crate::export::{Mould, Outline, dxf, mould, npz, series, table};
 use crate::report::{body, load, samples::Stored};
-use crate::store::{Reader, StoreError, Table};
+use crate::store::{Reader, StoreError, Table, npy_bytes};
 
 /// The form of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -23,6 +23,8 @@ enum Form {
     Csv,
     /// The same as a Parquet file
     Parquet,
+    /// The design alone (α), as specs and commands take it
+    Npy,
     /// The body, drawn
     Svg,
     /// The body as closed polylines in mm, by layer: units, ligaments, panels, sensors
@@ -53,7 +55,7 @@ pub(super) struct Args {
     /// The file to write
     #[arg(long)]
     out: PathBuf,
-    /// Which body, for svg, dxf and stl
+    /// Which body, for npy, svg, dxf and stl
     #[arg(long, value_enum, default_value = "optimised")]
     body: Which,
     /// Width of a ligament (mm), for dxf and stl
@@ -113,6 +115,10 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         Form::Npz => npz::archive(stored, &[drawn(0)?, drawn(1)?], &[replayed(0)?, replayed(1)?]),
         Form::Csv | Form::Parquet => {
             tabular(&series::table(stored, &[replayed(0)?, replayed(1)?]), args.format, &stored.hash)?
+        }
+        Form::Npy => {
+            let design = &stored.designs[args.body as usize];
+            npy_bytes(&[design.len()], design)
         }
         Form::Svg => {
             let body = Drawing { active: Vec::new(), ..body };

@@ -35,6 +35,8 @@ pub struct Comparison {
     pub shape: [usize; 3],
     /// Length of a record (s).
     pub duration: f64,
+    /// An entry a body and kind of signals: those of measured signals first.
+    pub judged: Vec<Judged>,
 }
 
 /// Styles of lines and dots, by body.
@@ -45,32 +47,33 @@ fn class(body: usize) -> &'static str {
 }
 
 impl Comparison {
-    /// A row a body and kind of signals: those of measured signals first.
+    /// Judges each body by its measured signals, and by its model's where it has one.
     #[must_use]
-    pub fn judged(&self) -> Vec<Judged> {
-        let [_, instants, channels] = self.shape;
-        let measured = self.bodies.iter().map(|body| Judged::new(&body.name, false, &body.measured, None));
-        let simulated = self.bodies.iter().filter_map(|body| {
+    pub fn new(bodies: Vec<Body>, paired: bool, shape: [usize; 3], duration: f64) -> Self {
+        let [_, instants, channels] = shape;
+        let measured = bodies.iter().map(|body| Judged::new(&body.name, false, &body.measured, None));
+        let simulated = bodies.iter().filter_map(|body| {
             let (signals, evaluated) = body.simulated.as_ref()?;
             let agreement = Agreement::of(&body.signals, signals, [instants, channels]);
             Some(Judged::new(&body.name, true, evaluated, Some(agreement)))
         });
-        measured.chain(simulated).collect()
+        let judged = measured.chain(simulated).collect();
+        Self { bodies, paired, shape, duration, judged }
     }
 
     /// The comparison as a table.
     #[must_use]
     pub fn table(&self) -> Table {
-        table(&self.judged(), self.paired, self.duration / self.shape[1] as f64)
+        table(&self.judged, self.paired, self.duration / self.shape[1] as f64)
     }
 
     /// The table in words.
     #[must_use]
     pub fn answers(&self) -> Vec<Answer> {
-        let judged = self.judged();
+        let judged = &self.judged;
         let of = |name: &str, simulated| judged.iter().find(|j| j.body == name && j.simulated == simulated);
         let mut said = Vec::new();
-        for (body, judged) in self.bodies.iter().zip(&judged) {
+        for (body, judged) in self.bodies.iter().zip(judged) {
             let shown = |error: Option<f64>| error.map_or("–".to_owned(), number);
             let mut text = format!(
                 "The {} body: {} % on {} records, each unseen by the network that reads it ({} % on those that trained it)",
@@ -114,9 +117,9 @@ impl Comparison {
     #[must_use]
     pub fn records(&self) -> Table {
         let columns = ["body", "record", "fold", "error", "error_simulated"].map(String::from).to_vec();
-        let judged = self.judged();
+        let judged = &self.judged;
         let mut rows = Vec::new();
-        for (body, measured) in self.bodies.iter().zip(&judged) {
+        for (body, measured) in self.bodies.iter().zip(judged) {
             let promised = judged.iter().find(|j| j.simulated && j.body == body.name);
             rows.extend(measured.errors.iter().enumerate().map(|(i, error)| {
                 let simulated = promised.and_then(|promised| promised.errors[i]);
@@ -176,7 +179,7 @@ impl Comparison {
 
     /// Four records: of all bodies together where they met the same blows, else four of each.
     fn forces(&self) -> Figure {
-        let (panels, judged) = (self.shape[0], self.judged());
+        let (panels, judged) = (self.shape[0], &self.judged);
         let mut rows = Vec::new();
         let mut strip = |record: usize, bodies: &[usize]| {
             let curves = |values: &[f64]| self.curves(values, record, panels, &vec![1.0; panels]);
@@ -237,7 +240,7 @@ impl Comparison {
     }
 
     fn errors(&self) -> Figure {
-        let judged = self.judged();
+        let judged = &self.judged;
         let known = |b: usize| judged[b].errors.iter().enumerate().filter_map(|(i, e)| Some((i, (*e)?)));
         // joined, only what all bodies have
         let whole = |i: usize| (0..self.bodies.len()).all(|b| !self.paired || judged[b].errors[i].is_some());
@@ -267,7 +270,7 @@ impl Comparison {
     }
 
     fn progress(&self) -> Figure {
-        let judged = self.judged();
+        let judged = &self.judged;
         let curves = || judged.iter().filter(|judged| !judged.simulated).map(|judged| &judged.progress);
         let points = || curves().flatten();
         let x = Axis::new("iterations of the brain", Scale::Log, points().map(|p| f64::from(p.0)));
@@ -296,7 +299,7 @@ impl Comparison {
 
     /// One record of each body whose design is known, beside the model's signals.
     fn signals(&self) -> Option<Figure> {
-        let (judged, channels) = (self.judged(), self.shape[2]);
+        let (judged, channels) = (&self.judged, self.shape[2]);
         let names: Vec<String> =
             (0..channels).map(|c| format!("{}{}", ["ax", "ay", "ω"][c % 3], c / 3)).collect();
         let (mut plots, mut rows) = (Vec::new(), Vec::new());
