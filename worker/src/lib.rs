@@ -7,6 +7,7 @@ pub mod course;
 pub mod design;
 pub mod evaluate;
 pub mod files;
+pub mod identify;
 pub mod measured;
 pub mod noop;
 pub mod problem;

@@ -6,6 +6,7 @@ mod draw;
 mod evaluate;
 mod expand;
 mod export;
+mod identify;
 mod live;
 mod log;
 mod merge;
@@ -57,6 +58,7 @@ enum Command {
     Merge(merge::Args),
     Trial(trial::Args),
     Simulate(simulate::Args),
+    Identify(identify::Args),
     Status(status::Args),
     Watch(watch::Args),
     Query(query::Args),
@@ -91,6 +93,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Merge(args) => block_on(merge::execute(args)),
         Command::Trial(args) => trial::execute(&args),
         Command::Simulate(args) => simulate::execute(&args),
+        Command::Identify(args) => identify::execute(&args),
         Command::Status(args) => block_on(status::execute(args)),
         Command::Watch(args) => block_on(watch::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),

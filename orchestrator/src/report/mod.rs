@@ -3,6 +3,7 @@
 pub mod answers;
 pub mod body;
 pub mod figures;
+pub mod fit;
 pub mod load;
 pub mod plot;
 pub mod records;

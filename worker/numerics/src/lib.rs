@@ -6,6 +6,7 @@ pub mod body;
 pub mod brain;
 pub mod dynamics;
 pub mod feasible;
+pub mod identify;
 pub mod nested;
 pub mod random;
 pub mod simd;

@@ -1,0 +1,187 @@
+//! `identify`: material parameters fitted to measured records.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use indicatif::ProgressBar;
+use metasense_worker::identify::{Estimate, Fit, Iteration, Outcome, Parameter, identify};
+use metasense_worker::measured;
+use metasense_worker::simulate::body;
+use serde_json::{Value, json};
+
+use super::report::{write, write_figures};
+use super::trial::find;
+use super::{Error, Format, duration, print_rows, read_plan};
+use crate::exit::Exit;
+use crate::report::{csv, fit as pictures};
+use crate::store::{Table, npy_bytes};
+
+/// Fits stiffnesses, damping and density of a trial's body to measured records, with 95 % intervals
+///
+/// Starts from the spec's values. Records are forces and the signals that sensors gave under them, described by a TOML file.
+/// Exit code 1 if the fit does not converge, or the records do not tell all parameters that were asked for.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML)
+    spec: PathBuf,
+    /// The trial, by its hash or the beginning of it; `metasense expand SPEC` lists them
+    #[arg(long)]
+    hash: String,
+    /// What was measured (TOML, see README)
+    #[arg(long, value_name = "TOML")]
+    records: PathBuf,
+    /// The design of the body that was measured (.npy or .csv); by default the trial's initial one
+    #[arg(long, value_name = "FILE")]
+    design: Option<PathBuf>,
+    /// The parameters that are fitted; the others stay at the spec's values
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "stretch,shear,bend,damping,density")]
+    fit: Vec<Fitted>,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// Writes a page with the figures, the figures (SVG) and their data, and the fitted signals (NPY) into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// The form of the estimates
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Fitted {
+    Stretch,
+    Shear,
+    Bend,
+    Damping,
+    Density,
+    Contact,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    let trial = &find(&plan, &args.hash, &args.spec)?.spec;
+    let usage = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
+    let (layout, initial) = body(trial).map_err(|e| usage(&e))?;
+    let design = match &args.design {
+        Some(file) => metasense_worker::design::read(file, &layout)?,
+        None => initial,
+    };
+    let measured = measured::read(&args.records, trial)?;
+    let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();
+    let begun = Instant::now();
+    let bar = ProgressBar::new_spinner();
+    let mut watch = |i: &Iteration| {
+        bar.set_message(format!(
+            "first {:.3} s of the records: {:.1} % of the accelerations and {:.1} % of the rotation rates left",
+            i.window, i.misfit[0], i.misfit[1]
+        ));
+        bar.tick();
+        true
+    };
+    let fit =
+        identify(trial, &design, &measured, &free, args.threads.into(), &mut watch).map_err(|e| usage(&e))?;
+    bar.finish_and_clear();
+    let found = estimates(&fit);
+    print_rows(&found, args.format)?;
+    let records = measured.forces.samples;
+    let said = said(&fit, records);
+    if args.format == Format::Table {
+        print_rows(&correlations(&fit), args.format)?;
+        said.iter().for_each(|line| println!("{line}"));
+    }
+    eprintln!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
+    if let Some(folder) = &args.out {
+        let title = format!("{}: parameters from {records} records", plan.spec.name);
+        let drawn = pictures::figures(trial, &measured.signals, &fit);
+        write_figures(folder, &drawn)?;
+        write(&folder.join("estimates.csv"), &csv(&found))?;
+        write(&folder.join("index.html"), &pictures::page(&title, &found, &said, &drawn))?;
+        if !fit.signals[1].is_empty() {
+            let shape = [records, trial.time.samples, 3 * trial.sensor_units.len()];
+            let path = folder.join("signals.npy");
+            std::fs::write(&path, npy_bytes(&shape, &fit.signals[1])).map_err(|source| Error::Io {
+                doing: "writing",
+                path,
+                source,
+            })?;
+        }
+    }
+    Ok(if fit.outcome == Outcome::Converged { Exit::Done } else { Exit::Failed })
+}
+
+/// A row a parameter.
+fn estimates(fit: &Fit) -> Table {
+    let columns = ["parameter", "unit", "start", "fitted", "lower", "upper", "interval_percent", "outcome"];
+    let row = |e: &Estimate| {
+        let [lower, upper] = e.interval.map_or([None; 2], |i| i.map(Some));
+        let half = e.interval.map(|[low, high]| 50.0 * (high - low) / e.value);
+        let value = e.interval.map(|_| e.value);
+        let outcome = match (e.interval, fit.outcome) {
+            (None, _) => Outcome::NotIdentifiable,
+            (Some(_), Outcome::NotIdentifiable) => Outcome::Converged,
+            (Some(_), outcome) => outcome,
+        };
+        vec![
+            json!(e.parameter.name()),
+            json!(e.parameter.unit()),
+            json!(e.start),
+            json!(value),
+            json!(lower),
+            json!(upper),
+            json!(half),
+            json!(outcome.name()),
+        ]
+    };
+    Table { columns: columns.map(String::from).to_vec(), rows: fit.estimates.iter().map(row).collect() }
+}
+
+fn correlations(fit: &Fit) -> Table {
+    let names = fit.estimates.iter().map(|e| e.parameter.name().to_owned());
+    let columns = std::iter::once("correlation".to_owned()).chain(names).collect();
+    let row = |(e, row): (&Estimate, &Vec<f64>)| -> Vec<Value> {
+        std::iter::once(json!(e.parameter.name())).chain(row.iter().map(|c| json!(c))).collect()
+    };
+    Table { columns, rows: fit.estimates.iter().zip(&fit.correlation).map(row).collect() }
+}
+
+/// What there is to say beside the estimates, and the lines for a spec.
+fn said(fit: &Fit, records: usize) -> Vec<String> {
+    let [start, end] = fit.misfit;
+    let mut said = vec![
+        format!("{} after {} iterations on {records} records", fit.outcome.name(), fit.iterations.len()),
+        format!(
+            "left of the signals' RMS: accelerations {:.1} -> {:.2} % ({:.4} mm/s²), rotation rates {:.1} -> {:.2} % ({:.4} rad/s)",
+            start[0], end[0], fit.noise[0], start[1], end[1], fit.noise[1]
+        ),
+    ];
+    for direction in &fit.undetermined {
+        let parts = direction.exponents.iter().zip(&fit.estimates).filter(|(x, _)| x.abs() > 0.05);
+        let parts: Vec<String> = parts.map(|(x, e)| format!("{}^{x:.2}", e.parameter.name())).collect();
+        let factor = match direction.factor {
+            f if f.is_finite() && f < 1e6 => format!("it may be {f:.1} times larger or smaller"),
+            _ => "nothing depends on it".to_owned(),
+        };
+        said.push(format!("not identifiable: {}; {factor}", parts.join("·")));
+    }
+    if !fit.estimates.is_empty() {
+        let p = fit.parameters;
+        said.push(format!(
+            "[body]\ndensity = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\ndamping_ratio = {}",
+            digits(p.density),
+            digits(p.stretch),
+            digits(p.shear),
+            digits(p.bend),
+            digits(p.damping_ratio),
+        ));
+        if fit.estimates.iter().any(|e| e.parameter == Parameter::Contact) {
+            said.push(format!("contact.stiffness = {}", digits(p.contact)));
+        }
+    }
+    said
+}
+
+/// Six significant digits, as TOML reads them.
+fn digits(value: f64) -> String {
+    let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
+    if (1e-3..1e6).contains(&rounded) { format!("{rounded:?}") } else { format!("{rounded:e}") }
+}

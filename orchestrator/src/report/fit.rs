@@ -1,0 +1,183 @@
+//! The figures of an identification: records with the fit, and how the fit went.
+
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::identify::Fit;
+use serde_json::{Value, json};
+
+use super::plot::{Axis, Plot, Scale, number};
+use super::{Figure, figure_html, table_html};
+use crate::store::Table;
+
+/// A folder's worth of pictures about a fit to `signals` (N, T, 3M).
+#[must_use]
+pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
+    let mut drawn = Vec::new();
+    if !fit.signals[1].is_empty() {
+        drawn.push(records(trial, signals, fit));
+    }
+    drawn.push(course(fit));
+    drawn
+}
+
+/// The page: what was found, then the figures.
+#[must_use]
+pub fn page(title: &str, found: &Table, notes: &[String], figures: &[Figure]) -> String {
+    let mut content = format!(
+        "<h1>{}</h1><p class=\"question\">Which material gave these records?</p>",
+        super::escape(title)
+    );
+    // With the digits that intervals of a thousandth need
+    let digits = |value: &Value| match value.as_f64() {
+        Some(x) => json!(if (1e-3..1e6).contains(&x.abs()) { format!("{x:.5}") } else { format!("{x:.4e}") }),
+        None => value.clone(),
+    };
+    let rows = found.rows.iter().map(|row| row.iter().map(digits).collect()).collect();
+    content.push_str(&table_html(&Table { columns: found.columns.clone(), rows }));
+    for note in notes {
+        content.push_str(&format!("<pre>{}</pre>", super::escape(note)));
+    }
+    for figure in figures {
+        content.push_str(&figure_html(figure));
+    }
+    super::page(title, &content)
+}
+
+/// The records of least, middle and most misfit: acceleration and rotation rate of the sensor that moves most.
+fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
+    let (instants, width) = (trial.time.samples, 3 * trial.sensor_units.len());
+    let len = instants * width;
+    let count = signals.len() / len;
+    let dt = trial.time.duration / instants as f64;
+    let [before, after] = &fit.signals;
+    let of = |values: &[f64], r: usize, c: usize| -> Vec<f64> {
+        (0..instants).map(|n| values[r * len + n * width + c]).collect()
+    };
+    let size = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
+    let channel = |kinds: &[usize]| -> usize {
+        let energy = |c: &usize| (0..count).map(|r| size(&of(signals, r, *c))).sum::<f64>();
+        let channels = (0..width).filter(|c| kinds.contains(&(c % 3)));
+        channels.max_by(|a, b| energy(a).total_cmp(&energy(b))).unwrap_or(0)
+    };
+    let shown = [channel(&[0, 1]), channel(&[2])];
+    let misfit = |r: usize| -> f64 {
+        let off = |c: usize| {
+            let (measured, fitted) = (of(signals, r, c), of(after, r, c));
+            let rest: Vec<f64> = measured.iter().zip(&fitted).map(|(y, a)| y - a).collect();
+            (size(&rest) / size(&measured).max(f64::MIN_POSITIVE)).sqrt()
+        };
+        100.0 * off(shown[0]).hypot(off(shown[1])) / 2f64.sqrt()
+    };
+    let mut order: Vec<usize> = (0..count).collect();
+    order.sort_by(|a, b| misfit(*a).total_cmp(&misfit(*b)));
+    let mut chosen = vec![order[0], order[count / 2], order[count - 1]];
+    chosen.dedup();
+    let (mut plots, mut rows) = (Vec::new(), Vec::new());
+    for &r in &chosen {
+        for &c in &shown {
+            let [measured, started, fitted] = [signals, before, after].map(|v| of(v, r, c));
+            let unit = trial.sensor_units[c / 3];
+            let name = ["a_x", "a_y", "ω"][c % 3];
+            // In m/s², whose numbers are short
+            let (scale, units) = if c % 3 == 2 { (1.0, "rad/s") } else { (1e-3, "m/s²") };
+            let label = format!("{name} of unit {unit} ({units})");
+            let time = |n: usize| (n + 1) as f64 * dt;
+            // A start far off is cut at the frame rather than setting its scale.
+            let reach = measured.iter().chain(&fitted).fold(0.0f64, |m, y| m.max(y.abs()));
+            let reach = 1.15 * scale * reach;
+            let mut plot = Plot::new(
+                &format!("Record {r}: {} % off", number(misfit(r))),
+                Axis::new("time (s)", Scale::Linear, [0.0, trial.time.duration]),
+                Axis::new(&label, Scale::Linear, [-reach, reach]),
+            )
+            .sized(560.0, 260.0);
+            let points = |v: &[f64]| -> Vec<(f64, f64)> {
+                v.iter().enumerate().map(|(n, y)| (time(n), (scale * y).clamp(-reach, reach))).collect()
+            };
+            let rest: Vec<f64> = measured.iter().zip(&fitted).map(|(y, a)| y - a).collect();
+            plot.line("initial fine", points(&started));
+            plot.line("truth", points(&measured));
+            plot.line("optimised fine", points(&fitted));
+            plot.line("front fine", points(&rest));
+            plots.push(plot.svg());
+            for n in 0..instants {
+                rows.push(vec![
+                    json!(r),
+                    json!(unit),
+                    json!(name),
+                    json!(time(n)),
+                    json!(measured[n]),
+                    json!(started[n]),
+                    json!(fitted[n]),
+                ]);
+            }
+        }
+    }
+    Figure {
+        name: "fit",
+        title: "Do the simulated signals follow the records?".into(),
+        caption: format!(
+            "Records of least, middle and most misfit of {count}: the accelerations and rotation rates that move most. The \
+             start is cut at the frame. All records: {} % of the accelerations' RMS and {} % of the rotation rates' are left, \
+             {} % and {} % at the start.",
+            number(fit.misfit[1][0]),
+            number(fit.misfit[1][1]),
+            number(fit.misfit[0][0]),
+            number(fit.misfit[0][1]),
+        ),
+        legend: vec![
+            ("truth", "measured".into()),
+            ("optimised", "fitted".into()),
+            ("initial", "start".into()),
+            ("front", "measured − fitted".into()),
+        ],
+        plots,
+        small: false,
+        data: table(&["record", "unit", "channel", "seconds", "measured", "start", "fitted"], rows),
+    }
+}
+
+/// Misfit and parameters against iterations.
+fn course(fit: &Fit) -> Figure {
+    let steps: Vec<f64> = (1..=fit.iterations.len()).map(|i| i as f64).collect();
+    let axis = || Axis::new("iteration", Scale::Linear, [0.0, steps.len() as f64]);
+    let misfits = fit.iterations.iter().flat_map(|i| i.misfit);
+    let label = "left of the signals in the window (%)";
+    let mut off = Plot::new("Misfit", axis(), Axis::new(label, Scale::Log, misfits)).sized(560.0, 280.0);
+    for (kind, class) in [(0, "truth"), (1, "front")] {
+        off.line(class, steps.iter().zip(&fit.iterations).map(|(n, i)| (*n, i.misfit[kind])));
+    }
+    let mut plots = vec![off.svg()];
+    for e in &fit.estimates {
+        let way = fit.iterations.iter().map(|i| i.parameters.array()[e.parameter as usize]);
+        let unit =
+            if e.parameter.unit().is_empty() { String::new() } else { format!(" ({})", e.parameter.unit()) };
+        let label = format!("{}{unit}", e.parameter.name());
+        let span = way.clone().chain([0.8 * e.value, 1.25 * e.value]);
+        let title = format!("{}: {}", e.parameter.name(), number(e.value));
+        let mut plot = Plot::new(&title, axis(), Axis::new(&label, Scale::Log, span)).sized(560.0, 280.0);
+        plot.line("optimised", steps.iter().copied().zip(way));
+        plots.push(plot.svg());
+    }
+    let rows = fit.iterations.iter().enumerate().map(|(n, i)| {
+        let mut row = vec![json!(n + 1), json!(i.window), json!(i.misfit[0]), json!(i.misfit[1])];
+        row.extend(fit.estimates.iter().map(|e| json!(i.parameters.array()[e.parameter as usize])));
+        row
+    });
+    let mut columns = vec!["iteration", "window_seconds", "misfit_acceleration", "misfit_rotation"];
+    columns.extend(fit.estimates.iter().map(|e| e.parameter.name()));
+    Figure {
+        name: "convergence",
+        title: "How did the fit go?".into(),
+        caption: "Each record is looked at from its first force on, for a window that grows: misfit within it. Where a window is \
+                  lost, the fit begins again from other values."
+            .into(),
+        legend: vec![("truth", "accelerations".into()), ("front", "rotation rates".into())],
+        plots,
+        small: false,
+        data: table(&columns, rows.collect()),
+    }
+}
+
+fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
+    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
+}

@@ -1,0 +1,190 @@
+//! `identify`: records of a body in, its material out.
+
+mod common;
+
+use common::Bench;
+use npyz::WriterBuilder;
+
+const SPEC: &str = r#"name = "i"
+[body]
+columns = 3
+rows = 3
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+damping_ratio = 0.03
+[time]
+duration = 0.2
+samples = 40
+[stimuli]
+kind = "bell"
+samples = 4
+test = 1
+[sweep]
+panels = [2]
+sensors = [1]
+"#;
+
+/// Ligament by ligament: what made the records, and what the fit starts from.
+const TRUE: [f64; 5] = [3.3, 0.42, 1.15, 0.04, 1.15e-8];
+
+fn write(bench: &Bench, name: &str, shape: &[u64], values: &[f64]) {
+    let mut bytes = Vec::new();
+    let mut npy =
+        npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
+    npy.extend(values.iter().copied()).unwrap();
+    npy.finish().unwrap();
+    std::fs::write(bench.path(name), bytes).unwrap();
+}
+
+fn hash(bench: &Bench, spec: &str) -> String {
+    let csv = bench.output(&["expand", spec, "--format", "csv"]);
+    let mut lines = csv.lines().map(|line| line.split(','));
+    let at = lines.next().and_then(|mut names| names.position(|name| name == "hash")).unwrap();
+    lines.next().and_then(|mut row| row.nth(at)).unwrap().to_owned()
+}
+
+/// Three blows on both panels, and what the body of `TRUE` gives under them, 2 % of noise added; told by two files: the arrays
+/// as `simulate` writes them, and a CSV of one record whose signals have a clock ten times as fine, and other units.
+fn bench() -> Bench {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    let [stretch, shear, bend, damping, density] = TRUE;
+    let made = SPEC
+        .replace(
+            "stretch = 3.0, shear = 0.5, bend = 1.0",
+            &format!("stretch = {stretch}, shear = {shear}, bend = {bend}"),
+        )
+        .replace("1e-8", &density.to_string())
+        .replace("0.03", &damping.to_string());
+    bench.file("true.toml", &made);
+    let blow = |record: usize, panel: usize, t: f64| {
+        let (onset, width) = (0.01 + 0.01 * record as f64, 0.05 + 0.02 * panel as f64);
+        let z = ((t - onset) / width).clamp(0.0, 1.0);
+        (0.2 + 0.1 * record as f64 - 0.1 * panel as f64) * (std::f64::consts::PI * z).sin().powi(2)
+    };
+    let forces = |records: usize, instants: usize| -> Vec<f64> {
+        let each = (0..records).flat_map(|r| [0, 1].map(|k| (r, k)));
+        each.flat_map(|(r, k)| (0..=instants).map(move |n| blow(r, k, 0.2 * n as f64 / instants as f64)))
+            .collect()
+    };
+    let run = |spec: &str, forces: &str, out: &str| {
+        bench.output(&["simulate", spec, "--hash", &hash(&bench, spec), "--forces", forces, "--out", out]);
+        let bytes = std::fs::read(bench.path(&format!("{out}/signals.npy"))).unwrap();
+        npyz::NpyFile::new(&bytes[..]).unwrap().into_vec::<f64>().unwrap()
+    };
+    // Equidistributed, hence the same on every machine: the sum of twelve such numbers is close to normal.
+    let noise =
+        |i: usize| -> f64 { (1..=12).map(|k| ((i * 12 + k) as f64 * 0.754_877_666).fract() - 0.5).sum() };
+    let noisy = |signals: &[f64]| -> Vec<f64> {
+        let size = |c: usize| {
+            let of: Vec<f64> = signals.iter().skip(c).step_by(3).map(|s| s * s).collect();
+            (of.iter().sum::<f64>() / of.len() as f64).sqrt()
+        };
+        let size = [size(0).max(size(1)), size(0).max(size(1)), size(2)];
+        signals.iter().enumerate().map(|(i, s)| s + 0.02 * size[i % 3] * noise(i)).collect()
+    };
+    write(&bench, "f.npy", &[3, 2, 41], &forces(3, 40));
+    write(&bench, "y.npy", &[3, 40, 3], &noisy(&run("true.toml", "f.npy", "a")));
+    bench.file(
+        "r.toml",
+        "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"y.npy\"]\nstart = 0.005\n",
+    );
+    bench.file("fine.toml", &made.replace("samples = 40", "samples = 400"));
+    write(&bench, "g.npy", &[1, 2, 401], &forces(1, 400));
+    let signals = noisy(&run("fine.toml", "g.npy", "b"));
+    let mut csv = String::from("ms,left,right,ax,ay,spin\n");
+    for n in 0..=400 {
+        let t = 0.2 * n as f64 / 400.0;
+        let y = |c: usize| if n == 0 { 0.0 } else { signals[3 * (n - 1) + c] };
+        let (ax, ay, spin) = (y(0) * 1e-3, y(1) * 1e-3, y(2).to_degrees());
+        csv += &format!("{},{},{},{ax},{ay},{spin}\n", 1e3 * t, 1e3 * blow(0, 0, t), 1e3 * blow(0, 1, t));
+    }
+    bench.file("record.csv", &csv);
+    bench.file(
+        "csv.toml",
+        "[recorded]\nfiles = [\"record.csv\"]\ntime = \"ms\"\ntime_unit = \"ms\"\nforce = [\"left\", \"right\"]\n\
+         force_unit = \"mN\"\n[signals]\nchannels = [\"ax\", \"ay\", \"spin\"]\nacceleration_unit = \"m/s2\"\n\
+         angular_velocity_unit = \"deg/s\"\n",
+    );
+    bench
+}
+
+/// Fitted, lower, upper of each row.
+fn estimates(csv: &str) -> Vec<[f64; 3]> {
+    let number = |text: &str| text.parse().unwrap_or(f64::NAN);
+    let rows = csv.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>());
+    rows.map(|row| [number(row[3]), number(row[4]), number(row[5])]).collect()
+}
+
+fn assert_true(found: &[[f64; 3]], within: f64) {
+    assert_eq!(found.len(), 5, "{found:?}");
+    for ([value, low, high], truth) in found.iter().zip(TRUE) {
+        assert!((low..=high).contains(&&truth), "{truth} outside {low} … {high}; {found:?}");
+        assert!((value / truth - 1.0).abs() < within, "{value} for {truth}; {found:?}");
+    }
+}
+
+/// The material comes back from arrays, with the same digits on one thread and two; the page, its figures, data and the
+/// fitted signals are written; parameters that are not asked for stay; no interval is left out.
+#[test]
+fn records_tell_the_material() {
+    let bench = bench();
+    let hash = hash(&bench, "s.toml");
+    let fit = |more: &[&str]| {
+        let call = [&["identify", "s.toml", "--hash", &hash, "--records", "r.toml"], more].concat();
+        bench.output(&call)
+    };
+    let one = fit(&["--format", "csv"]);
+    let two = fit(&["--format", "csv", "--threads", "2", "--out", "fit"]);
+    assert_eq!(one, two);
+    assert_true(&estimates(&one), 0.1);
+    for (name, start) in [
+        ("index.html", "<!doctype html>"),
+        ("fit-1.svg", "<svg"),
+        ("convergence-2.svg", "<svg"),
+        ("fit.csv", "record,unit,channel"),
+        ("convergence.csv", "iteration,"),
+        ("estimates.csv", "parameter,unit"),
+    ] {
+        let text = std::fs::read_to_string(bench.path(&format!("fit/{name}"))).unwrap();
+        assert!(text.starts_with(start), "{name}: {}", &text[..40]);
+    }
+    let bytes = std::fs::read(bench.path("fit/signals.npy")).unwrap();
+    assert_eq!(npyz::NpyFile::new(&bytes[..]).unwrap().shape(), [3, 40, 3]);
+    let table = fit(&["--fit", "density,bend"]);
+    assert!(table.contains("converged") && table.contains("stretch = 3.0, shear = 0.5, bend = "), "{table}");
+}
+
+/// A clock of its own, other units: compared on a clock that says what the records say.
+#[test]
+fn a_record_with_a_clock_of_its_own_tells_the_material() {
+    let bench = bench();
+    let spec = SPEC.replace("samples = 40", "samples = 400");
+    bench.file("s.toml", &spec);
+    let hash = hash(&bench, "s.toml");
+    let found =
+        bench.output(&["identify", "s.toml", "--hash", &hash, "--records", "csv.toml", "--format", "csv"]);
+    assert_true(&estimates(&found), 0.1);
+}
+
+/// Named, with what to do about it, before anything is simulated.
+#[test]
+fn what_cannot_be_fitted_is_refused() {
+    let bench = bench();
+    bench.file("still.toml", &SPEC.replace("damping_ratio = 0.03", "damping_ratio = 0.0"));
+    let refused = |spec: &str, records: &str, more: &[&str], says: &[&str]| {
+        let hash = hash(&bench, spec);
+        let call = [&["identify", spec, "--hash", &hash, "--records", records], more].concat();
+        let run = bench.metasense(&call);
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.code() == Some(2) && says.iter().all(|s| said.contains(s)), "{said}");
+    };
+    refused("s.toml", "r.toml", &["--fit", "weight"], &["--fit", "weight", "stretch"]);
+    refused("s.toml", "nowhere.toml", &[], &["nowhere.toml"]);
+    bench.file("lost.toml", "[recorded]\nfiles = [\"lost.npy\"]\nrate = 200.0\n[signals]\n");
+    refused("s.toml", "lost.toml", &[], &["lost.npy"]);
+    refused("still.toml", "r.toml", &[], &["still.toml", "body.damping_ratio = 0", "--fit"]);
+    refused("s.toml", "r.toml", &["--fit", "contact"], &["body.contact.stiffness = 0"]);
+}

@@ -1,0 +1,57 @@
+//! Material parameters from measured records, for a trial's body.
+
+pub use metasense_numerics::identify::{Estimate, Fit, Iteration, Outcome, Parameter};
+use metasense_numerics::identify::{Settings, fit};
+use metasense_schemas::spec::TrialSpec;
+
+use crate::measured::Measured;
+use crate::problem::problem;
+use crate::run::Failure;
+
+/// Most iterations, those on the beginnings of the records included.
+const ITERATIONS: usize = 1000;
+
+/// Fits `free` parameters of the trial's body, of this design, to records; the others stay at the spec's values.
+///
+/// Signals are compared as sensors of the trial's frame read them, without noise, bias and delay of its chips. `watch` sees
+/// every iteration and ends the fit by `false`.
+///
+/// # Errors
+/// If the spec stands for no trial, or a parameter does not start above 0.
+pub fn identify(
+    trial: &TrialSpec,
+    design: &[f64],
+    measured: &Measured,
+    free: &[Parameter],
+    threads: usize,
+    watch: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<Fit, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let scene = &problem.scene;
+    let mut free = free.to_vec();
+    free.sort_unstable();
+    free.dedup();
+    for parameter in &free {
+        let value = metasense_numerics::dynamics::Parameters::of(scene).array()[*parameter as usize];
+        if value <= 0.0 {
+            let key = match parameter {
+                Parameter::Stretch => "body.stiffness.stretch",
+                Parameter::Shear => "body.stiffness.shear",
+                Parameter::Bend => "body.stiffness.bend",
+                Parameter::Damping => "body.damping_ratio",
+                Parameter::Density => "body.density",
+                Parameter::Contact => "body.contact.stiffness",
+            };
+            return Err(Failure::Rejected(format!(
+                "{key} = {value}: a fit must start above 0; give a value, or leave {:?} out of --fit",
+                parameter.name()
+            )));
+        }
+    }
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.max(1))
+        .build()
+        .map_err(|e| Failure::Rejected(format!("a pool of {threads} threads: {e}")))?;
+    let settings = Settings { free, solver: problem.solver, iterations: ITERATIONS };
+    Ok(fit(scene, design, &measured.forces, &measured.signals, &settings, &pool, watch))
+}
