@@ -8,6 +8,7 @@
 //! S = M + γh C + γ²h² ∂²U, a band matrix factored as L D Lᵀ in lanes and kept while a lane converges in few iterations.
 //! What an L-stable method forgets cannot be run backwards: the reverse sweep repeats each interval from its checkpoint.
 
+use super::balance::Balance;
 use super::system::{Ramp, System, Unit, add_into, load_lanes, read_lane, store_lane};
 use super::tsit5::{Slot, Sweep};
 use super::vector::Vector;
@@ -317,6 +318,9 @@ pub fn forward<V: Vector>(
     let mut a: [Vec<Unit<V>>; STAGES] = std::array::from_fn(|_| system.zeros());
     let mut stage = Stage::new(system);
     let mut steps = 0;
+    ramp.at(0, 0.0, &mut force);
+    // Newton's iterations may settle on a state far off, which is a solution to rounding there.
+    let mut balance = Balance::new(scene, system.model, &force);
     for interval in 0..scene.instants {
         for step in 0..substeps {
             // The first guess is the A before; each interval starts from none, as the reverse sweep must.
@@ -327,9 +331,11 @@ pub fn forward<V: Vector>(
             }
             let at = |c: f64, force: &mut [V]| ramp.at(interval * substeps + step, c, force);
             stage.step(system, h, at, &mut force, (&mut x, &mut v), &mut a);
+            balance.add(&x, &force);
         }
         steps += substeps as u64;
         let (margins, failed) = (stage.margin.array(), stage.failed.array());
+        let excess = balance.excess(&v).array();
         for (l, slot) in slots.iter_mut().enumerate() {
             if *slot.outcome != Outcome::Ok {
                 continue;
@@ -341,6 +347,8 @@ pub fn forward<V: Vector>(
                 *slot.outcome = Outcome::NonFinite;
             } else if failed[l] > 0.0 {
                 *slot.outcome = Outcome::NoConvergence;
+            } else if excess[l] > 0.0 {
+                *slot.outcome = Outcome::Unstable;
             } else {
                 let signals = &mut slot.signals[interval * width..][..width];
                 read_lane(scene, &x, &v, &a[STAGES - 1], l, signals);
