@@ -9,7 +9,7 @@
 //! Runge–Kutta–Nyström order conditions ask. S. Blanes, P. C. Moan, J. Comput. Appl. Math. 142 (2002) 313–330.
 //!
 //! The schemes run backwards too: the reverse sweep rebuilds states from the next checkpoint, with the forces that
-//! its dual evaluations yield on the way.
+//! its evaluations of second derivatives yield on the way.
 
 use super::balance::Balance;
 use super::system::{Ramp, System, Unit, add_into, load_lanes, read_lane, store_lane};

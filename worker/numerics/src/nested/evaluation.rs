@@ -2,7 +2,7 @@
 
 use super::problem::{Schedule, Training};
 use super::report::{Log, Trouble};
-use super::setting::Setting;
+use super::setting::{Setting, mean_error};
 use crate::brain::{self, Adam, Data, Shape, TrainOutcome, Workspace};
 use crate::dynamics::Forces;
 use crate::random::Purpose;
@@ -103,8 +103,9 @@ fn network(
     let mut workspace = Workspace::new(*shape);
     let data = setting.data(train, &setting.train);
     let unseen = setting.data(holdout_signals, holdout);
-    let mut aside = Workspace::new(*shape);
-    let mut progress = |weights: &[f32]| setting.error(weights, &unseen, holdout, &mut aside).0;
+    let (truth, mut aside) = (problem.targets(holdout), Workspace::new(*shape));
+    let mut progress =
+        |weights: &[f32]| mean_error(&setting.scales.predict(weights, &unseen, &truth, &mut aside, pool).1);
     let training = Training { iterations, ..problem.brain };
     let Fresh { weights, losses, errors, outcome } = log.timed(
         |s| &mut s.train,

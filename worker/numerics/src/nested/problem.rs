@@ -1,7 +1,7 @@
 //! What a trial is to the maths.
 
-use super::chip::Disturbance;
-use crate::brain::Policy;
+use super::chip::{Chip, Disturbance};
+use crate::brain::{Policy, Shape};
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::Limits;
 use crate::random::Purpose;
@@ -175,6 +175,22 @@ impl Optimise {
 }
 
 impl Problem {
+    /// Of the network on the scene's clock, sensors and panels.
+    pub(super) fn shape(&self) -> Shape {
+        Shape {
+            instants: self.scene.instants,
+            inputs: 3 * self.scene.sensors.len(),
+            width: self.brain.width,
+            outputs: self.scene.panels.len(),
+        }
+    }
+
+    /// The sensors' chips, what is relative in them so to `rms` of each channel.
+    pub(super) fn chip(&self, rms: &[f64]) -> Option<Chip> {
+        let delta = self.scene.duration / self.scene.instants as f64;
+        self.disturbance.map(|d| Chip::new(&d, self.seed, delta, rms))
+    }
+
     /// `count` force histories of the scene's clock and panels, from number `first` of `purpose`.
     pub(super) fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
         let (panels, scene) = (self.scene.panels.len(), &self.scene);

@@ -43,17 +43,11 @@ impl<'a> Setting<'a> {
         let all = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples);
         let (train, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
         let (train, test) = (select(&all, &train), select(&all, &test));
-        let shape = Shape {
-            instants: problem.scene.instants,
-            inputs: 3 * problem.scene.sensors.len(),
-            width: problem.brain.width,
-            outputs: problem.scene.panels.len(),
-        };
+        let shape = problem.shape();
         let simulation = simulate(&problem.scene, &problem.initial, &train, &problem.solver, false, pool);
         all_well(&simulation.outcomes).map_err(Failure::Initial)?;
         let scales = Scales::new(&shape, &simulation.signals, &problem.targets(&train));
-        let delta = problem.scene.duration / problem.scene.instants as f64;
-        let chip = problem.disturbance.map(|d| Chip::new(&d, problem.seed, delta, &scales.channels));
+        let chip = problem.chip(&scales.channels);
         let mut setting =
             Self { problem, pool, shape, train, test, scales, chip, initial_signals: simulation.signals };
         let mut signals = std::mem::take(&mut setting.initial_signals);

@@ -3,7 +3,6 @@
 //! A seeded shuffle deals the records into folds; a fold's network trains on all others, from the initial weights of the
 //! comparison at the end of a trial. Its scales are those of its own training records.
 
-use super::chip::Chip;
 use super::evaluation::{Fresh, train_fresh};
 use super::problem::{Problem, Schedule, Training};
 use super::report::{Failure, Trouble};
@@ -137,16 +136,9 @@ pub fn sense(
     let simulation = simulate(scene, design, forces, &solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     let mut signals = simulation.signals;
-    if let Some(disturbance) = &problem.disturbance {
-        let shape = Shape {
-            instants: scene.instants,
-            inputs: 3 * scene.sensors.len(),
-            width: problem.brain.width,
-            outputs: forces.panels,
-        };
-        let scales = Scales::new(&shape, &signals, &[]);
-        let delta = scene.duration / scene.instants as f64;
-        Chip::new(disturbance, problem.seed, delta, &scales.channels).disturb(&mut signals, forces);
+    let rms = Scales::new(&problem.shape(), &signals, &[]).channels;
+    if let Some(chip) = problem.chip(&rms) {
+        chip.disturb(&mut signals, forces);
     }
     Ok(signals)
 }
