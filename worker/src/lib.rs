@@ -19,3 +19,4 @@ pub mod simulate;
 pub mod verify;
 
 pub use metasense_numerics::brain::milestones;
+pub use metasense_numerics::student::student;

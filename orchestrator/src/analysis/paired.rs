@@ -5,6 +5,7 @@
 
 use super::data::{CurvePoint, Set, Trial};
 use super::{Body, Interval};
+use metasense_worker::student;
 
 /// A ratio over trials.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,20 +42,6 @@ impl Ratio {
             interval,
         })
     }
-}
-
-/// 97.5 % quantile of Student's t.
-#[must_use]
-pub fn student(freedom: usize) -> f64 {
-    const TABLE: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
-    if freedom <= TABLE.len() {
-        return TABLE[freedom.max(1) - 1];
-    }
-    // Cornish–Fisher in 1/freedom to third order: off by less than 1e-3 here.
-    let (z, n) = (1.959_964f64, freedom as f64);
-    z + (z.powi(3) + z) / (4.0 * n)
-        + (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / (96.0 * n * n)
-        + (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / (384.0 * n.powi(3))
 }
 
 /// Error of the initial over error of the optimised body.
@@ -154,14 +141,6 @@ mod tests {
         assert!((interval.high.ln() - (0.7 + half)).abs() < 1e-9, "{interval:?}");
         assert_eq!(Ratio::of(&[2.0]).unwrap().interval, None);
         assert_eq!(Ratio::of(&[]), None);
-    }
-
-    /// Values of a printed table.
-    #[test]
-    fn student_s_quantiles() {
-        for (freedom, quantile) in [(1, 12.706), (10, 2.228), (11, 2.201), (30, 2.042), (120, 1.980)] {
-            assert!((student(freedom) - quantile).abs() < 2e-3, "{freedom}: {}", student(freedom));
-        }
     }
 
     /// Loss 1/n on the initial body and 1/(4n) on the optimised one: equal at a quarter of the iterations.

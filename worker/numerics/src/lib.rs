@@ -11,3 +11,4 @@ pub mod nested;
 pub mod random;
 pub mod simd;
 pub mod stimuli;
+pub mod student;

@@ -9,6 +9,7 @@
 
 use super::Parameter;
 use super::objective::{Objective, Point};
+use crate::student::student;
 use nalgebra::{DMatrix, DVector};
 
 /// Records from which each is a group, and groups at least where they are parts of records.
@@ -153,25 +154,4 @@ fn jackknife(
     let mean = steps.iter().sum::<DVector<f64>>() / *count as f64;
     let spread = |s: &DVector<f64>| (s - &mean) * (s - &mean).transpose();
     steps.iter().map(spread).sum::<DMatrix<f64>>() * ((*count - 1) as f64 / *count as f64)
-}
-
-/// 97.5 % quantile of Student's t, from nine degrees of freedom to within 1e-3 (Abramowitz and Stegun 26.7.5).
-fn student(degrees: usize) -> f64 {
-    let (z, n) = (1.959_964f64, degrees.max(1) as f64);
-    let first = (z.powi(3) + z) / 4.0;
-    let second = (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / 96.0;
-    let third = (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / 384.0;
-    z + first / n + second / n.powi(2) + third / n.powi(3)
-}
-
-#[cfg(test)]
-mod tests {
-    /// Values of the tables.
-    #[test]
-    fn quantiles_are_those_of_the_tables() {
-        for (degrees, value) in [(9, 2.2622), (19, 2.0930), (100, 1.9840)] {
-            let ours = super::student(degrees);
-            assert!((ours - value).abs() < 1e-3, "{degrees}: {ours} against {value}");
-        }
-    }
 }
