@@ -6,7 +6,7 @@ use metasense_schemas::spec::TrialSpec;
 
 use crate::convert;
 use crate::problem::problem;
-use crate::run::{Control, Failure, Observe, run_trial};
+use crate::run::{Control, Failure, Observe, pool, run_trial};
 
 /// A body that a trial had reached.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,13 +69,6 @@ pub fn downhill(
 
 fn scene(trial: &TrialSpec) -> Result<nested::Problem, Failure> {
     problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
-}
-
-fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.max(1))
-        .build()
-        .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))
 }
 
 struct Keeper<'a> {

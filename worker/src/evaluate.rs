@@ -9,8 +9,8 @@ use metasense_schemas::spec::TrialSpec;
 use crate::convert::finite;
 use crate::measured::Measured;
 use crate::problem::problem;
-use crate::replay::{check, pool};
-use crate::run::Failure;
+use crate::replay::check;
+use crate::run::{Failure, pool};
 
 /// How many networks, and how long they train.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

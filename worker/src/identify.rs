@@ -6,7 +6,7 @@ use metasense_schemas::spec::TrialSpec;
 
 use crate::measured::Measured;
 use crate::problem::problem;
-use crate::run::Failure;
+use crate::run::{Failure, pool};
 
 /// Most iterations, those on the beginnings of the records included.
 const ITERATIONS: usize = 1000;
@@ -48,10 +48,7 @@ pub fn identify(
             )));
         }
     }
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.max(1))
-        .build()
-        .map_err(|e| Failure::Rejected(format!("a pool of {threads} threads: {e}")))?;
+    let pool = pool(threads)?;
     let settings = Settings { free, solver: problem.solver, iterations: ITERATIONS };
     Ok(fit(scene, design, &measured.forces, &measured.signals, &settings, &pool, watch))
 }

@@ -7,7 +7,7 @@ pub use metasense_numerics::nested::{Motion, Replay};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::problem::problem;
-use crate::run::Failure;
+use crate::run::{Failure, pool};
 
 /// A body to draw.
 #[derive(Debug, Clone, PartialEq)]
@@ -103,13 +103,6 @@ fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure
             Err(Failure::Rejected(format!("the stored {what} has {given} numbers, the trial {expected}")))
         }
     }
-}
-
-pub(crate) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.max(1))
-        .build()
-        .map_err(|e| Failure::Rejected(format!("a pool of {threads} threads: {e}")))
 }
 
 #[cfg(test)]

@@ -58,10 +58,7 @@ pub fn run_trial(
             Some(convert::state(checkpoint, problem.initial.len()).map_err(Failure::Rejected)?)
         }
     };
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.max(1))
-        .build()
-        .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))?;
+    let pool = pool(threads)?;
     let mut watch = Watch { observer, start: Instant::now(), store: 0.0 };
     match nested::optimise(&problem, resume, &pool, &mut watch) {
         Ok(Some(optimised)) => Ok(result(optimised)),
@@ -80,6 +77,14 @@ fn result(optimised: Optimised) -> TrialResult {
         simd: Width::detect().name().into(),
         solver: optimised.solver,
     }
+}
+
+/// Threads for the maths.
+pub(crate) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.max(1))
+        .build()
+        .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))
 }
 
 /// Gives the maths a clock, and its reports the form in which they are stored.

@@ -4,7 +4,7 @@ use metasense_numerics::dynamics::{self, Forces, Outcome, energy, pull_back, tun
 use metasense_schemas::spec::TrialSpec;
 
 use crate::problem::problem;
-use crate::run::Failure;
+use crate::run::{Failure, pool};
 
 /// What a body does; N samples, T instants, M sensors.
 #[derive(Debug, Clone, PartialEq)]
@@ -72,10 +72,7 @@ pub fn simulate(
     if let Some(bad) = design.iter().chain(forces.1).find(|x| !x.is_finite()) {
         return Err(rejected(format!("{bad} among the numbers of design and forces")));
     }
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.max(1))
-        .build()
-        .map_err(|e| rejected(format!("a pool of {threads} threads: {e}")))?;
+    let pool = pool(threads)?;
     let forces = Forces { samples, panels, instants: clock, values: forces.1.to_vec() };
     let tuned = tune(scene, design, &forces, &problem.solver, &pool);
     let run = dynamics::simulate(scene, design, &forces, &tuned.solver, true, &pool);
