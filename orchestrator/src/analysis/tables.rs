@@ -125,10 +125,6 @@ impl Question {
     }
 }
 
-fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
-    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
-}
-
 fn ends(interval: Option<Interval>) -> [Value; 2] {
     [json!(interval.map(|i| i.low)), json!(interval.map(|i| i.high))]
 }
@@ -149,7 +145,7 @@ fn paired_table(trials: &[&Trial]) -> Table {
             }
         }
     }
-    table(&["setting", "set", "trials", "improved", "ratio", "low", "high"], rows)
+    Table::new(&["setting", "set", "trials", "improved", "ratio", "low", "high"], rows)
 }
 
 fn iterations_table(trials: &[&Trial]) -> Table {
@@ -163,7 +159,7 @@ fn iterations_table(trials: &[&Trial]) -> Table {
             })
         })
         .collect();
-    table(&["setting", "to_equal", "trials", "faster", "ratio", "low", "high"], rows)
+    Table::new(&["setting", "to_equal", "trials", "faster", "ratio", "low", "high"], rows)
 }
 
 fn long_table(trials: &[&Trial]) -> Table {
@@ -196,7 +192,7 @@ fn long_table(trials: &[&Trial]) -> Table {
         "low",
         "high",
     ];
-    table(&columns, rows)
+    Table::new(&columns, rows)
 }
 
 fn random_table(trials: &[&Trial]) -> Table {
@@ -236,7 +232,7 @@ fn random_table(trials: &[&Trial]) -> Table {
         "over_optimised_low",
         "over_optimised_high",
     ];
-    table(&columns, rows)
+    Table::new(&columns, rows)
 }
 
 /// The groups with a curve: at least two places on the axis; all groups where none has.
@@ -299,7 +295,7 @@ fn sensors_table(trials: &[&Trial]) -> Table {
         "gain_low",
         "gain_high",
     ];
-    table(&columns, rows)
+    Table::new(&columns, rows)
 }
 
 fn has_votes(elbow: &super::Elbow) -> bool {
@@ -336,7 +332,10 @@ fn elbow_table(trials: &[&Trial]) -> Table {
         }
         rows.push(row);
     });
-    table(&["setting", "body", "set", "verdict", "broken_stick", "votes_for_none", "kneedle", "chord"], rows)
+    Table::new(
+        &["setting", "body", "set", "verdict", "broken_stick", "votes_for_none", "kneedle", "chord"],
+        rows,
+    )
 }
 
 fn fewer_table(trials: &[&Trial]) -> Table {
@@ -366,7 +365,7 @@ fn fewer_table(trials: &[&Trial]) -> Table {
         "optimised_error",
         "votes",
     ];
-    table(&columns, rows)
+    Table::new(&columns, rows)
 }
 
 fn placements_table(trials: &[&Trial]) -> Table {
@@ -383,7 +382,7 @@ fn placements_table(trials: &[&Trial]) -> Table {
             ]);
         }
     });
-    table(&["setting", "body", "set", "placements", "deviation", "worst_over_best"], rows)
+    Table::new(&["setting", "body", "set", "placements", "deviation", "worst_over_best"], rows)
 }
 
 fn sizes_table(trials: &[&Trial]) -> Table {
@@ -402,7 +401,7 @@ fn sizes_table(trials: &[&Trial]) -> Table {
             ]);
         }
     });
-    table(&["setting", "body", "set", "design_parameters", "trials", "error", "least", "most"], rows)
+    Table::new(&["setting", "body", "set", "design_parameters", "trials", "error", "least", "most"], rows)
 }
 
 fn complexity_table(trials: &[&Trial]) -> Table {
@@ -429,7 +428,7 @@ fn complexity_table(trials: &[&Trial]) -> Table {
     });
     let columns =
         ["setting", "body", "set", "verdict", "a", "N0", "b", "b_low", "b_high", "c", "c_low", "c_high"];
-    table(&columns, rows)
+    Table::new(&columns, rows)
 }
 
 /// The ways of training within a group, by what sets them apart.
@@ -469,7 +468,7 @@ fn time_table(trials: &[&Trial]) -> Table {
             }
         }
     }
-    table(&["setting", "training", "error", "trials", "reached", "seconds"], rows)
+    Table::new(&["setting", "training", "error", "trials", "reached", "seconds"], rows)
 }
 
 fn front_table(trials: &[&Trial]) -> Table {
@@ -493,7 +492,7 @@ fn front_table(trials: &[&Trial]) -> Table {
             ]);
         }
     }
-    table(&["setting", "seconds", "error", "training", "hash"], rows)
+    Table::new(&["setting", "seconds", "error", "training", "hash"], rows)
 }
 
 fn seconds_table(trials: &[&Trial]) -> Table {
@@ -510,5 +509,5 @@ fn seconds_table(trials: &[&Trial]) -> Table {
             rows.push(row);
         }
     }
-    table(&columns, rows)
+    Table::new(&columns, rows)
 }

@@ -1,6 +1,6 @@
 //! The figures that the analysis alone can draw.
 
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::plot::{Axis, Plot, Scale, number};
 use crate::analysis::data::{
@@ -311,7 +311,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
         legend: legend(&BODIES),
         plots,
         small: false,
-        data: table(
+        data: Table::new(
             &["setting", "quantity", "body", "iteration", "median", "lower_quartile", "upper_quartile"],
             rows,
         ),
@@ -338,10 +338,6 @@ fn middle(curves: &[&Vec<CurvePoint>]) -> Vec<(f64, f64, f64, f64)> {
             (!values.is_empty()).then(|| (f64::from(n), of(0.25), of(0.5), of(0.75)))
         })
         .collect()
-}
-
-fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
-    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
 }
 
 /// Error against design parameters, with the law where it is one.
@@ -472,7 +468,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         legend: legend(&[("", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),
         plots,
         small: false,
-        data: table(&["hash", "protocol", "seconds", "best_error_test"], rows),
+        data: Table::new(&["hash", "protocol", "seconds", "best_error_test"], rows),
     })
 }
 

@@ -132,7 +132,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
         ],
         plots,
         small: false,
-        data: table(&["record", "unit", "channel", "seconds", "measured", "start", "fitted"], rows),
+        data: Table::new(&["record", "unit", "channel", "seconds", "measured", "start", "fitted"], rows),
     }
 }
 
@@ -174,10 +174,6 @@ fn course(fit: &Fit) -> Figure {
         legend: vec![("truth", "accelerations".into()), ("front", "rotation rates".into())],
         plots,
         small: false,
-        data: table(&columns, rows.collect()),
+        data: Table::new(&columns, rows.collect()),
     }
-}
-
-fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
-    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
 }

@@ -235,7 +235,7 @@ impl Comparison {
             legend: entries,
             plots,
             small: false,
-            data: of(&["body", "record", "panel", "seconds", "force", "predicted"], rows),
+            data: Table::new(&["body", "record", "panel", "seconds", "force", "predicted"], rows),
         }
     }
 
@@ -293,7 +293,7 @@ impl Comparison {
             legend: self.legend(),
             plots: vec![plot.svg()],
             small: false,
-            data: of(&["body", "signals", "iteration", "error"], rows),
+            data: Table::new(&["body", "signals", "iteration", "error"], rows),
         }
     }
 
@@ -333,11 +333,7 @@ impl Comparison {
             legend: legend(&[("truth", "measured"), ("front", "model")]),
             plots,
             small: false,
-            data: of(&["body", "record", "channel", "seconds", "measured", "simulated"], rows),
+            data: Table::new(&["body", "record", "channel", "seconds", "measured", "simulated"], rows),
         })
     }
-}
-
-fn of(columns: &[&str], rows: Vec<Vec<serde_json::Value>>) -> Table {
-    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
 }

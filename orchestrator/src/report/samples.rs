@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::replay::{Drawing, drawing, motion, replay};
 use metasense_worker::run::Failure;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::body::{self, Frame, marks, points};
 use super::figures::{BODIES, Figure, legend};
@@ -127,7 +127,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         legend: legend(&[("truth", "true force"), BODIES[0], BODIES[1]]),
         plots,
         small: false,
-        data: table(&["sample", "panel", "seconds", "force", "initial", "optimised"], rows),
+        data: Table::new(&["sample", "panel", "seconds", "force", "initial", "optimised"], rows),
     }
 }
 
@@ -154,15 +154,11 @@ fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
         legend: legend(&BODIES),
         plots: vec![plot],
         small: false,
-        data: table(
+        data: Table::new(
             &["sample", "error_initial", "error_optimised"],
             pairs.iter().map(|p| vec![json!(p.0), json!(p.1), json!(p.2)]).collect(),
         ),
     }
-}
-
-fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
-    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
 }
 
 fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
@@ -202,7 +198,7 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
         legend: legend(&entries),
         plots: plots.to_vec(),
         small: false,
-        data: table(&["body", "unit", "node", "x", "y"], rows),
+        data: Table::new(&["body", "unit", "node", "x", "y"], rows),
     }
 }
 
@@ -272,7 +268,7 @@ fn waves(
         legend: legend(&[("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")]),
         plots,
         small: true,
-        data: table(&["body", "seconds", "unit", "u", "v", "theta", "speed"], rows),
+        data: Table::new(&["body", "seconds", "unit", "u", "v", "theta", "speed"], rows),
     }
 }
 

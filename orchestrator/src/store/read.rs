@@ -33,6 +33,14 @@ pub struct Table {
     pub rows: Vec<Vec<Value>>,
 }
 
+impl Table {
+    /// Rows under columns of these names.
+    #[must_use]
+    pub fn new(columns: &[&str], rows: Vec<Vec<Value>>) -> Self {
+        Self { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
+    }
+}
+
 /// A stored array.
 #[derive(Debug, Clone)]
 pub struct Artifact {

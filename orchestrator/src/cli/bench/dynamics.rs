@@ -124,16 +124,12 @@ fn lap(l: &Lap) -> Vec<Value> {
     ]
 }
 
-fn table(columns: &[&str], rows: Vec<Vec<Value>>) -> Table {
-    Table { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
-}
-
 pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     let instants: u16 = if args.quick { 20 } else { 200 };
     if args.race {
         let samples = args.samples.unwrap_or(300);
         let laps = race(samples.into(), instants.into(), args.threads.into(), args.repeat);
-        let table = table(&LAP, laps.iter().map(lap).collect());
+        let table = Table::new(&LAP, laps.iter().map(lap).collect());
         print_rows(&table, args.format)?;
         append(&args.append, &json!({"bench": "race", "instants": instants}), &table)?;
         return Ok(Exit::Done);
@@ -147,10 +143,10 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
         let rows: Vec<Vec<Value>> = points.iter().map(point).collect();
         // Scene by scene: the stiffest takes most of the time, and what is before it should not be lost with it.
         let head = json!({"bench": "dynamics", "samples": samples, "instants": instants});
-        append(&args.append, &head, &table(&POINT, rows.clone()))?;
+        append(&args.append, &head, &Table::new(&POINT, rows.clone()))?;
         all.extend(rows);
     }
-    print_rows(&table(&POINT, all), args.format)?;
+    print_rows(&Table::new(&POINT, all), args.format)?;
     for line in judgement::lines(&picture::write(&args.append, &args.picture, instants)?) {
         eprintln!("{line}");
     }
