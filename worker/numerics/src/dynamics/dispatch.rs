@@ -5,18 +5,19 @@ use super::ligaments::{Shape, Turn, gradient, hessian, product};
 use super::model::{Model, ModelCotangent};
 use super::splitting::{self, Scheme};
 use super::system::{Kernels, Second, System, Unit};
-use super::tsit5::{self, Slot, Sweep};
+use super::tsit5::{self, Queue, Slot, Sweep, take};
 use super::vector::{Array, LANES, Vector};
 use super::{Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
 use crate::simd::Width;
 use rayon::prelude::*;
+use std::sync::Mutex;
 
-/// Samples that a task of the forward pass owns; its lanes take them up one after the other.
-const CHUNK: usize = 40;
-
-type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &mut [Slot<'_>]) -> Counters;
+type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &Queue<'_, '_>) -> Counters;
 type Reverse =
     unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], bool) -> (ModelCotangent, Counters);
+
+/// Lanes' full of samples that a reverse sweep of Tsit5 has at most, to make up blocks from.
+const BLOCKS: usize = 5;
 
 /// The code of one instruction set.
 struct Machine {
@@ -99,27 +100,25 @@ macro_rules! machine {
                 forces: &Forces,
                 plan: &Plan,
                 parts: usize,
-                slots: &mut [Slot<'_>],
+                queue: &Queue<'_, '_>,
             ) -> Counters {
-                if plan.method == Method::Implicit {
-                    let mut system = System::<$vector>::new(scene, model, kernels(scene, false), true, false);
-                    let blocks = slots.chunks_mut(LANES);
-                    let work = blocks.map(|slots| implicit::forward(&mut system, plan.steps, forces, slots));
-                    return work.fold(Counters::default(), |mut sum, work| {
-                        sum += work;
-                        sum
-                    });
+                let scheme = scheme(plan.method);
+                let damped = scheme.is_none();
+                let mut system = System::<$vector>::new(scene, model, kernels(scene, false), damped, false);
+                if plan.method == Method::Tsit5 {
+                    return tsit5::forward(system, forces, plan.tolerance, queue);
                 }
-                let Some(scheme) = scheme(plan.method) else {
-                    let system = System::<$vector>::new(scene, model, kernels(scene, false), true, false);
-                    return tsit5::forward(system, forces, plan.tolerance, slots);
-                };
-                let mut system = System::<$vector>::new(scene, model, kernels(scene, false), false, false);
                 let mut counters = Counters::default();
-                for slots in slots.chunks_mut(LANES) {
-                    counters += splitting::forward(&mut system, &scheme, plan.steps, parts, forces, slots);
+                loop {
+                    let slots = take(queue, LANES);
+                    if slots.is_empty() {
+                        return counters;
+                    }
+                    counters += match &scheme {
+                        Some(scheme) => splitting::forward(&mut system, scheme, plan.steps, parts, forces, slots),
+                        None => implicit::forward(&mut system, plan.steps, forces, slots),
+                    };
                 }
-                counters
             }
 
             $(#[target_feature(enable = $feature)])?
@@ -150,7 +149,8 @@ macro_rules! machine {
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), true, false);
                 let (mut x, mut w) = (system.zeros(), system.zeros());
                 for (i, (x, w)) in x.as_flattened_mut().iter_mut().zip(w.as_flattened_mut()).enumerate() {
-                    *x = <$vector>::splat(0.1 * (i as f64).sin());
+                    // Turns as of bodies at work: for far larger ones, trigonometry goes lane by lane.
+                    *x = <$vector>::splat(0.01 * (i as f64).sin());
                     *w = <$vector>::splat((i as f64).cos());
                 }
                 let mut out = system.zeros();
@@ -288,11 +288,13 @@ fn integrate(
     slots: &mut [Slot<'_>],
     pool: &rayon::ThreadPool,
 ) -> Counters {
+    let tasks = pool.current_num_threads().min(slots.len().div_ceil(LANES));
+    let queue = Mutex::new(slots);
     let counters: Vec<Counters> = pool.install(|| {
-        slots
-            .par_chunks_mut(CHUNK)
+        (0..tasks)
+            .into_par_iter()
             // SAFETY: the caller took `machine` for what this machine has.
-            .map(|slots| unsafe { (machine.forward)(scene, model, forces, plan, parts, slots) })
+            .map(|_| unsafe { (machine.forward)(scene, model, forces, plan, parts, &queue) })
             .collect()
     });
     let mut total = Counters::default();
@@ -332,13 +334,20 @@ pub fn pull_back(
     for refined in [1, 2, 4, 8] {
         let finer = Plan { steps: plan.steps * refined, ..plan.clone() };
         let mut group: Vec<&Sweep<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
-        // Tsit5 makes up its own blocks, of samples that take about as many steps; but threads want work, too.
-        let task = match plan.method {
-            Method::Tsit5 => (group.len() / 4).next_multiple_of(LANES).clamp(LANES, CHUNK),
-            _ => LANES,
-        };
         group.sort_by_key(|s| s.tape.counts.iter().sum::<u32>());
-        blocks.extend(group.chunks(task).map(|s| (finer.clone(), s.iter().map(|s| **s).collect())));
+        let lanes: Vec<&[&Sweep<'_>]> = group.chunks(LANES).collect();
+        // Tsit5 makes up its own blocks, of samples that take about as many steps; but threads want work, too, of as
+        // much each: every task gets of all lengths.
+        let tasks = match plan.method {
+            Method::Tsit5 => lanes.len().div_ceil(BLOCKS).max(lanes.len().min(4)),
+            _ => lanes.len(),
+        };
+        let dealt: Vec<&Sweep<'_>> =
+            (0..tasks).flat_map(|t| lanes[t..].iter().step_by(tasks).copied().flatten().copied()).collect();
+        let end = |t: usize| (lanes.len() * t / tasks * LANES).min(dealt.len());
+        blocks.extend((0..tasks).map(|t| {
+            (finer.clone(), dealt[end(t)..end(t + 1)].iter().map(|s| **s).collect::<Vec<Sweep<'_>>>())
+        }));
     }
     let blocks: Vec<(ModelCotangent, Counters)> = pool.install(|| {
         blocks

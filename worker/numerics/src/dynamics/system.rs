@@ -151,7 +151,11 @@ impl<'a, V: Vector> System<'a, V> {
                 a[panel.unit][d] = a[panel.unit][d] - V::splat(panel.direction[d]) * f;
             }
         }
-        for ((a, v), inverse) in a.iter_mut().zip(v).zip(&self.inverse_mass) {
+        let moving = self.model.moving_range();
+        a[..moving.start].fill([V::splat(0.0); 3]);
+        a[moving.end..].fill([V::splat(0.0); 3]);
+        let of_moving = a[moving.clone()].iter_mut().zip(&v[moving.clone()]).zip(&self.inverse_mass[moving]);
+        for ((a, v), inverse) in of_moving {
             for d in 0..3 {
                 let net = V::splat(self.damping[d]).mul_add(v[d], a[d]);
                 a[d] = -(V::splat(inverse[d]) * net);

@@ -16,7 +16,8 @@ use super::vector::{LANES, Vector};
 use super::{Counters, Forces, Outcome, SampleTape};
 pub use reverse::reverse;
 pub use stages::{A, A2, C};
-use stages::{E, E2, stage};
+use stages::{land, landed, stage};
+use std::sync::{Mutex, PoisonError};
 pub use steps::sizes;
 
 /// Attempted steps after which a sample is given up.
@@ -36,9 +37,21 @@ pub struct Slot<'a> {
     pub index: usize,
 }
 
+/// Samples that nobody has taken up yet, in order.
+pub type Queue<'s, 'a> = Mutex<&'s mut [Slot<'a>]>;
+
+/// The next samples of a queue, up to `most`.
+pub fn take<'s, 'a>(queue: &Queue<'s, 'a>, most: usize) -> &'s mut [Slot<'a>] {
+    let mut queue = queue.lock().unwrap_or_else(PoisonError::into_inner);
+    let all = std::mem::take(&mut *queue);
+    let (taken, left) = all.split_at_mut(most.min(all.len()));
+    *queue = left;
+    taken
+}
+
 /// Where a lane is.
-struct Lane {
-    slot: Option<usize>,
+struct Lane<'s, 'a> {
+    slot: Option<&'s mut Slot<'a>>,
     interval: usize,
     /// Time since the interval's beginning.
     tau: f64,
@@ -52,13 +65,13 @@ struct Lane {
     last_error: f64,
 }
 
-/// Integrates the samples of `slots`. Allocates its scratch once.
+/// Integrates the samples of `queue`, until there is none left. Allocates its scratch once.
 #[inline(always)]
 pub fn forward<V: Vector>(
     mut system: System<'_, V>,
     forces: &Forces,
     tolerance: f64,
-    slots: &mut [Slot<'_>],
+    queue: &Queue<'_, '_>,
 ) -> Counters {
     let scene = system.scene;
     // Intervals of the forces, each `kinks`-th of which ends at an instant of the scene
@@ -75,8 +88,7 @@ pub fn forward<V: Vector>(
     let mut force = vec![zero; scene.panels.len()];
     let mut reach = Reach::new(scene.panels.len());
     let mut counters = Counters::default();
-    let mut next = 0;
-    let mut lanes: [Lane; LANES] = std::array::from_fn(|_| Lane {
+    let mut lanes: [Lane<'_, '_>; LANES] = std::array::from_fn(|_| Lane {
         slot: None,
         interval: 0,
         tau: 0.0,
@@ -94,9 +106,9 @@ pub fn forward<V: Vector>(
                 clear_lane(&mut x, l);
                 clear_lane(&mut v, l);
                 lane.h = 0.0;
-                if next < slots.len() {
+                if let Some(slot) = take(queue, 1).first_mut() {
                     // Not the push alone: contact may act at rest.
-                    let history = forces.sample(slots[next].index);
+                    let history = forces.sample(slot.index);
                     for (f, history) in force.iter_mut().zip(history.chunks(instants + 1)) {
                         *f = V::splat(history[0]);
                     }
@@ -106,7 +118,7 @@ pub fn forward<V: Vector>(
                     copy_lane(&mut a, l);
                     counters.force_evaluations += 1;
                     *lane = Lane {
-                        slot: Some(next),
+                        slot: Some(slot),
                         proposed: delta / 16.0,
                         interval: 0,
                         tau: 0.0,
@@ -116,7 +128,6 @@ pub fn forward<V: Vector>(
                         attempts: 0,
                         last_error: 1.0,
                     };
-                    next += 1;
                 }
             }
             if lane.slot.is_some() {
@@ -133,10 +144,17 @@ pub fn forward<V: Vector>(
         let h = V::new(std::array::from_fn(|l| lanes[l].h));
         let tau = V::new(std::array::from_fn(|l| lanes[l].tau));
         let lands = V::new(std::array::from_fn(|l| f64::from(u8::from(lanes[l].parts == 1.0))));
-        reach.load(forces, |l| lanes[l].slot.map(|s| (forces.sample(slots[s].index), lanes[l].interval)));
-        let mut margin = one;
+        reach.load(forces, |l| {
+            let lane = &lanes[l];
+            lane.slot.as_ref().map(|slot| (forces.sample(slot.index), lane.interval))
+        });
+        let (mut margin, mut square) = (one, zero);
         for i in 1..7 {
-            stage(i, h, &within, (&x, &v), &a, (&mut xs, &mut vs));
+            if i < 6 {
+                stage(i, h, &within, (&x, &v), &a, (&mut xs, &mut vs));
+            } else {
+                square = land(h, tolerance, &within, (&x, &v), &mut a, (&mut xs, &mut vs));
+            }
             let mut part = (tau + V::splat(C[i]) * h).over(V::splat(delta));
             if C[i] == 1.0 {
                 part = one.where_less(zero, lands, part);
@@ -146,32 +164,16 @@ pub fn forward<V: Vector>(
         }
 
         // Error relative to the tolerance, a lane
-        let mut square = zero;
-        let tol = V::splat(tolerance);
-        let h2 = h * h;
-        for u in within.clone() {
-            for d in 0..3 {
-                let mut ex = zero;
-                let mut ev = zero;
-                for j in 0..7 {
-                    ev = V::splat(E[j]).mul_add(a[j][u][d], ev);
-                    if j < 6 {
-                        ex = V::splat(E2[j]).mul_add(a[j][u][d], ex);
-                    }
-                }
-                let sx = x[u][d].abs().max(xs[u][d].abs()).mul_add(tol, tol);
-                let sv = v[u][d].abs().max(vs[u][d].abs()).mul_add(tol, tol);
-                // Both quotients squared, by one division
-                let (rx, rv, s) = ((h2 * ex) * sv, (h * ev) * sx, sx * sv);
-                square = square + rx.mul_add(rx, rv * rv).over(s * s);
-            }
-        }
+        let square = landed(square, &within, &a);
         let square = square.array();
         let margins = margin.array();
         let mut accepted = [0.0; LANES];
         for l in 0..LANES {
             let lane = &mut lanes[l];
-            let Some(s) = lane.slot else { continue };
+            let Some(slot) = &mut lane.slot else {
+                accepted[l] = 1.0;
+                continue;
+            };
             let forbidden = margins[l] < 0.0;
             let error = (square[l] * scale).sqrt();
             counters.force_evaluations += 6;
@@ -197,29 +199,31 @@ pub fn forward<V: Vector>(
                     Some(Outcome::NonFinite)
                 };
                 if let Some(outcome) = end {
-                    *slots[s].outcome = outcome;
+                    *slot.outcome = outcome;
                     lane.slot = None;
                 }
             }
         }
 
-        // Accepted lanes move on
-        let accept = V::new(accepted);
-        let (start, end) = a.split_at_mut(6);
-        for u in within.clone() {
-            for d in 0..3 {
-                x[u][d] = xs[u][d].where_less(zero, accept, x[u][d]);
-                v[u][d] = vs[u][d].where_less(zero, accept, v[u][d]);
-                start[0][u][d] = end[0][u][d].where_less(zero, accept, start[0][u][d]);
+        // Accepted lanes move on, most often all
+        if accepted == [1.0; LANES] {
+            std::mem::swap(&mut x, &mut xs);
+            std::mem::swap(&mut v, &mut vs);
+            a.swap(0, 6);
+        } else {
+            let accept = V::new(accepted);
+            let (start, end) = a.split_at_mut(6);
+            for u in within.clone() {
+                for d in 0..3 {
+                    x[u][d] = xs[u][d].where_less(zero, accept, x[u][d]);
+                    v[u][d] = vs[u][d].where_less(zero, accept, v[u][d]);
+                    start[0][u][d] = end[0][u][d].where_less(zero, accept, start[0][u][d]);
+                }
             }
         }
         for l in 0..LANES {
             let lane = &mut lanes[l];
-            let Some(s) = lane.slot else { continue };
-            if accepted[l] == 0.0 {
-                continue;
-            }
-            let slot = &mut slots[s];
+            let Some(slot) = lane.slot.as_mut().filter(|_| accepted[l] != 0.0) else { continue };
             lane.tau += lane.h;
             if let Some(tape) = &mut slot.tape {
                 steps::push(&mut tape.steps, lane.parts as u64);

@@ -21,7 +21,7 @@ pub const A: [[f64; 6]; 7] = [
 /// Clock of the stages.
 pub const C: [f64; 7] = [0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0];
 /// b − b̂.
-pub const E: [f64; 7] = [
+const E: [f64; 7] = [
     -0.001780011052225777,
     -0.0008164344596567469,
     0.007880878010261995,
@@ -67,7 +67,7 @@ const fn error_squared() -> [f64; 7] {
     s
 }
 /// Weights of the displacement's error.
-pub const E2: [f64; 7] = error_squared();
+const E2: [f64; 7] = error_squared();
 
 /// State of stage i = 1…6 (the last: the new state) of the units `within`, from the accelerations of those before.
 #[inline(always)]
@@ -120,6 +120,68 @@ fn nth_stage<V: Vector, const I: usize>(
         xs[k] = h2.mul_add(second, hc.mul_add(v[k], x[k]));
         vs[k] = h.mul_add(first, v[k]);
     }
+}
+
+/// The new state, as `stage(6)`, and of the error estimate what the first six accelerations tell.
+///
+/// Errors are relative to the tolerance. Returns the sum of the squares of the displacements'; that of a velocity is
+/// p + q a of the new state's acceleration a: p and q overwrite the accelerations of the stages 1 and 2, which a step
+/// needs no more.
+#[inline(always)]
+pub fn land<V: Vector>(
+    h: V,
+    tolerance: f64,
+    within: &Range<usize>,
+    (x, v): (&[Unit<V>], &[Unit<V>]),
+    a: &mut [Vec<Unit<V>>; 7],
+    (xs, vs): (&mut [Unit<V>], &mut [Unit<V>]),
+) -> V {
+    let xs = xs[within.clone()].as_flattened_mut();
+    let n = xs.len();
+    let vs = &mut vs[within.clone()].as_flattened_mut()[..n];
+    let (x, v) = (&of(x, within)[..n], &of(v, within)[..n]);
+    let [a0, a1, a2, a3, a4, a5, _] = a;
+    let (p, q) =
+        (&mut a1[within.clone()].as_flattened_mut()[..n], &mut a2[within.clone()].as_flattened_mut()[..n]);
+    let (a0, a3, a4, a5) =
+        (&of(a0, within)[..n], &of(a3, within)[..n], &of(a4, within)[..n], &of(a5, within)[..n]);
+    let (zero, one, tol) = (V::splat(0.0), V::splat(1.0), V::splat(tolerance));
+    let (h2, he) = (h * h, h * V::splat(E[6]));
+    let mut square = zero;
+    for k in 0..n {
+        let a = [a0[k], p[k], q[k], a3[k], a4[k], a5[k]];
+        let (mut first, mut second, mut ev, mut ex) = (zero, zero, zero, zero);
+        for j in 0..6 {
+            first = V::splat(A[6][j]).mul_add(a[j], first);
+            ev = V::splat(E[j]).mul_add(a[j], ev);
+            ex = V::splat(E2[j]).mul_add(a[j], ex);
+            if j < 5 {
+                second = V::splat(A2[6][j]).mul_add(a[j], second);
+            }
+        }
+        xs[k] = h2.mul_add(second, h.mul_add(v[k], x[k]));
+        vs[k] = h.mul_add(first, v[k]);
+        let sx = x[k].abs().max(xs[k].abs()).mul_add(tol, tol);
+        let sv = v[k].abs().max(vs[k].abs()).mul_add(tol, tol);
+        // Both quotients by one division
+        let inverse = one.over(sx * sv);
+        let (ix, iv) = (sv * inverse, sx * inverse);
+        let rx = (h2 * ex) * ix;
+        square = rx.mul_add(rx, square);
+        (p[k], q[k]) = ((h * ev) * iv, he * iv);
+    }
+    square
+}
+
+/// `square`, with those of the velocities' errors added.
+#[inline(always)]
+pub fn landed<V: Vector>(mut square: V, within: &Range<usize>, [_, p, q, .., end]: &[Vec<Unit<V>>; 7]) -> V {
+    let (p, q, end) = (of(p, within), of(q, within), of(end, within));
+    for ((p, q), a) in p.iter().zip(q).zip(end) {
+        let r = q.mul_add(*a, *p);
+        square = r.mul_add(r, square);
+    }
+    square
 }
 
 /// Transpose of a step in the accelerations a of stage i = 0…5: overwrites `w` by M⁻¹ times their cotangent and takes w a
