@@ -56,7 +56,7 @@ fn hessian_at_rest(model: &Model, scene: &Scene, w: &[f64]) -> Vec<f64> {
     let units = model.units();
     let direction: Vec<[Array; 3]> = w.as_chunks::<3>().0.iter().map(|w| w.map(Array::splat)).collect();
     let x = vec![[zero; 3]; units];
-    let (mut turn, mut h) = (vec![[zero; 4]; units], x.clone());
+    let (mut turn, mut h) = (vec![[zero; 2]; units], x.clone());
     let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; units], vec![[zero; 2]; model.ligaments]);
     let kernel = match (scene.linearised, scene.contact.is_some()) {
         (false, false) => product::<Array, false, false, false, false>,

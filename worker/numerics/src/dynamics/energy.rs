@@ -71,7 +71,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
     let n = model.units();
     let zero = Array::splat(0.0);
     let x: Vec<[Array; 3]> = displacement.iter().map(|d| d.map(Array::splat)).collect();
-    let (mut turn, mut g) = (vec![[zero; 4]; n], vec![[zero; 3]; n]);
+    let (mut turn, mut g) = (vec![[zero; 2]; n], vec![[zero; 3]; n]);
     let mut cotangent = ModelCotangent::new(&model);
     let add = |bar: &Bar, turns: [Turn<Array>; 2], force: [Array; 2], voids: [Array; 2]| {
         let first = |v: Array| v.array()[0];
@@ -80,7 +80,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
         for (unit, node, turn, sign) in
             [(bar.a, bar.node_a, turns[0], -1.0), (bar.b, bar.node_b, turns[1], 1.0)]
         {
-            let [_, _, s, c1] = turn.map(first);
+            let [s, c1] = turn.map(first);
             let to = &mut cotangent.arms[unit][node];
             *to = [to[0] + sign * (c1 * gx + s * gy), to[1] + sign * (c1 * gy - s * gx)];
         }

@@ -4,15 +4,15 @@
 //! U = Σ ½ k_l Δl² + ½ k_s (l₀ γ)² + ½ k_θ Δθ² + E_c    (Bordiga et al., Nat. Mater. 23, 1486)
 //! γ = ∠(d) − ∠(R((θ_a+θ_b)/2) d₀),   E_c = ½ k_c w² x²/(1−x²),   x = (ψ − ψ_c)/w,   w = ψ_c − ψ_min
 //! ```
-//! γ is the angle of d seen from the turned reference, so it stays in (−π, π] however far units turn. A void angle is
+//! γ is the angle of d less the turn of its reference, in (−π, π] however far units turn. A void angle is
 //! its value at rest plus the units' relative rotation: continuous, hence on the branch of the rest state.
 
 use super::model::{Bar, Model};
-use super::trigonometry::{angle, sin_cos};
+use super::trigonometry::{angle, sin_cos1};
 use super::vector::Vector;
 
-/// Of one unit: sin and cos of θ/2, then sin θ and cos θ − 1.
-pub type Turn<V> = [V; 4];
+/// Of one unit: sin θ and cos θ − 1.
+pub type Turn<V> = [V; 2];
 
 /// Where a kernel adds cotangents of the arms (node by node), of the void angles at rest and of the stiffnesses.
 pub struct Shape<'a, V> {
@@ -34,11 +34,10 @@ struct Place<V> {
     /// |d| and 1/|d|; zero in linearised scenes, as are the next two.
     size: V,
     inverse: V,
-    /// d seen from the turned reference, and the tangent of half the angle in between.
+    /// d seen from the reference at rest.
     seen: [V; 2],
-    tangent: V,
-    /// θ_b + θ_a, θ_b − θ_a.
-    sum: V,
+    /// (θ_a + θ_b)/2, θ_b − θ_a.
+    mean: V,
     relative: V,
 }
 
@@ -52,10 +51,8 @@ struct Pull<V> {
     side: V,
     /// ∂U/∂(node of b), the negative of that of a.
     force: [V; 2],
-    /// −∂U/∂θ of either unit by the shear, whose reference turns with both.
-    shear: V,
-    /// ∂U/∂θ_b of bending and contact, the negative of that of a.
-    bend: V,
+    /// ∂U/∂θ of either unit, but for the lever of the force.
+    moments: [V; 2],
     /// dE_c/dψ and d²E_c/dψ².
     contact: [(V, V); 2],
     /// Δl, l₀γ and Δθ.
@@ -89,15 +86,13 @@ pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     assert!(x.len() == units && turn.len() == units && g.len() == units, "one entry per unit");
     g.fill([V::splat(0.0); 3]);
     turns(x, turn);
-    // One ahead: a ligament is a long chain of dependent operations, and processors look ahead by less than two.
-    let Some(bar) = model.bars.first() else { return };
-    let mut next = place::<V, LINEAR>(bar, x, turn);
+    if model.bars.is_empty() {
+        return;
+    }
+    let mut ahead = Ahead::new::<LINEAR>(model, x, turn);
     for (q, bar) in model.bars.iter().enumerate() {
-        let at = next;
-        if let Some(bar) = model.bars.get(q + 1) {
-            next = place::<V, LINEAR>(bar, x, turn);
-        }
-        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, margin);
+        let (at, gamma) = ahead.next::<LINEAR>(q, model, x, turn);
+        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, gamma, margin);
         pull.add_to(g, bar);
         also(bar, [turn[bar.a], turn[bar.b]], pull.force, pull.contact.map(|c| c.0));
     }
@@ -132,16 +127,15 @@ pub fn product<
     }
     h.fill([zero; 3]);
     turns(x, turn);
-    let Some(bar) = model.bars.first() else { return };
-    let mut next = place::<V, LINEAR>(bar, x, turn);
+    if model.bars.is_empty() {
+        return;
+    }
+    let mut ahead = Ahead::new::<LINEAR>(model, x, turn);
     for (q, bar) in model.bars.iter().enumerate() {
-        let at = next;
-        if let Some(bar) = model.bars.get(q + 1) {
-            next = place::<V, LINEAR>(bar, x, turn);
-        }
+        let (at, gamma) = ahead.next::<LINEAR>(q, model, x, turn);
         let &Bar { a, b, .. } = bar;
         let turns = [turn[a], turn[b]];
-        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, &mut { zero });
+        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, gamma, &mut { zero });
         if GRADIENT {
             pull.add_to(g, bar);
         }
@@ -153,7 +147,7 @@ pub fn product<
         h[b] = [hx + fx, hy + fy, ht + swing.moments[1]];
         // (R − I)ᵀ ∂U/∂node at b, its negative at a; a turn of R by ω is one of the force by −ω
         let [gx, gy] = pull.force;
-        let [_, _, s, c1] = turns[1];
+        let [s, c1] = turns[1];
         let omega = w[b][2];
         let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
         let to = &mut shape.arms[b][bar.node_b];
@@ -161,7 +155,7 @@ pub fn product<
             omega.mul_add(gy, s.mul_add(ty, c1.mul_add(tx, to[0]))),
             omega.mul_sub_from(gx, s.mul_sub_from(tx, c1.mul_add(ty, to[1]))),
         ];
-        let [_, _, s, c1] = turns[0];
+        let [s, c1] = turns[0];
         let omega = w[a][2];
         let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
         let to = &mut shape.arms[a][bar.node_a];
@@ -200,7 +194,7 @@ pub fn hessian<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     for bar in &model.bars {
         let ends = [bar.a, bar.b];
         let at = place::<V, LINEAR>(bar, x, turn);
-        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, &mut { zero });
+        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, shear_angle::<V, LINEAR>(&at), &mut { zero });
         for column in 0..6 {
             let unit = |end: usize| [0, 1, 2].map(|d| if 3 * end + d == column { one } else { zero });
             let swing = pull.along::<LINEAR, CONTACT>(model, bar, [unit(0), unit(1)]);
@@ -215,12 +209,11 @@ pub fn hessian<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     }
 }
 
-/// sin and cos of the half angles first, as both the turned reference and the nodes need them.
+/// Overwrites `turn`.
 #[inline(always)]
 fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
     for (turn, x) in turn.iter_mut().zip(x) {
-        let (sh, ch) = sin_cos(V::splat(0.5) * x[2]);
-        *turn = [sh, ch, (sh + sh) * ch, -((sh + sh) * sh)];
+        *turn = sin_cos1(x[2]);
     }
 }
 
@@ -228,7 +221,7 @@ fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
 #[inline(always)]
 fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>]) -> Place<V> {
     let (xa, xb, zero) = (x[bar.a], x[bar.b], V::splat(0.0));
-    let ([sha, cha, sa, ca], [shb, chb, sb, cb]) = (turn[bar.a], turn[bar.b]);
+    let ([sa, ca], [sb, cb]) = (turn[bar.a], turn[bar.b]);
     let (ra, rb) = (bar.arm_a.map(V::splat), bar.arm_b.map(V::splat));
 
     // (R − I) r of both ends, and d − d₀
@@ -241,8 +234,7 @@ fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>
         size: zero,
         inverse: zero,
         seen: [zero; 2],
-        tangent: zero,
-        sum: xa[2] + xb[2],
+        mean: V::splat(0.5) * (xa[2] + xb[2]),
         relative: xb[2] - xa[2],
     };
     if !LINEAR {
@@ -252,15 +244,51 @@ fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>
         at.d = [dx, dy];
         at.inverse = square.rsqrt();
         at.size = square * at.inverse;
-        // The reference turned by the mean rotation, from the half angles
-        let cm = sha.mul_sub_from(shb, cha * chb);
-        let sm = sha.mul_add(chb, cha * shb);
-        let nx = sm.mul_sub_from(e[1], cm * e[0]);
-        let ny = cm.mul_add(e[1], sm * e[0]);
-        at.seen = [nx.mul_add(dx, ny * dy), ny.mul_sub_from(dx, nx * dy)];
-        at.tangent = at.seen[1].over(at.size + at.seen[0]);
+        at.seen = [dx.mul_add(e[0], dy * e[1]), dx.mul_sub_from(e[1], dy * e[0])];
     }
     at
+}
+
+/// γ there; zero in linearised scenes.
+#[inline(always)]
+fn shear_angle<V: Vector, const LINEAR: bool>(at: &Place<V>) -> V {
+    if LINEAR {
+        return V::splat(0.0);
+    }
+    angle(at.seen[1].over(at.size + at.seen[0]), at.seen, at.mean)
+}
+
+/// Where the next two ligaments are, and γ of the first: a ligament is a long chain of dependent operations, and while
+/// it waits processors look ahead by about a hundred others, of which a third each may well belong to three ligaments.
+struct Ahead<V> {
+    near: (Place<V>, V),
+    far: Place<V>,
+}
+
+impl<V: Vector> Ahead<V> {
+    #[inline(always)]
+    fn new<const LINEAR: bool>(model: &Model, x: &[[V; 3]], turn: &[Turn<V>]) -> Self {
+        let first = place::<V, LINEAR>(&model.bars[0], x, turn);
+        let far = place::<V, LINEAR>(&model.bars[1.min(model.bars.len() - 1)], x, turn);
+        Self { near: (first, shear_angle::<V, LINEAR>(&first)), far }
+    }
+
+    /// Of ligament q, and takes up that after the next.
+    #[inline(always)]
+    fn next<const LINEAR: bool>(
+        &mut self,
+        q: usize,
+        model: &Model,
+        x: &[[V; 3]],
+        turn: &[Turn<V>],
+    ) -> (Place<V>, V) {
+        let (at, next) = (self.near, self.far);
+        if let Some(bar) = model.bars.get(q + 2) {
+            self.far = place::<V, LINEAR>(bar, x, turn);
+        }
+        self.near = (next, shear_angle::<V, LINEAR>(&next));
+        at
+    }
 }
 
 /// What a ligament does there, with contact.
@@ -269,6 +297,7 @@ fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
     bar: &Bar,
     at: Place<V>,
+    gamma: V,
     margin: &mut V,
 ) -> Pull<V> {
     let (k, zero, length, relative) = (model.stiffness, V::splat(0.0), bar.length, at.relative);
@@ -278,22 +307,24 @@ fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
         stretch: zero,
         side: zero,
         force: [zero; 2],
-        shear: zero,
-        bend: V::splat(k.bend) * relative,
+        moments: [zero; 2],
         contact: [(zero, zero); 2],
         strains: [zero; 3],
     };
+    // −∂U/∂θ of either unit, as the reference of the shear turns with both; and ∂U/∂θ_b of bending and contact, the
+    // negative of that of a
+    let shear;
+    let mut bend = V::splat(k.bend) * relative;
     if LINEAR {
-        (of.force, of.shear, of.strains) = linear(model, bar, at.d, at.sum, relative);
+        (of.force, shear, of.strains) = linear(model, bar, at.d, at.mean, relative);
     } else {
         let [dx, dy] = at.d;
-        let gamma = angle(at.tangent, at.seen);
         of.inverse_square = at.inverse * at.inverse;
-        of.stretch = V::splat(-k.stretch * length).mul_add(at.inverse, V::splat(k.stretch));
-        let twist = V::splat(k.shear * length * length) * gamma;
+        of.stretch = V::splat(bar.tension).mul_sub_from(at.inverse, V::splat(k.stretch));
+        let twist = V::splat(bar.twist) * gamma;
         of.side = twist * of.inverse_square;
         of.force = [of.side.mul_sub_from(dy, of.stretch * dx), of.side.mul_add(dx, of.stretch * dy)];
-        of.shear = V::splat(0.5) * twist;
+        shear = V::splat(0.5) * twist;
         of.strains = [at.size - V::splat(length), V::splat(length) * gamma, relative];
     }
     if CONTACT && let Some(contact) = model.contact {
@@ -303,19 +334,20 @@ fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
             *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
             if psi[s].any_less(V::splat(contact.cutoff_angle)) {
                 of.contact[s] = contact_slope(contact, psi[s]);
-                of.bend = V::splat(sign).mul_add(of.contact[s].0, of.bend);
+                bend = V::splat(sign).mul_add(of.contact[s].0, bend);
             }
         }
     }
+    of.moments = [-(shear + bend), bend - shear];
     of
 }
 
-/// Force, moment and strains of linear measures: linear in displacement, sum and difference of rotations.
+/// Force, moment and strains of linear measures: linear in displacement, mean and difference of rotations.
 #[inline(always)]
-fn linear<V: Vector>(model: &Model, bar: &Bar, du: [V; 2], sum: V, relative: V) -> ([V; 2], V, [V; 3]) {
+fn linear<V: Vector>(model: &Model, bar: &Bar, du: [V; 2], mean: V, relative: V) -> ([V; 2], V, [V; 3]) {
     let (k, e, length) = (model.stiffness, bar.e.map(V::splat), V::splat(bar.length));
     let stretched = du[0].mul_add(e[0], du[1] * e[1]);
-    let slid = du[0].mul_sub_from(e[1], du[1] * e[0]) - V::splat(0.5) * length * sum;
+    let slid = du[0].mul_sub_from(e[1], du[1] * e[0]) - length * mean;
     let (stretch, slide) = (V::splat(k.stretch) * stretched, V::splat(k.shear) * slid);
     let force = [slide.mul_sub_from(e[1], stretch * e[0]), slide.mul_add(e[0], stretch * e[1])];
     (force, V::splat(0.5) * length * slide, [stretched, slid, relative])
@@ -326,11 +358,11 @@ impl<V: Vector> Pull<V> {
     #[inline(always)]
     fn add_to(&self, g: &mut [[V; 3]], bar: &Bar) {
         let [fx, fy] = self.force;
-        let lever = self.place.levers.map(|l| l[0].mul_sub_from(fy, l[1] * fx));
+        let ([la, lb], [ma, mb]) = (self.place.levers, self.moments);
         let [x, y, t] = g[bar.a];
-        g[bar.a] = [x - fx, y - fy, t + (lever[0] - self.shear - self.bend)];
+        g[bar.a] = [x - fx, y - fy, t + la[1].mul_add(fx, la[0].mul_sub_from(fy, ma))];
         let [x, y, t] = g[bar.b];
-        g[bar.b] = [x + fx, y + fy, t + (self.bend - self.shear - lever[1])];
+        g[bar.b] = [x + fx, y + fy, t + lb[1].mul_sub_from(fx, lb[0].mul_add(fy, mb))];
     }
 
     /// ```text
@@ -348,16 +380,16 @@ impl<V: Vector> Pull<V> {
         let Place { levers: [la, lb], d: [dx, dy], size, inverse, .. } = self.place;
         let p = wa[2].mul_add(la[1], wb[2].mul_sub_from(lb[1], wb[0] - wa[0]));
         let q = wa[2].mul_sub_from(la[0], wb[2].mul_add(lb[0], wb[1] - wa[1]));
-        let (sum, relative) = (wa[2] + wb[2], wb[2] - wa[2]);
+        let (mean, relative) = (V::splat(0.5) * (wa[2] + wb[2]), wb[2] - wa[2]);
         let (force, shear, strains);
         if LINEAR {
-            (force, shear, strains) = linear(model, bar, [p, q], sum, relative);
+            (force, shear, strains) = linear(model, bar, [p, q], mean, relative);
         } else {
             let rho = dx.mul_add(p, dy * q) * self.inverse_square;
             let swing = dy.mul_sub_from(p, dx * q) * self.inverse_square;
-            let gamma = V::splat(-0.5).mul_add(sum, swing);
-            let twist = V::splat(k.shear * length * length) * gamma;
-            let stretch = V::splat(k.stretch * length) * inverse * rho;
+            let gamma = swing - mean;
+            let twist = V::splat(bar.twist) * gamma;
+            let stretch = V::splat(bar.tension) * inverse * rho;
             let side = (self.side + self.side).mul_sub_from(rho, self.inverse_square * twist);
             force = [
                 side.mul_sub_from(dy, stretch.mul_add(dx, self.side.mul_sub_from(q, self.stretch * p))),

@@ -25,6 +25,10 @@ pub struct Bar {
     pub e: [f64; 2],
     /// l₀ (mm).
     pub length: f64,
+    /// k_l l₀ (N).
+    pub tension: f64,
+    /// k_s l₀² (N·mm).
+    pub twist: f64,
     /// Void angles at rest, on the branch [−π/2, 3π/2).
     pub voids: [f64; 2],
 }
@@ -78,6 +82,8 @@ impl Model {
                 arm_b: geometry.arms[l.b.unit][l.b.node],
                 e: [l.reference[0] / length, l.reference[1] / length],
                 length,
+                tension: scene.stiffness.stretch * length,
+                twist: scene.stiffness.shear * length * length,
                 voids: voids.map(branch),
             }
         };

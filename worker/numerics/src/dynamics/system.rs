@@ -88,7 +88,7 @@ impl<'a, V: Vector> System<'a, V> {
             damping: if damped { model.damping } else { [0.0; 3] },
             damping_asked: damped && parameters,
             inverse_mass: model.inverse_mass.clone(),
-            turn: vec![[zero; 4]; n],
+            turn: vec![[zero; 2]; n],
             h: vec![[zero; 3]; n],
             w: vec![[zero; 3]; n],
             cotangent: Cotangent {

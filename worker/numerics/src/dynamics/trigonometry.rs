@@ -2,11 +2,14 @@
 //! library's function, so that a result never depends on the other lanes.
 
 use super::vector::{LANES, Vector};
+use std::f64::consts::TAU;
 
-/// |angle| up to which `sin_cos` is polynomial, with the coefficients of Sun's fdlibm (k_sin.c, k_cos.c): below 2⁻⁵⁸.
+/// |angle| up to which `sin_cos1` is polynomial, with the coefficients of Sun's fdlibm (k_sin.c, k_cos.c): below 2⁻⁵⁸.
 const TURN_LIMIT: f64 = std::f64::consts::FRAC_PI_4;
 /// |tan(angle/2)| up to which `angle` is polynomial (29°).
 const HALF_TANGENT_LIMIT: f64 = 0.25;
+/// |mean| up to which an angle of that range less `mean` is within (−π, π].
+const MEAN_LIMIT: f64 = 2.5;
 
 #[inline(always)]
 fn horner<V: Vector, const N: usize>(z: V, coefficients: [f64; N]) -> V {
@@ -17,9 +20,9 @@ fn horner<V: Vector, const N: usize>(z: V, coefficients: [f64; N]) -> V {
     p
 }
 
-/// (sin x, cos x).
+/// [sin x, cos x − 1].
 #[inline(always)]
-pub fn sin_cos<V: Vector>(x: V) -> (V, V) {
+pub fn sin_cos1<V: Vector>(x: V) -> [V; 2] {
     let z = x * x;
     let sin = horner(
         z,
@@ -42,34 +45,33 @@ pub fn sin_cos<V: Vector>(x: V) -> (V, V) {
             -0.001_388_888_888_887_411,
             0.041_666_666_666_666_6,
             -0.5,
-            1.0,
         ],
     );
-    let near = ((sin * z).mul_add(x, x), cos);
-    if x.all_within(TURN_LIMIT) { near } else { far_sin_cos(x.array(), near.0.array(), near.1.array()) }
+    let near = [(sin * z).mul_add(x, x), cos * z];
+    if x.all_within(TURN_LIMIT) { near } else { far_sin_cos1(x.array(), near.map(V::array)) }
 }
 
 #[cold]
 #[inline(never)]
-fn far_sin_cos<V: Vector>(x: [f64; LANES], mut sin: [f64; LANES], mut cos: [f64; LANES]) -> (V, V) {
+fn far_sin_cos1<V: Vector>(x: [f64; LANES], [mut sin, mut cos1]: [[f64; LANES]; 2]) -> [V; 2] {
     for i in 0..LANES {
         // A NaN goes this way too.
         if x[i].abs() <= TURN_LIMIT {
             continue;
         }
-        (sin[i], cos[i]) = x[i].sin_cos();
+        (sin[i], cos1[i]) = (x[i].sin(), -2.0 * (0.5 * x[i]).sin().powi(2));
     }
-    (V::new(sin), V::new(cos))
+    [V::new(sin), V::new(cos1)]
 }
 
-/// The angle of the vector (x, y), in (−π, π], given the tangent t = y/(|(x, y)| + x) of half of it.
+/// The angle of the vector (x, y) less `mean`, in (−π, π], given the tangent t = y/(|(x, y)| + x) of half the angle.
 #[inline(always)]
-pub fn angle<V: Vector>(t: V, [x, y]: [V; 2]) -> V {
-    let near = half_arctangent_series(t * t) * t;
-    if t.all_within(HALF_TANGENT_LIMIT) {
+pub fn angle<V: Vector>(t: V, [x, y]: [V; 2], mean: V) -> V {
+    let near = half_arctangent_series(t * t).mul_add(t, -mean);
+    if t.all_within(HALF_TANGENT_LIMIT) && mean.all_within(MEAN_LIMIT) {
         near
     } else {
-        far_angle(y.array(), x.array(), t.array(), near.array())
+        far_angle([x.array(), y.array()], t.array(), mean.array(), near.array())
     }
 }
 
@@ -98,6 +100,48 @@ fn half_arctangent_series<V: Vector>(z: V) -> V {
 
 #[cold]
 #[inline(never)]
-fn far_angle<V: Vector>(y: [f64; LANES], x: [f64; LANES], t: [f64; LANES], near: [f64; LANES]) -> V {
-    V::new(std::array::from_fn(|i| if t[i].abs() <= HALF_TANGENT_LIMIT { near[i] } else { y[i].atan2(x[i]) }))
+fn far_angle<V: Vector>(
+    [x, y]: [[f64; LANES]; 2],
+    t: [f64; LANES],
+    mean: [f64; LANES],
+    near: [f64; LANES],
+) -> V {
+    V::new(std::array::from_fn(|i| {
+        if t[i].abs() <= HALF_TANGENT_LIMIT && mean[i].abs() <= MEAN_LIMIT {
+            return near[i];
+        }
+        let gamma = y[i].atan2(x[i]) - mean[i];
+        gamma - TAU * (gamma / TAU).round()
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::vector::Array;
+    use super::*;
+
+    /// Angles and turns from none to many times round, each lane by itself: polynomials and the standard library agree.
+    #[test]
+    fn near_and_far_lanes_are_the_standard_librarys() {
+        let mut worst = [0.0f64; 2];
+        for k in 0..4000 {
+            let of = |l: usize| 1e-3 * f64::from(k) * [1e-3, 0.1, 0.3, 1.0, -1.0, -0.3, 2.9, -2.9][l];
+            let (delta, mean): ([f64; LANES], [f64; LANES]) =
+                (std::array::from_fn(of), std::array::from_fn(|l| of((3 * l + 1) % LANES)));
+            let seen = [delta.map(|d| 2.0 * d.cos()), delta.map(|d| 2.0 * d.sin())];
+            let [x, y] = seen.map(Array::new);
+            let t = y.over(Array::splat(2.0) + x);
+            let gamma = angle(t, [x, y], Array::new(mean)).array();
+            let [s, c1] = sin_cos1(Array::new(mean)).map(Array::array);
+            for l in 0..LANES {
+                let turned = delta[l] - mean[l];
+                assert!(gamma[l].abs() <= 3.15, "{k} {l}: {}", gamma[l]);
+                // Half a turn is one way or the other.
+                worst[0] = worst[0].max((0.5 * (gamma[l] - turned)).sin().abs());
+                worst[1] = worst[1].max((s[l] - mean[l].sin()).abs());
+                worst[1] = worst[1].max((c1[l] + 2.0 * (0.5 * mean[l]).sin().powi(2)).abs());
+            }
+        }
+        assert!(worst[0] < 1e-14 && worst[1] < 3e-16, "{worst:?}");
+    }
 }
