@@ -22,7 +22,7 @@ pub struct Counters {
     pub projection_iterations: u64,
 }
 
-/// Where the time of a step went (s).
+/// Where the time of a step went (CPU seconds of the worker's process, all threads).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Seconds {
@@ -36,7 +36,7 @@ pub struct Seconds {
     pub implicit: f64,
     /// Projection.
     pub project: f64,
-    /// Waiting for the store.
+    /// Handing the step before over to the store.
     pub store: f64,
 }
 
@@ -134,7 +134,7 @@ pub struct TrialResult {
     pub optimised: BodyEvaluation,
     /// The outer step whose design is the best, by the test set.
     pub best_step: u32,
-    /// Seconds of the two evaluations, simulation included.
+    /// CPU seconds of the two evaluations, simulation included.
     pub seconds_evaluation: f64,
     /// Counts of work of the two evaluations.
     pub counters: Counters,

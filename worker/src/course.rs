@@ -4,6 +4,7 @@ use metasense_numerics::nested;
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord};
 use metasense_schemas::spec::TrialSpec;
 
+use crate::clock::cpu_seconds;
 use crate::convert;
 use crate::problem::problem;
 use crate::run::{Control, Failure, Observe, pool, run_trial};
@@ -108,14 +109,6 @@ impl nested::Observe for Alone {
     fn step(&mut self, _: &nested::Report, _: &nested::State) -> nested::Control {
         nested::Control::Continue
     }
-}
-
-/// CPU time of this process (s).
-pub fn cpu_seconds() -> f64 {
-    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: writes one timespec.
-    unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &mut time) };
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 #[cfg(test)]

@@ -1,12 +1,11 @@
 //! One trial from its spec to its result, for a worker process or in the foreground.
 
-use std::time::Instant;
-
 use metasense_numerics::nested::{self, Optimised, State};
 use metasense_numerics::simd::Width;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 
+use crate::clock::cpu_seconds;
 use crate::convert;
 use crate::problem::problem;
 
@@ -59,7 +58,7 @@ pub fn run_trial(
         }
     };
     let pool = pool(threads)?;
-    let mut watch = Watch { observer, start: Instant::now(), store: 0.0 };
+    let mut watch = Watch { observer, store: 0.0 };
     match nested::optimise(&problem, resume, &pool, &mut watch) {
         Ok(Some(optimised)) => Ok(result(optimised)),
         Ok(None) => Err(Failure::Stopped),
@@ -87,17 +86,16 @@ pub(crate) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
         .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))
 }
 
-/// Gives the maths a clock, and its reports the form in which they are stored.
+/// Gives the maths a clock, that of the process's CPU time (a process runs one trial at a time), and its reports the form in which they are stored.
 struct Watch<'a> {
     observer: &'a mut dyn Observe,
-    start: Instant,
-    /// Seconds that the observer took with the last step; they stand in the next one's record.
+    /// CPU seconds that the observer took with the last step; they stand in the next one's record.
     store: f64,
 }
 
 impl nested::Observe for Watch<'_> {
     fn seconds(&mut self) -> f64 {
-        self.start.elapsed().as_secs_f64()
+        cpu_seconds()
     }
 
     fn progress(&mut self, fraction: f64) {
@@ -108,9 +106,9 @@ impl nested::Observe for Watch<'_> {
         let mut record = convert::step_record(report);
         record.seconds.store = self.store;
         let checkpoint = convert::checkpoint(state);
-        let before = self.start.elapsed();
+        let before = cpu_seconds();
         let control = self.observer.step(record, checkpoint);
-        self.store = (self.start.elapsed() - before).as_secs_f64();
+        self.store = cpu_seconds() - before;
         match control {
             Control::Continue => nested::Control::Continue,
             Control::Stop => nested::Control::Stop,

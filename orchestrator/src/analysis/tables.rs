@@ -38,11 +38,11 @@ pub enum Question {
     Sizes,
     /// The law L = a (N/N0)^(-b) + c
     Complexity,
-    /// Seconds until a test error is reached
+    /// CPU seconds until a test error is reached
     TimeTo,
-    /// What no other run beats in both seconds and test error
+    /// What no other run beats in both CPU seconds and test error
     Front,
-    /// Where the time went
+    /// Where the time went (CPU seconds)
     Seconds,
 }
 

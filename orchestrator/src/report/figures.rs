@@ -439,7 +439,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         }
         let mut plot = Plot::new(
             &group.label,
-            Axis::new("seconds of the outer loop", Scale::Log, points.iter().map(|p| p.0)),
+            Axis::new("CPU seconds of the outer loop", Scale::Log, points.iter().map(|p| p.0)),
             Axis::new("best test error so far (%)", Scale::Log, points.iter().map(|p| p.1)),
         );
         for trial in &group.trials {
@@ -461,8 +461,8 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     (!plots.is_empty()).then(|| Figure {
         name: "run_time",
         title: "What did the error cost in time?".into(),
-        caption: "Best test error so far of the networks inside the outer loop, against the seconds that the trial's \
-                  steps took (evaluation excluded). Thin: each trial; thick: geometric mean of each way of training; the \
+        caption: "Best test error so far of the networks inside the outer loop, against the CPU seconds that the \
+                  trial's steps took (evaluation excluded). Thin: each trial; thick: geometric mean of each way of training; the \
                   front is what no trial beats in both."
             .into(),
         legend: legend(&[("", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),

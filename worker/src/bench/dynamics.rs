@@ -11,6 +11,7 @@ use metasense_numerics::dynamics::{
 };
 use std::time::Instant;
 
+use crate::clock::cpu_seconds;
 use crate::verify::checks::{bells, reference};
 use crate::verify::relative;
 
@@ -126,14 +127,6 @@ fn timed<R>(work: impl FnOnce() -> R) -> (R, Time) {
     let (wall, cpu) = (Instant::now(), cpu_seconds());
     let result = work();
     (result, Time { wall: wall.elapsed().as_secs_f64(), cpu: cpu_seconds() - cpu })
-}
-
-fn cpu_seconds() -> f64 {
-    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: the pointer is to a timespec of our own; the clock exists on every Linux.
-    let code = unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &raw mut time) };
-    assert_eq!(code, 0, "clock_gettime(CLOCK_PROCESS_CPUTIME_ID)");
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 /// A scene with design, forces and the cotangent that stands for a loss.

@@ -4,10 +4,11 @@
 //! a trial depends on every step of it, and its database can be kept, interrupted and gone on with.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use metasense_schemas::wire::{Fault, Work};
+use metasense_worker::clock::cpu_seconds;
 use serde_json::json;
 
 use super::super::Error;
@@ -141,7 +142,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         "seconds": seconds,
         "trials_per_second": summary.done as f64 / seconds,
         "array_bytes_per_second": (summary.done as u64 * args.array * 8) as f64 / seconds,
-        "orchestrator_core_percent": 100.0 * (cpu_seconds() - cpu).as_secs_f64() / seconds,
+        "orchestrator_core_percent": 100.0 * (cpu_seconds() - cpu) / seconds,
         "orchestrator_resident_mib": resident_mib(),
         "version": env!("CARGO_PKG_VERSION"),
     });
@@ -153,22 +154,9 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
     })
 }
 
-/// CPU time of this process so far.
-fn cpu_seconds() -> Duration {
-    // SAFETY: a zeroed `rusage` is valid, and the call writes within it.
-    let usage = unsafe {
-        let mut usage: libc::rusage = std::mem::zeroed();
-        libc::getrusage(libc::RUSAGE_SELF, &raw mut usage);
-        usage
-    };
-    let of =
-        |t: libc::timeval| Duration::from_secs(t.tv_sec as u64) + Duration::from_micros(t.tv_usec as u64);
-    of(usage.ru_utime) + of(usage.ru_stime)
-}
-
 /// Highest resident size of this process so far.
 pub(super) fn resident_mib() -> f64 {
-    // SAFETY: as above.
+    // SAFETY: a zeroed `rusage` is valid, and the call writes within it.
     let usage = unsafe {
         let mut usage: libc::rusage = std::mem::zeroed();
         libc::getrusage(libc::RUSAGE_SELF, &raw mut usage);

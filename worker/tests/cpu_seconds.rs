@@ -1,0 +1,53 @@
+//! What a trial records as its seconds. A test binary of its own: the clock is the whole process's.
+
+use std::time::{Duration, Instant};
+
+use metasense_schemas::record::{Checkpoint, StepRecord};
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::run::{Control, Observe, run_trial};
+use serde_json::json;
+
+/// Sleeps after each step, as a worker does that waits for a core or for the database.
+#[derive(Default)]
+struct Sleeper {
+    recorded: f64,
+}
+
+const NAP: Duration = Duration::from_millis(150);
+
+impl Observe for Sleeper {
+    fn progress(&mut self, _: f64) {
+        std::thread::sleep(NAP / 10);
+    }
+
+    fn step(&mut self, record: StepRecord, _: Checkpoint) -> Control {
+        let s = record.seconds;
+        self.recorded += s.simulate + s.train + s.differentiate + s.implicit + s.project + s.store;
+        std::thread::sleep(NAP);
+        Control::Continue
+    }
+}
+
+/// Three steps of some milliseconds, and naps of 0.15 s after each of them: what is recorded is the work.
+#[test]
+fn a_trials_seconds_are_those_of_the_cpu_and_not_of_the_wall_clock() {
+    let trial: TrialSpec = serde_json::from_value(json!({
+        "body": {
+            "columns": 4, "rows": 3, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
+            "stiffness": { "stretch": 3.0, "shear": 0.5, "bend": 1.0 },
+        },
+        "time": { "duration": 0.05, "samples": 20 },
+        "solver": {}, "sensors": {}, "evaluation": {}, "feasible": {},
+        "stimuli": { "kind": "bell", "samples": 6, "test": 2, "holdout": 2, "onset": [0.0, 0.02] },
+        "brain": { "iterations": 3 },
+        "optimise": { "protocol": "joint", "iterations": 3, "batch": 4 },
+        "point": { "panels": 2, "sensors": 1, "placement": 0, "seed": 1 },
+        "panel_units": [9, 10], "sensor_units": [5],
+    }))
+    .unwrap();
+    let (began, mut sleeper) = (Instant::now(), Sleeper::default());
+    let result = run_trial(&trial, None, 1, &mut sleeper).unwrap();
+    let (wall, recorded) = (began.elapsed().as_secs_f64(), sleeper.recorded + result.seconds_evaluation);
+    assert!(recorded > 0.0, "{recorded} s recorded");
+    assert!(recorded < wall - 2.9 * NAP.as_secs_f64(), "{recorded} s recorded, {wall} s by the wall clock");
+}
