@@ -20,7 +20,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]",
         "[run]\ntime_limit = nan\n[sweep]",
-        "s.toml:14: run.time_limit = nan: must be at least 0.1 s",
+        "s.toml:14: run.time_limit = nan: nan is no finite number",
     ),
     ("[sweep]", "[run]\nniceness = 20\n[sweep]", "s.toml:14: run.niceness = 20: must be at most 19"),
     ("columns = 6", "columns = 99999999999", "s.toml:3: body.columns = 99999999999: must be at most 1000"),
@@ -41,8 +41,8 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     ("rows = 6", "rows = 1", "s.toml:4: body.rows = 1: must be at least 2"),
     ("columns = 6", "columns = 0", "s.toml:3: body.columns = 0: "),
-    ("columns = 6", "columns = 6.5", "s.toml:3: body.columns = 6.5: invalid type"),
-    ("spacing = 15.0", "spacing = nan", "s.toml:5: body.spacing = NaN: "),
+    ("columns = 6", "columns = 6.5", "s.toml:3: body.columns = 6.5: must be a whole number"),
+    ("spacing = 15.0", "spacing = nan", "s.toml:5: body.spacing = nan: nan is no finite number"),
     ("spacing = 15.0", "spacing = -15.0", "s.toml:5: body.spacing = -15: "),
     (
         "spacing = 15.0",
@@ -69,10 +69,10 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]",
         "[solver]\nmethod = \"euler\"\n[sweep]",
-        "s.toml:14: solver.method = \"euler\": unknown variant",
+        "s.toml:14: solver.method = \"euler\": must be \"auto\", \"tsit5\", ",
     ),
     ("[sweep]", "[brain]\niterations = 0\n[sweep]", "s.toml:14: brain.iterations = 0: "),
-    ("[sweep]", "[brain]\nlearning_rate = nan\n[sweep]", "s.toml:14: brain.learning_rate = NaN: "),
+    ("[sweep]", "[brain]\nlearning_rate = nan\n[sweep]", "s.toml:14: brain.learning_rate = nan: "),
     ("[sweep]", "[optimise]\nlearning_rate = -0.1\n[sweep]", "s.toml:14: optimise.learning_rate = -0.1: "),
     (
         "[sweep]",
@@ -104,7 +104,18 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "sensors = [1, 2]",
         "sensors = [1]\n\"body.columns\" = [5, \"six\"]",
-        "s.toml:16: body.columns = \"six\": invalid type",
+        "s.toml:16: body.columns = \"six\": must be a whole number from 0 up",
+    ),
+    // the key's own line, although the sweep has an axis over another key, or over the key itself
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\n\"body.columns\" = [5, 6]\n[body.contact]\nmin_angle = nan",
+        "s.toml:18: body.contact.min_angle = nan: nan is no finite number",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\n\"body.contact.stiffness\" = [5, 6]\n[body.contact]\nstiffness = \"six\"",
+        "s.toml:18: body.contact.stiffness = \"six\": must be a number",
     ),
     ("sensors = [1, 2]", "sensors = [1]\n\"body.colums\" = [5]", "nearest known one is \"body.columns\""),
     (

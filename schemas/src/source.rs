@@ -12,6 +12,10 @@ use toml::de::{DeTable, DeValue};
 
 use crate::spec::SweepSpec;
 
+mod keys;
+
+pub use keys::KnownKeys;
+
 /// Something wrong in a spec file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}:{line}: {what}", file.display())]
@@ -44,6 +48,8 @@ struct Place {
     value: Range<usize>,
     is_table: bool,
     is_list: bool,
+    /// A number in it that is none: NaN, or too large.
+    not_finite: Option<String>,
 }
 
 impl Source {
@@ -84,7 +90,7 @@ impl Source {
         for place in &self.places {
             self.check_key(place, &known)?;
         }
-        toml::from_str(&self.text).map_err(|e| self.type_error(&e))
+        toml::from_str(&self.text).map_err(|e| self.type_error(&e, &known))
     }
 
     fn check_key(&self, place: &Place, known: &KnownKeys) -> Result<(), SpecError> {
@@ -98,23 +104,31 @@ impl Source {
                 return Err(self.at(place, what));
             }
             if !known.is_axis(axis) {
-                let nearest = match axis.contains('.') {
-                    true => KnownKeys::nearest_of(axis, known.axes()),
-                    false => KnownKeys::nearest_of(key, known.paths.iter().map(String::as_str)),
-                };
-                return Err(self.error(key, &format!("unknown key; the nearest known one is {nearest:?}")));
+                return Err(
+                    self.at(place, format!("{key} = {}: {}", self.value(place), no_axis(axis, known)))
+                );
             }
             if !place.is_list {
                 return Err(self.error(key, "an axis is a list of values"));
             }
         } else if !known.contains(key) {
-            let nearest = KnownKeys::nearest_of(key, known.paths.iter().map(String::as_str));
-            return Err(self.error(key, &format!("unknown key; the nearest known one is {nearest:?}")));
+            return Err(self.error(key, &unknown(KnownKeys::nearest_of(key, known.paths()))));
         }
-        Ok(())
+        match &place.not_finite {
+            Some(number) => Err(self.wrong(place, &format!("{number} is no finite number"))),
+            None => Ok(()),
+        }
     }
 
-    fn type_error(&self, e: &toml::de::Error) -> SpecError {
+    /// An error at just this place, with its value.
+    fn wrong(&self, place: &Place, remedy: &str) -> SpecError {
+        match place.is_table {
+            true => self.at(place, format!("{}: {remedy}", place.key)),
+            false => self.at(place, format!("{} = {}: {remedy}", place.key, self.value(place))),
+        }
+    }
+
+    fn type_error(&self, e: &toml::de::Error, known: &KnownKeys) -> SpecError {
         let span = e.span().unwrap_or(0..0);
         // The innermost key around the value that serde refused.
         let place = self.places.iter().rfind(|p| p.value.start <= span.start && span.end <= p.value.end);
@@ -127,7 +141,7 @@ impl Source {
                 let what = format!("{table}{field}: must be given, it has no default");
                 SpecError { file: self.file.clone(), line, key: format!("{table}{field}"), what }
             }
-            (None, Some(place)) => self.error(&place.key.clone(), &message),
+            (None, Some(place)) => self.wrong(place, &known.in_words(&place.key, &message)),
             (None, None) => self.error("", &message),
         }
     }
@@ -196,64 +210,44 @@ fn find_places(table: &DeTable<'_>, prefix: &str, places: &mut Vec<Place>) {
             find_places(inner, &key, places);
         }
         let is_list = matches!(value.get_ref(), DeValue::Array(_));
-        places.push(Place { key, at: name.span().start, value: value.span(), is_table, is_list });
+        let not_finite = if is_table { None } else { not_finite(value.get_ref()) };
+        places.push(Place { key, at: name.span().start, value: value.span(), is_table, is_list, not_finite });
     }
 }
 
-/// All keys that a file may have, by path.
-#[derive(Debug)]
-pub struct KnownKeys {
-    paths: Vec<String>,
+/// The first number of a value, or of a list in it, that is none.
+fn not_finite(value: &DeValue<'_>) -> Option<String> {
+    match value {
+        DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => Some(x.as_str().to_owned()),
+        DeValue::Array(values) => values.iter().find_map(|v| not_finite(v.get_ref())),
+        DeValue::Table(table) => table.values().find_map(|v| not_finite(v.get_ref())),
+        _ => None,
+    }
 }
 
-impl KnownKeys {
-    /// Those of `SweepSpec`.
-    #[must_use]
-    pub fn of_spec() -> Self {
-        Self::of::<SweepSpec>()
+/// What to say of a key that nothing knows.
+fn unknown(nearest: Option<&str>) -> String {
+    match nearest {
+        Some(nearest) => format!("unknown key; the nearest known one is {nearest:?}"),
+        None => "unknown key; `metasense schema` lists those there are".into(),
     }
+}
 
-    fn of<T: JsonSchema>() -> Self {
-        let schema = schemars::schema_for!(T).to_value();
-        let mut paths = Vec::new();
-        add_paths(&schema, &schema, "", &mut paths);
-        Self { paths }
-    }
-
-    fn contains(&self, path: &str) -> bool {
-        self.paths.iter().any(|p| p == path)
-    }
-
-    /// Keys that may be an axis: all that a trial is made of.
-    fn axes(&self) -> impl Iterator<Item = &str> {
-        self.paths.iter().map(String::as_str).filter(|p| {
-            p.contains('.')
-                && !p.starts_with("sweep.")
-                && !p.starts_with("run.")
-                && *p != "sensors.placements"
-        })
-    }
-
-    /// Whether a key may be an axis.
-    #[must_use]
-    pub fn is_axis(&self, path: &str) -> bool {
-        self.axes().any(|p| p == path)
-    }
-
-    /// The known key most like `path`: one of the same table unless another table has a closer one.
-    #[must_use]
-    pub fn nearest_of<'a>(path: &str, among: impl Iterator<Item = &'a str>) -> &'a str {
-        let split = |p: &'a str| p.rsplit_once('.').unwrap_or(("", p));
-        let (table, name) = path.rsplit_once('.').unwrap_or(("", path));
-        let distance = |candidate: &'a str| {
-            let (its_table, its_name) = split(candidate);
-            let whole = strsim::damerau_levenshtein(candidate, path);
-            let elsewhere = if its_table == table { 0 } else { 1 };
-            whole.min(strsim::damerau_levenshtein(its_name, name) + elsewhere)
-        };
-        among
-            .min_by_key(|candidate| (distance(candidate), strsim::damerau_levenshtein(candidate, path)))
-            .unwrap_or("")
+/// Why something in `[sweep]` is no axis.
+fn no_axis(name: &str, known: &KnownKeys) -> String {
+    match name.strip_prefix("sweep.").filter(|_| known.contains(name)) {
+        Some(own) => format!("a list of [sweep] itself, written without quotes and table: {own} = …"),
+        None if name.contains('.') && known.contains(name) => {
+            "no part of a trial, and cannot be swept".into()
+        }
+        None if name.contains('.') => unknown(KnownKeys::nearest_of(name, known.axes())),
+        None => match KnownKeys::nearest_of(&format!("sweep.{name}"), known.paths()) {
+            Some(nearest) => unknown(Some(nearest)),
+            None => {
+                "unknown key; an axis is a key by its path in quotes, for instance \"body.columns\" = [5, 6]"
+                    .into()
+            }
+        },
     }
 }
 
@@ -261,22 +255,6 @@ impl KnownKeys {
 #[must_use]
 pub fn spec_schema() -> Value {
     schemars::schema_for!(SweepSpec).to_value()
-}
-
-fn add_paths(schema: &Value, root: &Value, prefix: &str, paths: &mut Vec<String>) {
-    if let Some(reference) = schema["$ref"].as_str().and_then(|r| r.strip_prefix('#')) {
-        return add_paths(root.pointer(reference).unwrap_or(&Value::Null), root, prefix, paths);
-    }
-    for choice in ["anyOf", "allOf"] {
-        for part in schema[choice].as_array().into_iter().flatten() {
-            add_paths(part, root, prefix, paths);
-        }
-    }
-    for (name, inner) in schema["properties"].as_object().into_iter().flatten() {
-        let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
-        add_paths(inner, root, &path, paths);
-        paths.push(path);
-    }
 }
 
 #[cfg(test)]
@@ -357,23 +335,76 @@ exclude = [{ sensors = 2, "body.columns" = 5 }]
                 "panel = [2]",
                 "a.toml:12: sweep.panel = [2]: unknown key; the nearest known one is \"sweep.panels\"",
             ),
-            (
-                "rows = 6",
-                "rows = \"six\"",
-                "a.toml:4: body.rows = \"six\": invalid type: string \"six\", expected usize",
-            ),
-            (
-                "rows = 6",
-                "rows = -6",
-                "a.toml:4: body.rows = -6: invalid value: integer `-6`, expected usize",
-            ),
+            ("rows = 6", "rows = \"six\"", "a.toml:4: body.rows = \"six\": must be a whole number from 0 up"),
+            ("rows = 6", "rows = -6", "a.toml:4: body.rows = -6: must be a whole number from 0 up"),
             ("columns = 6\n", "", "a.toml:2: body.columns: must be given, it has no default"),
             (", bend = 1.0", "", "a.toml:8: body.stiffness.bend: must be given, it has no default"),
             ("[stimuli]\nkind = \"bell\"\n", "", "a.toml:1: stimuli: must be given, it has no default"),
             (
                 "\"bell\"",
                 "\"ball\"",
-                "a.toml:10: stimuli.kind = \"ball\": unknown variant `ball`, expected one of `bell`, `irregular`, `recorded`",
+                "a.toml:10: stimuli.kind = \"ball\": must be \"bell\", \"irregular\" or \"recorded\"",
+            ),
+            (
+                "columns = 6",
+                "columns = \"six\"",
+                "a.toml:3: body.columns = \"six\": must be a whole number from 0 up",
+            ),
+            ("spacing = 15.0", "spacing = -inf", "a.toml:5: body.spacing = -inf: -inf is no finite number"),
+            (
+                "\"body.columns\" = [5, 6]",
+                "\"body.spacing\" = [15.0, nan]",
+                "a.toml:14: sweep.\"body.spacing\" = [15.0, nan]: nan is no finite number",
+            ),
+            (
+                "rows = 6",
+                "clamp = \"top\"",
+                "a.toml:4: body.clamp = \"top\": must be \"bottom\", \"hub\" or a list of whole numbers from 0 up",
+            ),
+            (
+                "{ stretch = 3.0, shear = 0.5, bend = 1.0 }",
+                "3.0",
+                "a.toml:8: body.stiffness = 3.0: must be a table { bend, shear, stretch }",
+            ),
+            (
+                "[stimuli]",
+                "[sensors]\nnoise = [1.0]\n[stimuli]",
+                "a.toml:10: sensors.noise = [1.0]: must be a number or a list of 2 numbers",
+            ),
+            (
+                "[stimuli]",
+                "[run]\nniceness = 300\n[stimuli]",
+                "a.toml:10: run.niceness = 300: must be a whole number from 0 to 255",
+            ),
+            (
+                "sensors = [1, 2]",
+                "sensors = [1.5]",
+                "a.toml:13: sweep.sensors = [1.5]: must be a list of whole numbers from 0 up",
+            ),
+            (
+                "rows = 6",
+                "design = 7",
+                "a.toml:4: body.design = 7: must be a text in quotes, a table { random } or a table { shifts }",
+            ),
+            (
+                "\"body.columns\" = [5, 6]",
+                "\"foo\" = [5, 6]",
+                "a.toml:14: sweep.foo = [5, 6]: unknown key; an axis is a key by its path in quotes, for instance",
+            ),
+            (
+                "panels = [2]",
+                "\"sweep.panels\" = [2]",
+                "a.toml:12: sweep.\"sweep.panels\" = [2]: a list of [sweep] itself, written without quotes and table: panels = …",
+            ),
+            (
+                "\"body.columns\" = [5, 6]",
+                "\"run.workers\" = [5, 6]",
+                "a.toml:14: sweep.\"run.workers\" = [5, 6]: no part of a trial, and cannot be swept",
+            ),
+            (
+                "rows = 6",
+                "colour = \"red\"",
+                "a.toml:4: body.colour = \"red\": unknown key; `metasense schema` lists",
             ),
             ("rows = 6", "rows = ", "a.toml:4: not valid TOML: "),
             (

@@ -61,8 +61,7 @@ pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
         for value in *values {
             let mut one = base.clone();
             set(&mut one, path, value);
-            serde_json::from_value::<SweepSpec>(one)
-                .map_err(|e| source.error_with(path, Some(&value.to_string()), &e.to_string()))?;
+            serde_json::from_value::<SweepSpec>(one).map_err(|e| refused(path, value, &e, source))?;
         }
     }
     let count = axes.iter().map(|(_, values)| values.len()).product();
@@ -82,6 +81,15 @@ pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
         combinations.push(Combination { spec, excludes });
     }
     Ok(combinations)
+}
+
+/// A value that its key cannot have; within a table, only serde knows where.
+fn refused(path: &str, value: &Value, e: &serde_json::Error, source: &Source) -> SpecError {
+    let message = match value {
+        Value::Object(_) => e.to_string(),
+        _ => KnownKeys::of_spec().in_words(path, &e.to_string()),
+    };
+    source.error_with(path, Some(&value.to_string()), &message)
 }
 
 /// The entry without its axes, or `None` where one of them disagrees.
@@ -118,8 +126,12 @@ fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         }
         for (key, value) in entry {
             if !known.contains(&key.as_str()) {
-                let nearest = KnownKeys::nearest_of(key, known.iter().copied());
-                let remedy = format!("unknown key {key:?}; the nearest known one here is {nearest:?}");
+                let remedy = match KnownKeys::nearest_of(key, known.iter().copied()) {
+                    Some(nearest) => {
+                        format!("unknown key {key:?}; the nearest known one here is {nearest:?}")
+                    }
+                    None => format!("unknown key {key:?}; those known here are {}", known.join(", ")),
+                };
                 return Err(source.error_with("sweep.exclude", Some(&value.to_string()), &remedy));
             }
             if !key.contains('.') && value.as_u64().is_none() {

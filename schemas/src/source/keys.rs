@@ -1,0 +1,179 @@
+//! The keys that a file may have and what each may hold, from the JSON schema of its type: for messages in the spec's
+//! words, whatever serde says.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde_json::Value;
+
+use crate::spec::SweepSpec;
+
+/// All keys that a file may have, by path.
+#[derive(Debug)]
+pub struct KnownKeys {
+    /// What each may hold, in words.
+    allowed: BTreeMap<String, String>,
+}
+
+impl KnownKeys {
+    /// Those of `SweepSpec`.
+    #[must_use]
+    pub fn of_spec() -> Self {
+        Self::of::<SweepSpec>()
+    }
+
+    pub(super) fn of<T: JsonSchema>() -> Self {
+        let schema = schemars::schema_for!(T).to_value();
+        let mut allowed = BTreeMap::new();
+        add_keys(&schema, &schema, "", &mut allowed);
+        Self { allowed }
+    }
+
+    pub(super) fn paths(&self) -> impl Iterator<Item = &str> {
+        self.allowed.keys().map(String::as_str)
+    }
+
+    pub(super) fn contains(&self, path: &str) -> bool {
+        self.allowed.contains_key(path)
+    }
+
+    /// Keys that may be an axis: all that a trial is made of.
+    pub(super) fn axes(&self) -> impl Iterator<Item = &str> {
+        self.paths().filter(|p| {
+            p.contains('.')
+                && !p.starts_with("sweep.")
+                && !p.starts_with("run.")
+                && *p != "sensors.placements"
+        })
+    }
+
+    /// Whether a key may be an axis.
+    #[must_use]
+    pub fn is_axis(&self, path: &str) -> bool {
+        self.axes().any(|p| p == path)
+    }
+
+    /// The known key most like `path`, if one is like it: one of the same table unless another has a closer one.
+    #[must_use]
+    pub fn nearest_of<'a>(path: &str, among: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+        let split = |p: &'a str| p.rsplit_once('.').unwrap_or(("", p));
+        let (table, name) = path.rsplit_once('.').unwrap_or(("", path));
+        let distance = |candidate: &'a str| {
+            let (its_table, its_name) = split(candidate);
+            let whole = strsim::damerau_levenshtein(candidate, path);
+            let elsewhere = if its_table == table { 0 } else { 1 };
+            whole.min(strsim::damerau_levenshtein(its_name, name) + elsewhere)
+        };
+        // A letter may be wrong, and one in four more.
+        let most = 1 + name.chars().count() / 4;
+        among
+            .map(|candidate| (distance(candidate), strsim::damerau_levenshtein(candidate, path), candidate))
+            .filter(|(distance, ..)| *distance <= most)
+            .min()
+            .map(|(.., candidate)| candidate)
+    }
+
+    /// What serde said of the value of a key, in the words of the spec where it is about what the key may hold.
+    #[must_use]
+    pub fn in_words(&self, key: &str, message: &str) -> String {
+        const OF_THE_VALUE: [&str; 5] =
+            ["invalid type", "invalid value", "invalid length", "data did not match", "unknown variant"];
+        match self.allowed.get(key).filter(|_| OF_THE_VALUE.iter().any(|start| message.starts_with(start))) {
+            Some(allowed) => format!("must be {allowed}"),
+            None => message.to_owned(),
+        }
+    }
+}
+
+fn add_keys(schema: &Value, root: &Value, prefix: &str, allowed: &mut BTreeMap<String, String>) {
+    let schema = resolved(schema, root);
+    for choice in ["anyOf", "allOf"] {
+        for part in schema[choice].as_array().into_iter().flatten() {
+            add_keys(part, root, prefix, allowed);
+        }
+    }
+    for (name, inner) in schema["properties"].as_object().into_iter().flatten() {
+        let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+        add_keys(inner, root, &path, allowed);
+        allowed.insert(path, either(&values(inner, root)));
+    }
+}
+
+fn resolved<'a>(schema: &'a Value, root: &'a Value) -> &'a Value {
+    let reference = schema["$ref"].as_str().and_then(|r| r.strip_prefix('#'));
+    reference.and_then(|path| root.pointer(path)).unwrap_or(schema)
+}
+
+fn either(values: &[String]) -> String {
+    match values {
+        [] => "something else".into(),
+        [value] => value.clone(),
+        [before @ .., last] => format!("{} or {last}", before.join(", ")),
+    }
+}
+
+/// The kinds of value that a schema allows, each in words.
+fn values(schema: &Value, root: &Value) -> Vec<String> {
+    let schema = resolved(schema, root);
+    let parts = |key: &str| schema[key].as_array().into_iter().flatten();
+    let choices: Vec<String> =
+        parts("anyOf").chain(parts("oneOf")).chain(parts("allOf")).flat_map(|s| values(s, root)).collect();
+    if !choices.is_empty() {
+        return choices;
+    }
+    if !schema["const"].is_null() {
+        return vec![schema["const"].to_string()];
+    }
+    let names: Vec<String> = parts("enum").filter(|v| !v.is_null()).map(Value::to_string).collect();
+    if !names.is_empty() {
+        return names;
+    }
+    let types: Vec<&str> = match &schema["type"] {
+        Value::Array(types) => types.iter().filter_map(Value::as_str).collect(),
+        one => one.as_str().into_iter().collect(),
+    };
+    types.into_iter().filter_map(|kind| value(kind, schema, root)).collect()
+}
+
+/// A value of a JSON type in words.
+fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
+    let text = match kind {
+        "integer" => match (schema["minimum"].as_f64(), schema["maximum"].as_f64()) {
+            (Some(least), Some(most)) => format!("a whole number from {least} to {most}"),
+            (Some(least), None) => format!("a whole number from {least} up"),
+            _ => "a whole number".into(),
+        },
+        "number" => "a number".into(),
+        "string" => "a text in quotes".into(),
+        "boolean" => "true or false".into(),
+        "array" => {
+            let count = schema["minItems"].as_u64().filter(|n| schema["maxItems"].as_u64() == Some(*n));
+            let count = count.map_or(String::new(), |n| format!("{n} "));
+            let items = values(&schema["items"], root);
+            // "a whole number from 0 up" → "whole numbers from 0 up"
+            let many = |one: &String| {
+                let one = one.strip_prefix("a ")?;
+                let noun = ["number", "text", "list", "table"].into_iter().find(|noun| one.contains(noun))?;
+                Some(one.replacen(noun, &format!("{noun}s"), 1))
+            };
+            match items.iter().map(many).collect::<Option<Vec<_>>>() {
+                Some(items) if !items.is_empty() => format!("a list of {count}{}", either(&items)),
+                _ => "a list".into(),
+            }
+        }
+        "object" => {
+            let keys: Vec<&str> = schema["properties"]
+                .as_object()
+                .into_iter()
+                .flatten()
+                .map(|(name, _)| name.as_str())
+                .collect();
+            match keys.len() {
+                1..=6 => format!("a table {{ {} }}", keys.join(", ")),
+                _ => "a table".into(),
+            }
+        }
+        _ => return None,
+    };
+    Some(text)
+}
