@@ -154,6 +154,36 @@ fn every_error_in_a_spec_names_file_line_key_and_value() {
     assert!(!bench.path("results").exists(), "a run with a bad spec wrote something");
 }
 
+/// Such as `metasense … 2>&1 >/dev/null | head -1` leaves behind: the end of a pipe that nobody reads.
+#[test]
+fn closed_outputs_change_no_exit_code() {
+    let bench = Bench::new();
+    bench.file("bad.toml", &SPEC.replacen("columns = 6", "colums = 6", 1));
+    bench.file("good.toml", SPEC);
+    for (args, code) in [(["expand", "bad.toml"], 2), (["expand", "good.toml"], 0), (["status", "none"], 2)] {
+        let closed = || std::io::pipe().unwrap().1;
+        let status = std::process::Command::new(env!("CARGO_BIN_EXE_metasense"))
+            .args(args)
+            .current_dir(bench.path("."))
+            .stdout(closed())
+            .stderr(closed())
+            .status()
+            .unwrap();
+        assert_eq!(status.code(), Some(code), "{args:?}");
+    }
+}
+
+/// 140 edges are too short; the message shows some of them and says how many more.
+#[test]
+fn an_error_of_many_lines_is_cut_short() {
+    let bench = Bench::new();
+    bench.file("s.toml", &SPEC.replacen("[sweep]", "[feasible]\nmin_edge = 30.0\n[sweep]", 1));
+    let output = bench.metasense(&["expand", "s.toml"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.lines().count() <= 12 && message.contains("… and 134 more"), "{message}");
+}
+
 #[test]
 fn files_and_databases_that_cannot_be_used_are_named() {
     let bench = Bench::new();

@@ -1,6 +1,5 @@
 //! The `metasense` command: parse, dispatch, exit code.
 
-use std::error::Error as _;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -13,12 +12,7 @@ fn main() -> ExitCode {
         // Whoever reads our output has had enough of it.
         Err(e) if e.is_broken_pipe() => Exit::Done.into(),
         Err(e) => {
-            eprintln!("error: {e}");
-            let mut cause = e.source();
-            while let Some(e) = cause {
-                eprintln!("  because: {e}");
-                cause = e.source();
-            }
+            e.say();
             e.exit().into()
         }
     }

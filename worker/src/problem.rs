@@ -287,13 +287,19 @@ pub fn kept(feasible: &spec::Feasible, panels: &[usize], clamped: &[usize]) -> V
     asked.into_iter().filter(|(keep, _)| *keep).flat_map(|(_, units)| units).copied().collect()
 }
 
-/// Refuses a starting design that cannot be cast, with all that it breaks.
+/// Limits that a design breaks, as many as are shown.
+const SHOWN: usize = 10;
+
+/// Refuses a starting design that cannot be cast, with the first of what it breaks.
 fn castable(body: &spec::Body, layout: &Layout, limits: Limits, initial: &[f64]) -> Result<(), Invalid> {
     let broken = Feasible::new(layout, limits, &[]).violations(initial);
     if broken.is_empty() {
         return Ok(());
     }
-    let list: String = broken.iter().map(|violation| format!("\n  {violation}")).collect();
+    let mut list: String = broken.iter().take(SHOWN).map(|violation| format!("\n  {violation}")).collect();
+    if broken.len() > SHOWN {
+        list += &format!("\n  … and {} more", broken.len() - SHOWN);
+    }
     Err(match body.design {
         None => {
             let remedy = format!("the initial body is not feasible; change [body] or [feasible]:{list}");

@@ -38,17 +38,22 @@ pub fn build() -> String {
     format!("{}-{inode:x}-{size:x}-{modified:x}", env!("CARGO_PKG_VERSION"))
 }
 
+/// On standard error, if anybody reads that.
+fn complain(what: std::fmt::Arguments) {
+    let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("{what}\n"));
+}
+
 /// The hidden subcommand: `start` is a `wire::Start` as JSON. Returns the exit code.
 pub fn run(start: &str) -> i32 {
     let start: Start = match serde_json::from_str(start) {
         Ok(start) => start,
         Err(error) => {
-            eprintln!("worker: this subcommand is for the orchestrator alone: {error}");
+            complain(format_args!("worker: this subcommand is for the orchestrator alone: {error}"));
             return OTHER_BUILD;
         }
     };
     if start.build != build() {
-        eprintln!("worker: the orchestrator is build {}, this is {}", start.build, build());
+        complain(format_args!("worker: the orchestrator is build {}, this is {}", start.build, build()));
         return OTHER_BUILD;
     }
     if !bind_to_parent(&start) {
@@ -57,7 +62,7 @@ pub fn run(start: &str) -> i32 {
     match Worker::connect(&start).and_then(|mut worker| worker.serve()) {
         Ok(()) => 0,
         Err(error) => {
-            eprintln!("worker: {error}");
+            complain(format_args!("worker: {error}"));
             NO_LINK
         }
     }

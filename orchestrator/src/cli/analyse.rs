@@ -53,7 +53,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         writeln!(stdout(), "{:#}", Value::Object(objects))?;
     }
     if trials.is_empty() {
-        eprintln!("no trial of {} is done yet", args.db.display());
+        say!("no trial of {} is done yet", args.db.display());
     }
     Ok(Exit::Done)
 }

@@ -55,14 +55,14 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     if let Some(file) = &args.design_out {
         design::write(file, &body.layout, &drawn)?;
     }
-    println!(
+    print_line!(
         "{}: {caption}, {} constraints at their limit, {} broken",
         args.out.display(),
         active.len(),
         violations.len()
-    );
+    )?;
     for violation in &violations {
-        println!("  {violation}");
+        print_line!("  {violation}")?;
     }
     Ok(Exit::Done)
 }

@@ -151,7 +151,7 @@ fn compare(
                     Some((modelled.signals, judged))
                 }
                 Err(Failure::NonFinite(why)) => {
-                    eprintln!("{name}: the model has nothing to say: {why}");
+                    say!("{name}: the model has nothing to say: {why}");
                     None
                 }
                 Err(e) => return Err(Error::Usage(format!("--design {name}: {e}"))),
@@ -176,7 +176,7 @@ fn well(body: &Body) -> bool {
     for (kind, evaluated) in kinds {
         let outcomes = evaluated.iter().flat_map(|evaluated| evaluated.outcomes.iter().flatten());
         for outcome in outcomes.filter(|outcome| **outcome != "ok") {
-            eprintln!("{}, {kind} signals: a training ended with {outcome}", body.name);
+            say!("{}, {kind} signals: a training ended with {outcome}", body.name);
             well = false;
         }
     }
@@ -236,11 +236,11 @@ impl Progress {
         said.0 += 1;
         let (done, all, spent) = (said.0, self.networks, self.start.elapsed().as_secs_f64());
         if done == all {
-            eprintln!("{all} networks trained in {}", duration(spent));
+            say!("{all} networks trained in {}", duration(spent));
         } else if said.1.elapsed() >= LINE_EVERY {
             said.1 = Instant::now();
             let left = duration(spent * (all - done) as f64 / done as f64);
-            eprintln!("{done} of {all} networks trained, now {body} by {kind} signals; {left} to go");
+            say!("{done} of {all} networks trained, now {body} by {kind} signals; {left} to go");
         }
     }
 }

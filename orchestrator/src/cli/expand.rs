@@ -46,7 +46,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let rows = plan.trials.iter().map(|trial| row(trial, &axes)).collect();
     print_rows(&Table { columns, rows }, args.format)?;
     let total: f64 = plan.trials.iter().map(|t| t.cost).sum();
-    eprintln!("{} trials, about {} on one core", plan.trials.len(), super::duration(total));
+    say!("{} trials, about {} on one core", plan.trials.len(), super::duration(total));
     Ok(Exit::Done)
 }
 

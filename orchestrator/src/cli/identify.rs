@@ -87,9 +87,9 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let said = said(&fit, records);
     if args.format == Format::Table {
         print_rows(&correlations(&fit), args.format)?;
-        said.iter().for_each(|line| println!("{line}"));
+        said.iter().try_for_each(|line| print_line!("{line}"))?;
     }
-    eprintln!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
+    say!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
     if let Some(folder) = &args.out {
         let title = format!("{}: parameters from {records} records", plan.spec.name);
         let drawn = pictures::figures(trial, &measured.signals, &fit);

@@ -47,7 +47,7 @@ impl Live {
     fn say(&self, line: &str) {
         match &self.bar {
             Some(bar) => bar.println(line),
-            None => eprintln!("{line}"),
+            None => say!("{line}"),
         }
     }
 }
@@ -102,7 +102,7 @@ impl Watch for Live {
             }
             None if self.said.elapsed() >= LINE_EVERY => {
                 self.said = Instant::now();
-                eprintln!("{:3.0} %: {message}", 100.0 * part);
+                say!("{:3.0} %: {message}", 100.0 * part);
             }
             None => {}
         }
@@ -123,11 +123,11 @@ impl Watch for Live {
                 format!("{} ({error:+.0} %) after {:.0} %", duration(*estimate), 100.0 * part)
             });
             let said = said.collect::<Vec<_>>().join(", ");
-            eprintln!("took {}; the estimate was {said} of the work", duration(actual));
+            say!("took {}; the estimate was {said} of the work", duration(actual));
         }
         if outcome == Outcome::Interrupted {
             let open = view.total - view.settled();
-            eprintln!("stopped with {} open; the same command goes on from there", counted(open, "trial"));
+            say!("stopped with {} open; the same command goes on from there", counted(open, "trial"));
         }
     }
 }

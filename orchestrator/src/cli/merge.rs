@@ -33,20 +33,20 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         print_rows(&table(&summary), args.format)?;
     }
     for (file, why) in &summary.refused {
-        eprintln!("refused: {}: {why}", file.display());
+        say!("refused: {}: {why}", file.display());
     }
     for (sweep, count, missing) in &summary.missing {
-        eprintln!("{sweep}: no database of {} of its {count} shards: {}", missing.len(), ranges(missing));
+        say!("{sweep}: no database of {} of its {count} shards: {}", missing.len(), ranges(missing));
     }
     let Summary { read, trials, covered, not_compared, .. } = summary;
-    eprintln!("{trials} trials from {read} databases");
+    say!("{trials} trials from {read} databases");
     if covered + not_compared > 0 {
-        eprintln!(
+        say!(
             "there more than once: {covered} with nothing new, {not_compared} not compared, as their instruction sets \
              differ"
         );
     }
-    eprintln!("database: {}", args.out.display());
+    say!("database: {}", args.out.display());
     let disagrees = summary.findings.iter().any(|f| f.kind == Kind::Bits);
     Ok(if disagrees || !summary.refused.is_empty() { Exit::Failed } else { Exit::Done })
 }

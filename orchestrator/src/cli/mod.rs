@@ -1,5 +1,8 @@
 //! The command line: one file a command.
 
+#[macro_use]
+mod say;
+
 mod analyse;
 mod bench;
 mod draw;
@@ -23,6 +26,7 @@ mod trial;
 mod verify;
 mod watch;
 
+use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand};
@@ -210,6 +214,16 @@ impl Error {
             | Self::Measured(_)
             | Self::Unreadable { .. } => Exit::BadInput,
             Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
+        }
+    }
+
+    /// Says what went wrong and why on standard error.
+    pub fn say(&self) {
+        say!("error: {self}");
+        let mut cause = self.source();
+        while let Some(e) = cause {
+            say!("  because: {e}");
+            cause = e.source();
         }
     }
 

@@ -52,13 +52,13 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     }
     for line in summary {
         match args.format {
-            Format::Table => println!("{line}"),
-            _ => eprintln!("{line}"),
+            Format::Table => print_line!("{line}")?,
+            _ => say!("{line}"),
         }
     }
     if !found.status.is_feasible() {
         for violation in feasible.violations(&found.design) {
-            eprintln!("  {violation}");
+            say!("  {violation}");
         }
         return Ok(Exit::Failed);
     }

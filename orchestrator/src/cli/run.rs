@@ -132,7 +132,7 @@ async fn run(
     let sweep = (&plan.spec, &*plan.source.text);
     let Some(open) = engine::begin(&mut store, sweep, &plan.trials, again, signals).await? else {
         store.close().await?;
-        eprintln!("stopped before any trial was begun; the same command begins");
+        say!("stopped before any trial was begun; the same command begins");
         return Ok(Outcome::Interrupted);
     };
     let options = options(&plan.spec.run, args, &open);
@@ -150,7 +150,7 @@ async fn run(
             store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
         }
         store.close().await?;
-        eprintln!("nothing left to do: all {} trials are settled", plan.trials.len());
+        say!("nothing left to do: all {} trials are settled", plan.trials.len());
         return Ok(Outcome::Complete);
     }
     log::start(log)?;
@@ -177,7 +177,7 @@ fn name(outcome: Outcome) -> &'static str {
 /// The table and the words at the end.
 async fn end(db: &Path, plan: &Plan, format: Format, outcome: Outcome) -> Result<Exit, Error> {
     let failed = print_results(db, plan, format).await?;
-    eprintln!("database: {}", db.display());
+    say!("database: {}", db.display());
     Ok(match outcome {
         Outcome::Interrupted => Exit::Interrupted,
         _ if failed > 0 => Exit::Failed,
@@ -221,23 +221,20 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
     let ((mut table, count), failures) = (results?, failures?);
     let (pruned, failures): (Vec<_>, Vec<_>) = failures.into_iter().partition(|(_, reason)| reason == PRUNED);
     if !pruned.is_empty() {
-        eprintln!(
-            "{} given up as hopeless; without `prune` in [run] they go on",
-            counted(pruned.len(), "trial")
-        );
+        say!("{} given up as hopeless; without `prune` in [run] they go on", counted(pruned.len(), "trial"));
     }
     for (hash, reason) in failures.iter().take(MOST_ROWS) {
-        eprintln!("failed: trial {hash} ({reason})");
+        say!("failed: trial {hash} ({reason})");
     }
     if format == Format::Table && table.rows.iter().all(|row| row[STATE] == "done") {
         table.columns.truncate(STATE);
         table.rows.iter_mut().for_each(|row| row.truncate(STATE));
     }
     if failures.len() > MOST_ROWS {
-        eprintln!("… and {} more failed: metasense status {}", failures.len() - MOST_ROWS, db.display());
+        say!("… and {} more failed: metasense status {}", failures.len() - MOST_ROWS, db.display());
     }
     if !failures.is_empty() {
-        eprintln!(
+        say!(
             "their reasons and what to do stand in {}; --retry-failed runs them again",
             log::path(db).display()
         );
@@ -245,7 +242,7 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
     print_rows(&table, format)?;
     if count > table.rows.len() {
         let more = count - table.rows.len();
-        eprintln!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", db.display());
+        say!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", db.display());
     }
     Ok(failures.len())
 }

@@ -36,7 +36,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         })?,
     };
     let mut reader = Reader::open(&db).await?;
-    eprintln!("{}", db.display());
+    say!("{}", db.display());
     let table = reader
         .query(
             "SELECT sweep, state, CASE WHEN state <> 'done' THEN coalesce(reason, '') ELSE '' END AS reason,
@@ -107,9 +107,9 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let waiting =
         states.iter().filter(|s| queued.contains_key(&s.shard.index()) && s.state != "complete").count();
     let rest = states.len() - complete - waiting;
-    eprintln!("{}: {complete} of {} shards complete, {waiting} in the queue", folder.display(), states.len());
+    say!("{}: {complete} of {} shards complete, {waiting} in the queue", folder.display(), states.len());
     if rest > 0 {
-        eprintln!("{rest} have ended before their trials had: `metasense submit` goes on with them");
+        say!("{rest} have ended before their trials had: `metasense submit` goes on with them");
     }
     let failed = states.iter().any(|s| s.trials.is_some_and(|trials| trials[2] > 0));
     Ok(if failed { Exit::Failed } else { Exit::Done })

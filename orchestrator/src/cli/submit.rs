@@ -69,7 +69,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     let which = incomplete(&folder, &plan, shards).await?;
     if which.is_empty() {
-        eprintln!(
+        say!(
             "nothing left to do: all {shards} shards are complete; metasense merge {} --out FILE",
             folder.display()
         );
@@ -105,7 +105,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     say(&plan, &submission);
     match args.dry_run {
-        true => print(&submission),
+        true => print(&submission)?,
         false => submit(&plan, &submission)?,
     }
     Ok(Exit::Done)
@@ -115,7 +115,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 fn say(plan: &Plan, submission: &Submission) {
     let Submission { shards, which, cpus, seconds, .. } = submission;
     let (mean, longest) = estimate(&plan.trials, *shards, *cpus);
-    eprintln!(
+    say!(
         "{} trials in {shards} shards, each about {} on {cpus} cores, the longest {}; the time limit is {}",
         plan.trials.len(),
         duration(mean),
@@ -123,19 +123,19 @@ fn say(plan: &Plan, submission: &Submission) {
         duration(*seconds as f64)
     );
     if which.len() < *shards as usize {
-        eprintln!("{} of them are not complete: {}", which.len(), ranges(which));
+        say!("{} of them are not complete: {}", which.len(), ranges(which));
     }
     if longest > *seconds as f64 {
-        eprintln!("that is more than the limit: what is cut off goes on with the next `submit`");
+        say!("that is more than the limit: what is cut off goes on with the next `submit`");
     }
 }
 
-fn print(submission: &Submission) {
+fn print(submission: &Submission) -> std::io::Result<()> {
     for script in submission.scripts() {
-        println!("# {}\n{}", submission.folder.join(script.name).display(), script.text);
+        print_line!("# {}\n{}", submission.folder.join(script.name).display(), script.text)?;
     }
-    println!("$ {}", line(&submission.submit_shards()));
-    println!("$ {}", line(&submission.submit_merge("JOB")));
+    print_line!("$ {}", line(&submission.submit_shards()))?;
+    print_line!("$ {}", line(&submission.submit_merge("JOB")))
 }
 
 fn submit(plan: &Plan, submission: &Submission) -> Result<(), Error> {
@@ -152,10 +152,10 @@ fn submit(plan: &Plan, submission: &Submission) -> Result<(), Error> {
         std::fs::write(&file, script.text).map_err(io("writing", &file))?;
     }
     let job = run(&submission.submit_shards())?;
-    eprintln!("submitted: job {job}, shards {}", ranges(&submission.which));
+    say!("submitted: job {job}, shards {}", ranges(&submission.which));
     let merge_job = run(&submission.submit_merge(&job))?;
-    eprintln!("submitted: job {merge_job}, which merges them into {}", submission.out.display());
-    eprintln!("metasense status --cluster {} says how they are", folder.display());
+    say!("submitted: job {merge_job}, which merges them into {}", submission.out.display());
+    say!("metasense status --cluster {} says how they are", folder.display());
     let scheduler = match submission.scheduler {
         Scheduler::Slurm => "slurm",
         Scheduler::Hq => "hq",

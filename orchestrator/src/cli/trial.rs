@@ -37,7 +37,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let result = match run_trial(&trial.spec, None, args.threads.into(), &mut Steps) {
         Ok(result) => result,
         Err(failure @ (Failure::NonFinite(_) | Failure::Stopped)) => {
-            eprintln!("failed: trial {}: {failure}", trial.hash);
+            say!("failed: trial {}: {failure}", trial.hash);
             return Ok(Exit::Failed);
         }
         Err(failure @ Failure::Rejected(_)) => {
@@ -66,7 +66,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     add("simd", json!(result.simd));
     table.rows.push(row);
     print_rows(&table, args.format)?;
-    eprintln!("{}", duration(seconds));
+    say!("{}", duration(seconds));
     Ok(Exit::Done)
 }
 
@@ -100,7 +100,7 @@ impl Observe for Steps {
     fn step(&mut self, record: StepRecord, _: Checkpoint) -> Control {
         let number = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.4}"));
         let s = record.seconds;
-        eprintln!(
+        say!(
             "step {:>4}: test error {} %, training error {} %, moved {} mm, {}; \
              simulate {:.2} s, train {:.2} s, differentiate {:.2} s, implicit {:.2} s, project {:.3} s",
             record.step,

@@ -38,7 +38,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let columns = ["case", "quantity", "error", "tolerance", "pass", "note"].map(String::from).to_vec();
     print_rows(&Table { columns, rows: rows.iter().map(values).collect() }, args.format)?;
     let failed = rows.iter().filter(|row| !row.pass).count();
-    eprintln!("{} of {} quantities pass", rows.len() - failed, rows.len());
+    say!("{} of {} quantities pass", rows.len() - failed, rows.len());
     Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
 }
 

@@ -85,15 +85,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let table = by_worker(&running, &workers);
         if live {
             // Home, and clear to the end of the screen.
-            print!("\x1b[H\x1b[2J");
+            write!(std::io::stdout(), "\x1b[H\x1b[2J")?;
         }
-        println!("{}: {}", db.display(), summary(&whole, &mut first));
+        print_line!("{}: {}", db.display(), summary(&whole, &mut first))?;
         if !table.rows.is_empty() {
             print_rows(&table, Format::Table)?;
         }
         std::io::stdout().flush()?;
         if run.is_none() && !args.once {
-            println!("no run is at work on it");
+            print_line!("no run is at work on it")?;
         }
         if args.once || run.is_none() {
             return Ok(Exit::Done);

@@ -138,7 +138,7 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     let mut all = Vec::new();
     for &scene in args.scenes.iter().filter(|_| !args.redraw) {
         let points = work_precision(scene.into(), samples.into(), instants.into(), |p| {
-            eprintln!("{}: {} {}, {:.2} ms a sample", p.scene, p.method, p.setting, p.forward);
+            say!("{}: {} {}, {:.2} ms a sample", p.scene, p.method, p.setting, p.forward);
         });
         let rows: Vec<Vec<Value>> = points.iter().map(point).collect();
         // Scene by scene: the stiffest takes most of the time, and what is before it should not be lost with it.
@@ -148,7 +148,7 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     }
     print_rows(&Table::new(&POINT, all), args.format)?;
     for line in judgement::lines(&picture::write(&args.append, &args.picture, instants)?) {
-        eprintln!("{line}");
+        say!("{line}");
     }
     Ok(Exit::Done)
 }

@@ -146,7 +146,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         "orchestrator_resident_mib": resident_mib(),
         "version": env!("CARGO_PKG_VERSION"),
     });
-    println!("{row}");
+    print_line!("{row}")?;
     Ok(match summary.outcome {
         Outcome::Interrupted => Exit::Interrupted,
         _ if summary.failed > 0 => Exit::Failed,

@@ -54,7 +54,7 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     let spec = &plan.trials.first().ok_or_else(|| Error::Usage("the spec has no trial".into()))?.spec;
     let mut table = Table { columns: COLUMNS.map(String::from).to_vec(), rows: Vec::new() };
     for network in 0..args.networks {
-        eprintln!("network {} of {}", network + 1, args.networks);
+        say!("network {} of {}", network + 1, args.networks);
         let steps = downhill(spec, network, args.step, args.iterations, 1)
             .map_err(|failure| Error::Usage(failure.to_string()))?;
         let still = &steps[0];

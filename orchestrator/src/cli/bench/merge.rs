@@ -76,7 +76,7 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
         "resident_mib": super::engine::resident_mib(),
         "version": env!("CARGO_PKG_VERSION"),
     });
-    println!("{row}");
+    print_line!("{row}")?;
     Ok(if summary.trials as u32 == args.shards * args.trials { Exit::Done } else { Exit::Failed })
 }
 

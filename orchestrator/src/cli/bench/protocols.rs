@@ -76,7 +76,7 @@ fn measure(args: &Args, path: &Path) -> Result<(), Error> {
         json!(holdout(&initial[0])),
     ]);
     for (trial, name) in trials.iter().zip(&args.protocols) {
-        eprintln!("{name}: {} steps or {} s", trial.optimise.steps(), args.seconds[args.seconds.len() - 1]);
+        say!("{name}: {} steps or {} s", trial.optimise.steps(), args.seconds[args.seconds.len() - 1]);
         let milestones = course(trial, &args.seconds, 1).map_err(failed)?;
         let designs: Vec<Vec<f64>> = milestones.iter().map(|m| m.design.clone()).collect();
         for (m, body) in milestones.iter().zip(evaluate(spec, &designs, 1).map_err(failed)?) {
