@@ -68,3 +68,35 @@ async fn nothing_can_be_changed_and_no_file_is_left() {
     let files: Vec<_> = std::fs::read_dir(bench.path("")).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(files, ["s.sqlite"]);
 }
+
+/// What no other command line and no other spec would mend is code 3: a script may wait, or call for help.
+#[tokio::test]
+async fn a_database_that_is_damaged_or_in_use_gives_code_3() {
+    let bench = Bench::new();
+    database(&bench).await;
+    bench.file("s.toml", SPEC);
+    let whole = std::fs::read(bench.path("s.sqlite")).unwrap();
+    std::fs::write(bench.path("half.sqlite"), &whole[..whole.len() / 2]).unwrap();
+    let held = Store::open(bench.path("s.sqlite")).await.unwrap();
+    for (args, expected) in [
+        (&["run", "s.toml", "--db", "s.sqlite"][..], "in use by another run"),
+        (&["query", "half.sqlite", "SELECT * FROM v_trial"], "damaged"),
+        (&["report", "half.sqlite", "--out", "r.html"], "damaged"),
+        (&["run", "s.toml", "--db", "half.sqlite"], "damaged"),
+    ] {
+        let output = bench.metasense(args);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{args:?}: {message}");
+        assert!(message.contains(expected), "{args:?}: {message}");
+    }
+    held.close().await.unwrap();
+}
+
+/// What a result is quoted by, under a name that says which set it is of.
+#[tokio::test]
+async fn status_shows_the_error_on_the_holdout() {
+    let bench = Bench::new();
+    database(&bench).await;
+    let header = bench.output(&["status", "s.sqlite", "--format", "csv"]);
+    assert!(header.contains(",holdout_error_initial,holdout_error_optimised\n"), "{header}");
+}

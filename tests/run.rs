@@ -18,7 +18,12 @@ fn a_sweep_runs_once_and_only_what_is_new_is_added() {
     assert_eq!(rows.as_array().map(Vec::len), Some(2), "{table}");
     for row in rows.as_array().unwrap() {
         assert_eq!(row["state"], "done", "{table}");
-        let errors = ["error_initial", "error_optimised", "holdout_error_initial", "holdout_error_optimised"];
+        let errors = [
+            "test_error_initial",
+            "test_error_optimised",
+            "holdout_error_initial",
+            "holdout_error_optimised",
+        ];
         assert!(errors.iter().all(|name| row[name].as_f64().is_some_and(|e| e > 0.0)), "{table}");
     }
     let before = results(&bench, "results/tiny.sqlite");

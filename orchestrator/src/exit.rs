@@ -10,9 +10,9 @@ pub enum Exit {
     Done = 0,
     /// A check did not hold, or trials have failed.
     Failed = 1,
-    /// The command line, the spec or the database named is at fault; nothing was started.
+    /// The command line, the spec or the choice of database is at fault; nothing was started.
     BadInput = 2,
-    /// Reading or writing failed on the way: disk full, database locked or damaged.
+    /// Reading or writing failed: disk full, database in use, locked or damaged.
     Io = 3,
     /// Stopped on request; the same command goes on from there.
     Interrupted = 4,
@@ -23,8 +23,8 @@ pub const EXIT_CODES: &str = "\
 Exit codes:
   0  all that was asked is done
   1  a check did not hold, or trials have failed (`status` names them and why)
-  2  the command line, the spec or the database is at fault; nothing was started
-  3  reading or writing failed on the way (disk full, database locked or damaged)
+  2  the command line, the spec or the choice of database is at fault; nothing was started
+  3  reading or writing failed (disk full, database in use, locked or damaged)
   4  stopped on request; the same command goes on from there";
 
 impl From<Exit> for ExitCode {

@@ -14,7 +14,7 @@ pub const MIGRATIONS: &[&str] = &[
 pub const VIEWS: &[(&str, &str)] = &[
     (
         "v_trial",
-        "a trial: what it is, its state, headline errors (%, mean over evaluation networks), CPU seconds",
+        "a trial: what it is, its state, errors (%, mean over evaluation networks; error_… are of the test set), CPU seconds",
     ),
     (
         "v_step",
@@ -26,7 +26,10 @@ pub const VIEWS: &[(&str, &str)] = &[
         "a point of such a network's training loss (normalised) and holdout error (%); thinned, whole losses are artifacts",
     ),
     ("v_run", "a call of `run`: which shard, where, what was estimated (s) and what came of it"),
-    ("v_attempt", "an attempt at a trial, how it ended and why, and its seconds by the wall clock"),
+    (
+        "v_attempt",
+        "an attempt at a trial, how it ended and why (stopped: by Ctrl-C; the trial goes on), and its seconds by the wall clock",
+    ),
     ("v_artifact", "an array of a trial as the bytes of an NPY file: designs, loss curves, weights"),
     ("v_error_time", "best test error so far (%) against CPU seconds spent, step by step"),
 ];

@@ -202,10 +202,16 @@ impl Error {
     #[must_use]
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Store(e) if e.is_bad_input() => Exit::BadInput,
+            Self::Store(e)
+            | Self::Merge(MergeError::Store(e))
+            | Self::Home(HomeError::Store(e) | HomeError::Merge(MergeError::Store(e)))
+                if e.is_bad_input() =>
+            {
+                Exit::BadInput
+            }
             Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
             Self::Engine(_) => Exit::Io,
-            Self::Merge(MergeError::Store(_) | MergeError::Nothing { .. }) => Exit::BadInput,
+            Self::Merge(MergeError::Nothing { .. }) => Exit::BadInput,
             Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
             Self::Merge(_) | Self::Home(_) => Exit::Io,
             Self::Usage(_)

@@ -41,8 +41,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         .query(
             "SELECT sweep, state, CASE WHEN state <> 'done' THEN coalesce(reason, '') ELSE '' END AS reason,
                count(*) AS trials, sum(steps) AS steps, sum(attempts) AS attempts,
-               round(sum(seconds), 1) AS seconds, avg(error_initial) AS error_initial,
-               avg(error_optimised) AS error_optimised
+               round(sum(seconds), 1) AS seconds, avg(holdout_error_initial) AS holdout_error_initial,
+               avg(holdout_error_optimised) AS holdout_error_optimised
              FROM v_trial GROUP BY 1, 2, 3 ORDER BY 1, 2, 3",
         )
         .await?;

@@ -113,7 +113,7 @@ impl StoreError {
         }
     }
 
-    /// Whatever SQLite refuses on opening counts as a bad choice of file.
+    /// From here on it is the opening that has failed.
     pub(super) fn on_opening(self) -> Self {
         match self {
             Self::Sql { path, source, .. } => Self::Sql { path, doing: OPENING, source },
@@ -121,20 +121,31 @@ impl StoreError {
         }
     }
 
-    /// Whether what was asked for is at fault, rather than the disk.
+    /// Whether what was asked for is at fault, rather than the disk, the file's state or who else is at work on it.
     #[must_use]
     pub fn is_bad_input(&self) -> bool {
         match self {
-            Self::Sql { doing, .. } => *doing == OPENING,
-            other => !matches!(other, Self::Stale { .. } | Self::Unreadable { .. }),
+            Self::Sql { doing, source, .. } => *doing == OPENING && !is_trouble(source),
+            Self::Unwritable { source, .. } => source.kind() != std::io::ErrorKind::StorageFull,
+            other => !matches!(other, Self::InUse { .. } | Self::Stale { .. } | Self::Unreadable { .. }),
         }
     }
 }
 
+/// SQLite's primary result code.
+fn code(source: &sqlx::Error) -> Option<u32> {
+    let code = source.as_database_error()?.code()?;
+    code.parse().ok().map(|code: u32| code & 0xff)
+}
+
+/// Whether the file is locked or damaged, or the disk full or failing: nothing that another statement would mend.
+pub(super) fn is_trouble(source: &sqlx::Error) -> bool {
+    matches!(source, sqlx::Error::Io(_)) || matches!(code(source), Some(5 | 6 | 10 | 11 | 13))
+}
+
 /// What to do, by SQLite's primary result code.
 fn hint(source: &sqlx::Error) -> &'static str {
-    let code = source.as_database_error().and_then(|e| e.code()).and_then(|c| c.parse::<u32>().ok());
-    match code.map(|c| c & 0xff) {
+    match code(source) {
         Some(5 | 6) => " failed: another program holds a lock on it; end that program and run again",
         Some(8) => " failed: it is read-only; allow writing, or choose another file with --db",
         Some(10) => " failed: the disk reports an error",

@@ -13,6 +13,7 @@ use sqlx::{
     ValueRef,
 };
 
+use super::error::is_trouble;
 use super::{OPENING, Store, StoreError, check_version, lock, npy_values};
 use metasense_schemas::database::MIGRATIONS;
 
@@ -130,8 +131,8 @@ impl Reader {
             .await
             .map_err(at)?;
         let rows = sqlx::query(
-            "SELECT panels AS K, sensors AS M, placement, seed, units, error_initial, error_optimised,
-               holdout_error_initial, holdout_error_optimised, seconds, state, reason, hash
+            "SELECT panels AS K, sensors AS M, placement, seed, units, error_initial AS test_error_initial,
+               error_optimised AS test_error_optimised, holdout_error_initial, holdout_error_optimised, seconds, state, reason, hash
              FROM v_trial WHERE hash IN
                (SELECT t.hash FROM sweep_trial x JOIN trial t ON t.id = x.trial_id WHERE x.sweep_id = ?)
              ORDER BY panels, sensors, units, placement, seed, hash LIMIT ?",
@@ -169,7 +170,9 @@ impl Reader {
     pub async fn query(&mut self, sql: &str) -> Result<Table, StoreError> {
         let path = &self.path;
         let wrong = |source: sqlx::Error| match &source {
-            sqlx::Error::Database(e) => StoreError::Query { message: e.message().to_owned() },
+            sqlx::Error::Database(e) if !is_trouble(&source) => {
+                StoreError::Query { message: e.message().to_owned() }
+            }
             _ => StoreError::sql(path, "querying", source),
         };
         // The user's own statement, on a connection that cannot write.
