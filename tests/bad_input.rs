@@ -89,6 +89,18 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[sensors]\nplacements = [[14]]\n[sweep]",
         "s.toml:14: sensors.placements = [[14]]: holds no list of 2 units",
     ),
+    (
+        "[sweep]",
+        "[sensors]\nplacements = [[99, 8]]\n[sweep]",
+        "s.toml:14: sensors.placements = 99: the layout's units are 0 to 35",
+    ),
+    ("kind = \"bell\"", "kind = \"recorded\"", "s.toml:9: stimuli.recorded: must be given: the files"),
+    (
+        "density = 1e-8",
+        "density = 1e-8\ndesign = \"nothere.npy\"",
+        "s.toml:8: body.design = \"nothere.npy\": reading nothere.npy: No such file or directory (os error 2); names of \
+         files are taken from the folder of the spec",
+    ),
     ("[sweep]", "[run]\nworkers = 0\n[sweep]", "s.toml:14: run.workers = 0: "),
     ("panels = [2]", "panels = [7]", "s.toml:14: sweep.panels = 7: "),
     ("panels = [2]", "panels = [0]", "s.toml:14: sweep.panels = 0: "),

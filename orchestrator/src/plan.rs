@@ -115,12 +115,6 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         if sweep.placements != 1 {
             return Err(source.error("sweep.placements", "cannot be given beside sensors.placements"));
         }
-        for m in &sweep.sensors {
-            if !lists.iter().any(|list| list.len() == *m) {
-                let remedy = format!("holds no list of {m} units, which sweep.sensors asks for");
-                return Err(source.error("sensors.placements", &remedy));
-            }
-        }
         distinct(lists, "sensors.placements", source)?;
     }
     let others = sweep.axes.values().map(Vec::len);
@@ -220,6 +214,15 @@ fn add_points(
                 Some(lists) => lists.iter().filter(|list| list.len() == sensors).cloned().collect(),
                 None => seeded.iter().map(|order| order.iter().copied().take(sensors).collect()).collect(),
             };
+            if placements.is_empty() {
+                // A list of units that are none may be why.
+                for list in spec.sensors.placements.iter().flatten() {
+                    problem::check_units("sensors.placements", list, &layout, &clamped).map_err(located)?;
+                }
+                let remedy =
+                    format!("holds no list of {}, which sweep.sensors asks for", counted(sensors, "unit"));
+                return Err(source.error("sensors.placements", &remedy));
+            }
             if let Some(short) = placements.iter().find(|units| units.len() < sensors) {
                 let remedy = format!(
                     "the {} × {} body has {} free units inside its boundary to carry sensors",
@@ -253,13 +256,23 @@ fn add_points(
     Ok(())
 }
 
+/// What to know of a file that is not there.
+fn from_where(path: &Path) -> &'static str {
+    if path.exists() { "" } else { "; names of files are taken from the folder of the spec" }
+}
+
+/// `1 trial`, `2 trials`.
+pub(crate) fn counted(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
 /// The body with its design read from its file, so that the trial's hash covers the content.
 fn with_design(body: &Body, layout: &Layout, source: &Source) -> Result<Body, SpecError> {
     let mut body = body.clone();
     if let Some(Design::File(file)) = &body.design {
         let path = source.file.parent().unwrap_or(Path::new("")).join(file);
         let shifts = design::read(&path, layout).map_err(|e| {
-            let because = e.source().map_or(String::new(), |cause| format!(": {cause}"));
+            let because = e.source().map_or(String::new(), |cause| format!(": {cause}{}", from_where(&path)));
             source.error_with("body.design", Some(&format!("{file:?}")), &format!("{e}{because}"))
         })?;
         body.design = Some(Design::Shifts { shifts });
@@ -274,8 +287,8 @@ fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError
         let folder = source.file.parent().unwrap_or(Path::new(""));
         for file in &mut recorded.files {
             let path = folder.join(&*file);
-            let fault = |e| {
-                let remedy = format!("cannot be read: {e}");
+            let fault = |e: std::io::Error| {
+                let remedy = format!("cannot be read: {e}{}", from_where(&path));
                 source.error_with("stimuli.recorded.files", Some(&format!("{file:?}")), &remedy)
             };
             *file = path.canonicalize().map_err(fault)?;

@@ -153,7 +153,8 @@ impl Source {
         self.error_with(key, None, remedy)
     }
 
-    /// Like `error`, with the value at fault where it is not what the file says, for instance one of a list.
+    /// Like `error`, with the value at fault where it is not what the file says, for instance one of a list; an empty one
+    /// is none.
     #[must_use]
     pub fn error_with(&self, key: &str, value: Option<&str>, remedy: &str) -> SpecError {
         let axis = format!("sweep.\"{key}\"");
@@ -173,8 +174,8 @@ impl Source {
             value.map(str::to_owned).or_else(|| stated.filter(|p| !p.is_table).map(|p| self.value(p)));
         let what = match (key, value) {
             ("", _) => remedy.to_owned(),
-            (key, Some(value)) => format!("{key} = {value}: {remedy}"),
-            (key, None) => format!("{key}: {remedy}"),
+            (key, Some(value)) if !value.is_empty() => format!("{key} = {value}: {remedy}"),
+            (key, _) => format!("{key}: {remedy}"),
         };
         let line = place.map_or(1, |p| self.line(p.at));
         SpecError { file: self.file.clone(), line, key: key.to_owned(), what }
@@ -236,7 +237,7 @@ fn unknown(nearest: Option<&str>) -> String {
 /// Why something in `[sweep]` is no axis.
 fn no_axis(name: &str, known: &KnownKeys) -> String {
     match name.strip_prefix("sweep.").filter(|_| known.contains(name)) {
-        Some(own) => format!("a list of [sweep] itself, written without quotes and table: {own} = …"),
+        Some(own) => format!("a key of [sweep] itself, written without quotes and table: {own} = …"),
         None if name.contains('.') && known.contains(name) => {
             "no part of a trial, and cannot be swept".into()
         }
@@ -394,7 +395,7 @@ exclude = [{ sensors = 2, "body.columns" = 5 }]
             (
                 "panels = [2]",
                 "\"sweep.panels\" = [2]",
-                "a.toml:12: sweep.\"sweep.panels\" = [2]: a list of [sweep] itself, written without quotes and table: panels = …",
+                "a.toml:12: sweep.\"sweep.panels\" = [2]: a key of [sweep] itself, written without quotes and table: panels = …",
             ),
             (
                 "\"body.columns\" = [5, 6]",

@@ -98,7 +98,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     records::check_panels(recorded, &forces, panels)?;
     if first.values.len() < panels && recorded.panels.is_none() {
         let remedy = format!("must name the panel, from 0 to {}, that each record strikes", panels - 1);
-        return Err(invalid("stimuli.recorded.panels", "absent", remedy));
+        return Err(invalid("stimuli.recorded.panels", "", remedy));
     }
     let clock = records::clock(recorded.resample);
     let own = trial.stimuli.force_samples.unwrap_or(instants);

@@ -18,11 +18,11 @@ use stimuli::{disturbance, stimuli};
 
 /// A value that no trial can be made of.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{key} = {value}: {remedy}")]
+#[error("{key}{}{value}: {remedy}", if value.is_empty() { "" } else { " = " })]
 pub struct Invalid {
     /// The key by its path in the spec, for instance `body.stiffness.stretch`.
     pub key: String,
-    /// The value that it has.
+    /// The value that it has; empty where it is left out.
     pub value: String,
     /// What it must be.
     pub remedy: String,
@@ -118,8 +118,7 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     )?;
     match body.layout {
         LayoutKind::Planar => {
-            let rows =
-                body.rows.ok_or_else(|| invalid("body.rows", "absent", "must be given where planar"))?;
+            let rows = body.rows.ok_or_else(|| invalid("body.rows", "", "must be given where planar"))?;
             require(
                 rows >= 2,
                 "body.rows",
@@ -263,7 +262,7 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
 /// What stands for the Hessian's inverse.
 fn policy(curvature: Option<spec::Curvature>, damping: Option<f64>) -> Result<Policy, Invalid> {
     let lambda = damping.unwrap_or(0.0);
-    let shown = damping.map_or("absent".to_owned(), |lambda| lambda.to_string());
+    let shown = damping.map_or(String::new(), |lambda| lambda.to_string());
     let least = "must be a number above 0 where optimise.curvature is \"damped\"";
     not_negative("optimise.damping", lambda)?;
     match curvature.unwrap_or(spec::Curvature::Truncate) {
@@ -508,7 +507,15 @@ pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid
 }
 
 /// The units as they are, if each is one of the layout's, appears once and is not held.
-fn check_units(key: &str, units: &[usize], layout: &Layout, held: &[usize]) -> Result<Vec<usize>, Invalid> {
+///
+/// # Errors
+/// Names the unit at fault.
+pub fn check_units(
+    key: &str,
+    units: &[usize],
+    layout: &Layout,
+    held: &[usize],
+) -> Result<Vec<usize>, Invalid> {
     for (n, &unit) in units.iter().enumerate() {
         require(
             unit < layout.units(),

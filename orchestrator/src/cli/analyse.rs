@@ -1,6 +1,5 @@
 //! `analyse`: what a database's finished trials teach, as tables.
 
-use std::io::{Write, stdout};
 use std::path::PathBuf;
 
 use serde_json::{Map, Value};
@@ -42,15 +41,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             }
             Format::Table if all && table.rows.is_empty() => {}
             Format::Table => {
-                writeln!(stdout(), "{}", question.title())?;
-                print_rows(&table, args.format)?;
-                writeln!(stdout())?;
+                print_line!("{}", question.title())?;
+                match table.sole_verdict() {
+                    Some(verdict) => print_line!("{verdict}")?,
+                    None => print_rows(&table.without_empty_columns(), args.format)?,
+                }
+                print_line!()?;
             }
             _ => print_rows(&table, args.format)?,
         }
     }
     if !objects.is_empty() {
-        writeln!(stdout(), "{:#}", Value::Object(objects))?;
+        print_line!("{:#}", Value::Object(objects))?;
     }
     if trials.is_empty() {
         say!("no trial of {} is done yet", args.db.display());

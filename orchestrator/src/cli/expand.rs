@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::{Error, Format, print_rows, read_plan};
 use crate::cluster::Shard;
 use crate::exit::Exit;
-use crate::plan::Trial;
+use crate::plan::{Trial, counted};
 use crate::store::Table;
 
 /// Shows the trials that a spec stands for, with hash, parameter counts and a cost estimate; starts nothing
@@ -46,7 +46,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let rows = plan.trials.iter().map(|trial| row(trial, &axes)).collect();
     print_rows(&Table { columns, rows }, args.format)?;
     let total: f64 = plan.trials.iter().map(|t| t.cost).sum();
-    say!("{} trials, about {} on one core", plan.trials.len(), super::duration(total));
+    say!("{}, about {} on one core", counted(plan.trials.len(), "trial"), super::duration(total));
     Ok(Exit::Done)
 }
 

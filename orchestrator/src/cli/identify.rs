@@ -82,7 +82,10 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         identify(trial, &design, &measured, &free, args.threads.into(), &mut watch).map_err(|e| usage(&e))?;
     bar.finish_and_clear();
     let found = estimates(&fit);
-    print_rows(&found, args.format)?;
+    match args.format {
+        Format::Table => print_rows(&readable(&found), args.format)?,
+        _ => print_rows(&found, args.format)?,
+    }
     let records = measured.forces.samples;
     let said = said(&fit, records);
     if args.format == Format::Table {
@@ -135,6 +138,26 @@ fn estimates(fit: &Fit) -> Table {
     Table { columns: columns.map(String::from).to_vec(), rows: fit.estimates.iter().map(row).collect() }
 }
 
+/// With as many digits as tell the ends of an interval apart.
+fn readable(found: &Table) -> Table {
+    let row = |row: &Vec<Value>| {
+        let mut row = row.clone();
+        let [Some(fitted), Some(low), Some(high)] = [3, 4, 5].map(|i| row[i].as_f64()) else { return row };
+        let magnitude = |x: f64| x.abs().max(f64::MIN_POSITIVE).log10().floor() as i32;
+        let digits = (magnitude(fitted) - magnitude(high - low) + 1).clamp(3, 12);
+        for value in &mut row[2..=5] {
+            let x = value.as_f64().unwrap_or_default();
+            let decimals = (digits - magnitude(fitted)).max(0) as usize;
+            *value = match (1e-3..1e6).contains(&fitted.abs()) {
+                true => json!(format!("{x:.decimals$}")),
+                false => json!(format!("{x:.*e}", digits as usize)),
+            };
+        }
+        row
+    };
+    Table { columns: found.columns.clone(), rows: found.rows.iter().map(row).collect() }
+}
+
 fn correlations(fit: &Fit) -> Table {
     let names = fit.estimates.iter().map(|e| e.parameter.name().to_owned());
     let columns = std::iter::once("correlation".to_owned()).chain(names).collect();
@@ -184,4 +207,32 @@ fn said(fit: &Fit, records: usize) -> Vec<String> {
 fn digits(value: f64) -> String {
     let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
     if (1e-3..1e6).contains(&rounded) { format!("{rounded:?}") } else { format!("{rounded:e}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_interval_can_be_read_from_the_table() {
+        let row = |fitted: f64, part: f64| {
+            let (low, high) = (fitted * (1.0 - part), fitted * (1.0 + part));
+            vec![
+                json!("p"),
+                json!("u"),
+                json!(1.3 * fitted),
+                json!(fitted),
+                json!(low),
+                json!(high),
+                json!(part),
+            ]
+        };
+        let rows = vec![row(3.0, 1e-5), row(1e-8, 1e-3), row(250.0, 0.2)];
+        let shown = readable(&Table { columns: Vec::new(), rows }).rows;
+        let shown: Vec<Vec<&str>> =
+            shown.iter().map(|row| row[2..=5].iter().filter_map(Value::as_str).collect()).collect();
+        assert_eq!(shown[0], ["3.900000", "3.000000", "2.999970", "3.000030"]);
+        assert_eq!(shown[1], ["1.3000e-8", "1.0000e-8", "9.9900e-9", "1.0010e-8"]);
+        assert_eq!(shown[2], ["325.0", "250.0", "200.0", "300.0"]);
+    }
 }

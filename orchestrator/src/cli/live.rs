@@ -8,7 +8,7 @@ use metasense_schemas::record::{BodyEvaluation, TrialResult};
 
 use super::duration;
 use crate::engine::{View, Watch};
-use crate::plan::Trial;
+use crate::plan::{Trial, counted};
 use crate::scheduler::{Outcome, Reason};
 
 /// Resolution of the bar.
@@ -40,7 +40,8 @@ impl Live {
         });
         let live = Self { bar, said: Instant::now(), before: None, estimates: Vec::new() };
         let before = if settled > 0 { format!(", {settled} settled before") } else { String::new() };
-        live.say(&format!("{} to run on {workers} workers{before}", counted(open, "trial")));
+        let (open, workers) = (counted(open, "trial"), counted(workers as usize, "worker"));
+        live.say(&format!("{open} to run on {workers}{before}"));
         live
     }
 
@@ -88,11 +89,11 @@ impl Watch for Live {
         let to_go =
             eta.map_or("ETA unknown yet".into(), |eta| format!("ETA {}", duration(eta.as_secs_f64())));
         let message = format!(
-            "{} of {}, {} of {} workers busy, {}, {to_go}",
+            "{} of {}, {} of {} busy, {}, {to_go}",
             view.settled(),
             counted(view.total, "trial"),
             view.busy,
-            view.workers,
+            counted(view.workers as usize, "worker"),
             counted(view.steps as usize, "step"),
         );
         match &self.bar {
@@ -152,8 +153,4 @@ fn percent(body: &BodyEvaluation) -> String {
         0 => "unknown".into(),
         n => format!("{:.2} %", errors.iter().sum::<f64>() / n as f64),
     }
-}
-
-pub fn counted(n: usize, what: &str) -> String {
-    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }

@@ -8,6 +8,7 @@ use super::{Error, Format, print_rows};
 use crate::cluster::merge::{Kind, Summary, merge};
 use crate::cluster::ranges;
 use crate::exit::Exit;
+use crate::plan::counted;
 use crate::store::Table;
 
 /// Merges databases into one: the same rows whatever the order of the files, and however often they are merged
@@ -39,7 +40,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         say!("{sweep}: no database of {} of its {count} shards: {}", missing.len(), ranges(missing));
     }
     let Summary { read, trials, covered, not_compared, .. } = summary;
-    say!("{trials} trials from {read} databases");
+    say!("{} from {}", counted(trials, "trial"), counted(read, "database"));
     if covered + not_compared > 0 {
         say!(
             "there more than once: {covered} with nothing new, {not_compared} not compared, as their instruction sets \

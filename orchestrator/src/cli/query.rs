@@ -35,7 +35,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut reader = Reader::open(&args.db).await?;
     let table = match &args.sql {
         Some(sql) => reader.query(sql).await.map_err(Error::from),
-        None => views(&mut reader).await,
+        None => views(&mut reader, args.format).await,
     };
     reader.close().await;
     let table = table?;
@@ -49,13 +49,36 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-async fn views(reader: &mut Reader) -> Result<Table, Error> {
+/// The views; as a table to read, with their texts in lines.
+async fn views(reader: &mut Reader, format: Format) -> Result<Table, Error> {
     let mut rows = Vec::new();
+    let wide = |text: &str, most: usize| match format {
+        Format::Table => in_lines(text, most),
+        _ => text.to_owned(),
+    };
     for (view, description) in VIEWS {
         let columns = reader
             .query(&format!("SELECT group_concat(name, ', ') FROM pragma_table_info('{view}')"))
             .await?;
-        rows.push(vec![(*view).into(), (*description).into(), columns.rows[0][0].clone()]);
+        let columns = columns.rows[0][0].as_str().unwrap_or_default();
+        rows.push(vec![(*view).into(), wide(description, 40).into(), wide(columns, 60).into()]);
     }
     Ok(Table { columns: ["view", "a row is", "columns"].map(String::from).to_vec(), rows })
+}
+
+/// A text in lines of at most `most` characters, where its words allow.
+fn in_lines(text: &str, most: usize) -> String {
+    let mut lines = String::new();
+    let mut length = 0;
+    for word in text.split(' ') {
+        let more = word.chars().count() + 1;
+        if length > 0 {
+            let full = length + more > most;
+            lines.push(if full { '\n' } else { ' ' });
+            length = if full { 0 } else { length };
+        }
+        lines.push_str(word);
+        length += more;
+    }
+    lines
 }

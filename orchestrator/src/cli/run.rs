@@ -7,13 +7,13 @@ use metasense_schemas::spec::Run;
 use metasense_schemas::wire::Work;
 use tokio::sync::oneshot;
 
-use super::live::{Live, counted};
+use super::live::Live;
 use super::{Error, Format, log, print_rows, read_plan};
 use crate::cluster::Shard;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_in_time};
 use crate::engine::{self, Again, Options, Signals};
 use crate::exit::Exit;
-use crate::plan::{Plan, Trial, cost};
+use crate::plan::{Plan, Trial, cost, counted};
 use crate::scheduler::{Outcome, PRUNED, Prune, Settings};
 use crate::store::{Reader, RunPlan, Store};
 

@@ -12,7 +12,7 @@ use crate::cluster::queue::{self, Job};
 use crate::cluster::submit::{Scheduler, Submission, estimate, line, planned, seconds};
 use crate::cluster::{Shard, index, ranges};
 use crate::exit::Exit;
-use crate::plan::Plan;
+use crate::plan::{Plan, counted};
 
 /// Submits a sweep to a cluster: an array of shards, each an ordinary run on one node, and a merge when all have ended
 ///
@@ -116,9 +116,11 @@ fn say(plan: &Plan, submission: &Submission) {
     let Submission { shards, which, cpus, seconds, .. } = submission;
     let (mean, longest) = estimate(&plan.trials, *shards, *cpus);
     say!(
-        "{} trials in {shards} shards, each about {} on {cpus} cores, the longest {}; the time limit is {}",
-        plan.trials.len(),
+        "{} in {}, each about {} on {}, the longest {}; the time limit is {}",
+        counted(plan.trials.len(), "trial"),
+        counted(*shards as usize, "shard"),
         duration(mean),
+        counted(*cpus as usize, "core"),
         duration(longest),
         duration(*seconds as f64)
     );

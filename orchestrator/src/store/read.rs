@@ -40,6 +40,27 @@ impl Table {
     pub fn new(columns: &[&str], rows: Vec<Vec<Value>>) -> Self {
         Self { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
     }
+
+    /// What stands under `verdict` in every row, where rows say nothing else but what they are about.
+    #[must_use]
+    pub fn sole_verdict(&self) -> Option<&str> {
+        let at = self.columns.iter().position(|column| column == "verdict")?;
+        let verdict = self.rows.first()?[at].as_str()?;
+        let alone = |row: &Vec<Value>| row[at] == verdict && row[at + 1..].iter().all(Value::is_null);
+        self.rows.iter().all(alone).then_some(verdict)
+    }
+
+    /// Without the columns in which nothing stands.
+    #[must_use]
+    pub fn without_empty_columns(&self) -> Self {
+        let full: Vec<usize> =
+            (0..self.columns.len()).filter(|&i| self.rows.iter().any(|row| !row[i].is_null())).collect();
+        let pick = |row: &Vec<Value>| full.iter().map(|&i| row[i].clone()).collect();
+        Self {
+            columns: full.iter().map(|&i| self.columns[i].clone()).collect(),
+            rows: self.rows.iter().map(pick).collect(),
+        }
+    }
 }
 
 /// A stored array.
@@ -262,5 +283,23 @@ fn value(row: &SqliteRow, i: usize) -> Value {
         "REAL" => Value::from(row.get_unchecked::<f64, _>(i)),
         "BLOB" => Value::from(format!("blob of {} bytes", row.get_unchecked::<&[u8], _>(i).len())),
         _ => Value::from(row.get_unchecked::<String, _>(i)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_verdict_is_the_only_one_where_no_row_says_more() {
+        let row = |set: &str, verdict: &str, m: Value| vec![json!(set), json!(verdict), m, Value::Null];
+        let table = |rows| Table::new(&["set", "verdict", "kneedle", "chord"], rows);
+        let few = [row("test", "too few", Value::Null), row("holdout", "too few", Value::Null)];
+        assert_eq!(table(few.to_vec()).sole_verdict(), Some("too few"));
+        let found = [few[0].clone(), row("holdout", "at M = 3", json!(3))];
+        assert_eq!(table(found.to_vec()).sole_verdict(), None);
+        assert_eq!(table(found.to_vec()).without_empty_columns().columns, ["set", "verdict", "kneedle"]);
+        assert_eq!(table(Vec::new()).sole_verdict(), None);
     }
 }

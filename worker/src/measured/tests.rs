@@ -148,7 +148,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
     let beside = |name: &str| format!("[signals]\nfiles = [\"{name}\"]\nrate = 1000.0\n");
     let own = &CSV[CSV.find("[signals]").unwrap()..];
     for (from, to, said) in [
-        ("panels = [1]", "", "records.toml:1: recorded.panels = absent: must name the panel, from 0 to 1"),
+        ("panels = [1]", "", "records.toml:1: recorded.panels: must name the panel, from 0 to 1"),
         (
             "panels = [1]",
             "panels = [2]",

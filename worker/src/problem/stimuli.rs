@@ -30,11 +30,7 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
             Source::Recorded(records::recorded(trial, recorded, instants)?)
         }
         (StimuliKind::Recorded, None) => {
-            return Err(invalid(
-                "stimuli.recorded",
-                "absent",
-                "must be given: the files and what stands in them",
-            ));
+            return Err(invalid("stimuli.recorded", "", "must be given: the files and what stands in them"));
         }
     };
     Ok(Stimuli { source, instants, samples, test, holdout })
