@@ -169,4 +169,8 @@ fn a_trial_in_the_foreground_is_the_trial_of_the_run() {
     );
     let ran = bench.output(&["query", "results/tiny.sqlite", &sql, "--format", "csv"]);
     assert!(alone.contains(&format!("{hash},{},", ran.lines().nth(1).unwrap())), "{alone}\n{ran}");
+    assert!(
+        alone.starts_with("hash,test_error_initial,test_error_optimised,holdout_error_initial,"),
+        "{alone}"
+    );
 }

@@ -11,7 +11,7 @@ use crate::store::{Reader, Table};
 /// Asks a database in SQL; it cannot be changed this way, and may be asked while a run writes to it
 ///
 /// For instance:
-///   metasense query results/quickstart.sqlite "SELECT panels, sensors, avg(error_optimised) FROM v_trial GROUP BY 1, 2"
+///   metasense query results/quickstart.sqlite "SELECT sensors, avg(holdout_error_optimised) FROM v_trial GROUP BY 1"
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {

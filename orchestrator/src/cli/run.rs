@@ -150,7 +150,7 @@ async fn run(
             store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
         }
         store.close().await?;
-        say!("nothing left to do: all {} trials are settled", plan.trials.len());
+        say!("nothing left to do: {} settled", counted(plan.trials.len(), "trial"));
         return Ok(Outcome::Complete);
     }
     log::start(log)?;

@@ -71,7 +71,8 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 }
 
 type ErrorOf = fn(&NetworkEvaluation) -> Option<f64>;
-const ERRORS: &[(&str, ErrorOf)] = &[("error", |n| n.error_test), ("holdout_error", |n| n.error_holdout)];
+const ERRORS: &[(&str, ErrorOf)] =
+    &[("test_error", |n| n.error_test), ("holdout_error", |n| n.error_holdout)];
 
 fn mean(networks: &[NetworkEvaluation], error: ErrorOf) -> Option<f64> {
     let errors: Vec<f64> = networks.iter().filter_map(error).collect();

@@ -8,6 +8,7 @@ use crate::analysis::random::random;
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::verdict_text;
 use crate::analysis::{Body, Set, Trial, Verdict, elbow, paired};
+use crate::plan::counted;
 
 /// An answer, and whether it is good news, or bad; `None`: neither, or undecided.
 pub type Answer = (Option<bool>, String);
@@ -27,11 +28,11 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
                 verdict(&r),
                 format!(
                     "On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
-                     {optimised} %{}); the optimised one is better in {} of {} trials.",
+                     {optimised} %{}); the optimised one is better in {} of {}.",
                     number(r.ratio),
                     interval(&r),
                     r.above_one,
-                    r.trials
+                    counted(r.trials, "trial")
                 ),
             ));
         }

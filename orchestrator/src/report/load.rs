@@ -232,8 +232,8 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>) -> Result<Story, St
     let settled = reader
         .query(
             "SELECT hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,
-               error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, steps, attempts,
-               seconds, simd FROM v_trial ORDER BY state = 'failed' DESC, panels, units, sensors, placement, seed",
+               error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
+               holdout_error_optimised, steps, attempts, seconds, simd FROM v_trial ORDER BY state = 'failed' DESC, panels, units, sensors, placement, seed",
         )
         .await?;
     let chosen = match trial {
