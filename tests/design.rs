@@ -47,6 +47,23 @@ fn any_design_goes_in_and_a_castable_one_comes_out() {
     assert_eq!(read("c.csv"), read("tame.csv"), "the previous design");
 }
 
+/// A drawing is SVG, and is not written under another name.
+#[test]
+fn a_drawing_of_another_kind_is_refused() {
+    let bench = Bench::new();
+    bench.file("s.toml", &small(""));
+    for name in ["x.pdf", "x"] {
+        let out = bench.metasense(&["draw", "s.toml", "--out", name]);
+        let message = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(2), "{name}: {message}");
+        assert!(
+            message.contains(&format!("--out {name}: a drawing is SVG; name it so, as x.svg")),
+            "{message}"
+        );
+        assert!(!bench.path(name).exists(), "{name}");
+    }
+}
+
 /// A spec may start from a seeded random design or from a file; the trial's hash covers what the file holds.
 #[test]
 fn a_spec_starts_from_the_design_that_it_names() {

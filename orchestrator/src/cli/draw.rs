@@ -25,6 +25,14 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    if !args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("svg")) {
+        let named = args.out.with_extension("svg");
+        return Err(Error::Usage(format!(
+            "--out {}: a drawing is SVG; name it so, as {}",
+            args.out.display(),
+            named.display()
+        )));
+    }
     let body = read_body(&args.spec)?;
     let drawn = match &args.design {
         Some(file) => design::read(file, &body.layout)?,
