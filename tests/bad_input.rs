@@ -39,6 +39,11 @@ const EDITS: &[(&str, &str, &str)] = &[
         "sample = 12",
         "s.toml:11: stimuli.sample = 12: unknown key; the nearest known one is \"stimuli.samples\"",
     ),
+    (
+        "rows = 6",
+        "rows = 6\nlayout = \"circular\"",
+        "s.toml:4: body.rows = 6: must be left out of a circular body: body.columns counts across its diameter",
+    ),
     ("rows = 6", "rows = 1", "s.toml:4: body.rows = 1: must be at least 2"),
     ("columns = 6", "columns = 0", "s.toml:3: body.columns = 0: "),
     ("columns = 6", "columns = 6.5", "s.toml:3: body.columns = 6.5: must be a whole number"),

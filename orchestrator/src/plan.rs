@@ -13,7 +13,9 @@ use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
-use metasense_schemas::spec::{Body, Design, Disturbance, Point, Run, Stimuli, SweepSpec, TrialSpec};
+use metasense_schemas::spec::{
+    Body, Design, Disturbance, LayoutKind, Point, Run, Stimuli, SweepSpec, TrialSpec,
+};
 use metasense_worker::design::{self, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
 use metasense_worker::records;
@@ -194,7 +196,7 @@ fn add_points(
 ) -> Result<(), SpecError> {
     let spec = &combination.spec;
     let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
-    let layout = problem::layout(&spec.body).map_err(located)?;
+    let layout = layout(&spec.body).map_err(located)?;
     let spec = &SweepSpec {
         body: with_design(&spec.body, &layout, source)?,
         stimuli: with_records(&spec.stimuli, source)?,
@@ -330,7 +332,7 @@ impl OneBody {
         let sweep = source.parse()?;
         let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
         let first = axes::combinations(&sweep, &source)?.swap_remove(0).spec;
-        let layout = problem::layout(&first.body).map_err(located)?;
+        let layout = layout(&first.body).map_err(located)?;
         let body = with_design(&first.body, &layout, &source)?;
         let limits = problem::limits(&first.feasible).map_err(located)?;
         let initial = problem::initial_design(&body, &layout, limits).map_err(located)?;
@@ -353,6 +355,18 @@ impl OneBody {
             body,
             layout,
         })
+    }
+}
+
+/// The layout that a spec asks for. Of a circular body trials alone carry rows, as many as columns.
+fn layout(body: &Body) -> Result<Layout, Invalid> {
+    match (body.layout, body.rows) {
+        (LayoutKind::Circular, Some(rows)) => Err(Invalid {
+            key: "body.rows".into(),
+            value: rows.to_string(),
+            remedy: "must be left out of a circular body: body.columns counts across its diameter".into(),
+        }),
+        _ => problem::layout(body),
     }
 }
 

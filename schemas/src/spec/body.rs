@@ -69,7 +69,7 @@ pub struct Body {
     pub panel_units: Option<Vec<usize>>,
     /// Units along x; across the diameter where circular.
     pub columns: usize,
-    /// Units along y; where circular: left out, or equal to `columns`.
+    /// Units along y; where circular: left out of a spec, equal to `columns` in a trial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<usize>,
     /// Pitch of the units (mm).
