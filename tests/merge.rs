@@ -271,6 +271,9 @@ fn what_disagrees_or_is_left_out_is_listed() {
         "SELECT state, reason, count(*) FROM v_trial WHERE sweep <> 's' OR true GROUP BY 1, 2 ORDER BY 1, 2",
     );
     assert!(states[0].starts_with("[\"done\",null,"), "{states:?}");
+    // Both sweeps have all trials; `s` brought them.
+    let named = ask(&out, "SELECT DISTINCT sweep FROM v_trial ORDER BY 1");
+    assert!(!named.contains(&"[\"other\"]".to_owned()), "{named:?}");
 }
 
 /// Files that are no database, of a newer version, or cut short are refused by name; the rest is merged.

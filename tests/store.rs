@@ -113,6 +113,40 @@ async fn what_is_recorded_is_read_back() {
     }
 }
 
+/// Two specs that share a trial, in one database: it keeps the name of the first, and `status` has both; merged, too.
+#[tokio::test]
+async fn a_trial_keeps_the_name_of_the_sweep_that_brought_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (db, merged) = (folder.path().join("s.sqlite"), folder.path().join("merged.sqlite"));
+    let mut store = Store::open(&db).await.unwrap();
+    let other = SweepSpec { name: "other".into(), ..sweep() };
+    for _ in 0..2 {
+        // run, changed and run, another with one of the trials and one of its own, the first again
+        store.begin_sweep(&sweep(), "text", &[trial(0)]).await.unwrap();
+        store.begin_sweep(&sweep(), "longer text", &[trial(0), trial(1)]).await.unwrap();
+        tokio::time::sleep(std::time::Duration::from_millis(3)).await; // they are told apart by time
+        store.begin_sweep(&other, "text", &[trial(1), trial(2)]).await.unwrap();
+    }
+    store.close().await.unwrap();
+    metasense::cluster::merge::merge(std::slice::from_ref(&db), &merged).await.unwrap();
+    // a third into the merged one
+    let mut store = Store::open(&merged).await.unwrap();
+    let third = SweepSpec { name: "third".into(), ..sweep() };
+    store.begin_sweep(&third, "text", &[trial(2), trial(3)]).await.unwrap();
+    store.close().await.unwrap();
+    let names = "SELECT group_concat(sweep) FROM (SELECT sweep FROM v_trial ORDER BY hash)";
+    assert_eq!(value(&db, names).await, "s,s,other");
+    assert_eq!(value(&merged, names).await, "s,s,other,third");
+    let status = std::process::Command::new(env!("CARGO_BIN_EXE_metasense"))
+        .args(["status", merged.to_str().unwrap(), "--format", "csv"])
+        .output()
+        .unwrap();
+    assert!(status.status.success(), "{}", String::from_utf8_lossy(&status.stderr));
+    let rows = String::from_utf8(status.stdout).unwrap();
+    let shown: Vec<&str> = rows.lines().skip(1).map(|row| row.split(",pending").next().unwrap()).collect();
+    assert_eq!(shown, ["\"other, third\"", "s", "\"s, other\"", "third"], "{rows}");
+}
+
 #[tokio::test]
 async fn only_one_writer_at_a_time() {
     let folder = tempfile::tempdir().unwrap();

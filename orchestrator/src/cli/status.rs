@@ -39,11 +39,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     say!("{}", db.display());
     let table = reader
         .query(
-            "SELECT sweep, state, CASE WHEN state <> 'done' THEN coalesce(reason, '') ELSE '' END AS reason,
+            "SELECT (SELECT group_concat(name, ', ') FROM (SELECT name FROM sweep_trial JOIN sweep ON sweep.id = sweep_id
+                 JOIN trial ON trial.id = trial_id WHERE hash = v.hash GROUP BY name ORDER BY min(sweep.created_at), name))
+               AS sweep, state, CASE WHEN state <> 'done' THEN coalesce(reason, '') ELSE '' END AS reason,
                count(*) AS trials, sum(steps) AS steps, sum(attempts) AS attempts,
                round(sum(seconds), 1) AS seconds, avg(holdout_error_initial) AS holdout_error_initial,
                avg(holdout_error_optimised) AS holdout_error_optimised
-             FROM v_trial GROUP BY 1, 2, 3 ORDER BY 1, 2, 3",
+             FROM v_trial v GROUP BY 1, 2, 3 ORDER BY 1, 2, 3",
         )
         .await?;
     let failed =

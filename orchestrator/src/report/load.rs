@@ -227,8 +227,10 @@ async fn add_long_errors(
 /// Where the database cannot be read, or does not hold the trial whole.
 pub async fn story(reader: &mut Reader, trial: Option<&str>) -> Result<Story, StoreError> {
     let trials = finished_trials(reader).await?;
-    let sweeps: Rows =
-        reader.query("SELECT name, text, version, created_at FROM sweep ORDER BY id").await?.into();
+    let sweeps: Rows = reader
+        .query("SELECT name, text, version, created_at FROM sweep ORDER BY created_at, name")
+        .await?
+        .into();
     let settled = reader
         .query(
             "SELECT hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,

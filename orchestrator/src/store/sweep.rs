@@ -49,10 +49,11 @@ impl Store {
         let mut sweep = known;
         if known.is_none() {
             let resolved = serde_json::to_string(spec).expect("a spec is JSON");
+            // Numbered downward: `v_trial` names the sweep of the highest number, the one that first brought the trial.
             let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(at)?;
             let id: i64 = sqlx::query_scalar(
-                "INSERT INTO sweep (name, text, spec, version, created_at)
-                 VALUES (?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
+                "INSERT INTO sweep (id, name, text, spec, version, created_at)
+                 VALUES ((SELECT coalesce(min(id), 1) - 1 FROM sweep), ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
                  ON CONFLICT DO UPDATE SET spec = excluded.spec, version = excluded.version RETURNING id",
             )
             .bind(&spec.name)

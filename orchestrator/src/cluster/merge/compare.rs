@@ -145,7 +145,7 @@ async fn arrays(out: &mut SqliteConnection, other: i64, kept: i64) -> sqlx::Resu
 pub(super) async fn missing_shards(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, u32, Vec<u32>)>> {
     let rows = out
         .fetch_all(
-            "SELECT s.name, s.id, r.shards, r.shard FROM main.run r JOIN main.sweep s ON s.id = r.sweep_id
+            "SELECT s.name, -s.id, r.shards, r.shard FROM main.run r JOIN main.sweep s ON s.id = r.sweep_id
              WHERE NOT EXISTS (SELECT 1 FROM main.run w
                WHERE w.sweep_id = r.sweep_id AND w.shards = 1 AND w.outcome = 'complete')
              GROUP BY s.id, r.shards, r.shard",

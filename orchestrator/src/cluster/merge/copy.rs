@@ -59,7 +59,8 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
 }
 
 /// Of each trial the copy that has come farthest: done; else with most steps behind it, then most attempts. A trial that
-/// failed and is open again has been asked for anew. Of several that are done, the first one.
+/// failed and is open again has been asked for anew. Of several that are done, the first one. Sweeps are numbered as the store
+/// numbers them, the first one highest.
 pub(super) async fn choose(out: &mut SqliteConnection) -> sqlx::Result<()> {
     out.execute(
         "INSERT INTO temp.kept
@@ -72,7 +73,7 @@ pub(super) async fn choose(out: &mut SqliteConnection) -> sqlx::Result<()> {
          CREATE INDEX temp.kept_input ON kept (input, old);
          CREATE INDEX temp.kept_hash ON kept (hash);
          UPDATE temp.sweeps SET (new, chosen) = (n.new, n.chosen) FROM
-           (SELECT rowid AS row, dense_rank() OVER (ORDER BY first, name, text) AS new,
+           (SELECT rowid AS row, dense_rank() OVER (ORDER BY first DESC, name DESC, text DESC) AS new,
               1 = row_number() OVER (PARTITION BY name, text ORDER BY version DESC, spec, input) AS chosen
             FROM (SELECT rowid, *, min(created_at) OVER (PARTITION BY name, text) AS first FROM temp.sweeps)) n
          WHERE n.row = sweeps.rowid;",
