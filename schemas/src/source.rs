@@ -407,6 +407,11 @@ exclude = [{ sensors = 2, "body.columns" = 5 }]
                 "colour = \"red\"",
                 "a.toml:4: body.colour = \"red\": unknown key; `metasense schema` lists",
             ),
+            (
+                "rows = 6",
+                "rows = 99999999999999999999",
+                "a.toml:4: body.rows = 99999999999999999999: is too large a",
+            ),
             ("rows = 6", "rows = ", "a.toml:4: not valid TOML: "),
             (
                 "\"body.columns\" = [5, 6]",

@@ -44,7 +44,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 print_line!("{}", question.title())?;
                 match table.sole_verdict() {
                     Some(verdict) => print_line!("{verdict}")?,
-                    None => print_rows(&table.without_empty_columns(), args.format)?,
+                    None => {
+                        let shown = table.without_empty_columns();
+                        print_rows(&shown, args.format)?;
+                        let empty = table.columns.iter().filter(|c| !shown.columns.contains(c));
+                        let empty: Vec<&str> = empty.map(String::as_str).collect();
+                        if !empty.is_empty() && !table.rows.is_empty() {
+                            print_line!("left out, as nothing stands there yet: {}", empty.join(", "))?;
+                        }
+                    }
                 }
                 print_line!()?;
             }
