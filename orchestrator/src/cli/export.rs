@@ -124,7 +124,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
             let body = Drawing { active: Vec::new(), ..body };
             let svg =
                 body::svg(&body, &body::Frame::around(&[&body]), "a metamaterial body", |_| String::new());
-            crate::report::standalone(&svg).expect("an SVG element").into_bytes()
+            crate::report::standalone(&svg, &[]).expect("an SVG element").into_bytes()
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {

@@ -67,7 +67,7 @@ pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error
         source,
     })?;
     for figure in drawn {
-        let stills: Vec<String> = figure.plots.iter().filter_map(|p| standalone(p)).collect();
+        let stills: Vec<String> = figure.plots.iter().filter_map(|p| standalone(p, &figure.legend)).collect();
         for (i, svg) in stills.iter().enumerate() {
             let number = if stills.len() > 1 { format!("-{}", i + 1) } else { String::new() };
             write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;

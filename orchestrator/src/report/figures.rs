@@ -465,7 +465,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
                   trial's steps took (evaluation excluded). Thin: each trial; thick: geometric mean of each way of training; the \
                   front is what no trial beats in both."
             .into(),
-        legend: legend(&[("", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),
+        legend: legend(&[("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),
         plots,
         small: false,
         data: Table::new(&["hash", "protocol", "seconds", "best_error_test"], rows),

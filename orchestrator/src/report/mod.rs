@@ -1,5 +1,6 @@
 //! From a database to one HTML file to look at: no network, no scripts but the animation's, both themes, phone and print.
 
+mod alone;
 pub mod answers;
 pub mod body;
 pub mod figures;
@@ -12,6 +13,7 @@ pub mod strips;
 
 use std::fmt::Write as _;
 
+pub use alone::standalone;
 use answers::Answer;
 pub use figures::Figure;
 use plot::{escape, number};
@@ -291,54 +293,4 @@ fn provenance(story: &Story) -> String {
         );
     }
     html
-}
-
-/// A plot as a file of its own, with the styles that it needs; `None` for what moves.
-#[must_use]
-pub fn standalone(svg: &str) -> Option<String> {
-    if svg.contains("<script") {
-        return None;
-    }
-    let start = svg.find("<svg")?;
-    let end = svg.find("</svg>")? + "</svg>".len();
-    let svg = &svg[start..end];
-    let body = svg.find('>')? + 1;
-    let [light, dark] = palettes();
-    let rules: String = include_str!("figure.css").lines().skip(2).collect::<Vec<_>>().join("\n");
-    let style = format!(
-        "<style>{}\n@media screen and (prefers-color-scheme: dark) {{\n{}\n}}</style>",
-        resolved(&rules, &light),
-        resolved(&rules, &dark)
-    );
-    Some(format!("{}{style}{}", &svg[..body], resolved(&samples::mixed(&svg[body..], &light), &light)))
-}
-
-/// Names and values of the colours, light and dark: the first two lines of the style.
-fn palettes() -> [Vec<(&'static str, &'static str)>; 2] {
-    let mut lines = include_str!("figure.css").lines();
-    std::array::from_fn(|_| {
-        let line = lines.next().unwrap_or_default();
-        line.split("--").skip(1).filter_map(|c| c.split(';').next()?.split_once(": ")).collect()
-    })
-}
-
-/// A style without variables, which few programs but browsers know.
-fn resolved(style: &str, palette: &[(&str, &str)]) -> String {
-    palette.iter().fold(style.to_owned(), |s, (name, value)| s.replace(&format!("var(--{name})"), value))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// What other programs than browsers draw, too: no variables, colours by number, in both themes' palettes.
-    #[test]
-    fn a_figure_of_its_own_has_no_variables() {
-        let svg = format!("<svg><path style=\"{}\"/></svg>", samples::colour(0.25));
-        let alone = standalone(&svg).unwrap();
-        assert!(!alone.contains("var(") && !alone.contains("color-mix"), "{alone}");
-        // Halfway from #e7e3d9 to #b3202c
-        assert!(alone.contains("style=\"fill:#cd8283\""), "{alone}");
-        assert!(alone.contains("stroke: #c2410c") && alone.contains("stroke: #fb8c45"), "{alone}");
-    }
 }

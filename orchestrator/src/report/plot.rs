@@ -136,7 +136,7 @@ pub struct Plot {
 }
 
 /// Room for tick labels and axis labels: left, right, top, bottom.
-const MARGIN: [f64; 4] = [46.0, 12.0, 26.0, 40.0];
+const MARGIN: [f64; 4] = [52.0, 12.0, 26.0, 40.0];
 
 impl Plot {
     /// An empty plot of the usual size.

@@ -219,7 +219,7 @@ impl Comparison {
                 .collect()
         };
         let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
-        let (plots, step) = strips(&samples, &names, self.duration);
+        let (plots, step) = strips(&samples, &names, " N", self.duration);
         let mut entries = legend(&[("truth", "true force")]);
         entries.extend(self.legend());
         Figure {
@@ -320,9 +320,9 @@ impl Comparison {
                     vec![json!(body.name), json!(record), json!(names[c]), json!(t), json!(m), json!(s)]
                 }));
             }
-            let sources = vec![("truth".to_owned(), measured), ("fine front".to_owned(), model)];
+            let sources = vec![("truth".to_owned(), measured), ("front".to_owned(), model)];
             let strip = Strip { title: format!("{}, record {record}", body.name), sources };
-            plots.extend(strips(&[strip], &names, self.duration).0);
+            plots.extend(strips(&[strip], &names, " RMS", self.duration).0);
         }
         (!plots.is_empty()).then(|| Figure {
             name: "signals",

@@ -95,7 +95,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         for b in Body::ALL {
             let curve =
                 |k| (1..=instants).map(|n| (seconds(n), predicted(b as usize, sample, k, n))).collect();
-            sources.push((format!("fine {}", b.name()), by_panel(&curve)));
+            sources.push((b.name().to_owned(), by_panel(&curve)));
         }
         for k in 0..panels {
             rows.extend((1..=instants).map(|n| {
@@ -113,7 +113,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
     };
     let samples: Vec<Strip> = chosen.iter().map(strip).collect();
     let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
-    let (plots, step) = strips(&samples, &names, stored.spec.time.duration);
+    let (plots, step) = strips(&samples, &names, " N", stored.spec.time.duration);
     Figure {
         name: "forces",
         title: "True and predicted forces".into(),

@@ -15,9 +15,9 @@ pub struct Strip {
 }
 
 /// A plot a sample. Histories stand one above the other, the first on top, each by the step that is returned above the
-/// next: what the true values need.
+/// next: what the true values need. A tick above each zero has a value in `unit`. The truth, a thin line, is on top.
 #[must_use]
-pub fn strips(samples: &[Strip], names: &[String], duration: f64) -> (Vec<String>, f64) {
+pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) -> (Vec<String>, f64) {
     let count = names.len();
     let truth = samples.iter().flat_map(|s| s.sources[0].1.iter().flatten());
     let (least, most) = truth.fold((0.0f64, 1e-9f64), |(l, m), point| (l.min(point.1), m.max(point.1)));
@@ -30,8 +30,12 @@ pub fn strips(samples: &[Strip], names: &[String], duration: f64) -> (Vec<String
     };
     let range = [ends(f64::min, -0.1 * step), ends(f64::max, count as f64 * step)];
     let height = 80.0 + (200.0 / count as f64).max(45.0) * count as f64;
+    let value = round_below(0.9 * most);
     let draw = |sample: &Strip| {
-        let names = names.iter().enumerate().map(|(k, name)| (zero(k), name.clone())).collect();
+        let tick = |(k, name): (usize, &String)| {
+            [(zero(k), name.clone()), (zero(k) + value, format!("{}{unit}", number(value)))]
+        };
+        let names = names.iter().enumerate().flat_map(tick).collect();
         let mut plot = Plot::new(
             &sample.title,
             Axis::new("time (s)", Scale::Linear, [0.0, duration]),
@@ -39,13 +43,19 @@ pub fn strips(samples: &[Strip], names: &[String], duration: f64) -> (Vec<String
         )
         .sized(400.0, height);
         for k in 0..count {
-            for (class, curves) in &sample.sources {
+            for (class, curves) in sample.sources.iter().rev() {
                 plot.line(class, curves[k].iter().map(|(t, value)| (*t, zero(k) + value)));
             }
         }
         plot.svg()
     };
     (samples.iter().map(draw).collect(), step)
+}
+
+/// The largest of 1, 2 and 5 times a power of ten up to `most`.
+fn round_below(most: f64) -> f64 {
+    let power = 10f64.powf(most.log10().floor());
+    [5.0, 2.0, 1.0].map(|d| d * power).into_iter().find(|v| *v <= most).unwrap_or(power)
 }
 
 /// Four of the samples given, at the 12th, 37th, 62nd and 87th percentile of their errors.
