@@ -48,6 +48,12 @@ pub enum CaseError {
         /// Which.
         kind: String,
     },
+    /// An array's numbers stand in another order than everything else's.
+    #[error("{file}: Fortran order; save it in C order (numpy.ascontiguousarray)", file = file.display())]
+    Order {
+        /// Which.
+        file: PathBuf,
+    },
     /// An array's length does not fit the case.
     #[error("{file}: {found} numbers, expected {expected}", file = file.display())]
     Length {
@@ -77,6 +83,18 @@ pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, CaseError> {
     Ok(found)
 }
 
+/// JSON of what Python writes: `NaN` and `Infinity` outside of texts become `null`, which is no number.
+fn without_nan(text: &str) -> String {
+    let parts = text.split('"').scan(false, |within, part| {
+        let (plain, escaped) = (!*within, part.ends_with('\\'));
+        // A quote after a backslash ends no text.
+        *within = if *within && escaped { true } else { !*within };
+        let unnamed = || part.replace("-Infinity", "null").replace("Infinity", "null").replace("NaN", "null");
+        Some(if plain { unnamed() } else { part.to_owned() })
+    });
+    parts.collect::<Vec<_>>().join("\"")
+}
+
 /// An opened case.
 pub struct Case {
     folder: PathBuf,
@@ -88,7 +106,8 @@ impl Case {
         let file = folder.join("case.json");
         let text = std::fs::read_to_string(&file)
             .map_err(|source| CaseError::Read { file: file.clone(), source })?;
-        let about = serde_json::from_str(&text).map_err(|source| CaseError::Json { file, source })?;
+        let about =
+            serde_json::from_str(&without_nan(&text)).map_err(|source| CaseError::Json { file, source })?;
         Ok(Self { folder: folder.to_path_buf(), about })
     }
 
@@ -151,7 +170,11 @@ impl Case {
         let file = self.folder.join(format!("{name}.npy"));
         let read = |source| CaseError::Read { file: file.clone(), source };
         let bytes = std::fs::read(&file).map_err(read)?;
-        npyz::NpyFile::new(&bytes[..]).and_then(npyz::NpyFile::into_vec).map_err(read)
+        let array = npyz::NpyFile::new(&bytes[..]).map_err(read)?;
+        if array.order() == npyz::Order::Fortran && array.shape().iter().filter(|n| **n > 1).count() > 1 {
+            return Err(CaseError::Order { file });
+        }
+        array.into_vec().map_err(read)
     }
 
     /// Array `name`, which must hold `expected` numbers.
@@ -218,5 +241,19 @@ impl Case {
         let (samples, panels, instants) = (self.size("N")?, scene.panels.len(), scene.instants);
         let values = self.array_of("forces", samples * panels * (instants + 1))?;
         Ok(Forces { samples, panels, instants, values })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::without_nan;
+
+    #[test]
+    fn numbers_that_are_none_become_null_and_texts_stay() {
+        let text = r#"{"a": NaN, "NaN": [-Infinity, Infinity, 1.5], "b": "say \"NaN\", NaN", "c": NaN}"#;
+        let read: serde_json::Value = serde_json::from_str(&without_nan(text)).unwrap();
+        let expected =
+            serde_json::json!({"a": null, "NaN": [null, null, 1.5], "b": "say \"NaN\", NaN", "c": null});
+        assert_eq!(read, expected);
     }
 }

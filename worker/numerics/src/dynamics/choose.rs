@@ -127,6 +127,21 @@ impl Candidate {
         Plan { method: self.law.method, tolerance: self.tolerance(steps as f64), steps, reason }
     }
 
+    /// The method and its steps, why, and the frequencies that decide about them, in words.
+    pub(super) fn reason(&self, steps: usize, why: &str) -> String {
+        let hertz = |omega: f64| omega / std::f64::consts::TAU;
+        let followed = match self.followed < self.all {
+            true => format!(", followed up to {:.0} Hz", hertz(self.followed)),
+            false => String::new(),
+        };
+        format!(
+            "{}, {steps} steps an interval of {} ms: {why}; highest frequency {:.0} Hz{followed}",
+            self.law.method.name(),
+            (self.interval * 1e6).round() * 1e-3,
+            hertz(self.all)
+        )
+    }
+
     fn stages(&self) -> f64 {
         self.law.method.stages().expect("equal steps") as f64
     }
@@ -165,26 +180,6 @@ pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: 
         .min_by_key(|c| c.steps(tolerance) * c.law.work)
         .expect("a law for every method of equal steps");
     let steps = best.steps(tolerance);
-    let reason = format!(
-        "{}, {steps} steps an interval of {}: by a law for errors of {tolerance:.0e}; {}",
-        best.law.method.name(),
-        milliseconds(best.interval),
-        frequencies(&best),
-    );
+    let reason = best.reason(steps, &format!("by a law for errors of {tolerance:.0e}"));
     Plan { method: best.law.method, tolerance, steps, reason }
-}
-
-/// An interval in words.
-pub(super) fn milliseconds(seconds: f64) -> String {
-    format!("{} ms", (seconds * 1e6).round() * 1e-3)
-}
-
-/// The frequencies that decide about steps, in words.
-pub(super) fn frequencies(c: &Candidate) -> String {
-    let hertz = |omega: f64| omega / std::f64::consts::TAU;
-    let followed = match c.followed < c.all {
-        true => format!(", followed up to {:.0} Hz", hertz(c.followed)),
-        false => String::new(),
-    };
-    format!("highest frequency {:.0} Hz{followed}", hertz(c.all))
 }

@@ -4,7 +4,7 @@
 //! factors. The pilot's truth is `nystrom6`, its steps doubled until two runs agree to the asked error. Then the method of
 //! least work by its law is measured at this many steps, and at more or fewer, until no cheaper one is left.
 
-use super::choose::{Candidate, candidates, choose_under, frequencies, milliseconds};
+use super::choose::{Candidate, candidates, choose_under};
 use super::vector::LANES;
 use super::{Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, run};
 
@@ -31,7 +31,7 @@ const TRIES: usize = 6;
 /// Finds the cheapest way to keep the solver's tolerance, a relative error of the signals, in this scene under these forces.
 ///
 /// Takes the first eight samples, in the order given; the same inputs give the same answer on any number of threads.
-/// Where no steps reach the tolerance, the law's remain and the plan's reason says so. `Tsit5` is returned as it is: its
+/// Where no steps reach the tolerance, those of least error remain and the plan's reason says so. `Tsit5` is returned as it is: its
 /// tolerance is that of its own error norm.
 ///
 /// # Panics
@@ -61,9 +61,19 @@ pub fn tune(
     let six = all.iter().find(|c| c.law.method == Method::Nystrom6).expect("a law");
     let (truth, known) = match pilot.truth(six, asked) {
         Ok(found) => found,
-        Err(off) => {
-            let why = format!("no steps of the pilot reached the error asked, {off:.0e} is left");
-            return as_it_is(Some(why), pilot.counters);
+        Err((refined, off)) => {
+            let left = if off.is_finite() { format!("{off:.0e}") } else { "an unknown one".to_owned() };
+            let why = format!("no steps of the pilot reached the error asked, {left} is left");
+            let own = |c: &&Candidate| c.law.method == solver.method;
+            let method = if solver.method == Method::Auto { Some(six) } else { all.iter().find(own) };
+            let Some(candidate) = method.filter(|_| refined > 1) else {
+                return as_it_is(Some(why), pilot.counters);
+            };
+            let steps = refined * candidate.steps(asked.min(0.01));
+            let plan = candidate.plan(steps, candidate.reason(steps, &why));
+            let exact = steps as f64 * (1.0 - 1e-9);
+            let solver = Solver { method: plan.method, tolerance: candidate.tolerance(exact) };
+            return Tuned { solver, plan, error: None, counters: pilot.counters };
         }
     };
     let mut open: Vec<Candidate> =
@@ -77,7 +87,7 @@ pub fn tune(
         if work(candidate.steps(asked)) >= bound {
             continue;
         }
-        let known = known.filter(|_| candidate.law.method == Method::Nystrom6);
+        let known = Some(known).filter(|_| candidate.law.method == Method::Nystrom6);
         if let Some(fewest) = pilot.fewest(&candidate, &truth, asked, known)
             && work(fewest.steps) < bound
         {
@@ -87,12 +97,7 @@ pub fn tune(
     let Some((candidate, Fewest { steps, exact, error })) = best else {
         return as_it_is(Some("no steps of the pilot reached the error asked".to_owned()), pilot.counters);
     };
-    let reason = format!(
-        "{}, {steps} steps an interval of {}: error {error:.0e} measured, asked {asked:.0e}; {}",
-        candidate.law.method.name(),
-        milliseconds(candidate.interval),
-        frequencies(&candidate),
-    );
+    let reason = candidate.reason(steps, &format!("error {error:.0e} measured, asked {asked:.0e}"));
     let plan = candidate.plan(steps, reason);
     let solver = Solver { method: plan.method, tolerance: candidate.tolerance(exact) };
     Tuned { solver, plan, error: Some(error), counters: pilot.counters }
@@ -114,6 +119,9 @@ struct Fewest {
     error: f64,
 }
 
+/// Steps, or by how much they are refined, and the relative error of the signals then.
+type Measured = (usize, f64);
+
 /// The first samples, run again and again.
 struct Pilot<'a> {
     scene: &'a Scene,
@@ -131,21 +139,31 @@ impl Pilot<'_> {
         simulation
     }
 
-    /// Signals that are exact to well below `asked`, with steps and error of the run before; or the least error left.
-    fn truth(&mut self, six: &Candidate, asked: f64) -> Result<(Simulation, Option<(usize, f64)>), f64> {
+    /// Signals that are exact to well below `asked`, with steps and error of the run before; or by how much the law's steps
+    /// are best refined, and the error left: the least, or up to twice that for fewer steps, as where motion is chaotic.
+    fn truth(&mut self, six: &Candidate, asked: f64) -> Result<(Simulation, Measured), Measured> {
         let start = six.steps(asked.min(0.01));
-        let (mut steps, mut least) = (start, f64::INFINITY);
-        let mut coarse = self.run(six, steps);
-        while steps < REFINED * start {
-            let fine = self.run(six, 2 * steps);
-            let error = distance(&coarse, &fine);
+        let (mut refined, mut errors) = (1, Vec::new());
+        let mut coarse = self.run(six, start);
+        while refined < REFINED {
+            let fine = self.run(six, 2 * refined * start);
+            // A sample whose steps were halved has the same bits in both, whatever its error.
+            let error = if coarse.counters.rejected > 0 { f64::INFINITY } else { distance(&coarse, &fine) };
             if error <= asked {
-                return Ok((fine, Some((steps, error))));
+                return Ok((fine, (refined * start, error)));
             }
-            least = least.min(error);
-            (coarse, steps) = (fine, 2 * steps);
+            errors.push((2 * refined, error));
+            (coarse, refined) = (fine, 2 * refined);
         }
-        Err(least)
+        let least = errors.iter().fold(f64::INFINITY, |least, (_, error)| least.min(*error));
+        let first = errors.into_iter().find(|(_, error)| *error <= 2.0 * least).expect("at least one");
+        Err(match least {
+            // To the end contact asked for shorter steps than these, and got them.
+            f64::INFINITY if coarse.outcomes.iter().all(|o| *o == Outcome::Ok) => (REFINED, least),
+            // An error as large as the signals is no better for any steps.
+            0.1.. => (1, least),
+            _ => first,
+        })
     }
 
     /// The fewest steps of a method whose error, with safety, is at most `asked`.
@@ -154,7 +172,7 @@ impl Pilot<'_> {
         candidate: &Candidate,
         truth: &Simulation,
         asked: f64,
-        known: Option<(usize, f64)>,
+        known: Option<Measured>,
     ) -> Option<Fewest> {
         let start = candidate.steps(asked);
         // What stability asks for whatever the error
