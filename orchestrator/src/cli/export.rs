@@ -110,7 +110,16 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
     let replayed =
         |b: usize| replay(&spec, &stored.designs[b], &stored.weights[b], args.threads).map_err(unreadable);
     let body = drawn(args.body as usize)?;
-    let outline = || Outline::new(&body, args.ligament_width).map_err(|e| Error::Usage(e.to_string()));
+    for (name, value, least) in [
+        ("ligament-width", args.ligament_width, MEASURES.0),
+        ("height", args.height, MEASURES.0),
+        ("wall", args.wall, MEASURES.0),
+        ("clearance", args.clearance, 0.0),
+    ] {
+        if !(least..=MEASURES.1).contains(&value) {
+            return Err(Error::Usage(format!("--{name} {value}: must be {least} to {} mm", MEASURES.1)));
+        }
+    }
     Ok(match args.format {
         Form::Npz => npz::archive(stored, &[drawn(0)?, drawn(1)?], &[replayed(0)?, replayed(1)?]),
         Form::Csv | Form::Parquet => {
@@ -128,20 +137,23 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {
-            for (name, value, least) in [
-                ("height", args.height, 0.0),
-                ("wall", args.wall, 0.0),
-                ("clearance", args.clearance, -1e-12),
-            ] {
-                if value.is_nan() || value <= least {
-                    return Err(Error::Usage(format!("--{name} {value}: must be above 0 mm")));
-                }
+            let (width, height) = (args.ligament_width, args.height);
+            let measures = Mould { width, height, wall: args.wall, clearance: args.clearance };
+            let cavity = Outline::new(&body, &measures).map_err(|e| Error::Usage(e.to_string()))?;
+            if cavity.parted > 0 {
+                say!(
+                    "note: ligaments {width} mm wide touch what they do not join and part {} voids: cast, the body is \
+                     stiffer there than simulated; make them narrower with --ligament-width",
+                    cavity.parted
+                );
             }
-            let measures = Mould { height: args.height, wall: args.wall, clearance: args.clearance };
-            mould::stl(&outline()?, &measures).map_err(|e| Error::Usage(e.to_string()))?
+            mould::stl(&cavity, &measures)
         }
     })
 }
+
+/// The least and the largest measure of something cast (mm).
+const MEASURES: (f64, f64) = (0.01, 1000.0);
 
 /// What keeps the signals of an export to 1e-3 where a scene is harder than the integrators' laws have it.
 fn signal_tolerance(method: Method) -> f64 {

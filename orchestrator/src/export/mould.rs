@@ -6,11 +6,16 @@
 
 use std::collections::HashMap;
 
-use super::outline::{Invalid, Outline, Point, doubled_area};
+use i_triangle::i_overlay::i_shape::int::shape::IntShape;
+use i_triangle::int::unchecked::IntUncheckedTriangulatable;
+
+use super::outline::{Outline, Point};
 
 /// Measures of a mould (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mould {
+    /// Width of the body's ligaments.
+    pub width: f64,
     /// Depth of the cavity: height of the body.
     pub height: f64,
     /// Thickness of floor and rim.
@@ -19,15 +24,13 @@ pub struct Mould {
     pub clearance: f64,
 }
 
-/// A triangle of corners.
+/// A triangle of corners (mm).
 type Triangle = [[f64; 3]; 3];
 
-/// The mould of a body.
-///
-/// # Errors
-/// If the clearance closes a void.
-pub fn stl(outline: &Outline, mould: &Mould) -> Result<Vec<u8>, Invalid> {
-    let triangles = surface(&outline.grown(mould.clearance)?, mould);
+/// The mould with this cavity, which was made with the same measures.
+#[must_use]
+pub fn stl(cavity: &Outline, mould: &Mould) -> Vec<u8> {
+    let triangles = surface(cavity, mould);
     assert!(is_closed(&triangles), "a mould's surface that is not closed");
     let mut bytes = Vec::with_capacity(84 + 50 * triangles.len());
     bytes.extend([b' '; 80]);
@@ -41,7 +44,7 @@ pub fn stl(outline: &Outline, mould: &Mould) -> Result<Vec<u8>, Invalid> {
         }
         bytes.extend([0; 2]);
     }
-    Ok(bytes)
+    bytes
 }
 
 fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -50,100 +53,50 @@ fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 
 fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
     let (floor, face) = (mould.wall, mould.wall + mould.height);
+    let at = |p: Point, z: f64| {
+        let [x, y] = cavity.mm(p);
+        [x, y, z]
+    };
     let mut triangles = Vec::new();
-    let at = |[x, y]: Point, z: f64| [x, y, z];
     let outer = &cavity.loops[0];
-    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    for &i in outer {
-        for k in 0..2 {
-            low[k] = low[k].min(cavity.points[i][k] - mould.wall);
-            high[k] = high[k].max(cavity.points[i][k] + mould.wall);
-        }
-    }
-    let rectangle = [low, [high[0], low[1]], high, [low[0], high[1]]];
+    let rim = (mould.wall / cavity.pitch).ceil() as i32;
+    let (xs, ys) = (|| outer.iter().map(|p| p.x), || outer.iter().map(|p| p.y));
+    let (left, right) = (xs().min().unwrap_or(0) - rim, xs().max().unwrap_or(0) + rim);
+    let (low, high) = (ys().min().unwrap_or(0) - rim, ys().max().unwrap_or(0) + rim);
+    let rectangle =
+        vec![Point::new(left, low), Point::new(right, low), Point::new(right, high), Point::new(left, high)];
     // Below and around.
-    for [a, b, c] in [[0, 2, 1], [0, 3, 2]] {
-        triangles.push([a, b, c].map(|i: usize| at(rectangle[i], 0.0)));
+    for corners in [[0, 2, 1], [0, 3, 2]] {
+        triangles.push(corners.map(|i: usize| at(rectangle[i], 0.0)));
     }
+    // A vertical rectangle over the side from a to b, seen from its right.
+    let wall = |triangles: &mut Vec<Triangle>, a: Point, b: Point, z: f64| {
+        triangles.push([at(a, z), at(b, z), at(b, face)]);
+        triangles.push([at(a, z), at(b, face), at(a, face)]);
+    };
     for i in 0..4 {
-        wall(&mut triangles, rectangle[i], rectangle[(i + 1) % 4], 0.0, face);
+        wall(&mut triangles, rectangle[i], rectangle[(i + 1) % 4], 0.0);
     }
     // The cavity: its sides look inward, its bottom upward.
     for corners in &cavity.loops {
         for (i, &a) in corners.iter().enumerate() {
-            let b = corners[(i + 1) % corners.len()];
-            wall(&mut triangles, cavity.points[b], cavity.points[a], floor, face);
+            wall(&mut triangles, corners[(i + 1) % corners.len()], a, floor);
         }
     }
-    for piece in &cavity.pieces {
-        for i in 1..piece.len() - 1 {
-            triangles.push([piece[0], piece[i], piece[i + 1]].map(|i| at(cavity.points[i], floor)));
-        }
+    // The bottom, and the face: voids' islands, and the rectangle around the outer loop.
+    let reversed = |corners: &[Point]| corners.iter().rev().copied().collect::<Vec<_>>();
+    triangles.extend(filled(&cavity.loops).map(|t| t.map(|p| at(p, floor))));
+    for void in &cavity.loops[1..] {
+        triangles.extend(filled(&vec![reversed(void)]).map(|t| t.map(|p| at(p, face))));
     }
-    // The face: the voids' islands, and the rectangle around the outer loop.
-    for corners in &cavity.loops[1..] {
-        let island: Vec<Point> = corners.iter().rev().map(|&i| cavity.points[i]).collect();
-        triangles.extend(clip_ears(&island).into_iter().map(|t| t.map(|p| at(p, face))));
-    }
-    let frame = bridged(&rectangle, outer, &cavity.points);
-    triangles.extend(clip_ears(&frame).into_iter().map(|t| t.map(|p| at(p, face))));
+    triangles.extend(filled(&vec![rectangle, reversed(outer)]).map(|t| t.map(|p| at(p, face))));
     triangles
 }
 
-/// A vertical rectangle over the side from a to b, seen from its right.
-fn wall(triangles: &mut Vec<Triangle>, a: Point, b: Point, low: f64, high: f64) {
-    let corner = |[x, y]: Point, z| [x, y, z];
-    triangles.push([corner(a, low), corner(b, low), corner(b, high)]);
-    triangles.push([corner(a, low), corner(b, high), corner(a, high)]);
-}
-
-/// The rectangle with the loop as a hole, joined by a cut from the rectangle's lower left corner to the loop's point
-/// that is nearest to it.
-fn bridged(rectangle: &[Point; 4], outer: &[usize], points: &[Point]) -> Vec<Point> {
-    let far = |i: usize| {
-        let p = points[outer[i]];
-        (p[0] - rectangle[0][0]).hypot(p[1] - rectangle[0][1])
-    };
-    let near = (0..outer.len()).min_by(|a, b| far(*a).total_cmp(&far(*b))).expect("a loop has corners");
-    let n = outer.len();
-    let mut polygon = rectangle.to_vec();
-    polygon.push(rectangle[0]);
-    // The hole runs clockwise, back to where it began.
-    polygon.extend((0..=n).map(|i| points[outer[(near + n - i) % n]]));
-    polygon
-}
-
-/// A simple polygon (counter-clockwise, touching itself at most along a cut) as triangles over its own corners.
-fn clip_ears(polygon: &[Point]) -> Vec<[Point; 3]> {
-    let mut rest: Vec<Point> = polygon.to_vec();
-    let mut triangles = Vec::new();
-    let turn = |a: Point, b: Point, c: Point| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-    while rest.len() > 3 {
-        let n = rest.len();
-        let ear = |i: usize, least: f64| {
-            let [a, b, c] = [(i + n - 1) % n, i, (i + 1) % n].map(|j| rest[j]);
-            turn(a, b, c) > least
-                && rest.iter().all(|&p| {
-                    p == a
-                        || p == b
-                        || p == c
-                        || turn(a, b, p) < 0.0
-                        || turn(b, c, p) < 0.0
-                        || turn(c, a, p) < 0.0
-                })
-        };
-        // The roundest ear first keeps slivers few; a flat one is clipped where nothing else is left.
-        let size = |i: usize| turn(rest[(i + n - 1) % n], rest[i], rest[(i + 1) % n]);
-        let i = (0..n)
-            .filter(|&i| ear(i, 0.0))
-            .max_by(|a, b| size(*a).total_cmp(&size(*b)))
-            .or_else(|| (0..n).min_by(|a, b| size(*a).abs().total_cmp(&size(*b).abs())))
-            .expect("more than three corners are left");
-        triangles.push([rest[(i + n - 1) % n], rest[i], rest[(i + 1) % n]]);
-        rest.remove(i);
-    }
-    triangles.push([rest[0], rest[1], rest[2]]);
-    triangles
+/// A polygon with holes as triangles over its own corners.
+fn filled(polygon: &IntShape<i32>) -> impl Iterator<Item = [Point; 3]> + use<> {
+    let mesh = polygon.uncheck_triangulate().into_delaunay().into_triangulation::<u32>();
+    mesh.triangles().collect::<Vec<_>>().into_iter()
 }
 
 /// Whether every edge of a triangle is met by the same edge the other way, as often.
@@ -163,48 +116,98 @@ fn is_closed(triangles: &[Triangle]) -> bool {
     edges.values().all(|balance| *balance == 0)
 }
 
-/// Volume of the cavity (mm³): what has to be poured.
-#[must_use]
-pub fn poured(outline: &Outline, mould: &Mould) -> f64 {
-    let area: f64 = outline.loops.iter().map(|l| 0.5 * doubled_area(&outline.points, l)).sum();
-    area * mould.height
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::outline::tests::squares;
+    use metasense_worker::replay::Drawing;
+
+    use super::super::outline::tests::{area_of_units, mould, squares, squares_moved};
     use super::*;
 
+    fn volume(triangles: &[Triangle]) -> f64 {
+        let of = |[a, b, c]: &Triangle| {
+            let n = [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]];
+            (a[0] * n[0] + a[1] * n[1] + a[2] * n[2]) / 6.0
+        };
+        triangles.iter().map(of).sum()
+    }
+
     /// Closed, and its volume is that of the plate less that of the cavity.
+    fn check(drawing: &Drawing, mould: &Mould, what: &str) -> Outline {
+        let cavity = Outline::new(drawing, mould).unwrap_or_else(|e| panic!("{what}: {e}"));
+        let triangles = surface(&cavity, mould);
+        assert!(is_closed(&triangles), "{what}");
+        let size = |k: usize| {
+            let all = || cavity.loops[0].iter().map(|p| cavity.mm(*p)[k]);
+            all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min) + 2.0 * mould.wall
+        };
+        let expected = size(0) * size(1) * (mould.wall + mould.height) - cavity.area() * mould.height;
+        let volume = volume(&triangles);
+        assert!((volume / expected - 1.0).abs() < 1e-6, "{what}: {volume} {expected}");
+        cavity
+    }
+
     #[test]
     fn the_mould_is_closed_and_has_its_volume() {
-        let outline = Outline::new(&squares(), 1.0).unwrap();
         for clearance in [0.0, 0.15] {
-            let mould = Mould { height: 10.0, wall: 3.0, clearance };
-            let cavity = outline.grown(clearance).unwrap();
-            let triangles = surface(&cavity, &mould);
-            assert!(is_closed(&triangles));
-            let volume: f64 = triangles
-                .iter()
-                .map(|[a, b, c]| {
-                    let n = [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]];
-                    (a[0] * n[0] + a[1] * n[1] + a[2] * n[2]) / 6.0
-                })
-                .sum();
-            let size = |k: usize| {
-                let all = || cavity.loops[0].iter().map(|&i| cavity.points[i][k]);
-                all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min) + 6.0
-            };
-            let plate = size(0) * size(1) * 13.0;
-            let expected = plate - poured(&cavity, &mould);
-            assert!((volume / expected - 1.0).abs() < 1e-9, "{volume} {expected}");
+            check(&squares(), &Mould { clearance, ..mould(1.0) }, &format!("clearance {clearance}"));
+        }
+    }
+
+    /// The first unit's ligament to the right goes on along the unit's lower edge, as an optimised body has it to 0.02°.
+    #[test]
+    fn a_ligament_that_goes_on_along_an_edge_is_cast() {
+        for turn in [0.0, 0.02, -0.02] {
+            let mut drawing = squares();
+            let [corner, before] = [drawing.units[0][0], drawing.units[0][3]];
+            let edge = (corner[1] - before[1]).atan2(corner[0] - before[0]);
+            let (sin, cos) = (edge + f64::to_radians(turn)).sin_cos();
+            let end = [corner[0] + 2.25 * cos, corner[1] + 2.25 * sin];
+            drawing.units[1][2] = end;
+            drawing.ligaments[0] = [corner, end];
+            for width in [0.2, 1.0, 1.5] {
+                let what = format!("{turn}° from the edge, {width} mm wide");
+                let cavity = check(&drawing, &mould(width), &what);
+                let (units, area) = (area_of_units(&drawing), cavity.area());
+                assert!(area > units + 12.0 * 1.9 * width, "{what}: {area}, units {units}");
+                assert_eq!((cavity.loops.len(), cavity.parted), (5, 0), "{what}");
+            }
+        }
+    }
+
+    /// Two ligaments of a unit begin 1.3 mm apart: 1.5 mm wide, they are one where they begin.
+    #[test]
+    fn ligaments_that_overlap_are_cast() {
+        let drawing = squares_moved(|unit, p| match (unit, p) {
+            (0, 0) => [-3.0, 1.5],
+            (0, 1) => [4.9, -1.6],
+            _ => [0.0; 2],
+        });
+        let apart = check(&drawing, &mould(0.5), "apart");
+        let cavity = check(&drawing, &mould(1.5), "overlapping");
+        assert_eq!(cavity.loops.len(), 5);
+        let units = area_of_units(&drawing);
+        assert!(units < apart.area() && apart.area() < cavity.area(), "{units} {}", cavity.area());
+    }
+
+    /// Bodies as the optimiser leaves them, and beyond: joints moved by up to 2.4 mm in any direction.
+    #[test]
+    fn moved_bodies_are_cast_in_one_piece() {
+        for case in 0..40 {
+            let by = |k: usize| 1.7 * (1e3 * ((case * 100 + k) as f64)).sin();
+            let drawing = squares_moved(|unit, p| [by(4 * unit + 2 * p), by(4 * unit + 2 * p + 1)]);
+            for (width, clearance) in [(0.3, 0.0), (1.0, 0.0), (1.0, 0.1), (2.0, 0.05)] {
+                let what = format!("case {case}, {width} mm wide, clearance {clearance}");
+                let cavity = check(&drawing, &Mould { clearance, ..mould(width) }, &what);
+                let (units, area) = (area_of_units(&drawing), cavity.area());
+                assert!(area > units, "{what}: {area}, units {units}");
+            }
         }
     }
 
     #[test]
     fn a_surface_with_a_hole_is_not_closed() {
-        let outline = Outline::new(&squares(), 1.0).unwrap();
-        let mut triangles = surface(&outline, &Mould { height: 10.0, wall: 3.0, clearance: 0.0 });
+        let mould = mould(1.0);
+        let mut triangles = surface(&Outline::new(&squares(), &mould).unwrap(), &mould);
         triangles.pop();
         assert!(!is_closed(&triangles));
     }

@@ -1,183 +1,161 @@
 //! The outline of a body with ligaments of some width: one outer loop, and a loop a void.
 //!
-//! Units are convex quadrilaterals joined corner to corner, so the outline follows from who is joined to whom: along an
-//! edge of a unit counter-clockwise, at a corner with a ligament across on its near side, else round the corner. Every
-//! loop has the body on its left: the outer one runs counter-clockwise, those of voids clockwise. Nothing is clipped.
+//! A body is the union of its units and of strips along its ligaments with round ends, a strip being all that is within
+//! half its width of the ligament: wherever it runs along an edge or into another strip, the two are one, and no notch is
+//! left where it meets a corner. What is within a clearance of the body is a union of such strips, too: around edges.
+//! All happens on a grid of integers, where no rounding tears loops apart.
 
+use i_triangle::i_overlay::core::fill_rule::FillRule;
+use i_triangle::i_overlay::core::overlay::IntOverlayOptions;
+use i_triangle::i_overlay::core::simplify::Simplify;
+use i_triangle::i_overlay::i_float::int::point::IntPoint;
+use i_triangle::i_overlay::i_shape::int::area::Area;
+use i_triangle::i_overlay::i_shape::int::path::ContourExtension;
+use i_triangle::i_overlay::i_shape::int::shape::{IntContour, IntShape};
 use metasense_worker::replay::Drawing;
 
-/// A point (mm).
-pub type Point = [f64; 2];
+use super::Mould;
 
-/// Loops of corners, and the pieces that fill the body between them.
+/// A point of the grid.
+pub type Point = IntPoint<i32>;
+
+/// Loops of corners.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
-    /// All corners.
-    pub points: Vec<Point>,
-    /// Loops as indices of corners, the body on their left; the outer one first.
-    pub loops: Vec<Vec<usize>>,
-    /// Convex pieces that make up the body, counter-clockwise: units, then ligaments.
-    pub pieces: Vec<Vec<usize>>,
+    /// Loops on the grid, the body on their left: the outer one first, counter-clockwise, then those of voids, clockwise.
+    pub loops: IntShape<i32>,
+    /// The grid's pitch (mm).
+    pub pitch: f64,
+    /// Voids that ligaments have parted where their width makes them touch what they do not join.
+    pub parted: usize,
 }
 
 /// Why there is no outline.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Invalid {
-    /// Two ligaments, or a ligament and the far corner, meet on an edge.
+    /// The body is not one piece.
+    #[error("the body falls apart into {0} pieces, which no mould casts as one; --format svg shows it")]
+    Apart(usize),
+    /// Ligaments grow together over a void.
     #[error(
-        "ligaments {width} mm wide do not fit the edges of unit {unit}; make them narrower with --ligament-width"
+        "ligaments {width} mm wide leave {left} of the body's {voids} voids; make them narrower with --ligament-width"
     )]
     TooWide {
         /// Width (mm).
         width: f64,
-        /// The unit.
-        unit: usize,
+        /// Voids of the outline.
+        left: usize,
+        /// Voids between units and ligaments without width.
+        voids: usize,
     },
-    /// The body is not one piece.
-    #[error("the body falls apart into {0} pieces")]
-    Apart(usize),
     /// The cavity runs into itself.
-    #[error("a clearance of {0} mm closes a void of the body; choose less with --clearance")]
+    #[error("a clearance of {0} mm closes or parts a void of the body; choose less with --clearance")]
     Closed(f64),
 }
 
-fn sub(a: Point, b: Point) -> Point {
-    [a[0] - b[0], a[1] - b[1]]
-}
+/// What an arc's chords may be away from it (mm).
+const SAGITTA: f64 = 0.005;
 
-fn cross(a: Point, b: Point) -> f64 {
-    a[0] * b[1] - a[1] * b[0]
-}
-
-fn unit_vector(a: Point) -> Point {
-    let length = a[0].hypot(a[1]);
-    [a[0] / length, a[1] / length]
-}
-
-/// Twice the area on the left.
-pub fn doubled_area(points: &[Point], corners: &[usize]) -> f64 {
-    let next = corners.iter().cycle().skip(1);
-    corners.iter().zip(next).map(|(&a, &b)| cross(points[a], points[b])).sum()
-}
+/// The smallest void (mm²): smaller ones are filled.
+const SMALLEST: f64 = 0.05;
 
 impl Outline {
-    /// The outline of a body whose ligaments are `width` mm wide.
+    /// The outline of the mould's cavity: of the body, and what is within the clearance of it.
     ///
     /// # Errors
-    /// If the ligaments are too wide for the edges that they join, or the body is not connected.
-    pub fn new(drawing: &Drawing, width: f64) -> Result<Self, Invalid> {
-        let units = drawing.units.len();
-        let mut joined: Vec<[Option<(usize, usize)>; 4]> = vec![[None; 4]; units];
-        for &[(a, p), (b, q)] in &drawing.joints {
-            joined[a][p] = Some((b, q));
-            joined[b][q] = Some((a, p));
-        }
-        // Edge p of a unit runs from corner p to p + 1; each has a first and a last point of its own.
-        let mut points = Vec::with_capacity(8 * units);
-        for (unit, corners) in drawing.units.iter().enumerate() {
-            for p in 0..4 {
-                let (from, to) = (corners[p], corners[(p + 1) % 4]);
-                let along = unit_vector(sub(to, from));
-                let length = along[0] * (to[0] - from[0]) + along[1] * (to[1] - from[1]);
-                // How far from a corner the ligament's side leaves the edge.
-                let reach = |corner: usize, edge: Point| -> Option<f64> {
-                    let Some((v, q)) = joined[unit][corner] else { return Some(0.0) };
-                    let axis = unit_vector(sub(drawing.units[v][q], corners[corner]));
-                    let sine = cross(axis, edge).abs();
-                    (sine > 1e-3).then(|| 0.5 * width / sine)
-                };
-                let (Some(first), Some(last)) = (reach(p, along), reach((p + 1) % 4, [-along[0], -along[1]]))
-                else {
-                    return Err(Invalid::TooWide { width, unit });
-                };
-                if first + last >= length {
-                    return Err(Invalid::TooWide { width, unit });
-                }
-                points.push([from[0] + first * along[0], from[1] + first * along[1]]);
-                points.push([to[0] - last * along[0], to[1] - last * along[1]]);
-            }
-        }
-        let first = |unit: usize, p: usize| 2 * (4 * unit + p);
-        let last = |unit: usize, p: usize| first(unit, p) + 1;
-        // A corner without ligament is one point, known by the edge that begins there.
-        let ends = |unit: usize, p: usize| match joined[unit][(p + 1) % 4] {
-            Some(_) => vec![first(unit, p), last(unit, p)],
-            None => vec![first(unit, p)],
+    /// If the body is not connected, or ligaments or clearance close a void.
+    pub fn new(drawing: &Drawing, mould: &Mould) -> Result<Self, Invalid> {
+        let all = drawing.units.iter().flatten().flatten();
+        let reach = all.fold(0.0f64, |r, x| r.max(x.abs())) + mould.wall + mould.width + mould.clearance;
+        // 24 bits hold every coordinate, so that STL's single precision does, too.
+        let pitch = (reach.log2().ceil() - 24.0).exp2();
+        let body = united(drawing, 0.5 * mould.width, 0.0, pitch)?;
+        // The faces of units and ligaments as a connected plane graph, but for the outer one.
+        let voids = (drawing.ligaments.len() + 1).saturating_sub(drawing.units.len());
+        let left = body.len() - 1;
+        let Some(parted) = left.checked_sub(voids) else {
+            return Err(Invalid::TooWide { width: mould.width, left, voids });
         };
-        let mut seen = vec![false; 4 * units];
-        let mut loops = Vec::new();
-        for start in 0..4 * units {
-            let mut edge = start;
-            let mut corners = Vec::new();
-            while !seen[edge] {
-                seen[edge] = true;
-                let (unit, p) = (edge / 4, edge % 4);
-                corners.extend(ends(unit, p));
-                let (unit, p) = joined[unit][(p + 1) % 4].unwrap_or((unit, (p + 1) % 4));
-                edge = 4 * unit + p;
-            }
-            if !corners.is_empty() {
-                loops.push(corners);
-            }
+        if mould.clearance == 0.0 {
+            return Ok(Self { loops: body, pitch, parted });
         }
-        let outer = loops.iter().filter(|l| doubled_area(&points, l) > 0.0).count();
-        if outer != 1 {
-            return Err(Invalid::Apart(outer));
+        let loops = united(drawing, 0.5 * mould.width + mould.clearance, mould.clearance, pitch)?;
+        let within = |void: &IntContour<i32>| loops[1..].iter().filter(|l| void.contains_point(l[0])).count();
+        match body[1..].iter().all(|void| within(void) == 1) {
+            true => Ok(Self { loops, pitch, parted }),
+            false => Err(Invalid::Closed(mould.clearance)),
         }
-        loops.sort_by(|a, b| doubled_area(&points, b).total_cmp(&doubled_area(&points, a)));
-        let mut pieces: Vec<Vec<usize>> =
-            (0..units).map(|u| (0..4).flat_map(|p| ends(u, p)).collect()).collect();
-        for &[(a, p), (b, q)] in &drawing.joints {
-            // Round a ligament: along a's edge's end, to b, back.
-            pieces.push(vec![last(a, (p + 3) % 4), first(b, q), last(b, (q + 3) % 4), first(a, p)]);
-        }
-        Ok(Self { points, loops, pieces })
     }
 
-    /// With every side moved outward by `clearance` (mm), corners mitred.
-    ///
-    /// # Errors
-    /// If a void closes.
-    pub fn grown(&self, clearance: f64) -> Result<Self, Invalid> {
-        let mut grown = self.clone();
-        for corners in &self.loops {
-            let n = corners.len();
-            for i in 0..n {
-                let [before, here, after] =
-                    [(i + n - 1) % n, i, (i + 1) % n].map(|j| self.points[corners[j]]);
-                let (a, b) = (unit_vector(sub(here, before)), unit_vector(sub(after, here)));
-                // Outward is to the right. The mitre: move by c along both normals at once.
-                let (na, nb) = ([a[1], -a[0]], [b[1], -b[0]]);
-                let scale = clearance / (1.0 + na[0] * nb[0] + na[1] * nb[1]).max(1e-6);
-                grown.points[corners[i]] =
-                    [here[0] + scale * (na[0] + nb[0]), here[1] + scale * (na[1] + nb[1])];
-            }
-        }
-        let kept = |l: &Vec<usize>| {
-            let (before, after) = (doubled_area(&self.points, l), doubled_area(&grown.points, l));
-            before * after > 0.0 && is_simple(&grown.points, l)
-        };
-        if self.loops.iter().all(kept) { Ok(grown) } else { Err(Invalid::Closed(clearance)) }
+    /// A point of the grid in mm.
+    #[must_use]
+    pub fn mm(&self, point: Point) -> [f64; 2] {
+        [point.x, point.y].map(|x| f64::from(x) * self.pitch)
+    }
+
+    /// Area within (mm²).
+    #[must_use]
+    pub fn area(&self) -> f64 {
+        self.loops.iter().map(|l| l.area_two()).sum::<i64>() as f64 * 0.5 * self.pitch * self.pitch
     }
 }
 
-/// Whether no two sides of a loop that are not neighbours cross.
-fn is_simple(points: &[Point], corners: &[usize]) -> bool {
-    let n = corners.len();
-    let side = |i: usize| (points[corners[i % n]], points[corners[(i + 1) % n]]);
-    let crosses = |(a, b): (Point, Point), (c, d): (Point, Point)| {
-        let turn = |p, q, r| cross(sub(q, p), sub(r, p));
-        turn(a, b, c) * turn(a, b, d) < 0.0 && turn(c, d, a) * turn(c, d, b) < 0.0
-    };
-    (0..n).all(|i| (i + 2..n).filter(|&j| !(i == 0 && j == n - 1)).all(|j| !crosses(side(i), side(j))))
+/// The union of all units, each with what is within `around` of it, and of strips of `half` a width along the ligaments.
+fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntShape<i32>, Invalid> {
+    let onto = |[x, y]: [f64; 2]| Point::new((x / pitch).round() as i32, (y / pitch).round() as i32);
+    let mut pieces: Vec<IntContour<i32>> =
+        drawing.units.iter().map(|unit| unit.iter().map(|p| onto(*p)).collect()).collect();
+    let mut strip = |a, b, radius| pieces.push(strip(a, b, radius).map(onto).collect());
+    for &[a, b] in &drawing.ligaments {
+        strip(a, b, half);
+    }
+    if around > 0.0 {
+        for unit in &drawing.units {
+            for p in 0..4 {
+                strip(unit[p], unit[(p + 1) % 4], around);
+            }
+        }
+    }
+    let options =
+        IntOverlayOptions { min_output_area: (SMALLEST / (pitch * pitch)) as u64, ..Default::default() };
+    let mut shapes = pieces.simplify(FillRule::NonZero, options);
+    match shapes.len() {
+        1 => Ok(shapes.remove(0)),
+        n => Err(Invalid::Apart(n)),
+    }
+}
+
+/// Around all within `radius` of the line from a to b, counter-clockwise.
+fn strip(a: [f64; 2], b: [f64; 2], radius: f64) -> impl Iterator<Item = [f64; 2]> {
+    use std::f64::consts::{FRAC_PI_2, PI};
+    let chord = 2.0 * (1.0 - SAGITTA / radius).max(0.0).acos();
+    let chords = (PI / chord).ceil();
+    let ahead = (b[1] - a[1]).atan2(b[0] - a[0]);
+    [(b, ahead - FRAC_PI_2), (a, ahead + FRAC_PI_2)].into_iter().flat_map(move |(end, from)| {
+        (0..=chords as u32).map(move |i| {
+            let (sin, cos) = (from + PI * f64::from(i) / chords).sin_cos();
+            [end[0] + radius * cos, end[1] + radius * sin]
+        })
+    })
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
 
+    /// A mould without clearance for ligaments of a width.
+    pub fn mould(width: f64) -> Mould {
+        Mould { width, height: 10.0, wall: 3.0, clearance: 0.0 }
+    }
+
     /// 3 × 3 rotated squares of 20°, pitch 15 mm, ligaments 2.25 mm long.
     pub fn squares() -> Drawing {
+        squares_moved(|_, _| [0.0; 2])
+    }
+
+    /// The same with every joint, two corners and the ligament between them, moved: the one right of unit u by
+    /// `shift(u, 0)`, the one above it by `shift(u, 1)`, and free corners by nothing.
+    pub fn squares_moved(shift: impl Fn(usize, usize) -> [f64; 2]) -> Drawing {
         let (n, pitch, half) = (3usize, 15.0, 6.375);
         let mut units = Vec::new();
         let mut joints = Vec::new();
@@ -197,8 +175,15 @@ pub(crate) mod tests {
                 }
             }
         }
-        let corner = |(u, p): (usize, usize)| -> Point {
-            let unit: &[Point; 4] = &units[u];
+        for &[(u, p), other] in &joints {
+            let [x, y] = shift(u, p);
+            for (unit, corner) in [(u, p), other] {
+                let [cx, cy]: [f64; 2] = units[unit][corner];
+                units[unit][corner] = [cx + x, cy + y];
+            }
+        }
+        let corner = |(u, p): (usize, usize)| -> [f64; 2] {
+            let unit: &[[f64; 2]; 4] = &units[u];
             unit[p]
         };
         let ligaments = joints.iter().map(|&[a, b]| [corner(a), corner(b)]).collect();
@@ -217,32 +202,62 @@ pub(crate) mod tests {
         }
     }
 
-    /// Four voids in nine units; the loops' areas are those of units and ligaments, less what these overlap.
+    /// Of a unit's corners.
+    fn area_of(unit: &[[f64; 2]; 4]) -> f64 {
+        (0..4).map(|p| (unit[p], unit[(p + 1) % 4])).map(|(a, b)| 0.5 * (a[0] * b[1] - a[1] * b[0])).sum()
+    }
+
+    pub fn area_of_units(drawing: &Drawing) -> f64 {
+        drawing.units.iter().map(area_of).sum()
+    }
+
+    /// Four voids in nine units. A ligament adds at least the strip between the corners that it joins, less what of the
+    /// units is beside it, and at most all that is within half its width of it.
     #[test]
     fn the_outline_is_one_outer_loop_and_a_loop_a_void() {
         let drawing = squares();
-        let outline = Outline::new(&drawing, 1.0).unwrap();
-        assert_eq!(outline.loops.len(), 5);
-        let loops: f64 = outline.loops.iter().map(|l| 0.5 * doubled_area(&outline.points, l)).sum();
-        let pieces: f64 = outline.pieces.iter().map(|l| 0.5 * doubled_area(&outline.points, l)).sum();
+        let outline = Outline::new(&drawing, &mould(1.0)).unwrap();
+        assert_eq!((outline.loops.len(), outline.parted), (5, 0));
         let unit = 2.0 * (6.375 / 20f64.to_radians().cos()).powi(2);
-        assert!((loops - pieces).abs() < 1e-9, "{loops} {pieces}");
-        assert!(loops > 9.0 * unit && loops < 9.0 * unit + 12.0 * 3.25, "{loops}, units {}", 9.0 * unit);
+        let added = outline.area() - 9.0 * unit;
+        assert!(added > 12.0 * 2.25 && added < 12.0 * 3.25, "{added}, units {}", 9.0 * unit);
+        // no rounded corner but at ligaments' ends
+        assert!(outline.loops.iter().map(Vec::len).sum::<usize>() < 36 + 24 * 14, "{:?}", outline.loops);
     }
 
+    /// The area that a clearance adds is its part of the length around, and every corner is where it should be.
     #[test]
-    fn growing_moves_every_side_outward() {
-        let outline = Outline::new(&squares(), 1.0).unwrap();
-        let grown = outline.grown(0.1).unwrap();
-        for (before, after) in outline.loops.iter().zip(&grown.loops) {
-            let (a, b) = (doubled_area(&outline.points, before), doubled_area(&grown.points, after));
-            assert!(b > a, "{a} {b}");
+    fn a_clearance_moves_every_side_outward() {
+        let body = Outline::new(&squares(), &mould(1.0)).unwrap();
+        let around: f64 = body
+            .loops
+            .iter()
+            .flat_map(|l| l.iter().zip(l.iter().cycle().skip(1)))
+            .map(|(a, b)| f64::from(a.x - b.x).hypot(f64::from(a.y - b.y)) * body.pitch)
+            .sum();
+        let grown = Outline::new(&squares(), &Mould { clearance: 0.1, ..mould(1.0) }).unwrap();
+        assert_eq!(grown.loops.len(), 5);
+        let added = grown.area() - body.area();
+        assert!((added / (0.1 * around) - 1.0).abs() < 0.03, "{added} around {around}");
+        for void in &body.loops[1..] {
+            assert!(
+                grown.loops[1..].iter().filter(|l| l.iter().all(|p| void.contains_point(*p))).count() == 1
+            );
         }
-        assert_eq!(outline.grown(5.0), Err(Invalid::Closed(5.0)));
+        let closed = Outline::new(&squares(), &Mould { clearance: 5.0, ..mould(1.0) });
+        assert_eq!(closed, Err(Invalid::Closed(5.0)));
     }
 
     #[test]
-    fn ligaments_wider_than_the_edges_are_refused() {
-        assert!(matches!(Outline::new(&squares(), 9.0), Err(Invalid::TooWide { .. })));
+    fn ligaments_as_wide_as_voids_are_refused() {
+        let wide = Outline::new(&squares(), &mould(12.0));
+        assert!(matches!(wide, Err(Invalid::TooWide { voids: 4, .. })), "{wide:?}");
+    }
+
+    #[test]
+    fn units_that_nothing_joins_are_refused() {
+        let mut drawing = squares();
+        drawing.ligaments.retain(|l| l.iter().all(|end| end[0] < 20.0));
+        assert_eq!(Outline::new(&drawing, &mould(1.0)), Err(Invalid::Apart(4)));
     }
 }
