@@ -1,5 +1,8 @@
 //! metasense: trains bodies of flexible metamaterial together with the neural networks that read them.
 
+// They panic where the reader has gone: `cli::say` has what to use instead.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 pub mod analysis;
 pub mod cli;
 pub mod cluster;

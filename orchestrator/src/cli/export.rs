@@ -94,7 +94,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         path: args.out.clone(),
         source,
     })?;
-    println!("{}", args.out.display());
+    print_line!("{}", args.out.display())?;
     Ok(Exit::Done)
 }
 

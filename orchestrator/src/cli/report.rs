@@ -35,10 +35,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (drawn, missing) = figures(&story, args.threads);
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
     write(&out, &html(&story, &drawn, missing.as_deref()))?;
-    println!("{}", out.display());
+    print_line!("{}", out.display())?;
     if let Some(folder) = &args.figures {
         write_parts(folder, &story, &drawn)?;
-        println!("{}", folder.display());
+        print_line!("{}", folder.display())?;
     }
     Ok(Exit::Done)
 }

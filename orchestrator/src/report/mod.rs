@@ -113,7 +113,10 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
                 content,
                 "<p class=\"quiet tables\">{}</p>{}",
                 escape(question.title()),
-                table_html(&table)
+                match table.sole_verdict() {
+                    Some(verdict) => format!("<p>{}</p>", escape(verdict)),
+                    None => table_html(&table.without_empty_columns()),
+                }
             );
         }
     }
