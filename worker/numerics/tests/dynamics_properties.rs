@@ -219,6 +219,32 @@ fn a_pilot_keeps_the_accuracy_asked() {
     }
 }
 
+/// Samples whose steps contact halves have the same bits in two runs of the pilot: no measure of their error.
+#[test]
+fn a_pilot_is_not_blind_to_steps_that_contact_halves() {
+    let contact = Some(Contact { stiffness: 0.02, min_angle: 0.3, cutoff_angle: 0.62 });
+    let scene = Scene { contact, ..small_scene() };
+    let design = scene.layout.initial_design(25f64.to_radians());
+    let solver = Solver { method: Method::Auto, tolerance: 1e-3 };
+    let mut halved = 0;
+    for amplitude in [0.2, 0.4, 0.6, 0.8, 1.0, 1.2] {
+        let forces = pushes(&scene, 2, amplitude);
+        let law = simulate(&scene, &design, &forces, &solver, false, &pool(1));
+        if law.counters.rejected == 0 || law.outcomes.iter().any(|o| *o != Outcome::Ok) {
+            continue;
+        }
+        halved += 1;
+        let tight = Solver { method: Method::Tsit5, tolerance: 1e-10 };
+        let truth = simulate(&scene, &design, &forces, &tight, false, &pool(1));
+        let tuned = tune(&scene, &design, &forces, &solver, &pool(1));
+        let run = run(&scene, &design, &forces, &tuned.plan, false, &pool(1));
+        let error = relative(&run.signals, &truth.signals);
+        let asked = if tuned.error.is_some() { 1.2e-3 } else { 5e-3 };
+        assert!(error <= asked, "{amplitude}: {error:e}; {}", tuned.plan.reason);
+    }
+    assert!(halved > 0, "no steps were halved");
+}
+
 /// Tsit5 stays as it is; without forces there is nothing to measure; what is chaotic is said to be out of reach.
 #[test]
 fn a_pilot_says_what_it_cannot_measure() {

@@ -7,6 +7,7 @@ use metasense_numerics::dynamics::{
     Forces, Method, Outcome, Scene, Simulation, Solver, energy, energy_design_gradient, energy_gradient,
     pull_back, run, simulate, tune,
 };
+use metasense_numerics::stimuli::resample;
 
 /// Relative to the array's norm: what sums of a few hundred terms in f64 leave.
 const ROUNDING: f64 = 1e-12;
@@ -47,24 +48,42 @@ pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
     Ok(rows)
 }
 
-/// Elastic and contact energy, and the derivatives of their sum in the state and in the design.
+/// Elastic and contact energy, the derivatives of their sum in the state and in the design, and the void angles.
 pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let design = case.design(&scene)?;
     let (mut elastic, mut contact, mut dx, mut dalpha) = (vec![], vec![], vec![], vec![]);
+    let rest = Geometry::new(&scene.layout, &design, scene.density).void_angles(&scene.layout);
+    let mut voids = vec![];
     for state in case.states("displacement", scene.layout.units())? {
         let e = energy(&scene, &design, &state);
         elastic.push(e.elastic);
         contact.push(e.contact);
         dx.extend(energy_gradient(&scene, &design, &state).into_flattened());
         dalpha.extend(energy_design_gradient(&scene, &design, &state));
+        for (ligament, psi) in scene.layout.ligaments.iter().zip(&rest) {
+            let turned = state[ligament.b.unit][2] - state[ligament.a.unit][2];
+            voids.extend([psi[0] - turned, psi[1] + turned]);
+        }
     }
-    let arrays =
-        [("energy_elastic", elastic), ("energy_contact", contact), ("dU_dx", dx), ("dU_dalpha", dalpha)];
-    arrays
-        .into_iter()
-        .map(|(name, ours)| Ok(Row::new(name, relative(&ours, &case.array(name)?), ROUNDING)))
-        .collect()
+    let sum = elastic.iter().zip(&contact).map(|(e, c)| e + c).collect();
+    let arrays = [
+        ("energy_elastic", elastic),
+        ("energy_contact", contact),
+        ("energy", sum),
+        ("dU_dx", dx),
+        ("dU_dalpha", dalpha),
+    ];
+    let mut rows = Vec::new();
+    for (name, ours) in arrays {
+        rows.push(Row::new(name, relative(&ours, &case.array(name)?), ROUNDING));
+    }
+    // Whole turns aside
+    let on_circle =
+        |angles: &[f64]| angles.iter().flat_map(|a| <[f64; 2]>::from(a.sin_cos())).collect::<Vec<_>>();
+    let theirs = case.array_of("void_angles", voids.len())?;
+    rows.push(Row::new("void_angles", relative(&on_circle(&voids), &on_circle(&theirs)), ROUNDING));
+    Ok(rows)
 }
 
 fn outcomes(simulation: &Simulation) -> String {
@@ -73,7 +92,7 @@ fn outcomes(simulation: &Simulation) -> String {
     failed.join(" ")
 }
 
-/// Signals and final state at tight tolerance, energies at the instants, and the error at default settings.
+/// Signals, final state and energies at tight tolerance, the error at default settings, and forces from a record.
 pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
@@ -86,11 +105,30 @@ pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, Cas
         Row::new("sensors", relative(&tight.signals, &signals), tolerance(own("sensors_relative_l2")?))
             .noted(outcomes(&tight)),
     ];
-    let (ours, energies) = states(&scene, &design, &forces, &tight);
+    let states = states(&scene, &design, &forces, &tight);
     let mut theirs = case.array("final_displacement")?;
     theirs.extend(case.array("final_velocity")?);
-    rows.push(Row::new("final state", relative(&ours, &theirs), tolerance(own("final_state_relative_l2")?)));
-    rows.push(Row::shown("elastic energy", relative(&energies, &case.array("elastic_energy")?)));
+    let allowed = tolerance(own("final_state_relative_l2")?);
+    let [kinetic, elastic] = ["kinetic_energy", "elastic_energy"].map(|name| case.array(name));
+    let less = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(&b).map(|(a, b)| a - b).collect::<Vec<f64>>();
+    let stays = less(case.array("external_work")?, case.array("dissipated_work")?);
+    // Voids that are narrow at rest hold energy from the start.
+    let start = energy(&scene, &design, &vec![[0.0; 3]; scene.layout.units()]).contact;
+    let gained: Vec<f64> = states.kinetic.iter().zip(&states.elastic).map(|(k, e)| k + e - start).collect();
+    rows.extend([
+        Row::new("final state", relative(&states.last, &theirs), allowed),
+        Row::new("kinetic energy", relative(&states.kinetic, &kinetic?), allowed),
+        Row::new("elastic energy", relative(&states.elastic, &elastic?), allowed),
+        Row::new("work in less dissipated", relative(&gained, &stays), allowed.max(1e-6)),
+    ]);
+    if let Ok(dt) = case.number("record_dt") {
+        let record = case.array("record")?;
+        let samples = record.len() / (forces.samples * forces.panels).max(1);
+        let start = case.number("record_t0")?;
+        let read = |record| resample(record, start, dt, scene.duration, scene.instants);
+        let ours: Vec<f64> = record.chunks(samples.max(1)).flat_map(read).collect();
+        rows.push(Row::new("forces from the record", relative(&ours, &forces.values), ROUNDING));
+    }
 
     let solver = crate::problem::solver(&metasense_schemas::spec::Solver::default());
     let tuned = tune(&scene, &design, &forces, &solver, pool);
@@ -107,23 +145,38 @@ pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, Cas
     Ok(rows)
 }
 
-/// Displacements, then velocities of all samples at the end; elastic energy (contact included) at every instant.
-fn states(scene: &Scene, design: &[f64], forces: &Forces, run: &Simulation) -> (Vec<f64>, Vec<f64>) {
-    let (mut displacements, mut velocities, mut energies) = (vec![], vec![], vec![]);
-    let Some(tape) = &run.tape else { return Default::default() };
+/// What a run went through.
+#[derive(Default)]
+struct States {
+    /// Displacements, then velocities of all samples at the end.
+    last: Vec<f64>,
+    /// At every instant.
+    kinetic: Vec<f64>,
+    /// Contact included.
+    elastic: Vec<f64>,
+}
+
+fn states(scene: &Scene, design: &[f64], forces: &Forces, run: &Simulation) -> States {
+    let (mut states, mut velocities) = (States::default(), vec![]);
+    let Some(tape) = &run.tape else { return states };
+    let geometry = Geometry::new(&scene.layout, design, scene.density);
     for sample in (0..forces.samples).filter(|&i| run.outcomes[i] == Outcome::Ok) {
         for n in 1..=scene.instants {
             let (x, v) = tape.state(scene, sample, n);
             let e = energy(scene, design, &x);
-            energies.push(e.elastic + e.contact);
+            states.elastic.push(e.elastic + e.contact);
+            let of =
+                |(v, (m, j)): (&[f64; 3], (&f64, &f64))| m * (v[0] * v[0] + v[1] * v[1]) + j * v[2] * v[2];
+            let inertia = geometry.mass.iter().zip(&geometry.moment);
+            states.kinetic.push(0.5 * v.iter().zip(inertia).map(of).sum::<f64>());
             if n == scene.instants {
-                displacements.extend(x.into_flattened());
+                states.last.extend(x.into_flattened());
                 velocities.extend(v.into_flattened());
             }
         }
     }
-    displacements.extend(velocities);
-    (displacements, energies)
+    states.last.extend(velocities);
+    states
 }
 
 /// Gradient in α of ⟨cotangent, signals⟩ against automatic differentiation.
