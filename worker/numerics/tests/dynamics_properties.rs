@@ -320,6 +320,30 @@ fn pull_back_is_the_transpose_of_push_forward() {
     }
 }
 
+/// A sensor on a held unit reads zeros whatever the design: its cotangent changes no gradient.
+#[test]
+fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
+    let base = small_scene();
+    let scene = Scene { sensors: vec![base.sensors[0], base.clamped[0]], ..base };
+    let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.4));
+    for (method, steps) in [
+        (Method::Tsit5, 0),
+        (Method::Leapfrog, 60),
+        (Method::Nystrom4, 30),
+        (Method::Nystrom6, 15),
+        (Method::Implicit, 8),
+    ] {
+        let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
+        let gradient = |held: f64| {
+            let of = |i: usize| if i % 6 < 3 { (0.7 * i as f64).sin() } else { held };
+            let cotangent: Vec<f64> = (0..run.signals.len()).map(of).collect();
+            pull_back(&scene, &design, &forces, &run, &[0, 1], &cotangent, &pool(1)).design
+        };
+        assert!(run.signals.chunks_exact(6).all(|s| s[3..] == [0.0; 3]), "{method:?}");
+        assert_eq!(gradient(0.0), gradient(1e3), "{method:?}");
+    }
+}
+
 /// The gradient in every parameter against central differences with the same steps, for every method; asking for it changes
 /// nothing in that of the design.
 #[test]

@@ -263,7 +263,9 @@ impl<'a, V: Vector> System<'a, V> {
         bar_v: &mut [Unit<V>],
         bar_a: &mut [Unit<V>],
     ) {
-        for (m, &u) in self.scene.sensors.iter().enumerate() {
+        // A held unit reads zeros; sweeps keep no cotangents of its state.
+        let moves = |u: usize| self.inverse_mass[u] != [0.0; 3];
+        for (m, &u) in self.scene.sensors.iter().enumerate().filter(|(_, u)| moves(**u)) {
             let (p, q, o) = (bar[3 * m], bar[3 * m + 1], bar[3 * m + 2]);
             bar_v[u][2] = bar_v[u][2] + o;
             let (mut bx, mut by) = (p, q);
