@@ -147,10 +147,14 @@ pub fn metric(case: &Case) -> Result<Vec<Row>, CaseError> {
     let known: Vec<f64> = found.iter().copied().flatten().collect();
     let theirs: Vec<f64> = expected.iter().copied().filter(|e| !e.is_nan()).collect();
     let disagree = found.iter().zip(&expected).filter(|(f, e)| f.is_none() != e.is_nan()).count();
-    let mean = known.iter().sum::<f64>() / known.len() as f64;
-    Ok(vec![
+    let mut rows = vec![
         Row::new("error of samples", relative(&known, &theirs), 1e-12),
-        Row::new("mean error", relative(&[mean], &[case.number("mean")?]), 1e-12),
         Row::new("samples without force told apart", disagree as f64, 0.0),
-    ])
+    ];
+    // Of none there is no mean.
+    if !known.is_empty() {
+        let mean = known.iter().sum::<f64>() / known.len() as f64;
+        rows.push(Row::new("mean error", relative(&[mean], &[case.number("mean")?]), 1e-12));
+    }
+    Ok(rows)
 }
