@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use metasense_worker::design::{self, Feasible};
 
-use super::{Error, read_body};
+use super::{Error, read_body, write};
 use crate::draw::{Drawing, svg};
 use crate::exit::Exit;
 
@@ -58,8 +58,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         violations: &violations,
         caption: &caption,
     });
-    let io = |source| Error::Io { doing: "writing", path: args.out.clone(), source };
-    std::fs::write(&args.out, text).map_err(io)?;
+    write(&args.out, text)?;
     if let Some(file) = &args.design_out {
         design::write(file, &body.layout, &drawn)?;
     }

@@ -10,9 +10,9 @@ use metasense_worker::evaluate::{Effort, Evaluated, evaluate, simulated};
 use metasense_worker::measured::{self, Measured};
 use metasense_worker::run::Failure;
 
-use super::report::{write, write_figures};
+use super::report::write_figures;
 use super::trial::find;
-use super::{Error, Format, duration, print_rows, read_plan};
+use super::{Error, Format, duration, print_rows, read_plan, write};
 use crate::exit::Exit;
 use crate::export::npz::Zip;
 use crate::report::load;
@@ -186,10 +186,9 @@ fn well(body: &Body) -> bool {
 fn write_parts(folder: &Path, comparison: &Comparison) -> Result<(), Error> {
     let figures = comparison.figures();
     write_figures(folder, &figures)?;
-    write(&folder.join("index.html"), &comparison.html(&figures))?;
-    write(&folder.join("table.csv"), &crate::report::csv(&comparison.table()))?;
-    let path = folder.join("records.npz");
-    std::fs::write(&path, archive(comparison)).map_err(|source| Error::Io { doing: "writing", path, source })
+    write(&folder.join("index.html"), comparison.html(&figures))?;
+    write(&folder.join("table.csv"), crate::report::csv(&comparison.table()))?;
+    write(&folder.join("records.npz"), archive(comparison))
 }
 
 /// Everything by record as NumPy arrays.

@@ -8,7 +8,7 @@ use metasense_schemas::spec::Method;
 use metasense_worker::replay::{Drawing, drawing, replay};
 use metasense_worker::run::Failure;
 
-use super::Error;
+use super::{Error, write};
 use crate::exit::Exit;
 use crate::export::{Mould, Outline, dxf, mould, npz, series, table};
 use crate::report::{body, load, samples::Stored};
@@ -89,11 +89,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             trial(&stored, &args)?
         }
     };
-    std::fs::write(&args.out, bytes).map_err(|source| Error::Io {
-        doing: "writing",
-        path: args.out.clone(),
-        source,
-    })?;
+    write(&args.out, bytes)?;
     print_line!("{}", args.out.display())?;
     Ok(Exit::Done)
 }

@@ -6,12 +6,10 @@ use std::time::Instant;
 use indicatif::ProgressBar;
 use metasense_worker::identify::{Estimate, Fit, Iteration, Outcome, Parameter, identify};
 use metasense_worker::measured;
-use metasense_worker::simulate::body;
 use serde_json::{Value, json};
 
-use super::report::{write, write_figures};
-use super::trial::find;
-use super::{Error, Format, duration, print_rows, read_plan};
+use super::report::write_figures;
+use super::{Error, Format, duration, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
 use crate::report::{csv, fit as pictures};
 use crate::store::{Table, npy_bytes};
@@ -59,13 +57,8 @@ enum Fitted {
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.spec)?;
-    let trial = &find(&plan, &args.hash, &args.spec)?.spec;
+    let (trial, design) = &trial_and_design(&plan, &args.spec, &args.hash, args.design.as_deref())?;
     let usage = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
-    let (layout, initial) = body(trial).map_err(|e| usage(&e))?;
-    let design = match &args.design {
-        Some(file) => metasense_worker::design::read(file, &layout)?,
-        None => initial,
-    };
     let measured = measured::read(&args.records, trial)?;
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();
     let begun = Instant::now();
@@ -79,7 +72,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         true
     };
     let fit =
-        identify(trial, &design, &measured, &free, args.threads.into(), &mut watch).map_err(|e| usage(&e))?;
+        identify(trial, design, &measured, &free, args.threads.into(), &mut watch).map_err(|e| usage(&e))?;
     bar.finish_and_clear();
     let found = estimates(&fit);
     match args.format {
@@ -97,16 +90,11 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         let title = format!("{}: parameters from {records} records", plan.spec.name);
         let drawn = pictures::figures(trial, &measured.signals, &fit);
         write_figures(folder, &drawn)?;
-        write(&folder.join("estimates.csv"), &csv(&found))?;
-        write(&folder.join("index.html"), &pictures::page(&title, &found, &said, &drawn))?;
+        write(&folder.join("estimates.csv"), csv(&found))?;
+        write(&folder.join("index.html"), pictures::page(&title, &found, &said, &drawn))?;
         if !fit.signals[1].is_empty() {
             let shape = [records, trial.time.samples, 3 * trial.sensor_units.len()];
-            let path = folder.join("signals.npy");
-            std::fs::write(&path, npy_bytes(&shape, &fit.signals[1])).map_err(|source| Error::Io {
-                doing: "writing",
-                path,
-                source,
-            })?;
+            write(&folder.join("signals.npy"), npy_bytes(&shape, &fit.signals[1]))?;
         }
     }
     Ok(if fit.outcome == Outcome::Converged { Exit::Done } else { Exit::Failed })

@@ -38,8 +38,10 @@ use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::{OneBody, Plan};
 use crate::store::StoreError;
 use metasense_schemas::source::SpecError;
+use metasense_schemas::spec::TrialSpec;
 use metasense_worker::design::DesignError;
 use metasense_worker::measured::MeasuredError;
+use metasense_worker::simulate::body;
 
 pub use rows::{Format, print_rows, write_rows};
 
@@ -133,6 +135,40 @@ fn read_body(file: &Path) -> Result<OneBody, Error> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| Error::Unreadable { path: file.to_owned(), source })?;
     Ok(OneBody::new(file, text)?)
+}
+
+/// Writes a whole file.
+fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Error> {
+    std::fs::write(path, bytes).map_err(|source| Error::Io {
+        doing: "writing",
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Makes a folder where it is missing.
+fn make_folder(path: &Path) -> Result<(), Error> {
+    std::fs::create_dir_all(path).map_err(|source| Error::Io {
+        doing: "making the folder",
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// A trial of a spec, and its design or the one that a file holds.
+fn trial_and_design(
+    plan: &Plan,
+    spec: &Path,
+    hash: &str,
+    file: Option<&Path>,
+) -> Result<(TrialSpec, Vec<f64>), Error> {
+    let trial = trial::find(plan, hash, spec)?.spec.clone();
+    let (layout, initial) = body(&trial).map_err(|e| Error::Usage(format!("{}: {e}", spec.display())))?;
+    let design = match file {
+        Some(file) => metasense_worker::design::read(file, &layout)?,
+        None => initial,
+    };
+    Ok((trial, design))
 }
 
 /// Seconds in words, to two parts.

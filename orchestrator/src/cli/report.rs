@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 
-use super::Error;
+use super::{Error, make_folder, write};
 use crate::analysis::Question;
 use crate::exit::Exit;
 use crate::report::{Figure, Story, csv, figures, html, load, standalone};
@@ -34,7 +34,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let story = load::story(&mut reader, args.trial.as_deref()).await?;
     let (drawn, missing) = figures(&story, args.threads);
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
-    write(&out, &html(&story, &drawn, missing.as_deref()))?;
+    write(&out, html(&story, &drawn, missing.as_deref()))?;
     print_line!("{}", out.display())?;
     if let Some(folder) = &args.figures {
         write_parts(folder, &story, &drawn)?;
@@ -49,10 +49,10 @@ fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Err
         let table = question.answer(&story.trials);
         if !table.rows.is_empty() && question.was_put(&story.trials) {
             let name = question.to_possible_value().expect("none is hidden");
-            write(&folder.join(format!("answer-{}.csv", name.get_name())), &csv(&table))?;
+            write(&folder.join(format!("answer-{}.csv", name.get_name())), csv(&table))?;
         }
     }
-    write(&folder.join("trials.csv"), &csv(&story.settled))?;
+    write(&folder.join("trials.csv"), csv(&story.settled))?;
     for sweep in &story.sweeps {
         write(&folder.join(format!("{}.toml", sweep.name)), &sweep.text)?;
     }
@@ -61,22 +61,14 @@ fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Err
 
 /// Every figure with its data, into a folder that is made where it is missing.
 pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error> {
-    std::fs::create_dir_all(folder).map_err(|source| Error::Io {
-        doing: "making the folder",
-        path: folder.to_owned(),
-        source,
-    })?;
+    make_folder(folder)?;
     for figure in drawn {
         let stills: Vec<String> = figure.plots.iter().filter_map(|p| standalone(p, &figure.legend)).collect();
         for (i, svg) in stills.iter().enumerate() {
             let number = if stills.len() > 1 { format!("-{}", i + 1) } else { String::new() };
             write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;
         }
-        write(&folder.join(format!("{}.csv", figure.name)), &csv(&figure.data))?;
+        write(&folder.join(format!("{}.csv", figure.name)), csv(&figure.data))?;
     }
     Ok(())
-}
-
-pub(super) fn write(path: &Path, text: &str) -> Result<(), Error> {
-    std::fs::write(path, text).map_err(|source| Error::Io { doing: "writing", path: path.to_owned(), source })
 }

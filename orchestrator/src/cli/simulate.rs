@@ -2,11 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use metasense_worker::simulate::{Simulated, body, simulate};
+use metasense_worker::simulate::{Simulated, simulate};
 use serde_json::json;
 
-use super::trial::find;
-use super::{Error, Format, print_rows, read_plan};
+use super::{Error, Format, make_folder, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
 use crate::store::{Table, npy_bytes};
 
@@ -43,29 +42,18 @@ pub(super) struct Args {
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.spec)?;
-    let trial = &find(&plan, &args.hash, &args.spec)?.spec;
+    let (trial, design) = &trial_and_design(&plan, &args.spec, &args.hash, args.design.as_deref())?;
     let usage = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
-    let (layout, initial) = body(trial).map_err(|e| usage(&e))?;
-    let design = match &args.design {
-        Some(file) => metasense_worker::design::read(file, &layout)?,
-        None => initial,
-    };
     let (shape, forces) = array(&args.forces)?;
     let cotangent = args.cotangent.as_deref().map(array).transpose()?;
     let cotangent = cotangent.as_ref().map(|(shape, values)| (&shape[..], &values[..]));
     let found =
-        simulate(trial, &design, (&shape, &forces), cotangent, args.threads.into()).map_err(|e| usage(&e))?;
+        simulate(trial, design, (&shape, &forces), cotangent, args.threads.into()).map_err(|e| usage(&e))?;
 
     let Simulated { shape: [samples, instants, units, sensors], .. } = found;
-    let io = |path: &Path| {
-        let path = path.to_owned();
-        move |source| Error::Io { doing: "writing", path, source }
-    };
-    std::fs::create_dir_all(&args.out).map_err(io(&args.out))?;
-    let write = |name: &str, shape: &[usize], values: &[f64]| {
-        let path = args.out.join(name);
-        std::fs::write(&path, npy_bytes(shape, values)).map_err(io(&path))
-    };
+    make_folder(&args.out)?;
+    let write =
+        |name: &str, shape: &[usize], values: &[f64]| write(&args.out.join(name), npy_bytes(shape, values));
     write("signals.npy", &[samples, instants, 3 * sensors], &found.signals)?;
     write("displacements.npy", &[samples, instants, units, 3], &found.displacements)?;
     write("velocities.npy", &[samples, instants, units, 3], &found.velocities)?;

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use sqlx::{ConnectOptions, Connection};
 
-use super::{Error, duration, read_plan};
+use super::{Error, duration, make_folder, read_plan, write};
 use crate::cluster::home::SUBMITTED_SPEC;
 use crate::cluster::queue::{self, Job};
 use crate::cluster::submit::{Scheduler, Submission, estimate, line, planned, seconds};
@@ -142,16 +142,10 @@ fn print(submission: &Submission) -> std::io::Result<()> {
 
 fn submit(plan: &Plan, submission: &Submission) -> Result<(), Error> {
     let folder = &submission.folder;
-    let io = |doing, path: &Path| {
-        let path = path.to_owned();
-        move |source| Error::Io { doing, path, source }
-    };
-    std::fs::create_dir_all(folder).map_err(io("making the folder", folder))?;
-    let spec = folder.join(SUBMITTED_SPEC);
-    std::fs::write(&spec, &plan.source.text).map_err(io("writing", &spec))?;
+    make_folder(folder)?;
+    write(&folder.join(SUBMITTED_SPEC), &plan.source.text)?;
     for script in submission.scripts() {
-        let file = folder.join(script.name);
-        std::fs::write(&file, script.text).map_err(io("writing", &file))?;
+        write(&folder.join(script.name), script.text)?;
     }
     let job = run(&submission.submit_shards())?;
     say!("submitted: job {job}, shards {}", ranges(&submission.which));
@@ -163,7 +157,11 @@ fn submit(plan: &Plan, submission: &Submission) -> Result<(), Error> {
         Scheduler::Hq => "hq",
     };
     let job = Job { scheduler: scheduler.into(), job, merge_job, shards: submission.shards };
-    queue::note(folder, &job).map_err(io("writing to", folder))
+    queue::note(folder, &job).map_err(|source| Error::Io {
+        doing: "writing to",
+        path: folder.clone(),
+        source,
+    })
 }
 
 /// Runs a scheduler's command; the number of the job that it prints.
