@@ -127,9 +127,12 @@ impl Slurm {
         }
     }
 
-    /// Waits until no job is left.
+    /// Waits until no job is left: an answer that is empty, not a controller that gives none.
     pub fn until_empty(&self, seconds: u64) {
-        self.until("the queue is empty", seconds, || self.tool("squeue", "-h").trim().is_empty());
+        self.until("the queue is empty", seconds, || {
+            let answer = self.command("squeue").arg("-h").output().unwrap();
+            answer.status.success() && answer.stdout.trim_ascii().is_empty()
+        });
     }
 }
 
