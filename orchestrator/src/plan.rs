@@ -6,6 +6,7 @@
 //! that a hundred thousand trials take seconds.
 
 mod axes;
+mod brains;
 pub mod cost;
 
 use std::collections::HashSet;
@@ -72,9 +73,11 @@ impl Plan {
         let source = Source::new(file, text)?;
         let spec = source.parse()?;
         check_sweep(&spec, &source)?;
+        let combinations = axes::combinations(&spec, &source)?;
+        brains::refuse_unread(combinations.iter().map(|combination| &combination.spec), &source)?;
         let mut points = Vec::new();
-        for combination in axes::combinations(&spec, &source)? {
-            add_points(&spec, &source, &combination, &mut points)?;
+        for combination in &combinations {
+            add_points(&spec, &source, combination, &mut points)?;
         }
         let trials = trials(&spec, &points);
         if trials.is_empty() {
@@ -388,15 +391,16 @@ fn template(spec: &SweepSpec, panels: usize, panel_units: &[usize], sensors: usi
     read.delay = read.delay.filter(|delay| *delay != 0.0);
     let mut stimuli = spec.stimuli.clone().resolved();
     stimuli.force_samples = stimuli.force_samples.filter(|instants| *instants != spec.time.samples);
+    let (brain, optimise, evaluation) = brains::resolved(spec);
     TrialSpec {
         body,
         time: spec.time,
         solver: spec.solver,
         sensors: read,
         stimuli,
-        brain: spec.brain,
-        optimise: spec.optimise.resolved(),
-        evaluation: spec.evaluation,
+        brain,
+        optimise,
+        evaluation,
         feasible: spec.feasible,
         point: Point { panels, sensors, placement: 0, seed: 0 },
         panel_units: panel_units.to_vec(),

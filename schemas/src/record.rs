@@ -110,6 +110,24 @@ pub struct NetworkEvaluation {
     pub outcome: String,
 }
 
+/// What a linear brain makes of a body.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Reading {
+    /// How far it looks back (instants).
+    pub before: u32,
+    /// How far it looks ahead (instants).
+    pub after: u32,
+    /// λ.
+    pub ridge: f64,
+    /// Prediction error on the training set (%).
+    pub error_train: Option<f64>,
+    /// Prediction error on the test set (%).
+    pub error_test: Option<f64>,
+    /// Prediction error on the holdout (%).
+    pub error_holdout: Option<f64>,
+}
+
 /// A body with its fresh networks, one a seed.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -120,6 +138,8 @@ pub struct BodyEvaluation {
     pub networks: Vec<NetworkEvaluation>,
     /// The same trained `evaluation.long_iterations`, where asked for; without weights.
     pub long: Vec<NetworkEvaluation>,
+    /// By linear brains, whatever the trial's own is: the whole sample's first.
+    pub readings: Vec<Reading>,
     /// Samples without force, which have no error: train, test, holdout.
     pub zero_samples: [u32; 3],
 }

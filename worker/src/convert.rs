@@ -3,7 +3,7 @@
 use metasense_numerics::brain::Adam;
 use metasense_numerics::nested::{self, Best, State, Waypoint};
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, Counters, ImplicitRecord, NetworkEvaluation, Seconds, StepRecord,
+    BodyEvaluation, Checkpoint, Counters, ImplicitRecord, NetworkEvaluation, Reading, Seconds, StepRecord,
 };
 
 /// Not a number becomes absent.
@@ -70,13 +70,27 @@ pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
         design: body.design,
         networks: body.networks.into_iter().map(network).collect(),
         long: body.long.into_iter().map(network).collect(),
+        readings: body.readings.iter().map(reading).collect(),
         zero_samples: body.zero_samples,
     }
 }
 
-/// What is needed to go on. `protocol` holds caution, setbacks, trend (0: none), then (step, α) of each waypoint.
+fn reading(reading: &nested::Reading) -> Reading {
+    Reading {
+        before: reading.lags.before as u32,
+        after: reading.lags.after as u32,
+        ridge: reading.ridge,
+        error_train: finite(reading.error_train),
+        error_test: finite(reading.error_test),
+        error_holdout: finite(reading.error_holdout),
+    }
+}
+
+/// What is needed to go on. `protocol` holds caution, setbacks, trend (0: none), the ridge where there is one, then
+/// (step, α) of each waypoint.
 pub fn checkpoint(state: &State) -> Checkpoint {
     let mut protocol = vec![state.caution, f64::from(state.setbacks), state.trend.unwrap_or(0.0)];
+    protocol.extend(state.ridge);
     for waypoint in &state.trail {
         protocol.push(f64::from(waypoint.step));
         protocol.extend_from_slice(&waypoint.design);
@@ -99,7 +113,10 @@ pub fn checkpoint(state: &State) -> Checkpoint {
 pub fn state(checkpoint: Checkpoint, parameters: usize) -> Result<State, String> {
     let Checkpoint { step, design, design_moments, weights, weight_moments, best, protocol } = checkpoint;
     let lengths = [design.len(), design_moments.0.len(), design_moments.1.len()];
-    let waypoints = protocol.get(3..).unwrap_or_default().chunks(1 + parameters);
+    // one number beside whole waypoints is the ridge
+    let ridge = protocol.get(3).copied().filter(|_| (protocol.len() - 3) % (1 + parameters) == 1);
+    let first = if ridge.is_some() { 4 } else { 3 };
+    let waypoints = protocol.get(first..).unwrap_or_default().chunks(1 + parameters);
     if lengths != [parameters; 3]
         || protocol.len() < 3
         || waypoints.clone().any(|w| w.len() != 1 + parameters)
@@ -119,6 +136,7 @@ pub fn state(checkpoint: Checkpoint, parameters: usize) -> Result<State, String>
         caution: protocol[0],
         setbacks: protocol[1] as u32,
         trend: (protocol[2] > 0.0).then_some(protocol[2]),
+        ridge,
         trail: waypoints.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect(),
     })
 }
@@ -140,13 +158,15 @@ mod tests {
             caution: 0.5,
             setbacks: 2,
             trend: Some(0.01),
+            ridge: None,
             trail: vec![
                 Waypoint { step: 5, design: vec![0.3, 0.4] },
                 Waypoint { step: 6, design: vec![0.5, 0.6] },
             ],
         };
         let bare = State { best: None, trend: None, trail: Vec::new(), weights: Vec::new(), ..full.clone() };
-        for original in [full, bare] {
+        let linear = State { ridge: Some(1e-4), weights: Vec::new(), ..full.clone() };
+        for original in [full, bare, linear] {
             let bytes = postcard::to_allocvec(&checkpoint(&original)).unwrap();
             let read: Checkpoint = postcard::from_bytes(&bytes).unwrap();
             assert!(state(read.clone(), 3).is_err());

@@ -7,9 +7,12 @@ use std::fmt::Display;
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::Policy;
+use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
-use metasense_numerics::nested::{Evaluation, Going, Optimise, Problem, Protocol, Schedule, Terms, Training};
+use metasense_numerics::nested::{
+    Decoder, Evaluation, Going, Kind, Optimise, Problem, Protocol, Ridge, Schedule, Terms, Training,
+};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, TrialSpec};
 
 mod stimuli;
@@ -73,8 +76,11 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         limits,
         stimuli: stimuli(trial)?,
         disturbance: disturbance(&trial.sensors, &trial.time)?,
+        reader: kind(trial.brain.kind),
+        decoder: decoder(trial)?,
         brain: Training { iterations: trial.brain.iterations, rate: trial.brain.learning_rate, width: 64 },
         optimise: Optimise {
+            brain: if trial.optimise.linear() { Kind::Linear } else { Kind::Network },
             protocol: protocol(&trial.optimise)?,
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
@@ -192,6 +198,9 @@ pub(crate) fn solver(solver: &spec::Solver) -> Solver {
     Solver { method, tolerance: solver.tolerance }
 }
 
+/// Of a linear brain's system: 3 GB and a minute a step.
+const UNKNOWNS_MAX: usize = 20_000;
+
 fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     let &spec::Optimise {
         protocol,
@@ -257,6 +266,46 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),
     })
+}
+
+fn kind(kind: spec::BrainKind) -> Kind {
+    match kind {
+        spec::BrainKind::Cnn => Kind::Network,
+        spec::BrainKind::Linear => Kind::Linear,
+    }
+}
+
+/// The linear brain.
+fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
+    let (instants, duration) = (trial.time.samples, trial.time.duration);
+    let lags = match trial.brain.memory {
+        None => Lags::whole(instants),
+        Some(memory) => {
+            let shown = format!("{memory:?}");
+            let sound = memory.iter().all(|s| (0.0..=duration).contains(s));
+            let remedy = format!("must be two times from 0 to time.duration = {duration} (s): before, after");
+            require(sound, "brain.memory", shown, &remedy)?;
+            let [before, after] = memory.map(|s| (s / duration * instants as f64 + 1e-9) as usize);
+            Lags { before, after }.within(instants)
+        }
+    };
+    let unknowns = 3 * trial.sensor_units.len() * lags.count();
+    if trial.brain.kind == spec::BrainKind::Linear || trial.optimise.linear() {
+        let remedy = format!(
+            "gives {unknowns} unknowns a force, at most {UNKNOWNS_MAX} can be solved for: a shorter memory, \
+             fewer sensors or fewer time.samples"
+        );
+        let shown = trial.brain.memory.map_or(String::new(), |memory| format!("{memory:?}"));
+        require(unknowns <= UNKNOWNS_MAX, "brain.memory", shown, &remedy)?;
+    }
+    let ridge = match trial.brain.ridge {
+        None | Some(spec::Ridge::Auto(_)) => Ridge::Auto,
+        Some(spec::Ridge::Given(ridge)) => {
+            not_negative("brain.ridge", ridge)?;
+            Ridge::Given(ridge)
+        }
+    };
+    Ok(Decoder { lags, ridge })
 }
 
 /// What stands for the Hessian's inverse.

@@ -14,7 +14,9 @@ mod trial;
 pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
-pub use optimise::{Brain, Curvature, Evaluation, GradientTerms, Optimise, Protocol, Schedule};
+pub use optimise::{
+    Auto, Brain, BrainKind, Curvature, Evaluation, GradientTerms, Optimise, Protocol, Ridge, Schedule,
+};
 pub use sensors::{Disturbance, Frame, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{Augment, ForceUnit, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger};

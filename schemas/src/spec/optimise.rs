@@ -5,10 +5,54 @@ use serde::{Deserialize, Serialize};
 
 use super::solver::{Method, Solver};
 
-/// The network's training.
+/// What reads a body, or trains it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum BrainKind {
+    /// The convolutional network.
+    #[default]
+    Cnn,
+    /// Least squares of the forces on the signals around each instant.
+    Linear,
+}
+
+impl BrainKind {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// The linear brain's weight on the squares of its own weights.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Ridge {
+    /// λ, for signals and forces in units of their RMS.
+    Given(f64),
+    /// `"auto"`: chosen by folds of the training set.
+    Auto(Auto),
+}
+
+/// The word `"auto"`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Auto {
+    /// The word.
+    Auto,
+}
+
+/// The brain: what reads a body in the comparison at the end, and, unless `optimise.brain` is another, trains it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Brain {
+    /// `"cnn"`, the paper's, or `"linear"`.
+    #[serde(skip_serializing_if = "BrainKind::is_default")]
+    pub kind: BrainKind,
+    /// How far a linear brain looks back and ahead (s); by default over the whole sample.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory: Option<[f64; 2]>,
+    /// Of a linear brain; by default `"auto"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ridge: Option<Ridge>,
     /// Full-batch Adam iterations of one training.
     pub iterations: usize,
     /// Adam's rate.
@@ -17,7 +61,7 @@ pub struct Brain {
 
 impl Default for Brain {
     fn default() -> Self {
-        Self { iterations: 1000, learning_rate: 1e-2 }
+        Self { kind: BrainKind::Cnn, memory: None, ridge: None, iterations: 1000, learning_rate: 1e-2 }
     }
 }
 
@@ -61,6 +105,9 @@ pub enum Curvature {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Optimise {
+    /// The brain that the body is trained with, where it is not the one that reads it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub brain: Option<BrainKind>,
     /// How body and brain are trained together. By default `"joint"`, which gains most in its time.
     pub protocol: Protocol,
     /// Outer steps. By default 350, for the other protocols 100.
@@ -106,7 +153,7 @@ impl Optimise {
         self.learning_rate.get_or_insert(learning_rate);
         if self.protocol == Protocol::Paper {
             self.gradient.get_or_insert(GradientTerms::Implicit);
-        } else {
+        } else if !self.linear() {
             self.brain_iterations.get_or_insert(10);
             self.brain_learning_rate.get_or_insert(1e-3);
         }
@@ -123,6 +170,12 @@ impl Optimise {
         self
     }
 
+    /// Whether the body is trained with a linear brain; of a resolved trial.
+    #[must_use]
+    pub fn linear(&self) -> bool {
+        self.brain == Some(BrainKind::Linear)
+    }
+
     /// Outer steps.
     #[must_use]
     pub fn steps(&self) -> usize {
@@ -133,6 +186,7 @@ impl Optimise {
 impl Default for Optimise {
     fn default() -> Self {
         Self {
+            brain: None,
             protocol: Protocol::Joint,
             iterations: None,
             learning_rate: None,

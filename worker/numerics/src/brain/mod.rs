@@ -11,6 +11,7 @@ mod curvature;
 mod data;
 mod kernels;
 mod layout;
+pub mod linear;
 mod metric;
 mod network;
 mod real;

@@ -1,6 +1,7 @@
 //! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
 
-use super::problem::{Schedule, Training};
+use super::linear::{Plain, Reading, Ridge, read, readings};
+use super::problem::{Kind, Schedule, Training};
 use super::report::{Log, Trouble};
 use super::setting::{Setting, mean_error};
 use crate::brain::{self, Adam, Data, Shape, TrainOutcome, Workspace};
@@ -26,15 +27,17 @@ pub struct NetworkEvaluation {
     pub trouble: Option<Trouble>,
 }
 
-/// A body with its fresh networks.
+/// A body with its fresh brains.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyEvaluation {
     /// α (mm).
     pub design: Vec<f64>,
-    /// One entry a seed.
+    /// One entry a seed; of a linear brain, which needs none, one.
     pub networks: Vec<NetworkEvaluation>,
     /// The same trained long, where asked for.
     pub long: Vec<NetworkEvaluation>,
+    /// What linear brains make of it, whatever the trial's own brain is: the whole sample's first, then other memories.
+    pub readings: Vec<Reading>,
     /// Samples without force, which have no error: train, test, holdout.
     pub zero_samples: [u32; 3],
 }
@@ -61,25 +64,39 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
         },
     );
     let mut zero_samples = [0; 3];
+    let sets = [&setting.train, &setting.test, &holdout];
+    let (readings, linear) = match &signals {
+        Ok(signals) => log.timed(
+            |s| &mut s.train,
+            |_| {
+                let plain = [0, 1, 2].map(|set| setting.plain(&signals[set], sets[set]));
+                let readings = readings(setting, &plain).unwrap_or_default();
+                let linear = (problem.reader == Kind::Linear).then(|| linear(setting, &plain, &readings));
+                (readings, linear)
+            },
+        ),
+        Err(trouble) => (Vec::new(), (problem.reader == Kind::Linear).then(|| nothing(*trouble))),
+    };
     let all = problem.evaluation_iterations();
     let mut done = turn * all;
+    let mut passed = |iterations: usize, log: &mut Log| {
+        done += iterations;
+        let left = 1.0 - problem.progress(problem.optimise.iterations);
+        log.progress(1.0 - left * (1.0 - done as f64 / (2 * all) as f64));
+    };
+    if let Some(linear) = linear {
+        passed(all, log);
+        let zero = |set: &Forces| setting.plain(&[], set).w.iter().filter(|w| **w == 0.0).count() as u32;
+        let (design, zero_samples) = (design.to_vec(), sets.map(zero));
+        return BodyEvaluation { design, networks: vec![linear], long: Vec::new(), readings, zero_samples };
+    }
     let mut trained = |iterations: usize| -> Vec<NetworkEvaluation> {
         let one = |seed: usize| {
             let network = match &signals {
                 Ok(signals) => network(setting, seed, iterations, signals, &holdout, &mut zero_samples, log),
-                Err(trouble) => NetworkEvaluation {
-                    error_train: None,
-                    error_test: None,
-                    error_holdout: None,
-                    losses: Vec::new(),
-                    errors: Vec::new(),
-                    weights: Vec::new(),
-                    trouble: Some(*trouble),
-                },
+                Err(trouble) => nothing(*trouble),
             };
-            done += iterations;
-            let left = 1.0 - problem.progress(problem.optimise.iterations);
-            log.progress(1.0 - left * (1.0 - done as f64 / (2 * all) as f64));
+            passed(iterations, log);
             network
         };
         (0..problem.evaluation.seeds).map(one).collect()
@@ -87,7 +104,41 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
     let networks = trained(problem.brain.iterations);
     let mut long = problem.evaluation.long.map(trained).unwrap_or_default();
     long.iter_mut().for_each(|network| network.weights.clear());
-    BodyEvaluation { design: design.to_vec(), networks, long, zero_samples }
+    BodyEvaluation { design: design.to_vec(), networks, long, readings, zero_samples }
+}
+
+/// A brain that came to nothing.
+fn nothing(trouble: Trouble) -> NetworkEvaluation {
+    NetworkEvaluation {
+        error_train: None,
+        error_test: None,
+        error_holdout: None,
+        losses: Vec::new(),
+        errors: Vec::new(),
+        weights: Vec::new(),
+        trouble: Some(trouble),
+    }
+}
+
+/// The trial's own linear brain on a body.
+fn linear(setting: &Setting, sets: &[Plain; 3], readings: &[Reading]) -> NetworkEvaluation {
+    let lags = setting.problem.decoder.lags;
+    let found = match readings.first() {
+        Some(whole) if whole.lags == lags && setting.problem.decoder.ridge == Ridge::Auto => Ok(*whole),
+        _ => setting.ridge(&sets[0], lags, None).and_then(|ridge| read(sets, lags, ridge)),
+    };
+    match found {
+        Ok(Reading { error_train, error_test, error_holdout, .. }) => NetworkEvaluation {
+            error_train,
+            error_test,
+            error_holdout,
+            losses: Vec::new(),
+            errors: Vec::new(),
+            weights: Vec::new(),
+            trouble: None,
+        },
+        Err(trouble) => nothing(trouble),
+    }
 }
 
 fn network(

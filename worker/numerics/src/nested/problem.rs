@@ -1,11 +1,21 @@
 //! What a trial is to the maths.
 
 use super::chip::{Chip, Disturbance};
+use super::linear::Decoder;
 use crate::brain::{Policy, Shape};
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::Limits;
 use crate::random::Purpose;
 use crate::stimuli::{Deal, Source, bells, irregular, targets};
+
+/// Which brain.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// The convolutional network.
+    Network,
+    /// The linear brain.
+    Linear,
+}
 
 /// Everything that a nested optimisation starts from. Angles in rad.
 #[derive(Debug, Clone)]
@@ -24,8 +34,12 @@ pub struct Problem {
     pub stimuli: Stimuli,
     /// What the sensors' chips add to the signals, where they do.
     pub disturbance: Option<Disturbance>,
-    /// The brain, and its training where it starts fresh.
+    /// The brain that reads the bodies in the comparison at the end.
+    pub reader: Kind,
+    /// The network, and its training where it starts fresh.
     pub brain: Training,
+    /// The linear brain.
+    pub decoder: Decoder,
     /// The outer loop.
     pub optimise: Optimise,
     /// The comparison at the end.
@@ -63,6 +77,8 @@ pub struct Training {
 /// The outer loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Optimise {
+    /// The brain that the body is trained with.
+    pub brain: Kind,
     /// How body and brain are trained together.
     pub protocol: Protocol,
     /// Outer steps.
@@ -162,6 +178,14 @@ impl Optimise {
         }
     }
 
+    /// Designs that a loop remembers beside the present one, as it fits its brain on their samples too.
+    pub(super) fn trail(&self) -> usize {
+        match self.brain {
+            Kind::Network => 3,
+            Kind::Linear => super::protocol::BODIES - 1,
+        }
+    }
+
     /// The integrator of an outer step.
     pub(super) fn solver_of(&self, step: u32, accurate: Solver) -> Solver {
         let far = f64::from(step) < COARSE * f64::from(self.iterations);
@@ -241,6 +265,9 @@ impl Problem {
 
     /// Brain iterations of the comparison at the end, a body.
     pub(super) fn evaluation_iterations(&self) -> usize {
+        if self.reader == Kind::Linear {
+            return self.brain.iterations.div_ceil(20);
+        }
         self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0))
     }
 

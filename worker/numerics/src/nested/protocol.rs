@@ -1,11 +1,12 @@
 //! How far the brain is trained on a body, and which loss moves that body: one file a protocol.
 
 mod joint;
+mod linear;
 mod paper;
 mod warm;
 
 use super::evaluation::fresh_weights;
-use super::problem::{Going, Protocol};
+use super::problem::{Going, Kind, Protocol, Terms};
 use super::report::{Log, Trouble};
 use super::setting::Setting;
 use super::state::State;
@@ -26,19 +27,36 @@ pub(super) struct Session<'a> {
     setting: &'a Setting<'a>,
     workspace: Workspace<f32>,
     recent: joint::Recent,
+    known: linear::Known,
 }
+
+pub(super) use linear::BODIES;
 
 /// Iterations of a going network's first training, on the initial body's training signals.
 const FIRST_ITERATIONS: usize = 100;
 
 impl<'a> Session<'a> {
     pub(super) fn new(setting: &'a Setting<'a>) -> Self {
-        Self { setting, workspace: Workspace::new(setting.shape), recent: joint::Recent::default() }
+        Self {
+            setting,
+            workspace: Workspace::new(setting.shape),
+            recent: joint::Recent::default(),
+            known: linear::Known::default(),
+        }
     }
 
     /// Simulates the state's design, trains the brain on it, and differentiates.
     pub(super) fn sense(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
-        match self.setting.problem.optimise.protocol {
+        let optimise = &self.setting.problem.optimise;
+        if optimise.brain == Kind::Linear {
+            return match optimise.protocol {
+                Protocol::Paper(terms) => self.linear_paper(state, terms, log),
+                Protocol::Warm(_) => self.linear_paper(state, Terms::Direct, log),
+                Protocol::Envelope(going) => self.linear_envelope(state, going, log),
+                Protocol::Joint(going) => self.linear_joint(state, going, log),
+            };
+        }
+        match optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
             Protocol::Warm(going) => self.warm(state, going, log),
             Protocol::Envelope(going) => self.envelope(state, going, log),
@@ -75,6 +93,15 @@ impl<'a> Session<'a> {
 
     /// The test error of the state's network, with the accurate integrator, at the steps where it is due.
     fn look_at_test(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
+        let Some(signals) = self.test_signals(state, log)? else { return Ok(None) };
+        let setting = self.setting;
+        let data = setting.data(&signals, &setting.test);
+        log.report.error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace).0;
+        Ok(log.report.error_test)
+    }
+
+    /// The test signals of the state's design, with the accurate integrator, at the steps where they are looked at.
+    fn test_signals(&self, state: &State, log: &mut Log) -> Result<Option<Vec<f64>>, Trouble> {
         let (setting, problem) = (self.setting, self.setting.problem);
         if !problem.optimise.looks_at_test(state.step) {
             return Ok(None);
@@ -83,9 +110,7 @@ impl<'a> Session<'a> {
             |s| &mut s.simulate,
             |report| setting.simulate(&state.design, &setting.test, &problem.solver, false, report),
         )?;
-        let data = setting.data(&simulation.signals, &setting.test);
-        log.report.error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace).0;
-        Ok(log.report.error_test)
+        Ok(Some(simulation.signals))
     }
 
     /// Adam on the whole batch; the loss after it.

@@ -110,6 +110,8 @@ pub enum Trouble {
     LossJump(f64),
     /// The gradient in α is not finite.
     GradientNonFinite,
+    /// The linear brain's normal matrix has no factor at its ridge.
+    Singular,
 }
 
 impl Trouble {
@@ -120,6 +122,7 @@ impl Trouble {
             Self::Training(outcome) => outcome.name(),
             Self::LossJump(_) => "loss_jump",
             Self::GradientNonFinite => "gradient_non_finite",
+            Self::Singular => "singular",
         }
     }
 }

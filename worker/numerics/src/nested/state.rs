@@ -27,6 +27,8 @@ pub struct State {
     pub setbacks: u32,
     /// Running geometric mean of the training loss after training.
     pub trend: Option<f64>,
+    /// λ of the linear brain, where the body is trained with one and a step has found it.
+    pub ridge: Option<f64>,
     /// The last designs before this one, newest last.
     pub trail: Vec<Waypoint>,
 }
@@ -51,8 +53,6 @@ pub struct Best {
     pub step: u32,
 }
 
-/// Designs remembered: `joint` trains on the batches of as many bodies beside the present one.
-pub(super) const TRAIL: usize = 3;
 /// A training loss above this many times its trend is a step too far. A fresh network's loss varies by a factor of two
 /// from seed to seed, Adam's spikes reach another three.
 const JUMP: f64 = 10.0;
@@ -71,6 +71,7 @@ impl State {
             caution: 1.0,
             setbacks: 0,
             trend: None,
+            ridge: None,
             trail: Vec::new(),
         }
     }
@@ -126,7 +127,7 @@ impl State {
         let passed =
             Waypoint { step: self.step, design: std::mem::replace(&mut self.design, projection.design) };
         self.trail.push(passed);
-        self.trail.drain(..self.trail.len().saturating_sub(TRAIL));
+        self.trail.drain(..self.trail.len().saturating_sub(problem.optimise.trail()));
     }
 
     /// This state (that before a step in trouble), its last move undone and the next one smaller.

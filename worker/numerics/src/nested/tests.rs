@@ -1,11 +1,14 @@
 use super::evaluation::fresh_weights;
 use super::*;
 use crate::body::Layout;
+use crate::brain::linear::Lags;
 use crate::brain::{self, TrainOutcome, Workspace};
 use crate::dynamics::{Frame, Method, Panel, Scene, Solver, Stiffness};
 use crate::feasible::Limits;
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
+
+mod linear;
 
 /// 4 × 3 units, two panels, one sensor, 0.2 s, 16 samples, a network of width 8.
 fn small(protocol: Protocol) -> Problem {
@@ -44,8 +47,11 @@ fn small(protocol: Protocol) -> Problem {
             holdout: 4,
         },
         disturbance: None,
+        reader: Kind::Network,
+        decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
         brain: Training { iterations: 30, rate: 1e-2, width: 8 },
         optimise: Optimise {
+            brain: Kind::Network,
             protocol,
             iterations: 4,
             rate: 0.1,

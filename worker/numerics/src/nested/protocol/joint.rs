@@ -9,7 +9,7 @@ use crate::dynamics::{Forces, Simulation};
 use crate::random::Purpose;
 
 /// The network trains on the batches of so many bodies, the present one among them.
-const BATCHES: usize = super::super::state::TRAIL + 1;
+const BATCHES: usize = 4;
 
 /// Data of the last bodies' batches, one slot a body; a resumed loop simulates them again.
 #[derive(Default)]

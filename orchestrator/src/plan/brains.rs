@@ -1,0 +1,73 @@
+//! Which brains a trial has, and that it carries the keys of no other: equal trials have equal hashes.
+
+use metasense_schemas::source::{Source, SpecError};
+use metasense_schemas::spec::{Brain, BrainKind, Evaluation, Optimise, SweepSpec};
+
+/// The brain that reads the bodies, and the one that trains them.
+fn kinds(spec: &SweepSpec) -> [BrainKind; 2] {
+    [spec.brain.kind, spec.optimise.brain.unwrap_or(spec.brain.kind)]
+}
+
+/// Brain, outer loop and comparison of a combination, without keys that its brains do not read, defaults in place.
+pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
+    let ([reader, trainer], none) = (kinds(spec), Brain::default());
+    let (mut brain, mut optimise, mut evaluation) = (spec.brain, spec.optimise, spec.evaluation);
+    if reader == BrainKind::Linear && trainer == BrainKind::Linear {
+        (brain.iterations, brain.learning_rate) = (none.iterations, none.learning_rate);
+    }
+    if reader == BrainKind::Linear {
+        evaluation = Evaluation::default();
+    }
+    if reader != BrainKind::Linear && trainer != BrainKind::Linear {
+        (brain.memory, brain.ridge) = (None, None);
+    }
+    // named where it is not the paper's, whatever reads
+    optimise.brain = (trainer == BrainKind::Linear).then_some(trainer);
+    if trainer == BrainKind::Linear {
+        (optimise.brain_iterations, optimise.brain_learning_rate) = (None, None);
+        (optimise.curvature, optimise.damping) = (None, None);
+    }
+    (brain, optimise.resolved(), evaluation)
+}
+
+/// Refuses keys that no brain of the sweep reads.
+///
+/// # Errors
+/// Names the first.
+pub(super) fn refuse_unread<'a>(
+    specs: impl Iterator<Item = &'a SweepSpec> + Clone,
+    source: &Source,
+) -> Result<(), SpecError> {
+    let none = Brain::default();
+    let any = |what: &dyn Fn(&SweepSpec) -> bool| specs.clone().any(what);
+    let linear = any(&|spec| kinds(spec).contains(&BrainKind::Linear));
+    let network = any(&|spec| kinds(spec).contains(&BrainKind::Cnn));
+    let read_by_network = any(&|spec| spec.brain.kind == BrainKind::Cnn);
+    let trained_by_network = any(&|spec| kinds(spec)[1] == BrainKind::Cnn);
+    let evaluation = Evaluation::default();
+    let keys: [(&str, bool, &dyn Fn(&SweepSpec) -> bool, &str); 11] = [
+        ("brain.memory", linear, &|s| s.brain.memory.is_some(), "linear"),
+        ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), "linear"),
+        ("brain.iterations", network, &|s| s.brain.iterations != none.iterations, "cnn"),
+        ("brain.learning_rate", network, &|s| s.brain.learning_rate != none.learning_rate, "cnn"),
+        ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds != evaluation.seeds, "cnn"),
+        ("evaluation.schedule", read_by_network, &|s| s.evaluation.schedule != evaluation.schedule, "cnn"),
+        ("evaluation.long_iterations", read_by_network, &|s| s.evaluation.long_iterations.is_some(), "cnn"),
+        ("optimise.brain_iterations", trained_by_network, &|s| s.optimise.brain_iterations.is_some(), "cnn"),
+        (
+            "optimise.brain_learning_rate",
+            trained_by_network,
+            &|s| s.optimise.brain_learning_rate.is_some(),
+            "cnn",
+        ),
+        ("optimise.curvature", trained_by_network, &|s| s.optimise.curvature.is_some(), "cnn"),
+        ("optimise.damping", trained_by_network, &|s| s.optimise.damping.is_some(), "cnn"),
+    ];
+    match keys.iter().find(|(_, read, given, _)| !read && any(*given)) {
+        Some((key, _, _, kind)) => {
+            let role = if key.starts_with("optimise.") { "optimise.brain" } else { "brain.kind" };
+            Err(source.error(key, &format!("means nothing here: no trial has {role} = \"{kind}\"")))
+        }
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,152 @@
+//! The linear brain: least squares of the forces on the signals around each instant, exact on the sample's window.
+//!
+//! ```text
+//! f̂_k(n) = b_k + Σ_c Σ_l W_kcl x_c(n + l),  l = −before … after,  x = 0 outside the sample
+//! W, b = argmin Σ_i w_i Σ_kn (f̂ − f)² / Σ_i w_i Σ_kn f² + λ|W|²
+//! w_i = 1/Σ f² of a sample: the mean reported error, as a part of 1
+//! ```
+//! Its inner problem is convex and solved exactly, by `faer`'s Cholesky factor of the normal matrix, in f64.
+
+mod moments;
+mod solve;
+
+pub use moments::Moments;
+pub use solve::{Fit, Order, Singular};
+
+use faer::linalg::matmul::matmul;
+use faer::{Accum, MatMut, MatRef, Par};
+
+/// Instants, signal channels and forces of a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sizes {
+    /// T.
+    pub instants: usize,
+    /// C = 3M.
+    pub channels: usize,
+    /// K.
+    pub outputs: usize,
+}
+
+/// The memory: lags l = −before … after of x(n + l), in instants.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Lags {
+    /// How far it looks back.
+    pub before: usize,
+    /// How far it looks ahead; 0 is causal.
+    pub after: usize,
+}
+
+impl Lags {
+    /// The whole of a sample of T instants, both ways.
+    pub fn whole(instants: usize) -> Self {
+        Self { before: instants - 1, after: instants - 1 }
+    }
+
+    /// How many.
+    pub fn count(self) -> usize {
+        self.before + self.after + 1
+    }
+
+    /// Lags that can see nothing of a sample of T instants, left out.
+    pub fn within(self, instants: usize) -> Self {
+        Self { before: self.before.min(instants - 1), after: self.after.min(instants - 1) }
+    }
+}
+
+/// Weights of a linear brain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Linear {
+    /// T, C, K.
+    pub sizes: Sizes,
+    /// Its memory.
+    pub lags: Lags,
+    /// W (K, lags, C).
+    pub w: Vec<f64>,
+    /// b (K).
+    pub b: Vec<f64>,
+}
+
+/// A column-major (rows, columns) view.
+fn matrix(values: &[f64], rows: usize, columns: usize) -> MatRef<'_, f64> {
+    MatRef::from_column_major_slice(values, rows, columns)
+}
+
+/// As `matrix`, to be written.
+fn matrix_mut(values: &mut [f64], rows: usize, columns: usize) -> MatMut<'_, f64> {
+    MatMut::from_column_major_slice_mut(values, rows, columns)
+}
+
+impl Linear {
+    /// f̂ (N, T, K) of signals x (N, T, C).
+    ///
+    /// # Panics
+    /// If the length is not that of whole samples.
+    pub fn predict(&self, x: &[f64]) -> Vec<f64> {
+        let Sizes { instants, outputs, .. } = self.sizes;
+        let mut predicted: Vec<f64> =
+            self.b.iter().copied().cycle().take(self.samples(x) * instants * outputs).collect();
+        self.add_product(x, &mut predicted);
+        predicted
+    }
+
+    /// Transpose of [`Linear::predict`] but for b: a cotangent on f̂ (N, T, K) as one on x (N, T, C).
+    ///
+    /// # Panics
+    /// If the length is not that of whole samples.
+    pub fn predict_vjp(&self, cotangent: &[f64]) -> Vec<f64> {
+        let Sizes { instants, channels, outputs } = self.sizes;
+        let (rows, columns) = (instants * channels, instants * outputs);
+        let samples = cotangent.len() / columns;
+        assert_eq!(cotangent.len(), samples * columns, "cotangent of {:?}", self.sizes);
+        let mut x = vec![0.0; samples * rows];
+        let toeplitz = self.toeplitz();
+        matmul(
+            matrix_mut(&mut x, rows, samples),
+            Accum::Replace,
+            matrix(&toeplitz, rows, columns),
+            matrix(cotangent, columns, samples),
+            1.0,
+            Par::Seq,
+        );
+        x
+    }
+
+    /// f̂ += W ∗ x.
+    fn add_product(&self, x: &[f64], predicted: &mut [f64]) {
+        let Sizes { instants, channels, outputs } = self.sizes;
+        let (rows, columns, samples) = (instants * channels, instants * outputs, self.samples(x));
+        let toeplitz = self.toeplitz();
+        matmul(
+            matrix_mut(predicted, columns, samples),
+            Accum::Add,
+            matrix(&toeplitz, rows, columns).transpose(),
+            matrix(x, rows, samples),
+            1.0,
+            Par::Seq,
+        );
+    }
+
+    fn samples(&self, x: &[f64]) -> usize {
+        let one = self.sizes.instants * self.sizes.channels;
+        assert!(x.len().is_multiple_of(one), "{} signals of {:?}", x.len(), self.sizes);
+        x.len() / one
+    }
+
+    /// W as a matrix from (t, c) to (n, k), column-major: it holds W_kcl at l = t − n.
+    fn toeplitz(&self) -> Vec<f64> {
+        let Sizes { instants, channels, outputs } = self.sizes;
+        let Lags { before, after } = self.lags;
+        let mut columns = vec![0.0; instants * channels * instants * outputs];
+        for (j, column) in columns.chunks_exact_mut(instants * channels).enumerate() {
+            let (n, k) = (j / outputs, j % outputs);
+            let (first, last) = (n.saturating_sub(before), (n + after).min(instants - 1));
+            let from = (k * self.lags.count() + first + before - n) * channels;
+            let length = (last + 1 - first) * channels;
+            column[first * channels..][..length].copy_from_slice(&self.w[from..from + length]);
+        }
+        columns
+    }
+}
+
+#[cfg(test)]
+mod tests;

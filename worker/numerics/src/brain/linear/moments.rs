@@ -1,0 +1,187 @@
+//! Weighted second moments of samples, from which the normal matrix of every memory follows.
+//!
+//! ```text
+//! R[(s,c), (t,d)] = Σ_i w_i x_ic(s) x_id(t)      P[(t,c), (n,k)] = Σ_i w_i x_ic(t) f_ik(n)
+//! G[(l,c), (m,d)] = Σ_n R[(n+l,c), (n+m,d)]      Q[(l,c), k]     = Σ_n P[(n+l,c), (n,k)]
+//! ```
+//! Along a diagonal G changes by one entry of R at either end of the window (the covariance method of linear
+//! prediction; Makhoul, Proc. IEEE 63, 561, 1975), so that G costs O(N·D²), not O(N·T·D²).
+
+use super::{Lags, Sizes, matrix, matrix_mut};
+use faer::linalg::matmul::matmul;
+use faer::linalg::matmul::triangular::{self, BlockStructure};
+use faer::{Accum, Par};
+
+/// Moments of some samples; those of two sets add up.
+#[derive(Debug, Clone)]
+pub struct Moments {
+    pub(super) sizes: Sizes,
+    /// R (T·C, T·C), column-major; its lower triangle.
+    second: Vec<f64>,
+    /// P (T·C, T·K), column-major.
+    cross: Vec<f64>,
+    /// Σ w x (T·C).
+    signals: Vec<f64>,
+    /// Σ w f (T·K).
+    forces: Vec<f64>,
+    /// Σ w.
+    weight: f64,
+    /// Σ w Σ f²: what weights are relative to.
+    power: f64,
+}
+
+/// The normal equations of one memory, the bias eliminated.
+pub(super) struct Normal {
+    /// D = lags · C.
+    pub unknowns: usize,
+    /// G − g gᵀ/s (D, D), column-major; its lower triangle.
+    pub g: Vec<f64>,
+    /// Q − g hᵀ/s (D, K), column-major.
+    pub q: Vec<f64>,
+    /// g/s: the mean of each lagged channel (D).
+    pub mean: Vec<f64>,
+    /// h/s: the mean of each force (K).
+    pub mean_force: Vec<f64>,
+    /// s, the second derivative in b but for its factor of 2.
+    pub weight: f64,
+}
+
+impl Moments {
+    /// Of no sample.
+    pub fn new(sizes: Sizes) -> Self {
+        let (rows, columns) = (sizes.instants * sizes.channels, sizes.instants * sizes.outputs);
+        Self {
+            sizes,
+            second: vec![0.0; rows * rows],
+            cross: vec![0.0; rows * columns],
+            signals: vec![0.0; rows],
+            forces: vec![0.0; columns],
+            weight: 0.0,
+            power: 0.0,
+        }
+    }
+
+    /// Takes in samples x (N, T, C), f (N, T, K) of weights w (N).
+    ///
+    /// # Panics
+    /// If the lengths do not belong to one N.
+    pub fn add(&mut self, x: &[f64], f: &[f64], w: &[f64]) {
+        let Sizes { instants, channels, outputs } = self.sizes;
+        let (rows, columns, samples) = (instants * channels, instants * outputs, w.len());
+        assert!(x.len() == samples * rows && f.len() == samples * columns, "{} {}", x.len(), f.len());
+        let scaled = |values: &[f64], width: usize, sums: &mut [f64]| -> Vec<f64> {
+            let mut all = Vec::with_capacity(values.len());
+            for (sample, w) in values.chunks_exact(width).zip(w) {
+                sums.iter_mut().zip(sample).for_each(|(sum, x)| *sum += w * x);
+                all.extend(sample.iter().map(|x| w.sqrt() * x));
+            }
+            all
+        };
+        let x = scaled(x, rows, &mut self.signals);
+        let f = scaled(f, columns, &mut self.forces);
+        self.weight += w.iter().sum::<f64>();
+        self.power += f.iter().map(|f| f * f).sum::<f64>();
+        let x = matrix(&x, rows, samples);
+        triangular::matmul(
+            matrix_mut(&mut self.second, rows, rows),
+            BlockStructure::TriangularLower,
+            Accum::Add,
+            x,
+            BlockStructure::Rectangular,
+            x.transpose(),
+            BlockStructure::Rectangular,
+            1.0,
+            Par::Seq,
+        );
+        let f = matrix(&f, columns, samples);
+        matmul(matrix_mut(&mut self.cross, rows, columns), Accum::Add, x, f.transpose(), 1.0, Par::Seq);
+    }
+
+    /// Those of the samples that `part` does not hold.
+    ///
+    /// # Panics
+    /// If the sizes differ.
+    #[must_use]
+    pub fn without(mut self, part: &Self) -> Self {
+        assert_eq!(self.sizes, part.sizes);
+        let take = |all: &mut [f64], part: &[f64]| all.iter_mut().zip(part).for_each(|(a, p)| *a -= p);
+        take(&mut self.second, &part.second);
+        take(&mut self.cross, &part.cross);
+        take(&mut self.signals, &part.signals);
+        take(&mut self.forces, &part.forces);
+        self.weight -= part.weight;
+        self.power -= part.power;
+        self
+    }
+
+    /// The normal equations of this memory, divided by the samples' weighted power.
+    pub(super) fn normal(&self, lags: Lags) -> Normal {
+        let Sizes { instants, channels, outputs } = self.sizes;
+        let (rows, unknowns) = (instants * channels, lags.count() * channels);
+        let first = instants - lags.before;
+
+        // a column of G is that of a lag before, moved down by C; ends of the window come and go
+        let mut g = vec![0.0; unknowns * unknowns];
+        for j in 0..unknowns {
+            let (l, c) = (j / channels, j % channels);
+            let (passed, rest) = g.split_at_mut(j * unknowns);
+            let column = &mut rest[j..unknowns];
+            if l == 0 {
+                for m in 0..first {
+                    let at = m * channels + c;
+                    accumulate(column, &self.second[at * rows + at..(at + 1) * rows], 1.0);
+                }
+                continue;
+            }
+            let before = (j - channels) * unknowns + j - channels;
+            column.copy_from_slice(&passed[before..before + unknowns - j]);
+            let ends = [(first - 1 + l, 1.0), ((l - 1).wrapping_sub(lags.before), -1.0)];
+            for (t, sign) in ends.into_iter().filter(|(t, _)| *t < instants) {
+                let at = t * channels + c;
+                accumulate(column, &self.second[at * rows + at..(at + 1) * rows], sign);
+            }
+        }
+        let mut q = lagged(self.sizes, lags, outputs, |j| &self.cross[j * rows..(j + 1) * rows]);
+        let mut mean = lagged(self.sizes, lags, 1, |_| &self.signals);
+        let force = |k: usize| self.forces[k..].iter().step_by(outputs).sum();
+        let mut mean_force: Vec<f64> = (0..outputs).map(force).collect();
+
+        let s = self.weight * instants as f64;
+        mean.iter_mut().chain(&mut mean_force).for_each(|x| *x /= s);
+        for (j, column) in g.chunks_exact_mut(unknowns).enumerate() {
+            accumulate(&mut column[j..], &mean[j..], -s * mean[j]);
+        }
+        for (column, force) in q.chunks_exact_mut(unknowns).zip(&mean_force) {
+            accumulate(column, &mean, -s * force);
+        }
+        let scale = self.power.recip();
+        g.iter_mut().chain(&mut q).for_each(|x| *x *= scale);
+        Normal { unknowns, g, q, mean, mean_force, weight: s * scale }
+    }
+}
+
+/// Σ_n P[(n+l,c), (n,k)] as (D, K), column-major, of a P (T·C, T·K) given by its columns.
+pub(super) fn lagged<'a>(
+    sizes: Sizes,
+    lags: Lags,
+    outputs: usize,
+    column: impl Fn(usize) -> &'a [f64],
+) -> Vec<f64> {
+    let Sizes { instants, channels, .. } = sizes;
+    let unknowns = lags.count() * channels;
+    let mut sums = vec![0.0; unknowns * outputs];
+    for n in 0..instants {
+        let (from, to) = (n.saturating_sub(lags.before), (n + lags.after).min(instants - 1) + 1);
+        let at = (from + lags.before - n) * channels;
+        for k in 0..outputs {
+            let seen = &column(n * outputs + k)[from * channels..to * channels];
+            accumulate(&mut sums[k * unknowns + at..(k + 1) * unknowns], seen, 1.0);
+        }
+    }
+    sums
+}
+
+/// a += s·b, as far as both reach.
+fn accumulate(a: &mut [f64], b: &[f64], s: f64) {
+    a.iter_mut().zip(b).for_each(|(a, b)| *a += s * b);
+}

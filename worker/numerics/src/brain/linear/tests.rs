@@ -1,0 +1,173 @@
+use super::*;
+use crate::random::{Purpose, Stream};
+
+const SIZES: Sizes = Sizes { instants: 9, channels: 3, outputs: 2 };
+const SAMPLES: usize = 7;
+
+struct Set {
+    x: Vec<f64>,
+    f: Vec<f64>,
+    w: Vec<f64>,
+}
+
+fn set(seed: u64) -> Set {
+    let mut stream = Stream::new(Purpose::Design, seed, [0, 0]);
+    let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| 0.3 + stream.normal()).collect() };
+    let x = draw(SAMPLES * SIZES.instants * SIZES.channels);
+    let f = draw(SAMPLES * SIZES.instants * SIZES.outputs);
+    Set { x, f, w: draw(SAMPLES).into_iter().map(|w| w * w + 0.1).collect() }
+}
+
+fn moments(set: &Set) -> Moments {
+    let mut moments = Moments::new(SIZES);
+    moments.add(&set.x, &set.f, &set.w);
+    moments
+}
+
+/// Σ w Σ f².
+fn power(set: &Set) -> f64 {
+    let one = SIZES.instants * SIZES.outputs;
+    set.f.iter().enumerate().map(|(j, f)| set.w[j / one] * f * f).sum()
+}
+
+/// What is minimised, instant by instant as it is written.
+fn objective(set: &Set, linear: &Linear, ridge: f64) -> f64 {
+    let Sizes { instants, channels, outputs } = SIZES;
+    let Lags { before, after } = linear.lags;
+    let mut sum = 0.0;
+    for i in 0..SAMPLES {
+        for (n, k) in (0..instants).flat_map(|n| (0..outputs).map(move |k| (n, k))) {
+            let mut said = linear.b[k];
+            for l in 0..before + after + 1 {
+                if let Some(t) = (n + l).checked_sub(before).filter(|t| *t < instants) {
+                    for c in 0..channels {
+                        said += linear.w[(k * (before + after + 1) + l) * channels + c]
+                            * set.x[(i * instants + t) * channels + c];
+                    }
+                }
+            }
+            sum += set.w[i] * (said - set.f[(i * instants + n) * outputs + k]).powi(2);
+        }
+    }
+    sum / power(set) + ridge * linear.w.iter().map(|w| w * w).sum::<f64>()
+}
+
+const MEMORIES: [(usize, usize); 6] = [(0, 0), (2, 1), (0, 4), (8, 0), (3, 3), (8, 8)];
+
+/// No move of any weight or bias, up or down, lowers the objective, for memories of all kinds; predictions are those of
+/// the sum as it is written.
+#[test]
+fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
+    let (set, ridge) = (set(1), 0.05);
+    for (before, after) in MEMORIES {
+        let fit = Fit::new(&moments(&set), Lags { before, after }, ridge, Order::Ascending).unwrap();
+        let linear = fit.linear();
+        let least = objective(&set, &linear, ridge);
+        for i in 0..linear.w.len() + linear.b.len() {
+            for step in [1e-4, -1e-4] {
+                let mut moved = linear.clone();
+                match i.checked_sub(linear.w.len()) {
+                    Some(k) => moved.b[k] += step,
+                    None => moved.w[i] += step,
+                }
+                let rise = objective(&set, &moved, ridge) - least;
+                assert!(rise > 0.0 && rise < 1e-5, "{before} {after} {i}: {rise}");
+            }
+        }
+        let said = linear.predict(&set.x);
+        let total = power(&set);
+        let one = SIZES.instants * SIZES.outputs;
+        let by_prediction: f64 =
+            (0..said.len()).map(|j| set.w[j / one] / total * (said[j] - set.f[j]).powi(2)).sum::<f64>()
+                + ridge * linear.w.iter().map(|w| w * w).sum::<f64>();
+        assert!((by_prediction / least - 1.0).abs() < 1e-12, "{before} {after}: {by_prediction} {least}");
+    }
+}
+
+/// Blocks of one factor are the factors of shorter memories; moments of parts add up.
+#[test]
+fn one_factor_serves_every_shorter_memory() {
+    let (set, ridge, whole) = (set(2), 0.03, Lags::whole(SIZES.instants));
+    let all = moments(&set);
+    let close = |a: &Linear, b: &Linear| {
+        let far = a.w.iter().chain(&a.b).zip(b.w.iter().chain(&b.b)).map(|(a, b)| (a - b).abs());
+        let far = far.fold(0.0, f64::max);
+        assert!(a.lags == b.lags && far < 1e-9, "{:?}: {far:e}", a.lags);
+    };
+    for (order, lags) in [
+        (Order::Ascending, Lags { before: 8, after: 3 }),
+        (Order::Ascending, Lags { before: 8, after: 0 }),
+        (Order::Outward, Lags { before: 0, after: 0 }),
+        (Order::Outward, Lags { before: 5, after: 5 }),
+        (Order::Outward, whole),
+    ] {
+        let alone = Fit::new(&all, lags, ridge, Order::Ascending).unwrap().linear();
+        close(&Fit::new(&all, whole, ridge, order).unwrap().shorter(lags), &alone);
+    }
+    let (one_x, one_f) = (SIZES.instants * SIZES.channels, SIZES.instants * SIZES.outputs);
+    let mut part = Moments::new(SIZES);
+    part.add(&set.x[2 * one_x..], &set.f[2 * one_f..], &set.w[2..]);
+    let mut rest = Moments::new(SIZES);
+    rest.add(&set.x[..2 * one_x], &set.f[..2 * one_f], &set.w[..2]);
+    let lags = Lags { before: 2, after: 1 };
+    let fit = |moments: &Moments| Fit::new(moments, lags, ridge, Order::Ascending).unwrap().linear();
+    close(&fit(&all.without(&part)), &fit(&rest));
+}
+
+/// ⟨c, W ∗ x⟩ = ⟨vjp(c), x⟩ = ⟨weights_vjp(c), W⟩ but for the bias.
+#[test]
+fn predictions_and_pull_backs_are_transposes() {
+    let (set, other) = (set(3), set(4));
+    for (before, after) in MEMORIES {
+        let mut linear =
+            Fit::new(&moments(&set), Lags { before, after }, 0.1, Order::Ascending).unwrap().linear();
+        linear.b.fill(0.0);
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let left = dot(&other.f, &linear.predict(&set.x));
+        let right = dot(&linear.predict_vjp(&other.f), &set.x);
+        let weights = dot(&linear.weights_vjp(&set.x, &other.f).w, &linear.w);
+        let scale = left.abs() + 1.0;
+        assert!((left - right).abs() < 1e-12 * scale, "{before} {after}: {left} {right}");
+        assert!((left - weights).abs() < 1e-12 * scale, "{before} {after}: {left} {weights}");
+    }
+}
+
+/// The minimum moves with a force ε(V, v) on the weights as the sensitivity says: the objective plus −ε(V·W + v·b) has
+/// its gradient zero at W + ε z to first order, and solves (H z = V) by differences of the gradient.
+#[test]
+fn the_sensitivity_solves_the_second_derivative() {
+    let (set, other, ridge) = (set(5), set(6), 0.02);
+    for (order, lags) in
+        [(Order::Ascending, Lags { before: 3, after: 1 }), (Order::Outward, Lags { before: 2, after: 2 })]
+    {
+        let fit = Fit::new(&moments(&set), lags, ridge, order).unwrap();
+        let linear = fit.linear();
+        let force = linear.weights_vjp(&other.x, &other.f);
+        let z = fit.sensitivity(&force);
+        // H z, the objective being quadratic: gradient at W + z less that at W, 0
+        let mut moved = linear.clone();
+        moved.w.iter_mut().zip(&z.w).for_each(|(w, z)| *w += z);
+        moved.b.iter_mut().zip(&z.b).for_each(|(b, z)| *b += z);
+        let total = power(&set);
+        let one = SIZES.instants * SIZES.outputs;
+        let said = moved.predict(&set.x);
+        let residual: Vec<f64> =
+            (0..said.len()).map(|j| 2.0 * set.w[j / one] / total * (said[j] - set.f[j])).collect();
+        let mut gradient = moved.weights_vjp(&set.x, &residual);
+        gradient.w.iter_mut().zip(&moved.w).for_each(|(g, w)| *g += 2.0 * ridge * w);
+        let far = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let (w, b) = (far(&gradient.w, &force.w), far(&gradient.b, &force.b));
+        assert!(w < 1e-9 && b < 1e-9 && force.w.iter().any(|v| v.abs() > 0.1), "{order:?}: {w:e} {b:e}");
+    }
+}
+
+/// Signals that repeat each other have no factor without a ridge, and one with it.
+#[test]
+fn a_singular_matrix_is_named() {
+    let mut set = set(7);
+    set.x.chunks_exact_mut(3).for_each(|row| row[2] = row[1]);
+    let lags = Lags { before: 1, after: 1 };
+    let fit = |ridge| Fit::new(&moments(&set), lags, ridge, Order::Ascending);
+    assert_eq!(fit(0.0).err(), Some(Singular));
+    assert!(fit(1e-6).is_ok());
+}

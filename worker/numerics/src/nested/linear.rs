@@ -1,0 +1,211 @@
+//! The linear brain at the scales of a trial: its samples, its ridge, and what it makes of a body.
+//!
+//! ```text
+//! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: 10^−j, by a fifth of the training set
+//! ```
+
+use super::report::Trouble;
+use super::setting::{Setting, mean_error};
+use super::unseen::folds;
+use crate::brain::linear::{Fit, Lags, Linear, Moments, Order, Sizes};
+use crate::brain::prediction_error;
+use crate::dynamics::Forces;
+
+/// What a linear brain is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Decoder {
+    /// Its memory.
+    pub lags: Lags,
+    /// λ.
+    pub ridge: Ridge,
+}
+
+/// How λ is found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Ridge {
+    /// By folds of the training samples.
+    Auto,
+    /// Given.
+    Given(f64),
+}
+
+/// Parts of the training set; one of them judges a ridge that the others are fitted with.
+const FOLDS: usize = 5;
+/// Where the search for λ begins, and how far it goes.
+const FIRST_RIDGE: f64 = 1e-6;
+const RIDGES: std::ops::RangeInclusive<f64> = 1e-14..=1e2;
+
+/// Samples as a linear brain takes them.
+#[derive(Debug, Clone)]
+pub(super) struct Plain {
+    pub(super) sizes: Sizes,
+    /// x (N, T, 3M).
+    pub(super) x: Vec<f64>,
+    /// y (N, T, K).
+    pub(super) y: Vec<f64>,
+    /// w (N); 0 without force.
+    pub(super) w: Vec<f64>,
+}
+
+impl Plain {
+    /// Their moments.
+    pub(super) fn moments(&self) -> Moments {
+        let mut moments = Moments::new(self.sizes);
+        moments.add(&self.x, &self.y, &self.w);
+        moments
+    }
+
+    /// These samples, in this order.
+    pub(super) fn select(&self, samples: &[usize]) -> Self {
+        let pick = |values: &[f64]| -> Vec<f64> {
+            let one = values.len() / self.w.len();
+            samples.iter().flat_map(|&i| &values[i * one..(i + 1) * one]).copied().collect()
+        };
+        Self { sizes: self.sizes, x: pick(&self.x), y: pick(&self.y), w: pick(&self.w) }
+    }
+
+    /// Mean error (%) of these answers, and how many samples have none.
+    pub(super) fn error(&self, predicted: &[f64]) -> (Option<f64>, u32) {
+        let errors = prediction_error(&self.y, predicted, self.sizes.outputs, self.sizes.instants);
+        (mean_error(&errors), errors.iter().filter(|error| error.is_none()).count() as u32)
+    }
+
+    /// 2w (ŷ − y)/n of the n samples with force: the derivative of the mean error, as a part of 1, in the answers.
+    pub(super) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
+        let total = self.w.iter().filter(|w| **w > 0.0).count() as f64;
+        let one = self.sizes.instants * self.sizes.outputs;
+        let mut residual = Vec::with_capacity(predicted.len());
+        for ((p, y), w) in predicted.chunks_exact(one).zip(self.y.chunks_exact(one)).zip(&self.w) {
+            residual.extend(p.iter().zip(y).map(|(p, y)| 2.0 * w / total * (p - y)));
+        }
+        residual
+    }
+}
+
+/// The weights of a fit, or its trouble.
+pub(super) fn fit(moments: &Moments, lags: Lags, ridge: f64) -> Result<Fit, Trouble> {
+    Fit::new(moments, lags, ridge, Order::Ascending).map_err(|_| Trouble::Singular)
+}
+
+/// The λ of least `error`, decade by decade downhill from `start`.
+pub(super) fn downhill_ridge(start: f64, mut error: impl FnMut(f64) -> Option<f64>) -> Option<f64> {
+    let mut best = error(start).map(|found| (start, found));
+    for factor in [0.1, 10.0] {
+        let mut ridge = start * factor;
+        while RIDGES.contains(&ridge) {
+            match error(ridge) {
+                Some(found) if best.is_none_or(|best| found < best.1) => best = Some((ridge, found)),
+                // too small to be solved with: smaller ones are no better, greater ones may be
+                None if best.is_none() && factor > 1.0 => {}
+                _ => break,
+            }
+            ridge *= factor;
+        }
+        if best.is_some_and(|best| best.0 != start) {
+            break;
+        }
+    }
+    best.map(|best| best.0)
+}
+
+impl Setting<'_> {
+    /// Signals (N, T, 3M) under `forces` as a linear brain takes them.
+    pub(super) fn plain(&self, signals: &[f64], forces: &Forces) -> Plain {
+        let shape = self.problem.shape();
+        let sizes = Sizes { instants: shape.instants, channels: shape.inputs, outputs: shape.outputs };
+        let y: Vec<f64> = self.problem.targets(forces).into_iter().map(|f| f / self.scales.force).collect();
+        let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
+        let one = sizes.instants * sizes.outputs;
+        let w = y.chunks_exact(one).map(power).map(|p| if p > 0.0 { p.recip() } else { 0.0 }).collect();
+        Plain { sizes, x: self.scales.inputs(signals), y, w }
+    }
+
+    /// λ for these training samples: that with which four fifths of them read the last best, looked for from `last` on.
+    ///
+    /// # Errors
+    /// If no λ has a solution.
+    pub(super) fn ridge(&self, train: &Plain, lags: Lags, last: Option<f64>) -> Result<f64, Trouble> {
+        match self.problem.decoder.ridge {
+            Ridge::Given(ridge) => Ok(ridge),
+            Ridge::Auto => self.ridge_unasked(train, lags, last),
+        }
+    }
+
+    /// As `ridge`, whatever the trial's own brain is given.
+    fn ridge_unasked(&self, train: &Plain, lags: Lags, last: Option<f64>) -> Result<f64, Trouble> {
+        let dealt = folds(self.problem.seed, train.w.len(), FOLDS.min(train.w.len()));
+        let kept: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] != 0).collect();
+        let judges: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == 0).collect();
+        let (moments, judges) = (train.select(&kept).moments(), train.select(&judges));
+        let error = |ridge| {
+            let linear = fit(&moments, lags, ridge).ok()?.linear();
+            judges.error(&linear.predict(&judges.x)).0
+        };
+        downhill_ridge(last.unwrap_or(FIRST_RIDGE), error).ok_or(Trouble::Singular)
+    }
+}
+
+/// What a linear brain of one memory makes of a body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reading {
+    /// Its memory.
+    pub lags: Lags,
+    /// λ.
+    pub ridge: f64,
+    /// Mean prediction error on the training set (%).
+    pub error_train: Option<f64>,
+    /// On the test set (%).
+    pub error_test: Option<f64>,
+    /// On the holdout (%).
+    pub error_holdout: Option<f64>,
+}
+
+/// Reaches both ways, and waits after the whole past, at which a body is read beside the whole sample (s).
+const REACHES: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.4];
+const WAITS: [f64; 7] = [0.0, 0.01, 0.025, 0.05, 0.1, 0.2, 0.4];
+/// Unknowns of the longest memory that a body is read with: 0.7 GB and some 5 s a factor.
+const UNKNOWNS_MAX: usize = 9600;
+
+/// The reading of a body by one memory, from its training, test and holdout samples.
+///
+/// # Errors
+/// If λ has no solution.
+pub(super) fn read(sets: &[Plain; 3], lags: Lags, ridge: f64) -> Result<Reading, Trouble> {
+    Ok(reading(sets, &fit(&sets[0].moments(), lags, ridge)?.linear(), ridge))
+}
+
+fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
+    let error = |set: &Plain| set.error(&linear.predict(&set.x)).0;
+    let [error_train, error_test, error_holdout] = [0, 1, 2].map(|set| error(&sets[set]));
+    Reading { lags: linear.lags, ridge, error_train, error_test, error_holdout }
+}
+
+/// Readings of a body by the whole sample, first, then by shorter memories and by waits after the whole past, all with
+/// the λ of the first.
+///
+/// # Errors
+/// If no λ has a solution.
+pub(super) fn readings(setting: &Setting, sets: &[Plain; 3]) -> Result<Vec<Reading>, Trouble> {
+    let train = &sets[0];
+    let Sizes { instants, channels, .. } = train.sizes;
+    let reach = Lags::whole(instants).before.min((UNKNOWNS_MAX / channels).saturating_sub(1) / 2);
+    let whole = Lags { before: reach, after: reach };
+    let ridge = setting.ridge_unasked(train, whole, None)?;
+    let moments = train.moments();
+    let read = |linear: &Linear| reading(sets, linear, ridge);
+    let factor = |order| Fit::new(&moments, whole, ridge, order).map_err(|_| Trouble::Singular);
+    let delta = setting.problem.scene.duration / instants as f64;
+    let shorter = |seconds: f64| Some((seconds / delta).round() as usize).filter(|n| *n < reach);
+
+    let delays = factor(Order::Ascending)?;
+    let mut found = vec![read(&delays.linear())];
+    for after in WAITS.into_iter().filter_map(shorter) {
+        found.push(read(&delays.shorter(Lags { before: reach, after })));
+    }
+    let memories = factor(Order::Outward)?;
+    for reach in REACHES.into_iter().filter_map(shorter) {
+        found.push(read(&memories.shorter(Lags { before: reach, after: reach })));
+    }
+    found.dedup_by_key(|reading| reading.lags);
+    Ok(found)
+}

@@ -1,0 +1,245 @@
+//! The protocols with a linear brain: its inner problem is solved exactly, so that no step takes up where another ended.
+
+use super::super::linear::{Plain, downhill_ridge, fit};
+use super::super::problem::{Going, Terms};
+use super::super::report::{Log, Trouble};
+use super::super::state::State;
+use super::{Sensed, Session};
+use crate::brain::linear::Linear;
+use crate::dynamics::{Forces, Simulation};
+use crate::random::{Purpose, Stream};
+use crate::stimuli::select;
+use std::collections::VecDeque;
+
+/// `joint` fits on the batches of so many bodies, the present one among them …
+pub(in super::super) const BODIES: usize = 8;
+/// … each older one counting less by this factor: the body has moved since.
+const FADING: f64 = 0.8;
+/// Outer steps from one look at the ridge to the next.
+const RIDGE_EVERY: u32 = 10;
+
+/// Samples of the last bodies by outer step, newest last; a resumed loop simulates them again.
+#[derive(Default)]
+pub(super) struct Known(VecDeque<(u32, Plain)>);
+
+impl Session<'_> {
+    /// Solved on the training set; dL_test/dα = direct (+ implicit) term, exactly.
+    pub(super) fn linear_paper(
+        &mut self,
+        state: &mut State,
+        terms: Terms,
+        log: &mut Log,
+    ) -> Result<Sensed, Trouble> {
+        let (setting, design) = (self.setting, &state.design.clone());
+        let solver = &setting.problem.solver;
+        let implicit = matches!(terms, Terms::Implicit(_));
+        let (train, test) = log.timed(
+            |s| &mut s.simulate,
+            |report| -> Result<_, Trouble> {
+                let train = setting.simulate(design, &setting.train, solver, implicit, report)?;
+                Ok((train, setting.simulate(design, &setting.test, solver, true, report)?))
+            },
+        )?;
+        let samples = setting.plain(&train.signals, &setting.train);
+        let unseen = setting.plain(&test.signals, &setting.test);
+        let lags = setting.problem.decoder.lags;
+        let fit =
+            log.timed(|s| &mut s.train, |_| fit(&samples.moments(), lags, self.ridge_of(state, &samples)?))?;
+        let linear = fit.linear();
+        let (said, answers) = (linear.predict(&samples.x), linear.predict(&unseen.x));
+        let error_test = unseen.error(&answers).0;
+        let residual = unseen.residual(&answers);
+        let mut gradient =
+            setting.pull_back(design, &setting.test, &test, &linear.predict_vjp(&residual), log)?;
+        if implicit {
+            let inputs = log.timed(
+                |s| &mut s.implicit,
+                |_| {
+                    let z = fit.sensitivity(&linear.weights_vjp(&unseen.x, &residual));
+                    through_weights(&samples, &linear, &said, &z)
+                },
+            );
+            let through_brain = setting.pull_back(design, &setting.train, &train, &inputs, log)?;
+            gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
+        }
+        let loss_train = part(samples.error(&said).0);
+        log.report.error_train = samples.error(&said).0;
+        log.report.error_test = error_test;
+        log.report.loss_train = Some(loss_train);
+        state.check_trend(loss_train)?;
+        Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// Solved on the training set; the training loss, which moves with α as at fixed weights, from a subset of samples.
+    pub(super) fn linear_envelope(
+        &mut self,
+        state: &mut State,
+        going: Going,
+        log: &mut Log,
+    ) -> Result<Sensed, Trouble> {
+        let setting = self.setting;
+        let solver = &setting.problem.optimise.solver_of(state.step, setting.problem.solver);
+        let mut order = Stream::new(Purpose::Batch, setting.problem.seed, [u64::from(state.step), 0])
+            .permutation(setting.train.samples);
+        order.truncate(going.batch);
+        let some = select(&setting.train, &order);
+        let (train, subset) = log.timed(
+            |s| &mut s.simulate,
+            |report| -> Result<_, Trouble> {
+                let train = setting.simulate(&state.design, &setting.train, solver, false, report)?;
+                Ok((train, setting.simulate(&state.design, &some, solver, true, report)?))
+            },
+        )?;
+        let samples = setting.plain(&train.signals, &setting.train);
+        let lags = setting.problem.decoder.lags;
+        let linear = log.timed(
+            |s| &mut s.train,
+            |_| Ok(fit(&samples.moments(), lags, self.ridge_of(state, &samples)?)?.linear()),
+        )?;
+        let error = samples.error(&linear.predict(&samples.x)).0;
+        log.report.error_train = error;
+        let error_test = self.linear_test(state, &linear, log)?;
+        self.linear_step(state, &linear, &some, &subset, part(error), error_test, log)
+    }
+
+    /// Solved on this body's fresh samples and those of the last ones; the gradient of the loss on this one's.
+    pub(super) fn linear_joint(
+        &mut self,
+        state: &mut State,
+        going: Going,
+        log: &mut Log,
+    ) -> Result<Sensed, Trouble> {
+        let step = state.step;
+        let steps: Vec<u32> = state.trail.iter().map(|passed| passed.step).collect();
+        self.known.0.retain(|(known, _)| steps.contains(known));
+        let mut known = VecDeque::new();
+        for passed in &state.trail {
+            let at = self.known.0.iter().position(|(known, _)| *known == passed.step);
+            known.push_back(match at.and_then(|at| self.known.0.remove(at)) {
+                Some(known) => known,
+                None => (passed.step, self.meet_plain(&passed.design, passed.step, going, false, log)?.2),
+            });
+        }
+        let (forces, simulation, fresh) = self.meet_plain(&state.design, step, going, true, log)?;
+        log.report.fresh_samples = going.batch as u64;
+        known.push_back((step, fresh));
+        self.known.0 = known;
+
+        let linear = log.timed(|s| &mut s.train, |_| self.solve_known(state))?;
+        let newest = &self.known.0[self.known.0.len() - 1].1;
+        let error = newest.error(&linear.predict(&newest.x)).0;
+        log.report.error_train = error;
+        let error_test = self.linear_test(state, &linear, log)?;
+        self.linear_step(state, &linear, &forces, &simulation, part(error), error_test, log)
+    }
+
+    /// λ of these training samples, looked for now and then.
+    fn ridge_of(&self, state: &mut State, samples: &Plain) -> Result<f64, Trouble> {
+        match state.ridge {
+            Some(ridge) if !state.step.is_multiple_of(RIDGE_EVERY) => Ok(ridge),
+            last => {
+                let lags = self.setting.problem.decoder.lags;
+                Ok(*state.ridge.insert(self.setting.ridge(samples, lags, last)?))
+            }
+        }
+    }
+
+    /// The weights for all known samples, older ones counting less; now and then the ridge by which the older ones read
+    /// the newest best.
+    fn solve_known(&self, state: &mut State) -> Result<Linear, Trouble> {
+        let (setting, known) = (self.setting, &self.known.0);
+        let lags = setting.problem.decoder.lags;
+        let (_, newest) = &known[known.len() - 1];
+        let mut moments = crate::brain::linear::Moments::new(newest.sizes);
+        for (age, (_, samples)) in known.iter().rev().enumerate().skip(1) {
+            let fading = FADING.powi(age as i32);
+            let w: Vec<f64> = samples.w.iter().map(|w| w * fading).collect();
+            moments.add(&samples.x, &samples.y, &w);
+        }
+        match state.ridge {
+            None => {
+                let first = setting.plain(&setting.initial_signals, &setting.train);
+                state.ridge = Some(setting.ridge(&first, lags, None)?);
+            }
+            Some(last) if state.step.is_multiple_of(RIDGE_EVERY) && known.len() > 1 => {
+                let error = |ridge| {
+                    let linear = fit(&moments, lags, ridge).ok()?.linear();
+                    newest.error(&linear.predict(&newest.x)).0
+                };
+                if setting.problem.decoder.ridge == super::super::Ridge::Auto {
+                    state.ridge = downhill_ridge(last, error).or(state.ridge);
+                }
+            }
+            Some(_) => {}
+        }
+        moments.add(&newest.x, &newest.y, &newest.w);
+        Ok(fit(&moments, lags, state.ridge.unwrap_or_default())?.linear())
+    }
+
+    /// Simulates the fresh samples of `step` on its body.
+    fn meet_plain(
+        &mut self,
+        design: &[f64],
+        step: u32,
+        going: Going,
+        keep_tape: bool,
+        log: &mut Log,
+    ) -> Result<(Forces, Simulation, Plain), Trouble> {
+        let setting = self.setting;
+        let forces =
+            setting.problem.forces(Purpose::Fresh, u64::from(step) * going.batch as u64, going.batch);
+        let solver = setting.problem.optimise.solver_of(step, setting.problem.solver);
+        let simulation = log.timed(
+            |s| &mut s.simulate,
+            |report| setting.simulate(design, &forces, &solver, keep_tape, report),
+        )?;
+        let plain = setting.plain(&simulation.signals, &forces);
+        Ok((forces, simulation, plain))
+    }
+
+    /// The gradient of the mean error of these samples at fixed weights.
+    fn linear_step(
+        &mut self,
+        state: &State,
+        linear: &Linear,
+        forces: &Forces,
+        simulation: &Simulation,
+        loss_train: f64,
+        error_test: Option<f64>,
+        log: &mut Log,
+    ) -> Result<Sensed, Trouble> {
+        log.report.loss_train = Some(loss_train);
+        state.check_trend(loss_train)?;
+        let samples = self.setting.plain(&simulation.signals, forces);
+        let inputs = linear.predict_vjp(&samples.residual(&linear.predict(&samples.x)));
+        let gradient = self.setting.pull_back(&state.design, forces, simulation, &inputs, log)?;
+        Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// The test error of these weights, with the accurate integrator, at the steps where it is due.
+    fn linear_test(&mut self, state: &State, linear: &Linear, log: &mut Log) -> Result<Option<f64>, Trouble> {
+        let Some(signals) = self.test_signals(state, log)? else { return Ok(None) };
+        let samples = self.setting.plain(&signals, &self.setting.test);
+        log.report.error_test = samples.error(&linear.predict(&samples.x)).0;
+        Ok(log.report.error_test)
+    }
+}
+
+/// Cotangent on the training inputs through the weights, which answer a force on them by −`z`.
+///
+/// ∂L_train/∂W = 2 Σ ŵ φ (ŷ − y) + 2λW stays zero as x moves: dL = −⟨z, d(∂L_train/∂W)⟩.
+fn through_weights(samples: &Plain, linear: &Linear, said: &[f64], z: &Linear) -> Vec<f64> {
+    let residual = samples.residual(said);
+    // 2ŵ of z's own answers
+    let answers = z.predict(&samples.x);
+    let zero = Plain { y: vec![0.0; samples.y.len()], ..samples.clone() };
+    let mut inputs = z.predict_vjp(&residual);
+    let more = linear.predict_vjp(&zero.residual(&answers));
+    inputs.iter_mut().zip(more).for_each(|(a, b)| *a = -(*a + b));
+    inputs
+}
+
+/// An error (%) as a part of 1; what is no number stays none.
+fn part(error: Option<f64>) -> f64 {
+    error.map_or(f64::NAN, |error| 0.01 * error)
+}

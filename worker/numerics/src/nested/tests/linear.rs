@@ -1,0 +1,166 @@
+//! The protocols and readings with a linear brain.
+
+use super::super::linear::{fit, read};
+use super::super::protocol::Session;
+use super::*;
+use crate::brain::linear::Lags;
+
+const LINEAR: [Protocol; 4] = [
+    Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)),
+    Protocol::Paper(Terms::Direct),
+    Protocol::Envelope(GOING),
+    Protocol::Joint(GOING),
+];
+
+fn linear(protocol: Protocol) -> Problem {
+    let small = small(protocol);
+    let decoder = Decoder { lags: Lags { before: 12, after: 6 }, ridge: Ridge::Auto };
+    Problem {
+        reader: Kind::Linear,
+        decoder,
+        optimise: Optimise { brain: Kind::Linear, ..small.optimise },
+        ..small
+    }
+}
+
+fn errors(body: &BodyEvaluation) -> Vec<u64> {
+    let own = &body.networks[0];
+    let of = |e: Option<f64>| e.unwrap().to_bits();
+    let readings = body.readings.iter().flat_map(|r| [r.error_train, r.error_test, r.error_holdout]);
+    [own.error_train, own.error_test, own.error_holdout].into_iter().chain(readings).map(of).collect()
+}
+
+/// Stopped after each step and resumed, on another number of threads: the same bits.
+#[test]
+fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
+    for protocol in LINEAR {
+        let problem = Problem {
+            optimise: Optimise { iterations: 12, ..linear(protocol).optimise },
+            ..linear(protocol)
+        };
+        let mut whole = Keeper::default();
+        let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
+        assert!(whole.reports.iter().all(|report| report.trouble.is_none()), "{protocol:?}");
+        for stop in [1, 11] {
+            let mut first = Keeper { stop_after: Some(stop), ..Default::default() };
+            assert!(optimise(&problem, None, &pool(3), &mut first).unwrap().is_none());
+            let state = first.states.pop().unwrap();
+            assert_eq!(state, whole.states[stop - 1], "{protocol:?}, stopped after {stop}");
+            let resumed = optimise(&problem, Some(state), &pool(2), &mut Keeper::default()).unwrap().unwrap();
+            assert_eq!(resumed.optimised.design, through.optimised.design, "{protocol:?}, {stop}");
+            assert_eq!(errors(&resumed.optimised), errors(&through.optimised), "{protocol:?}, {stop}");
+        }
+        assert!(whole.fractions.is_sorted() && whole.fractions.last() == Some(&1.0), "{:?}", whole.fractions);
+    }
+}
+
+/// Each protocol lowers the holdout's error, by the trial's own brain and by the whole sample's.
+#[test]
+fn every_protocol_lowers_the_holdout_error() {
+    for protocol in LINEAR {
+        let mut problem = linear(protocol);
+        (problem.optimise.iterations, problem.optimise.rate) = (15, 0.2);
+        problem.stimuli = Stimuli { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
+        if let Protocol::Envelope(going) | Protocol::Joint(going) = &mut problem.optimise.protocol {
+            going.batch = 16;
+        }
+        let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+        let [before, after] = [&found.initial, &found.optimised]
+            .map(|body| [body.networks[0].error_holdout, body.readings[0].error_holdout].map(Option::unwrap));
+        assert!(after[0] < 0.9 * before[0] && after[1] < before[1], "{protocol:?}: {before:?} {after:?}");
+    }
+}
+
+/// L(α + εδ) = L(α) + ε g·δ + O(ε²) through simulator and solve: the remainder falls with slope 2, for the test error with
+/// the implicit term and for what the training minimises; without the implicit term it does not.
+#[test]
+fn the_whole_gradient_holds_through_simulator_and_solve() {
+    let ridge = 1e-3;
+    for (protocol, exact) in [(LINEAR[0], true), (LINEAR[1], false), (LINEAR[2], true)] {
+        let mut problem = linear(protocol);
+        problem.solver.tolerance = 1e-11;
+        problem.decoder.ridge = Ridge::Given(ridge);
+        problem.optimise.coarse = None;
+        if let Protocol::Envelope(going) = &mut problem.optimise.protocol {
+            going.batch = problem.stimuli.samples - problem.stimuli.test;
+        }
+        let pool = pool(2);
+        let setting = Setting::new(&problem, &pool).unwrap();
+        let mut keeper = Keeper::default();
+        let mut log = Log::new(0, &mut keeper);
+        let mut state = State::new(&problem, &setting.shape);
+        let gradient = Session::new(&setting).sense(&mut state, &mut log).unwrap().gradient;
+
+        let of_training = matches!(protocol, Protocol::Envelope(_));
+        let loss = |design: &[f64]| {
+            let set = |forces| {
+                let report = &mut Report::default();
+                let found = setting.simulate(design, forces, &problem.solver, false, report).unwrap();
+                setting.plain(&found.signals, forces)
+            };
+            let train = set(&setting.train);
+            let linear = fit(&train.moments(), problem.decoder.lags, ridge).unwrap().linear();
+            let error =
+                |set: &super::super::linear::Plain| 0.01 * set.error(&linear.predict(&set.x)).0.unwrap();
+            if of_training {
+                error(&train) + ridge * linear.w.iter().map(|w| w * w).sum::<f64>()
+            } else {
+                error(&set(&setting.test))
+            }
+        };
+        let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
+        let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();
+        let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+        let at = |step: f64| {
+            loss(&problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d).collect::<Vec<_>>())
+        };
+        let (start, steps) = (at(0.0), [4e-3, 2e-3, 1e-3]);
+        let remainders = steps.map(|step| (at(step) - start - step * slope).abs());
+        let orders = [0, 1].map(|i| (remainders[i] / remainders[i + 1]).log2());
+        let second = orders.iter().all(|order| (1.8..2.2).contains(order));
+        assert!(second == exact && slope.abs() > 1e-4, "{protocol:?}: {slope:e} {orders:?} {remainders:?}");
+    }
+}
+
+/// A ridge of 0 on fewer samples than weights: named, on the initial body.
+#[test]
+fn a_singular_solve_is_named() {
+    let mut problem = linear(LINEAR[0]);
+    problem.decoder = Decoder { lags: Lags::whole(40), ridge: Ridge::Given(0.0) };
+    problem.stimuli.samples = 6;
+    let failure = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap_err();
+    assert_eq!(failure, Failure::Initial(Trouble::Singular));
+}
+
+/// Readings beside a network's trial: the whole sample first, each as its own fit would give it; a trial whose brain is
+/// that of the whole sample has its errors.
+#[test]
+fn readings_are_those_of_their_own_fits() {
+    let mut problem = small(PROTOCOLS[3]);
+    problem.optimise.iterations = 0;
+    let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap().initial;
+    let lags: Vec<Lags> = found.readings.iter().map(|reading| reading.lags).collect();
+    assert!(lags[0] == Lags::whole(40) && lags.len() > 6, "{lags:?}");
+    assert!(lags.contains(&Lags { before: 39, after: 0 }) && lags.contains(&Lags { before: 2, after: 2 }));
+
+    let pool = pool(1);
+    let setting = Setting::new(&problem, &pool).unwrap();
+    let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    let sets = [&setting.train, &setting.test, &holdout].map(|forces| {
+        let report = &mut Report::default();
+        let signals =
+            setting.simulate(&problem.initial, forces, &problem.solver, false, report).unwrap().signals;
+        setting.plain(&signals, forces)
+    });
+    for reading in &found.readings {
+        let alone = read(&sets, reading.lags, reading.ridge).unwrap();
+        let (a, b) = (reading.error_holdout.unwrap(), alone.error_holdout.unwrap());
+        assert!((a / b - 1.0).abs() < 1e-6, "{reading:?} {alone:?}");
+    }
+
+    problem.reader = Kind::Linear;
+    let own = optimise(&problem, None, &pool, &mut Keeper::default()).unwrap().unwrap().initial;
+    assert_eq!(own.networks.len(), 1);
+    assert_eq!(own.networks[0].error_holdout, own.readings[0].error_holdout);
+    assert_eq!(own.readings, found.readings);
+}
