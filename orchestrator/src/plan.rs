@@ -249,7 +249,7 @@ fn add_points(
                 excluded,
                 units: layout.units(),
                 design_parameters: layout.design_len(),
-                brain_parameters: cost::brain_parameters(panels, sensors),
+                brain_parameters: cost::brain_parameters(&template),
                 cost: {
                     let (steps, comparison) = cost::seconds(&template, layout.units());
                     steps + comparison

@@ -8,6 +8,7 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0001.sql"),
     include_str!("../migrations/0002.sql"),
     include_str!("../migrations/0003.sql"),
+    include_str!("../migrations/0004.sql"),
 ];
 
 /// The stable views, and what a row of each is.
@@ -19,6 +20,10 @@ pub const VIEWS: &[(&str, &str)] = &[
     (
         "v_step",
         "an outer step: losses, errors, gradient, projection, implicit term, work, where the time went (CPU seconds)",
+    ),
+    (
+        "v_reading",
+        "what a linear brain of one memory (s before and after the instant) makes of a body, whatever the trial's brain (%)",
     ),
     ("v_network", "a fresh network on the initial or the optimised body, with its errors (%)"),
     (

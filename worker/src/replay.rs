@@ -3,7 +3,8 @@
 use metasense_numerics::body::Geometry;
 use metasense_numerics::feasible::{Active, Feasible};
 use metasense_numerics::nested;
-pub use metasense_numerics::nested::{Motion, Replay};
+use metasense_numerics::nested::Decoder;
+pub use metasense_numerics::nested::{LinearReplay, Motion, Replay};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::problem::problem;
@@ -66,7 +67,8 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
     })
 }
 
-/// Signals of a body under all samples of its trial, and a network's predictions where `weights` are given.
+/// Signals of a body under all samples of its trial, and the predictions of its brain: of a network where `weights` are
+/// given, of a linear one always.
 ///
 /// # Errors
 /// If the spec stands for no trial, lengths do not fit it, or a simulation does not end well.
@@ -80,6 +82,16 @@ pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize
         check_length("network", weights.len(), expected)?;
     }
     nested::replay(&problem, design, weights, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
+}
+
+/// The linear brain of the whole sample on a replay's signals: what every body is read by.
+///
+/// # Errors
+/// If the spec stands for no trial, or the brain cannot be solved for.
+pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<LinearReplay, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let decoder = Decoder::whole(problem.scene.instants, replay.signal_scale.len());
+    replay.linear(&problem, &decoder).map_err(|e| Failure::NonFinite(e.to_string()))
 }
 
 /// Motion of a body under one sample of its trial, numbered as in [`replay`].

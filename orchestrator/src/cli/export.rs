@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
 use metasense_schemas::spec::Method;
-use metasense_worker::replay::{Drawing, drawing, replay};
+use metasense_worker::replay::{Drawing, drawing, linear, replay};
 use metasense_worker::run::Failure;
 
 use super::{Error, write};
@@ -117,7 +117,11 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         }
     }
     Ok(match args.format {
-        Form::Npz => npz::archive(stored, &[drawn(0)?, drawn(1)?], &[replayed(0)?, replayed(1)?]),
+        Form::Npz => {
+            let replays = [replayed(0)?, replayed(1)?];
+            let read = |b: usize| linear(&spec, &replays[b]).map_err(unreadable);
+            npz::archive(stored, &[drawn(0)?, drawn(1)?], &replays, &[read(0)?, read(1)?])
+        }
         Form::Csv | Form::Parquet => {
             tabular(&series::table(stored, &[replayed(0)?, replayed(1)?]), args.format, &stored.hash)?
         }

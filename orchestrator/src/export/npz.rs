@@ -3,15 +3,20 @@
 //! An npz file is a zip archive of npy files; ours are stored uncompressed (PKWARE APPNOTE 6.3, method 0), with a fixed
 //! date, so that the same trial gives the same bytes.
 
-use metasense_worker::replay::{Drawing, Replay};
+use metasense_worker::replay::{Drawing, LinearReplay, Replay};
 
 use crate::analysis::Body;
 use crate::report::samples::Stored;
 use crate::store::npy_bytes;
 
-/// The archive. `drawings` and `replays` are those of the initial and of the optimised body.
+/// The archive. `drawings`, `replays` and `linear` are those of the initial and of the optimised body.
 #[must_use]
-pub fn archive(stored: &Stored, drawings: &[Drawing; 2], replays: &[Replay; 2]) -> Vec<u8> {
+pub fn archive(
+    stored: &Stored,
+    drawings: &[Drawing; 2],
+    replays: &[Replay; 2],
+    linear: &[LinearReplay; 2],
+) -> Vec<u8> {
     let (panels, instants) = (stored.spec.panel_units.len(), stored.spec.time.samples);
     let inputs = 3 * stored.spec.sensor_units.len();
     let samples = replays[0].forces.samples;
@@ -23,14 +28,23 @@ pub fn archive(stored: &Stored, drawings: &[Drawing; 2], replays: &[Replay; 2]) 
         let corners: Vec<f64> = drawing.units.iter().flatten().flatten().copied().collect();
         zip.array(&format!("vertices_{name}"), &[drawing.units.len(), 4, 2], &corners);
         zip.array(&format!("signals_{name}"), &[samples, instants, inputs], &replay.signals);
+        let forces = [samples, instants, panels];
+        if !replay.predictions.is_empty() {
+            zip.array(&format!("predictions_{name}"), &forces, &replay.predictions);
+        }
+        let brain = &linear[b];
+        zip.array(&format!("linear_predictions_{name}"), &forces, &brain.predictions);
+        zip.array(&format!("linear_w_{name}"), &[panels, brain.lags.count(), inputs], &brain.w);
+        zip.array(&format!("linear_b_{name}"), &[panels], &brain.b);
         if !stored.weights[b].is_empty() {
-            zip.array(&format!("predictions_{name}"), &[samples, instants, panels], &replay.predictions);
             for (part, shape, values) in parts(&stored.weights[b], inputs, panels) {
                 zip.array(&format!("{part}_{name}"), &shape, values);
             }
         }
         zip.array(&format!("losses_{name}"), &[stored.losses[b].len()], &stored.losses[b]);
     }
+    let lags = linear[0].lags;
+    zip.array("linear_lags", &[2], &[-(lags.before as i64), lags.after as i64]);
     let replay = &replays[0];
     zip.array("forces", &[samples, panels, instants + 1], &replay.forces.values);
     zip.array("split", &[samples], &replay.split);

@@ -3,7 +3,7 @@
 //! One core with AVX-512, as README's rates; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
 
 use super::Trial;
-use metasense_schemas::spec::{Protocol, TrialSpec};
+use metasense_schemas::spec::{Brain, BrainKind, Protocol, TrialSpec};
 
 /// Channels of the hidden layers.
 const WIDTH: usize = 64;
@@ -21,9 +21,33 @@ const HESSIAN_PRODUCT: f64 = 6.3;
 /// Products of the implicit term.
 const PRODUCTS: f64 = 21.0;
 
-/// Weights of the brain: kernels of 3, 3 and 1, with biases.
-pub(super) fn brain_parameters(panels: usize, sensors: usize) -> usize {
+/// Multiply-adds a second of a factor, of D³/6 of them.
+const FACTOR_RATE: f64 = 2.5e10;
+/// Factors of the comparison, a body, and of a step, looks for a ridge included.
+const FACTORS: f64 = 6.0;
+const STEP_FACTORS: f64 = 1.5;
+
+/// Weights of the brain: of a network kernels of 3, 3 and 1, with biases; of a linear one those of its lags, with biases.
+pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
+    let (panels, sensors) = (trial.point.panels, trial.point.sensors);
+    if trial.brain.kind == BrainKind::Linear {
+        return panels * (unknowns(trial) + 1);
+    }
     (9 * sensors * WIDTH + WIDTH) + (3 * WIDTH * WIDTH + WIDTH) + (WIDTH * panels + panels)
+}
+
+/// Unknowns of the linear brain, a force.
+fn unknowns(trial: &TrialSpec) -> usize {
+    let instants = trial.time.samples;
+    let reach = |seconds: f64| {
+        ((seconds / trial.time.duration * instants as f64 + 1e-9) as usize).min(instants.saturating_sub(1))
+    };
+    let reaches = trial.brain.memory.unwrap_or([trial.time.duration; 2]).map(reach);
+    3 * trial.point.sensors * (reaches[0] + reaches[1] + 1)
+}
+
+fn factor(unknowns: usize) -> f64 {
+    (unknowns as f64).powi(3) / 6.0 / FACTOR_RATE
 }
 
 /// Seconds of a trial on one core: of all outer steps, and of the comparison at the end.
@@ -36,7 +60,8 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let steps = (trial.time.duration * STEPS_PER_SECOND * scale / instants / kinks).ceil() * kinks * instants;
     let one_sample = steps * units as f64 * SECONDS_PER_UNIT_STEP;
     let simulate = stimuli.samples as f64 * one_sample;
-    let weights = brain_parameters(trial.point.panels, trial.point.sensors) as f64;
+    let network = trial.brain.kind == BrainKind::Cnn;
+    let weights = brain_parameters(trial) as f64;
     let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;
     let forward = weights * train_samples * trial.time.samples as f64 / BRAIN_RATE;
     let train = trial.brain.iterations as f64 * ITERATION * forward;
@@ -44,15 +69,22 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
     let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
     let differentiate = batch * one_sample * (1.0 + REVERSE);
+    let solve = STEP_FACTORS * factor(unknowns(trial));
     let step = match optimise.protocol {
+        Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
+        Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
+        Protocol::Joint if optimise.linear() => 0.5 * differentiate + solve,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
         Protocol::Warm | Protocol::Envelope => simulate + differentiate + going,
         // on four batches, by the coarse integrator mostly
         Protocol::Joint => 0.5 * differentiate + going * 4.0 * batch / train_samples.max(1.0),
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
-    let trainings = trial.evaluation.seeds as f64 * (1.0 + long);
-    let comparison = 2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train);
+    let trainings = if network { trial.evaluation.seeds as f64 * (1.0 + long) } else { 0.0 };
+    let whole = TrialSpec { brain: Brain { memory: None, ..trial.brain }, ..trial.clone() };
+    let readings = FACTORS * factor(unknowns(&whole));
+    let comparison =
+        2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train + readings);
     (optimise.steps() as f64 * step, comparison)
 }
 

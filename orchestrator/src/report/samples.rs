@@ -41,7 +41,7 @@ pub fn figures(stored: &Stored, threads: usize) -> Result<Vec<Figure>, Failure> 
     let replays = [initial?, optimised?];
     let test: Vec<usize> =
         replays[0].split.iter().enumerate().filter(|(_, s)| **s == 1).map(|(n, _)| n).collect();
-    if stored.weights.iter().all(|w| !w.is_empty()) {
+    if replays.iter().all(|replay| !replay.predictions.is_empty()) {
         let chosen = representative(&replays[1].errors, test.iter().copied());
         figures.push(forces(stored, &replays, &chosen));
         figures.push(every_sample(stored, &replays, &test));
@@ -119,7 +119,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         title: "True and predicted forces".into(),
         caption: format!(
             "Force histories of four test samples of {}, at the 12th, 37th, 62nd and 87th percentile of the optimised \
-             body's error, and what the first network of each body makes of its sensors' signals. A panel's line lies \
+             body's error, and what the brain of each body (the first network, or the linear one) makes of its sensors' signals. A panel's line lies \
              {} N above that of the next. The titles give the sample's two errors, over all panels.",
             who(stored),
             number(step)

@@ -318,6 +318,20 @@ impl Store {
                 self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &losses)).await?;
             }
         }
+        for (n, reading) in evaluation.readings.iter().enumerate() {
+            sqlx::query("INSERT OR REPLACE INTO reading VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)")
+                .bind(id)
+                .bind(body)
+                .bind(reading.before)
+                .bind(reading.after)
+                .bind(i64::from(n == 0))
+                .bind(reading.ridge)
+                .bind(finite(reading.error_train))
+                .bind(finite(reading.error_test))
+                .bind(finite(reading.error_holdout))
+                .execute(&mut self.connection)
+                .await?;
+        }
         let (design, shape) = (&evaluation.design, [evaluation.design.len()]);
         if !design.is_empty() {
             let bytes = npy_bytes(&shape, design);
@@ -472,6 +486,7 @@ fn without_bulk(result: &TrialResult) -> String {
     let mut small = result.clone();
     for body in [&mut small.initial, &mut small.optimised] {
         body.design.clear();
+        body.readings.clear();
         for network in body.networks.iter_mut().chain(&mut body.long) {
             network.losses.clear();
             network.errors.clear();

@@ -110,7 +110,7 @@ pub struct Optimise {
     pub brain: Option<BrainKind>,
     /// How body and brain are trained together. By default `"joint"`, which gains most in its time.
     pub protocol: Protocol,
-    /// Outer steps. By default 350, for the other protocols 100.
+    /// Outer steps. By default 350, for the other protocols and with a linear brain 100.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
     /// Adam's rate on α (mm). By default 0.2, for the other protocols 0.1.
@@ -147,6 +147,7 @@ impl Optimise {
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
             Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
+            Protocol::Joint if self.linear() => (100, 0.2),
             Protocol::Joint => (350, 0.2),
         };
         self.iterations.get_or_insert(iterations);

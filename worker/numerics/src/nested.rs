@@ -26,7 +26,7 @@ pub use downhill::{Downhill, downhill};
 pub use evaluation::{BodyEvaluation, NetworkEvaluation};
 pub use linear::{Decoder, Reading, Ridge};
 pub use problem::{Evaluation, Going, Kind, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
-pub use replay::{Motion, Replay, motion, replay};
+pub use replay::{LinearReplay, Motion, Replay, motion, replay};
 pub use report::{Control, Counters, Failure, Implicit, Observe, Report, Seconds, Trouble};
 pub use state::{Best, State, Waypoint};
 pub use unseen::{Records, Unseen, folds, sense};

@@ -125,7 +125,7 @@ fn linear(setting: &Setting, sets: &[Plain; 3], readings: &[Reading]) -> Network
     let lags = setting.problem.decoder.lags;
     let found = match readings.first() {
         Some(whole) if whole.lags == lags && setting.problem.decoder.ridge == Ridge::Auto => Ok(*whole),
-        _ => setting.ridge(&sets[0], lags, None).and_then(|ridge| read(sets, lags, ridge)),
+        _ => setting.ridge(&sets[0], None).and_then(|ridge| read(sets, lags, ridge)),
     };
     match found {
         Ok(Reading { error_train, error_test, error_holdout, .. }) => NetworkEvaluation {

@@ -29,6 +29,14 @@ pub enum Ridge {
     Given(f64),
 }
 
+impl Decoder {
+    /// Of the whole sample, both ways, or as much of it as can be solved for: what every body is read by.
+    pub fn whole(instants: usize, channels: usize) -> Self {
+        let reach = Lags::whole(instants).before.min((UNKNOWNS_MAX / channels).saturating_sub(1) / 2);
+        Self { lags: Lags { before: reach, after: reach }, ridge: Ridge::Auto }
+    }
+}
+
 /// Parts of the training set; one of them judges a ridge that the others are fitted with.
 const FOLDS: usize = 5;
 /// Where the search for λ begins, and how far it goes.
@@ -48,6 +56,15 @@ pub(super) struct Plain {
 }
 
 impl Plain {
+    /// From x (N, T, 3M) and forces (N, T, K) in N, `scale` of which count as 1.
+    pub(super) fn new(sizes: Sizes, x: Vec<f64>, forces: &[f64], scale: f64) -> Self {
+        let y: Vec<f64> = forces.iter().map(|f| f / scale).collect();
+        let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
+        let weight = |power: f64| if power > 0.0 { power.recip() } else { 0.0 };
+        let w = y.chunks_exact(sizes.instants * sizes.outputs).map(|sample| weight(power(sample))).collect();
+        Self { sizes, x, y, w }
+    }
+
     /// Their moments.
     pub(super) fn moments(&self) -> Moments {
         let mut moments = Moments::new(self.sizes);
@@ -64,10 +81,14 @@ impl Plain {
         Self { sizes: self.sizes, x: pick(&self.x), y: pick(&self.y), w: pick(&self.w) }
     }
 
-    /// Mean error (%) of these answers, and how many samples have none.
-    pub(super) fn error(&self, predicted: &[f64]) -> (Option<f64>, u32) {
-        let errors = prediction_error(&self.y, predicted, self.sizes.outputs, self.sizes.instants);
-        (mean_error(&errors), errors.iter().filter(|error| error.is_none()).count() as u32)
+    /// Error of each sample (%) by these answers (N, T, K).
+    pub(super) fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
+        prediction_error(&self.y, predicted, self.sizes.outputs, self.sizes.instants)
+    }
+
+    /// Their mean.
+    pub(super) fn error(&self, predicted: &[f64]) -> Option<f64> {
+        mean_error(&self.errors(predicted))
     }
 
     /// 2w (ŷ − y)/n of the n samples with force: the derivative of the mean error, as a part of 1, in the answers.
@@ -80,6 +101,12 @@ impl Plain {
         }
         residual
     }
+}
+
+/// RMS of all panels' forces (N), of each one's mean and standard deviation.
+pub(super) fn force_scale(mean: &[f64], deviation: &[f64]) -> f64 {
+    let squares = mean.iter().zip(deviation).map(|(m, d)| m * m + d * d);
+    (squares.sum::<f64>() / mean.len() as f64).sqrt()
 }
 
 /// The weights of a fit, or its trouble.
@@ -113,33 +140,38 @@ impl Setting<'_> {
     pub(super) fn plain(&self, signals: &[f64], forces: &Forces) -> Plain {
         let shape = self.problem.shape();
         let sizes = Sizes { instants: shape.instants, channels: shape.inputs, outputs: shape.outputs };
-        let y: Vec<f64> = self.problem.targets(forces).into_iter().map(|f| f / self.scales.force).collect();
-        let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
-        let one = sizes.instants * sizes.outputs;
-        let w = y.chunks_exact(one).map(power).map(|p| if p > 0.0 { p.recip() } else { 0.0 }).collect();
-        Plain { sizes, x: self.scales.inputs(signals), y, w }
+        let scale = force_scale(&self.scales.mean, &self.scales.deviation);
+        Plain::new(sizes, self.scales.inputs(signals), &self.problem.targets(forces), scale)
     }
 
-    /// λ for these training samples: that with which four fifths of them read the last best, looked for from `last` on.
+    /// λ of the trial's own linear brain for these training samples.
+    ///
+    /// # Errors
+    /// If none has a solution.
+    pub(super) fn ridge(&self, train: &Plain, last: Option<f64>) -> Result<f64, Trouble> {
+        self.problem.decoder.ridge_of(self.problem.seed, train, last)
+    }
+
+}
+
+impl Decoder {
+    /// λ for these training samples: as given, or that with which four fifths of them read the last best, looked for
+    /// from `last` on.
     ///
     /// # Errors
     /// If no λ has a solution.
-    pub(super) fn ridge(&self, train: &Plain, lags: Lags, last: Option<f64>) -> Result<f64, Trouble> {
-        match self.problem.decoder.ridge {
-            Ridge::Given(ridge) => Ok(ridge),
-            Ridge::Auto => self.ridge_unasked(train, lags, last),
+    pub(super) fn ridge_of(&self, seed: u64, train: &Plain, last: Option<f64>) -> Result<f64, Trouble> {
+        if let Ridge::Given(ridge) = self.ridge {
+            return Ok(ridge);
         }
-    }
-
-    /// As `ridge`, whatever the trial's own brain is given.
-    fn ridge_unasked(&self, train: &Plain, lags: Lags, last: Option<f64>) -> Result<f64, Trouble> {
-        let dealt = folds(self.problem.seed, train.w.len(), FOLDS.min(train.w.len()));
+        let lags = self.lags;
+        let dealt = folds(seed, train.w.len(), FOLDS.min(train.w.len()));
         let kept: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] != 0).collect();
         let judges: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == 0).collect();
         let (moments, judges) = (train.select(&kept).moments(), train.select(&judges));
         let error = |ridge| {
             let linear = fit(&moments, lags, ridge).ok()?.linear();
-            judges.error(&linear.predict(&judges.x)).0
+            judges.error(&linear.predict(&judges.x))
         };
         downhill_ridge(last.unwrap_or(FIRST_RIDGE), error).ok_or(Trouble::Singular)
     }
@@ -175,7 +207,7 @@ pub(super) fn read(sets: &[Plain; 3], lags: Lags, ridge: f64) -> Result<Reading,
 }
 
 fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
-    let error = |set: &Plain| set.error(&linear.predict(&set.x)).0;
+    let error = |set: &Plain| set.error(&linear.predict(&set.x));
     let [error_train, error_test, error_holdout] = [0, 1, 2].map(|set| error(&sets[set]));
     Reading { lags: linear.lags, ridge, error_train, error_test, error_holdout }
 }
@@ -188,9 +220,9 @@ fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
 pub(super) fn readings(setting: &Setting, sets: &[Plain; 3]) -> Result<Vec<Reading>, Trouble> {
     let train = &sets[0];
     let Sizes { instants, channels, .. } = train.sizes;
-    let reach = Lags::whole(instants).before.min((UNKNOWNS_MAX / channels).saturating_sub(1) / 2);
-    let whole = Lags { before: reach, after: reach };
-    let ridge = setting.ridge_unasked(train, whole, None)?;
+    let decoder = Decoder::whole(instants, channels);
+    let (whole, reach) = (decoder.lags, decoder.lags.before);
+    let ridge = decoder.ridge_of(setting.problem.seed, train, None)?;
     let moments = train.moments();
     let read = |linear: &Linear| reading(sets, linear, ridge);
     let factor = |order| Fit::new(&moments, whole, ridge, order).map_err(|_| Trouble::Singular);

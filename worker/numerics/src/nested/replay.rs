@@ -2,11 +2,13 @@
 //!
 //! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
 
-use super::problem::Problem;
+use super::linear::{Decoder, Plain, fit, force_scale};
+use super::problem::{Kind, Problem};
 use super::report::Failure;
 use super::setting::{Setting, all_well};
 use super::tuning::Tuning;
 use crate::brain::Workspace;
+use crate::brain::linear::{Lags, Linear, Sizes};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
@@ -63,7 +65,7 @@ pub fn replay(
         let targets = problem.targets(&forces);
         (predictions, errors) = setting.scales.predict(weights, &data, &targets, &mut workspace, pool);
     }
-    Ok(Replay {
+    let mut replay = Replay {
         forces,
         split: kinds,
         signals: simulation.signals,
@@ -72,7 +74,55 @@ pub fn replay(
         signal_scale: setting.scales.channels.clone(),
         force_mean: setting.scales.mean.clone(),
         force_deviation: setting.scales.deviation.clone(),
-    })
+    };
+    if problem.reader == Kind::Linear {
+        let brain = replay.linear(problem, &problem.decoder)?;
+        (replay.predictions, replay.errors) = (brain.predictions, brain.errors);
+    }
+    Ok(replay)
+}
+
+/// A linear brain fitted on a replay's training samples, and what it says of all of them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LinearReplay {
+    /// Its memory.
+    pub lags: Lags,
+    /// λ.
+    pub ridge: f64,
+    /// W (K, lags, 3M) in N: f̂ = b + Σ W · signal / `signal_scale`.
+    pub w: Vec<f64>,
+    /// b (K) in N.
+    pub b: Vec<f64>,
+    /// Predicted forces (N, T, K) in N.
+    pub predictions: Vec<f64>,
+    /// Prediction error of each sample (%); `None` where there is no force.
+    pub errors: Vec<Option<f64>>,
+}
+
+impl Replay {
+    /// Fits a linear brain as a trial does.
+    ///
+    /// # Errors
+    /// If no λ has a solution.
+    pub fn linear(&self, problem: &Problem, decoder: &Decoder) -> Result<LinearReplay, Failure> {
+        let instants = problem.scene.instants;
+        let sizes =
+            Sizes { instants, channels: self.signal_scale.len(), outputs: problem.scene.panels.len() };
+        let targets = crate::stimuli::targets(&self.forces, instants, false);
+        let scales = self.signal_scale.iter().cycle();
+        let x: Vec<f64> = self.signals.iter().zip(scales).map(|(a, s)| a / s).collect();
+        let training: Vec<usize> = (0..self.split.len()).filter(|&i| self.split[i] == 0).collect();
+        let force = force_scale(&self.force_mean, &self.force_deviation);
+        let all = Plain::new(sizes, x, &targets, force);
+        let train = all.select(&training);
+        let ridge = decoder.ridge_of(problem.seed, &train, None).map_err(Failure::Initial)?;
+        let fit = fit(&train.moments(), decoder.lags, ridge).map_err(Failure::Initial)?;
+        let Linear { lags, w, b, .. } = fit.linear();
+        let physical = |values: Vec<f64>| values.into_iter().map(|y| force * y).collect::<Vec<f64>>();
+        let said = fit.linear().predict(&all.x);
+        let errors = all.errors(&said);
+        Ok(LinearReplay { lags, ridge, w: physical(w), b: physical(b), predictions: physical(said), errors })
+    }
 }
 
 fn all_forces(problem: &Problem) -> Forces {

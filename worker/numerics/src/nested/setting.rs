@@ -35,8 +35,6 @@ pub(super) struct Scales {
     pub(super) mean: Vec<f64>,
     /// Standard deviation of each panel's force (N).
     pub(super) deviation: Vec<f64>,
-    /// RMS of all panels' forces (N).
-    pub(super) force: f64,
 }
 
 impl<'a> Setting<'a> {
@@ -175,9 +173,7 @@ impl Scales {
         // a channel that never stirs stays as it is
         let above_zero = |x: f64| if x > 0.0 { x } else { 1.0 };
         let force = moments(targets, shape.outputs);
-        let square = force.iter().map(|m| m.1).sum::<f64>() / force.len() as f64;
         Self {
-            force: above_zero(square.sqrt()),
             channels: moments(signals, shape.inputs).iter().map(|m| above_zero(m.1.sqrt())).collect(),
             mean: force.iter().map(|m| m.0).collect(),
             deviation: force.iter().map(|m| above_zero((m.1 - m.0 * m.0).max(0.0).sqrt())).collect(),

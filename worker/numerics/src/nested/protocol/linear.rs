@@ -47,7 +47,7 @@ impl Session<'_> {
             log.timed(|s| &mut s.train, |_| fit(&samples.moments(), lags, self.ridge_of(state, &samples)?))?;
         let linear = fit.linear();
         let (said, answers) = (linear.predict(&samples.x), linear.predict(&unseen.x));
-        let error_test = unseen.error(&answers).0;
+        let error_test = unseen.error(&answers);
         let residual = unseen.residual(&answers);
         let mut gradient =
             setting.pull_back(design, &setting.test, &test, &linear.predict_vjp(&residual), log)?;
@@ -62,8 +62,8 @@ impl Session<'_> {
             let through_brain = setting.pull_back(design, &setting.train, &train, &inputs, log)?;
             gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }
-        let loss_train = part(samples.error(&said).0);
-        log.report.error_train = samples.error(&said).0;
+        let loss_train = part(samples.error(&said));
+        log.report.error_train = samples.error(&said);
         log.report.error_test = error_test;
         log.report.loss_train = Some(loss_train);
         state.check_trend(loss_train)?;
@@ -96,7 +96,7 @@ impl Session<'_> {
             |s| &mut s.train,
             |_| Ok(fit(&samples.moments(), lags, self.ridge_of(state, &samples)?)?.linear()),
         )?;
-        let error = samples.error(&linear.predict(&samples.x)).0;
+        let error = samples.error(&linear.predict(&samples.x));
         log.report.error_train = error;
         let error_test = self.linear_test(state, &linear, log)?;
         self.linear_step(state, &linear, &some, &subset, part(error), error_test, log)
@@ -127,7 +127,7 @@ impl Session<'_> {
 
         let linear = log.timed(|s| &mut s.train, |_| self.solve_known(state))?;
         let newest = &self.known.0[self.known.0.len() - 1].1;
-        let error = newest.error(&linear.predict(&newest.x)).0;
+        let error = newest.error(&linear.predict(&newest.x));
         log.report.error_train = error;
         let error_test = self.linear_test(state, &linear, log)?;
         self.linear_step(state, &linear, &forces, &simulation, part(error), error_test, log)
@@ -137,10 +137,7 @@ impl Session<'_> {
     fn ridge_of(&self, state: &mut State, samples: &Plain) -> Result<f64, Trouble> {
         match state.ridge {
             Some(ridge) if !state.step.is_multiple_of(RIDGE_EVERY) => Ok(ridge),
-            last => {
-                let lags = self.setting.problem.decoder.lags;
-                Ok(*state.ridge.insert(self.setting.ridge(samples, lags, last)?))
-            }
+            last => Ok(*state.ridge.insert(self.setting.ridge(samples, last)?)),
         }
     }
 
@@ -159,12 +156,12 @@ impl Session<'_> {
         match state.ridge {
             None => {
                 let first = setting.plain(&setting.initial_signals, &setting.train);
-                state.ridge = Some(setting.ridge(&first, lags, None)?);
+                state.ridge = Some(setting.ridge(&first, None)?);
             }
             Some(last) if state.step.is_multiple_of(RIDGE_EVERY) && known.len() > 1 => {
                 let error = |ridge| {
                     let linear = fit(&moments, lags, ridge).ok()?.linear();
-                    newest.error(&linear.predict(&newest.x)).0
+                    newest.error(&linear.predict(&newest.x))
                 };
                 if setting.problem.decoder.ridge == super::super::Ridge::Auto {
                     state.ridge = downhill_ridge(last, error).or(state.ridge);
@@ -220,7 +217,7 @@ impl Session<'_> {
     fn linear_test(&mut self, state: &State, linear: &Linear, log: &mut Log) -> Result<Option<f64>, Trouble> {
         let Some(signals) = self.test_signals(state, log)? else { return Ok(None) };
         let samples = self.setting.plain(&signals, &self.setting.test);
-        log.report.error_test = samples.error(&linear.predict(&samples.x)).0;
+        log.report.error_test = samples.error(&linear.predict(&samples.x));
         Ok(log.report.error_test)
     }
 }

@@ -101,7 +101,7 @@ fn the_whole_gradient_holds_through_simulator_and_solve() {
             let train = set(&setting.train);
             let linear = fit(&train.moments(), problem.decoder.lags, ridge).unwrap().linear();
             let error =
-                |set: &super::super::linear::Plain| 0.01 * set.error(&linear.predict(&set.x)).0.unwrap();
+                |set: &super::super::linear::Plain| 0.01 * set.error(&linear.predict(&set.x)).unwrap();
             if of_training {
                 error(&train) + ridge * linear.w.iter().map(|w| w * w).sum::<f64>()
             } else {
