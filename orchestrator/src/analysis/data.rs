@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::brains::{Reading, brains};
 use serde_json::Value;
 
 /// Initial or optimised body.
@@ -94,6 +95,8 @@ pub struct Trial {
     pub errors: [[Option<f64>; 2]; 2],
     /// The same after long training, of trials that have it.
     pub long_errors: [[Option<f64>; 2]; 2],
+    /// By linear brains, whatever the trial's own is; none in trials of versions before 4.
+    pub readings: Vec<Reading>,
     /// Training loss against iteration (from 1), by body, then network.
     pub curves: [Vec<Vec<CurvePoint>>; 2],
     /// Holdout error (%) against iteration likewise, thinned; none in trials of versions before 3.
@@ -129,6 +132,33 @@ impl Trial {
     #[must_use]
     pub fn starts_random(&self) -> bool {
         self.setting.contains_key("body.design.random")
+    }
+
+    /// How far its own brain looks back and ahead (s).
+    #[must_use]
+    pub fn memory(&self) -> [f64; 2] {
+        let list = |path: &str| -> Option<Vec<f64>> {
+            self.setting.get(path)?.as_array()?.iter().map(Value::as_f64).collect()
+        };
+        let number = |path: &str| self.setting.get(path).and_then(Value::as_f64);
+        let duration = number("time.duration").unwrap_or(1.0);
+        let instant = duration / number("time.samples").unwrap_or(200.0);
+        if self.setting.get("brain.kind").and_then(Value::as_str) == Some("linear") {
+            let whole = duration - instant;
+            return list("brain.memory").map_or([whole; 2], |m| [m[0].min(whole), m[1].min(whole)]);
+        }
+        let (kernels, dilations) =
+            match self.setting.get("brain.preset").and_then(Value::as_str) == Some("long") {
+                true => (vec![5.0, 5.0, 5.0, 1.0], vec![1.0, 4.0, 16.0, 1.0]),
+                false => (vec![3.0, 3.0, 1.0], vec![1.0, 1.0, 1.0]),
+            };
+        let kernels = list("brain.kernels").unwrap_or(kernels);
+        let dilations = list("brain.dilations").unwrap_or(dilations);
+        let reach: f64 = kernels.iter().zip(&dilations).map(|(k, d)| (k - 1.0) * d * instant).sum();
+        match self.setting.get("brain.causal").and_then(Value::as_bool) {
+            Some(true) => [reach, 0.0],
+            _ => [0.5 * reach; 2],
+        }
     }
 
     /// A training protocol's name.
@@ -189,6 +219,9 @@ pub const COMPLEXITY: &[&str] = &[
 /// What random bodies vary, and how far they are trained.
 pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise."];
 
+/// What brains vary, and the training that goes with them.
+pub const BRAINS: &[&str] = &["brain.", "optimise.", "evaluation."];
+
 /// What the way of training varies.
 pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver."];
 
@@ -227,6 +260,19 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
     }
     let count = |path: &str| all.iter().filter(|k| k.iter().any(|(p, _)| p == path)).count();
     let differs = |path: &str| values.get(path).is_some_and(|v| v.len() > 1 || count(path) < all.len());
+    // what a brain brings along differs with it: that alone is told
+    let kind = |key: &[(String, Value)]| {
+        let setting = key.iter().cloned().collect();
+        brains(&Trial { setting, ..Trial::default() })
+    };
+    let own = kind(key);
+    let alike: Vec<&&Key> = all.iter().filter(|k| kind(k) == own).collect();
+    let differs_within = |path: &str| {
+        let value = |key: &Key| key.iter().find(|(p, _)| p == path).map(|(_, v)| v.to_string());
+        alike.iter().any(|k| value(k) != value(alike[0]))
+    };
+    let of_brains =
+        |path: &str| ["brain.", "optimise.", "evaluation."].iter().any(|table| path.starts_with(table));
     let mut parts = Vec::new();
     for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
         parts.extend(value(path).map(|v| format!("{name} = {v}")));
@@ -239,10 +285,17 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
         [Some(columns), None] if differs(SIZES[0]) => parts.push(format!("{columns} units across")),
         _ => {}
     }
+    if alike.len() < all.len() {
+        parts.push(match own[0] == own[1] {
+            true => own[0].clone(),
+            false => format!("trained with {}, read by {}", own[1], own[0]),
+        });
+    }
     for (path, value) in key {
         let told =
             path.starts_with("point.") || path.ends_with("panel_units") || SIZES.contains(&path.as_str());
-        if !told && differs(path) {
+        let apart = if of_brains(path) { differs_within(path) } else { differs(path) };
+        if !told && apart {
             let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
             parts.push(format!("{path} = {value}"));
         }

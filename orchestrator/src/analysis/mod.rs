@@ -5,6 +5,7 @@
 //! of a cluster's trials share sensors and stimuli, so that curves are compared within clusters and intervals are had
 //! by drawing whole placements and seeds anew ([`resample`]).
 
+pub mod brains;
 pub mod data;
 pub mod elbow;
 pub mod paired;

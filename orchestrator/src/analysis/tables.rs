@@ -4,8 +4,9 @@ use std::collections::BTreeSet;
 
 use serde_json::{Value, json};
 
+use super::brains::reads;
 use super::data::{
-    COMPLEXITY, DESIGN, Group, SENSORS, TRAINING, geometric_mean, groups, levels, observations,
+    BRAINS, COMPLEXITY, DESIGN, Group, SENSORS, TRAINING, geometric_mean, groups, levels, observations,
 };
 use super::paired::{self, Ratio};
 use super::random::random;
@@ -20,6 +21,8 @@ use crate::store::Table;
 pub enum Question {
     /// Initial against optimised body, paired by trial: ratio of errors
     Paired,
+    /// What the brain decides: error against what it remembers; bodies trained with one brain and read by another
+    Brains,
     /// Iterations of training the initial body's network needs over those of the optimised body's, to equal error and loss
     Iterations,
     /// Initial against optimised body after long training (evaluation.long_iterations)
@@ -48,8 +51,9 @@ pub enum Question {
 
 impl Question {
     /// All of them, in the order in which they are answered.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Paired,
+        Self::Brains,
         Self::Iterations,
         Self::Long,
         Self::Sensors,
@@ -70,6 +74,9 @@ impl Question {
         match self {
             Self::Paired => {
                 "Initial over optimised error, paired by trial (above 1: the optimised body is better; 95 % interval)"
+            }
+            Self::Brains => {
+                "Holdout error (%, geometric mean) by the brain that trained the optimised body, the one that reads it, and what that remembers (s before and after)"
             }
             Self::Iterations => {
                 "Iterations on the initial over those on the optimised body, to equal holdout error and training loss"
@@ -109,6 +116,7 @@ impl Question {
         let trials: Vec<&Trial> = trials.iter().collect();
         match self {
             Self::Paired => paired_table(&trials),
+            Self::Brains => brains_table(&trials),
             Self::Iterations => iterations_table(&trials),
             Self::Long => long_table(&trials),
             Self::Sensors => sensors_table(&trials),
@@ -132,6 +140,34 @@ fn ends(interval: Option<Interval>) -> [Value; 2] {
 fn ratio_cells(ratio: Ratio) -> Vec<Value> {
     let [low, high] = ends(ratio.interval);
     vec![json!(ratio.trials), json!(ratio.above_one), json!(ratio.ratio), low, high]
+}
+
+fn brains_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for group in groups(trials, BRAINS) {
+        for read in reads(&group.trials) {
+            let [before, after] = read.memory.map(|s| json!((1e6 * s).round() / 1e6));
+            let names = [&group.label, &read.trained_with, &read.by].map(|name| json!(name));
+            let errors = read.errors.map(|error| json!(error));
+            let cells = names.into_iter().chain([before, after]).chain(errors);
+            rows.push(cells.chain(ratio_cells(read.ratio)).collect());
+        }
+    }
+    let columns = [
+        "setting",
+        "trained_with",
+        "read_by",
+        "before",
+        "after",
+        "initial",
+        "optimised",
+        "trials",
+        "improved",
+        "ratio",
+        "low",
+        "high",
+    ];
+    Table::new(&columns, rows)
 }
 
 fn paired_table(trials: &[&Trial]) -> Table {

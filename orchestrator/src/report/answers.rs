@@ -2,6 +2,7 @@
 
 use super::figures::distinct;
 use super::plot::number;
+use crate::analysis::brains::brains;
 use crate::analysis::data::{DESIGN, Group, SENSORS, geometric_mean, groups, observations};
 use crate::analysis::paired::Ratio;
 use crate::analysis::random::random;
@@ -18,16 +19,27 @@ pub type Answer = (Option<bool>, String);
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let mut said = Vec::new();
-    for (set, what) in [
-        (Set::Holdout, "samples that neither loop has seen"),
-        (Set::Test, "the test set that steered the body"),
-    ] {
+    let mut kinds: Vec<[String; 2]> = refs.iter().map(|t| brains(t)).collect();
+    kinds.sort();
+    kinds.dedup();
+    for (kind, (set, what)) in kinds.iter().flat_map(|kind| {
+        [
+            (kind, (Set::Holdout, "samples that neither loop has seen")),
+            (kind, (Set::Test, "the test set that steered the body")),
+        ]
+    }) {
+        let refs: Vec<&Trial> = refs.iter().filter(|t| brains(t) == *kind).copied().collect();
+        let who = match (&kind[0], &kind[1]) {
+            _ if kinds.len() == 1 => String::new(),
+            (by, with) if by == with => format!("Trained with and read by {by}: "),
+            (by, with) => format!("Trained with {with}, read by {by}: "),
+        };
         if let Some(r) = paired::error_ratio(&refs, set) {
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
             said.push((
                 verdict(&r),
                 format!(
-                    "On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
+                    "{who}On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
                      {optimised} %{}); the optimised one is better in {} of {}.",
                     number(r.ratio),
                     interval(&r),
@@ -37,6 +49,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
             ));
         }
     }
+    said.extend(super::brains::answers(trials));
     said.extend(long(&refs));
     for group in groups(&refs, SENSORS).iter().filter(|g| distinct(g, |t| t.sensors) > 1) {
         said.extend(sensors(group));

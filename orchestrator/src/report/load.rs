@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::samples::Stored;
 use super::{Story, Sweep};
+use crate::analysis::brains::Reading;
 use crate::analysis::data::{CurvePoint, flatten};
 use crate::analysis::{Body, Cluster, Set, Trial};
 use crate::store::{Reader, StoreError, Table};
@@ -103,7 +104,36 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     add_curves(reader, &mut trials, &places, "long_losses_", |t| &mut t.long_curves).await?;
     add_error_curves(reader, &mut trials, &places).await?;
     add_long_errors(reader, &mut trials, &places).await?;
+    add_readings(reader, &mut trials, &places).await?;
     Ok(trials)
+}
+
+async fn add_readings(
+    reader: &mut Reader,
+    trials: &mut [Trial],
+    places: &HashMap<String, usize>,
+) -> Result<(), StoreError> {
+    let rows: Rows = reader
+        .query(
+            "SELECT hash, body, before, after, whole, error_test, error_holdout FROM v_reading
+             ORDER BY hash, whole DESC, before, after, body",
+        )
+        .await?
+        .into();
+    for row in rows.iter() {
+        let (Some(&i), Some(body)) = (places.get(row.text("hash")), body_named(row.text("body"))) else {
+            continue;
+        };
+        let memory = ["before", "after"].map(|column| row.number(column).unwrap_or(0.0));
+        let readings = &mut trials[i].readings;
+        if readings.last().is_none_or(|last| last.memory != memory) {
+            let whole = row.count("whole") == 1;
+            readings.push(Reading { memory, whole, ..Reading::default() });
+        }
+        let last = readings.len() - 1;
+        readings[last].errors[body as usize] = [row.number("error_test"), row.number("error_holdout")];
+    }
+    Ok(())
 }
 
 async fn add_histories(

@@ -3,6 +3,7 @@
 mod alone;
 pub mod answers;
 pub mod body;
+pub mod brains;
 pub mod figures;
 pub mod fit;
 pub mod load;
@@ -53,11 +54,15 @@ pub struct Sweep {
 #[must_use]
 pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     let trials = &story.trials;
-    let mut drawn: Vec<Figure> =
-        [figures::pairs(trials), figures::sensors(trials), figures::random_bodies(trials)]
-            .into_iter()
-            .flatten()
-            .collect();
+    let mut drawn: Vec<Figure> = [
+        figures::pairs(trials),
+        brains::figure(trials),
+        figures::sensors(trials),
+        figures::random_bodies(trials),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
     let replayed = match &story.stored {
         Some(stored) => samples::figures(stored, threads).map_err(|e| e.to_string()),
         None if trials.is_empty() => Err("no trial is done yet".into()),
@@ -97,6 +102,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
     content.push_str("<h2>Tables</h2>");
     for question in [
         Question::Paired,
+        Question::Brains,
         Question::Iterations,
         Question::Long,
         Question::Elbow,

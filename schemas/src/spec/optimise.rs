@@ -113,7 +113,7 @@ pub struct Optimise {
     /// Outer steps. By default 350, for the other protocols and with a linear brain 100.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Adam's rate on α (mm). By default 0.2, for the other protocols 0.1.
+    /// Adam's rate on α (mm). By default 0.2, with a linear brain 0.3; for the other protocols 0.1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
     /// Terms of the gradient; for `protocol = "paper"` alone. By default `"implicit"`.
@@ -147,7 +147,7 @@ impl Optimise {
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
             Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
-            Protocol::Joint if self.linear() => (100, 0.2),
+            Protocol::Joint if self.linear() => (100, 0.3),
             Protocol::Joint => (350, 0.2),
         };
         self.iterations.get_or_insert(iterations);

@@ -151,7 +151,6 @@ impl Setting<'_> {
     pub(super) fn ridge(&self, train: &Plain, last: Option<f64>) -> Result<f64, Trouble> {
         self.problem.decoder.ridge_of(self.problem.seed, train, last)
     }
-
 }
 
 impl Decoder {

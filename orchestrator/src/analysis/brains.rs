@@ -1,0 +1,176 @@
+//! What the brain decides: error against what a brain remembers, and of bodies trained with one brain and read by another.
+//!
+//! Every trial is read by its own brain and, whatever that is, by linear ones of several memories (`v_reading`).
+
+use super::data::{Trial, geometric_mean};
+use super::paired::Ratio;
+use super::{Body, Set};
+use serde_json::Value;
+
+/// What a linear brain of one memory makes of a trial's bodies.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Reading {
+    /// How far it looks back and ahead (s).
+    pub memory: [f64; 2],
+    /// Whether none looks farther.
+    pub whole: bool,
+    /// Error (%) by body and set.
+    pub errors: [[Option<f64>; 2]; 2],
+}
+
+/// What one brain makes of bodies that were trained alike, on the holdout.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Read {
+    /// The brain that the optimised bodies were trained with.
+    pub trained_with: String,
+    /// The brain that reads both.
+    pub by: String,
+    /// How far it looks back and ahead (s).
+    pub memory: [f64; 2],
+    /// Whether it is a linear brain that sees the whole sample.
+    pub whole: bool,
+    /// Errors (%) of the initial and the optimised body: geometric means over the trials that have both.
+    pub errors: [f64; 2],
+    /// Initial over optimised error.
+    pub ratio: Ratio,
+}
+
+/// The trial's own brain, and the one that its body was trained with.
+#[must_use]
+pub fn brains(trial: &Trial) -> [String; 2] {
+    let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
+    let own = match text("brain.kind") {
+        Some(kind) => kind.to_owned(),
+        None => network(trial),
+    };
+    let with = match text("optimise.brain") {
+        Some(kind) => kind.to_owned(),
+        None => network(trial),
+    };
+    [own, with]
+}
+
+/// A network's name: `cnn` for the paper's shape.
+fn network(trial: &Trial) -> String {
+    let numbers = |path: &str| -> Option<Vec<String>> {
+        let list = trial.setting.get(path)?.as_array()?;
+        Some(list.iter().map(ToString::to_string).collect())
+    };
+    let mut name = trial.setting.get("brain.preset").and_then(Value::as_str).unwrap_or("cnn").to_owned();
+    for (path, what) in [("brain.kernels", "kernels"), ("brain.dilations", "dilations")] {
+        if let Some(list) = numbers(path) {
+            name += &format!(", {what} {}", list.join(" "));
+        }
+    }
+    if trial.setting.get("brain.causal").and_then(Value::as_bool) == Some(true) {
+        name += ", causal";
+    }
+    name
+}
+
+/// What trials that differ in brains, placement and seed alone say: their own brains first, then the linear ones.
+#[must_use]
+pub fn reads(trials: &[&Trial]) -> Vec<Read> {
+    let mut kinds: Vec<[String; 2]> = Vec::new();
+    for kind in trials.iter().map(|t| brains(t)) {
+        if !kinds.contains(&kind) {
+            kinds.push(kind);
+        }
+    }
+    let mut found = Vec::new();
+    for [by, trained_with] in &kinds {
+        let alike: Vec<&&Trial> =
+            trials.iter().filter(|t| brains(t) == [by.clone(), trained_with.clone()]).collect();
+        let errors = |t: &&&Trial| Some(Body::ALL.map(|body| t.error(body, Set::Holdout)));
+        let memory = alike.first().map_or([0.0; 2], |t| t.memory());
+        found.extend(read(trained_with, by, memory, false, alike.iter().filter_map(errors)));
+    }
+    let mut with: Vec<&String> = kinds.iter().map(|kind| &kind[1]).collect();
+    with.sort();
+    with.dedup();
+    for trained_with in with {
+        let alike: Vec<&&Trial> = trials.iter().filter(|t| brains(t)[1] == *trained_with).collect();
+        let mut memories: Vec<([f64; 2], bool)> = Vec::new();
+        for reading in alike.iter().flat_map(|t| &t.readings) {
+            if !memories.contains(&(reading.memory, reading.whole)) {
+                memories.push((reading.memory, reading.whole));
+            }
+        }
+        memories.sort_by(|a, b| (b.1, a.0[0], a.0[1]).partial_cmp(&(a.1, b.0[0], b.0[1])).expect("finite"));
+        for (memory, whole) in memories {
+            let errors = alike.iter().filter_map(|t| {
+                let reading = t.readings.iter().find(|r| r.memory == memory)?;
+                Some(reading.errors.map(|body| body[Set::Holdout as usize].filter(|e| *e > 0.0)))
+            });
+            found.extend(read(trained_with, "linear", memory, whole, errors));
+        }
+    }
+    found
+}
+
+fn read(
+    trained_with: &str,
+    by: &str,
+    memory: [f64; 2],
+    whole: bool,
+    errors: impl Iterator<Item = [Option<f64>; 2]>,
+) -> Option<Read> {
+    let pairs: Vec<[f64; 2]> = errors.filter_map(|[a, b]| Some([a?, b?])).collect();
+    let ratio = Ratio::of(&pairs.iter().map(|[a, b]| a / b).collect::<Vec<_>>())?;
+    let of = |body: usize| geometric_mean(&pairs.iter().map(|pair| pair[body]).collect::<Vec<_>>());
+    let (trained_with, by) = (trained_with.to_owned(), by.to_owned());
+    Some(Read { trained_with, by, memory, whole, errors: [of(0), of(1)], ratio })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::Cluster;
+    use serde_json::json;
+
+    fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whole: [f64; 2]) -> Trial {
+        let keys = [("brain.kind", brain), ("optimise.brain", with)];
+        let pair = |e: [f64; 2]| e.map(|e| [Some(2.0 * e), Some(e)]);
+        Trial {
+            setting: keys.into_iter().filter_map(|(k, v)| Some((k.to_owned(), json!(v?)))).collect(),
+            cluster: Cluster { placement: 0, seed },
+            errors: pair(own),
+            readings: vec![
+                Reading { memory: [1.0, 1.0], whole: true, errors: pair(whole) },
+                Reading { memory: [1.0, 0.0], whole: false, errors: pair(whole.map(|e| 3.0 * e)) },
+            ],
+            ..Trial::default()
+        }
+    }
+
+    /// Own brains apart by what trained and what reads, linear readings by what trained, both bodies of equal trials.
+    #[test]
+    fn bodies_stand_by_what_trained_and_what_read_them() {
+        let trials = [
+            trial(None, None, 1, [20.0, 10.0], [8.0, 4.0]),
+            trial(None, None, 2, [20.0, 10.0], [2.0, 1.0]),
+            trial(None, Some("linear"), 1, [20.0, 5.0], [8.0, 0.5]),
+            trial(Some("linear"), Some("linear"), 1, [8.0, 0.5], [8.0, 0.5]),
+        ];
+        let found = reads(&trials.iter().collect::<Vec<_>>());
+        let rows: Vec<(&str, &str, bool, [f64; 2], usize)> = found
+            .iter()
+            .map(|r| {
+                let errors = r.errors.map(|e| (1e6 * e).round() / 1e6);
+                (&r.trained_with[..], &r.by[..], r.whole, errors, r.ratio.trials)
+            })
+            .collect();
+        assert_eq!(
+            rows,
+            [
+                ("cnn", "cnn", false, [20.0, 10.0], 2),
+                ("linear", "cnn", false, [20.0, 5.0], 1),
+                ("linear", "linear", false, [8.0, 0.5], 1),
+                ("cnn", "linear", true, [4.0, 2.0], 2),
+                ("cnn", "linear", false, [12.0, 6.0], 2),
+                ("linear", "linear", true, [8.0, 0.5], 2),
+                ("linear", "linear", false, [24.0, 1.5], 2),
+            ]
+        );
+    }
+}

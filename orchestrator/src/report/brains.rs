@@ -1,0 +1,158 @@
+//! What the brain decides, drawn and in a sentence.
+
+use super::answers::Answer;
+use super::figures::Figure;
+use super::plot::{Axis, Plot, Scale, number};
+use crate::analysis::brains::{Read, reads};
+use crate::analysis::data::{BRAINS, groups};
+use crate::analysis::{Body, Question, Trial};
+
+/// At most so many settings are drawn; the data hold all.
+const MOST_SETTINGS: usize = 4;
+
+/// Classes of the optimised bodies' lines, by what trained them.
+const TRAINED: [&str; 3] = ["optimised", "front", "sensor"];
+
+/// Error against memory, and against the wait after the instant, by linear brains; dots: networks.
+#[must_use]
+pub fn figure(trials: &[Trial]) -> Option<Figure> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let drawn: Vec<(String, Vec<Read>)> = groups(&refs, BRAINS)
+        .into_iter()
+        .map(|group| (group.label, reads(&group.trials)))
+        .filter(|(_, reads)| reads.iter().any(|read| read.whole))
+        .collect();
+    let mut plots = Vec::new();
+    let mut with: Vec<&str> =
+        drawn.iter().flat_map(|(_, reads)| reads).map(|read| read.trained_with.as_str()).collect();
+    with.sort_unstable();
+    with.dedup();
+    with.truncate(TRAINED.len());
+    for (label, reads) in drawn.iter().take(MOST_SETTINGS) {
+        let linear: Vec<&Read> = reads.iter().filter(|read| read.by == "linear").collect();
+        let networks: Vec<&Read> = reads.iter().filter(|read| read.by != "linear").collect();
+        let errors = |reads: &[&Read]| reads.iter().flat_map(|r| r.errors).collect::<Vec<f64>>();
+        let even: Vec<&Read> = linear.iter().filter(|r| r.memory[0] == r.memory[1]).copied().collect();
+        let past: Vec<&Read> =
+            linear.iter().filter(|r| r.memory[0] > r.memory[1] || r.whole).copied().collect();
+        let reach = |r: &Read| r.memory[1].max(1e-4);
+        let all = [even.clone(), networks.clone()].concat();
+        let x = Axis::new("memory, each way (s)", Scale::Log, all.iter().map(|r| reach(r)));
+        let mut memory = Plot::new(label, x, Axis::new("holdout error (%)", Scale::Log, errors(&all)));
+        curves(&mut memory, &even, &with, reach);
+        for read in &networks {
+            let class = class(&with, &read.trained_with);
+            let text = |body: Body| {
+                let error = number(read.errors[body as usize]);
+                format!("{} read by {}: {error} %", whose(body, &read.trained_with), read.by)
+            };
+            let at = |body: Body| ((reach(read), read.errors[body as usize]), text(body));
+            memory.dots("initial", [at(Body::Initial)]);
+            memory.dots(class, [at(Body::Optimised)]);
+        }
+        plots.push(memory.svg());
+        // the whole past, and ever more of what comes after
+        let x = Axis::new(
+            "wait after the instant, whole past before (s)",
+            Scale::Linear,
+            past.iter().map(|r| r.memory[1]),
+        );
+        let mut delay = Plot::new(label, x, Axis::new("holdout error (%)", Scale::Log, errors(&past)));
+        curves(&mut delay, &past, &with, |r| r.memory[1]);
+        plots.push(delay.svg());
+    }
+    let mut entries = vec![("initial", "initial body".to_owned())];
+    entries.extend(with.iter().map(|name| (class(&with, name), format!("body trained with {name}"))));
+    (!plots.is_empty()).then(|| Figure {
+        name: "brains",
+        title: "Body or brain?".into(),
+        caption: "Prediction error on the holdout by linear least squares of the forces on the signals around each instant: \
+                  left against how far it looks, each way; right with the whole past, against how long it may wait. \
+                  Dots are networks, at the memory that their shape has."
+            .into(),
+        legend: entries,
+        plots,
+        small: false,
+        data: Question::Brains.answer(trials),
+    })
+}
+
+fn curves(plot: &mut Plot, reads: &[&Read], with: &[&str], x: impl Fn(&Read) -> f64) {
+    for (n, trained_with) in with.iter().enumerate() {
+        let mut own: Vec<&&Read> = reads.iter().filter(|r| r.trained_with == *trained_with).collect();
+        own.sort_by(|a, b| x(a).total_cmp(&x(b)));
+        for body in Body::ALL {
+            // the initial body is the same whatever trains it
+            if body == Body::Initial && n > 0 {
+                continue;
+            }
+            let class = if body == Body::Initial { "initial" } else { class(with, trained_with) };
+            plot.line(class, own.iter().map(|r| (x(r), r.errors[body as usize])));
+            plot.dots(
+                class,
+                own.iter().map(|r| {
+                    let error = r.errors[body as usize];
+                    let [before, after] = r.memory.map(number);
+                    let who = whose(body, trained_with);
+                    let text = format!("{who}, {before} s before and {after} s after: {} %", number(error));
+                    ((x(r), error), text)
+                }),
+            );
+        }
+    }
+}
+
+fn whose(body: Body, trained_with: &str) -> String {
+    match body {
+        Body::Initial => "initial body".into(),
+        Body::Optimised => format!("body trained with {trained_with}"),
+    }
+}
+
+fn class(with: &[&str], trained_with: &str) -> &'static str {
+    let at = with.iter().position(|w| *w == trained_with).unwrap_or(0);
+    TRAINED[at.min(TRAINED.len() - 1)]
+}
+
+/// What a linear decoder of the whole sample makes of the bodies beside what their own brains do, a sentence a setting.
+#[must_use]
+pub fn answers(trials: &[Trial]) -> Vec<Answer> {
+    let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
+    groups(&refs, BRAINS)
+        .iter()
+        .filter_map(|group| Some((None, sentence(&group.label, &reads(&group.trials))?)))
+        .collect()
+}
+
+fn sentence(label: &str, reads: &[Read]) -> Option<String> {
+    let whole = |with: &str| reads.iter().find(|r| r.whole && r.trained_with == with);
+    let own = reads.iter().filter(|r| !r.whole && r.by != "linear");
+    let best = own.min_by(|a, b| a.errors[1].total_cmp(&b.errors[1]));
+    let by_linear = whole("linear");
+    let text = match (best, by_linear) {
+        (Some(best), trained) => {
+            let untouched = whole(&best.trained_with).or(trained)?;
+            let [initial, optimised] = untouched.errors.map(number);
+            let than = if untouched.errors[0] < best.errors[1] { "better" } else { "worse" };
+            let trained = trained.map_or(String::new(), |read| {
+                format!(", and the body that was trained with it at {} %", number(read.errors[1]))
+            });
+            format!(
+                "a linear decoder of the whole sample reads the initial body at {initial} %, {than} than the network ({}) \
+                 reads the body trained with {} ({} %); that body it reads at {optimised} %{trained}",
+                best.by,
+                best.trained_with,
+                number(best.errors[1])
+            )
+        }
+        (None, Some(read)) => {
+            let [initial, optimised] = read.errors.map(number);
+            format!(
+                "a linear decoder of the whole sample reads the initial body at {initial} % and the one that was trained \
+                 with it at {optimised} %"
+            )
+        }
+        (None, None) => return None,
+    };
+    Some(format!("{label}: {text}."))
+}
