@@ -267,7 +267,7 @@ fn a_stale_run_of_another_user_is_in_nobodys_way() {
 /// A worker of another build ends at once, with a code of its own, and touches nothing.
 #[test]
 fn a_worker_of_another_build_does_not_connect() {
-    let start = r#"{"root": "/nowhere", "prefix": "x_", "build": "another", "parent": 1, "niceness": 0, "memory_mib": null}"#;
+    let start = r#"{"root": "/nowhere", "prefix": "x_", "build": "another", "parent": 1, "niceness": 0, "memory_mib": null, "simd": "baseline"}"#;
     let ended = Command::new(env!("CARGO_BIN_EXE_metasense")).args(["worker", start]).output().unwrap();
     assert_eq!(ended.status.code(), Some(metasense_worker::process::OTHER_BUILD));
     assert!(String::from_utf8_lossy(&ended.stderr).contains("build another"), "{ended:?}");

@@ -40,6 +40,8 @@ pub struct Start {
     pub niceness: i32,
     /// Limit of the worker's data segment (MiB); none if absent.
     pub memory_mib: Option<u64>,
+    /// Instruction set of its kernels.
+    pub simd: String,
 }
 
 /// What is to be done.

@@ -9,12 +9,6 @@ use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::simd::Width;
 use std::time::Instant;
 
-/// The instruction set that the kernels take on this machine.
-#[must_use]
-pub fn simd() -> &'static str {
-    Width::detect().name()
-}
-
 /// What is measured.
 #[derive(Debug, Clone, Copy)]
 pub struct BrainBench {
@@ -120,13 +114,18 @@ pub fn brain<F: Real>(bench: BrainBench, width: Width) -> BrainTimes {
     }
 }
 
-/// The same in both precisions, on one thread and on `bench.threads`, for the machine's widest instruction set.
+/// The instruction sets up to the process's own, that first.
+pub(crate) fn widths() -> impl Iterator<Item = Width> {
+    Width::ALL.into_iter().rev().filter(|width| *width <= Width::chosen())
+}
+
+/// The same in both precisions, on one thread and on `bench.threads`, and with narrower instruction sets on one.
 #[must_use]
 pub fn brain_rows(bench: BrainBench) -> Vec<BrainTimes> {
-    let width = Width::detect();
     let mut rows = Vec::new();
-    for threads in [1, bench.threads] {
-        if rows.is_empty() || threads > 1 {
+    for width in widths() {
+        let most = if rows.is_empty() { bench.threads } else { 1 };
+        for threads in if most > 1 { vec![1, most] } else { vec![1] } {
             rows.push(brain::<f32>(BrainBench { threads, ..bench }, width));
             rows.push(brain::<f64>(BrainBench { threads, ..bench }, width));
         }
@@ -143,7 +142,7 @@ mod tests {
     fn the_bench_of_the_brain_runs() {
         let bench = BrainBench { samples: 4, instants: 20, sensors: 1, panels: 2, repeat: 1, threads: 2 };
         let rows = brain_rows(bench);
-        assert_eq!(rows.len(), 4, "{rows:?}");
+        assert_eq!(rows.len(), 2 + 2 * widths().count(), "{rows:?}");
         for row in rows {
             let figures = [row.forward, row.iteration, row.hessian, row.gauss_newton, row.share_of_peak()];
             assert!(figures.iter().all(|x| x.is_finite() && *x > 0.0), "{row:?}");

@@ -16,6 +16,7 @@ pub mod process;
 pub mod records;
 pub mod replay;
 pub mod run;
+pub mod simd;
 pub mod simulate;
 pub mod verify;
 

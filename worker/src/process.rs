@@ -19,6 +19,7 @@ use metasense_schemas::wire::{
 use crate::arrays::{Arrays, Values};
 use crate::noop::{self, Noop};
 use crate::run::{self, Control, Failure, Observe};
+use crate::simd;
 
 /// Exit code of a worker whose orchestrator is another build.
 pub const OTHER_BUILD: i32 = 64;
@@ -54,6 +55,10 @@ pub fn run(start: &str) -> i32 {
     };
     if start.build != build() {
         complain(format_args!("worker: the orchestrator is build {}, this is {}", start.build, build()));
+        return OTHER_BUILD;
+    }
+    if let Err(error) = simd::choose(&start.simd) {
+        complain(format_args!("worker: {error}"));
         return OTHER_BUILD;
     }
     if !bind_to_parent(&start) {

@@ -1,13 +1,13 @@
 //! One trial from its spec to its result, for a worker process or in the foreground.
 
 use metasense_numerics::nested::{self, Optimised, State};
-use metasense_numerics::simd::Width;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::clock::cpu_seconds;
 use crate::convert;
 use crate::problem::problem;
+use crate::simd;
 
 /// Who watches a trial.
 pub trait Observe {
@@ -73,7 +73,7 @@ fn result(optimised: Optimised) -> TrialResult {
         best_step: optimised.best_step,
         seconds_evaluation: optimised.seconds.simulate + optimised.seconds.train,
         counters: convert::counters(&optimised.counters),
-        simd: Width::detect().name().into(),
+        simd: simd::name().into(),
         solver: optimised.solver,
     }
 }

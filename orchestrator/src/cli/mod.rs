@@ -19,6 +19,7 @@ mod report;
 mod rows;
 mod run;
 mod schema;
+mod simd;
 mod simulate;
 mod status;
 mod submit;

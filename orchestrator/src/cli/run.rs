@@ -8,6 +8,7 @@ use metasense_schemas::wire::Work;
 use tokio::sync::oneshot;
 
 use super::live::Live;
+use super::simd::Simd;
 use super::{Error, Format, log, print_rows, read_plan};
 use crate::cluster::Shard;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_in_time};
@@ -53,12 +54,15 @@ pub(super) struct Args {
     /// Stops in order after this time (s), where the scheduler does not announce the end by SIGTERM
     #[arg(long, value_name = "S", requires = "copy_to")]
     stop_after: Option<f64>,
+    #[command(flatten)]
+    simd: Simd,
     /// The form of the final table
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    args.simd.choose()?;
     let seconds = |name: &str, value: f64| match Duration::try_from_secs_f64(value) {
         Ok(time) if value >= 1.0 => Ok(time),
         _ => Err(Error::Usage(format!("--{name} {value} is not a time of at least 1 s"))),

@@ -7,6 +7,7 @@ use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, S
 use metasense_worker::run::{Control, Failure, Observe, run_trial};
 use serde_json::json;
 
+use super::simd::Simd;
 use super::{Error, Format, duration, print_rows, read_plan};
 use crate::exit::Exit;
 use crate::plan::{Plan, Trial};
@@ -25,12 +26,15 @@ pub(super) struct Args {
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
+    #[command(flatten)]
+    simd: Simd,
     /// The form of the result
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    args.simd.choose()?;
     let plan = read_plan(&args.spec)?;
     let trial = find(&plan, &args.hash, &args.spec)?;
     let start = Instant::now();

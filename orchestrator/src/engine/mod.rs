@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::wire::{Lease, LinkError, Sample, Start, ToOrchestrator, ToWorker, Work};
-use metasense_worker::process;
+use metasense_worker::{process, simd};
 use tokio::sync::mpsc;
 
 pub use begin::{Again, begin};
@@ -386,6 +386,7 @@ impl Engine<'_> {
             parent: std::process::id(),
             niceness: self.options.niceness,
             memory_mib: self.options.memory_mib,
+            simd: simd::name().into(),
         };
         link.started = true;
         if let Err(error) = self.fleet.spawn(worker, &start) {

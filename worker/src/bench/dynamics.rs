@@ -7,10 +7,12 @@
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Contact, Forces, Method, Outcome, Panel, Plan, Scene, Simulation, Solver, highest_frequency, pull_back,
-    repeat_kernel, run, tune,
+    repeat_kernel, run_at, tune,
 };
+use metasense_numerics::simd::Width;
 use std::time::Instant;
 
+use super::widths;
 use crate::clock::cpu_seconds;
 use crate::verify::checks::{bells, reference};
 use crate::verify::relative;
@@ -158,8 +160,8 @@ impl Subject {
         self.cotangent = signals.iter().enumerate().map(|(i, x)| x * scale(i % channels)).collect();
     }
 
-    fn simulate(&self, plan: &Plan, pool: &rayon::ThreadPool) -> (Simulation, Time) {
-        timed(|| run(&self.scene, &self.design, &self.forces, plan, true, pool))
+    fn simulate(&self, plan: &Plan, width: Width, pool: &rayon::ThreadPool) -> (Simulation, Time) {
+        timed(|| run_at(width, &self.scene, &self.design, &self.forces, plan, true, pool))
     }
 
     fn gradient(&self, simulation: &Simulation, pool: &rayon::ThreadPool) -> (Vec<f64>, Time) {
@@ -202,12 +204,12 @@ pub fn work_precision(
     let pool = pool(1);
     let mut subject = Subject::new(kind.scene(), samples, instants);
     let plan = subject.plan(Method::Nystrom6, truth(kind));
-    let simulation = subject.simulate(&plan, &pool).0;
+    let simulation = subject.simulate(&plan, Width::chosen(), &pool).0;
     subject.differentiate(&simulation.signals);
     let truth = subject.gradient(&simulation, &pool).0;
     let mut points = Vec::new();
     let mut measure = |plan: &Plan, setting: String, auto: bool| {
-        let (run, forward) = subject.simulate(plan, &pool);
+        let (run, forward) = subject.simulate(plan, Width::chosen(), &pool);
         let (gradient, reverse) = subject.gradient(&run, &pool);
         let failed = run.outcomes.iter().filter(|o| **o != Outcome::Ok).count();
         let error = |a: &[f64], b: &[f64]| (failed == 0).then(|| relative(a, b));
@@ -250,6 +252,8 @@ pub fn work_precision(
 pub struct Lap {
     /// Integrator and tolerance.
     pub solver: String,
+    /// Instruction set.
+    pub simd: &'static str,
     /// Threads.
     pub threads: usize,
     /// Samples.
@@ -267,7 +271,8 @@ pub struct Lap {
 /// Evaluations by which kernels are timed: some hundredths of a second.
 const KERNELS: usize = 10_000;
 
-/// Tsit5 at 1e-6, as the peer runs, and the default, each on one thread and on `threads`; least of `repeat` runs.
+/// Tsit5 at 1e-6, as the peer runs, and the default, each on one thread and on `threads`, and the default on one thread
+/// with narrower instruction sets; least of `repeat` runs.
 #[must_use]
 pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Lap> {
     let mut subject = Subject::new(reference(), samples, instants);
@@ -276,16 +281,20 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
         // The pilot of a trial comes once, before its hundreds of simulations.
         let solver = Solver { method, tolerance };
         let plan = tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool(1)).plan;
-        for threads in [1, threads] {
-            if threads == 1 && laps.last().is_some_and(|lap: &Lap| lap.solver.starts_with(method.name())) {
-                continue;
-            }
+        let mut rows = vec![(1, Width::chosen())];
+        if threads > 1 {
+            rows.push((threads, Width::chosen()));
+        }
+        if method == Method::Auto {
+            rows.extend(widths().skip(1).map(|width| (1, width)));
+        }
+        for (threads, width) in rows {
             let pool = pool(threads);
             let (mut forward, mut both) = (None, None);
             let (mut cycles, mut kernels) = (f64::INFINITY, [f64::INFINITY; 2]);
             for _ in 0..repeat.max(1) {
                 let frequency = clock_frequency();
-                let (run, there) = subject.simulate(&plan, &pool);
+                let (run, there) = subject.simulate(&plan, width, &pool);
                 if subject.cotangent.is_empty() {
                     subject.differentiate(&run.signals);
                 }
@@ -295,7 +304,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
                 cycles = f64::min(cycles, frequency * there.cpu / work);
                 for (second, least) in [false, true].into_iter().zip(&mut kernels) {
                     let (count, time) =
-                        timed(|| repeat_kernel(&subject.scene, &subject.design, KERNELS, second));
+                        timed(|| repeat_kernel(width, &subject.scene, &subject.design, KERNELS, second));
                     *least = f64::min(*least, frequency * time.cpu / count as f64);
                 }
                 let sum = Time { wall: there.wall + back.wall, cpu: there.cpu + back.cpu };
@@ -304,6 +313,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
             }
             laps.push(Lap {
                 solver: format!("{} {tolerance:.0e}", method.name()),
+                simd: width.name(),
                 threads,
                 samples,
                 forward: forward.expect("a run"),
@@ -358,7 +368,7 @@ mod tests {
     #[test]
     fn the_race_runs() {
         let laps = race(2, 4, 2, 1);
-        assert_eq!(laps.len(), 4, "{laps:?}");
+        assert_eq!(laps.len(), 3 + widths().count(), "{laps:?}");
         for lap in laps {
             let figures = [lap.forward.cpu, lap.both.cpu, lap.forward.wall, lap.both.wall, lap.cycles];
             let figures = figures.into_iter().chain(lap.kernels).collect::<Vec<f64>>();

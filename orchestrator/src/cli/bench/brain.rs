@@ -30,7 +30,7 @@ pub(in crate::cli) struct Args {
     /// Repetitions, of which the quickest counts
     #[arg(long, default_value_t = 20)]
     repeat: usize,
-    /// Threads of the second pair of rows
+    /// Threads of the second pair of rows; narrower instruction sets, in the last ones, run on one
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
     /// Where the rows are appended as JSON lines

@@ -26,7 +26,8 @@ pub(in crate::cli) struct Args {
     /// A tenth of a second, with blows ten times as fast, instead of a second
     #[arg(long)]
     quick: bool,
-    /// Forward and gradient of the reference scene by tsit5 at 1e-6 and by the default, on one thread and on two
+    /// Forward and gradient of the reference scene by tsit5 at 1e-6 and by the default, on one thread and on two, and by
+    /// the default with narrower instruction sets
     #[arg(long, conflicts_with = "redraw")]
     race: bool,
     /// Threads of the race's second rows
@@ -96,8 +97,9 @@ fn point(p: &Point) -> Vec<Value> {
     ]
 }
 
-const LAP: [&str; 10] = [
+const LAP: [&str; 11] = [
     "solver",
+    "simd",
     "threads",
     "samples",
     "forward_s",
@@ -112,6 +114,7 @@ const LAP: [&str; 10] = [
 fn lap(l: &Lap) -> Vec<Value> {
     vec![
         json!(l.solver),
+        json!(l.simd),
         json!(l.threads),
         json!(l.samples),
         json!(l.forward.wall),

@@ -19,6 +19,7 @@ use clap::Subcommand;
 use serde_json::{Value, json};
 
 use super::Error;
+use super::simd::Simd;
 use crate::exit::Exit;
 use crate::store::Table;
 
@@ -27,6 +28,8 @@ use crate::store::Table;
 pub struct Args {
     #[command(subcommand)]
     what: What,
+    #[command(flatten)]
+    simd: Simd,
 }
 
 #[derive(Debug, Subcommand)]
@@ -41,6 +44,7 @@ enum What {
 }
 
 pub async fn execute(args: Args) -> Result<Exit, Error> {
+    args.simd.choose()?;
     match args.what {
         What::Brain(args) => brain::execute(&args),
         What::Dynamics(args) => dynamics::execute(&args),
@@ -62,7 +66,7 @@ fn append(path: &Path, head: &Value, table: &Table) -> Result<(), Error> {
     for values in &table.rows {
         let mut line = head.clone();
         line["version"] = json!(env!("CARGO_PKG_VERSION"));
-        line["simd"] = json!(metasense_worker::bench::simd());
+        line["simd"] = json!(metasense_worker::simd::name());
         let fields = line.as_object_mut().expect("a head that is an object");
         fields.extend(table.columns.iter().cloned().zip(values.iter().cloned()));
         writeln!(file, "{line}").map_err(failed)?;

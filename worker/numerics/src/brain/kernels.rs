@@ -560,7 +560,7 @@ macro_rules! choose {
         /// # Panics
         /// If the machine lacks the instruction set.
         pub fn $name(width: Width) -> Kernels<$type> {
-            assert!(width <= Width::detect(), "this machine has no {}", width.name());
+            width.check();
             #[cfg(target_arch = "x86_64")]
             match width {
                 Width::Avx512 => return $avx512::KERNELS,

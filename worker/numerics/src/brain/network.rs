@@ -95,9 +95,9 @@ enum Want {
 }
 
 impl<F: Real> Workspace<F> {
-    /// For the widest instruction set of the machine.
+    /// For the instruction set of the process.
     pub fn new(shape: Shape) -> Self {
-        Self::with_width(shape, Width::detect())
+        Self::with_width(shape, Width::chosen())
     }
 
     /// For this instruction set.

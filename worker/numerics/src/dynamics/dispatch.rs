@@ -174,7 +174,10 @@ machine!(avx2, super::super::vector::Avx2, "avx2,fma");
 #[cfg(target_arch = "x86_64")]
 machine!(avx512, super::super::vector::Avx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
+/// # Panics
+/// If the machine lacks `width`.
 fn machine(width: Width) -> Machine {
+    width.check();
     #[cfg(target_arch = "x86_64")]
     match width {
         Width::Avx512 => return avx512::MACHINE,
@@ -198,7 +201,7 @@ pub fn scheme(method: Method) -> Option<Scheme> {
 /// `super::repeat_kernel` with the code of `width`, which the machine must have.
 pub fn repeat_kernel(width: Width, scene: &Scene, design: &[f64], times: usize, second: bool) -> u64 {
     let model = Model::new(scene, design).moving();
-    // SAFETY: `width` is what this machine has.
+    // SAFETY: `machine` has checked that this machine has `width`.
     unsafe { (machine(width).repeat)(scene, &model, times, second) };
     (times * LANES * model.bars.len()) as u64
 }
@@ -274,6 +277,7 @@ pub fn simulate(
         outcomes,
         counters: total,
         plan: plan.clone(),
+        width,
         tape: keep_tape.then_some(Tape { parts, samples: tapes }),
     }
 }
@@ -293,7 +297,7 @@ fn integrate(
     let counters: Vec<Counters> = pool.install(|| {
         (0..tasks)
             .into_par_iter()
-            // SAFETY: the caller took `machine` for what this machine has.
+            // SAFETY: `machine` is of a width that this machine has.
             .map(|_| unsafe { (machine.forward)(scene, model, forces, plan, parts, &queue) })
             .collect()
     });
@@ -302,9 +306,8 @@ fn integrate(
     total
 }
 
-/// `super::pull_back` with the code of `width`, which the machine must have.
+/// `super::pull_back` with the code that made the simulation.
 pub fn pull_back(
-    width: Width,
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
@@ -315,7 +318,7 @@ pub fn pull_back(
     pool: &rayon::ThreadPool,
 ) -> Gradient {
     let model = Model::new(scene, design).moving();
-    let machine = machine(width);
+    let machine = machine(simulation.width);
     let plan = &simulation.plan;
     let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
     let len = scene.instants * 3 * scene.sensors.len();
@@ -352,7 +355,7 @@ pub fn pull_back(
     let blocks: Vec<(ModelCotangent, Counters)> = pool.install(|| {
         blocks
             .par_iter()
-            // SAFETY: `width` is what this machine has.
+            // SAFETY: `machine` has checked that this machine has the simulation's width.
             .map(|(plan, sweeps)| unsafe {
                 (machine.reverse)(scene, &model, forces, plan, tape.parts, sweeps, parameters)
             })

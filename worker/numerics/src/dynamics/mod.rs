@@ -22,6 +22,7 @@ mod tune;
 mod vector;
 
 use crate::body::Layout;
+use crate::simd::Width;
 pub use choose::{choose, highest_frequency};
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
 pub use model::damping;
@@ -343,6 +344,8 @@ pub struct Simulation {
     pub counters: Counters,
     /// How it was integrated, and why so.
     pub plan: Plan,
+    /// By which kernels.
+    pub width: Width,
     /// For `pull_back`.
     pub tape: Option<Tape>,
 }
@@ -388,13 +391,29 @@ pub fn run(
     keep_tape: bool,
     pool: &rayon::ThreadPool,
 ) -> Simulation {
+    run_at(Width::chosen(), scene, design, forces, plan, keep_tape, pool)
+}
+
+/// As `run`, by the kernels of this instruction set.
+///
+/// # Panics
+/// As `simulate`, and if the machine lacks it.
+pub fn run_at(
+    width: Width,
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    plan: &Plan,
+    keep_tape: bool,
+    pool: &rayon::ThreadPool,
+) -> Simulation {
     check(scene, design, forces);
-    dispatch::simulate(crate::simd::Width::detect(), scene, design, forces, plan, keep_tape, pool)
+    dispatch::simulate(width, scene, design, forces, plan, keep_tape, pool)
 }
 
 /// Gradient in α of Σ cotangent·signals, cotangent (n, T, 3M) for the n `samples` listed; only those are swept.
 ///
-/// The method is that of the simulation's own plan.
+/// Method and instruction set are those of the simulation.
 ///
 /// # Panics
 /// If the simulation kept no tape, or lengths do not fit together.
@@ -439,14 +458,16 @@ fn reverse(
     check(scene, design, forces);
     let len = samples.len() * scene.instants * 3 * scene.sensors.len();
     assert_eq!(cotangent.len(), len, "length of the cotangent");
-    let width = crate::simd::Width::detect();
-    dispatch::pull_back(width, scene, design, forces, simulation, samples, cotangent, parameters, pool)
+    dispatch::pull_back(scene, design, forces, simulation, samples, cotangent, parameters, pool)
 }
 
 /// Evaluates the forces, or with `second` their derivatives along a direction, so many times on eight lanes of one state,
 /// to be timed; returns ligaments times lanes times `times`, without ligaments between held units, which none evaluates.
-pub fn repeat_kernel(scene: &Scene, design: &[f64], times: usize, second: bool) -> u64 {
-    dispatch::repeat_kernel(crate::simd::Width::detect(), scene, design, times, second)
+///
+/// # Panics
+/// If the machine lacks `width`.
+pub fn repeat_kernel(width: Width, scene: &Scene, design: &[f64], times: usize, second: bool) -> u64 {
+    dispatch::repeat_kernel(width, scene, design, times, second)
 }
 
 fn check(scene: &Scene, design: &[f64], forces: &Forces) {

@@ -1,0 +1,78 @@
+//! The instruction set of this process's kernels, by its name.
+
+use metasense_numerics::simd::Width;
+
+/// Of all instruction sets, narrowest first.
+pub const NAMES: [&str; 3] = ["baseline", "avx2", "avx512"];
+
+/// Why kernels cannot use what was asked for.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SimdError {
+    /// No such name.
+    #[error("`{0}` is no instruction set of the kernels: baseline, avx2 or avx512")]
+    Unknown(String),
+    /// The machine cannot.
+    #[error("this machine has no {asked}; the most it has is {has}")]
+    Lacking {
+        /// Asked for.
+        asked: &'static str,
+        /// The widest there is.
+        has: &'static str,
+    },
+}
+
+/// What the kernels of this process use.
+#[must_use]
+pub fn name() -> &'static str {
+    Width::chosen().name()
+}
+
+/// Makes them use this; once, before they are used.
+///
+/// # Errors
+/// An unknown name, or one that the machine lacks.
+///
+/// # Panics
+/// If they use another already.
+pub fn choose(name: &str) -> Result<(), SimdError> {
+    find(name, Width::detect())?.choose();
+    Ok(())
+}
+
+fn find(name: &str, has: Width) -> Result<Width, SimdError> {
+    let asked = Width::ALL
+        .into_iter()
+        .find(|width| width.name() == name)
+        .ok_or_else(|| SimdError::Unknown(name.to_owned()))?;
+    if asked > has {
+        return Err(SimdError::Lacking { asked: asked.name(), has: has.name() });
+    }
+    Ok(asked)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every machine against every name: what is wider than the machine is refused, by both names.
+    #[test]
+    fn what_a_machine_lacks_is_refused() {
+        assert_eq!(NAMES, Width::ALL.map(Width::name));
+        for has in Width::ALL {
+            for asked in Width::ALL {
+                match find(asked.name(), has) {
+                    Ok(found) => assert!(found == asked && asked <= has, "{asked:?} on {has:?}: {found:?}"),
+                    Err(error) => {
+                        let message = error.to_string();
+                        assert!(
+                            asked > has && message.contains(asked.name()),
+                            "{asked:?} on {has:?}: {message}"
+                        );
+                        assert!(message.contains(has.name()), "{message}");
+                    }
+                }
+            }
+        }
+        assert_eq!(find("sse", Width::Avx2), Err(SimdError::Unknown("sse".into())));
+    }
+}
