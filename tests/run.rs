@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use common::{Bench, TINY, results};
 use metasense::plan::Plan;
 use metasense::store::Store;
+use metasense_worker::simd::NAMES;
 
 #[test]
 fn a_sweep_runs_once_and_only_what_is_new_is_added() {
@@ -56,6 +57,34 @@ fn a_sweep_runs_once_and_only_what_is_new_is_added() {
         bench.output(&["query", "results/tiny.sqlite", attempts, "--format", "csv"]),
         "sensors,attempt\n1,1\n2,1\n3,1\n"
     );
+}
+
+/// Every width: worker processes and a trial in the foreground use it, record it and agree to the bit; or the machine lacks
+/// it, and nothing is begun.
+#[test]
+fn the_instruction_set_asked_for_is_the_one_used() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", &TINY.replace("[1, 2]", "[1]"));
+    let row = |text: &str| -> serde_json::Value { serde_json::from_str::<Vec<_>>(text).unwrap().remove(0) };
+    for simd in NAMES {
+        let db = format!("{simd}.sqlite");
+        let run = bench.metasense(&["run", "tiny.toml", "--simd", simd, "--db", &db]);
+        let said = String::from_utf8_lossy(&run.stderr);
+        if run.status.code() == Some(2) {
+            assert!(said.contains(&format!("this machine has no {simd}")) && simd != NAMES[0], "{said}");
+            assert!(!bench.path(&db).exists(), "{simd} was begun");
+            continue;
+        }
+        assert!(run.status.success(), "{simd}: {said}");
+        let sql = "SELECT simd, hash, holdout_error_optimised FROM v_trial";
+        let ran = row(&bench.output(&["query", &db, sql, "--format", "json"]));
+        let hash = ran["hash"].as_str().unwrap();
+        let alone =
+            row(&bench.output(&["trial", "tiny.toml", "--hash", hash, "--simd", simd, "--format", "json"]));
+        assert_eq!([&ran["simd"], &alone["simd"]], [simd, simd]);
+        assert_eq!(ran["holdout_error_optimised"], alone["holdout_error_optimised"], "{simd}");
+    }
+    assert_eq!(bench.metasense(&["run", "tiny.toml", "--simd", "sse"]).status.code(), Some(2));
 }
 
 /// Killed again and again as soon as it has recorded another step, with its workers, then left alone.
