@@ -6,8 +6,9 @@ use common::{dot, norm, pool, relative};
 use metasense_numerics::body::{Geometry, Layout};
 use metasense_numerics::dynamics::{
     Contact, Forces, Frame, Method, Outcome, Panel, Parameters, Plan, Scene, Solver, Stiffness, choose,
-    energy, highest_frequency, pull_back, pull_back_parameters, push_forward, run, simulate, tune,
+    energy, highest_frequency, pull_back, pull_back_parameters, push_forward, run, run_at, simulate, tune,
 };
+use metasense_numerics::simd::Width;
 use std::f64::consts::TAU;
 
 /// A 3 × 3 lattice read for 0.1 s at 20 instants.
@@ -81,6 +82,41 @@ fn schemes_of_equal_steps_converge_with_their_order() {
             );
         }
     }
+}
+
+/// What the kernels of one instruction set compute, those of another do, to rounding; their tapes are swept back by their own.
+#[test]
+fn every_width_computes_the_same() {
+    let pool = pool(1);
+    let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 };
+    let base = small_scene();
+    let mut apart = Vec::new();
+    for scene in [
+        base.clone(),
+        Scene { linearised: true, ..base.clone() },
+        Scene { frame: Frame::Body, contact: Some(contact), ..base },
+    ] {
+        let (design, forces) = (shaken(&scene), pushes(&scene, 11, 0.4));
+        let samples: Vec<usize> = (0..forces.samples).collect();
+        for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom4, 24), (Method::Implicit, 12)] {
+            let plan = Plan { tolerance: 1e-6, ..plan(method, steps) };
+            let at = |width| {
+                let run = run_at(width, &scene, &design, &forces, &plan, true, &pool);
+                assert_eq!(run.width, width);
+                let gradient =
+                    pull_back_parameters(&scene, &design, &forces, &run, &samples, &run.signals, &pool);
+                (run.signals, gradient.design, gradient.parameters.expect("asked for").array())
+            };
+            let truth = at(Width::Baseline);
+            for width in Width::ALL.into_iter().filter(|w| *w <= Width::detect()).skip(1) {
+                let of = at(width);
+                let off =
+                    relative(&of.0, &truth.0).max(relative(&of.1, &truth.1)).max(relative(&of.2, &truth.2));
+                apart.push((width, method, off));
+            }
+        }
+    }
+    assert!(apart.iter().all(|(_, _, off)| *off < 1e-9), "{apart:?}");
 }
 
 /// ⟨c, signals(α + εδ)⟩ = … + ε ⟨gradient, δ⟩ + O(ε²) with the same steps: a central difference, extrapolated.

@@ -9,7 +9,7 @@ use super::Scene;
 use super::energy::contact_energy;
 use super::model::Model;
 use super::system::Unit;
-use super::vector::Vector;
+use super::vector::{Vector, pair};
 
 /// By how much kinetic energy may exceed the most work done so far: twice is what a leapfrog's energy swings by at ωh = 1.4.
 const LEEWAY: f64 = 4.0;
@@ -46,7 +46,7 @@ impl<'a, V: Vector> Balance<'a, V> {
     #[inline(always)]
     pub fn add(&mut self, x: &[Unit<V>], force: &[V]) {
         for ((panel, before), f) in self.scene.panels.iter().zip(&mut self.before).zip(force) {
-            let [p, q] = panel.direction.map(V::splat);
+            let [p, q]: [V; 2] = pair(panel.direction);
             let at = p.mul_add(x[panel.unit][0], q * x[panel.unit][1]);
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];

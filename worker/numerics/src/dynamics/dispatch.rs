@@ -39,7 +39,7 @@ macro_rules! machine {
                 g: &mut [Unit<$vector>],
                 margin: &mut $vector,
             ) {
-                gradient::<$vector, LINEAR, CONTACT>(model, x, turn, g, margin, |_, _, _, _| ());
+                gradient::<$vector, LINEAR, CONTACT, false>(model, x, turn, g, margin, &mut []);
             }
 
             $(#[target_feature(enable = $feature)])?
@@ -66,14 +66,7 @@ macro_rules! machine {
                 band: &mut [$vector],
             ) {
                 let factor = <$vector>::splat(factor);
-                hessian::<$vector, LINEAR, CONTACT>(model, x, turn, |i, j, value| {
-                    if let (Some(i), Some(j)) = (place[i], place[j])
-                        && j <= i
-                    {
-                        let at = &mut band[i * stride + i - j];
-                        *at = factor.mul_add(value, *at);
-                    }
-                });
+                hessian::<$vector, LINEAR, CONTACT>(model, x, turn, factor, place, stride, band);
             }
 
             fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {

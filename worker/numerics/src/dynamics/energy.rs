@@ -1,7 +1,7 @@
 //! Energy of one state, its gradient and its derivative in the design: for checks and reports, not for time steps.
 
-use super::ligaments::{Turn, gradient};
-use super::model::{Bar, Model, ModelCotangent};
+use super::ligaments::gradient;
+use super::model::{Model, ModelCotangent};
 use super::vector::{Array, Vector};
 use super::{Contact, Scene};
 
@@ -73,27 +73,25 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
     let x: Vec<[Array; 3]> = displacement.iter().map(|d| d.map(Array::splat)).collect();
     let (mut turn, mut g) = (vec![[zero; 2]; n], vec![[zero; 3]; n]);
     let mut cotangent = ModelCotangent::new(&model);
-    let add = |bar: &Bar, turns: [Turn<Array>; 2], force: [Array; 2], voids: [Array; 2]| {
-        let first = |v: Array| v.array()[0];
+    let mut kept = vec![[[zero; 2]; 2]; model.bars.len()];
+    let kernel = match (scene.linearised, scene.contact.is_some()) {
+        (false, false) => gradient::<Array, false, false, true>,
+        (false, true) => gradient::<Array, false, true, true>,
+        (true, false) => gradient::<Array, true, false, true>,
+        (true, true) => gradient::<Array, true, true, true>,
+    };
+    kernel(&model, &x, &mut turn, &mut g, &mut { zero }, &mut kept);
+    let first = |v: Array| v.array()[0];
+    for (bar, [force, voids]) in model.bars.iter().zip(kept) {
         let [gx, gy] = force.map(first);
         // (R − I)ᵀ ∂U/∂node at b, its negative at a
-        for (unit, node, turn, sign) in
-            [(bar.a, bar.node_a, turns[0], -1.0), (bar.b, bar.node_b, turns[1], 1.0)]
-        {
-            let [s, c1] = turn.map(first);
+        for (unit, node, sign) in [(bar.a, bar.node_a, -1.0), (bar.b, bar.node_b, 1.0)] {
+            let [s, c1] = turn[unit].map(first);
             let to = &mut cotangent.arms[unit][node];
             *to = [to[0] + sign * (c1 * gx + s * gy), to[1] + sign * (c1 * gy - s * gx)];
         }
         cotangent.voids[bar.index] = voids.map(first);
-    };
-    let margin = &mut { zero };
-    match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => gradient::<Array, false, false>(&model, &x, &mut turn, &mut g, margin, add),
-        (false, true) => gradient::<Array, false, true>(&model, &x, &mut turn, &mut g, margin, add),
-        (true, false) => gradient::<Array, true, false>(&model, &x, &mut turn, &mut g, margin, add),
-        (true, true) => gradient::<Array, true, true>(&model, &x, &mut turn, &mut g, margin, add),
     }
-    let first = |v: &Array| v.array()[0];
-    let gradient = g.iter().map(|g| [first(&g[0]), first(&g[1]), first(&g[2])]).collect();
+    let gradient = g.iter().map(|g| g.map(first)).collect();
     (gradient, cotangent.design(&model, &scene.layout, scene.density))
 }

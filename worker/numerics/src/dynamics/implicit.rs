@@ -143,7 +143,10 @@ impl<V: Vector> Band<V> {
             }
         }
         for (dof, b) in b.as_flattened_mut().iter_mut().enumerate() {
-            *b = self.place[dof].map_or(V::splat(0.0), |i| scratch[i]);
+            *b = match self.place[dof] {
+                Some(i) => scratch[i],
+                None => V::ZERO,
+            };
         }
     }
 }
@@ -273,13 +276,13 @@ impl<V: Vector> Stage<V> {
         self.complete(h, a);
     }
 
-    /// One step from (x, v), overwriting `a` by its accelerations and `x`, `v` by the new state.
+    /// The step of that number from (x, v), overwriting `a` by its accelerations and `x`, `v` by the new state.
     #[inline(always)]
     fn step(
         &mut self,
         system: &mut System<'_, V>,
         h: f64,
-        mut force_at: impl FnMut(f64, &mut [V]),
+        (ramp, number): (&mut Ramp<'_, V>, usize),
         force: &mut [V],
         (x, v): (&mut [Unit<V>], &mut [Unit<V>]),
         a: &mut [Vec<Unit<V>>; STAGES],
@@ -291,7 +294,7 @@ impl<V: Vector> Stage<V> {
             if let Some(before) = before.last() {
                 rest[0].copy_from_slice(before);
             }
-            force_at(C[i], force);
+            ramp.at(number, C[i], force);
             self.newton(system, h, force, &mut rest[0]);
         }
         x.copy_from_slice(&self.x);
@@ -329,8 +332,8 @@ pub fn forward<V: Vector>(
             if step == 0 {
                 stage.stale = V::splat(1.0);
             }
-            let at = |c: f64, force: &mut [V]| ramp.at(interval * substeps + step, c, force);
-            stage.step(system, h, at, &mut force, (&mut x, &mut v), &mut a);
+            let at = interval * substeps + step;
+            stage.step(system, h, (&mut ramp, at), &mut force, (&mut x, &mut v), &mut a);
             balance.add(&x, &force);
         }
         steps += substeps as u64;
@@ -412,8 +415,8 @@ pub fn reverse<V: Vector>(
             step.x.copy_from_slice(&x);
             step.v.copy_from_slice(&v);
             step.a[0].copy_from_slice(&guess);
-            let at = |c: f64, force: &mut [V]| ramp.at(interval * substeps + n, c, force);
-            stage.step(system, h, at, &mut force, (&mut x, &mut v), &mut step.a);
+            let at = interval * substeps + n;
+            stage.step(system, h, (&mut ramp, at), &mut force, (&mut x, &mut v), &mut step.a);
         }
         // The sensors at its end
         for (k, b) in bar.iter_mut().enumerate() {

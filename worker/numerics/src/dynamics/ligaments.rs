@@ -9,7 +9,7 @@
 
 use super::model::{Bar, Model};
 use super::trigonometry::{angle, sin_cos1};
-use super::vector::Vector;
+use super::vector::{Vector, pair};
 
 /// Of one unit: sin θ and cos θ − 1.
 pub type Turn<V> = [V; 2];
@@ -71,16 +71,16 @@ struct Swing<V> {
 
 /// Overwrites `g` by ∂U/∂s at `x`. Allocates nothing.
 ///
-/// Of each ligament `also` is told the force on its end at b and ∂U/∂ψ, with the turns of its units.
-/// With `CONTACT` lowers `margin` to the least ψ − ψ_min. A ligament of length zero gives NaN.
+/// With `CONTACT` lowers `margin` to the least ψ − ψ_min, with `KEEP` overwrites `kept`, one entry a ligament, by the force
+/// on its end at b and ∂U/∂ψ. A ligament of length zero gives NaN.
 #[inline(always)]
-pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool>(
+pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: bool>(
     model: &Model,
     x: &[[V; 3]],
     turn: &mut [Turn<V>],
     g: &mut [[V; 3]],
     margin: &mut V,
-    mut also: impl FnMut(&Bar, [Turn<V>; 2], [V; 2], [V; 2]),
+    kept: &mut [[[V; 2]; 2]],
 ) {
     let units = model.units();
     assert!(x.len() == units && turn.len() == units && g.len() == units, "one entry per unit");
@@ -94,7 +94,9 @@ pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool>(
         let (at, gamma) = ahead.next::<LINEAR>(q, model, x, turn);
         let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, gamma, margin);
         pull.add_to(g, bar);
-        also(bar, [turn[bar.a], turn[bar.b]], pull.force, pull.contact.map(|c| c.0));
+        if KEEP {
+            kept[q] = [pull.force, [pull.contact[0].0, pull.contact[1].0]];
+        }
     }
 }
 
@@ -181,13 +183,17 @@ pub fn product<
     }
 }
 
-/// Calls `entry(i, j, ∂²U/∂s_i∂s_j)` for the degrees of freedom (3·unit + d) of every ligament, to be summed.
+/// Adds factor·∂²U/∂s_i∂s_j, j ≤ i by their places, to `band` at i·stride + i − j, but for degrees of freedom
+/// (3·unit + d) without a place.
 #[inline(always)]
 pub fn hessian<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
     x: &[[V; 3]],
     turn: &mut [Turn<V>],
-    mut entry: impl FnMut(usize, usize, V),
+    factor: V,
+    places: &[Option<usize>],
+    stride: usize,
+    band: &mut [V],
 ) {
     turns(x, turn);
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
@@ -196,13 +202,19 @@ pub fn hessian<V: Vector, const LINEAR: bool, const CONTACT: bool>(
         let at = place::<V, LINEAR>(bar, x, turn);
         let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, shear_angle::<V, LINEAR>(&at), &mut { zero });
         for column in 0..6 {
-            let unit = |end: usize| [0, 1, 2].map(|d| if 3 * end + d == column { one } else { zero });
-            let swing = pull.along::<LINEAR, CONTACT>(model, bar, [unit(0), unit(1)]);
-            let j = 3 * ends[column / 3] + column % 3;
+            let Some(j) = places[3 * ends[column / 3] + column % 3] else { continue };
+            let mut along = [[zero; 3]; 2];
+            along[column / 3][column % 3] = one;
+            let swing = pull.along::<LINEAR, CONTACT>(model, bar, along);
             let [fx, fy] = swing.force;
             for (end, [p, q, t]) in [(0, [-fx, -fy, swing.moments[0]]), (1, [fx, fy, swing.moments[1]])] {
                 for (d, value) in [p, q, t].into_iter().enumerate() {
-                    entry(3 * ends[end] + d, j, value);
+                    if let Some(i) = places[3 * ends[end] + d]
+                        && j <= i
+                    {
+                        let at = &mut band[i * stride + i - j];
+                        *at = factor.mul_add(value, *at);
+                    }
                 }
             }
         }
@@ -221,12 +233,10 @@ fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
 #[inline(always)]
 fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>]) -> Place<V> {
     let (xa, xb, zero) = (x[bar.a], x[bar.b], V::splat(0.0));
-    let ([sa, ca], [sb, cb]) = (turn[bar.a], turn[bar.b]);
-    let (ra, rb) = (bar.arm_a.map(V::splat), bar.arm_b.map(V::splat));
+    let (ra, rb) = (pair(bar.arm_a), pair(bar.arm_b));
 
-    // (R − I) r of both ends, and d − d₀
-    let moved = |s: V, c1: V, r: [V; 2]| [s.mul_sub_from(r[1], c1 * r[0]), s.mul_add(r[0], c1 * r[1])];
-    let (pa, pb) = (moved(sa, ca, ra), moved(sb, cb, rb));
+    // d − d₀
+    let (pa, pb) = (moved(turn[bar.a], ra), moved(turn[bar.b], rb));
     let du = [(xb[0] + pb[0]) - (xa[0] + pa[0]), (xb[1] + pb[1]) - (xa[1] + pa[1])];
     let mut at = Place {
         levers: [[pa[0] + ra[0], pa[1] + ra[1]], [pb[0] + rb[0], pb[1] + rb[1]]],
@@ -238,7 +248,7 @@ fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>
         relative: xb[2] - xa[2],
     };
     if !LINEAR {
-        let (e, length) = (bar.e.map(V::splat), V::splat(bar.length));
+        let (e, length) = (pair(bar.e), V::splat(bar.length));
         let (dx, dy) = (length.mul_add(e[0], du[0]), length.mul_add(e[1], du[1]));
         let square = dx.mul_add(dx, dy * dy);
         at.d = [dx, dy];
@@ -247,6 +257,12 @@ fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>
         at.seen = [dx.mul_add(e[0], dy * e[1]), dx.mul_sub_from(e[1], dy * e[0])];
     }
     at
+}
+
+/// (R − I) r.
+#[inline(always)]
+fn moved<V: Vector>([s, c1]: Turn<V>, r: [V; 2]) -> [V; 2] {
+    [s.mul_sub_from(r[1], c1 * r[0]), s.mul_add(r[0], c1 * r[1])]
 }
 
 /// γ there; zero in linearised scenes.
@@ -345,7 +361,7 @@ fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
 /// Force, moment and strains of linear measures: linear in displacement, mean and difference of rotations.
 #[inline(always)]
 fn linear<V: Vector>(model: &Model, bar: &Bar, du: [V; 2], mean: V, relative: V) -> ([V; 2], V, [V; 3]) {
-    let (k, e, length) = (model.stiffness, bar.e.map(V::splat), V::splat(bar.length));
+    let (k, e, length) = (model.stiffness, pair(bar.e), V::splat(bar.length));
     let stretched = du[0].mul_add(e[0], du[1] * e[1]);
     let slid = du[0].mul_sub_from(e[1], du[1] * e[0]) - length * mean;
     let (stretch, slide) = (V::splat(k.stretch) * stretched, V::splat(k.shear) * slid);
@@ -406,13 +422,16 @@ impl<V: Vector> Pull<V> {
                 bend = V::splat(sign).mul_add(voids[s], bend);
             }
         }
-        let [gx, gy] = self.force;
-        let lever = |l: [V; 2], omega: V| {
-            let turned = omega * l[0].mul_add(gx, l[1] * gy);
-            l[0].mul_sub_from(force[1], l[1].mul_add(force[0], turned))
-        };
-        let moments = [lever(la, wa[2]) - shear - bend, bend - shear - lever(lb, wb[2])];
+        let (ma, mb) = (self.lever_along(la, wa[2], force), self.lever_along(lb, wb[2], force));
+        let moments = [ma - shear - bend, bend - shear - mb];
         Swing { force, moments, voids, strains }
+    }
+
+    /// Derivative of the moment of the force at a lever that turns by ω, where that of the force is `along`.
+    #[inline(always)]
+    fn lever_along(&self, lever: [V; 2], omega: V, along: [V; 2]) -> V {
+        let turned = omega * lever[0].mul_add(self.force[0], lever[1] * self.force[1]);
+        lever[0].mul_sub_from(along[1], lever[1].mul_add(along[0], turned))
     }
 }
 
@@ -429,6 +448,6 @@ fn contact_slope<V: Vector>(contact: super::Contact, psi: V) -> (V, V) {
     let slope = V::splat(contact.stiffness * width) * x * square;
     let curvature =
         V::splat(contact.stiffness) * Vector::mul_add(V::splat(3.0) * x, x, one) * square * inverse;
-    let within = |y: V| y.where_less(x, zero, zero).where_less(-one, x, zero);
-    (within(slope), within(curvature))
+    let (slope, curvature) = (slope.where_less(x, zero, zero), curvature.where_less(x, zero, zero));
+    (slope.where_less(-one, x, zero), curvature.where_less(-one, x, zero))
 }

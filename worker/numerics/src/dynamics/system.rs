@@ -104,7 +104,7 @@ impl<'a, V: Vector> System<'a, V> {
     /// A zeroed array of one entry a unit.
     #[inline(always)]
     pub fn zeros(&self) -> Vec<Unit<V>> {
-        vec![[V::splat(0.0); 3]; self.model.units()]
+        vec![[V::ZERO; 3]; self.model.units()]
     }
 
     /// Overwrites `a` by M⁻¹(−∂U/∂s − C v + f) and lowers `margin` to the least ψ − ψ_min.
@@ -297,7 +297,6 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn take_cotangent(&mut self) -> ModelCotangent {
         let mut sum = ModelCotangent::new(self.model);
-        let total = |v: &mut V| std::mem::replace(v, V::splat(0.0)).array().iter().sum::<f64>();
         for (to, from) in sum.arms.iter_mut().zip(&mut self.cotangent.arms) {
             *to = std::array::from_fn(|p| [-total(&mut from[p][0]), -total(&mut from[p][1])]);
         }
@@ -312,6 +311,11 @@ impl<'a, V: Vector> System<'a, V> {
         sum.damping = std::array::from_fn(|d| total(&mut damping[d]));
         sum
     }
+}
+
+/// The sum of the lanes, in order; clears them.
+fn total<V: Vector>(lanes: &mut V) -> f64 {
+    std::mem::replace(lanes, V::ZERO).array().iter().sum()
 }
 
 #[inline(always)]
@@ -371,9 +375,13 @@ pub fn load_lanes<V: Vector>(
 ) {
     for (i, &u) in free.iter().enumerate() {
         for d in 0..3 {
-            let at = |k: usize| std::array::from_fn(|lane| states[lane].map_or(0.0, |s| s[6 * i + k]));
-            x[u][d] = V::new(at(d));
-            v[u][d] = V::new(at(3 + d));
+            let (mut place, mut speed) = ([0.0; LANES], [0.0; LANES]);
+            for lane in 0..LANES {
+                if let Some(state) = states[lane] {
+                    (place[lane], speed[lane]) = (state[6 * i + d], state[6 * i + 3 + d]);
+                }
+            }
+            (x[u][d], v[u][d]) = (V::new(place), V::new(speed));
         }
     }
 }
@@ -417,12 +425,13 @@ impl<'a, V: Vector> Ramp<'a, V> {
         self.kink = Some(kink);
         let Self { forces, histories, .. } = self;
         for k in 0..forces.panels {
-            let at = |n: usize| {
-                let value = |l: usize| histories.get(l).map_or(0.0, |h| h[k * (forces.instants + 1) + n]);
-                V::new(std::array::from_fn(value))
-            };
-            self.start[k] = at(kink);
-            self.rise[k] = at(kink + 1) - at(kink);
+            let (mut start, mut end) = ([0.0; LANES], [0.0; LANES]);
+            for (l, history) in histories.iter().enumerate() {
+                let f = &history[k * (forces.instants + 1) + kink..][..2];
+                (start[l], end[l]) = (f[0], f[1]);
+            }
+            self.start[k] = V::new(start);
+            self.rise[k] = V::new(end) - V::new(start);
         }
     }
 }

@@ -48,7 +48,7 @@ pub fn sin_cos1<V: Vector>(x: V) -> [V; 2] {
         ],
     );
     let near = [(sin * z).mul_add(x, x), cos * z];
-    if x.all_within(TURN_LIMIT) { near } else { far_sin_cos1(x.array(), near.map(V::array)) }
+    if x.all_within(TURN_LIMIT) { near } else { far_sin_cos1(x.array(), [near[0].array(), near[1].array()]) }
 }
 
 #[cold]
@@ -91,11 +91,16 @@ fn half_arctangent_series<V: Vector>(z: V) -> V {
         -0.130_468_852_765_130_82,
         0.091_978_112_630_262_11,
     ];
-    let pair = |k: usize| V::splat(C[k + 1]).mul_add(z, V::splat(C[k]));
     let z2 = z * z;
     let z4 = z2 * z2;
-    let high = z4.mul_add(V::splat(C[8]), z2.mul_add(pair(6), pair(4)));
-    z4.mul_add(high, z2.mul_add(pair(2), pair(0)))
+    let high = z4.mul_add(V::splat(C[8]), z2.mul_add(line(z, [C[6], C[7]]), line(z, [C[4], C[5]])));
+    z4.mul_add(high, z2.mul_add(line(z, [C[2], C[3]]), line(z, [C[0], C[1]])))
+}
+
+/// c₀ + c₁ z.
+#[inline(always)]
+fn line<V: Vector>(z: V, c: [f64; 2]) -> V {
+    V::splat(c[1]).mul_add(z, V::splat(c[0]))
 }
 
 #[cold]

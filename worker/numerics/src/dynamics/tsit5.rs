@@ -141,13 +141,15 @@ pub fn forward<V: Vector>(
         }
 
         // Six stages, the last of which is the new state's acceleration
-        let h = V::new(std::array::from_fn(|l| lanes[l].h));
-        let tau = V::new(std::array::from_fn(|l| lanes[l].tau));
-        let lands = V::new(std::array::from_fn(|l| f64::from(u8::from(lanes[l].parts == 1.0))));
-        reach.load(forces, |l| {
-            let lane = &lanes[l];
-            lane.slot.as_ref().map(|slot| (forces.sample(slot.index), lane.interval))
-        });
+        let (mut h, mut tau, mut lands) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        for (l, lane) in lanes.iter().enumerate() {
+            (h[l], tau[l], lands[l]) = (lane.h, lane.tau, f64::from(u8::from(lane.parts == 1.0)));
+            match &lane.slot {
+                Some(slot) => reach.load(l, forces, forces.sample(slot.index), lane.interval),
+                None => reach.clear(l),
+            }
+        }
+        let (h, tau, lands) = (V::new(h), V::new(tau), V::new(lands));
         let (mut margin, mut square) = (one, zero);
         for i in 1..7 {
             if i < 6 {
@@ -290,37 +292,36 @@ pub struct Sweep<'a> {
 }
 
 /// Forces of lanes on clocks of their own, each in an interval of its own.
-struct Reach<V> {
+struct Reach {
     /// f_k at either end of the lane's interval.
-    ends: Vec<[V; 2]>,
+    ends: Vec<[[f64; LANES]; 2]>,
 }
 
-impl<V: Vector> Reach<V> {
-    #[inline(always)]
+impl Reach {
     fn new(panels: usize) -> Self {
-        Self { ends: vec![[V::splat(0.0); 2]; panels] }
+        Self { ends: vec![[[0.0; LANES]; 2]; panels] }
     }
 
-    /// Takes up each lane's history and interval, or none.
-    #[inline(always)]
-    fn load<'a>(&mut self, forces: &Forces, at: impl Fn(usize) -> Option<(&'a [f64], usize)>) {
-        for (k, ends) in self.ends.iter_mut().enumerate() {
-            let (mut start, mut end) = ([0.0; LANES], [0.0; LANES]);
-            for l in 0..LANES {
-                if let Some((history, interval)) = at(l) {
-                    let f = &history[k * (forces.instants + 1) + interval..][..2];
-                    (start[l], end[l]) = (f[0], f[1]);
-                }
-            }
-            *ends = [V::new(start), V::new(end)];
+    /// A lane takes up an interval of a history.
+    fn load(&mut self, lane: usize, forces: &Forces, history: &[f64], interval: usize) {
+        for (k, [start, end]) in self.ends.iter_mut().enumerate() {
+            let f = &history[k * (forces.instants + 1) + interval..][..2];
+            (start[lane], end[lane]) = (f[0], f[1]);
+        }
+    }
+
+    /// No forces on a lane.
+    fn clear(&mut self, lane: usize) {
+        for [start, end] in &mut self.ends {
+            (start[lane], end[lane]) = (0.0, 0.0);
         }
     }
 
     /// Overwrites `force` by the forces at the fractions w of the intervals.
     #[inline(always)]
-    fn at(&self, w: V, force: &mut [V]) {
+    fn at<V: Vector>(&self, w: V, force: &mut [V]) {
         for (f, [start, end]) in force.iter_mut().zip(&self.ends) {
-            *f = (V::splat(1.0) - w) * *start + w * *end;
+            *f = (V::splat(1.0) - w) * V::new(*start) + w * V::new(*end);
         }
     }
 }

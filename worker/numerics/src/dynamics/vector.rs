@@ -1,6 +1,7 @@
 //! Eight f64 lanes, one sample each, as one AVX-512 register, two AVX2 registers or an array.
 //!
 //! Everything is inlined into entry points that enable the instruction set, so an operation is one instruction or two.
+//! A closure would not be, for it does not take on their instruction set: none computes with vectors (`tests/disassembly.rs`).
 //! Lanes never mix, and each operation is correctly rounded but `rsqrt` and, without FMA, `mul_add`.
 
 use std::ops::{Add, Mul, Neg, Sub};
@@ -12,6 +13,8 @@ pub const LANES: usize = 8;
 pub trait Vector:
     Copy + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
 {
+    /// 0 in all lanes.
+    const ZERO: Self;
     /// The same number in all lanes.
     fn splat(x: f64) -> Self;
     /// From an array.
@@ -36,6 +39,12 @@ pub trait Vector:
     fn any_less(self, b: Self) -> bool;
     /// Whether |self| ≤ limit in every lane (false where NaN).
     fn all_within(self, limit: f64) -> bool;
+}
+
+/// Either number in all lanes of a vector of its own.
+#[inline(always)]
+pub fn pair<V: Vector>([x, y]: [f64; 2]) -> [V; 2] {
+    [V::splat(x), V::splat(y)]
 }
 
 macro_rules! operators {
@@ -76,31 +85,35 @@ macro_rules! operators {
 #[repr(align(64))]
 pub struct Array([f64; LANES]);
 
+/// An array by the value of each lane.
+macro_rules! lanes {
+    ($i:ident: $value:expr) => {{
+        let mut r = [0.0; LANES];
+        for $i in 0..LANES {
+            r[$i] = $value;
+        }
+        Self(r)
+    }};
+}
+
 impl Array {
     #[inline(always)]
-    fn zip(self, o: Self, f: impl Fn(f64, f64) -> f64) -> Self {
-        let mut r = self;
-        for i in 0..LANES {
-            r.0[i] = f(self.0[i], o.0[i]);
-        }
-        r
-    }
-    #[inline(always)]
     fn plus(self, o: Self) -> Self {
-        self.zip(o, |a, b| a + b)
+        lanes!(i: self.0[i] + o.0[i])
     }
     #[inline(always)]
     fn minus(self, o: Self) -> Self {
-        self.zip(o, |a, b| a - b)
+        lanes!(i: self.0[i] - o.0[i])
     }
     #[inline(always)]
     fn times(self, o: Self) -> Self {
-        self.zip(o, |a, b| a * b)
+        lanes!(i: self.0[i] * o.0[i])
     }
 }
 operators!(Array);
 
 impl Vector for Array {
+    const ZERO: Self = Self([0.0; LANES]);
     #[inline(always)]
     fn splat(x: f64) -> Self {
         Self([x; LANES])
@@ -123,37 +136,39 @@ impl Vector for Array {
     }
     #[inline(always)]
     fn over(self, a: Self) -> Self {
-        self.zip(a, |x, y| x / y)
+        lanes!(i: self.0[i] / a.0[i])
     }
     #[inline(always)]
     fn rsqrt(self) -> Self {
-        self.zip(self, |x, _| 1.0 / x.sqrt())
+        lanes!(i: 1.0 / self.0[i].sqrt())
     }
     #[inline(always)]
     fn abs(self) -> Self {
-        self.zip(self, |x, _| x.abs())
+        lanes!(i: self.0[i].abs())
     }
     #[inline(always)]
     fn max(self, other: Self) -> Self {
-        self.zip(other, |x, y| if x > y { x } else { y })
+        lanes!(i: if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] })
     }
     #[inline(always)]
     fn where_less(self, a: Self, b: Self, other: Self) -> Self {
-        let mut r = other;
-        for i in 0..LANES {
-            if a.0[i] < b.0[i] {
-                r.0[i] = self.0[i];
-            }
-        }
-        r
+        lanes!(i: if a.0[i] < b.0[i] { self.0[i] } else { other.0[i] })
     }
     #[inline(always)]
     fn any_less(self, b: Self) -> bool {
-        (0..LANES).any(|i| self.0[i] < b.0[i])
+        let mut any = false;
+        for i in 0..LANES {
+            any |= self.0[i] < b.0[i];
+        }
+        any
     }
     #[inline(always)]
     fn all_within(self, limit: f64) -> bool {
-        self.0.iter().all(|x| x.abs() <= limit)
+        let mut all = true;
+        for i in 0..LANES {
+            all &= self.0[i].abs() <= limit;
+        }
+        all
     }
 }
 
@@ -167,6 +182,7 @@ mod x86 {
     #![expect(clippy::undocumented_unsafe_blocks, reason = "one argument for all, above")]
     use super::{Add, LANES, Mul, Neg, Sub, Vector};
     use std::arch::x86_64::*;
+    use std::mem::transmute;
 
     /// One 512-bit register.
     #[derive(Clone, Copy)]
@@ -190,19 +206,18 @@ mod x86 {
     operators!(Avx512);
 
     impl Vector for Avx512 {
+        const ZERO: Self = Self(unsafe { transmute::<[f64; LANES], __m512d>([0.0; LANES]) });
         #[inline(always)]
         fn splat(x: f64) -> Self {
             Self(unsafe { _mm512_set1_pd(x) })
         }
         #[inline(always)]
         fn new(lanes: [f64; LANES]) -> Self {
-            Self(unsafe { _mm512_loadu_pd(lanes.as_ptr()) })
+            Self(unsafe { transmute::<[f64; LANES], __m512d>(lanes) })
         }
         #[inline(always)]
         fn array(self) -> [f64; LANES] {
-            let mut lanes = [0.0; LANES];
-            unsafe { _mm512_storeu_pd(lanes.as_mut_ptr(), self.0) };
-            lanes
+            unsafe { transmute(self.0) }
         }
         #[inline(always)]
         fn mul_add(self, a: Self, b: Self) -> Self {
@@ -248,7 +263,7 @@ mod x86 {
 
     /// Two 256-bit registers.
     #[derive(Clone, Copy)]
-    #[repr(align(64))]
+    #[repr(C, align(64))]
     pub struct Avx2(__m256d, __m256d);
 
     impl Avx2 {
@@ -268,22 +283,18 @@ mod x86 {
     operators!(Avx2);
 
     impl Vector for Avx2 {
+        const ZERO: Self = unsafe { transmute([0.0f64; LANES]) };
         #[inline(always)]
         fn splat(x: f64) -> Self {
             unsafe { Self(_mm256_set1_pd(x), _mm256_set1_pd(x)) }
         }
         #[inline(always)]
         fn new(lanes: [f64; LANES]) -> Self {
-            unsafe { Self(_mm256_loadu_pd(lanes.as_ptr()), _mm256_loadu_pd(lanes.as_ptr().add(4))) }
+            unsafe { transmute(lanes) }
         }
         #[inline(always)]
         fn array(self) -> [f64; LANES] {
-            let mut lanes = [0.0; LANES];
-            unsafe {
-                _mm256_storeu_pd(lanes.as_mut_ptr(), self.0);
-                _mm256_storeu_pd(lanes.as_mut_ptr().add(4), self.1);
-            }
-            lanes
+            unsafe { transmute(self) }
         }
         #[inline(always)]
         fn mul_add(self, a: Self, b: Self) -> Self {

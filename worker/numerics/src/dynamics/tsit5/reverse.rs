@@ -79,7 +79,12 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                 *b = V::new(std::array::from_fn(at));
             }
             let last = (interval + 1) * kinks - 1;
-            reach.load(forces, |l| lanes.get(l).map(|&s| (sweeps[s].history, last)));
+            for l in 0..LANES {
+                match lanes.get(l) {
+                    Some(&s) => reach.load(l, forces, sweeps[s].history, last),
+                    None => reach.clear(l),
+                }
+            }
             reach.at(one, &mut force);
             let to = (&mut *curved[0], &mut *weights[0]);
             sensors_vjp(system, (&xs, &vs), &force, &bar, &mut w, &mut acceleration, to);
@@ -103,8 +108,9 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                     kept.push(Step { x: stages(), v: system.zeros(), a: stages(), h: zero });
                 }
                 let step = &mut kept[n];
-                let mut sizes = [0.0; LANES];
-                for ((place, size), &s) in places.iter_mut().zip(&mut sizes).zip(lanes) {
+                let (mut sizes, mut tau) = ([0.0; LANES], [0.0; LANES]);
+                for (l, &s) in lanes.iter().enumerate() {
+                    let place = &mut places[l];
                     if place.left == 0 {
                         continue;
                     }
@@ -113,11 +119,11 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                         place.until = sweeps[s].tape.counts[place.kink] as usize;
                     }
                     let parts = steps::next(&sweeps[s].tape.steps, &mut place.code);
-                    *size = (delta - place.tau) / parts as f64;
+                    (sizes[l], tau[l]) = ((delta - place.tau) / parts as f64, place.tau);
+                    reach.load(l, forces, sweeps[s].history, place.kink);
                 }
                 step.h = V::new(sizes);
-                let tau = V::new(places.map(|p| p.tau));
-                reach.load(forces, |l| lanes.get(l).map(|&s| (sweeps[s].history, places[l].kink)));
+                let tau = V::new(tau);
                 step.x[0].copy_from_slice(&xs);
                 step.v.copy_from_slice(&vs);
                 for i in 0..6 {

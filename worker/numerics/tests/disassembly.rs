@@ -1,0 +1,69 @@
+//! The hot kernels as the machine runs them: this very test binary, disassembled.
+//!
+//! An intrinsic of `core::arch` is one instruction where it is inlined, which it is into code of its instruction set alone. A
+//! closure in `#[inline(always)]` code is not such code: intrinsics in it are called, with operands in memory.
+#![cfg(target_arch = "x86_64")]
+
+use metasense_numerics::brain::Workspace;
+use metasense_numerics::dynamics::{pull_back, repeat_kernel, run};
+use std::collections::BTreeMap;
+use std::hint::black_box;
+use std::process::Command;
+
+/// Entries of every width, as their mangled names have them: without them the test would see nothing.
+const ENTRIES: [&str; 11] = [
+    "8dispatch8baseline5first",
+    "8dispatch4avx25first",
+    "8dispatch4avx26second",
+    "8dispatch4avx27reverse",
+    "8dispatch6avx5125first",
+    "8dispatch6avx5126second",
+    "8dispatch6avx5127reverse",
+    "7kernels8avx2_f327product",
+    "7kernels8avx2_f645pairs",
+    "7kernels10avx512_f327product",
+    "7kernels10avx512_f645pairs",
+];
+
+/// Functions of the dynamics and of the brain, in this binary because it names them: no intrinsic on floats is left as a
+/// function. (Those on integers are the random numbers'.)
+#[test]
+fn no_kernel_calls_an_intrinsic() {
+    black_box((run as *const (), pull_back as *const (), repeat_kernel as *const ()));
+    black_box((Workspace::<f32>::with_width as *const (), Workspace::<f64>::with_width as *const ()));
+    let Ok(listing) = Command::new("objdump")
+        .args(["--disassemble", "--no-show-raw-insn"])
+        .arg(std::env::current_exe().expect("this binary"))
+        .output()
+    else {
+        eprintln!("no_kernel_calls_an_intrinsic is skipped: there is no objdump (Debian: binutils)");
+        return;
+    };
+    assert!(listing.status.success(), "{}", String::from_utf8_lossy(&listing.stderr));
+    let listing = String::from_utf8_lossy(&listing.stdout);
+
+    let (mut function, mut seen) = ("", [false; ENTRIES.len()]);
+    // Callers by what they call
+    let mut left: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for line in listing.lines() {
+        let Some((before, name)) = line.split_once('<') else { continue };
+        let name = name.split(['>', '+']).next().unwrap_or(name);
+        let intrinsic = name.contains("core_arch")
+            && name.contains("_mm")
+            && !["epi", "_si"].iter().any(|integer| name.contains(integer));
+        if line.ends_with(">:") {
+            function = name;
+            seen.iter_mut().zip(ENTRIES).for_each(|(seen, entry)| *seen |= name.contains(entry));
+            if intrinsic {
+                left.entry(name).or_default();
+            }
+        } else if intrinsic && function != name && (before.contains("call") || before.contains("jmp")) {
+            left.entry(name).or_default().push(function);
+        }
+    }
+    let missing: Vec<&str> =
+        ENTRIES.into_iter().zip(seen).filter(|(_, seen)| !seen).map(|(entry, _)| entry).collect();
+    assert!(missing.is_empty(), "kernels that are not in this binary, or under other names: {missing:#?}");
+    left.values_mut().for_each(|callers| callers.dedup());
+    assert!(left.is_empty(), "intrinsics that are functions, and who calls them: {left:#?}");
+}
