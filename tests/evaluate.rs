@@ -133,6 +133,20 @@ fn the_body_that_is_truly_better_is_found_so() {
     assert!(near < 3.0 && (60.0..110.0).contains(&far), "{near} {far}");
     assert_eq!(value(&csv, "other,measured", "records"), Some(RECORDS as f64));
 
+    // the same by linear brains
+    let linear = |more: &[&str]| {
+        let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
+        bench.output(
+            &[&["evaluate", "s.toml", &hash][..], &bodies, &["--brain", "linear", "--format", "csv"], more]
+                .concat(),
+        )
+    };
+    let by_linear = linear(&["--folds", "3"]);
+    assert_eq!(by_linear, linear(&["--folds", "3", "--threads", "2"]));
+    let [first, second] =
+        ["initial,measured", "other,measured"].map(|row| value(&by_linear, row, "error_test").unwrap());
+    assert!(second < 0.9 * first, "{by_linear}");
+
     let page = std::fs::read_to_string(bench.path("out/index.html")).unwrap();
     assert!(page.contains("the initial body's error is") && page.matches("<svg").count() == 8, "{page}");
     let npz = std::fs::read(bench.path("out/records.npz")).unwrap();
@@ -200,6 +214,7 @@ fn bad_calls_are_refused() {
             vec![initial, "--folds", "13"],
             "--records initial: --folds 13: must lie between 2 and the 12 records",
         ),
+        (vec![initial, "--brain", "linear", "--seeds", "2"], "--seeds means nothing to a linear brain"),
         (vec![initial, "--folds", "1"], "invalid value '1' for '--folds <N>'"),
         (vec!["--records", "initial=typo.toml"], "typo.toml:2: recorded.file = "),
     ] {

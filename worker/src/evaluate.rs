@@ -21,6 +21,8 @@ pub struct Effort {
     pub seeds: usize,
     /// Adam iterations of each.
     pub iterations: usize,
+    /// Whether linear brains read instead: one a fold.
+    pub linear: bool,
 }
 
 /// What fresh networks make of records.
@@ -57,7 +59,7 @@ pub fn evaluate(
     done: &(dyn Fn() + Sync),
 ) -> Result<Evaluated, Failure> {
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
-    let Effort { folds, seeds, iterations } = effort;
+    let Effort { folds, seeds, iterations, linear } = effort;
     let Measured { forces, signals, low_pass } = measured;
     let samples = forces.samples;
     if !(2..=samples).contains(&folds) {
@@ -81,7 +83,13 @@ pub fn evaluate(
             }
             let (fold, start) = (number % folds, [problem.seed, (number / folds) as u64]);
             let schedule = problem.evaluation.schedule;
-            found.push((number, records.unseen(&dealt, fold, training, schedule, start, &pool)));
+            found.push((
+                number,
+                match linear {
+                    true => records.unseen_linear(&dealt, fold, &problem.decoder, problem.seed),
+                    false => records.unseen(&dealt, fold, training, schedule, start, &pool),
+                },
+            ));
             done();
         }
     };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::spec::{BrainKind, TrialSpec};
 use metasense_worker::evaluate::{Effort, Evaluated, evaluate, simulated};
 use metasense_worker::measured::{self, Measured};
 use metasense_worker::run::Failure;
@@ -40,6 +40,9 @@ pub(super) struct Args {
     /// Parts of the records, each predicted by networks trained on all others [default: 10, or as many as records]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     folds: Option<u32>,
+    /// What reads the forces [default: the trial's brain.kind]
+    #[arg(long, value_enum)]
+    brain: Option<Brain>,
     /// Networks a fold, from different weights [default: the trial's evaluation.seeds]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     seeds: Option<u32>,
@@ -56,6 +59,15 @@ pub(super) struct Args {
     /// The form of the table
     #[arg(long, value_enum, default_value_t)]
     format: Format,
+}
+
+/// What reads the forces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Brain {
+    /// The trial's network
+    Cnn,
+    /// Least squares over the whole sample, or the trial's brain.memory
+    Linear,
 }
 
 /// BODY=FILE; a body's name becomes part of those of arrays.
@@ -123,9 +135,18 @@ fn compare(
     designs: &BTreeMap<String, Vec<f64>>,
 ) -> Result<Comparison, Error> {
     let fewest = records.iter().map(|(_, measured)| measured.forces.samples).min().unwrap_or(0);
+    let linear = args.brain.map_or(trial.brain.kind == BrainKind::Linear, |brain| brain == Brain::Linear);
+    for (option, given) in [("--seeds", args.seeds.is_some()), ("--iterations", args.iterations.is_some())] {
+        if linear && given {
+            return Err(Error::Usage(format!(
+                "{option} means nothing to a linear brain, which is solved exactly"
+            )));
+        }
+    }
     let effort = Effort {
+        linear,
         folds: args.folds.map_or(FOLDS.min(fewest).max(2), |n| n as usize),
-        seeds: args.seeds.map_or(trial.evaluation.seeds, |n| n as usize),
+        seeds: if linear { 1 } else { args.seeds.map_or(trial.evaluation.seeds, |n| n as usize) },
         iterations: args.iterations.map_or(trial.brain.iterations, |n| n as usize),
     };
     let known = records.iter().filter(|(name, _)| designs.contains_key(name)).count();

@@ -4,9 +4,11 @@
 //! comparison at the end of a trial. Its scales are those of its own training records.
 
 use super::evaluation::{Fresh, train_fresh};
+use super::linear::{Decoder, Plain, fit, force_scale};
 use super::problem::{Problem, Schedule, Training};
 use super::report::{Failure, Trouble};
 use super::setting::{Scales, all_well, mean_error};
+use crate::brain::linear::Sizes;
 use crate::brain::{Shape, TrainOutcome, Workspace};
 use crate::dynamics::{Forces, simulate, tune};
 use crate::random::{Purpose, Stream};
@@ -112,6 +114,40 @@ impl Records {
     }
 }
 
+impl Records {
+    /// The same by a linear brain, its λ by folds of the records outside `fold`.
+    ///
+    /// # Panics
+    /// If there is no record inside or outside.
+    pub fn unseen_linear(&self, folds: &[usize], fold: usize, decoder: &Decoder, seed: u64) -> Unseen {
+        let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|&i| folds[i] == fold);
+        let (signals, targets) = self.select(&train);
+        let scales = Scales::new(&self.shape, &signals, &targets);
+        let Shape { instants, inputs, outputs, .. } = self.shape;
+        let sizes = Sizes { instants, channels: inputs, outputs };
+        let force = force_scale(&scales.mean, &scales.deviation);
+        let known = Plain::new(sizes, scales.inputs(&signals), &targets, force);
+        let (signals, truth) = self.select(&test);
+        let unseen = Plain::new(sizes, scales.inputs(&signals), &truth, force);
+        let fitted =
+            decoder.ridge_of(seed, &known, None).and_then(|ridge| fit(&known.moments(), decoder.lags, ridge));
+        let (linear, trouble) = match fitted {
+            Ok(fit) => (Some(fit.linear()), None),
+            Err(trouble) => (None, Some(trouble)),
+        };
+        let say = |set: &Plain| linear.as_ref().map_or(vec![0.0; set.y.len()], |l| l.predict(&set.x));
+        let said = say(&unseen);
+        Unseen {
+            errors: if trouble.is_none() { unseen.errors(&said) } else { vec![None; test.len()] },
+            predictions: said.into_iter().map(|y| force * y).collect(),
+            error_train: linear.as_ref().and_then(|_| known.error(&say(&known))),
+            losses: Vec::new(),
+            progress: Vec::new(),
+            trouble,
+        }
+    }
+}
+
 /// The fold, from 0, of each of `records` records: a seeded shuffle, sizes that differ by one at most.
 pub fn folds(seed: u64, records: usize, folds: usize) -> Vec<usize> {
     let mut of = vec![0; records];
@@ -174,11 +210,17 @@ mod tests {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let records = Records::new(&forces, signals, [instants, 3, 64], false);
         let dealt = folds(1, samples, 4);
+        let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
+        let inside_of = |record: usize| inside.iter().position(|&i| i == record).unwrap();
         let training = Training { iterations: 150, rate: 1e-2, width: 64 };
         let fold = |fold| records.unseen(&dealt, fold, training, Schedule::Cosine, [1, 0], &pool);
-        let (own, other) = (fold(dealt[0]), fold((dealt[0] + 1) % 4));
-        let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
-        let first = own.errors[inside.iter().position(|&i| i == 0).unwrap()].unwrap();
+        let decoder = Decoder::whole(instants, 3);
+        let linear = |fold| records.unseen_linear(&dealt, fold, &decoder, 1);
+        let read = [fold(dealt[0]), linear(dealt[0])];
+        let seen = [fold((dealt[0] + 1) % 4), linear((dealt[0] + 1) % 4)];
+        let (own, other) = (read[0].clone(), seen[0].clone());
+        assert!(read[1].errors[inside_of(0)].unwrap() > 50.0 && seen[1].trouble.is_none(), "{:?}", read[1]);
+        let first = own.errors[inside_of(0)].unwrap();
         let train = other.error_train.unwrap();
         assert!(first > 50.0 && train < 10.0, "unseen {first} %, seen {train} %");
         assert_eq!((own.errors.len(), own.predictions.len()), (3, 3 * instants));

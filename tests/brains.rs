@@ -1,0 +1,188 @@
+//! The brain as an axis: trained with and read by linear brains and networks, from the spec to what is exported.
+
+mod common;
+
+use common::{Bench, TINY, results};
+
+/// TINY read by a network and by a linear brain, each trained with either.
+fn spec() -> String {
+    TINY.replace(
+        "sensors = [1, 2]",
+        "sensors = [1]\n\"brain.kind\" = [\"cnn\", \"linear\"]\n\"optimise.brain\" = [\"cnn\", \"linear\"]",
+    )
+}
+
+/// Rows of a query by their cells.
+fn rows(bench: &Bench, sql: &str) -> Vec<Vec<String>> {
+    let csv = bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"]);
+    csv.lines().skip(1).map(|line| line.split(',').map(str::to_owned).collect()).collect()
+}
+
+/// Four trials, every one read by the whole sample too; a linear trial's own errors are those of that reading; bodies
+/// trained alike have the same readings; one worker or two, killed or not: the same bits.
+#[test]
+fn every_body_is_read_by_both_brains() {
+    let bench = Bench::new();
+    bench.file("s.toml", &spec());
+    bench.output(&["run", "s.toml", "--workers", "2"]);
+    let found = rows(
+        &bench,
+        "SELECT brain, trained_with, holdout_error_initial, holdout_error_optimised, linear_holdout_error_initial,
+           linear_holdout_error_optimised, linear_test_error_initial, linear_test_error_optimised
+         FROM v_trial ORDER BY brain, trained_with",
+    );
+    let kinds: Vec<[&str; 2]> = found.iter().map(|row| [row[0].as_str(), row[1].as_str()]).collect();
+    assert_eq!(kinds, [["cnn", "cnn"], ["cnn", "linear"], ["linear", "cnn"], ["linear", "linear"]]);
+    for row in &found {
+        assert!(row[2..].iter().all(|cell| cell.parse::<f64>().is_ok_and(|e| e > 0.0)), "{row:?}");
+        assert_eq!(row[4], found[0][4], "the initial body is the same");
+        if row[0] == "linear" {
+            assert_eq!((&row[2], &row[3]), (&row[4], &row[5]));
+        }
+    }
+    // one body a training brain, whatever reads it
+    assert_eq!((&found[0][5], &found[1][5]), (&found[2][5], &found[3][5]));
+    assert_ne!(found[0][5], found[1][5]);
+    let readings = rows(
+        &bench,
+        "SELECT t.hash, sum(r.whole), count(*), max(r.before), min(r.after) FROM v_trial t JOIN v_reading r USING (hash)
+         GROUP BY 1",
+    );
+    for row in &readings {
+        assert_eq!(row[1], "2", "a whole sample a body: {row:?}");
+        assert!(row[2].parse::<u32>().unwrap() > 8, "{row:?}");
+        assert_eq!((row[3].parse::<f64>().unwrap() * 1e3).round(), 190.0, "19 of 20 instants of 10 ms");
+    }
+
+    let table = bench.output(&["analyse", "results/tiny.sqlite", "--question", "brains", "--format", "csv"]);
+    for row in ["cnn,cnn,", "linear,cnn,", "linear,linear,0.19,0.19", "cnn,linear,0.19,0.0"] {
+        assert!(table.lines().any(|line| line.contains(row)), "{row}\n{table}");
+    }
+    bench.output(&["report", "results/tiny.sqlite", "--out", "r.html"]);
+    let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
+    assert!(page.contains("a linear decoder of the whole sample reads the initial body at"), "{page}");
+    assert!(page.contains("Body or brain?"));
+
+    let once = results(&bench, "results/tiny.sqlite");
+    bench.output(&["run", "s.toml", "--workers", "1", "--db", "again.sqlite"]);
+    assert_eq!(results(&bench, "again.sqlite"), once);
+}
+
+/// The exported linear brain gives the exported predictions: f̂ = b + Σ W · signal / scale on the window.
+#[test]
+fn an_exported_linear_brain_says_what_is_exported() {
+    let bench = Bench::new();
+    bench.file("s.toml", &spec());
+    bench.output(&["run", "s.toml"]);
+    let hash =
+        &rows(&bench, "SELECT hash FROM v_trial WHERE brain = 'linear' AND trained_with = 'linear'")[0][0];
+    bench.output(&["export", "results/tiny.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
+    let npz = std::fs::read(bench.path("t.npz")).unwrap();
+    let array = |name: &str| -> (Vec<usize>, Vec<f64>) {
+        let at = |pattern: &[u8]| npz.windows(pattern.len()).position(|w| w == pattern);
+        let file = format!("{name}.npy");
+        let start = at(file.as_bytes()).unwrap_or_else(|| panic!("{name}")) + file.len();
+        let array = npyz::NpyFile::new(&npz[start..]).unwrap();
+        let shape = array.shape().iter().map(|n| *n as usize).collect();
+        let values = match array.dtype().descr().contains('i') {
+            true => array.into_vec::<i64>().unwrap().into_iter().map(|x| x as f64).collect(),
+            false => array.into_vec().unwrap(),
+        };
+        (shape, values)
+    };
+    let (shape, w) = array("linear_w_optimised");
+    let (b, lags) = (array("linear_b_optimised").1, array("linear_lags").1);
+    let (signals, scale) = (array("signals_optimised"), array("signal_scale").1);
+    let predicted = array("linear_predictions_optimised").1;
+    let [panels, count, channels] = shape[..] else { panic!("{shape:?}") };
+    let [samples, instants, _] = signals.0[..] else { panic!("{:?}", signals.0) };
+    assert_eq!((panels, count, channels, lags), (2, 39, 3, vec![-19.0, 19.0]));
+    for (i, n, k) in (0..samples).flat_map(|i| (0..instants).map(move |n| (i, n, (i + n) % 2))) {
+        let mut said = b[k];
+        for l in 0..count {
+            if let Some(t) = (n + l).checked_sub(19).filter(|t| *t < instants) {
+                for c in 0..channels {
+                    said += w[(k * count + l) * channels + c] * signals.1[(i * instants + t) * channels + c]
+                        / scale[c];
+                }
+            }
+        }
+        let expected = predicted[(i * instants + n) * panels + k];
+        assert!((said - expected).abs() < 1e-9, "{i} {n} {k}: {said} {expected}");
+    }
+    // the trial's own brain is this one
+    assert_eq!(array("predictions_optimised").1, predicted);
+}
+
+/// What a brain does not read does not make trials differ, and is refused where no brain of the sweep reads it.
+#[test]
+fn keys_of_another_brain_make_no_difference_or_are_refused() {
+    let bench = Bench::new();
+    let hashes = |spec: &str| -> Vec<String> {
+        bench.file("s.toml", spec);
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        csv.lines().skip(1).map(|line| line[..32].to_owned()).collect()
+    };
+    let both = spec();
+    let longer = both.replace("iterations = 10", "iterations = 11");
+    let (a, b) = (hashes(&both), hashes(&longer));
+    assert_eq!(a.len(), 4);
+    assert_eq!(a.iter().filter(|hash| b.contains(hash)).count(), 1, "linear alone: {a:?} {b:?}");
+
+    let linear = TINY.replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"");
+    assert_eq!(hashes(&linear).len(), 2);
+    let edits = [
+        (
+            &linear,
+            "kind = \"linear\"",
+            "kind = \"linear\"\nmemory = [0.3, 0.0]",
+            "brain.memory = [0.3, 0.0]: must be two times",
+        ),
+        (
+            &linear,
+            "kind = \"linear\"",
+            "kind = \"linear\"\nmemory = [-0.1, 0.0]",
+            "brain.memory = [-0.1, 0.0]: must be two times",
+        ),
+        (&linear, "kind = \"linear\"", "kind = \"linear\"\nridge = -1.0", "brain.ridge = -1: must be 0"),
+        (&linear, "kind = \"linear\"", "kind = \"linear\"\nridge = \"most\"", "brain.ridge = \"most\": "),
+        (&linear, "kind = \"linear\"", "kind = \"lineal\"", "brain.kind = \"lineal\": "),
+        (
+            &linear,
+            "kind = \"linear\"",
+            "kind = \"linear\"\niterations = 20",
+            "brain.iterations = 20: means nothing here: no trial has",
+        ),
+        (
+            &linear,
+            "batch = 4",
+            "batch = 4\nbrain_iterations = 3",
+            "optimise.brain_iterations = 3: means nothing here",
+        ),
+        (
+            &linear,
+            "[solver]",
+            "[evaluation]\nseeds = 2\n[solver]",
+            "evaluation.seeds = 2: means nothing here",
+        ),
+        (
+            &TINY.to_owned(),
+            "iterations = 10",
+            "iterations = 10\nmemory = [0.1, 0.1]",
+            "brain.memory = [0.1, 0.1]: means nothing here",
+        ),
+        (
+            &TINY.to_owned(),
+            "iterations = 10",
+            "iterations = 10\nridge = 0.1",
+            "brain.ridge = 0.1: means nothing here",
+        ),
+    ];
+    for (spec, from, to, said) in edits {
+        bench.file("s.toml", &spec.replacen(from, to, 1));
+        let output = bench.metasense(&["run", "s.toml"]);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{to}: {errors}");
+        assert!(errors.contains("s.toml:") && errors.contains(said), "{errors}\n{said}");
+    }
+}
