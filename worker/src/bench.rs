@@ -3,7 +3,7 @@
 pub mod dynamics;
 
 use metasense_numerics::brain::{
-    Adam, Curvature, Data, Matrix, Real, Shape, Workspace, initial_weights, loss, loss_gradient,
+    Adam, Architecture, Curvature, Data, Matrix, Real, Shape, Workspace, initial_weights, loss, loss_gradient,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::simd::Width;
@@ -61,7 +61,8 @@ impl BrainTimes {
 #[must_use]
 pub fn brain<F: Real>(bench: BrainBench, width: Width) -> BrainTimes {
     let BrainBench { samples, instants, sensors, panels, repeat, threads } = bench;
-    let shape = Shape { instants, inputs: 3 * sensors, width: 64, outputs: panels };
+    let architecture = Architecture::paper(64);
+    let shape = Shape { instants, inputs: 3 * sensors, outputs: panels, architecture };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
     let mut stream = Stream::new(Purpose::Batch, 1, [0, 0]);
     let mut draw = |n: usize| (0..n).map(|_| F::from_f64(stream.normal())).collect::<Vec<F>>();

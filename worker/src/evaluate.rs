@@ -67,8 +67,7 @@ pub fn evaluate(
             "--folds {folds}: must lie between 2 and the {samples} records"
         )));
     }
-    let shape = [trial.time.samples, 3 * trial.sensor_units.len(), problem.brain.width];
-    let records = Records::new(forces, signals.clone(), shape, *low_pass);
+    let records = Records::new(forces, signals.clone(), problem.shape(), *low_pass);
     let training = Training { iterations, ..problem.brain };
     let dealt = nested::folds(problem.seed, samples, folds);
 

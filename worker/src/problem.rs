@@ -6,8 +6,8 @@
 use std::fmt::Display;
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::brain::Policy;
 use metasense_numerics::brain::linear::Lags;
+use metasense_numerics::brain::{Architecture, Policy};
 use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::nested::{
@@ -78,7 +78,11 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         disturbance: disturbance(&trial.sensors, &trial.time)?,
         reader: kind(trial.brain.kind),
         decoder: decoder(trial)?,
-        brain: Training { iterations: trial.brain.iterations, rate: trial.brain.learning_rate, width: 64 },
+        brain: Training {
+            iterations: trial.brain.iterations,
+            rate: trial.brain.learning_rate,
+            architecture: Architecture::paper(64),
+        },
         optimise: Optimise {
             brain: if trial.optimise.linear() { Kind::Linear } else { Kind::Network },
             protocol: protocol(&trial.optimise)?,

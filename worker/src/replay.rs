@@ -75,11 +75,8 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
 pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize) -> Result<Replay, Failure> {
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     check(design, problem.initial.len())?;
-    let (inputs, outputs, width) =
-        (3 * trial.sensor_units.len(), trial.panel_units.len(), problem.brain.width);
-    let expected = 3 * inputs * width + width + 3 * width * width + width + width * outputs + outputs;
     if !weights.is_empty() {
-        check_length("network", weights.len(), expected)?;
+        check_length("network", weights.len(), problem.shape().weights())?;
     }
     nested::replay(&problem, design, weights, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
 }

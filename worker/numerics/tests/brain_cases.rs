@@ -33,8 +33,8 @@ impl Case {
         Shape {
             instants: self.size("T"),
             inputs: 3 * self.size("M"),
-            width: self.size("width"),
             outputs: self.size("K"),
+            architecture: Architecture::paper(self.size("width")),
         }
     }
 
@@ -202,7 +202,7 @@ fn task(shape: Shape, samples: usize, seed: u64) -> (Vec<f64>, Vec<f64>) {
 /// Bits of a training on one, two and three threads, of full and of odd batches.
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
-    let shape = Shape { instants: 43, inputs: 6, width: 16, outputs: 3 };
+    let shape = Shape { instants: 43, inputs: 6, outputs: 3, architecture: Architecture::paper(16) };
     let (x, y) = task(shape, 50, 1);
     let data = Data::<f32>::new(shape, &cast(&x), &cast(&y));
     let odd: Vec<usize> = (0..37).map(|i| (i * 7) % 50).collect();
@@ -224,7 +224,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 /// A batch of indices is the data set of those samples.
 #[test]
 fn a_batch_is_its_samples() {
-    let shape = Shape { instants: 21, inputs: 3, width: 8, outputs: 2 };
+    let shape = Shape { instants: 21, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
     let (x, y) = task(shape, 6, 2);
     let data = Data::<f64>::new(shape, &x, &y);
     let (nx, ny) = (21 * 3, 21 * 2);
@@ -240,7 +240,7 @@ fn a_batch_is_its_samples() {
 /// Dead layers, NaN and divergence are named, and the weights stay finite.
 #[test]
 fn trainings_gone_wrong_are_named() {
-    let shape = Shape { instants: 21, inputs: 3, width: 8, outputs: 2 };
+    let shape = Shape { instants: 21, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
     let (x, y) = task(shape, 6, 2);
     let data = Data::<f64>::new(shape, &x, &y);
     let (pool, fresh) = (pool(1), initial_weights(shape, 1, 0));

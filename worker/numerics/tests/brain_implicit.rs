@@ -12,7 +12,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 /// where optima of ReLU networks gather and gradient descent would rattle for ever.
 #[test]
 fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
-    let shape = Shape { instants: 12, inputs: 3, width: 8, outputs: 2 };
+    let shape = Shape { instants: 12, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
     let (ridge, rate, steps) = (1.0, 0.006, 3600);
     let mut stream = Stream::new(Purpose::Batch, 5, [0, 0]);
     let mut sample = |n: usize| {
@@ -29,7 +29,7 @@ fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
     // Training, every iterate kept.
     let mut gradient = vec![0.0; shape.weights()];
     let mut fresh: Vec<f64> = initial_weights(shape, 2, 0).iter().map(|w| 0.3 * w).collect();
-    fresh[..2 * shape.width]
+    fresh[..2 * shape.architecture.width()]
         .iter_mut()
         .enumerate()
         .for_each(|(i, b)| *b = if i % 4 == 3 { -2.0 } else { 2.0 });
@@ -70,7 +70,7 @@ fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
 /// On the Gauss–Newton matrix curvature cannot be negative; at the optimum of an exact fit it is the Hessian.
 #[test]
 fn the_gauss_newton_matrix_is_positive_and_the_hessian_of_a_perfect_fit() {
-    let shape = Shape { instants: 10, inputs: 3, width: 8, outputs: 2 };
+    let shape = Shape { instants: 10, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("threads");
     let (ws, mut stream) = (&mut Workspace::new(shape), Stream::new(Purpose::Batch, 9, [0, 0]));
     let x: Vec<f64> = (0..4 * 30).map(|_| stream.normal()).collect();

@@ -3,8 +3,8 @@
 use super::case::{Case, CaseError};
 use super::{Row, relative};
 use metasense_numerics::brain::{
-    Adam, Curvature, Data, Matrix, Policy, Real, Shape, Workspace, full_gradient, predict, prediction_error,
-    solve_implicit, train,
+    Adam, Architecture, Curvature, Data, Matrix, Policy, Real, Shape, Workspace, full_gradient, predict,
+    prediction_error, solve_implicit, train,
 };
 
 const F64: f64 = 1e-10;
@@ -14,8 +14,8 @@ fn shape(case: &Case) -> Result<Shape, CaseError> {
     Ok(Shape {
         instants: case.size("T")?,
         inputs: 3 * case.size("M")?,
-        width: case.size("width")?,
         outputs: case.size("K")?,
+        architecture: Architecture::paper(case.size("width")?),
     })
 }
 

@@ -1,20 +1,21 @@
 //! Second derivatives by forward-over-reverse (Pearlmutter 1994): H·v, its Gauss–Newton part, and ∂/∂x ⟨∂L/∂β, v⟩.
 //!
 //! ```text
-//! ż₁ = x ∗ v₁ + ḃ₁                 Ġ₃ = 2σ²/(NTK) ḟ                   Hb = Σ Ġ
-//! ż₂ = a₁ ∗ v₂ + ȧ₁ ∗ w₂ + ḃ₂      Ġ₂ = [a₂>0] (Ġ₃ w₃ᵀ + g₃ v₃ᵀ)       Hw₃ = a₂ᵀĠ₃ + ȧ₂ᵀg₃
-//! ḟ  = a₂ v₃ + ȧ₂ w₃ + ḃ₃          Ġ₁ = [a₁>0] (Ġ₂ ∗ w₂ᵀ + g₂ ∗ v₂ᵀ)   Hw₂ = a₁ᵀĠ₂ + ȧ₁ᵀg₂,  Hw₁ = xᵀĠ₁
+//! ż_l = a_(l−1) ∗ v_l + ȧ_(l−1) ∗ w_l + ḃ_l, ȧ_l = [a_l>0] ż_l, ȧ_0 = 0     Ġ_n = 2σ²/(NTK) ż_n     Hb_l = Σ Ġ_l
+//! Ġ_l = [a_l>0] (Ġ_(l+1) ∗ w_(l+1)ᵀ + g_(l+1) ∗ v_(l+1)ᵀ)                    Hw_l = a_(l−1)ᵀ Ġ_l + ȧ_(l−1)ᵀ g_l
 //! ```
-//! The activations are kept, so a product costs six convolutions of the second layer, a Gauss–Newton one four.
+//! The activations are kept: a product costs six convolutions of the paper's second layer and seven of every one below the
+//! last of several, a Gauss–Newton one four.
 
 use super::data::Batch;
-use super::kernels::{Dots, Finish, Kernels, Product, Start};
-use super::layout::{Packed, padded_range};
+use super::kernels::{Finish, Kernels, Start};
+use super::layout::Packed;
 use super::network::{
-    Scratch, Workspace, add_biases, add_outer, add_second_layer, convolve, forward, input_product,
-    last_layer_back, residual, spread, take_inputs,
+    Scratch, Workspace, add_biases, add_layer, answer, convolve, forward, input_product, residual, spread,
+    take_inputs,
 };
 use super::real::Real;
+use super::shape::Shape;
 
 /// Which matrix a product is with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,7 +26,7 @@ pub enum Matrix {
     GaussNewton,
 }
 
-/// A batch with its network's activations: 2·T·64 numbers a sample.
+/// A batch with its network's activations: (n − 1)·T·width numbers a sample, and their padding.
 #[derive(Debug)]
 pub struct Curvature<'a, F> {
     batch: Batch<'a, F>,
@@ -43,8 +44,7 @@ impl<'a, F: Real> Curvature<'a, F> {
             slot.out.clear();
             for i in samples {
                 forward(kernels, shape, packed, batch.sample(i).0, s);
-                slot.out.extend_from_slice(&s.a1);
-                slot.out.extend_from_slice(&s.a2);
+                s.a.iter().for_each(|a| slot.out.extend_from_slice(a));
             }
         });
         let kept = ws.join_outputs(batch.len());
@@ -61,24 +61,19 @@ impl<'a, F: Real> Curvature<'a, F> {
         pool: &rayon::ThreadPool,
     ) {
         let (shape, batch) = (self.batch.shape(), self.batch);
-        let (p, k) = (shape.stride(), shape.outputs);
         ws.packed.fill(&ws.kernels, shape, v);
         ws.over_chunks(batch, pool, |kernels, v, s, slot, samples| {
             slot.clear();
             for i in samples {
                 let mut dot = self.tangents(kernels, v, i, matrix, s);
-                let (x, (a1, a2)) = (batch.sample(i).0, self.activations(i));
-                add_second_layer(kernels, shape, a1, &s.spread1, &dot.g2, &mut dot.fold2, slot);
-                if matrix == Matrix::Hessian {
-                    add_second_layer(kernels, shape, &dot.a1, &dot.spread1, &s.g2, &mut dot.fold2, slot);
-                }
-                let gradient = &mut slot.gradient;
-                let [w1, w3] = [3, 5].map(|block| padded_range(shape, block));
-                add_biases(kernels, shape, &dot.g1, &dot.g2, &dot.g3, gradient);
-                add_outer(kernels, shape, x, shape.inputs, 3 * shape.inputs, &dot.g1[p..], &mut gradient[w1]);
-                add_outer(kernels, shape, &dot.g3, k, k, a2, &mut gradient[w3.clone()]);
-                if matrix == Matrix::Hessian {
-                    add_outer(kernels, shape, &s.g3, k, k, &dot.a2, &mut gradient[w3]);
+                for l in 0..shape.layers() {
+                    let a = self.input(i, l);
+                    add_layer(kernels, shape, l, [a, &s.spread_a[l], &dot.g[l]], &mut dot.fold, slot);
+                    if l > 0 && matrix == Matrix::Hessian {
+                        let (da, spread) = (&dot.a[l - 1], &dot.spread_a[l]);
+                        add_layer(kernels, shape, l, [da, spread, &s.g[l]], &mut dot.fold, slot);
+                    }
+                    add_biases(kernels, shape, l, &dot.g[l], slot);
                 }
                 s.tangent = Some(dot);
             }
@@ -94,12 +89,9 @@ impl<'a, F: Real> Curvature<'a, F> {
             slot.out.clear();
             for i in samples {
                 let mut dot = self.tangents(kernels, v, i, Matrix::Hessian, s);
-                let (a1, _) = self.activations(i);
-                let (p, panels) = (shape.stride(), [&self.packed.w2_back[..], &self.packed.w2_back_pairs]);
-                let gate = Finish::Gate(&a1[p..]);
-                convolve(kernels, shape, &s.g2, &s.spread2, panels, &mut s.g1[p..], Start::Zero, gate);
-                input_product(kernels, shape, &self.packed.w1_back, &dot.g1, &mut dot.wide, Start::Zero);
-                input_product(kernels, shape, &v.w1_back, &s.g1, &mut dot.wide, Start::Add);
+                self.back(kernels, i, 1, s);
+                input_product(kernels, shape, &self.packed, &dot.g[0], &mut dot.wide, Start::Zero);
+                input_product(kernels, shape, v, &s.g[0], &mut dot.wide, Start::Add);
                 take_inputs(shape, &dot.wide, &mut slot.out);
                 s.tangent = Some(dot);
             }
@@ -107,14 +99,33 @@ impl<'a, F: Real> Curvature<'a, F> {
         ws.join_outputs(batch.len())
     }
 
-    /// a₁ (T + 2, stride) and a₂ (T, stride) of sample i.
-    fn activations(&self, i: usize) -> (&[F], &[F]) {
-        let (t, p) = (self.batch.shape().instants, self.batch.shape().stride());
-        let one = (2 * t + 2) * p;
-        self.kept[i * one..(i + 1) * one].split_at((t + 2) * p)
+    /// The padded input of layer l + 1 for sample i: x or a_l.
+    fn input(&self, i: usize, l: usize) -> &[F] {
+        let shape = self.batch.shape();
+        if l == 0 {
+            return self.batch.sample(i).0;
+        }
+        let len = |layers: std::ops::Range<usize>| layers.map(|l| shape.conv(l).input_len()).sum::<usize>();
+        let start = i * len(1..shape.layers()) + len(1..l);
+        &self.kept[start..start + len(l..l + 1)]
     }
 
-    /// Tangents along v of sample i's activations and cotangents; g₃ and g₂ into the scratch, whose tangent part is taken out.
+    /// What the activations a_l of sample i let through.
+    fn gate(&self, i: usize, l: usize) -> Finish<'_, F> {
+        Finish::Gate(&self.input(i, l)[self.batch.shape().conv(l).input_start()..])
+    }
+
+    /// g_l of sample i from g_(l+1), both in the scratch.
+    fn back(&self, kernels: &Kernels<F>, i: usize, l: usize, s: &mut Scratch<F>) {
+        let shape = self.batch.shape();
+        let (below, above) = s.g.split_at_mut(l);
+        let (sweep, g) = (shape.conv(l).back(), [&above[0][..], &s.spread_g[l]]);
+        let c = output(shape, l - 1, &mut below[l - 1]);
+        convolve(kernels, sweep, g, &self.packed.back[l], c, Start::Zero, self.gate(i, l));
+    }
+
+    /// Tangents along v of sample i's activations and cotangents; g_n … g₂ into the scratch, whose tangent part is taken out.
+    /// A Gauss–Newton product has no use for g, and gets g_n alone.
     fn tangents(
         &self,
         kernels: &Kernels<F>,
@@ -124,58 +135,55 @@ impl<'a, F: Real> Curvature<'a, F> {
         s: &mut Scratch<F>,
     ) -> Box<Scratch<F>> {
         let (shape, w, exact) = (self.batch.shape(), &self.packed, matrix == Matrix::Hessian);
-        let (p, rows) = (shape.stride(), shape.instants);
-        let (x, y) = self.batch.sample(i);
-        let (a1, a2) = self.activations(i);
+        let last = shape.layers() - 1;
         let mut dot = s.tangent.take().unwrap_or_else(|| Box::new(Scratch::new(shape)));
 
         // Forward.
-        kernels.product(Product {
-            a: x,
-            lda: shape.inputs,
-            rows,
-            depth: 3 * shape.inputs,
-            panels: &v.w1,
-            c: &mut dot.a1[p..],
-            columns: p,
-            start: Start::Bias(v.block(shape, 0)),
-            finish: Finish::Gate(&a1[p..]),
-        });
-        spread(kernels, shape, a1, &mut s.spread1);
-        spread(kernels, shape, &dot.a1, &mut dot.spread1);
-        let bias = Start::Bias(v.block(shape, 1));
-        convolve(kernels, shape, a1, &s.spread1, [&v.w2, &v.w2_pairs], &mut dot.a2, bias, Finish::Plain);
-        let panels = [&w.w2[..], &w.w2_pairs];
-        convolve(kernels, shape, &dot.a1, &dot.spread1, panels, &mut dot.a2, Start::Add, Finish::Gate(a2));
-        let last = |a: &[F], w: &[F], bias: &[F], c: &mut [F]| {
-            kernels.dots(Dots { a, columns: p, rows, w, bias, c });
-        };
-        last(a2, w.block(shape, 5), w.block(shape, 2), &mut s.out);
-        last(a2, v.block(shape, 5), v.block(shape, 2), &mut dot.out);
-        last(&dot.a2, w.block(shape, 5), &self.no_bias, &mut dot.g3);
+        for l in 0..last {
+            let (a, sweep, gate) = (self.input(i, l), shape.conv(l).forward(), self.gate(i, l + 1));
+            let (below, above) = dot.a.split_at_mut(l);
+            let c = &mut above[0][shape.conv(l + 1).input_start()..];
+            spread(kernels, sweep, a, &mut s.spread_a[l]);
+            let (bias, finish) = (Start::Bias(v.block(shape, l)), if l == 0 { gate } else { Finish::Plain });
+            convolve(kernels, sweep, [a, &s.spread_a[l]], &v.forward[l], c, bias, finish);
+            if let Some(da) = below.last() {
+                spread(kernels, sweep, da, &mut dot.spread_a[l]);
+                convolve(kernels, sweep, [da, &dot.spread_a[l]], &w.forward[l], c, Start::Add, gate);
+            }
+        }
+        let (a, g) = (self.input(i, last), output(shape, last, &mut dot.g[last]));
+        answer(kernels, shape, a, w, w.block(shape, last), &mut s.out);
+        answer(kernels, shape, a, v, v.block(shape, last), &mut dot.out);
+        answer(kernels, shape, &dot.a[last - 1], w, &self.no_bias, g);
 
-        // Backward. The loss is quadratic: ġ₃ is g₃ with f̂ − f replaced by its tangent.
+        // Backward. The loss is quadratic: ġ_n is g_n with f̂ − f replaced by its tangent.
         let output_weights = self.batch.output_weights();
-        let elements = self.batch.len() * rows * shape.outputs;
-        residual(y, output_weights, elements, s);
+        let elements = self.batch.len() * shape.instants * shape.outputs;
+        residual(shape, self.batch.sample(i).1, output_weights, elements, s);
         let scale = F::from_f64(2.0 / elements as f64);
-        for (i, (g, part)) in dot.g3.iter_mut().zip(&dot.out).enumerate() {
-            *g = scale * output_weights[i % shape.outputs] * (*g + *part);
+        for (j, (g, part)) in g.iter_mut().zip(&dot.out).enumerate() {
+            *g = scale * output_weights[j % shape.outputs] * (*g + *part);
         }
-        last_layer_back(kernels, shape, &w.w3_back, &s.g3, a2, &mut s.g2, Start::Zero);
-        last_layer_back(kernels, shape, &w.w3_back, &dot.g3, a2, &mut dot.g2, Start::Zero);
-        if exact {
-            last_layer_back(kernels, shape, &v.w3_back, &s.g3, a2, &mut dot.g2, Start::Add);
-        }
-        spread(kernels, shape, &dot.g2, &mut dot.spread2);
-        let (panels, gate) = ([&w.w2_back[..], &w.w2_back_pairs], Finish::Gate(&a1[p..]));
-        let finish = if exact { Finish::Plain } else { gate };
-        convolve(kernels, shape, &dot.g2, &dot.spread2, panels, &mut dot.g1[p..], Start::Zero, finish);
-        if exact {
-            spread(kernels, shape, &s.g2, &mut s.spread2);
-            let panels = [&v.w2_back[..], &v.w2_back_pairs];
-            convolve(kernels, shape, &s.g2, &s.spread2, panels, &mut dot.g1[p..], Start::Add, gate);
+        for l in (1..=last).rev() {
+            let (sweep, gate) = (shape.conv(l).back(), self.gate(i, l));
+            let (below, above) = dot.g.split_at_mut(l);
+            let (dg, c) = (&above[0][..], output(shape, l - 1, &mut below[l - 1]));
+            spread(kernels, sweep, dg, &mut dot.spread_g[l]);
+            let finish = if exact { Finish::Plain } else { gate };
+            convolve(kernels, sweep, [dg, &dot.spread_g[l]], &w.back[l], c, Start::Zero, finish);
+            if exact {
+                spread(kernels, sweep, &s.g[l], &mut s.spread_g[l]);
+                convolve(kernels, sweep, [&s.g[l], &s.spread_g[l]], &v.back[l], c, Start::Add, gate);
+                if l > 1 {
+                    self.back(kernels, i, l, s);
+                }
+            }
         }
         dot
     }
+}
+
+/// The rows of the instants of a padded cotangent of layer l + 1, and what follows them.
+fn output<F>(shape: Shape, l: usize, g: &mut [F]) -> &mut [F] {
+    &mut g[shape.conv(l).output_start()..]
 }

@@ -3,7 +3,8 @@
 use super::real::Real;
 use super::shape::Shape;
 
-/// Samples: x (N, T + 2, 3M) with a row of zeros before and after, y (N, T, K), both normalised by the caller.
+/// Samples: x (N, before + T + after, 3M) with the rows of zeros that the first layer reads, y (N, T, K), both normalised by
+/// the caller.
 #[derive(Debug, Clone)]
 pub struct Data<F> {
     shape: Shape,
@@ -35,7 +36,7 @@ impl<F: Real> Data<F> {
         Self {
             shape,
             samples,
-            x: vec![F::ZERO; samples * (shape.instants + 2) * shape.inputs],
+            x: vec![F::ZERO; samples * shape.conv(0).input_len()],
             y: vec![F::ZERO; samples * shape.instants * shape.outputs],
             output_weights: vec![F::from_f64(1.0); shape.outputs],
         }
@@ -57,8 +58,8 @@ impl<F: Real> Data<F> {
     /// # Panics
     /// If n or a length is out of range.
     pub fn set(&mut self, n: usize, x: &[F], y: &[F]) {
-        let (c, row) = (self.shape.inputs, (self.shape.instants + 2) * self.shape.inputs);
-        self.x[n * row + c..(n + 1) * row - c].copy_from_slice(x);
+        let (conv, instants) = (self.shape.conv(0), self.shape.instants * self.shape.inputs);
+        self.x[n * conv.input_len() + conv.input_start()..][..instants].copy_from_slice(x);
         self.y[n * y.len()..(n + 1) * y.len()].copy_from_slice(y);
     }
 
@@ -115,11 +116,11 @@ impl<'a, F: Real> Batch<'a, F> {
         &self.data.output_weights
     }
 
-    /// Padded x (T + 2, 3M) and y (T, K) of the i-th sample of the batch.
+    /// Padded x and y (T, K) of the i-th sample of the batch.
     pub(super) fn sample(&self, i: usize) -> (&'a [F], &'a [F]) {
         let n = self.which.map_or(i, |which| which[i]);
         let shape = self.data.shape;
-        let (nx, ny) = ((shape.instants + 2) * shape.inputs, shape.instants * shape.outputs);
+        let (nx, ny) = (shape.conv(0).input_len(), shape.instants * shape.outputs);
         (&self.data.x[n * nx..(n + 1) * nx], &self.data.y[n * ny..(n + 1) * ny])
     }
 

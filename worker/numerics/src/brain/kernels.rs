@@ -1,19 +1,29 @@
-//! The two products that a k = 3 convolution and its derivatives are made of, in register tiles.
+//! The products that a convolution and its derivatives are made of, in register tiles.
 //!
 //! ```text
-//! product: C[t, c] = start + Σ_d A[t·lda + d] B[d, c]   rows t may overlap (lda < depth): no im2col
+//! product: C[t, c] = start + Σ_i Σ_d A[t·lda + i·step + d] B[i, d, c]   rows may overlap: no im2col
 //! outer:   C[j, c] += Σ_t A[t·lda + j] B[t, c]
-//! pairs:   a convolution's rows 2h and 2h + 1 by Winograd's F(2, 3), 4 products instead of 6 (`winograd`)
+//! pairs:   a k = 3 convolution's rows 2h and 2h + 1 by Winograd's F(2, 3), 4 products instead of 6 (`winograd`)
 //! ```
-//! B of `product` comes in panels of two registers' columns, each `depth` rows long, so that a panel stays in L1.
+//! B of `product` comes in panels of some registers' columns (`panel`), each all its rows long, so that a panel stays in L1.
 
 use super::real::Real;
 use super::vector::{Plain, Vector};
 use super::winograd;
 use crate::simd::Width;
 
-/// Columns of activations and packed weights are padded to a multiple of this: the widest panel.
-pub const COLUMNS: usize = 32;
+/// Columns of activations and packed weights are padded to a multiple of this: the widest register.
+pub const COLUMNS: usize = 16;
+
+/// Registers of the panel that begins where so many columns are left: two, or the three or the one that an odd number of
+/// registers ends with, where a register is as wide as `COLUMNS`.
+#[inline(always)]
+pub(super) fn panel(columns: usize, lanes: usize) -> usize {
+    match columns / lanes {
+        odd @ (1 | 3) if lanes == COLUMNS => odd,
+        _ => 2,
+    }
+}
 
 /// What a product starts from.
 #[derive(Clone, Copy)]
@@ -45,8 +55,12 @@ pub struct Product<'a, F> {
     pub lda: usize,
     /// Rows of A and C.
     pub rows: usize,
-    /// Length of a row of A.
+    /// Length of a row of A that a tap reads.
     pub depth: usize,
+    /// How many pieces of A a row of C reads, and how far apart they are.
+    pub taps: usize,
+    /// As `taps`.
+    pub step: usize,
     /// B in panels.
     pub panels: &'a [F],
     /// C, rows of `columns`.
@@ -77,14 +91,18 @@ pub struct Outer<'a, F> {
     pub c: &'a mut [F],
 }
 
-/// Operands of `dots`: C[t, k] = bias[k] + Σ_c A[t, c] W[k, c], for few k.
+/// Operands of `dots`: C[t, k] = bias[k] + Σ_i Σ_c A[t·columns + i·step + c] W[i, k, c], for few k.
 pub struct Dots<'a, F> {
     /// A, rows of `columns`.
     pub a: &'a [F],
     /// Columns of A and W, a multiple of `COLUMNS`.
     pub columns: usize,
-    /// Rows of A.
+    /// Rows of C.
     pub rows: usize,
+    /// How many rows of A a row of C reads, and how far apart they are.
+    pub taps: usize,
+    /// As `taps`.
+    pub step: usize,
     /// W.
     pub w: &'a [F],
     /// One a k.
@@ -113,7 +131,7 @@ impl<F> Product<'_, F> {
 /// The kernels of one precision on one instruction set.
 #[derive(Debug, Clone, Copy)]
 pub struct Kernels<F> {
-    panel: usize,
+    lanes: usize,
     product: unsafe fn(&mut Product<F>),
     pairs: unsafe fn(&mut Product<F>),
     outer: unsafe fn(&mut Outer<F>),
@@ -126,19 +144,15 @@ pub struct Kernels<F> {
 }
 
 impl<F: Real> Kernels<F> {
-    /// Columns of a panel.
-    pub fn panel(&self) -> usize {
-        self.panel
-    }
-
     /// C = start + A·B.
     ///
     /// # Panics
     /// If an operand is too short.
     pub fn product(&self, mut p: Product<F>) {
         assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
-        assert!(p.a.len() >= (p.rows - 1) * p.lda + p.depth, "A: {}", p.a.len());
-        p.check_result(p.depth);
+        let reach = (p.rows - 1) * p.lda + (p.taps - 1) * p.step + p.depth;
+        assert!(p.a.len() >= reach, "A: {} of {reach}", p.a.len());
+        p.check_result(p.taps * p.depth);
         // SAFETY: lengths checked above; the machine has the instruction set, or these kernels would not exist.
         unsafe { (self.product)(&mut p) }
     }
@@ -149,7 +163,7 @@ impl<F: Real> Kernels<F> {
     /// If an operand is too short or `rows` odd.
     pub fn pairs(&self, mut p: Product<F>) {
         assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
-        assert!(p.rows.is_multiple_of(2) && p.lda == p.depth, "{} rows, stride {}", p.rows, p.lda);
+        assert!(p.rows.is_multiple_of(2) && p.lda >= p.depth, "{} rows, stride {}", p.rows, p.lda);
         assert!(p.a.len() >= 2 * p.rows * p.lda, "A: {}", p.a.len());
         p.check_result(4 * p.depth);
         // SAFETY: as above.
@@ -205,7 +219,8 @@ impl<F: Real> Kernels<F> {
     /// If an operand is too short.
     pub fn dots(&self, mut p: Dots<F>) {
         assert!(p.columns.is_multiple_of(COLUMNS), "{} columns", p.columns);
-        assert!(p.a.len() >= p.rows * p.columns && p.w.len() >= p.bias.len() * p.columns);
+        assert!(p.a.len() >= p.rows * p.columns + (p.taps - 1) * p.step, "A: {}", p.a.len());
+        assert!(p.w.len() >= p.taps * p.bias.len() * p.columns);
         assert!(p.c.len() >= p.rows * p.bias.len());
         // SAFETY: as above.
         unsafe { (self.dots)(&mut p) }
@@ -235,53 +250,76 @@ impl<F: Real> Kernels<F> {
 
     /// Writes B (depth, columns), given by its entries, in panels.
     pub fn pack(&self, depth: usize, columns: usize, entry: impl Fn(usize, usize) -> F, out: &mut [F]) {
-        for (p, panel) in out[..depth * columns].chunks_exact_mut(depth * self.panel).enumerate() {
-            for (d, row) in panel.chunks_exact_mut(self.panel).enumerate() {
-                for (c, to) in row.iter_mut().enumerate() {
-                    *to = entry(d, p * self.panel + c);
-                }
+        let mut column = 0;
+        while column < columns {
+            let width = panel(columns - column, self.lanes) * self.lanes;
+            let rows = &mut out[column * depth..(column + width) * depth];
+            for (d, row) in rows.chunks_exact_mut(width).enumerate() {
+                row.iter_mut().enumerate().for_each(|(c, to)| *to = entry(d, column + c));
             }
+            column += width;
         }
     }
 }
 
 #[inline(always)]
-unsafe fn product<V: Vector, const R: usize>(p: &mut Product<V::Scalar>) {
+unsafe fn product<V: Vector, const R: usize, const R3: usize>(p: &mut Product<V::Scalar>) {
     // A known stride spares the row addresses their registers.
     // SAFETY: the caller's promise.
     unsafe {
         match p.lda {
-            64 => product_by_stride::<V, R>(p, 64),
-            stride => product_by_stride::<V, R>(p, stride),
+            64 => product_by_stride::<V, R, R3>(p, 64),
+            stride => product_by_stride::<V, R, R3>(p, stride),
         }
     }
 }
 
 #[inline(always)]
-unsafe fn product_by_stride<V: Vector, const R: usize>(p: &mut Product<V::Scalar>, lda: usize) {
-    let panel = 2 * V::LANES;
+unsafe fn product_by_stride<V: Vector, const R: usize, const R3: usize>(
+    p: &mut Product<V::Scalar>,
+    lda: usize,
+) {
     // SAFETY: the caller's promise.
     unsafe {
-        for column in (0..p.columns).step_by(panel) {
-            let b = p.panels.as_ptr().add(column * p.depth);
-            let mut t = 0;
-            while t + R <= p.rows {
-                product_tile::<V, R>(p, lda, b, t, column);
-                t += R;
+        let mut column = 0;
+        while column < p.columns {
+            let registers = panel(p.columns - column, V::LANES);
+            match registers {
+                1 => product_panel::<V, R, 1>(p, lda, column),
+                3 => product_panel::<V, R3, 3>(p, lda, column),
+                _ => product_panel::<V, R, 2>(p, lda, column),
             }
-            while t + 2 <= p.rows {
-                product_tile::<V, 2>(p, lda, b, t, column);
-                t += 2;
-            }
-            if t < p.rows {
-                product_tile::<V, 1>(p, lda, b, t, column);
-            }
+            column += registers * V::LANES;
         }
     }
 }
 
 #[inline(always)]
-unsafe fn product_tile<V: Vector, const R: usize>(
+unsafe fn product_panel<V: Vector, const R: usize, const W: usize>(
+    p: &mut Product<V::Scalar>,
+    lda: usize,
+    column: usize,
+) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let b = p.panels.as_ptr().add(column * p.taps * p.depth);
+        let mut t = 0;
+        while t + R <= p.rows {
+            product_tile::<V, R, W>(p, lda, b, t, column);
+            t += R;
+        }
+        while t + 2 <= p.rows {
+            product_tile::<V, 2, W>(p, lda, b, t, column);
+            t += 2;
+        }
+        if t < p.rows {
+            product_tile::<V, 1, W>(p, lda, b, t, column);
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn product_tile<V: Vector, const R: usize, const W: usize>(
     p: &mut Product<V::Scalar>,
     lda: usize,
     b: *const V::Scalar,
@@ -290,16 +328,22 @@ unsafe fn product_tile<V: Vector, const R: usize>(
 ) {
     // SAFETY: the caller's promise.
     unsafe {
-        let mut sum = [[V::splat(V::Scalar::ZERO); 2]; R];
-        accumulate::<V, R>(&mut sum, p.a.as_ptr().add(t * lda), lda, b, p.depth);
-        close::<V, R>(p, sum, t * p.columns + column, p.columns, column);
+        let mut sum = [[V::splat(V::Scalar::ZERO); W]; R];
+        let mut a = p.a.as_ptr().add(t * lda);
+        let mut b = b;
+        for _ in 0..p.taps {
+            accumulate::<V, R, W>(&mut sum, a, lda, b, p.depth);
+            a = a.wrapping_add(p.step);
+            b = b.wrapping_add(p.depth * W * V::LANES);
+        }
+        close::<V, R, W>(p, sum, t * p.columns + column, p.columns, column);
     }
 }
 
 /// sum[r] += Σ_d a[r·lda + d] b[d].
 #[inline(always)]
-pub(super) unsafe fn accumulate<V: Vector, const R: usize>(
-    sum: &mut [[V; 2]; R],
+pub(super) unsafe fn accumulate<V: Vector, const R: usize, const W: usize>(
+    sum: &mut [[V; W]; R],
     a: *const V::Scalar,
     lda: usize,
     b: *const V::Scalar,
@@ -308,11 +352,15 @@ pub(super) unsafe fn accumulate<V: Vector, const R: usize>(
     // SAFETY: the caller's promise.
     unsafe {
         for d in 0..depth {
-            let b0 = V::load(b.add(d * 2 * V::LANES));
-            let b1 = V::load(b.add(d * 2 * V::LANES + V::LANES));
+            let mut row = [V::splat(V::Scalar::ZERO); W];
+            for w in 0..W {
+                row[w] = V::load(b.add((d * W + w) * V::LANES));
+            }
             for r in 0..R {
                 let x = V::splat(*a.add(r * lda + d));
-                sum[r] = [sum[r][0].plus_product(x, b0), sum[r][1].plus_product(x, b1)];
+                for w in 0..W {
+                    sum[r][w] = sum[r][w].plus_product(x, row[w]);
+                }
             }
         }
     }
@@ -320,9 +368,9 @@ pub(super) unsafe fn accumulate<V: Vector, const R: usize>(
 
 /// Starts, finishes and stores the sums of R rows of C that begin at `at` and are `ldc` apart.
 #[inline(always)]
-pub(super) unsafe fn close<V: Vector, const R: usize>(
+pub(super) unsafe fn close<V: Vector, const R: usize, const W: usize>(
     p: &mut Product<V::Scalar>,
-    mut sum: [[V; 2]; R],
+    mut sum: [[V; W]; R],
     at: usize,
     ldc: usize,
     column: usize,
@@ -335,15 +383,18 @@ pub(super) unsafe fn close<V: Vector, const R: usize>(
             Start::Zero => {}
             Start::Bias(bias) => {
                 let from = bias.as_ptr().add(column);
-                let b = [V::load(from), V::load(from.add(V::LANES))];
-                for r in 0..R {
-                    sum[r] = [sum[r][0].plus(b[0]), sum[r][1].plus(b[1])];
+                for w in 0..W {
+                    let b = V::load(from.add(w * V::LANES));
+                    for r in 0..R {
+                        sum[r][w] = sum[r][w].plus(b);
+                    }
                 }
             }
             Start::Add => {
                 for r in 0..R {
-                    let from = c.add(r * ldc);
-                    sum[r] = [sum[r][0].plus(V::load(from)), sum[r][1].plus(V::load(from.add(V::LANES)))];
+                    for w in 0..W {
+                        sum[r][w] = sum[r][w].plus(V::load(c.add(r * ldc + w * V::LANES)));
+                    }
                 }
             }
         }
@@ -351,69 +402,99 @@ pub(super) unsafe fn close<V: Vector, const R: usize>(
             Finish::Plain => {}
             Finish::Relu => {
                 for r in 0..R {
-                    sum[r] = [sum[r][0].relu(), sum[r][1].relu()];
+                    for w in 0..W {
+                        sum[r][w] = sum[r][w].relu();
+                    }
                 }
             }
             Finish::Gate(gate) => {
+                let gate = gate.as_ptr().add(at);
                 for r in 0..R {
-                    let g = gate.as_ptr().add(at + r * ldc);
-                    sum[r] = [sum[r][0].gate(V::load(g)), sum[r][1].gate(V::load(g.add(V::LANES)))];
+                    for w in 0..W {
+                        sum[r][w] = sum[r][w].gate(V::load(gate.add(r * ldc + w * V::LANES)));
+                    }
                 }
             }
         }
         for r in 0..R {
-            sum[r][0].store(c.add(r * ldc));
-            sum[r][1].store(c.add(r * ldc + V::LANES));
+            for w in 0..W {
+                sum[r][w].store(c.add(r * ldc + w * V::LANES));
+            }
         }
     }
 }
 
 #[inline(always)]
-unsafe fn outer<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>) {
+unsafe fn outer<V: Vector, const R: usize, const R3: usize>(p: &mut Outer<V::Scalar>) {
     // SAFETY: the caller's promise.
     unsafe {
-        for column in (0..p.columns).step_by(2 * V::LANES) {
-            let mut j = 0;
-            while j + R <= p.depth {
-                outer_tile::<V, R>(p, j, column);
-                j += R;
+        let mut column = 0;
+        while column < p.columns {
+            let registers = panel(p.columns - column, V::LANES);
+            match registers {
+                1 => outer_panel::<V, R, 1>(p, column),
+                3 => outer_panel::<V, R3, 3>(p, column),
+                _ => outer_panel::<V, R, 2>(p, column),
             }
-            while j + 4 <= p.depth {
-                outer_tile::<V, 4>(p, j, column);
-                j += 4;
-            }
-            while j < p.depth {
-                outer_tile::<V, 1>(p, j, column);
-                j += 1;
-            }
+            column += registers * V::LANES;
         }
     }
 }
 
 #[inline(always)]
-unsafe fn outer_tile<V: Vector, const R: usize>(p: &mut Outer<V::Scalar>, j: usize, column: usize) {
+unsafe fn outer_panel<V: Vector, const R: usize, const W: usize>(p: &mut Outer<V::Scalar>, column: usize) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let mut j = 0;
+        while j + R <= p.depth {
+            outer_tile::<V, R, W>(p, j, column);
+            j += R;
+        }
+        while j + 4 <= p.depth {
+            outer_tile::<V, 4, W>(p, j, column);
+            j += 4;
+        }
+        if j + 2 <= p.depth {
+            outer_tile::<V, 2, W>(p, j, column);
+            j += 2;
+        }
+        if j < p.depth {
+            outer_tile::<V, 1, W>(p, j, column);
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn outer_tile<V: Vector, const R: usize, const W: usize>(
+    p: &mut Outer<V::Scalar>,
+    j: usize,
+    column: usize,
+) {
     // SAFETY: the caller's promise.
     unsafe {
         let (lda, ldc) = (p.lda, p.columns);
-        let mut sum = [[V::splat(V::Scalar::ZERO); 2]; R];
+        let mut sum = [[V::splat(V::Scalar::ZERO); W]; R];
         let mut a = p.a.as_ptr().add(j);
         let mut b = p.b.as_ptr().add(column);
         for _ in 0..p.rows {
-            let b0 = V::load(b);
-            let b1 = V::load(b.add(V::LANES));
+            let mut row = [V::splat(V::Scalar::ZERO); W];
+            for w in 0..W {
+                row[w] = V::load(b.add(w * V::LANES));
+            }
             for r in 0..R {
                 let x = V::splat(*a.add(r));
-                sum[r][0] = sum[r][0].plus_product(x, b0);
-                sum[r][1] = sum[r][1].plus_product(x, b1);
+                for w in 0..W {
+                    sum[r][w] = sum[r][w].plus_product(x, row[w]);
+                }
             }
             a = a.wrapping_add(lda);
             b = b.wrapping_add(ldc);
         }
         let c = p.c.as_mut_ptr().add(j * ldc + column);
         for r in 0..R {
-            for half in 0..2 {
-                let at = c.add(r * ldc + half * V::LANES);
-                V::load(at).plus(sum[r][half]).store(at);
+            for w in 0..W {
+                let at = c.add(r * ldc + w * V::LANES);
+                V::load(at).plus(sum[r][w]).store(at);
             }
         }
     }
@@ -425,14 +506,21 @@ unsafe fn dots<V: Vector>(p: &mut Dots<V::Scalar>) {
     unsafe {
         let outputs = p.bias.len();
         for t in 0..p.rows {
-            let row = p.a.as_ptr().add(t * p.columns);
             for k in 0..outputs {
-                let w = p.w.as_ptr().add(k * p.columns);
                 let mut sum = [V::splat(V::Scalar::ZERO); 2];
-                for column in (0..p.columns).step_by(2 * V::LANES) {
-                    sum[0] = sum[0].plus_product(V::load(row.add(column)), V::load(w.add(column)));
-                    let next = column + V::LANES;
-                    sum[1] = sum[1].plus_product(V::load(row.add(next)), V::load(w.add(next)));
+                for tap in 0..p.taps {
+                    let row = p.a.as_ptr().add(t * p.columns + tap * p.step);
+                    let w = p.w.as_ptr().add((tap * outputs + k) * p.columns);
+                    let mut column = 0;
+                    while column + 2 * V::LANES <= p.columns {
+                        sum[0] = sum[0].plus_product(V::load(row.add(column)), V::load(w.add(column)));
+                        let next = column + V::LANES;
+                        sum[1] = sum[1].plus_product(V::load(row.add(next)), V::load(w.add(next)));
+                        column += 2 * V::LANES;
+                    }
+                    if column < p.columns {
+                        sum[0] = sum[0].plus_product(V::load(row.add(column)), V::load(w.add(column)));
+                    }
                 }
                 *p.c.get_unchecked_mut(t * outputs + k) =
                     *p.bias.get_unchecked(k) + sum[0].plus(sum[1]).sum();
@@ -445,19 +533,39 @@ unsafe fn dots<V: Vector>(p: &mut Dots<V::Scalar>) {
 unsafe fn sums<V: Vector>(a: &[V::Scalar], c: &mut [V::Scalar]) {
     // SAFETY: the caller's promise.
     unsafe {
+        let mut column = 0;
+        while column < c.len() {
+            match panel(c.len() - column, V::LANES) {
+                2 => {
+                    sums_of::<V, 2>(a, c, column);
+                    column += 2 * V::LANES;
+                }
+                _ => {
+                    sums_of::<V, 1>(a, c, column);
+                    column += V::LANES;
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn sums_of<V: Vector, const W: usize>(a: &[V::Scalar], c: &mut [V::Scalar], column: usize) {
+    // SAFETY: the caller's promise.
+    unsafe {
         let rows = a.len() / c.len();
-        for column in (0..c.len()).step_by(2 * V::LANES) {
-            let mut sum = [[V::splat(V::Scalar::ZERO); 2]; 4];
-            for t in 0..rows {
-                let at = a.as_ptr().add(t * c.len() + column);
-                let into = &mut sum[t % 4];
-                *into = [into[0].plus(V::load(at)), into[1].plus(V::load(at.add(V::LANES)))];
+        let mut sum = [[V::splat(V::Scalar::ZERO); W]; 4];
+        for t in 0..rows {
+            let at = a.as_ptr().add(t * c.len() + column);
+            let into = &mut sum[t % 4];
+            for w in 0..W {
+                into[w] = into[w].plus(V::load(at.add(w * V::LANES)));
             }
-            for half in 0..2 {
-                let total = sum[0][half].plus(sum[1][half]).plus(sum[2][half].plus(sum[3][half]));
-                let at = c.as_mut_ptr().add(column + half * V::LANES);
-                V::load(at).plus(total).store(at);
-            }
+        }
+        for w in 0..W {
+            let total = sum[0][w].plus(sum[1][w]).plus(sum[2][w].plus(sum[3][w]));
+            let at = c.as_mut_ptr().add(column + w * V::LANES);
+            V::load(at).plus(total).store(at);
         }
     }
 }
@@ -481,24 +589,26 @@ unsafe fn burst<V: Vector>(rounds: u64) -> V::Scalar {
 }
 
 macro_rules! entries {
-    ($name:ident, $vector:ty, $rows:literal, $outer_rows:literal, $pair_rows:literal $(, $features:literal)?) => {
+    // Rows of a tile of `product`, `outer` and `pairs`: two registers wide, and three.
+    ($name:ident, $vector:ty, [$rows:literal, $outer_rows:literal, $pair_rows:literal],
+     [$rows3:literal, $outer_rows3:literal, $pair_rows3:literal] $(, $features:literal)?) => {
         mod $name {
             use super::*;
             type F = <$vector as Vector>::Scalar;
             $(#[target_feature(enable = $features)])?
             unsafe fn product(p: &mut Product<F>) {
                 // SAFETY: the caller's promise.
-                unsafe { super::product::<$vector, $rows>(p) }
+                unsafe { super::product::<$vector, $rows, $rows3>(p) }
             }
             $(#[target_feature(enable = $features)])?
             unsafe fn outer(p: &mut Outer<F>) {
                 // SAFETY: the caller's promise.
-                unsafe { super::outer::<$vector, $outer_rows>(p) }
+                unsafe { super::outer::<$vector, $outer_rows, $outer_rows3>(p) }
             }
             $(#[target_feature(enable = $features)])?
             unsafe fn pairs(p: &mut Product<F>) {
                 // SAFETY: the caller's promise.
-                unsafe { winograd::pairs::<$vector, $pair_rows>(p) }
+                unsafe { winograd::pairs::<$vector, $pair_rows, $pair_rows3>(p) }
             }
             $(#[target_feature(enable = $features)])?
             unsafe fn spread(a: &[F], out: &mut [F], columns: usize) {
@@ -527,7 +637,7 @@ macro_rules! entries {
             }
             const LANES: usize = <$vector as Vector>::LANES;
             pub const KERNELS: Kernels<F> = Kernels {
-                panel: 2 * LANES,
+                lanes: LANES,
                 product,
                 pairs,
                 spread,
@@ -542,16 +652,28 @@ macro_rules! entries {
     };
 }
 
-entries!(plain_f32, Plain<f32>, 4, 4, 2);
-entries!(plain_f64, Plain<f64>, 2, 2, 1);
+entries!(plain_f32, Plain<f32>, [4, 4, 2], [1, 1, 1]);
+entries!(plain_f64, Plain<f64>, [2, 2, 1], [1, 1, 1]);
 #[cfg(target_arch = "x86_64")]
-entries!(avx2_f32, std::arch::x86_64::__m256, 6, 6, 3, "avx2,fma");
+entries!(avx2_f32, std::arch::x86_64::__m256, [6, 6, 3], [1, 1, 1], "avx2,fma");
 #[cfg(target_arch = "x86_64")]
-entries!(avx2_f64, std::arch::x86_64::__m256d, 6, 6, 3, "avx2,fma");
+entries!(avx2_f64, std::arch::x86_64::__m256d, [6, 6, 3], [1, 1, 1], "avx2,fma");
 #[cfg(target_arch = "x86_64")]
-entries!(avx512_f32, std::arch::x86_64::__m512, 10, 12, 5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+entries!(
+    avx512_f32,
+    std::arch::x86_64::__m512,
+    [10, 12, 5],
+    [8, 8, 4],
+    "avx512f,avx512dq,avx512vl,avx512bw,fma"
+);
 #[cfg(target_arch = "x86_64")]
-entries!(avx512_f64, std::arch::x86_64::__m512d, 10, 12, 5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+entries!(
+    avx512_f64,
+    std::arch::x86_64::__m512d,
+    [10, 12, 5],
+    [1, 1, 1],
+    "avx512f,avx512dq,avx512vl,avx512bw,fma"
+);
 
 macro_rules! choose {
     ($name:ident, $type:ty, $plain:ident, $avx2:ident, $avx512:ident) => {

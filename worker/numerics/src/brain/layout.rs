@@ -1,42 +1,60 @@
-//! Weights as the kernels read them: rows padded to whole panels, and panels for both directions.
+//! Weights as the kernels read them: rows padded to whole registers, and panels for both directions.
 
-use super::kernels::{COLUMNS, Kernels};
+use super::kernels::Kernels;
 use super::real::Real;
-use super::shape::Shape;
+use super::shape::{Conv, Shape};
 use super::winograd::form;
 use std::ops::Range;
 
-/// Where b₁, b₂, b₃, w₁, w₂, w₃ᵀ (0…5) lie in the padded order: rows of `stride` channels, w₃ transposed to (K, stride).
+/// Where b₁ … b_n, w₁ … w_n (0 … 2n − 1) lie in the padded order: a w (kernel, in, stride), the last (kernel, K, stride).
 pub fn padded_range(shape: Shape, block: usize) -> Range<usize> {
-    let p = shape.stride();
-    let lengths = [p, p, shape.outputs, 3 * shape.inputs * p, 3 * p * p, shape.outputs * p];
-    let start = lengths[..block].iter().sum();
-    start..start + lengths[block]
+    let n = shape.layers();
+    let length = |block: usize| {
+        let conv = shape.conv(block % n);
+        match (block < n, block % n + 1 == n) {
+            (true, _) => conv.output_stride,
+            (false, true) => conv.kernel * conv.outputs * conv.input_stride,
+            (false, false) => conv.kernel * conv.inputs * conv.output_stride,
+        }
+    };
+    let start = (0..block).map(length).sum();
+    start..start + length(block)
 }
 
 /// Length of the padded order.
 pub fn padded_len(shape: Shape) -> usize {
-    padded_range(shape, 5).end
+    padded_range(shape, 2 * shape.layers() - 1).end
+}
+
+/// Where Q₀, Q₁, Q₂, −Q₃ of layer l + 1 (`winograd`) lie among those of all layers; nowhere if it has none.
+pub fn pairs_range(shape: Shape, l: usize) -> Range<usize> {
+    let length = |l: usize| {
+        let conv = shape.conv(l);
+        if conv.paired { 4 * conv.inputs * conv.output_stride } else { 0 }
+    };
+    let start = (0..l).map(length).sum();
+    start..start + length(l)
 }
 
 /// Calls `pair(flat, padded)` with the position of every weight in the flat and in the padded order.
 #[inline(always)]
 fn pairs(shape: Shape, mut pair: impl FnMut(usize, usize)) {
-    let (n, p) = (shape.width, shape.stride());
-    let (flat, padded) = (|block| shape.range(block).start, |block| padded_range(shape, block).start);
-    for block in 0..2 {
-        (0..n).for_each(|c| pair(flat(block) + c, padded(block) + c));
-    }
-    (0..shape.outputs).for_each(|k| pair(flat(2) + k, padded(2) + k));
-    for row in 0..3 * shape.inputs {
-        (0..n).for_each(|o| pair(flat(3) + row * n + o, padded(3) + row * p + o));
-    }
-    for (kernel, c) in (0..3).flat_map(|kernel| (0..n).map(move |c| (kernel, c))) {
-        let (from, to) = (flat(4) + (kernel * n + c) * n, padded(4) + (kernel * p + c) * p);
-        (0..n).for_each(|o| pair(from + o, to + o));
-    }
-    for c in 0..n {
-        (0..shape.outputs).for_each(|k| pair(flat(5) + c * shape.outputs + k, padded(5) + k * p + c));
+    let n = shape.layers();
+    for block in 0..2 * n {
+        let (flat, padded, conv) =
+            (shape.range(block).start, padded_range(shape, block).start, shape.conv(block % n));
+        let (p, outputs) = (conv.output_stride, conv.outputs);
+        if block + 1 == 2 * n {
+            for (tap, c) in (0..conv.kernel).flat_map(|tap| (0..conv.inputs).map(move |c| (tap, c))) {
+                let (from, to) = (flat + (tap * conv.inputs + c) * outputs, padded + c);
+                (0..outputs).for_each(|k| pair(from + k, to + (tap * outputs + k) * conv.input_stride));
+            }
+        } else {
+            let rows = if block < n { 1 } else { conv.kernel * conv.inputs };
+            for row in 0..rows {
+                (0..outputs).for_each(|o| pair(flat + row * outputs + o, padded + row * p + o));
+            }
+        }
     }
 }
 
@@ -45,39 +63,40 @@ pub fn unpad<F: Real>(shape: Shape, padded: &[F], flat: &mut [F]) {
     pairs(shape, |f, p| flat[f] = padded[p]);
 }
 
+/// One layer's weights for one direction.
+#[derive(Debug, Clone, Default)]
+pub struct Panels<F> {
+    /// (kernel·in, out), for `Kernels::product`.
+    pub direct: Vec<F>,
+    /// The four forms of `winograd` (4·in, out), for `Kernels::pairs`.
+    pub pairs: Vec<F>,
+}
+
 /// One set of weights in all forms that the sweeps need.
 #[derive(Debug, Clone)]
 pub struct Packed<F> {
     padded: Vec<F>,
-    /// Forward: (3·3M, stride) and (3·stride, stride).
-    pub w1: Vec<F>,
-    /// As `w1`.
-    pub w2: Vec<F>,
-    /// As `w2`, in the four forms of `winograd` (4·stride, stride); the one that is used by pairs of instants.
-    pub w2_pairs: Vec<F>,
-    /// Backward: flipped in time, transposed; the first layer's columns are inputs, padded.
-    pub w1_back: Vec<F>,
-    /// As `w1_back`.
-    pub w2_back: Vec<F>,
-    /// As `w2_pairs`.
-    pub w2_back_pairs: Vec<F>,
-    /// Backward through the last layer: (K, stride).
-    pub w3_back: Vec<F>,
+    /// From inputs to outputs, by layer; of the last none.
+    pub forward: Vec<Panels<F>>,
+    /// From outputs to inputs, by layer: flipped in time, transposed.
+    pub back: Vec<Panels<F>>,
 }
 
 impl<F: Real> Packed<F> {
     /// All weights 0.
     pub fn zeros(shape: Shape) -> Self {
-        let (p, zeros) = (shape.stride(), |n| vec![F::ZERO; n]);
+        let panels = |conv: Conv, rows: usize, columns: usize, direct: bool| Panels {
+            direct: vec![F::ZERO; if direct { conv.kernel * rows * columns } else { 0 }],
+            pairs: vec![F::ZERO; if conv.paired { 4 * rows * columns } else { 0 }],
+        };
+        let convs = || (0..shape.layers()).map(|l| shape.conv(l));
+        let forward = convs().take(shape.layers() - 1);
         Self {
-            padded: zeros(padded_len(shape)),
-            w1: zeros(3 * shape.inputs * p),
-            w2: zeros(3 * p * p),
-            w2_pairs: zeros(4 * p * p),
-            w2_back_pairs: zeros(4 * p * p),
-            w1_back: zeros(3 * p * shape.inputs.next_multiple_of(COLUMNS)),
-            w2_back: zeros(3 * p * p),
-            w3_back: zeros(shape.outputs * p),
+            padded: vec![F::ZERO; padded_len(shape)],
+            forward: forward
+                .map(|c| panels(c, c.inputs, c.output_stride, !c.paired || F::REFERENCE_ORDER))
+                .collect(),
+            back: convs().map(|c| panels(c, c.outputs, c.back().columns, !c.paired)).collect(),
         }
     }
 
@@ -87,29 +106,41 @@ impl<F: Real> Packed<F> {
     /// If there are not `shape.weights()` of them.
     pub fn fill(&mut self, kernels: &Kernels<F>, shape: Shape, flat: &[F]) {
         assert_eq!(flat.len(), shape.weights(), "weights of {shape:?}");
-        let (p, inputs) = (shape.stride(), shape.inputs);
+        let n = shape.layers();
         let padded = &mut self.padded;
         pairs(shape, |f, p| padded[p] = flat[f]);
-        let [w1, w2, w3] = [3, 4, 5].map(|block| &self.padded[padded_range(shape, block)]);
-        kernels.pack(3 * inputs, p, |d, c| w1[d * p + c], &mut self.w1);
-        if !shape.paired() || F::REFERENCE_ORDER {
-            kernels.pack(3 * p, p, |d, c| w2[d * p + c], &mut self.w2);
+        for l in 0..n - 1 {
+            let (conv, w) = (shape.conv(l), &self.padded[padded_range(shape, n + l)]);
+            let Conv { kernel, inputs, outputs, output_stride: p, .. } = conv;
+            let (forward, back) = (&mut self.forward[l], &mut self.back[l]);
+            if !forward.direct.is_empty() {
+                kernels.pack(kernel * inputs, p, |d, c| w[d * p + c], &mut forward.direct);
+            }
+            let columns = conv.back().columns;
+            if conv.paired {
+                let entry = |d: usize, c| form(d / inputs, |k| w[(k * inputs + d % inputs) * p + c]);
+                kernels.pack(4 * inputs, p, entry, &mut forward.pairs);
+                // Columns beyond the inputs stay 0.
+                let entry = |d: usize, c: usize| match c < inputs {
+                    true => form(d / outputs, |k| w[((2 - k) * inputs + c) * p + d % outputs]),
+                    false => F::ZERO,
+                };
+                kernels.pack(4 * outputs, columns, entry, &mut back.pairs);
+            } else {
+                let entry = |d: usize, c: usize| match c < inputs {
+                    true => w[((kernel - 1 - d / outputs) * inputs + c) * p + d % outputs],
+                    false => F::ZERO,
+                };
+                kernels.pack(kernel * outputs, columns, entry, &mut back.direct);
+            }
         }
-        if shape.paired() {
-            kernels.pack(4 * p, p, |d, c| form(d / p, |k| w2[(k * p + d % p) * p + c]), &mut self.w2_pairs);
-            let back = |d: usize, c| form(d / p, |k| w2[((2 - k) * p + c) * p + d % p]);
-            kernels.pack(4 * p, p, back, &mut self.w2_back_pairs);
-        } else {
-            kernels.pack(3 * p, p, |d, c| w2[((2 - d / p) * p + c) * p + d % p], &mut self.w2_back);
-        }
-        kernels.pack(shape.outputs, p, |k, c| w3[k * p + c], &mut self.w3_back);
-        let columns = inputs.next_multiple_of(COLUMNS);
-        let back =
-            |d: usize, c| if c < inputs { w1[((2 - d / p) * inputs + c) * p + d % p] } else { F::ZERO };
-        kernels.pack(3 * p, columns, back, &mut self.w1_back);
+        let (conv, w) = (shape.conv(n - 1), &self.padded[padded_range(shape, 2 * n - 1)]);
+        let Conv { kernel, outputs, input_stride: p, .. } = conv;
+        let entry = |d: usize, c| w[((kernel - 1 - d / outputs) * outputs + d % outputs) * p + c];
+        kernels.pack(kernel * outputs, p, entry, &mut self.back[n - 1].direct);
     }
 
-    /// b₁, b₂, b₃ or w₃ᵀ (block 0, 1, 2, 5), padded.
+    /// A bias b₁ … b_n or the last w (block 0 … n − 1, 2n − 1), padded.
     pub fn block(&self, shape: Shape, block: usize) -> &[F] {
         &self.padded[padded_range(shape, block)]
     }

@@ -5,7 +5,7 @@
 //! train(&mut weights, &mut adam, data.all(), &cosine(1e-2, 1000), 1000, &mut losses, &mut ws, &pool)
 //! let curvature = Curvature::new(&weights, data.all(), …)   then .product(…), .mixed_product(…), solve_implicit(…)
 //! ```
-//! Weights are flat: b₁, b₂, b₃, w₁, w₂, w₃ (`shape`). Any number of threads gives the same bits.
+//! Weights are flat: b₁ … b_n, w₁ … w_n (`shape`). Any number of threads gives the same bits.
 
 mod curvature;
 mod data;
@@ -27,6 +27,6 @@ pub use kernels::Kernels;
 pub use metric::prediction_error;
 pub use network::{Workspace, full_gradient, input_gradient, loss, loss_gradient, predict};
 pub use real::Real;
-pub use shape::{Shape, initial_weights};
+pub use shape::{Architecture, LAYERS_MAX, Layer, Shape, initial_weights};
 pub use solve::{Policy, Solve, SolveOutcome, conjugate_gradient, solve_implicit};
 pub use train::{Adam, TrainOutcome, cosine, milestones, train, train_watched};

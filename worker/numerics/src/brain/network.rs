@@ -6,10 +6,10 @@
 //! Threads take chunks of `CHUNK` samples; each chunk has its own sums, added in chunk order.
 
 use super::data::Batch;
-use super::kernels::{COLUMNS, Dots, Finish, Kernels, Outer, Product, Start};
-use super::layout::{Packed, padded_len, padded_range, unpad};
+use super::kernels::{Dots, Finish, Kernels, Outer, Product, Start};
+use super::layout::{Packed, Panels, padded_len, padded_range, pairs_range, unpad};
 use super::real::Real;
-use super::shape::Shape;
+use super::shape::{Shape, Sweep};
 use super::winograd;
 use crate::simd::Width;
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ pub struct Workspace<F> {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Slot<F> {
     pub gradient: Vec<F>,
-    /// Q₀, Q₁, Q₂, −Q₃ of the second layer (`winograd`).
+    /// Q₀, Q₁, Q₂, −Q₃ of the layers that go by pairs (`winograd`).
     pub pairs: Vec<F>,
     pub loss: f64,
     pub out: Vec<F>,
@@ -46,39 +46,38 @@ impl<F: Real> Slot<F> {
     }
 }
 
-/// One sample's activations and cotangents; (T + 2, stride) where a convolution reads them, with rows of zeros at the ends.
+/// One sample's activations and cotangents, padded by the rows of zeros that convolutions read (`Conv`).
 #[derive(Debug, Clone, Default)]
 pub(super) struct Scratch<F> {
-    pub a1: Vec<F>,
-    pub a2: Vec<F>,
+    /// a₁ … a_(n−1).
+    pub a: Vec<Vec<F>>,
     pub out: Vec<F>,
-    pub g3: Vec<F>,
-    pub g2: Vec<F>,
-    pub g1: Vec<F>,
+    /// g_l = ∂L/∂z_l, l = 1 … n, z_l what a layer has before its ReLU.
+    pub g: Vec<Vec<F>>,
     pub wide: Vec<F>,
-    /// a₁ and g₂ as `winograd` multiplies them.
-    pub spread1: Vec<F>,
-    pub spread2: Vec<F>,
-    pub fold2: Vec<F>,
+    /// Inputs and cotangents of the layers that go by pairs, as `winograd` multiplies them.
+    pub spread_a: Vec<Vec<F>>,
+    pub spread_g: Vec<Vec<F>>,
+    pub fold: Vec<F>,
     /// The same of the tangent, empty until a curvature asks.
     pub tangent: Option<Box<Scratch<F>>>,
 }
 
 impl<F: Real> Scratch<F> {
     pub fn new(shape: Shape) -> Self {
-        let (t, p) = (shape.instants, shape.stride());
-        let zeros = |n| vec![F::ZERO; n];
+        let (t, n) = (shape.instants, shape.layers());
+        let each = |length: &dyn Fn(usize) -> usize| -> Vec<Vec<F>> {
+            (0..n).map(|l| vec![F::ZERO; length(l)]).collect()
+        };
+        let forms = |l: usize| if shape.conv(l).paired { 2 * t * shape.stride() } else { 0 };
         Self {
-            a1: zeros((t + 2) * p),
-            a2: zeros(t * p),
-            out: zeros(t * shape.outputs),
-            g3: zeros(t * shape.outputs),
-            g2: zeros((t + 2) * p),
-            g1: zeros((t + 2) * p),
-            wide: zeros(t * shape.inputs.next_multiple_of(COLUMNS)),
-            spread1: zeros(t / 2 * 4 * p),
-            spread2: zeros(t / 2 * 4 * p),
-            fold2: zeros(t / 2 * 4 * p),
+            a: (1..n).map(|l| vec![F::ZERO; shape.conv(l).input_len()]).collect(),
+            out: vec![F::ZERO; t * shape.outputs],
+            g: each(&|l| shape.conv(l).output_len()),
+            wide: vec![F::ZERO; t * shape.conv(0).back().columns],
+            spread_a: each(&forms),
+            spread_g: each(&forms),
+            fold: vec![F::ZERO; (0..n).map(forms).max().unwrap_or(0)],
             tangent: None,
         }
     }
@@ -105,7 +104,7 @@ impl<F: Real> Workspace<F> {
     /// # Panics
     /// If the machine lacks it, or a size is 0.
     pub fn with_width(shape: Shape, width: Width) -> Self {
-        assert!(shape.instants * shape.inputs * shape.width * shape.outputs > 0, "{shape:?}");
+        assert!(shape.instants * shape.inputs * shape.outputs > 0, "{shape:?}");
         let (kernels, packed) = (F::kernels(width), Packed::zeros(shape));
         Self { shape, kernels, packed, slots: Vec::new(), scratch: Vec::new() }
     }
@@ -119,9 +118,9 @@ impl<F: Real> Workspace<F> {
     ) {
         assert_eq!(batch.shape(), self.shape, "a batch of another shape");
         let chunks = batch.len().div_ceil(CHUNK);
-        let gradient = padded_len(self.shape);
+        let last = self.shape.layers() - 1;
+        let (gradient, pairs) = (padded_len(self.shape), pairs_range(self.shape, last).end);
         while self.slots.len() < chunks {
-            let pairs = if self.shape.paired() { 4 * self.shape.stride() * self.shape.stride() } else { 0 };
             let (gradient, pairs) = (vec![F::ZERO; gradient], vec![F::ZERO; pairs]);
             self.slots.push(Slot { gradient, pairs, loss: 0.0, out: Vec::new() });
         }
@@ -149,7 +148,7 @@ impl<F: Real> Workspace<F> {
             for i in samples {
                 let (x, y) = batch.sample(i);
                 forward(kernels, shape, packed, x, s);
-                slot.loss += residual(y, batch.output_weights(), elements, s);
+                slot.loss += residual(shape, y, batch.output_weights(), elements, s);
                 if want == Want::Outputs {
                     slot.out.extend_from_slice(&s.out);
                 }
@@ -160,7 +159,7 @@ impl<F: Real> Workspace<F> {
                     add_weight_gradient(kernels, shape, x, s, slot);
                 }
                 if matches!(want, Want::Inputs | Want::Both) {
-                    input_product(kernels, shape, &packed.w1_back, &s.g1, &mut s.wide, Start::Zero);
+                    input_product(kernels, shape, packed, &s.g[0], &mut s.wide, Start::Zero);
                     take_inputs(shape, &s.wide, &mut slot.out);
                 }
             }
@@ -180,8 +179,9 @@ impl<F: Real> Workspace<F> {
             add(&mut first.gradient, &slot.gradient);
             add(&mut first.pairs, &slot.pairs);
         }
-        if self.shape.paired() {
-            winograd::add_gradient(&first.pairs, &mut first.gradient[padded_range(self.shape, 4)]);
+        for l in (0..self.shape.layers()).filter(|&l| self.shape.conv(l).paired) {
+            let weights = padded_range(self.shape, self.shape.layers() + l);
+            winograd::add_gradient(&first.pairs[pairs_range(self.shape, l)], &mut first.gradient[weights]);
         }
         unpad(self.shape, &first.gradient, gradient);
     }
@@ -248,57 +248,50 @@ pub fn predict<F: Real>(
     ws.join_outputs(batch.len())
 }
 
-/// Prepares a padded activation or cotangent for `convolve` and `add_second_layer`.
-pub(super) fn spread<F: Real>(kernels: &Kernels<F>, shape: Shape, a: &[F], spread: &mut [F]) {
-    if shape.paired() {
-        kernels.spread(a, spread, shape.stride());
+/// Prepares a padded activation or cotangent for `convolve`.
+pub(super) fn spread<F: Real>(kernels: &Kernels<F>, sweep: Sweep, a: &[F], spread: &mut [F]) {
+    if sweep.paired {
+        kernels.spread(a, spread, sweep.lda);
     }
 }
 
-/// c = finish(start + a ∗ w) with the second layer's w, given in panels of both kinds.
+/// c = finish(start + a ∗ w), `a` padded, with w in the panels of the sweep's direction.
 pub(super) fn convolve<F: Real>(
     kernels: &Kernels<F>,
-    shape: Shape,
-    a: &[F],
-    spread: &[F],
-    [direct, pairs]: [&[F]; 2],
+    sweep: Sweep,
+    [a, spread]: [&[F]; 2],
+    panels: &Panels<F>,
     c: &mut [F],
     start: Start<F>,
     finish: Finish<F>,
 ) {
-    let (columns, rows) = (shape.stride(), shape.instants);
-    if shape.paired() {
-        let (lda, depth) = (columns, columns);
-        kernels.pairs(Product { a: spread, lda, rows, depth, panels: pairs, c, columns, start, finish });
+    let Sweep { rows, channels, lda, columns, taps, step, depth, paired } = sweep;
+    if paired {
+        let (depth, panels) = (channels, &panels.pairs);
+        let (taps, step) = (1, 0);
+        kernels.pairs(Product { a: spread, lda, rows, depth, taps, step, panels, c, columns, start, finish });
     } else {
-        let (lda, depth) = (columns, 3 * columns);
-        kernels.product(Product { a, lda, rows, depth, panels: direct, c, columns, start, finish });
+        let panels = &panels.direct;
+        kernels.product(Product { a, lda, rows, depth, taps, step, panels, c, columns, start, finish });
     }
 }
 
-/// Adds aᵀ·g₂ to the gradient of w₂; `fold` is scratch.
-pub(super) fn add_second_layer<F: Real>(
+/// c = bias + a ∗ w of the last layer.
+pub(super) fn answer<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
     a: &[F],
-    spread: &[F],
-    g2: &[F],
-    fold: &mut [F],
-    slot: &mut Slot<F>,
+    w: &Packed<F>,
+    bias: &[F],
+    c: &mut [F],
 ) {
-    let p = shape.stride();
-    let (g2, rows) = (&g2[p..(shape.instants + 1) * p], shape.instants / 2);
-    if !shape.paired() {
-        return add_outer(kernels, shape, a, p, 3 * p, g2, &mut slot.gradient[padded_range(shape, 4)]);
-    }
-    kernels.fold(g2, fold, p);
-    let forms = spread.chunks_exact(rows * p).zip(fold.chunks_exact(rows * p));
-    for ((a, b), c) in forms.zip(slot.pairs.chunks_exact_mut(p * p)) {
-        kernels.outer(Outer { a, lda: p, rows, depth: p, b, columns: p, c });
-    }
+    let n = shape.layers();
+    let (conv, w) = (shape.conv(n - 1), w.block(shape, 2 * n - 1));
+    let (columns, taps) = (conv.input_stride, conv.kernel);
+    kernels.dots(Dots { a, columns, rows: shape.instants, taps, step: conv.dilation * columns, w, bias, c });
 }
 
-/// a₁, a₂ and f̂ of one sample.
+/// a₁ … a_(n−1) and f̂ of one sample.
 pub(super) fn forward<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
@@ -306,46 +299,33 @@ pub(super) fn forward<F: Real>(
     x: &[F],
     s: &mut Scratch<F>,
 ) {
-    let (p, rows) = (shape.stride(), shape.instants);
-    kernels.product(Product {
-        a: x,
-        lda: shape.inputs,
-        rows,
-        depth: 3 * shape.inputs,
-        panels: &w.w1,
-        c: &mut s.a1[p..],
-        columns: p,
-        start: Start::Bias(w.block(shape, 0)),
-        finish: Finish::Relu,
-    });
-    spread(kernels, shape, &s.a1, &mut s.spread1);
-    let (start, finish) = (Start::Bias(w.block(shape, 1)), Finish::Relu);
-    if F::REFERENCE_ORDER {
-        let panels = &w.w2;
-        kernels.product(Product {
-            a: &s.a1,
-            lda: p,
-            rows,
-            depth: 3 * p,
-            panels,
-            c: &mut s.a2,
-            columns: p,
-            start,
-            finish,
-        });
-    } else {
-        convolve(kernels, shape, &s.a1, &s.spread1, [&w.w2, &w.w2_pairs], &mut s.a2, start, finish);
+    let last = shape.layers() - 1;
+    for l in 0..last {
+        let (below, above) = s.a.split_at_mut(l);
+        let a = below.last().map_or(x, |a| &a[..]);
+        let mut sweep = shape.conv(l).forward();
+        spread(kernels, sweep, a, &mut s.spread_a[l]);
+        sweep.paired &= !F::REFERENCE_ORDER;
+        let c = &mut above[0][shape.conv(l + 1).input_start()..];
+        let bias = Start::Bias(w.block(shape, l));
+        convolve(kernels, sweep, [a, &s.spread_a[l]], &w.forward[l], c, bias, Finish::Relu);
     }
-    let (w, bias) = (w.block(shape, 5), w.block(shape, 2));
-    kernels.dots(Dots { a: &s.a2, columns: p, rows, w, bias, c: &mut s.out });
+    answer(kernels, shape, &s.a[last - 1], w, w.block(shape, last), &mut s.out);
 }
 
-/// Σ σ² (f̂ − f)² of one sample; g₃ = ∂L/∂f̂ into the scratch.
-pub(super) fn residual<F: Real>(y: &[F], output_weights: &[F], elements: usize, s: &mut Scratch<F>) -> f64 {
+/// Σ σ² (f̂ − f)² of one sample; g_n = ∂L/∂f̂ into the scratch.
+pub(super) fn residual<F: Real>(
+    shape: Shape,
+    y: &[F],
+    output_weights: &[F],
+    elements: usize,
+    s: &mut Scratch<F>,
+) -> f64 {
     let scale = F::from_f64(2.0 / elements as f64);
     let mut sum = 0.0;
-    let k = output_weights.len();
-    for ((g, out), y) in s.g3.chunks_exact_mut(k).zip(s.out.chunks_exact(k)).zip(y.chunks_exact(k)) {
+    let (k, last) = (shape.outputs, shape.layers() - 1);
+    let g = &mut s.g[last][shape.conv(last).output_start()..];
+    for ((g, out), y) in g.chunks_exact_mut(k).zip(s.out.chunks_exact(k)).zip(y.chunks_exact(k)) {
         for i in 0..k {
             let error = out[i] - y[i];
             let weighted = output_weights[i] * error;
@@ -356,130 +336,94 @@ pub(super) fn residual<F: Real>(y: &[F], output_weights: &[F], elements: usize, 
     sum
 }
 
-/// g₂ = ∂L/∂z₂ and g₁ = ∂L/∂z₁ from g₃.
+/// g_(n−1) … g₁ from g_n.
 pub(super) fn backward<F: Real>(kernels: &Kernels<F>, shape: Shape, w: &Packed<F>, s: &mut Scratch<F>) {
-    last_layer_back(kernels, shape, &w.w3_back, &s.g3, &s.a2, &mut s.g2, Start::Zero);
-    spread(kernels, shape, &s.g2, &mut s.spread2);
-    let (p, panels) = (shape.stride(), [&w.w2_back[..], &w.w2_back_pairs]);
-    convolve(
-        kernels,
-        shape,
-        &s.g2,
-        &s.spread2,
-        panels,
-        &mut s.g1[p..],
-        Start::Zero,
-        Finish::Gate(&s.a1[p..]),
-    );
-}
-
-/// g₂ = [a₂ > 0] (start + g₃ w₃ᵀ).
-pub(super) fn last_layer_back<F: Real>(
-    kernels: &Kernels<F>,
-    shape: Shape,
-    w3_back: &[F],
-    g3: &[F],
-    a2: &[F],
-    g2: &mut [F],
-    start: Start<F>,
-) {
-    let (p, rows) = (shape.stride(), shape.instants);
-    kernels.product(Product {
-        a: g3,
-        lda: shape.outputs,
-        rows,
-        depth: shape.outputs,
-        panels: w3_back,
-        c: &mut g2[p..],
-        columns: p,
-        start,
-        finish: Finish::Gate(a2),
-    });
+    for l in (1..shape.layers()).rev() {
+        let (below, above) = s.g.split_at_mut(l);
+        let (conv, sweep) = (shape.conv(l), shape.conv(l).back());
+        spread(kernels, sweep, &above[0], &mut s.spread_g[l]);
+        let c = &mut below[l - 1][shape.conv(l - 1).output_start()..];
+        let gate = Finish::Gate(&s.a[l - 1][conv.input_start()..]);
+        convolve(kernels, sweep, [&above[0], &s.spread_g[l]], &w.back[l], c, Start::Zero, gate);
+    }
 }
 
 /// wide = start + g₁ ∗ w₁ᵀ.
 pub(super) fn input_product<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
-    w1_back: &[F],
+    w: &Packed<F>,
     g1: &[F],
     wide: &mut [F],
     start: Start<F>,
 ) {
-    let (p, rows) = (shape.stride(), shape.instants);
-    let columns = shape.inputs.next_multiple_of(COLUMNS);
-    let finish = Finish::Plain;
-    kernels.product(Product {
-        a: g1,
-        lda: p,
-        rows,
-        depth: 3 * p,
-        panels: w1_back,
-        c: wide,
-        columns,
-        start,
-        finish,
-    });
+    convolve(kernels, shape.conv(0).back(), [g1, &[]], &w.back[0], wide, start, Finish::Plain);
 }
 
 /// Appends the (T, 3M) that stand in the padded rows of `wide`.
 pub(super) fn take_inputs<F: Real>(shape: Shape, wide: &[F], out: &mut Vec<F>) {
-    for row in wide.chunks_exact(shape.inputs.next_multiple_of(COLUMNS)) {
+    for row in wide.chunks_exact(shape.conv(0).back().columns) {
         out.extend_from_slice(&row[..shape.inputs]);
     }
 }
 
 /// Adds one sample's ∂L/∂β, in the padded order.
-pub(super) fn add_weight_gradient<F: Real>(
+fn add_weight_gradient<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
     x: &[F],
     s: &mut Scratch<F>,
     slot: &mut Slot<F>,
 ) {
-    let (p, k) = (shape.stride(), shape.outputs);
-    add_second_layer(kernels, shape, &s.a1, &s.spread1, &s.g2, &mut s.fold2, slot);
-    let gradient = &mut slot.gradient;
-    add_biases(kernels, shape, &s.g1, &s.g2, &s.g3, gradient);
-    add_outer(
-        kernels,
-        shape,
-        x,
-        shape.inputs,
-        3 * shape.inputs,
-        &s.g1[p..],
-        &mut gradient[padded_range(shape, 3)],
-    );
-    add_outer(kernels, shape, &s.g3, k, k, &s.a2, &mut gradient[padded_range(shape, 5)]);
+    for l in 0..shape.layers() {
+        let a = if l == 0 { x } else { &s.a[l - 1] };
+        add_layer(kernels, shape, l, [a, &s.spread_a[l], &s.g[l]], &mut s.fold, slot);
+        add_biases(kernels, shape, l, &s.g[l], slot);
+    }
 }
 
-/// c += aᵀ·b over the instants.
-pub(super) fn add_outer<F: Real>(
+/// Adds aᵀ·g to the gradient of w of layer l + 1, from its padded input a and cotangent g; `fold` is scratch.
+pub(super) fn add_layer<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
-    a: &[F],
-    lda: usize,
-    depth: usize,
-    b: &[F],
-    c: &mut [F],
+    l: usize,
+    [a, spread, g]: [&[F]; 3],
+    fold: &mut [F],
+    slot: &mut Slot<F>,
 ) {
-    let columns = shape.stride();
-    kernels.outer(Outer { a, lda, rows: shape.instants, depth, b, columns, c });
+    let (conv, n, rows) = (shape.conv(l), shape.layers(), shape.instants);
+    let (lda, columns) = (conv.input_stride, conv.output_stride);
+    let g = &g[conv.output_start()..][..rows * columns];
+    let gradient = &mut slot.gradient[padded_range(shape, n + l)];
+    if conv.paired {
+        kernels.fold(g, fold, columns);
+        let forms = spread.chunks_exact(rows / 2 * lda).zip(fold.chunks_exact(rows / 2 * columns));
+        let slots = slot.pairs[pairs_range(shape, l)].chunks_exact_mut(conv.inputs * columns);
+        for ((a, b), c) in forms.zip(slots) {
+            kernels.outer(Outer { a, lda, rows: rows / 2, depth: conv.inputs, b, columns, c });
+        }
+    } else if l + 1 == n {
+        // Transposed: few outputs, many inputs.
+        let taps = gradient.chunks_exact_mut(conv.outputs * lda);
+        for (tap, c) in taps.enumerate() {
+            let b = &a[tap * conv.dilation * lda..];
+            kernels.outer(Outer { a: g, lda: columns, rows, depth: columns, b, columns: lda, c });
+        }
+    } else {
+        let Sweep { step, depth, .. } = conv.forward();
+        for (tap, c) in gradient.chunks_exact_mut(depth * columns).enumerate() {
+            kernels.outer(Outer { a: &a[tap * step..], lda, rows, depth, b: g, columns, c });
+        }
+    }
 }
 
-/// Adds the sums over the instants of g₁, g₂ (padded) and g₃ to the biases' gradient.
-pub(super) fn add_biases<F: Real>(
-    kernels: &Kernels<F>,
-    shape: Shape,
-    g1: &[F],
-    g2: &[F],
-    g3: &[F],
-    gradient: &mut [F],
-) {
-    kernels.add_rows(g1, &mut gradient[padded_range(shape, 0)]);
-    kernels.add_rows(g2, &mut gradient[padded_range(shape, 1)]);
-    let b3 = &mut gradient[padded_range(shape, 2)];
-    for row in g3.chunks_exact(shape.outputs) {
-        b3.iter_mut().zip(row).for_each(|(sum, g)| *sum += *g);
+/// Adds the sums over the instants of a padded cotangent to the gradient of the bias of layer l + 1.
+pub(super) fn add_biases<F: Real>(kernels: &Kernels<F>, shape: Shape, l: usize, g: &[F], slot: &mut Slot<F>) {
+    let bias = &mut slot.gradient[padded_range(shape, l)];
+    if l + 1 < shape.layers() {
+        return kernels.add_rows(g, bias);
+    }
+    for row in g.chunks_exact(shape.outputs) {
+        bias.iter_mut().zip(row).for_each(|(sum, g)| *sum += *g);
     }
 }

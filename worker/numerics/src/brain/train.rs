@@ -55,7 +55,7 @@ impl<F: Real> Adam<F> {
 pub enum TrainOutcome {
     /// As planned.
     Ok,
-    /// No unit of this hidden layer (1, 2) fired for any sample: its gradient is zero, so it stays so. Training ended there.
+    /// No unit of this hidden layer (1 … n − 1) fired for any sample: its gradient is zero, so it stays so. Training ended there.
     DeadLayer(usize),
     /// The loss exceeded a hundred times that of the start and of the answer 0. Training ended there.
     Diverged,
@@ -103,7 +103,7 @@ pub fn train_watched<F: Real>(
     pool: &rayon::ThreadPool,
     watch: &mut dyn FnMut(usize, &[F]),
 ) -> TrainOutcome {
-    let shape = batch.shape();
+    let (shape, n) = (batch.shape(), batch.shape().layers());
     let mut gradient = vec![F::ZERO; weights.len()];
     let mut last = weights.to_vec();
     let mut ceiling = batch.target_power();
@@ -122,12 +122,11 @@ pub fn train_watched<F: Real>(
         if loss > ceiling {
             return TrainOutcome::Diverged;
         }
+        // A dead layer leaves the weights behind it without a gradient, and its biases without one.
         let silent = |block| gradient[shape.range(block)].iter().all(|&g| g == F::ZERO);
-        if loss > 0.0 && silent(5) {
-            return TrainOutcome::DeadLayer(2);
-        }
-        if loss > 0.0 && silent(4) && silent(0) {
-            return TrainOutcome::DeadLayer(1);
+        let dead = |layer: &usize| silent(n + layer) && (layer + 1 == n || silent(layer - 1));
+        if let Some(layer) = (1..n).rev().find(|layer| loss > 0.0 && dead(layer)) {
+            return TrainOutcome::DeadLayer(layer);
         }
         last.copy_from_slice(weights);
         adam.step(weights, &gradient, schedule(i));

@@ -1,14 +1,14 @@
-//! A k = 3 convolution in pairs of rows by Winograd's F(2, 3): four products of 64 × 64 where six would be direct.
+//! A k = 3 convolution in pairs of rows by Winograd's F(2, 3): four products where six would be direct.
 //!
 //! ```text
 //! U = (g₀, (g₀+g₁+g₂)/2, (g₀−g₁+g₂)/2, g₂)     V = (a₀−a₂, a₁+a₂, a₂−a₁, a₁−a₃) of the rows 2h … 2h+3
 //! Mᵢ = Vᵢ Uᵢ      c₀ = M₀ + M₁ + M₂            c₁ = M₁ − M₂ − M₃
 //! ∂g: Qᵢ = Vᵢᵀ Eᵢ, E = (e₀, e₀+e₁, e₀−e₁, −e₁): g̅₀ = Q₀ + (Q₁+Q₂)/2, g̅₁ = (Q₁−Q₂)/2, g̅₂ = (Q₁+Q₂)/2 + Q₃
 //! ```
-//! The four forms lie one after the other, rows 64 long: rows further apart would share too few sets of L1.
+//! The four forms lie one after the other: rows further apart (4 × 64) would share too few sets of L1.
 //! Lavin and Gray, arXiv:1509.09308, in one dimension. U₃ is stored negated.
 
-use super::kernels::{Product, accumulate, close};
+use super::kernels::{Product, accumulate, close, panel};
 use super::real::Real;
 use super::vector::Vector;
 
@@ -39,38 +39,63 @@ pub fn add_gradient<F: Real>(q: &[F], gradient: &mut [F]) {
 /// # Safety
 /// As `Kernels::pairs` checks it; the machine has the vector's instruction set.
 #[inline(always)]
-pub unsafe fn pairs<V: Vector, const R: usize>(p: &mut Product<V::Scalar>) {
-    // SAFETY: the caller's promise; a known depth spares the row addresses their registers.
+pub unsafe fn pairs<V: Vector, const R: usize, const R3: usize>(p: &mut Product<V::Scalar>) {
+    // SAFETY: the caller's promise; known lengths spare the row addresses their registers.
     unsafe {
-        match p.depth {
-            64 => pairs_of_depth::<V, R>(p, 64),
-            depth => pairs_of_depth::<V, R>(p, depth),
+        match (p.lda, p.depth) {
+            (64, 64) => pairs_by_stride::<V, R, R3>(p, 64, 64),
+            (stride, depth) => pairs_by_stride::<V, R, R3>(p, stride, depth),
         }
     }
 }
 
 #[inline(always)]
-unsafe fn pairs_of_depth<V: Vector, const R: usize>(p: &mut Product<V::Scalar>, depth: usize) {
+unsafe fn pairs_by_stride<V: Vector, const R: usize, const R3: usize>(
+    p: &mut Product<V::Scalar>,
+    lda: usize,
+    depth: usize,
+) {
     // SAFETY: the caller's promise.
     unsafe {
-        for column in (0..p.columns).step_by(2 * V::LANES) {
-            let u = p.panels.as_ptr().add(column * 4 * depth);
-            let mut h = 0;
-            while h + R <= p.rows / 2 {
-                tile::<V, R>(p, depth, u, h, column);
-                h += R;
+        let mut column = 0;
+        while column < p.columns {
+            let registers = panel(p.columns - column, V::LANES);
+            match registers {
+                1 => pairs_panel::<V, R, 1>(p, lda, depth, column),
+                3 => pairs_panel::<V, R3, 3>(p, lda, depth, column),
+                _ => pairs_panel::<V, R, 2>(p, lda, depth, column),
             }
-            while h < p.rows / 2 {
-                tile::<V, 1>(p, depth, u, h, column);
-                h += 1;
-            }
+            column += registers * V::LANES;
         }
     }
 }
 
 #[inline(always)]
-unsafe fn tile<V: Vector, const R: usize>(
+unsafe fn pairs_panel<V: Vector, const R: usize, const W: usize>(
     p: &mut Product<V::Scalar>,
+    lda: usize,
+    depth: usize,
+    column: usize,
+) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let u = p.panels.as_ptr().add(column * 4 * depth);
+        let mut h = 0;
+        while h + R <= p.rows / 2 {
+            tile::<V, R, W>(p, lda, depth, u, h, column);
+            h += R;
+        }
+        while h < p.rows / 2 {
+            tile::<V, 1, W>(p, lda, depth, u, h, column);
+            h += 1;
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn tile<V: Vector, const R: usize, const W: usize>(
+    p: &mut Product<V::Scalar>,
+    lda: usize,
     depth: usize,
     u: *const V::Scalar,
     h: usize,
@@ -78,22 +103,24 @@ unsafe fn tile<V: Vector, const R: usize>(
 ) {
     // SAFETY: the caller's promise.
     unsafe {
-        let (a, form) = (p.a.as_ptr().add(h * depth), p.rows / 2 * depth);
-        let block = depth * 2 * V::LANES;
-        let zero = [[V::splat(V::Scalar::ZERO); 2]; R];
+        let (a, form) = (p.a.as_ptr().add(h * lda), p.rows / 2 * lda);
+        let block = depth * W * V::LANES;
+        let zero = [[V::splat(V::Scalar::ZERO); W]; R];
         let (mut first, mut second) = (zero, zero);
-        accumulate::<V, R>(&mut first, a.add(form), depth, u.add(block), depth);
-        accumulate::<V, R>(&mut second, a.add(2 * form), depth, u.add(2 * block), depth);
+        accumulate::<V, R, W>(&mut first, a.add(form), lda, u.add(block), depth);
+        accumulate::<V, R, W>(&mut second, a.add(2 * form), lda, u.add(2 * block), depth);
         for r in 0..R {
-            let (m1, m2) = (first[r], second[r]);
-            first[r] = [m1[0].plus(m2[0]), m1[1].plus(m2[1])];
-            second[r] = [m1[0].minus(m2[0]), m1[1].minus(m2[1])];
+            for w in 0..W {
+                let (m1, m2) = (first[r][w], second[r][w]);
+                first[r][w] = m1.plus(m2);
+                second[r][w] = m1.minus(m2);
+            }
         }
-        accumulate::<V, R>(&mut first, a, depth, u, depth);
-        accumulate::<V, R>(&mut second, a.add(3 * form), depth, u.add(3 * block), depth);
+        accumulate::<V, R, W>(&mut first, a, lda, u, depth);
+        accumulate::<V, R, W>(&mut second, a.add(3 * form), lda, u.add(3 * block), depth);
         let at = 2 * h * p.columns + column;
-        close::<V, R>(p, first, at, 2 * p.columns, column);
-        close::<V, R>(p, second, at + p.columns, 2 * p.columns, column);
+        close::<V, R, W>(p, first, at, 2 * p.columns, column);
+        close::<V, R, W>(p, second, at + p.columns, 2 * p.columns, column);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::chip::{Chip, Disturbance};
 use super::linear::Decoder;
-use crate::brain::{Policy, Shape};
+use crate::brain::{Architecture, Policy, Shape};
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::Limits;
 use crate::random::Purpose;
@@ -70,8 +70,8 @@ pub struct Training {
     pub iterations: usize,
     /// Adam's rate.
     pub rate: f64,
-    /// Channels of the two hidden layers.
-    pub width: usize,
+    /// Its layers.
+    pub architecture: Architecture,
 }
 
 /// The outer loop.
@@ -200,11 +200,11 @@ impl Optimise {
 
 impl Problem {
     /// Of the network on the scene's clock, sensors and panels.
-    pub(super) fn shape(&self) -> Shape {
+    pub fn shape(&self) -> Shape {
         Shape {
             instants: self.scene.instants,
             inputs: 3 * self.scene.sensors.len(),
-            width: self.brain.width,
+            architecture: self.brain.architecture,
             outputs: self.scene.panels.len(),
         }
     }

@@ -2,7 +2,7 @@ use super::evaluation::fresh_weights;
 use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
-use crate::brain::{self, TrainOutcome, Workspace};
+use crate::brain::{self, Architecture, TrainOutcome, Workspace};
 use crate::dynamics::{Frame, Method, Panel, Scene, Solver, Stiffness};
 use crate::feasible::Limits;
 use crate::random::{Purpose, Stream};
@@ -49,7 +49,7 @@ fn small(protocol: Protocol) -> Problem {
         disturbance: None,
         reader: Kind::Network,
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
-        brain: Training { iterations: 30, rate: 1e-2, width: 8 },
+        brain: Training { iterations: 30, rate: 1e-2, architecture: Architecture::paper(8) },
         optimise: Optimise {
             brain: Kind::Network,
             protocol,

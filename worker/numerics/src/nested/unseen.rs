@@ -17,7 +17,7 @@ use crate::stimuli::targets;
 /// Records of one body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Records {
-    /// N, T, 3M, K and the network's width.
+    /// T, 3M, K and the network's layers.
     shape: Shape,
     samples: usize,
     /// (N, T, 3M) (mm/s², rad/s).
@@ -47,25 +47,12 @@ impl Records {
     /// Signals (N, T, 3M) under forces; with `low_pass` targets hold what T instants can say.
     ///
     /// # Panics
-    /// If the signals are not as many as those of `inputs` = 3M channels at `instants` = T.
-    pub fn new(
-        forces: &Forces,
-        signals: Vec<f64>,
-        [instants, inputs, width]: [usize; 3],
-        low_pass: bool,
-    ) -> Self {
-        assert_eq!(
-            signals.len(),
-            forces.samples * instants * inputs,
-            "signals of {} samples",
-            forces.samples
-        );
-        Self {
-            shape: Shape { instants, inputs, width, outputs: forces.panels },
-            samples: forces.samples,
-            signals,
-            targets: targets(forces, instants, low_pass),
-        }
+    /// If signals or panels are not as many as those of the shape.
+    pub fn new(forces: &Forces, signals: Vec<f64>, shape: Shape, low_pass: bool) -> Self {
+        let Forces { samples, panels, .. } = *forces;
+        assert_eq!(panels, shape.outputs, "panels");
+        assert_eq!(signals.len(), samples * shape.instants * shape.inputs, "signals of {samples} samples");
+        Self { shape, samples, signals, targets: targets(forces, shape.instants, low_pass) }
     }
 
     /// True forces (N, T, K) (N).
@@ -182,6 +169,7 @@ pub fn sense(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::brain::Architecture;
 
     #[test]
     fn folds_are_equal_but_for_one_and_follow_the_seed() {
@@ -208,11 +196,13 @@ mod tests {
         // the made-up one
         signals[..instants * 3].iter_mut().for_each(|x| *x = -*x);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-        let records = Records::new(&forces, signals, [instants, 3, 64], false);
+        let architecture = Architecture::paper(64);
+        let shape = Shape { instants, inputs: 3, outputs: 1, architecture };
+        let records = Records::new(&forces, signals, shape, false);
         let dealt = folds(1, samples, 4);
         let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
         let inside_of = |record: usize| inside.iter().position(|&i| i == record).unwrap();
-        let training = Training { iterations: 150, rate: 1e-2, width: 64 };
+        let training = Training { iterations: 150, rate: 1e-2, architecture };
         let fold = |fold| records.unseen(&dealt, fold, training, Schedule::Cosine, [1, 0], &pool);
         let decoder = Decoder::whole(instants, 3);
         let linear = |fold| records.unseen_linear(&dealt, fold, &decoder, 1);

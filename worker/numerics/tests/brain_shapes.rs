@@ -1,0 +1,338 @@
+//! Networks of many shapes against a convolution written down plainly, and their derivatives against differences, on every
+//! instruction set that the machine has.
+
+use metasense_numerics::brain::*;
+use metasense_numerics::random::{Purpose, Stream};
+use metasense_numerics::simd::Width;
+
+const SAMPLES: usize = 3;
+
+/// The paper's shape, with odd T; the long one; causal ones; no look-around at all; a last layer that looks around; widths
+/// that fill no register, one and three; kernels longer than half a sample; more outputs than inputs; as many layers as may be.
+fn shapes() -> Vec<Shape> {
+    let of = |instants, [inputs, outputs]: [usize; 2], architecture| Shape {
+        instants,
+        inputs,
+        outputs,
+        architecture,
+    };
+    let long = |causal| Architecture::new(48, &[5, 5, 5, 1], &[1, 4, 16, 1], causal);
+    vec![
+        of(20, [3, 2], Architecture::paper(64)),
+        of(21, [6, 3], Architecture::paper(16)),
+        of(36, [3, 2], Architecture::new(48, &[3, 3, 3, 1], &[1; 4], false)),
+        of(36, [3, 2], Architecture::new(64, &[3, 3, 3, 1], &[1; 4], true)),
+        of(50, [3, 2], long(false)),
+        of(67, [3, 2], long(true)),
+        of(7, [3, 2], Architecture::new(8, &[1, 1], &[1, 1], false)),
+        of(20, [3, 2], Architecture::new(20, &[3, 3, 3], &[1; 3], false)),
+        of(23, [3, 4], Architecture::new(50, &[3, 3, 3, 3], &[2, 1, 3, 2], false)),
+        of(23, [9, 2], Architecture::new(40, &[4, 2, 3, 2], &[1, 3, 1, 5], true)),
+        of(12, [3, 2], Architecture::new(80, &[9, 3, 1], &[2, 1, 1], false)),
+        of(10, [3, 2], Architecture::new(16, &[3; LAYERS_MAX], &[1; LAYERS_MAX], false)),
+    ]
+}
+
+fn widths() -> impl Iterator<Item = Width> {
+    [Width::Baseline, Width::Avx2, Width::Avx512].into_iter().filter(|&w| w <= Width::detect())
+}
+
+fn pool(threads: usize) -> rayon::ThreadPool {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
+}
+
+fn normal(n: usize, seed: u64) -> Vec<f64> {
+    let mut stream = Stream::new(Purpose::Batch, seed, [0, 0]);
+    (0..n).map(|_| stream.normal()).collect()
+}
+
+fn cast<F: Real>(values: &[f64]) -> Vec<F> {
+    values.iter().map(|&v| F::from_f64(v)).collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn plus(a: &[f64], step: f64, direction: &[f64]) -> Vec<f64> {
+    a.iter().zip(direction).map(|(a, d)| a + step * d).collect()
+}
+
+/// A network of a shape with biases that are not 0, signals and targets, and a workspace.
+struct Task {
+    shape: Shape,
+    weights: Vec<f64>,
+    x: Vec<f64>,
+    y: Vec<f64>,
+    ws: Workspace<f64>,
+    pool: rayon::ThreadPool,
+}
+
+impl Task {
+    fn new(shape: Shape, width: Width) -> Self {
+        let mut weights = initial_weights(shape, 3, 0);
+        let biases = shape.range(shape.layers()).start;
+        weights[..biases].copy_from_slice(&normal(biases, 4));
+        Self {
+            shape,
+            weights,
+            x: normal(SAMPLES * shape.instants * shape.inputs, 5),
+            y: normal(SAMPLES * shape.instants * shape.outputs, 6),
+            ws: Workspace::with_width(shape, width),
+            pool: pool(1),
+        }
+    }
+
+    fn data(&self, x: &[f64]) -> Data<f64> {
+        let sigma: Vec<f64> = (0..self.shape.outputs).map(|k| 0.5 + k as f64).collect();
+        Data::new(self.shape, x, &self.y).with_output_weights(&sigma)
+    }
+
+    fn loss(&mut self, weights: &[f64], x: &[f64]) -> f64 {
+        loss(weights, self.data(x).all(), &mut self.ws, &self.pool)
+    }
+
+    /// Gradients in weights and inputs.
+    fn gradients(&mut self, weights: &[f64], x: &[f64]) -> [Vec<f64>; 2] {
+        let mut gradient = vec![0.0; weights.len()];
+        let inputs = full_gradient(weights, self.data(x).all(), &mut gradient, &mut self.ws, &self.pool).1;
+        [gradient, inputs]
+    }
+
+    fn predict(&mut self, weights: &[f64], x: &[f64]) -> Vec<f64> {
+        predict(weights, self.data(x).all(), &mut self.ws, &self.pool)
+    }
+
+    fn product(&mut self, matrix: Matrix, v: &[f64]) -> Vec<f64> {
+        let (data, mut out) = (self.data(&self.x), vec![0.0; v.len()]);
+        let curvature = Curvature::new(&self.weights, data.all(), &mut self.ws, &self.pool);
+        curvature.product(matrix, v, &mut out, &mut self.ws, &self.pool);
+        out
+    }
+}
+
+/// Answers (N, T, K) by the sums of `shape` as they are written there.
+fn plainly(shape: Shape, causal: bool, weights: &[f64], x: &[f64]) -> Vec<f64> {
+    let (layers, t) = (shape.architecture.layers(), shape.instants);
+    let mut all = Vec::new();
+    for sample in x.chunks_exact(t * shape.inputs) {
+        let (mut a, mut inputs) = (sample.to_vec(), shape.inputs);
+        for (l, layer) in layers.iter().enumerate() {
+            let (b, w) = (&weights[shape.range(l)], &weights[shape.range(layers.len() + l)]);
+            let outputs = b.len();
+            let reach = (layer.kernel - 1) * layer.dilation;
+            let before = if causal { reach } else { reach / 2 };
+            let mut z = vec![0.0; t * outputs];
+            for (n, o) in (0..t).flat_map(|n| (0..outputs).map(move |o| (n, o))) {
+                let mut sum = b[o];
+                for tap in 0..layer.kernel {
+                    let at = n + tap * layer.dilation;
+                    if (before..before + t).contains(&at) {
+                        for c in 0..inputs {
+                            sum += a[(at - before) * inputs + c] * w[(tap * inputs + c) * outputs + o];
+                        }
+                    }
+                }
+                z[n * outputs + o] = if l + 1 < layers.len() { sum.max(0.0) } else { sum };
+            }
+            (a, inputs) = (z, outputs);
+        }
+        all.extend(a);
+    }
+    all
+}
+
+/// ‖a − b‖ / ‖b‖.
+fn distance<F: Real>(a: &[F], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let missed: f64 = a.iter().zip(b).map(|(a, b)| (a.to_f64() - b).powi(2)).sum();
+    (missed / dot(b, b)).sqrt()
+}
+
+fn answers<F: Real>(task: &Task, width: Width) -> Vec<F> {
+    let data = Data::<F>::new(task.shape, &cast(&task.x), &cast(&task.y));
+    let ws = &mut Workspace::with_width(task.shape, width);
+    predict(&cast::<F>(&task.weights), data.all(), ws, &task.pool)
+}
+
+/// In both precisions.
+#[test]
+fn every_shape_is_the_convolution_written_plainly() {
+    for (shape, width) in shapes().into_iter().flat_map(|s| widths().map(move |w| (s, w))) {
+        let task = Task::new(shape, width);
+        let expected = plainly(shape, shape.architecture.causal(), &task.weights, &task.x);
+        let double = distance(&answers::<f64>(&task, width), &expected);
+        let single = distance(&answers::<f32>(&task, width), &expected);
+        assert!(double < 1e-13 && single < 1e-5, "{shape:?} {}: {double:e} {single:e}", width.name());
+    }
+}
+
+/// L(β + εδ) = L(β) + ε g·δ + O(ε²), in weights and in inputs: of half the step a quarter remains. Steps so short that hardly
+/// a unit crosses its kink.
+#[test]
+fn first_derivatives_leave_a_remainder_of_second_order() {
+    for (shape, width) in shapes().into_iter().flat_map(|s| widths().map(move |w| (s, w))) {
+        let mut task = Task::new(shape, width);
+        let (weights, x) = (task.weights.clone(), task.x.clone());
+        let here = task.loss(&weights, &x);
+        let [gradient, inputs] = task.gradients(&weights, &x);
+        let (dw, dx) = (normal(weights.len(), 8), normal(x.len(), 9));
+        let mut order = |slope: f64, moved: &mut dyn FnMut(&mut Task, f64) -> f64| {
+            assert!(slope.abs() > 1e-3, "{slope}");
+            let mut left = |step: f64| (moved(&mut task, step) - here - step * slope).abs();
+            (left(1e-6) / left(5e-7)).log2()
+        };
+        let orders = [
+            order(dot(&gradient, &dw), &mut |task, step| task.loss(&plus(&weights, step, &dw), &x)),
+            order(dot(&inputs, &dx), &mut |task, step| task.loss(&weights, &plus(&x, step, &dx))),
+        ];
+        assert!(orders.iter().all(|p| (1.9..2.1).contains(p)), "{shape:?} {}: {orders:?}", width.name());
+    }
+}
+
+/// Steps so short that no unit crosses its kink; ‖H v − differences‖ relative to H v. H is symmetric.
+#[test]
+fn hessian_products_are_differences_of_gradients() {
+    let step = 1e-7;
+    for (shape, width) in shapes().into_iter().flat_map(|s| widths().map(move |w| (s, w))) {
+        let mut task = Task::new(shape, width);
+        let (weights, x) = (task.weights.clone(), task.x.clone());
+        let (u, v) = (normal(weights.len(), 8), normal(weights.len(), 9));
+        let [hu, hv] = [&u, &v].map(|v| task.product(Matrix::Hessian, v));
+        let [ahead, _] = task.gradients(&plus(&weights, step, &v), &x);
+        let [behind, _] = task.gradients(&plus(&weights, -step, &v), &x);
+        let differences: Vec<f64> = ahead.iter().zip(&behind).map(|(a, b)| (a - b) / (2.0 * step)).collect();
+        let missed = distance(&hv, &differences);
+        let symmetric = (dot(&u, &hv) - dot(&v, &hu)).abs() / (dot(&u, &u) * dot(&hv, &hv)).sqrt();
+        assert!(missed < 1e-6, "{shape:?} {}: {missed:e}", width.name());
+        assert!(symmetric < 1e-13, "{shape:?} {}: {symmetric:e}", width.name());
+    }
+}
+
+/// ⟨u, G v⟩ = 2/(NTK) Σ σ² (J u)(J v), with J by differences of the answers.
+#[test]
+fn gauss_newton_products_are_those_of_the_answers_differences() {
+    let step = 1e-7;
+    for (shape, width) in shapes().into_iter().flat_map(|s| widths().map(move |w| (s, w))) {
+        let mut task = Task::new(shape, width);
+        let (weights, x) = (task.weights.clone(), task.x.clone());
+        let (u, v) = (normal(weights.len(), 8), normal(weights.len(), 9));
+        let gv = task.product(Matrix::GaussNewton, &v);
+        let [ju, jv] = [&u, &v].map(|v| {
+            let (ahead, behind) = (plus(&weights, step, v), plus(&weights, -step, v));
+            let (ahead, behind) = (task.predict(&ahead, &x), task.predict(&behind, &x));
+            ahead.iter().zip(&behind).map(|(a, b)| (a - b) / (2.0 * step)).collect::<Vec<f64>>()
+        });
+        let k = shape.outputs;
+        let terms = ju.iter().zip(&jv).enumerate().map(|(i, (u, v))| (0.5 + (i % k) as f64) * u * v);
+        let expected = 2.0 / ju.len() as f64 * terms.sum::<f64>();
+        let missed = (dot(&u, &gv) - expected).abs() / (dot(&u, &u) * dot(&gv, &gv)).sqrt();
+        assert!(missed < 1e-6, "{shape:?} {}: {missed:e}", width.name());
+    }
+}
+
+/// ∂/∂x ⟨∂L/∂β, v⟩ along dx is v against the difference of gradients along dx; and the whole of it is the difference of input
+/// gradients along v.
+#[test]
+fn mixed_products_are_differences_of_gradients() {
+    let step = 1e-7;
+    for (shape, width) in shapes().into_iter().flat_map(|s| widths().map(move |w| (s, w))) {
+        let mut task = Task::new(shape, width);
+        let (weights, x) = (task.weights.clone(), task.x.clone());
+        let (v, dx) = (normal(weights.len(), 8), normal(x.len(), 9));
+        let data = task.data(&x);
+        let curvature = Curvature::new(&weights, data.all(), &mut task.ws, &task.pool);
+        let mixed = curvature.mixed_product(&v, &mut task.ws, &task.pool);
+        let half = |a: &[f64], b: &[f64]| -> Vec<f64> {
+            a.iter().zip(b).map(|(a, b)| (a - b) / (2.0 * step)).collect()
+        };
+        let [ahead, _] = task.gradients(&weights, &plus(&x, step, &dx));
+        let [behind, _] = task.gradients(&weights, &plus(&x, -step, &dx));
+        let expected = dot(&v, &half(&ahead, &behind));
+        let along = (dot(&mixed, &dx) - expected).abs() / (dot(&mixed, &mixed) * dot(&dx, &dx)).sqrt();
+        let [_, ahead] = task.gradients(&plus(&weights, step, &v), &x);
+        let [_, behind] = task.gradients(&plus(&weights, -step, &v), &x);
+        let whole = distance(&mixed, &half(&ahead, &behind));
+        assert!(along < 1e-6 && whole < 1e-6, "{shape:?} {}: {along:e} {whole:e}", width.name());
+    }
+}
+
+/// Inputs after an instant are changed: a causal network's answers up to it keep their bits, another's do not.
+#[test]
+fn a_causal_network_does_not_look_ahead() {
+    for shape in shapes() {
+        let mut task = Task::new(shape, Width::detect());
+        let (weights, mut x) = (task.weights.clone(), task.x.clone());
+        let before = task.predict(&weights, &x);
+        let at = shape.instants / 2;
+        for sample in x.chunks_exact_mut(shape.instants * shape.inputs) {
+            sample[at * shape.inputs..].iter_mut().for_each(|x| *x += 1.0);
+        }
+        let after = task.predict(&weights, &x);
+        let samples = before.chunks_exact(shape.instants * shape.outputs);
+        let early = |pair: (&[f64], &[f64])| pair.0[..at * shape.outputs] == pair.1[..at * shape.outputs];
+        let same = samples.zip(after.chunks_exact(shape.instants * shape.outputs)).all(early);
+        let blind = shape.architecture.layers().iter().all(|layer| layer.kernel == 1);
+        assert_eq!(same, shape.architecture.causal() || blind, "{shape:?}");
+        assert!(before != after, "{shape:?}");
+    }
+}
+
+/// Bits of trainings and of second derivatives, on one thread, two and three.
+#[test]
+fn any_number_of_threads_gives_the_same_bits_in_every_shape() {
+    for shape in shapes() {
+        let n = 37;
+        let (x, y) =
+            (normal(n * shape.instants * shape.inputs, 1), normal(n * shape.instants * shape.outputs, 2));
+        let data = Data::<f32>::new(shape, &cast(&x), &cast(&y));
+        let run = |threads| {
+            let (pool, ws) = (pool(threads), &mut Workspace::new(shape));
+            let mut weights: Vec<f32> = cast(&initial_weights(shape, 3, 0));
+            let v = weights.clone();
+            let (mut adam, mut losses) = (Adam::new(weights.len()), Vec::new());
+            let outcome = train(&mut weights, &mut adam, data.all(), &|_| 3e-3, 5, &mut losses, ws, &pool);
+            assert_eq!(outcome, TrainOutcome::Ok);
+            let curvature = Curvature::new(&weights, data.all(), ws, &pool);
+            let mut product = vec![0.0; v.len()];
+            curvature.product(Matrix::Hessian, &v, &mut product, ws, &pool);
+            (losses, product, curvature.mixed_product(&v, ws, &pool), weights)
+        };
+        let one = run(1);
+        assert!(one.0[4] < one.0[0], "{shape:?}: {:?}", one.0);
+        assert!(one == run(2) && one == run(3), "{shape:?}");
+    }
+}
+
+/// Each hidden layer, silenced, is named by its number.
+#[test]
+fn any_dead_layer_is_named() {
+    for shape in shapes() {
+        let mut task = Task::new(shape, Width::detect());
+        for layer in 1..shape.layers() {
+            let mut weights = initial_weights(shape, 3, 0);
+            for above in layer..shape.layers() {
+                weights[shape.range(above)].fill(0.1);
+            }
+            weights[shape.range(layer - 1)].fill(-1e3);
+            let (data, mut adam, mut losses) = (task.data(&task.x), Adam::new(weights.len()), Vec::new());
+            let rate = &|_| 1e-2;
+            let outcome =
+                train(&mut weights, &mut adam, data.all(), rate, 3, &mut losses, &mut task.ws, &task.pool);
+            assert_eq!(outcome, TrainOutcome::DeadLayer(layer), "{shape:?}");
+        }
+    }
+}
+
+/// The flat order of the paper's shape is b₁, b₂, b₃, w₁, w₂, w₃; the long one has its count.
+#[test]
+fn weights_are_counted() {
+    let [paper, long] =
+        [Architecture::paper(64), Architecture::new(48, &[5, 5, 5, 1], &[1, 4, 16, 1], false)]
+            .map(|architecture| Shape { instants: 200, inputs: 3, outputs: 2, architecture });
+    let ranges = [0..64, 64..128, 128..130, 130..706, 706..12_994, 12_994..13_122];
+    assert!(ranges.into_iter().enumerate().all(|(block, range)| paper.range(block) == range));
+    assert_eq!(paper.weights(), 13_122);
+    assert_eq!(long.weights(), 5 * 3 * 48 + 48 + 2 * (5 * 48 * 48 + 48) + 48 * 2 + 2);
+}
