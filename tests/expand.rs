@@ -37,6 +37,16 @@ fn the_same_trial_said_differently_has_the_same_hash() {
         .replace("columns = 6", "columns = 6\nclamp = \"bottom\"\npanel_units = [31, 34]\nspacing = 15")
         .replace("\nspacing = 15.0", "");
     assert_eq!(hashes(&wordy), plain);
+    let brain = |keys: &str| hashes(&(SPEC.to_owned() + "[brain]\n" + keys));
+    for said in
+        ["", "preset = \"paper\"", "width = 64\ncausal = false", "kernels = [3, 3, 1]\ndilations = [1, 1, 1]"]
+    {
+        assert_eq!(brain(said), plain, "{said}");
+    }
+    let long = brain("preset = \"long\"");
+    assert_eq!(brain("width = 48\nkernels = [5, 5, 5, 1]\ndilations = [1, 4, 16, 1]"), long);
+    assert_ne!(long[1], plain[1]);
+    assert_ne!(brain("preset = \"long\"\ncausal = true")[1], long[1]);
     assert_ne!(hashes(&SPEC.replace("bend = 1.0", "bend = 1.5"))[1], plain[1]);
     assert_eq!(
         hashes(&SPEC.replace("[1, 2]", "[2, 3]"))[1],
@@ -79,6 +89,11 @@ fn json_rows_are_a_list_of_objects() {
     assert_eq!(rows[1]["sensors"], 2, "{rows}");
     assert_eq!(rows[1]["brain_parameters"], 13_698, "{rows}");
     assert_eq!(rows[1]["design_parameters"], 168, "{rows}");
+    bench.file("s.toml", &(SPEC.to_owned() + "[brain]\npreset = \"long\"\n"));
+    let rows: serde_json::Value =
+        serde_json::from_str(&bench.output(&["expand", "s.toml", "--format", "json"])).unwrap();
+    let long = 5 * 6 * 48 + 48 + 2 * (5 * 48 * 48 + 48) + 48 * 2 + 2;
+    assert_eq!(rows[1]["brain_parameters"], long, "{rows}");
 }
 
 #[test]

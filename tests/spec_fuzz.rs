@@ -22,6 +22,11 @@ frame = "body"
 [brain]
 iterations = 10
 learning_rate = 1e-2
+preset = "long"
+width = 8
+kernels = [3, 2, 1]
+dilations = [1, 4, 1]
+causal = true
 [optimise]
 protocol = "paper"
 iterations = 2

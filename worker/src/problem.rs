@@ -7,13 +7,13 @@ use std::fmt::Display;
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
-use metasense_numerics::brain::{Architecture, Policy};
+use metasense_numerics::brain::{Architecture, LAYERS_MAX, Policy, Shape};
 use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::nested::{
     Decoder, Evaluation, Going, Kind, Optimise, Problem, Protocol, Ridge, Schedule, Terms, Training,
 };
-use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, TrialSpec};
+use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
 
 mod stimuli;
 
@@ -51,6 +51,10 @@ fn at_least(key: &str, value: usize, least: usize) -> Result<(), Invalid> {
     require(value >= least, key, value, &format!("must be at least {least}"))
 }
 
+/// Channels, and weights, of a network beyond which neither time nor memory would do.
+const WIDTH_MAX: usize = 1024;
+const WEIGHTS_MAX: usize = 10_000_000;
+
 /// More than this cannot be meant: the memory for it is not there.
 fn at_most(key: &str, value: usize, most: usize) -> Result<(), Invalid> {
     require(value <= most, key, value, &format!("must be at most {most}"))
@@ -81,7 +85,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         brain: Training {
             iterations: trial.brain.iterations,
             rate: trial.brain.learning_rate,
-            architecture: Architecture::paper(64),
+            architecture: architecture(trial)?,
         },
         optimise: Optimise {
             brain: if trial.optimise.linear() { Kind::Linear } else { Kind::Network },
@@ -183,6 +187,48 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     at_least("evaluation.seeds", trial.evaluation.seeds, 1)?;
     at_least("evaluation.long_iterations", trial.evaluation.long_iterations.unwrap_or(1), 1)?;
     at_most("evaluation.seeds", trial.evaluation.seeds, 1000)
+}
+
+/// The layers of the network.
+fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
+    let spec::Network { width, kernels, dilations, causal } = trial.brain.network();
+    let instants = trial.time.samples;
+    at_least("brain.width", width, 1)?;
+    at_most("brain.width", width, WIDTH_MAX)?;
+    let all = |key: &str, values: &[usize], holds: bool, remedy: &str| {
+        require(holds, key, format!("{values:?}"), remedy)
+    };
+    let of_kernels = |holds: bool, remedy: &str| all("brain.kernels", &kernels, holds, remedy);
+    let of_dilations = |holds: bool, remedy: &str| all("brain.dilations", &dilations, holds, remedy);
+    of_kernels(
+        (2..=LAYERS_MAX).contains(&kernels.len()),
+        &format!("must name 2 to {LAYERS_MAX} layers, the output's last"),
+    )?;
+    of_dilations(
+        dilations.len() == kernels.len(),
+        &format!("must have a number for each of brain.kernels = {kernels:?}"),
+    )?;
+    of_kernels(!kernels.contains(&0), "must be numbers of 1 or above")?;
+    of_dilations(!dilations.contains(&0), "must be numbers of 1 or above")?;
+    of_kernels(
+        causal || kernels.iter().all(|k| k % 2 == 1),
+        "must be odd where brain.causal = false: an even kernel has no middle",
+    )?;
+    for (layer, (kernel, dilation)) in kernels.iter().zip(&dilations).enumerate() {
+        let reach = (kernel - 1).saturating_mul(*dilation) / if causal { 1 } else { 2 };
+        let remedy = format!(
+            "layer {} looks {reach} instants away: must be less than time.samples = {instants}",
+            layer + 1
+        );
+        let of = if *dilation > 1 { &of_dilations as &dyn Fn(_, &str) -> _ } else { &of_kernels };
+        of(reach < instants, &remedy)?;
+    }
+    let architecture = Architecture::new(width, &kernels, &dilations, causal);
+    let Point { panels, sensors, .. } = trial.point;
+    let weights = Shape { instants, inputs: 3 * sensors, outputs: panels, architecture }.weights();
+    let remedy = format!("makes {weights} weights with these kernels: must be at most {WEIGHTS_MAX}");
+    require(weights <= WEIGHTS_MAX, "brain.width", width, &remedy)?;
+    Ok(architecture)
 }
 
 fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {

@@ -5,7 +5,8 @@
 use super::data::{Trial, geometric_mean};
 use super::paired::Ratio;
 use super::{Body, Set};
-use serde_json::Value;
+use metasense_schemas::spec::{Brain, Preset};
+use serde_json::{Value, json};
 
 /// What a linear brain of one memory makes of a trial's bodies.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -56,7 +57,19 @@ fn network(trial: &Trial) -> String {
         let list = trial.setting.get(path)?.as_array()?;
         Some(list.iter().map(ToString::to_string).collect())
     };
-    let mut name = trial.setting.get("brain.preset").and_then(Value::as_str).unwrap_or("cnn").to_owned();
+    let long = Brain { preset: Some(Preset::Long), ..Brain::default() }.resolved();
+    let given = |path: &str, value: serde_json::Value| trial.setting.get(path) == Some(&value);
+    if given("brain.width", json!(long.width))
+        && given("brain.kernels", json!(long.kernels))
+        && given("brain.dilations", json!(long.dilations))
+        && !trial.setting.contains_key("brain.causal")
+    {
+        return "long".into();
+    }
+    let mut name = "cnn".to_owned();
+    if let Some(width) = trial.setting.get("brain.width") {
+        name += &format!(", width {width}");
+    }
     for (path, what) in [("brain.kernels", "kernels"), ("brain.dilations", "dilations")] {
         if let Some(list) = numbers(path) {
             name += &format!(", {what} {}", list.join(" "));
@@ -126,7 +139,6 @@ fn read(
 mod tests {
     use super::*;
     use crate::analysis::Cluster;
-    use serde_json::json;
 
     fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whole: [f64; 2]) -> Trial {
         let keys = [("brain.kind", brain), ("optimise.brain", with)];

@@ -147,13 +147,8 @@ impl Trial {
             let whole = duration - instant;
             return list("brain.memory").map_or([whole; 2], |m| [m[0].min(whole), m[1].min(whole)]);
         }
-        let (kernels, dilations) =
-            match self.setting.get("brain.preset").and_then(Value::as_str) == Some("long") {
-                true => (vec![5.0, 5.0, 5.0, 1.0], vec![1.0, 4.0, 16.0, 1.0]),
-                false => (vec![3.0, 3.0, 1.0], vec![1.0, 1.0, 1.0]),
-            };
-        let kernels = list("brain.kernels").unwrap_or(kernels);
-        let dilations = list("brain.dilations").unwrap_or(dilations);
+        let kernels = list("brain.kernels").unwrap_or(vec![3.0, 3.0, 1.0]);
+        let dilations = list("brain.dilations").unwrap_or(vec![1.0; kernels.len()]);
         let reach: f64 = kernels.iter().zip(&dilations).map(|(k, d)| (k - 1.0) * d * instant).sum();
         match self.setting.get("brain.causal").and_then(Value::as_bool) {
             Some(true) => [reach, 0.0],

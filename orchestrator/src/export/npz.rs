@@ -3,6 +3,7 @@
 //! An npz file is a zip archive of npy files; ours are stored uncompressed (PKWARE APPNOTE 6.3, method 0), with a fixed
 //! date, so that the same trial gives the same bytes.
 
+use metasense_schemas::spec::{Brain, Network};
 use metasense_worker::replay::{Drawing, LinearReplay, Replay};
 
 use crate::analysis::Body;
@@ -37,7 +38,7 @@ pub fn archive(
         zip.array(&format!("linear_w_{name}"), &[panels, brain.lags.count(), inputs], &brain.w);
         zip.array(&format!("linear_b_{name}"), &[panels], &brain.b);
         if !stored.weights[b].is_empty() {
-            for (part, shape, values) in parts(&stored.weights[b], inputs, panels) {
+            for (part, shape, values) in parts(&stored.weights[b], &stored.spec.brain, inputs, panels) {
                 zip.array(&format!("{part}_{name}"), &shape, values);
             }
         }
@@ -55,21 +56,23 @@ pub fn archive(
     zip.finish()
 }
 
-/// The flat weights b1, b2, b3, w1, w2, w3 by name and shape (kernel, in, out).
-fn parts(weights: &[f32], inputs: usize, panels: usize) -> Vec<(&'static str, Vec<usize>, &[f32])> {
-    // Whatever its width, the network has this many weights of each kind; model.md's is 64.
-    let width = 64;
-    let shapes: [(&str, Vec<usize>); 6] = [
-        ("b1", vec![width]),
-        ("b2", vec![width]),
-        ("b3", vec![panels]),
-        ("w1", vec![3, inputs, width]),
-        ("w2", vec![3, width, width]),
-        ("w3", vec![1, width, panels]),
-    ];
+/// The flat weights b1 … bn, w1 … wn by name and shape (kernel, in, out).
+fn parts<'a>(
+    weights: &'a [f32],
+    brain: &Brain,
+    inputs: usize,
+    panels: usize,
+) -> Vec<(String, Vec<usize>, &'a [f32])> {
+    let Network { width, kernels, .. } = brain.network();
+    let last = kernels.len() - 1;
+    let outputs = |l: usize| if l == last { panels } else { width };
+    let biases = (0..=last).map(|l| (format!("b{}", l + 1), vec![outputs(l)]));
+    let kernels = kernels.iter().enumerate().map(|(l, &kernel)| {
+        (format!("w{}", l + 1), vec![kernel, if l == 0 { inputs } else { width }, outputs(l)])
+    });
     let mut rest = weights;
-    shapes
-        .into_iter()
+    biases
+        .chain(kernels)
         .map(|(name, shape)| {
             let (part, after) = rest.split_at(shape.iter().product());
             rest = after;
@@ -170,6 +173,29 @@ mod tests {
     #[test]
     fn the_check_value_of_the_crc() {
         assert_eq!(crc32(b"123456789"), 0xcbf4_3926);
+    }
+
+    /// All weights are dealt out, biases first, each with its layer's sizes.
+    #[test]
+    fn the_parts_are_those_of_the_network() {
+        let brain = Brain { width: Some(2), kernels: Some(vec![4, 2, 3, 1]), ..Brain::default() };
+        let weights: Vec<f32> =
+            (0..2 + 2 + 2 + 5 + 4 * 3 * 2 + 2 * 2 * 2 + 3 * 2 * 2 + 2 * 5).map(|i| i as f32).collect();
+        let parts = parts(&weights, &brain, 3, 5);
+        let found: Vec<_> =
+            parts.iter().map(|(name, shape, values)| (&name[..], &shape[..], values[0])).collect();
+        let expected: [(&str, &[usize], f32); 8] = [
+            ("b1", &[2], 0.0),
+            ("b2", &[2], 2.0),
+            ("b3", &[2], 4.0),
+            ("b4", &[5], 6.0),
+            ("w1", &[4, 3, 2], 11.0),
+            ("w2", &[2, 2, 2], 35.0),
+            ("w3", &[3, 2, 2], 43.0),
+            ("w4", &[1, 2, 5], 55.0),
+        ];
+        assert_eq!(found, expected);
+        assert_eq!(parts[7].2.last(), weights.last());
     }
 
     #[test]

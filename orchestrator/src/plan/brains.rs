@@ -11,9 +11,10 @@ fn kinds(spec: &SweepSpec) -> [BrainKind; 2] {
 /// Brain, outer loop and comparison of a combination, without keys that its brains do not read, defaults in place.
 pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
     let ([reader, trainer], none) = (kinds(spec), Brain::default());
-    let (mut brain, mut optimise, mut evaluation) = (spec.brain, spec.optimise, spec.evaluation);
+    let (mut brain, mut optimise, mut evaluation) =
+        (spec.brain.clone().resolved(), spec.optimise, spec.evaluation);
     if reader == BrainKind::Linear && trainer == BrainKind::Linear {
-        (brain.iterations, brain.learning_rate) = (none.iterations, none.learning_rate);
+        brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };
     }
     if reader == BrainKind::Linear {
         evaluation = Evaluation::default();
@@ -45,7 +46,12 @@ pub(super) fn refuse_unread<'a>(
     let read_by_network = any(&|spec| spec.brain.kind == BrainKind::Cnn);
     let trained_by_network = any(&|spec| kinds(spec)[1] == BrainKind::Cnn);
     let evaluation = Evaluation::default();
-    let keys: [(&str, bool, &dyn Fn(&SweepSpec) -> bool, &str); 11] = [
+    let keys: [(&str, bool, &dyn Fn(&SweepSpec) -> bool, &str); 16] = [
+        ("brain.preset", network, &|s| s.brain.preset.is_some(), "cnn"),
+        ("brain.width", network, &|s| s.brain.width.is_some(), "cnn"),
+        ("brain.kernels", network, &|s| s.brain.kernels.is_some(), "cnn"),
+        ("brain.dilations", network, &|s| s.brain.dilations.is_some(), "cnn"),
+        ("brain.causal", network, &|s| s.brain.causal.is_some(), "cnn"),
         ("brain.memory", linear, &|s| s.brain.memory.is_some(), "linear"),
         ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), "linear"),
         ("brain.iterations", network, &|s| s.brain.iterations != none.iterations, "cnn"),

@@ -3,10 +3,8 @@
 //! One core with AVX-512, as README's rates; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
 
 use super::Trial;
-use metasense_schemas::spec::{Brain, BrainKind, Protocol, TrialSpec};
+use metasense_schemas::spec::{Brain, BrainKind, Network, Protocol, TrialSpec};
 
-/// Channels of the hidden layers.
-const WIDTH: usize = 64;
 /// Integrator steps a second of motion, of the reference scene at its default tolerance.
 const STEPS_PER_SECOND: f64 = 3100.0;
 /// Seconds a unit and integrator step.
@@ -27,13 +25,22 @@ const FACTOR_RATE: f64 = 2.5e10;
 const FACTORS: f64 = 6.0;
 const STEP_FACTORS: f64 = 1.5;
 
-/// Weights of the brain: of a network kernels of 3, 3 and 1, with biases; of a linear one those of its lags, with biases.
+/// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, with biases.
 pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
-    let (panels, sensors) = (trial.point.panels, trial.point.sensors);
     if trial.brain.kind == BrainKind::Linear {
-        return panels * (unknowns(trial) + 1);
+        return trial.point.panels * (unknowns(trial) + 1);
     }
-    (9 * sensors * WIDTH + WIDTH) + (3 * WIDTH * WIDTH + WIDTH) + (WIDTH * panels + panels)
+    network_weights(trial)
+}
+
+fn network_weights(trial: &TrialSpec) -> usize {
+    let (Network { width, kernels, .. }, last) = (trial.brain.network(), trial.point.panels);
+    let mut from = 3 * trial.point.sensors;
+    let layers = kernels.iter().enumerate().map(|(i, kernel)| {
+        let to = if i + 1 == kernels.len() { last } else { width };
+        (kernel * std::mem::replace(&mut from, to) + 1) * to
+    });
+    layers.sum()
 }
 
 /// Unknowns of the linear brain, a force.
@@ -61,7 +68,7 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let one_sample = steps * units as f64 * SECONDS_PER_UNIT_STEP;
     let simulate = stimuli.samples as f64 * one_sample;
     let network = trial.brain.kind == BrainKind::Cnn;
-    let weights = brain_parameters(trial) as f64;
+    let weights = network_weights(trial) as f64;
     let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;
     let forward = weights * train_samples * trial.time.samples as f64 / BRAIN_RATE;
     let train = trial.brain.iterations as f64 * ITERATION * forward;
@@ -81,7 +88,7 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
     let trainings = if network { trial.evaluation.seeds as f64 * (1.0 + long) } else { 0.0 };
-    let whole = TrialSpec { brain: Brain { memory: None, ..trial.brain }, ..trial.clone() };
+    let whole = TrialSpec { brain: Brain { memory: None, ..trial.brain.clone() }, ..trial.clone() };
     let readings = FACTORS * factor(unknowns(&whole));
     let comparison =
         2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train + readings);

@@ -5,6 +5,16 @@ use serde::{Deserialize, Serialize};
 
 use super::solver::{Method, Solver};
 
+/// Shapes of the network that have a name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Preset {
+    /// The paper's: width 64, kernels 3, 3, 1, no dilation: an answer is made of five instants.
+    Paper,
+    /// Width 48, kernels 5, 5, 5, 1, dilations 1, 4, 16, 1: of 85.
+    Long,
+}
+
 /// What reads a body, or trains it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -41,7 +51,7 @@ pub enum Auto {
 }
 
 /// The brain: what reads a body in the comparison at the end, and, unless `optimise.brain` is another, trains it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Brain {
     /// `"cnn"`, the paper's, or `"linear"`.
@@ -57,11 +67,83 @@ pub struct Brain {
     pub iterations: usize,
     /// Adam's rate.
     pub learning_rate: f64,
+    /// A shape by its name, of which the keys below replace what they say. By default `"paper"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preset: Option<Preset>,
+    /// Channels of every hidden layer. By default 64.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub width: Option<usize>,
+    /// Kernel of every layer, the output's last; odd, unless causal. By default `[3, 3, 1]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kernels: Option<Vec<usize>>,
+    /// Instants from one entry of a kernel to the next, for every layer. By default 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dilations: Option<Vec<usize>>,
+    /// Whether every layer looks back only, so that no force is told by a later instant. By default `false`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub causal: Option<bool>,
+}
+
+/// The network's shape, preset and defaults in place.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Network {
+    /// Channels of every hidden layer.
+    pub width: usize,
+    /// Kernel of every layer, the output's last.
+    pub kernels: Vec<usize>,
+    /// Dilation of every layer.
+    pub dilations: Vec<usize>,
+    /// Whether it looks back only.
+    pub causal: bool,
+}
+
+impl Brain {
+    /// The shape that is meant; not judged.
+    #[must_use]
+    pub fn network(&self) -> Network {
+        let (width, kernels, dilations) = match self.preset {
+            None | Some(Preset::Paper) => (64, &[3, 3, 1][..], &[1, 1, 1][..]),
+            Some(Preset::Long) => (48, &[5, 5, 5, 1][..], &[1, 4, 16, 1][..]),
+        };
+        let kernels = self.kernels.clone().unwrap_or(kernels.to_vec());
+        let dilations = self.dilations.clone().unwrap_or_else(|| match self.preset {
+            Some(_) => dilations.to_vec(),
+            None => vec![1; kernels.len()],
+        });
+        let (width, causal) = (self.width.unwrap_or(width), self.causal.unwrap_or(false));
+        Network { width, kernels, dilations, causal }
+    }
+
+    /// The same shape without a preset, and nothing said that is so by default.
+    #[must_use]
+    pub fn resolved(self) -> Self {
+        let Network { width, kernels, dilations, causal } = self.network();
+        let ones = dilations.len() == kernels.len() && dilations.iter().all(|&d| d == 1);
+        Self {
+            preset: None,
+            width: Some(width).filter(|&width| width != 64),
+            dilations: Some(dilations).filter(|_| !ones),
+            kernels: Some(kernels).filter(|kernels| kernels != &[3, 3, 1]),
+            causal: Some(causal).filter(|&causal| causal),
+            ..self
+        }
+    }
 }
 
 impl Default for Brain {
     fn default() -> Self {
-        Self { kind: BrainKind::Cnn, memory: None, ridge: None, iterations: 1000, learning_rate: 1e-2 }
+        Self {
+            kind: BrainKind::Cnn,
+            memory: None,
+            ridge: None,
+            iterations: 1000,
+            learning_rate: 1e-2,
+            preset: None,
+            width: None,
+            kernels: None,
+            dilations: None,
+            causal: None,
+        }
     }
 }
 

@@ -70,6 +70,17 @@ fn an_impossible_value_is_named_by_its_key() {
         ("stimuli.amplitude", json!([0.5, 0.1]), "stimuli.amplitude"),
         ("brain.iterations", json!(0), "brain.iterations"),
         ("brain.learning_rate", json!(-1.0), "brain.learning_rate"),
+        ("brain.width", json!(0), "brain.width"),
+        ("brain.width", json!(1025), "brain.width"),
+        ("brain.kernels", json!([3]), "brain.kernels"),
+        ("brain.kernels", json!(vec![1; 17]), "brain.kernels"),
+        ("brain.kernels", json!([3, 0, 1]), "brain.kernels"),
+        ("brain.kernels", json!([3, 4, 1]), "brain.kernels"),
+        ("brain.kernels", json!([401, 1]), "brain.kernels"),
+        ("brain.dilations", json!([1, 1]), "brain.dilations"),
+        ("brain.dilations", json!([1, 0, 1]), "brain.dilations"),
+        ("brain.dilations", json!([1, 200, 1]), "brain.dilations"),
+        ("brain.dilations", json!([1, u64::MAX, 1]), "brain.dilations"),
         ("optimise.learning_rate", json!(0.0), "optimise.learning_rate"),
         ("optimise.batch", json!(8), "optimise.batch"),
         ("optimise.brain_iterations", json!(8), "optimise.brain_iterations"),
@@ -92,6 +103,36 @@ fn an_impossible_value_is_named_by_its_key() {
             Err(invalid) => assert_eq!(invalid.key, named, "{key} = {value}: {invalid}"),
         }
     }
+}
+
+/// Presets, what replaces them, and what is refused of both together.
+#[test]
+fn the_network_is_as_the_spec_says() {
+    let network = |changes: &[(&str, Value)]| {
+        problem(&trial(changes)).map(|problem| problem.shape().architecture).map_err(|invalid| invalid.key)
+    };
+    let (long, causal) = (("brain.preset", json!("long")), ("brain.causal", json!(true)));
+    let of = |width, kernels: &[usize], dilations: &[usize], causal| {
+        Ok(Architecture::new(width, kernels, dilations, causal))
+    };
+    assert_eq!(network(&[]), Ok(Architecture::paper(64)));
+    assert_eq!(network(&[("brain.preset", json!("paper"))]), Ok(Architecture::paper(64)));
+    assert_eq!(network(&[long.clone()]), of(48, &[5, 5, 5, 1], &[1, 4, 16, 1], false));
+    let wide = [long.clone(), ("brain.width", json!(1024)), causal.clone()];
+    assert_eq!(network(&wide), Err("brain.width".into()), "15 million weights");
+    let narrow = [long.clone(), ("brain.width", json!(7)), causal.clone()];
+    assert_eq!(network(&narrow), of(7, &[5, 5, 5, 1], &[1, 4, 16, 1], true));
+    let even = ("brain.kernels", json!([4, 2, 3, 1, 1]));
+    assert_eq!(network(&[even.clone(), causal.clone()]), of(64, &[4, 2, 3, 1, 1], &[1; 5], true));
+    assert_eq!(network(&[even, causal, long.clone()]), Err("brain.dilations".into()));
+    // back only, a kernel reaches twice as far
+    let far = [("brain.kernels", json!([3, 1])), ("brain.dilations", json!([199, 1]))];
+    assert!(network(&far).is_ok());
+    assert_eq!(
+        network(&[&far[..], &[("brain.causal", json!(true))]].concat()),
+        Err("brain.dilations".into())
+    );
+    assert_eq!(network(&[long, ("time.samples", json!(32))]), Err("brain.dilations".into()));
 }
 
 /// The implicit term's policy by its key; the direct term alone has none.

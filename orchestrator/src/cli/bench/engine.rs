@@ -183,7 +183,7 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
         solver: sweep.solver,
         sensors: sweep.sensors.clone(),
         stimuli: sweep.stimuli.clone().resolved(),
-        brain: sweep.brain,
+        brain: sweep.brain.clone(),
         optimise: sweep.optimise,
         evaluation: sweep.evaluation,
         feasible: sweep.feasible,
