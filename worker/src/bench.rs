@@ -7,6 +7,7 @@ use metasense_numerics::brain::{
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::simd::Width;
+use metasense_schemas::spec::{Brain, Preset};
 use std::time::Instant;
 
 /// What is measured.
@@ -29,6 +30,8 @@ pub struct BrainBench {
 /// Milliseconds of one full batch, least of the repetitions, and what they mean.
 #[derive(Debug, Clone, Copy)]
 pub struct BrainTimes {
+    /// `paper` or `long`, as `brain.preset`.
+    pub network: &'static str,
     /// `f32` or `f64`.
     pub precision: &'static str,
     /// Instruction set.
@@ -59,9 +62,10 @@ impl BrainTimes {
 
 /// Measures, peak and kernels by turns, so that all meet the same machine.
 #[must_use]
-pub fn brain<F: Real>(bench: BrainBench, width: Width) -> BrainTimes {
+pub fn brain<F: Real>(bench: BrainBench, width: Width, preset: Preset) -> BrainTimes {
     let BrainBench { samples, instants, sensors, panels, repeat, threads } = bench;
-    let architecture = Architecture::paper(64);
+    let network = Brain { preset: Some(preset), ..Brain::default() }.network();
+    let architecture = Architecture::new(network.width, &network.kernels, &network.dilations, network.causal);
     let shape = Shape { instants, inputs: 3 * sensors, outputs: panels, architecture };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
     let mut stream = Stream::new(Purpose::Batch, 1, [0, 0]);
@@ -71,7 +75,7 @@ pub fn brain<F: Real>(bench: BrainBench, width: Width) -> BrainTimes {
     let direction = weights.clone();
     let (mut gradient, mut adam) = (weights.clone(), Adam::new(weights.len()));
     let (ws, kernels) = (&mut Workspace::with_width(shape, width), F::kernels(width));
-    let layers = 3 * shape.inputs * 64 + 3 * 64 * 64 + 64 * panels;
+    let layers: usize = (shape.layers()..2 * shape.layers()).map(|block| shape.range(block).len()).sum();
 
     let timed = |work: &mut dyn FnMut()| {
         let begin = Instant::now();
@@ -103,6 +107,10 @@ pub fn brain<F: Real>(bench: BrainBench, width: Width) -> BrainTimes {
         }
     }
     BrainTimes {
+        network: match preset {
+            Preset::Paper => "paper",
+            Preset::Long => "long",
+        },
         precision: if size_of::<F>() == 4 { "f32" } else { "f64" },
         simd: width.name(),
         threads,
@@ -120,16 +128,20 @@ pub(crate) fn widths() -> impl Iterator<Item = Width> {
     Width::ALL.into_iter().rev().filter(|width| *width <= Width::chosen())
 }
 
-/// The same in both precisions, on one thread and on `bench.threads`, and with narrower instruction sets on one.
+/// The same in both precisions, on one thread and on `bench.threads`, and with narrower instruction sets on one; the long
+/// network in f32, on one thread of each.
 #[must_use]
 pub fn brain_rows(bench: BrainBench) -> Vec<BrainTimes> {
     let mut rows = Vec::new();
     for width in widths() {
         let most = if rows.is_empty() { bench.threads } else { 1 };
         for threads in if most > 1 { vec![1, most] } else { vec![1] } {
-            rows.push(brain::<f32>(BrainBench { threads, ..bench }, width));
-            rows.push(brain::<f64>(BrainBench { threads, ..bench }, width));
+            rows.push(brain::<f32>(BrainBench { threads, ..bench }, width, Preset::Paper));
+            rows.push(brain::<f64>(BrainBench { threads, ..bench }, width, Preset::Paper));
         }
+    }
+    for width in widths() {
+        rows.push(brain::<f32>(BrainBench { threads: 1, ..bench }, width, Preset::Long));
     }
     rows
 }
@@ -141,9 +153,9 @@ mod tests {
     /// The bench itself, tiny: every figure is a positive number.
     #[test]
     fn the_bench_of_the_brain_runs() {
-        let bench = BrainBench { samples: 4, instants: 20, sensors: 1, panels: 2, repeat: 1, threads: 2 };
+        let bench = BrainBench { samples: 4, instants: 40, sensors: 1, panels: 2, repeat: 1, threads: 2 };
         let rows = brain_rows(bench);
-        assert_eq!(rows.len(), 2 + 2 * widths().count(), "{rows:?}");
+        assert_eq!(rows.len(), 2 + 3 * widths().count(), "{rows:?}");
         for row in rows {
             let figures = [row.forward, row.iteration, row.hessian, row.gauss_newton, row.share_of_peak()];
             assert!(figures.iter().all(|x| x.is_finite() && *x > 0.0), "{row:?}");

@@ -41,7 +41,8 @@ pub(in crate::cli) struct Args {
     format: Format,
 }
 
-const COLUMNS: [&str; 12] = [
+const COLUMNS: [&str; 13] = [
+    "network",
     "precision",
     "simd",
     "threads",
@@ -58,6 +59,7 @@ const COLUMNS: [&str; 12] = [
 
 fn row(t: &BrainTimes) -> Vec<Value> {
     vec![
+        json!(t.network),
         json!(t.precision),
         json!(t.simd),
         json!(t.threads),
