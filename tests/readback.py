@@ -14,17 +14,24 @@ if have("numpy"):
     N = scene["stimuli"]["samples"] + scene["stimuli"]["holdout"]
     assert z["forces"].shape == (N, K, T + 1) and z["split"].shape == (N,), (z["forces"].shape, z["split"].shape)
     assert np.bincount(z["split"]).tolist() == [15, 5, 5], np.bincount(z["split"])
-    conv = lambda x, w, b: sum(
-        np.pad(x, ((0, 0), (len(w) // 2,) * 2, (0, 0)))[:, k : k + T] @ w[k] for k in range(len(w))) + b
+    brain = scene["brain"]
+    kernels = brain.get("kernels", [3, 3, 1])
+    dilations = brain.get("dilations", [1] * len(kernels))
+    def conv(x, w, b, d):
+        reach = (len(w) - 1) * d
+        before = reach if brain.get("causal") else reach // 2
+        x = np.pad(x, ((0, 0), (before, reach - before), (0, 0)))
+        return sum(x[:, k * d : k * d + T] @ w[k] for k in range(len(w))) + b
     for body in ("initial", "optimised"):
         get = lambda name: z[f"{name}_{body}"].astype(float)
         units = scene["body"]["columns"] * scene["body"]["rows"]
         assert get("vertices").shape == (units, 4, 2) and get("signals").shape == (N, T, 3 * M)
         assert get("losses").shape == (1000,) and len(get("alpha")) % 2 == 0
-        x = get("signals") / z["signal_scale"]
-        h = np.maximum(conv(x, get("w1"), get("b1")), 0)
-        h = np.maximum(conv(h, get("w2"), get("b2")), 0)
-        y = z["force_mean"] + z["force_std"] * conv(h, get("w3"), get("b3"))
+        h = get("signals") / z["signal_scale"]
+        for l, d in enumerate(dilations, 1):
+            h = conv(h, get(f"w{l}"), get(f"b{l}"), d)
+            h = h if l == len(kernels) else np.maximum(h, 0)
+        y = z["force_mean"] + z["force_std"] * h
         worst = abs(y - get("predictions")).max() / abs(y).max()
         assert worst < 1e-4, f"the network evaluated by numpy differs by {worst}"
     train = z["signals_initial"][z["split"] == 0]

@@ -117,7 +117,7 @@ fn the_network_is_as_the_spec_says() {
     };
     assert_eq!(network(&[]), Ok(Architecture::paper(64)));
     assert_eq!(network(&[("brain.preset", json!("paper"))]), Ok(Architecture::paper(64)));
-    assert_eq!(network(&[long.clone()]), of(48, &[5, 5, 5, 1], &[1, 4, 16, 1], false));
+    assert_eq!(network(std::slice::from_ref(&long)), of(48, &[5, 5, 5, 1], &[1, 4, 16, 1], false));
     let wide = [long.clone(), ("brain.width", json!(1024)), causal.clone()];
     assert_eq!(network(&wide), Err("brain.width".into()), "15 million weights");
     let narrow = [long.clone(), ("brain.width", json!(7)), causal.clone()];
