@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::nested::{self, Records, Training, Unseen};
-use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::spec::{BrainKind, TrialSpec};
 
 use crate::convert::finite;
 use crate::measured::Measured;
@@ -21,8 +21,8 @@ pub struct Effort {
     pub seeds: usize,
     /// Adam iterations of each.
     pub iterations: usize,
-    /// Whether linear brains read instead: one a fold.
-    pub linear: bool,
+    /// What reads; of linear brains one a fold.
+    pub brain: BrainKind,
 }
 
 /// What fresh networks make of records.
@@ -59,7 +59,7 @@ pub fn evaluate(
     done: &(dyn Fn() + Sync),
 ) -> Result<Evaluated, Failure> {
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
-    let Effort { folds, seeds, iterations, linear } = effort;
+    let Effort { folds, seeds, iterations, brain } = effort;
     let Measured { forces, signals, low_pass } = measured;
     let samples = forces.samples;
     if !(2..=samples).contains(&folds) {
@@ -84,9 +84,12 @@ pub fn evaluate(
             let schedule = problem.evaluation.schedule;
             found.push((
                 number,
-                match linear {
-                    true => records.unseen_linear(&dealt, fold, &problem.decoder, problem.seed),
-                    false => records.unseen(&dealt, fold, training, schedule, start, &pool),
+                match brain {
+                    BrainKind::Linear => records.unseen_linear(&dealt, fold, &problem.decoder, problem.seed),
+                    BrainKind::Cnn | BrainKind::Stacked => {
+                        let stacked = Some(&problem.decoder).filter(|_| brain == BrainKind::Stacked);
+                        records.unseen(&dealt, fold, training, stacked, schedule, start, &pool)
+                    }
                 },
             ));
             done();

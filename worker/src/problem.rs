@@ -322,6 +322,7 @@ fn kind(kind: spec::BrainKind) -> Kind {
     match kind {
         spec::BrainKind::Cnn => Kind::Network,
         spec::BrainKind::Linear => Kind::Linear,
+        spec::BrainKind::Stacked => Kind::Stacked,
     }
 }
 
@@ -340,7 +341,7 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
         }
     };
     let unknowns = 3 * trial.sensor_units.len() * lags.count();
-    if trial.brain.kind == spec::BrainKind::Linear || trial.optimise.linear() {
+    if trial.brain.kind != spec::BrainKind::Cnn || trial.optimise.linear() {
         let remedy = format!(
             "gives {unknowns} unknowns a force, at most {UNKNOWNS_MAX} can be solved for: a shorter memory, \
              fewer sensors or fewer time.samples"

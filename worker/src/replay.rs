@@ -76,7 +76,7 @@ pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     check(design, problem.initial.len())?;
     if !weights.is_empty() {
-        check_length("network", weights.len(), problem.shape().weights())?;
+        check_length("network", weights.len(), problem.reader_shape().weights())?;
     }
     nested::replay(&problem, design, weights, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
 }

@@ -41,6 +41,10 @@ pub struct Read {
 pub fn brains(trial: &Trial) -> [String; 2] {
     let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
     let own = match text("brain.kind") {
+        Some("stacked") => match network(trial) {
+            shape if shape == "cnn" => "stacked".to_owned(),
+            shape => format!("stacked, {shape}"),
+        },
         Some(kind) => kind.to_owned(),
         None => network(trial),
     };

@@ -143,7 +143,7 @@ impl Trial {
         let number = |path: &str| self.setting.get(path).and_then(Value::as_f64);
         let duration = number("time.duration").unwrap_or(1.0);
         let instant = duration / number("time.samples").unwrap_or(200.0);
-        if self.setting.get("brain.kind").and_then(Value::as_str) == Some("linear") {
+        if self.setting.contains_key("brain.kind") {
             let whole = duration - instant;
             return list("brain.memory").map_or([whole; 2], |m| [m[0].min(whole), m[1].min(whole)]);
         }

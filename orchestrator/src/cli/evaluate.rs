@@ -68,6 +68,8 @@ enum Brain {
     Cnn,
     /// Least squares over the whole sample, or the trial's brain.memory
     Linear,
+    /// A network on the signals and what a linear brain makes of them
+    Stacked,
 }
 
 /// BODY=FILE; a body's name becomes part of those of arrays.
@@ -135,7 +137,13 @@ fn compare(
     designs: &BTreeMap<String, Vec<f64>>,
 ) -> Result<Comparison, Error> {
     let fewest = records.iter().map(|(_, measured)| measured.forces.samples).min().unwrap_or(0);
-    let linear = args.brain.map_or(trial.brain.kind == BrainKind::Linear, |brain| brain == Brain::Linear);
+    let brain = match args.brain {
+        None => trial.brain.kind,
+        Some(Brain::Cnn) => BrainKind::Cnn,
+        Some(Brain::Linear) => BrainKind::Linear,
+        Some(Brain::Stacked) => BrainKind::Stacked,
+    };
+    let linear = brain == BrainKind::Linear;
     for (option, given) in [("--seeds", args.seeds.is_some()), ("--iterations", args.iterations.is_some())] {
         if linear && given {
             return Err(Error::Usage(format!(
@@ -144,7 +152,7 @@ fn compare(
         }
     }
     let effort = Effort {
-        linear,
+        brain,
         folds: args.folds.map_or(FOLDS.min(fewest).max(2), |n| n as usize),
         seeds: if linear { 1 } else { args.seeds.map_or(trial.evaluation.seeds, |n| n as usize) },
         iterations: args.iterations.map_or(trial.brain.iterations, |n| n as usize),

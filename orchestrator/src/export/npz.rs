@@ -3,7 +3,7 @@
 //! An npz file is a zip archive of npy files; ours are stored uncompressed (PKWARE APPNOTE 6.3, method 0), with a fixed
 //! date, so that the same trial gives the same bytes.
 
-use metasense_schemas::spec::{Brain, Network};
+use metasense_schemas::spec::{Brain, BrainKind, Network};
 use metasense_worker::replay::{Drawing, LinearReplay, Replay};
 
 use crate::analysis::Body;
@@ -38,7 +38,10 @@ pub fn archive(
         zip.array(&format!("linear_w_{name}"), &[panels, brain.lags.count(), inputs], &brain.w);
         zip.array(&format!("linear_b_{name}"), &[panels], &brain.b);
         if !stored.weights[b].is_empty() {
-            for (part, shape, values) in parts(&stored.weights[b], &stored.spec.brain, inputs, panels) {
+            let estimates = if stored.spec.brain.kind == BrainKind::Stacked { panels } else { 0 };
+            for (part, shape, values) in
+                parts(&stored.weights[b], &stored.spec.brain, inputs + estimates, panels)
+            {
                 zip.array(&format!("{part}_{name}"), &shape, values);
             }
         }

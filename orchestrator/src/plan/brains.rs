@@ -3,9 +3,21 @@
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{Brain, BrainKind, Evaluation, Optimise, SweepSpec};
 
-/// The brain that reads the bodies, and the one that trains them.
+/// The brain that reads the bodies, and the one that trains them. A stacked one does not train.
 fn kinds(spec: &SweepSpec) -> [BrainKind; 2] {
-    [spec.brain.kind, spec.optimise.brain.unwrap_or(spec.brain.kind)]
+    let own = match spec.brain.kind {
+        BrainKind::Stacked => BrainKind::Linear,
+        kind => kind,
+    };
+    [spec.brain.kind, spec.optimise.brain.unwrap_or(own)]
+}
+
+fn has_network(kind: BrainKind) -> bool {
+    kind != BrainKind::Linear
+}
+
+fn has_linear(kind: BrainKind) -> bool {
+    kind != BrainKind::Cnn
 }
 
 /// Brain, outer loop and comparison of a combination, without keys that its brains do not read, defaults in place.
@@ -19,7 +31,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
     if reader == BrainKind::Linear {
         evaluation = Evaluation::default();
     }
-    if reader != BrainKind::Linear && trainer != BrainKind::Linear {
+    if !has_linear(reader) && !has_linear(trainer) {
         (brain.memory, brain.ridge) = (None, None);
     }
     // named where it is not the paper's, whatever reads
@@ -41,10 +53,14 @@ pub(super) fn refuse_unread<'a>(
 ) -> Result<(), SpecError> {
     let none = Brain::default();
     let any = |what: &dyn Fn(&SweepSpec) -> bool| specs.clone().any(what);
-    let linear = any(&|spec| kinds(spec).contains(&BrainKind::Linear));
-    let network = any(&|spec| kinds(spec).contains(&BrainKind::Cnn));
-    let read_by_network = any(&|spec| spec.brain.kind == BrainKind::Cnn);
-    let trained_by_network = any(&|spec| kinds(spec)[1] == BrainKind::Cnn);
+    if any(&|spec| spec.optimise.brain == Some(BrainKind::Stacked)) {
+        let remedy = "a stacked brain only reads: must be \"cnn\" or \"linear\"";
+        return Err(source.error("optimise.brain", remedy));
+    }
+    let linear = any(&|spec| kinds(spec).into_iter().any(has_linear));
+    let network = any(&|spec| kinds(spec).into_iter().any(has_network));
+    let read_by_network = any(&|spec| has_network(spec.brain.kind));
+    let trained_by_network = any(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
     let keys: [(&str, bool, &dyn Fn(&SweepSpec) -> bool, &str); 16] = [
         ("brain.preset", network, &|s| s.brain.preset.is_some(), "cnn"),

@@ -25,17 +25,20 @@ const FACTOR_RATE: f64 = 2.5e10;
 const FACTORS: f64 = 6.0;
 const STEP_FACTORS: f64 = 1.5;
 
-/// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, with biases.
+/// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, of a stacked one both; with biases.
 pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
     if trial.brain.kind == BrainKind::Linear {
         return trial.point.panels * (unknowns(trial) + 1);
     }
-    network_weights(trial)
+    let linear =
+        if trial.brain.kind == BrainKind::Stacked { trial.point.panels * (unknowns(trial) + 1) } else { 0 };
+    network_weights(trial) + linear
 }
 
 fn network_weights(trial: &TrialSpec) -> usize {
     let (Network { width, kernels, .. }, last) = (trial.brain.network(), trial.point.panels);
-    let mut from = 3 * trial.point.sensors;
+    let estimates = if trial.brain.kind == BrainKind::Stacked { last } else { 0 };
+    let mut from = 3 * trial.point.sensors + estimates;
     let layers = kernels.iter().enumerate().map(|(i, kernel)| {
         let to = if i + 1 == kernels.len() { last } else { width };
         (kernel * std::mem::replace(&mut from, to) + 1) * to
@@ -67,7 +70,7 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let steps = (trial.time.duration * STEPS_PER_SECOND * scale / instants / kinks).ceil() * kinks * instants;
     let one_sample = steps * units as f64 * SECONDS_PER_UNIT_STEP;
     let simulate = stimuli.samples as f64 * one_sample;
-    let network = trial.brain.kind == BrainKind::Cnn;
+    let network = trial.brain.kind != BrainKind::Linear;
     let weights = network_weights(trial) as f64;
     let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;
     let forward = weights * train_samples * trial.time.samples as f64 / BRAIN_RATE;

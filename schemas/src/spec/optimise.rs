@@ -24,6 +24,8 @@ pub enum BrainKind {
     Cnn,
     /// Least squares of the forces on the signals around each instant.
     Linear,
+    /// The network on the signals and what a linear brain makes of them. It reads; a linear brain trains, or the network.
+    Stacked,
 }
 
 impl BrainKind {
@@ -54,7 +56,7 @@ pub enum Auto {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Brain {
-    /// `"cnn"`, the paper's, or `"linear"`.
+    /// `"cnn"`, the paper's, `"linear"`, or `"stacked"`.
     #[serde(skip_serializing_if = "BrainKind::is_default")]
     pub kind: BrainKind,
     /// How far a linear brain looks back and ahead (s); by default over the whole sample.

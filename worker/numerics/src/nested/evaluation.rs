@@ -1,6 +1,6 @@
 //! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
 
-use super::linear::{Plain, Reading, Ridge, read, readings};
+use super::linear::{Plain, Reading, Ridge, Stack, read, readings};
 use super::problem::{Kind, Schedule, Training};
 use super::report::{Log, Trouble};
 use super::setting::{Setting, mean_error};
@@ -65,18 +65,23 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
     );
     let mut zero_samples = [0; 3];
     let sets = [&setting.train, &setting.test, &holdout];
-    let (readings, linear) = match &signals {
-        Ok(signals) => log.timed(
+    let mut found = Vec::new();
+    let seen = signals.and_then(|signals| {
+        log.timed(
             |s| &mut s.train,
             |_| {
                 let plain = [0, 1, 2].map(|set| setting.plain(&signals[set], sets[set]));
-                let readings = readings(setting, &plain).unwrap_or_default();
-                let linear = (problem.reader == Kind::Linear).then(|| linear(setting, &plain, &readings));
-                (readings, linear)
+                found = readings(setting, &plain).unwrap_or_default();
+                let data = |set: usize| setting.data(&signals[set], sets[set]);
+                Ok(match problem.reader {
+                    Kind::Linear => Seen::Linear(linear(setting, &plain, &found)),
+                    Kind::Network => Seen::Network([data(0), data(1), data(2)]),
+                    Kind::Stacked => Seen::Network(stacked(setting, &plain)?),
+                })
             },
-        ),
-        Err(trouble) => (Vec::new(), (problem.reader == Kind::Linear).then(|| nothing(*trouble))),
-    };
+        )
+    });
+    let readings = found;
     let all = problem.evaluation_iterations();
     let mut done = turn * all;
     let mut passed = |iterations: usize, log: &mut Log| {
@@ -84,7 +89,7 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
         let left = 1.0 - problem.progress(problem.optimise.iterations);
         log.progress(1.0 - left * (1.0 - done as f64 / (2 * all) as f64));
     };
-    if let Some(linear) = linear {
+    if let Ok(Seen::Linear(linear)) = seen {
         passed(all, log);
         let zero = |set: &Forces| setting.plain(&[], set).w.iter().filter(|w| **w == 0.0).count() as u32;
         let (design, zero_samples) = (design.to_vec(), sets.map(zero));
@@ -92,8 +97,11 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
     }
     let mut trained = |iterations: usize| -> Vec<NetworkEvaluation> {
         let one = |seed: usize| {
-            let network = match &signals {
-                Ok(signals) => network(setting, seed, iterations, signals, &holdout, &mut zero_samples, log),
+            let network = match &seen {
+                Ok(Seen::Network(data)) => {
+                    network(setting, seed, iterations, data, sets, &mut zero_samples, log)
+                }
+                Ok(Seen::Linear(linear)) => linear.clone(),
                 Err(trouble) => nothing(*trouble),
             };
             passed(iterations, log);
@@ -105,6 +113,26 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
     let mut long = problem.evaluation.long.map(trained).unwrap_or_default();
     long.iter_mut().for_each(|network| network.weights.clear());
     BodyEvaluation { design: design.to_vec(), networks, long, readings, zero_samples }
+}
+
+/// A body as the trial's own brain has it before it.
+enum Seen {
+    /// Training, test and holdout set of a network that is to be trained.
+    Network([Data<f32>; 3]),
+    /// Solved.
+    Linear(NetworkEvaluation),
+}
+
+/// The sets of a stacked network.
+fn stacked(setting: &Setting, sets: &[Plain; 3]) -> Result<[Data<f32>; 3], Trouble> {
+    let problem = setting.problem;
+    let stack = Stack::new(&problem.decoder, problem.seed, &sets[0])?;
+    let data = |set: usize| {
+        let x = &sets[set].x;
+        let answers = if set == 0 { stack.cross_fitted(x) } else { stack.answers(x) };
+        setting.scales.stacked(problem.reader_shape(), &sets[set], &answers)
+    };
+    Ok([data(0), data(1), data(2)])
 }
 
 /// A brain that came to nothing.
@@ -145,37 +173,35 @@ fn network(
     setting: &Setting,
     seed: usize,
     iterations: usize,
-    [train, test, holdout_signals]: &[Vec<f64>; 3],
-    holdout: &Forces,
+    [data, test, unseen]: &[Data<f32>; 3],
+    sets: [&Forces; 3],
     zero_samples: &mut [u32; 3],
     log: &mut Log,
 ) -> NetworkEvaluation {
-    let Setting { problem, shape, pool, .. } = setting;
-    let mut workspace = Workspace::new(*shape);
-    let data = setting.data(train, &setting.train);
-    let unseen = setting.data(holdout_signals, holdout);
-    let (truth, mut aside) = (problem.targets(holdout), Workspace::new(*shape));
+    let Setting { problem, pool, .. } = setting;
+    let mut workspace = Workspace::new(data.shape());
+    let (truth, mut aside) = (problem.targets(sets[2]), Workspace::new(data.shape()));
     let mut progress =
-        |weights: &[f32]| mean_error(&setting.scales.predict(weights, &unseen, &truth, &mut aside, pool).1);
+        |weights: &[f32]| mean_error(&setting.scales.predict(weights, unseen, &truth, &mut aside, pool).1);
     let training = Training { iterations, ..problem.brain };
     let Fresh { weights, losses, errors, outcome } = log.timed(
         |s| &mut s.train,
         |report| {
             let (schedule, start) = (problem.evaluation.schedule, [problem.seed, seed as u64]);
-            let fresh = train_fresh(&data, training, schedule, start, &mut progress, &mut workspace, pool);
+            let fresh = train_fresh(data, training, schedule, start, &mut progress, &mut workspace, pool);
             report.counters.brain_iterations += fresh.losses.len() as u64;
             fresh
         },
     );
-    let mut error = |set: usize, data: &Data<f32>, forces: &Forces| {
-        let (error, zero) = setting.error(&weights, data, forces, &mut workspace);
+    let mut error = |set: usize, data: &Data<f32>| {
+        let (error, zero) = setting.error(&weights, data, sets[set], &mut workspace);
         zero_samples[set] = zero;
         error
     };
     NetworkEvaluation {
-        error_train: error(0, &data, &setting.train),
-        error_test: error(1, &setting.data(test, &setting.test), &setting.test),
-        error_holdout: error(2, &unseen, holdout),
+        error_train: error(0, data),
+        error_test: error(1, test),
+        error_holdout: error(2, unseen),
         losses,
         errors,
         weights: if seed == 0 { weights } else { Vec::new() },

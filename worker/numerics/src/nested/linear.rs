@@ -5,10 +5,10 @@
 //! ```
 
 use super::report::Trouble;
-use super::setting::{Setting, mean_error};
+use super::setting::{Scales, Setting, mean_error};
 use super::unseen::folds;
 use crate::brain::linear::{Fit, Lags, Linear, Moments, Order, Sizes};
-use crate::brain::prediction_error;
+use crate::brain::{Data, Shape, prediction_error};
 use crate::dynamics::Forces;
 
 /// What a linear brain is.
@@ -133,6 +133,62 @@ pub(super) fn downhill_ridge(start: f64, mut error: impl FnMut(f64) -> Option<f6
         }
     }
     best.map(|best| best.0)
+}
+
+/// Linear brains for a network that sees their answers: of what each was fitted on it never sees one's.
+pub(super) struct Stack {
+    /// For samples that trained none.
+    all: Linear,
+    /// The fold of each training sample, and of each fold the brain that was fitted on the others.
+    dealt: Vec<usize>,
+    parts: Vec<Linear>,
+}
+
+impl Stack {
+    /// Fitted on these training samples.
+    ///
+    /// # Errors
+    /// If one has no solution.
+    pub(super) fn new(decoder: &Decoder, seed: u64, train: &Plain) -> Result<Self, Trouble> {
+        let ridge = decoder.ridge_of(seed, train, None)?;
+        let folds_of = FOLDS.min(train.w.len());
+        let (moments, dealt) = (train.moments(), folds(seed, train.w.len(), folds_of));
+        let part = |fold: usize| {
+            let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == fold).collect();
+            Ok(fit(&moments.clone().without(&train.select(&own).moments()), decoder.lags, ridge)?.linear())
+        };
+        let parts = (0..folds_of).map(part).collect::<Result<_, Trouble>>()?;
+        Ok(Self { all: fit(&moments, decoder.lags, ridge)?.linear(), dealt, parts })
+    }
+
+    /// Answers (N, T, K) for samples that are not the training set's.
+    pub(super) fn answers(&self, x: &[f64]) -> Vec<f64> {
+        self.all.predict(x)
+    }
+
+    /// Answers for the training set's, each by a brain that has not seen it.
+    pub(super) fn cross_fitted(&self, x: &[f64]) -> Vec<f64> {
+        let one = x.len() / self.dealt.len();
+        let samples = x.chunks_exact(one).zip(&self.dealt);
+        samples.flat_map(|(sample, &fold)| self.parts[fold].predict(sample)).collect()
+    }
+}
+
+impl Scales {
+    /// Samples as a stacked network takes them: signals beside a linear brain's answers (N, T, K), as of forces.
+    pub(super) fn stacked(&self, shape: Shape, plain: &Plain, answers: &[f64]) -> Data<f32> {
+        let force = force_scale(&self.mean, &self.deviation);
+        let physical =
+            |y: &[f64]| -> Vec<f32> { self.targets(&y.iter().map(|y| force * y).collect::<Vec<f64>>()) };
+        let Sizes { channels, outputs, .. } = plain.sizes;
+        let said = physical(answers);
+        let mut x = Vec::with_capacity(plain.x.len() + said.len());
+        for (signals, said) in plain.x.chunks_exact(channels).zip(said.chunks_exact(outputs)) {
+            x.extend(signals.iter().map(|x| *x as f32));
+            x.extend_from_slice(said);
+        }
+        Data::new(shape, &x, &physical(&plain.y))
+    }
 }
 
 impl Setting<'_> {

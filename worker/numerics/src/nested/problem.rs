@@ -15,6 +15,8 @@ pub enum Kind {
     Network,
     /// The linear brain.
     Linear,
+    /// The network on the signals and what the linear brain makes of them; it only reads.
+    Stacked,
 }
 
 /// Everything that a nested optimisation starts from. Angles in rad.
@@ -181,7 +183,7 @@ impl Optimise {
     /// Designs that a loop remembers beside the present one, as it fits its brain on their samples too.
     pub(super) fn trail(&self) -> usize {
         match self.brain {
-            Kind::Network => 3,
+            Kind::Network | Kind::Stacked => 3,
             Kind::Linear => super::protocol::BODIES - 1,
         }
     }
@@ -207,6 +209,13 @@ impl Problem {
             architecture: self.brain.architecture,
             outputs: self.scene.panels.len(),
         }
+    }
+
+    /// Of the network that reads: a stacked one sees a linear estimate of each force, too.
+    pub fn reader_shape(&self) -> Shape {
+        let shape = self.shape();
+        let estimates = if self.reader == Kind::Stacked { shape.outputs } else { 0 };
+        Shape { inputs: shape.inputs + estimates, ..shape }
     }
 
     /// The sensors' chips, what is relative in them so to `rms` of each channel.

@@ -2,13 +2,13 @@
 //!
 //! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
 
-use super::linear::{Decoder, Plain, fit, force_scale};
+use super::linear::{Decoder, Plain, Stack, fit, force_scale};
 use super::problem::{Kind, Problem};
 use super::report::Failure;
 use super::setting::{Setting, all_well};
 use super::tuning::Tuning;
-use crate::brain::Workspace;
 use crate::brain::linear::{Lags, Linear, Sizes};
+use crate::brain::{Data, Workspace};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
@@ -60,8 +60,11 @@ pub fn replay(
     let forces = problem.seen(forces);
     let (mut predictions, mut errors) = (Vec::new(), Vec::new());
     if !weights.is_empty() {
-        let data = setting.data::<f32>(&simulation.signals, &forces);
-        let mut workspace = Workspace::new(setting.shape);
+        let data = match problem.reader {
+            Kind::Stacked => stacked(&setting, &simulation.signals, &forces, &kinds)?,
+            _ => setting.data::<f32>(&simulation.signals, &forces),
+        };
+        let mut workspace = Workspace::new(data.shape());
         let targets = problem.targets(&forces);
         (predictions, errors) = setting.scales.predict(weights, &data, &targets, &mut workspace, pool);
     }
@@ -80,6 +83,21 @@ pub fn replay(
         (replay.predictions, replay.errors) = (brain.predictions, brain.errors);
     }
     Ok(replay)
+}
+
+/// All samples as a stacked network takes them, those of the training set by brains that have not seen them.
+fn stacked(setting: &Setting, signals: &[f64], forces: &Forces, kinds: &[u8]) -> Result<Data<f32>, Failure> {
+    let problem = setting.problem;
+    let all = setting.plain(signals, forces);
+    let training: Vec<usize> = (0..kinds.len()).filter(|&i| kinds[i] == 0).collect();
+    let train = all.select(&training);
+    let stack = Stack::new(&problem.decoder, problem.seed, &train).map_err(Failure::Initial)?;
+    let mut answers = stack.answers(&all.x);
+    let one = answers.len() / kinds.len();
+    for (own, &sample) in stack.cross_fitted(&train.x).chunks_exact(one).zip(&training) {
+        answers[sample * one..(sample + 1) * one].copy_from_slice(own);
+    }
+    Ok(setting.scales.stacked(problem.reader_shape(), &all, &answers))
 }
 
 /// A linear brain fitted on a replay's training samples, and what it says of all of them.

@@ -191,7 +191,7 @@ impl Scales {
     }
 
     /// y of forces (N, T, K) in N.
-    fn targets<F: Real>(&self, forces: &[f64]) -> Vec<F> {
+    pub(super) fn targets<F: Real>(&self, forces: &[f64]) -> Vec<F> {
         let panels = self.mean.iter().zip(&self.deviation).cycle();
         forces.iter().zip(panels).map(|(f, (mean, deviation))| F::from_f64((f - mean) / deviation)).collect()
     }

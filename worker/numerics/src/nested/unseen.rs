@@ -4,7 +4,7 @@
 //! comparison at the end of a trial. Its scales are those of its own training records.
 
 use super::evaluation::{Fresh, train_fresh};
-use super::linear::{Decoder, Plain, fit, force_scale};
+use super::linear::{Decoder, Plain, Stack, fit, force_scale};
 use super::problem::{Problem, Schedule, Training};
 use super::report::{Failure, Trouble};
 use super::setting::{Scales, all_well, mean_error};
@@ -69,8 +69,17 @@ impl Records {
         (pick(&self.signals), pick(&self.targets))
     }
 
+    /// The records listed as a linear brain takes them.
+    fn plain(&self, scales: &Scales, records: &[usize]) -> Plain {
+        let (signals, targets) = self.select(records);
+        let Shape { instants, inputs, outputs, .. } = self.shape;
+        let force = force_scale(&scales.mean, &scales.deviation);
+        Plain::new(Sizes { instants, channels: inputs, outputs }, scales.inputs(&signals), &targets, force)
+    }
+
     /// Trains a network on the records outside `fold` (of each record, as `folds` deals them) and lets it predict those
-    /// inside. `start` is a seed and the number of its initial weights.
+    /// inside. `start` is a seed and the number of its initial weights; a network that is `stacked` sees what such a
+    /// linear brain makes of the signals, too.
     ///
     /// # Panics
     /// If there is no record inside or outside.
@@ -79,6 +88,7 @@ impl Records {
         folds: &[usize],
         fold: usize,
         training: Training,
+        stacked: Option<&Decoder>,
         schedule: Schedule,
         start: [u64; 2],
         pool: &rayon::ThreadPool,
@@ -88,8 +98,20 @@ impl Records {
         let scales = Scales::new(&self.shape, &signals, &targets);
         let data = scales.data(self.shape, &signals, &targets);
         let (signals, truth) = self.select(&test);
-        let unseen = scales.data(self.shape, &signals, &truth);
-        let [mut workspace, mut aside] = [(); 2].map(|()| Workspace::new(self.shape));
+        let (data, unseen) = match stacked {
+            None => (data, scales.data(self.shape, &signals, &truth)),
+            Some(decoder) => {
+                let shape = Shape { inputs: self.shape.inputs + self.shape.outputs, ..self.shape };
+                let [known, unseen] = [&train, &test].map(|records| self.plain(&scales, records));
+                let stack = match Stack::new(decoder, start[0], &known) {
+                    Ok(stack) => stack,
+                    Err(trouble) => return Unseen::nothing(&truth, test.len(), trouble),
+                };
+                let seen = scales.stacked(shape, &known, &stack.cross_fitted(&known.x));
+                (seen, scales.stacked(shape, &unseen, &stack.answers(&unseen.x)))
+            }
+        };
+        let [mut workspace, mut aside] = [(); 2].map(|()| Workspace::new(data.shape()));
         let mut progress =
             |weights: &[f32]| mean_error(&scales.predict(weights, &unseen, &truth, &mut aside, pool).1);
         let Fresh { weights, losses, errors: progress, outcome } =
@@ -98,6 +120,20 @@ impl Records {
         let (predictions, errors) = scales.predict(&weights, &unseen, &truth, &mut workspace, pool);
         let trouble = (outcome != TrainOutcome::Ok).then_some(Trouble::Training(outcome));
         Unseen { predictions, errors, error_train, losses, progress, trouble }
+    }
+}
+
+impl Unseen {
+    /// Of a brain that came to nothing.
+    fn nothing(truth: &[f64], records: usize, trouble: Trouble) -> Self {
+        Self {
+            predictions: vec![0.0; truth.len()],
+            errors: vec![None; records],
+            error_train: None,
+            losses: Vec::new(),
+            progress: Vec::new(),
+            trouble: Some(trouble),
+        }
     }
 }
 
@@ -110,27 +146,21 @@ impl Records {
         let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|&i| folds[i] == fold);
         let (signals, targets) = self.select(&train);
         let scales = Scales::new(&self.shape, &signals, &targets);
-        let Shape { instants, inputs, outputs, .. } = self.shape;
-        let sizes = Sizes { instants, channels: inputs, outputs };
-        let force = force_scale(&scales.mean, &scales.deviation);
-        let known = Plain::new(sizes, scales.inputs(&signals), &targets, force);
-        let (signals, truth) = self.select(&test);
-        let unseen = Plain::new(sizes, scales.inputs(&signals), &truth, force);
+        let [known, unseen] = [&train, &test].map(|records| self.plain(&scales, records));
         let fitted =
             decoder.ridge_of(seed, &known, None).and_then(|ridge| fit(&known.moments(), decoder.lags, ridge));
-        let (linear, trouble) = match fitted {
-            Ok(fit) => (Some(fit.linear()), None),
-            Err(trouble) => (None, Some(trouble)),
+        let linear = match fitted {
+            Ok(fit) => fit.linear(),
+            Err(trouble) => return Unseen::nothing(&unseen.y, test.len(), trouble),
         };
-        let say = |set: &Plain| linear.as_ref().map_or(vec![0.0; set.y.len()], |l| l.predict(&set.x));
-        let said = say(&unseen);
+        let (said, force) = (linear.predict(&unseen.x), force_scale(&scales.mean, &scales.deviation));
         Unseen {
-            errors: if trouble.is_none() { unseen.errors(&said) } else { vec![None; test.len()] },
+            errors: unseen.errors(&said),
             predictions: said.into_iter().map(|y| force * y).collect(),
-            error_train: linear.as_ref().and_then(|_| known.error(&say(&known))),
+            error_train: known.error(&linear.predict(&known.x)),
             losses: Vec::new(),
             progress: Vec::new(),
-            trouble,
+            trouble: None,
         }
     }
 }
@@ -203,9 +233,14 @@ mod tests {
         let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
         let inside_of = |record: usize| inside.iter().position(|&i| i == record).unwrap();
         let training = Training { iterations: 150, rate: 1e-2, architecture };
-        let fold = |fold| records.unseen(&dealt, fold, training, Schedule::Cosine, [1, 0], &pool);
+        let fold = |fold| records.unseen(&dealt, fold, training, None, Schedule::Cosine, [1, 0], &pool);
         let decoder = Decoder::whole(instants, 3);
         let linear = |fold| records.unseen_linear(&dealt, fold, &decoder, 1);
+        let stacked = |fold| {
+            let (decoder, schedule) = (Some(&decoder), Schedule::Cosine);
+            records.unseen(&dealt, fold, training, decoder, schedule, [1, 0], &pool)
+        };
+        assert!(stacked(dealt[0]).errors[inside_of(0)].unwrap() > 50.0);
         let read = [fold(dealt[0]), linear(dealt[0])];
         let seen = [fold((dealt[0] + 1) % 4), linear((dealt[0] + 1) % 4)];
         let (own, other) = (read[0].clone(), seen[0].clone());

@@ -164,3 +164,32 @@ fn readings_are_those_of_their_own_fits() {
     assert_eq!(own.networks[0].error_holdout, own.readings[0].error_holdout);
     assert_eq!(own.readings, found.readings);
 }
+
+/// A stacked network beside the plain one, on the same body: its inputs are more, its estimates of training samples come
+/// from brains that have not seen them, and a replay has the errors that the evaluation had.
+#[test]
+fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
+    let mut problem = Problem { reader: Kind::Stacked, ..linear(LINEAR[3]) };
+    problem.stimuli.samples = 30;
+    problem.brain.iterations = 60;
+    let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+    let network = &found.optimised.networks[0];
+    assert_eq!((found.optimised.networks.len(), problem.reader_shape().inputs), (2, 5));
+    assert_eq!(network.weights.len(), problem.reader_shape().weights());
+    let again = replay(&problem, &found.optimised.design, &network.weights, &pool(1)).unwrap();
+    for (set, recorded) in
+        [network.error_train, network.error_test, network.error_holdout].into_iter().enumerate()
+    {
+        let of_set = again.split.iter().zip(&again.errors).filter(|(s, _)| usize::from(**s) == set);
+        let errors: Vec<f64> = of_set.filter_map(|(_, e)| *e).collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        assert!((mean / recorded.unwrap() - 1.0).abs() < 1e-6, "set {set}: {mean} {recorded:?}");
+    }
+
+    let pool = pool(1);
+    let setting = Setting::new(&problem, &pool).unwrap();
+    let train = setting.plain(&setting.initial_signals, &setting.train);
+    let stack = super::super::linear::Stack::new(&problem.decoder, problem.seed, &train).unwrap();
+    let (seen, unseen) = (stack.answers(&train.x), stack.cross_fitted(&train.x));
+    assert!(train.error(&unseen) > train.error(&seen), "{:?} {:?}", train.error(&unseen), train.error(&seen));
+}
