@@ -2,6 +2,7 @@
 
 pub mod dynamics;
 
+use metasense_numerics::brain::linear::{Fit, Lags, Moments, Order, Sizes};
 use metasense_numerics::brain::{
     Adam, Architecture, Curvature, Data, Matrix, Real, Shape, Workspace, initial_weights, loss, loss_gradient,
 };
@@ -146,6 +147,64 @@ pub fn brain_rows(bench: BrainBench) -> Vec<BrainTimes> {
     rows
 }
 
+/// Sizes of a linear brain to be solved for.
+#[derive(Debug, Clone, Copy)]
+pub struct LinearBench {
+    /// N.
+    pub samples: usize,
+    /// T.
+    pub instants: usize,
+    /// M.
+    pub sensors: usize,
+    /// K.
+    pub panels: usize,
+    /// Reach each way (instants).
+    pub memory: usize,
+}
+
+/// What it took.
+#[derive(Debug, Clone, Copy)]
+pub struct LinearTimes {
+    /// D.
+    pub unknowns: usize,
+    /// Of the moments, of normal matrix, factor and weights, of the answers to all samples, of their pull-back (ms).
+    pub milliseconds: [f64; 4],
+    /// Operations a second of a factor, D³/3 of them, were it all that a solve does (10⁹).
+    pub gflops: f64,
+}
+
+/// Solves once for white noise, on one thread.
+///
+/// # Panics
+/// If the memory is as long as the sample.
+#[must_use]
+pub fn linear_rows(bench: LinearBench) -> LinearTimes {
+    let LinearBench { samples, instants, sensors, panels, memory } = bench;
+    assert!(memory < instants, "{bench:?}");
+    let sizes = Sizes { instants, channels: 3 * sensors, outputs: panels };
+    let mut stream = Stream::new(Purpose::Batch, 1, [0, 0]);
+    let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| stream.normal()).collect() };
+    let (x, f) = (draw(samples * instants * sizes.channels), draw(samples * instants * panels));
+    let mut last = Instant::now();
+    let mut passed = || {
+        let spent = last.elapsed().as_secs_f64();
+        last = Instant::now();
+        1e3 * spent
+    };
+    let mut moments = Moments::new(sizes);
+    moments.add(&x, &f, &vec![1.0; samples]);
+    let first = passed();
+    let lags = Lags { before: memory, after: memory };
+    let linear = Fit::new(&moments, lags, 1e-6, Order::Ascending).expect("white noise").linear();
+    let second = passed();
+    let answers = linear.predict(&x);
+    let third = passed();
+    std::hint::black_box(linear.predict_vjp(&answers));
+    let unknowns = lags.count() * sizes.channels;
+    let gflops = (unknowns as f64).powi(3) / 3.0 / (1e6 * second);
+    LinearTimes { unknowns, milliseconds: [first, second, third, passed()], gflops }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,5 +219,13 @@ mod tests {
             let figures = [row.forward, row.iteration, row.hessian, row.gauss_newton, row.share_of_peak()];
             assert!(figures.iter().all(|x| x.is_finite() && *x > 0.0), "{row:?}");
         }
+    }
+
+    /// The same of the linear brain's.
+    #[test]
+    fn the_bench_of_the_linear_brain_runs() {
+        let found = linear_rows(LinearBench { samples: 5, instants: 12, sensors: 1, panels: 2, memory: 4 });
+        assert_eq!(found.unknowns, 27);
+        assert!(found.milliseconds.iter().all(|ms| *ms >= 0.0) && found.gflops > 0.0, "{found:?}");
     }
 }

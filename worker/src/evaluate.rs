@@ -8,7 +8,7 @@ use metasense_schemas::spec::{BrainKind, TrialSpec};
 
 use crate::convert::finite;
 use crate::measured::Measured;
-use crate::problem::problem;
+use crate::problem::{problem, solvable};
 use crate::replay::check;
 use crate::run::{Failure, pool};
 
@@ -60,6 +60,9 @@ pub fn evaluate(
 ) -> Result<Evaluated, Failure> {
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     let Effort { folds, seeds, iterations, brain } = effort;
+    if brain != BrainKind::Cnn {
+        solvable(trial, problem.decoder.lags).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    }
     let Measured { forces, signals, low_pass } = measured;
     let samples = forces.samples;
     if !(2..=samples).contains(&folds) {

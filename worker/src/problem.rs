@@ -11,11 +11,13 @@ use metasense_numerics::brain::{Architecture, LAYERS_MAX, Policy, Shape};
 use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::nested::{
-    Decoder, Evaluation, Going, Kind, Optimise, Problem, Protocol, Ridge, Schedule, Terms, Training,
+    Decoder, Evaluation, Going, Kind, Optimise, Problem, Protocol, Ridge, Schedule, Terms, Training, fits,
 };
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
 
 mod stimuli;
+
+pub use metasense_numerics::nested::READINGS_MAX;
 
 use stimuli::{disturbance, stimuli};
 
@@ -340,14 +342,8 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
             Lags { before, after }.within(instants)
         }
     };
-    let unknowns = 3 * trial.sensor_units.len() * lags.count();
     if trial.brain.kind != spec::BrainKind::Cnn || trial.optimise.linear() {
-        let remedy = format!(
-            "gives {unknowns} unknowns a force, at most {UNKNOWNS_MAX} can be solved for: a shorter memory, \
-             fewer sensors or fewer time.samples"
-        );
-        let shown = trial.brain.memory.map_or(String::new(), |memory| format!("{memory:?}"));
-        require(unknowns <= UNKNOWNS_MAX, "brain.memory", shown, &remedy)?;
+        solvable(trial, lags)?;
     }
     let ridge = match trial.brain.ridge {
         None | Some(spec::Ridge::Auto(_)) => Ridge::Auto,
@@ -357,6 +353,29 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
         }
     };
     Ok(Decoder { lags, ridge })
+}
+
+/// Whether there is memory for a linear brain of these lags.
+pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
+    let (instants, channels) = (trial.time.samples, 3 * trial.sensor_units.len());
+    let readings = channels * instants;
+    let remedy = format!(
+        "gives a linear brain {readings} readings a sample, time.samples × 3 × sensors; at most {READINGS_MAX}, and \
+         10^8 of them times time.samples × panels"
+    );
+    require(
+        fits(instants, channels, trial.panel_units.len()),
+        "sweep.sensors",
+        trial.point.sensors,
+        &remedy,
+    )?;
+    let unknowns = channels * lags.count();
+    let remedy = format!(
+        "gives {unknowns} unknowns a force, at most {UNKNOWNS_MAX} can be solved for: a shorter memory, fewer sensors \
+         or fewer time.samples"
+    );
+    let shown = trial.brain.memory.map_or(String::new(), |memory| format!("{memory:?}"));
+    require(unknowns <= UNKNOWNS_MAX, "brain.memory", shown, &remedy)
 }
 
 /// What stands for the Hessian's inverse.

@@ -3,7 +3,7 @@
 use metasense_numerics::body::Geometry;
 use metasense_numerics::feasible::{Active, Feasible};
 use metasense_numerics::nested;
-use metasense_numerics::nested::Decoder;
+use metasense_numerics::nested::{Decoder, fits};
 pub use metasense_numerics::nested::{LinearReplay, Motion, Replay};
 use metasense_schemas::spec::TrialSpec;
 
@@ -81,14 +81,18 @@ pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize
     nested::replay(&problem, design, weights, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
 }
 
-/// The linear brain of the whole sample on a replay's signals: what every body is read by.
+/// The linear brain of the whole sample on a replay's signals: what every body is read by. None where it is too large.
 ///
 /// # Errors
 /// If the spec stands for no trial, or the brain cannot be solved for.
-pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<LinearReplay, Failure> {
+pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>, Failure> {
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
-    let decoder = Decoder::whole(problem.scene.instants, replay.signal_scale.len());
-    replay.linear(&problem, &decoder).map_err(|e| Failure::NonFinite(e.to_string()))
+    let (instants, channels) = (problem.scene.instants, replay.signal_scale.len());
+    if !fits(instants, channels, problem.scene.panels.len()) {
+        return Ok(None);
+    }
+    let found = replay.linear(&problem, &Decoder::whole(instants, channels));
+    found.map(Some).map_err(|e| Failure::NonFinite(e.to_string()))
 }
 
 /// Motion of a body under one sample of its trial, numbered as in [`replay`].

@@ -28,8 +28,10 @@ pub struct Read {
     pub by: String,
     /// How far it looks back and ahead (s).
     pub memory: [f64; 2],
-    /// Whether it is a linear brain that sees the whole sample.
+    /// Whether it is a linear brain that sees the whole sample, or as much of it as any.
     pub whole: bool,
+    /// Whether it is the trials' own brain.
+    pub own: bool,
     /// Errors (%) of the initial and the optimised body: geometric means over the trials that have both.
     pub errors: [f64; 2],
     /// Initial over optimised error.
@@ -45,14 +47,20 @@ pub fn brains(trial: &Trial) -> [String; 2] {
             shape if shape == "cnn" => "stacked".to_owned(),
             shape => format!("stacked, {shape}"),
         },
-        Some(kind) => kind.to_owned(),
+        Some(kind) => match trial.setting.get("brain.memory") {
+            Some(memory) => format!("{kind}, memory {memory} s"),
+            None => kind.to_owned(),
+        },
         None => network(trial),
     };
     let with = match text("optimise.brain") {
         Some(kind) => kind.to_owned(),
         None => network(trial),
     };
-    [own, with]
+    match text("optimise.protocol") {
+        None | Some("joint") => [own, with],
+        Some(protocol) => [own, format!("{with} ({protocol})")],
+    }
 }
 
 /// A network's name: `cnn` for the paper's shape.
@@ -100,13 +108,22 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
             trials.iter().filter(|t| brains(t) == [by.clone(), trained_with.clone()]).collect();
         let errors = |t: &&&Trial| Some(Body::ALL.map(|body| t.error(body, Set::Holdout)));
         let memory = alike.first().map_or([0.0; 2], |t| t.memory());
-        found.extend(read(trained_with, by, memory, false, alike.iter().filter_map(errors)));
+        found.extend(read(trained_with, by, (memory, false, true), alike.iter().filter_map(errors)));
     }
     let mut with: Vec<&String> = kinds.iter().map(|kind| &kind[1]).collect();
     with.sort();
     with.dedup();
     for trained_with in with {
-        let alike: Vec<&&Trial> = trials.iter().filter(|t| brains(t)[1] == *trained_with).collect();
+        // trials that differ in their reader alone have one body, and one reading of it
+        let mut alike: Vec<&&Trial> = Vec::new();
+        for trial in trials.iter().filter(|t| brains(t)[1] == *trained_with) {
+            let same = |t: &&&Trial| {
+                t.cluster == trial.cluster && t.sensors == trial.sensors && t.readings == trial.readings
+            };
+            if !alike.iter().any(same) {
+                alike.push(trial);
+            }
+        }
         let mut memories: Vec<([f64; 2], bool)> = Vec::new();
         for reading in alike.iter().flat_map(|t| &t.readings) {
             if !memories.contains(&(reading.memory, reading.whole)) {
@@ -119,7 +136,7 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
                 let reading = t.readings.iter().find(|r| r.memory == memory)?;
                 Some(reading.errors.map(|body| body[Set::Holdout as usize].filter(|e| *e > 0.0)))
             });
-            found.extend(read(trained_with, "linear", memory, whole, errors));
+            found.extend(read(trained_with, "linear", (memory, whole, false), errors));
         }
     }
     found
@@ -128,15 +145,14 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
 fn read(
     trained_with: &str,
     by: &str,
-    memory: [f64; 2],
-    whole: bool,
+    (memory, whole, own): ([f64; 2], bool, bool),
     errors: impl Iterator<Item = [Option<f64>; 2]>,
 ) -> Option<Read> {
     let pairs: Vec<[f64; 2]> = errors.filter_map(|[a, b]| Some([a?, b?])).collect();
     let ratio = Ratio::of(&pairs.iter().map(|[a, b]| a / b).collect::<Vec<_>>())?;
     let of = |body: usize| geometric_mean(&pairs.iter().map(|pair| pair[body]).collect::<Vec<_>>());
     let (trained_with, by) = (trained_with.to_owned(), by.to_owned());
-    Some(Read { trained_with, by, memory, whole, errors: [of(0), of(1)], ratio })
+    Some(Read { trained_with, by, memory, whole, own, errors: [of(0), of(1)], ratio })
 }
 
 #[cfg(test)]
@@ -184,8 +200,8 @@ mod tests {
                 ("linear", "linear", false, [8.0, 0.5], 1),
                 ("cnn", "linear", true, [4.0, 2.0], 2),
                 ("cnn", "linear", false, [12.0, 6.0], 2),
-                ("linear", "linear", true, [8.0, 0.5], 2),
-                ("linear", "linear", false, [24.0, 1.5], 2),
+                ("linear", "linear", true, [8.0, 0.5], 1),
+                ("linear", "linear", false, [24.0, 1.5], 1),
             ]
         );
     }

@@ -281,7 +281,8 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
         _ => {}
     }
     if alike.len() < all.len() {
-        parts.push(match own[0] == own[1] {
+        let training_told = key.iter().any(|(path, _)| path.starts_with("optimise."));
+        parts.push(match own[0] == own[1] || !training_told {
             true => own[0].clone(),
             false => format!("trained with {}, read by {}", own[1], own[0]),
         });

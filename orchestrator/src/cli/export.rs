@@ -119,8 +119,14 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
     Ok(match args.format {
         Form::Npz => {
             let replays = [replayed(0)?, replayed(1)?];
-            let read = |b: usize| linear(&spec, &replays[b]).map_err(unreadable);
-            npz::archive(stored, &[drawn(0)?, drawn(1)?], &replays, &[read(0)?, read(1)?])
+            let read = |b: usize| match linear(&spec, &replays[b]) {
+                Ok(brain) => brain,
+                Err(why) => {
+                    say!("note: no linear brain reads a body: {why}");
+                    None
+                }
+            };
+            npz::archive(stored, &[drawn(0)?, drawn(1)?], &replays, &[read(0), read(1)])
         }
         Form::Csv | Form::Parquet => {
             tabular(&series::table(stored, &[replayed(0)?, replayed(1)?]), args.format, &stored.hash)?

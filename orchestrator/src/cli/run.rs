@@ -10,6 +10,8 @@ use tokio::sync::oneshot;
 use super::live::Live;
 use super::simd::Simd;
 use super::{Error, Format, log, print_rows, read_plan};
+use crate::analysis::brains::brains;
+use crate::analysis::data::{self, flatten};
 use crate::cluster::Shard;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_in_time};
 use crate::engine::{self, Again, Options, Signals};
@@ -230,9 +232,22 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
     for (hash, reason) in failures.iter().take(MOST_ROWS) {
         say!("failed: trial {hash} ({reason})");
     }
+    for row in &mut table.rows {
+        let trial = plan.trials.iter().find(|trial| row[STATE + 2] == trial.hash.as_str());
+        let spec = trial.and_then(|trial| serde_json::to_value(&trial.spec).ok());
+        if let Some(spec) = spec {
+            let names = brains(&data::Trial { setting: flatten(&spec), ..data::Trial::default() });
+            row[BRAINS].iter_mut().zip(names).for_each(|(cell, name)| *cell = name.into());
+        }
+    }
     if format == Format::Table && table.rows.iter().all(|row| row[STATE] == "done") {
         table.columns.truncate(STATE);
         table.rows.iter_mut().for_each(|row| row.truncate(STATE));
+    }
+    if format == Format::Table && table.rows.iter().all(|row| row[BRAINS].iter().all(|brain| brain == "cnn"))
+    {
+        table.columns.drain(BRAINS);
+        table.rows.iter_mut().for_each(|row| drop(row.drain(BRAINS)));
     }
     if failures.len() > MOST_ROWS {
         say!("… and {} more failed: metasense status {}", failures.len() - MOST_ROWS, db.display());
@@ -252,4 +267,6 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
 }
 
 /// Column of the state; reason and hash follow it, and are shown where not all is done.
-const STATE: usize = 10;
+const STATE: usize = 12;
+/// Columns of the brains that read and trained, which are shown where they are not all the paper's.
+const BRAINS: std::ops::Range<usize> = 5..7;

@@ -10,13 +10,14 @@ use crate::analysis::Body;
 use crate::report::samples::Stored;
 use crate::store::npy_bytes;
 
-/// The archive. `drawings`, `replays` and `linear` are those of the initial and of the optimised body.
+/// The archive. `drawings`, `replays` and, where there are, `linear` are those of the initial and of the
+/// optimised body.
 #[must_use]
 pub fn archive(
     stored: &Stored,
     drawings: &[Drawing; 2],
     replays: &[Replay; 2],
-    linear: &[LinearReplay; 2],
+    linear: &[Option<LinearReplay>; 2],
 ) -> Vec<u8> {
     let (panels, instants) = (stored.spec.panel_units.len(), stored.spec.time.samples);
     let inputs = 3 * stored.spec.sensor_units.len();
@@ -33,10 +34,11 @@ pub fn archive(
         if !replay.predictions.is_empty() {
             zip.array(&format!("predictions_{name}"), &forces, &replay.predictions);
         }
-        let brain = &linear[b];
-        zip.array(&format!("linear_predictions_{name}"), &forces, &brain.predictions);
-        zip.array(&format!("linear_w_{name}"), &[panels, brain.lags.count(), inputs], &brain.w);
-        zip.array(&format!("linear_b_{name}"), &[panels], &brain.b);
+        if let Some(brain) = &linear[b] {
+            zip.array(&format!("linear_predictions_{name}"), &forces, &brain.predictions);
+            zip.array(&format!("linear_w_{name}"), &[panels, brain.lags.count(), inputs], &brain.w);
+            zip.array(&format!("linear_b_{name}"), &[panels], &brain.b);
+        }
         if !stored.weights[b].is_empty() {
             let estimates = if stored.spec.brain.kind == BrainKind::Stacked { panels } else { 0 };
             for (part, shape, values) in
@@ -47,8 +49,9 @@ pub fn archive(
         }
         zip.array(&format!("losses_{name}"), &[stored.losses[b].len()], &stored.losses[b]);
     }
-    let lags = linear[0].lags;
-    zip.array("linear_lags", &[2], &[-(lags.before as i64), lags.after as i64]);
+    if let Some(brain) = linear.iter().flatten().next() {
+        zip.array("linear_lags", &[2], &[-(brain.lags.before as i64), brain.lags.after as i64]);
+    }
     let replay = &replays[0];
     zip.array("forces", &[samples, panels, instants + 1], &replay.forces.values);
     zip.array("split", &[samples], &replay.split);

@@ -1,7 +1,7 @@
 //! Which brains a trial has, and that it carries the keys of no other: equal trials have equal hashes.
 
 use metasense_schemas::source::{Source, SpecError};
-use metasense_schemas::spec::{Brain, BrainKind, Evaluation, Optimise, SweepSpec};
+use metasense_schemas::spec::{Brain, BrainKind, Evaluation, Optimise, Ridge, SweepSpec};
 
 /// The brain that reads the bodies, and the one that trains them. A stacked one does not train.
 fn kinds(spec: &SweepSpec) -> [BrainKind; 2] {
@@ -34,6 +34,11 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
     if !has_linear(reader) && !has_linear(trainer) {
         (brain.memory, brain.ridge) = (None, None);
     }
+    // what can be said in two ways is said in one
+    brain.ridge = brain.ridge.filter(|ridge| matches!(ridge, Ridge::Given(_)));
+    let (duration, instants) = (spec.time.duration, spec.time.samples as f64);
+    let whole = |seconds: &f64| *seconds >= duration * (1.0 - 1.0 / instants) * (1.0 - 1e-9);
+    brain.memory = brain.memory.filter(|memory| !memory.iter().all(|s| whole(s) && *s <= duration));
     // named where it is not the paper's, whatever reads
     optimise.brain = (trainer == BrainKind::Linear).then_some(trainer);
     if trainer == BrainKind::Linear {
@@ -42,6 +47,9 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
     }
     (brain, optimise.resolved(), evaluation)
 }
+
+/// Whether a spec gives a key.
+type Given<'a> = &'a dyn Fn(&SweepSpec) -> bool;
 
 /// Refuses keys that no brain of the sweep reads.
 ///
@@ -62,7 +70,7 @@ pub(super) fn refuse_unread<'a>(
     let read_by_network = any(&|spec| has_network(spec.brain.kind));
     let trained_by_network = any(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
-    let keys: [(&str, bool, &dyn Fn(&SweepSpec) -> bool, &str); 16] = [
+    let keys: [(&str, bool, Given, &str); 16] = [
         ("brain.preset", network, &|s| s.brain.preset.is_some(), "cnn"),
         ("brain.width", network, &|s| s.brain.width.is_some(), "cnn"),
         ("brain.kernels", network, &|s| s.brain.kernels.is_some(), "cnn"),

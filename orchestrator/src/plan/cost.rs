@@ -4,6 +4,7 @@
 
 use super::Trial;
 use metasense_schemas::spec::{Brain, BrainKind, Network, Protocol, TrialSpec};
+use metasense_worker::problem::READINGS_MAX;
 
 /// Integrator steps a second of motion, of the reference scene at its default tolerance.
 const STEPS_PER_SECOND: f64 = 3100.0;
@@ -22,7 +23,7 @@ const PRODUCTS: f64 = 21.0;
 /// Multiply-adds a second of a factor, of D³/6 of them.
 const FACTOR_RATE: f64 = 2.5e10;
 /// Factors of the comparison, a body, and of a step, looks for a ridge included.
-const FACTORS: f64 = 6.0;
+const FACTORS: f64 = 8.0;
 const STEP_FACTORS: f64 = 1.5;
 
 /// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, of a stacked one both; with biases.
@@ -92,7 +93,11 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
     let trainings = if network { trial.evaluation.seeds as f64 * (1.0 + long) } else { 0.0 };
     let whole = TrialSpec { brain: Brain { memory: None, ..trial.brain.clone() }, ..trial.clone() };
-    let readings = FACTORS * factor(unknowns(&whole));
+    // as much as fits
+    let readings = match 3 * trial.point.sensors * trial.time.samples <= READINGS_MAX {
+        true => FACTORS * factor(unknowns(&whole).min(READINGS_MAX)),
+        false => 0.0,
+    };
     let comparison =
         2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train + readings);
     (optimise.steps() as f64 * step, comparison)

@@ -28,14 +28,16 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     with.sort_unstable();
     with.dedup();
     with.truncate(TRAINED.len());
+    let shown = |read: &&Read| with.contains(&read.trained_with.as_str());
     for (label, reads) in drawn.iter().take(MOST_SETTINGS) {
-        let linear: Vec<&Read> = reads.iter().filter(|read| read.by == "linear").collect();
-        let networks: Vec<&Read> = reads.iter().filter(|read| read.by != "linear").collect();
+        let linear: Vec<&Read> = reads.iter().filter(|read| !read.own && shown(read)).collect();
+        let networks: Vec<&Read> =
+            reads.iter().filter(|read| read.own && read.by != "linear" && shown(read)).collect();
         let errors = |reads: &[&Read]| reads.iter().flat_map(|r| r.errors).collect::<Vec<f64>>();
         let even: Vec<&Read> = linear.iter().filter(|r| r.memory[0] == r.memory[1]).copied().collect();
         let past: Vec<&Read> =
             linear.iter().filter(|r| r.memory[0] > r.memory[1] || r.whole).copied().collect();
-        let reach = |r: &Read| r.memory[1].max(1e-4);
+        let reach = |r: &Read| r.memory[0].max(r.memory[1]).max(1e-4);
         let all = [even.clone(), networks.clone()].concat();
         let x = Axis::new("memory, each way (s)", Scale::Log, all.iter().map(|r| reach(r)));
         let mut memory = Plot::new(label, x, Axis::new("holdout error (%)", Scale::Log, errors(&all)));
@@ -126,24 +128,28 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
 
 fn sentence(label: &str, reads: &[Read]) -> Option<String> {
     let whole = |with: &str| reads.iter().find(|r| r.whole && r.trained_with == with);
-    let own = reads.iter().filter(|r| !r.whole && r.by != "linear");
+    let own = reads.iter().filter(|r| r.own && r.by != "linear");
     let best = own.min_by(|a, b| a.errors[1].total_cmp(&b.errors[1]));
     let by_linear = whole("linear");
     let text = match (best, by_linear) {
         (Some(best), trained) => {
-            let untouched = whole(&best.trained_with).or(trained)?;
-            let [initial, optimised] = untouched.errors.map(number);
-            let than = if untouched.errors[0] < best.errors[1] { "better" } else { "worse" };
-            let trained = trained.map_or(String::new(), |read| {
-                format!(", and the body that was trained with it at {} %", number(read.errors[1]))
-            });
-            format!(
-                "a linear decoder of the whole sample reads the initial body at {initial} %, {than} than the network ({}) \
-                 reads the body trained with {} ({} %); that body it reads at {optimised} %{trained}",
+            let untouched = whole(&best.trained_with).or(trained)?.errors[0];
+            let than = if untouched < best.errors[1] { "better" } else { "worse" };
+            let mut text = format!(
+                "a linear decoder of the whole sample reads the initial body at {} %, {than} than {} reads the body \
+                 trained with {} ({} %)",
+                number(untouched),
                 best.by,
                 best.trained_with,
                 number(best.errors[1])
-            )
+            );
+            if let Some(own) = whole(&best.trained_with) {
+                text += &format!("; that body it reads at {} %", number(own.errors[1]));
+            }
+            if let Some(other) = trained.filter(|_| best.trained_with != "linear") {
+                text += &format!(", and the body that was trained with it at {} %", number(other.errors[1]));
+            }
+            text
         }
         (None, Some(read)) => {
             let [initial, optimised] = read.errors.map(number);

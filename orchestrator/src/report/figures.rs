@@ -3,6 +3,7 @@
 use serde_json::json;
 
 use super::plot::{Axis, Plot, Scale, number};
+use crate::analysis::brains::brains;
 use crate::analysis::data::{
     COMPLEXITY, CurvePoint, DESIGN, Group, SENSORS, TRAINING, groups, levels, observations, places,
 };
@@ -450,7 +451,10 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
             let histories: Vec<&[(f64, f64)]> = way.trials.iter().map(|t| t.history.as_slice()).collect();
             let mean = mean_history(&histories, 60);
             if let (Some(last), true) = (mean.last().copied(), ways.len() > 1) {
-                plot.note(last, way.trials[0].protocol());
+                let trial = way.trials[0];
+                let [_, with] = brains(trial);
+                let told = if trial.protocol() == "joint" { "" } else { trial.protocol() };
+                plot.note(last, format!("{told} {with}").trim());
             }
             plot.line("optimised", mean);
         }
@@ -461,7 +465,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     (!plots.is_empty()).then(|| Figure {
         name: "run_time",
         title: "What did the error cost in time?".into(),
-        caption: "Best test error so far of the networks inside the outer loop, against the CPU seconds that the \
+        caption: "Best test error so far of the brains inside the outer loop, against the CPU seconds that the \
                   trial's steps took (evaluation excluded). Thin: each trial; thick: geometric mean of each way of training; the \
                   front is what no trial beats in both."
             .into(),

@@ -5,6 +5,7 @@ mod dynamics;
 mod engine;
 mod implicit;
 mod judgement;
+mod linear;
 mod merge;
 mod picture;
 mod projection;
@@ -38,6 +39,7 @@ enum What {
     Dynamics(dynamics::Args),
     Engine(engine::Args),
     Implicit(implicit::Args),
+    Linear(linear::Args),
     Merge(merge::Args),
     Projection(projection::Args),
     Protocols(protocols::Args),
@@ -50,6 +52,7 @@ pub async fn execute(args: Args) -> Result<Exit, Error> {
         What::Dynamics(args) => dynamics::execute(&args),
         What::Engine(args) => engine::execute(args).await,
         What::Implicit(args) => implicit::execute(&args),
+        What::Linear(args) => linear::execute(&args),
         What::Merge(args) => merge::execute(args).await,
         What::Projection(args) => projection::execute(&args),
         What::Protocols(args) => protocols::execute(&args),

@@ -74,9 +74,9 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
                 found = readings(setting, &plain).unwrap_or_default();
                 let data = |set: usize| setting.data(&signals[set], sets[set]);
                 Ok(match problem.reader {
-                    Kind::Linear => Seen::Linear(linear(setting, &plain, &found)),
-                    Kind::Network => Seen::Network([data(0), data(1), data(2)]),
-                    Kind::Stacked => Seen::Network(stacked(setting, &plain)?),
+                    Kind::Linear => Seen::Linear(linear(setting, &plain, &mut found)),
+                    Kind::Network => Seen::Network(Box::new([data(0), data(1), data(2)])),
+                    Kind::Stacked => Seen::Network(Box::new(stacked(setting, &plain)?)),
                 })
             },
         )
@@ -118,7 +118,7 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
 /// A body as the trial's own brain has it before it.
 enum Seen {
     /// Training, test and holdout set of a network that is to be trained.
-    Network([Data<f32>; 3]),
+    Network(Box<[Data<f32>; 3]>),
     /// Solved.
     Linear(NetworkEvaluation),
 }
@@ -148,13 +148,18 @@ fn nothing(trouble: Trouble) -> NetworkEvaluation {
     }
 }
 
-/// The trial's own linear brain on a body.
-fn linear(setting: &Setting, sets: &[Plain; 3], readings: &[Reading]) -> NetworkEvaluation {
+/// The trial's own linear brain on a body; one of another memory than those of the readings joins them.
+fn linear(setting: &Setting, sets: &[Plain; 3], readings: &mut Vec<Reading>) -> NetworkEvaluation {
     let lags = setting.problem.decoder.lags;
     let found = match readings.first() {
         Some(whole) if whole.lags == lags && setting.problem.decoder.ridge == Ridge::Auto => Ok(*whole),
         _ => setting.ridge(&sets[0], None).and_then(|ridge| read(sets, lags, ridge)),
     };
+    if let Ok(own) = found
+        && readings.iter().all(|reading| reading.lags != own.lags)
+    {
+        readings.push(own);
+    }
     match found {
         Ok(Reading { error_train, error_test, error_holdout, .. }) => NetworkEvaluation {
             error_train,

@@ -169,8 +169,17 @@ impl Stack {
     /// Answers for the training set's, each by a brain that has not seen it.
     pub(super) fn cross_fitted(&self, x: &[f64]) -> Vec<f64> {
         let one = x.len() / self.dealt.len();
-        let samples = x.chunks_exact(one).zip(&self.dealt);
-        samples.flat_map(|(sample, &fold)| self.parts[fold].predict(sample)).collect()
+        let Sizes { instants, outputs, .. } = self.all.sizes;
+        let mut answers = vec![0.0; self.dealt.len() * instants * outputs];
+        for (fold, part) in self.parts.iter().enumerate() {
+            let own = || (0..self.dealt.len()).filter(|&i| self.dealt[i] == fold);
+            let seen: Vec<f64> = own().flat_map(|i| &x[i * one..(i + 1) * one]).copied().collect();
+            let size = instants * outputs;
+            for (said, i) in part.predict(&seen).chunks_exact(size).zip(own()) {
+                answers[i * size..(i + 1) * size].copy_from_slice(said);
+            }
+        }
+        answers
     }
 }
 
@@ -224,6 +233,10 @@ impl Decoder {
         let kept: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] != 0).collect();
         let judges: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == 0).collect();
         let (moments, judges) = (train.select(&kept).moments(), train.select(&judges));
+        // too few samples to judge by
+        if kept.is_empty() || judges.w.iter().all(|w| *w == 0.0) {
+            return Ok(last.unwrap_or(FIRST_RIDGE));
+        }
         let error = |ridge| {
             let linear = fit(&moments, lags, ridge).ok()?.linear();
             judges.error(&linear.predict(&judges.x))
@@ -252,6 +265,15 @@ const REACHES: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.4];
 const WAITS: [f64; 7] = [0.0, 0.01, 0.025, 0.05, 0.1, 0.2, 0.4];
 /// Unknowns of the longest memory that a body is read with: 0.7 GB and some 5 s a factor.
 const UNKNOWNS_MAX: usize = 9600;
+/// Most readings of a sample, T · 3M: the moments are this squared, 0.7 GB. Most of them times T · K: as much again.
+pub const READINGS_MAX: usize = 9600;
+const CROSS_MAX: usize = 100_000_000;
+
+/// Whether a linear brain of such samples fits into memory.
+pub fn fits(instants: usize, channels: usize, outputs: usize) -> bool {
+    let readings = instants.saturating_mul(channels);
+    readings <= READINGS_MAX && readings.saturating_mul(instants).saturating_mul(outputs) <= CROSS_MAX
+}
 
 /// The reading of a body by one memory, from its training, test and holdout samples.
 ///
@@ -268,13 +290,16 @@ fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
 }
 
 /// Readings of a body by the whole sample, first, then by shorter memories and by waits after the whole past, all with
-/// the λ of the first.
+/// the λ of the first; none of samples that are too long.
 ///
 /// # Errors
 /// If no λ has a solution.
 pub(super) fn readings(setting: &Setting, sets: &[Plain; 3]) -> Result<Vec<Reading>, Trouble> {
     let train = &sets[0];
-    let Sizes { instants, channels, .. } = train.sizes;
+    let Sizes { instants, channels, outputs } = train.sizes;
+    if !fits(instants, channels, outputs) {
+        return Ok(Vec::new());
+    }
     let decoder = Decoder::whole(instants, channels);
     let (whole, reach) = (decoder.lags, decoder.lags.before);
     let ridge = decoder.ridge_of(setting.problem.seed, train, None)?;
@@ -284,10 +309,13 @@ pub(super) fn readings(setting: &Setting, sets: &[Plain; 3]) -> Result<Vec<Readi
     let delta = setting.problem.scene.duration / instants as f64;
     let shorter = |seconds: f64| Some((seconds / delta).round() as usize).filter(|n| *n < reach);
 
-    let delays = factor(Order::Ascending)?;
-    let mut found = vec![read(&delays.linear())];
-    for after in WAITS.into_iter().filter_map(shorter) {
-        found.push(read(&delays.shorter(Lags { before: reach, after })));
+    let mut found = Vec::new();
+    {
+        let delays = factor(Order::Ascending)?;
+        found.push(read(&delays.linear()));
+        for after in WAITS.into_iter().filter_map(shorter) {
+            found.push(read(&delays.shorter(Lags { before: reach, after })));
+        }
     }
     let memories = factor(Order::Outward)?;
     for reach in REACHES.into_iter().filter_map(shorter) {
