@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use metasense_schemas::spec::Run;
 use metasense_schemas::wire::Work;
+use serde_json::Value;
 use tokio::sync::oneshot;
 
 use super::live::Live;
@@ -244,8 +245,8 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
         table.columns.truncate(STATE);
         table.rows.iter_mut().for_each(|row| row.truncate(STATE));
     }
-    if format == Format::Table && table.rows.iter().all(|row| row[BRAINS].iter().all(|brain| brain == "cnn"))
-    {
+    let paper = |row: &Vec<Value>| row[BRAINS].iter().all(|brain| brain == "cnn");
+    if format == Format::Table && !table.rows.is_empty() && table.rows.iter().all(paper) {
         table.columns.drain(BRAINS);
         table.rows.iter_mut().for_each(|row| drop(row.drain(BRAINS)));
     }

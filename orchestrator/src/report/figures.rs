@@ -116,7 +116,7 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     Some(Figure {
         name: "pairs",
         title: "Did the body get better?".into(),
-        caption: "Prediction error on the holdout, which neither loop has seen: each dot is a trial, with fresh networks \
+        caption: "Prediction error on the holdout, which neither loop has seen: each dot is a trial, with brains \
                   trained alike on its initial and on its optimised body. Below the dotted line the optimised body is \
                   better."
             .into(),
