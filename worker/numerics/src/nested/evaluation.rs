@@ -9,7 +9,7 @@ use crate::dynamics::Forces;
 use crate::random::Purpose;
 
 /// A fresh network on a body.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct NetworkEvaluation {
     /// Mean prediction error on the training set (%).
     pub error_train: Option<f64>,
@@ -71,6 +71,7 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
             |s| &mut s.train,
             |_| {
                 let plain = [0, 1, 2].map(|set| setting.plain(&signals[set], sets[set]));
+                zero_samples = [0, 1, 2].map(|set| plain[set].zero_samples());
                 found = readings(setting, &plain).unwrap_or_default();
                 let data = |set: usize| setting.data(&signals[set], sets[set]);
                 Ok(match problem.reader {
@@ -91,16 +92,13 @@ pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut
     };
     if let Ok(Seen::Linear(linear)) = seen {
         passed(all, log);
-        let zero = |set: &Forces| setting.plain(&[], set).w.iter().filter(|w| **w == 0.0).count() as u32;
-        let (design, zero_samples) = (design.to_vec(), sets.map(zero));
+        let design = design.to_vec();
         return BodyEvaluation { design, networks: vec![linear], long: Vec::new(), readings, zero_samples };
     }
     let mut trained = |iterations: usize| -> Vec<NetworkEvaluation> {
         let one = |seed: usize| {
             let network = match &seen {
-                Ok(Seen::Network(data)) => {
-                    network(setting, seed, iterations, data, sets, &mut zero_samples, log)
-                }
+                Ok(Seen::Network(data)) => network(setting, seed, iterations, data, sets, log),
                 Ok(Seen::Linear(linear)) => linear.clone(),
                 Err(trouble) => nothing(*trouble),
             };
@@ -137,15 +135,7 @@ fn stacked(setting: &Setting, sets: &[Plain; 3]) -> Result<[Data<f32>; 3], Troub
 
 /// A brain that came to nothing.
 fn nothing(trouble: Trouble) -> NetworkEvaluation {
-    NetworkEvaluation {
-        error_train: None,
-        error_test: None,
-        error_holdout: None,
-        losses: Vec::new(),
-        errors: Vec::new(),
-        weights: Vec::new(),
-        trouble: Some(trouble),
-    }
+    NetworkEvaluation { trouble: Some(trouble), ..NetworkEvaluation::default() }
 }
 
 /// The trial's own linear brain on a body; one of another memory than those of the readings joins them.
@@ -161,15 +151,9 @@ fn linear(setting: &Setting, sets: &[Plain; 3], readings: &mut Vec<Reading>) -> 
         readings.push(own);
     }
     match found {
-        Ok(Reading { error_train, error_test, error_holdout, .. }) => NetworkEvaluation {
-            error_train,
-            error_test,
-            error_holdout,
-            losses: Vec::new(),
-            errors: Vec::new(),
-            weights: Vec::new(),
-            trouble: None,
-        },
+        Ok(Reading { error_train, error_test, error_holdout, .. }) => {
+            NetworkEvaluation { error_train, error_test, error_holdout, ..NetworkEvaluation::default() }
+        }
         Err(trouble) => nothing(trouble),
     }
 }
@@ -180,7 +164,6 @@ fn network(
     iterations: usize,
     [data, test, unseen]: &[Data<f32>; 3],
     sets: [&Forces; 3],
-    zero_samples: &mut [u32; 3],
     log: &mut Log,
 ) -> NetworkEvaluation {
     let Setting { problem, pool, .. } = setting;
@@ -198,11 +181,7 @@ fn network(
             fresh
         },
     );
-    let mut error = |set: usize, data: &Data<f32>| {
-        let (error, zero) = setting.error(&weights, data, sets[set], &mut workspace);
-        zero_samples[set] = zero;
-        error
-    };
+    let mut error = |set: usize, data: &Data<f32>| setting.error(&weights, data, sets[set], &mut workspace);
     NetworkEvaluation {
         error_train: error(0, data),
         error_test: error(1, test),

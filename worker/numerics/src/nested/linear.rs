@@ -81,6 +81,11 @@ impl Plain {
         Self { sizes: self.sizes, x: pick(&self.x), y: pick(&self.y), w: pick(&self.w) }
     }
 
+    /// How many have no force.
+    pub(super) fn zero_samples(&self) -> u32 {
+        self.w.iter().filter(|w| **w == 0.0).count() as u32
+    }
+
     /// Error of each sample (%) by these answers (N, T, K).
     pub(super) fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
         prediction_error(&self.y, predicted, self.sizes.outputs, self.sizes.instants)
@@ -93,7 +98,7 @@ impl Plain {
 
     /// 2w (ŷ − y)/n of the n samples with force: the derivative of the mean error, as a part of 1, in the answers.
     pub(super) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
-        let total = self.w.iter().filter(|w| **w > 0.0).count() as f64;
+        let total = (self.w.len() - self.zero_samples() as usize) as f64;
         let one = self.sizes.instants * self.sizes.outputs;
         let mut residual = Vec::with_capacity(predicted.len());
         for ((p, y), w) in predicted.chunks_exact(one).zip(self.y.chunks_exact(one)).zip(&self.w) {

@@ -11,6 +11,9 @@ use super::report::{Log, Trouble};
 use super::setting::Setting;
 use super::state::State;
 use crate::brain::{self, Adam, Batch, TrainOutcome, Workspace};
+use crate::dynamics::{Forces, Simulation};
+use crate::random::{Purpose, Stream};
+use crate::stimuli::select;
 
 /// What a protocol finds out about the state's design.
 pub(super) struct Sensed {
@@ -96,7 +99,7 @@ impl<'a> Session<'a> {
         let Some(signals) = self.test_signals(state, log)? else { return Ok(None) };
         let setting = self.setting;
         let data = setting.data(&signals, &setting.test);
-        log.report.error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace).0;
+        log.report.error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace);
         Ok(log.report.error_test)
     }
 
@@ -111,6 +114,34 @@ impl<'a> Session<'a> {
             |report| setting.simulate(&state.design, &setting.test, &problem.solver, false, report),
         )?;
         Ok(Some(simulation.signals))
+    }
+
+    /// Training samples drawn for a step of `envelope`.
+    fn subset(&self, step: u32, going: Going) -> Forces {
+        let setting = self.setting;
+        let mut order = Stream::new(Purpose::Batch, setting.problem.seed, [u64::from(step), 0])
+            .permutation(setting.train.samples);
+        order.truncate(going.batch);
+        select(&setting.train, &order)
+    }
+
+    /// The samples that are drawn for a step of `joint` alone, simulated on a body.
+    fn fresh(
+        &self,
+        design: &[f64],
+        step: u32,
+        going: Going,
+        keep_tape: bool,
+        log: &mut Log,
+    ) -> Result<(Forces, Simulation), Trouble> {
+        let (setting, problem) = (self.setting, self.setting.problem);
+        let forces = problem.forces(Purpose::Fresh, u64::from(step) * going.batch as u64, going.batch);
+        let solver = problem.optimise.solver_of(step, problem.solver);
+        let simulation = log.timed(
+            |s| &mut s.simulate,
+            |report| setting.simulate(design, &forces, &solver, keep_tape, report),
+        )?;
+        Ok((forces, simulation))
     }
 
     /// Adam on the whole batch; the loss after it.

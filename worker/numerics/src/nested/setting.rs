@@ -79,6 +79,23 @@ impl<'a> Setting<'a> {
         Ok(simulation)
     }
 
+    /// Simulates a body under two sets of forces, each with a tape where `true` stands beside it.
+    pub(super) fn simulate_both(
+        &self,
+        design: &[f64],
+        [first, second]: [(&Forces, bool); 2],
+        solver: &Solver,
+        log: &mut Log,
+    ) -> Result<[Simulation; 2], Trouble> {
+        log.timed(
+            |s| &mut s.simulate,
+            |report| {
+                let mut of = |(forces, tape)| self.simulate(design, forces, solver, tape, report);
+                Ok([of(first)?, of(second)?])
+            },
+        )
+    }
+
     /// dL/dα of a cotangent on the network's inputs (N, T, 3M), of all samples of the simulation.
     pub(super) fn pull_back(
         &self,
@@ -128,18 +145,16 @@ impl<'a> Setting<'a> {
         self.data(signals, forces).with_output_weights(&variances)
     }
 
-    /// Mean prediction error (%) over the samples with force, and how many have none.
+    /// Mean prediction error (%) over the samples with force.
     pub(super) fn error(
         &self,
         weights: &[f32],
         data: &Data<f32>,
         forces: &Forces,
         workspace: &mut Workspace<f32>,
-    ) -> (Option<f64>, u32) {
+    ) -> Option<f64> {
         let targets = self.problem.targets(forces);
-        let errors = self.scales.predict(weights, data, &targets, workspace, self.pool).1;
-        let zero = errors.iter().filter(|error| error.is_none()).count();
-        (mean_error(&errors), zero as u32)
+        mean_error(&self.scales.predict(weights, data, &targets, workspace, self.pool).1)
     }
 }
 

@@ -96,10 +96,12 @@ impl Records {
         let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|&i| folds[i] == fold);
         let (signals, targets) = self.select(&train);
         let scales = Scales::new(&self.shape, &signals, &targets);
-        let data = scales.data(self.shape, &signals, &targets);
-        let (signals, truth) = self.select(&test);
+        let (test_signals, truth) = self.select(&test);
         let (data, unseen) = match stacked {
-            None => (data, scales.data(self.shape, &signals, &truth)),
+            None => {
+                let data = |signals: &[f64], targets: &[f64]| scales.data(self.shape, signals, targets);
+                (data(&signals, &targets), data(&test_signals, &truth))
+            }
             Some(decoder) => {
                 let shape = Shape { inputs: self.shape.inputs + self.shape.outputs, ..self.shape };
                 let [known, unseen] = [&train, &test].map(|records| self.plain(&scales, records));

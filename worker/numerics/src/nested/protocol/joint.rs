@@ -6,7 +6,6 @@ use super::super::state::State;
 use super::{Sensed, Session};
 use crate::brain::Data;
 use crate::dynamics::{Forces, Simulation};
-use crate::random::Purpose;
 
 /// The network trains on the batches of so many bodies, the present one among them.
 const BATCHES: usize = 4;
@@ -69,13 +68,8 @@ impl Session<'_> {
         log: &mut Log,
     ) -> Result<(Forces, Simulation), Trouble> {
         let setting = self.setting;
-        let (first, slot) = (u64::from(step) * going.batch as u64, step as usize % BATCHES);
-        let forces = setting.problem.forces(Purpose::Fresh, first, going.batch);
-        let solver = setting.problem.optimise.solver_of(step, setting.problem.solver);
-        let simulation = log.timed(
-            |s| &mut s.simulate,
-            |report| setting.simulate(design, &forces, &solver, keep_tape, report),
-        )?;
+        let slot = step as usize % BATCHES;
+        let (forces, simulation) = self.fresh(design, step, going, keep_tape, log)?;
         let data = self.recent.data.get_or_insert_with(|| Data::zeros(setting.shape, BATCHES * going.batch));
         setting.fill(data, slot * going.batch, &simulation.signals, &forces);
         self.recent.steps[slot] = Some(step);

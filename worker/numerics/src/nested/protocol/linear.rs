@@ -5,10 +5,8 @@ use super::super::problem::{Going, Terms};
 use super::super::report::{Log, Trouble};
 use super::super::state::State;
 use super::{Sensed, Session};
-use crate::brain::linear::Linear;
+use crate::brain::linear::{Linear, Moments};
 use crate::dynamics::{Forces, Simulation};
-use crate::random::{Purpose, Stream};
-use crate::stimuli::select;
 use std::collections::VecDeque;
 
 /// `joint` fits on the batches of so many bodies, the present one among them …
@@ -33,13 +31,8 @@ impl Session<'_> {
         let (setting, design) = (self.setting, &state.design.clone());
         let solver = &setting.problem.solver;
         let implicit = matches!(terms, Terms::Implicit(_));
-        let (train, test) = log.timed(
-            |s| &mut s.simulate,
-            |report| -> Result<_, Trouble> {
-                let train = setting.simulate(design, &setting.train, solver, implicit, report)?;
-                Ok((train, setting.simulate(design, &setting.test, solver, true, report)?))
-            },
-        )?;
+        let sets = [(&setting.train, implicit), (&setting.test, true)];
+        let [train, test] = setting.simulate_both(design, sets, solver, log)?;
         let samples = setting.plain(&train.signals, &setting.train);
         let unseen = setting.plain(&test.signals, &setting.test);
         let lags = setting.problem.decoder.lags;
@@ -62,8 +55,9 @@ impl Session<'_> {
             let through_brain = setting.pull_back(design, &setting.train, &train, &inputs, log)?;
             gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }
-        let loss_train = part(samples.error(&said));
-        log.report.error_train = samples.error(&said);
+        let error_train = samples.error(&said);
+        let loss_train = part(error_train);
+        log.report.error_train = error_train;
         log.report.error_test = error_test;
         log.report.loss_train = Some(loss_train);
         state.check_trend(loss_train)?;
@@ -79,27 +73,19 @@ impl Session<'_> {
     ) -> Result<Sensed, Trouble> {
         let setting = self.setting;
         let solver = &setting.problem.optimise.solver_of(state.step, setting.problem.solver);
-        let mut order = Stream::new(Purpose::Batch, setting.problem.seed, [u64::from(state.step), 0])
-            .permutation(setting.train.samples);
-        order.truncate(going.batch);
-        let some = select(&setting.train, &order);
-        let (train, subset) = log.timed(
-            |s| &mut s.simulate,
-            |report| -> Result<_, Trouble> {
-                let train = setting.simulate(&state.design, &setting.train, solver, false, report)?;
-                Ok((train, setting.simulate(&state.design, &some, solver, true, report)?))
-            },
-        )?;
+        let some = self.subset(state.step, going);
+        let sets = [(&setting.train, false), (&some, true)];
+        let [train, subset] = setting.simulate_both(&state.design, sets, solver, log)?;
         let samples = setting.plain(&train.signals, &setting.train);
         let lags = setting.problem.decoder.lags;
         let linear = log.timed(
             |s| &mut s.train,
             |_| Ok(fit(&samples.moments(), lags, self.ridge_of(state, &samples)?)?.linear()),
         )?;
-        let error = samples.error(&linear.predict(&samples.x));
-        log.report.error_train = error;
-        let error_test = self.linear_test(state, &linear, log)?;
-        self.linear_step(state, &linear, &some, &subset, part(error), error_test, log)
+        log.report.error_train = samples.error(&linear.predict(&samples.x));
+        let moving = setting.plain(&subset.signals, &some);
+        let residual = moving.residual(&linear.predict(&moving.x));
+        self.linear_step(state, &linear, &some, &subset, &residual, log)
     }
 
     /// Solved on this body's fresh samples and those of the last ones; the gradient of the loss on this one's.
@@ -117,23 +103,25 @@ impl Session<'_> {
             let at = self.known.0.iter().position(|(known, _)| *known == passed.step);
             known.push_back(match at.and_then(|at| self.known.0.remove(at)) {
                 Some(known) => known,
-                None => (passed.step, self.meet_plain(&passed.design, passed.step, going, false, log)?.2),
+                None => {
+                    let (forces, simulation) = self.fresh(&passed.design, passed.step, going, false, log)?;
+                    (passed.step, self.setting.plain(&simulation.signals, &forces))
+                }
             });
         }
-        let (forces, simulation, fresh) = self.meet_plain(&state.design, step, going, true, log)?;
+        let (forces, simulation) = self.fresh(&state.design, step, going, true, log)?;
         log.report.fresh_samples = going.batch as u64;
-        known.push_back((step, fresh));
+        known.push_back((step, self.setting.plain(&simulation.signals, &forces)));
         self.known.0 = known;
 
         let linear = log.timed(|s| &mut s.train, |_| self.solve_known(state))?;
         let newest = &self.known.0[self.known.0.len() - 1].1;
-        let error = newest.error(&linear.predict(&newest.x));
-        log.report.error_train = error;
-        let error_test = self.linear_test(state, &linear, log)?;
-        self.linear_step(state, &linear, &forces, &simulation, part(error), error_test, log)
+        let said = linear.predict(&newest.x);
+        log.report.error_train = newest.error(&said);
+        self.linear_step(state, &linear, &forces, &simulation, &newest.residual(&said), log)
     }
 
-    /// λ of these training samples, looked for now and then.
+    /// λ of these training samples: the state's, looked for anew every `RIDGE_EVERY` steps.
     fn ridge_of(&self, state: &mut State, samples: &Plain) -> Result<f64, Trouble> {
         match state.ridge {
             Some(ridge) if !state.step.is_multiple_of(RIDGE_EVERY) => Ok(ridge),
@@ -147,7 +135,7 @@ impl Session<'_> {
         let (setting, known) = (self.setting, &self.known.0);
         let lags = setting.problem.decoder.lags;
         let (_, newest) = &known[known.len() - 1];
-        let mut moments = crate::brain::linear::Moments::new(newest.sizes);
+        let mut moments = Moments::new(newest.sizes);
         for (age, (_, samples)) in known.iter().rev().enumerate().skip(1) {
             let fading = FADING.powi(age as i32);
             let w: Vec<f64> = samples.w.iter().map(|w| w * fading).collect();
@@ -173,48 +161,28 @@ impl Session<'_> {
         Ok(fit(&moments, lags, state.ridge.unwrap_or_default())?.linear())
     }
 
-    /// Simulates the fresh samples of `step` on its body.
-    fn meet_plain(
-        &mut self,
-        design: &[f64],
-        step: u32,
-        going: Going,
-        keep_tape: bool,
-        log: &mut Log,
-    ) -> Result<(Forces, Simulation, Plain), Trouble> {
-        let setting = self.setting;
-        let forces =
-            setting.problem.forces(Purpose::Fresh, u64::from(step) * going.batch as u64, going.batch);
-        let solver = setting.problem.optimise.solver_of(step, setting.problem.solver);
-        let simulation = log.timed(
-            |s| &mut s.simulate,
-            |report| setting.simulate(design, &forces, &solver, keep_tape, report),
-        )?;
-        let plain = setting.plain(&simulation.signals, &forces);
-        Ok((forces, simulation, plain))
-    }
-
-    /// The gradient of the mean error of these samples at fixed weights.
+    /// Looks at the test set where it is due, and takes the gradient of the mean error of these samples at fixed weights;
+    /// `residual` is its derivative in the answers.
     fn linear_step(
-        &mut self,
+        &self,
         state: &State,
         linear: &Linear,
         forces: &Forces,
         simulation: &Simulation,
-        loss_train: f64,
-        error_test: Option<f64>,
+        residual: &[f64],
         log: &mut Log,
     ) -> Result<Sensed, Trouble> {
+        let error_test = self.linear_test(state, linear, log)?;
+        let loss_train = part(log.report.error_train);
         log.report.loss_train = Some(loss_train);
         state.check_trend(loss_train)?;
-        let samples = self.setting.plain(&simulation.signals, forces);
-        let inputs = linear.predict_vjp(&samples.residual(&linear.predict(&samples.x)));
+        let inputs = linear.predict_vjp(residual);
         let gradient = self.setting.pull_back(&state.design, forces, simulation, &inputs, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
     /// The test error of these weights, with the accurate integrator, at the steps where it is due.
-    fn linear_test(&mut self, state: &State, linear: &Linear, log: &mut Log) -> Result<Option<f64>, Trouble> {
+    fn linear_test(&self, state: &State, linear: &Linear, log: &mut Log) -> Result<Option<f64>, Trouble> {
         let Some(signals) = self.test_signals(state, log)? else { return Ok(None) };
         let samples = self.setting.plain(&signals, &self.setting.test);
         log.report.error_test = samples.error(&linear.predict(&samples.x));

@@ -17,13 +17,8 @@ impl Session<'_> {
         let solver = &problem.solver;
 
         // A(α), of the training samples with a tape only where their gradient is asked for
-        let (train, test) = log.timed(
-            |s| &mut s.simulate,
-            |report| -> Result<_, Trouble> {
-                let train = setting.simulate(design, &setting.train, solver, implicit, report)?;
-                Ok((train, setting.simulate(design, &setting.test, solver, true, report)?))
-            },
-        )?;
+        let sets = [(&setting.train, implicit), (&setting.test, true)];
+        let [train, test] = setting.simulate_both(design, sets, solver, log)?;
         let train_data = setting.data(&train.signals, &setting.train);
         let test_data = setting.physical_data(&test.signals, &setting.test);
 
@@ -45,8 +40,8 @@ impl Session<'_> {
             gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }
 
-        let error_test = setting.error(&weights, &test_data, &setting.test, &mut self.workspace).0;
-        log.report.error_train = setting.error(&weights, &train_data, &setting.train, &mut self.workspace).0;
+        let error_test = setting.error(&weights, &test_data, &setting.test, &mut self.workspace);
+        log.report.error_train = setting.error(&weights, &train_data, &setting.train, &mut self.workspace);
         log.report.error_test = error_test;
         log.report.loss_test = Some(loss_test);
         Ok(Sensed { gradient, loss_train, error_test })

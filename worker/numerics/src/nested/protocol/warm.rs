@@ -4,8 +4,6 @@ use super::super::problem::Going;
 use super::super::report::{Log, Trouble};
 use super::super::state::State;
 use super::{Sensed, Session};
-use crate::random::{Purpose, Stream};
-use crate::stimuli::select;
 
 /// `warm` trains until the loss is within this factor of its trend …
 const NEED: f64 = 1.05;
@@ -17,13 +15,8 @@ impl Session<'_> {
     pub(super) fn warm(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
         let (setting, solver) = (self.setting, &self.setting.problem.solver);
         self.first_training(state, going, log)?;
-        let (train, test) = log.timed(
-            |s| &mut s.simulate,
-            |report| -> Result<_, Trouble> {
-                let train = setting.simulate(&state.design, &setting.train, solver, false, report)?;
-                Ok((train, setting.simulate(&state.design, &setting.test, solver, true, report)?))
-            },
-        )?;
+        let sets = [(&setting.train, false), (&setting.test, true)];
+        let [train, test] = setting.simulate_both(&state.design, sets, solver, log)?;
         let data = setting.data(&train.signals, &setting.train);
         let mut loss_train = f64::INFINITY;
         for _ in 0..ROUNDS_MAX {
@@ -37,7 +30,7 @@ impl Session<'_> {
         let data = setting.physical_data(&test.signals, &setting.test);
         let (loss_test, cotangent) = self.input_gradient(&state.weights, data.all(), log);
         let gradient = setting.pull_back(&state.design, &setting.test, &test, &cotangent, log)?;
-        let error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace).0;
+        let error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace);
         log.report.error_test = error_test;
         log.report.loss_test = Some(loss_test);
         Ok(Sensed { gradient, loss_train, error_test })
@@ -53,17 +46,9 @@ impl Session<'_> {
         let setting = self.setting;
         let solver = &setting.problem.optimise.solver_of(state.step, setting.problem.solver);
         self.first_training(state, going, log)?;
-        let mut order = Stream::new(Purpose::Batch, setting.problem.seed, [u64::from(state.step), 0])
-            .permutation(setting.train.samples);
-        order.truncate(going.batch);
-        let some = select(&setting.train, &order);
-        let (train, subset) = log.timed(
-            |s| &mut s.simulate,
-            |report| -> Result<_, Trouble> {
-                let train = setting.simulate(&state.design, &setting.train, solver, false, report)?;
-                Ok((train, setting.simulate(&state.design, &some, solver, true, report)?))
-            },
-        )?;
+        let some = self.subset(state.step, going);
+        let sets = [(&setting.train, false), (&some, true)];
+        let [train, subset] = setting.simulate_both(&state.design, sets, solver, log)?;
         let data = setting.data(&train.signals, &setting.train);
         let loss_train = self.go_on(state, data.all(), going, log)?;
         state.check_trend(loss_train)?;
