@@ -328,20 +328,23 @@ fn kind(kind: spec::BrainKind) -> Kind {
     }
 }
 
+/// The lags of a linear brain with this memory (s), by default of the whole sample.
+#[must_use]
+pub fn lags(time: &spec::Time, memory: Option<[f64; 2]>) -> Lags {
+    let Some(memory) = memory else { return Lags::whole(time.samples) };
+    let [before, after] = memory.map(|s| (s / time.duration * time.samples as f64 + 1e-9) as usize);
+    Lags { before, after }.within(time.samples)
+}
+
 /// The linear brain.
 fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
-    let (instants, duration) = (trial.time.samples, trial.time.duration);
-    let lags = match trial.brain.memory {
-        None => Lags::whole(instants),
-        Some(memory) => {
-            let shown = format!("{memory:?}");
-            let sound = memory.iter().all(|s| (0.0..=duration).contains(s));
-            let remedy = format!("must be two times from 0 to time.duration = {duration} (s): before, after");
-            require(sound, "brain.memory", shown, &remedy)?;
-            let [before, after] = memory.map(|s| (s / duration * instants as f64 + 1e-9) as usize);
-            Lags { before, after }.within(instants)
-        }
-    };
+    let duration = trial.time.duration;
+    if let Some(memory) = trial.brain.memory {
+        let sound = memory.iter().all(|s| (0.0..=duration).contains(s));
+        let remedy = format!("must be two times from 0 to time.duration = {duration} (s): before, after");
+        require(sound, "brain.memory", format!("{memory:?}"), &remedy)?;
+    }
+    let lags = lags(&trial.time, trial.brain.memory);
     if trial.brain.kind != spec::BrainKind::Cnn || trial.optimise.linear() {
         solvable(trial, lags)?;
     }

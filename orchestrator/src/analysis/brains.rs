@@ -5,8 +5,8 @@
 use super::data::{Trial, geometric_mean};
 use super::paired::Ratio;
 use super::{Body, Set};
-use metasense_schemas::spec::{Brain, Preset};
-use serde_json::{Value, json};
+use metasense_schemas::spec::{Brain, BrainKind, Network, Preset};
+use serde_json::Value;
 
 /// What a linear brain of one memory makes of a trial's bodies.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -63,31 +63,49 @@ pub fn brains(trial: &Trial) -> [String; 2] {
     }
 }
 
+/// The brain as the trial's spec has it.
+fn of_spec(trial: &Trial) -> Brain {
+    let keys = trial
+        .setting
+        .iter()
+        .filter_map(|(path, value)| Some((path.strip_prefix("brain.")?.to_owned(), value.clone())));
+    serde_json::from_value(Value::Object(keys.collect())).unwrap_or_default()
+}
+
+/// How far the trial's own brain looks back and ahead (s).
+#[must_use]
+pub fn memory(trial: &Trial) -> [f64; 2] {
+    let number = |path: &str| trial.setting.get(path).and_then(Value::as_f64);
+    let duration = number("time.duration").unwrap_or(1.0);
+    let instant = duration / number("time.samples").unwrap_or(200.0);
+    let brain = of_spec(trial);
+    if brain.kind != BrainKind::Cnn {
+        let whole = duration - instant;
+        return brain.memory.map_or([whole; 2], |memory| memory.map(|s| s.min(whole)));
+    }
+    let Network { kernels, dilations, causal, .. } = brain.network();
+    let reach: usize = kernels.iter().zip(&dilations).map(|(k, d)| (k - 1) * d).sum();
+    let reach = reach as f64 * instant;
+    if causal { [reach, 0.0] } else { [0.5 * reach; 2] }
+}
+
 /// A network's name: `cnn` for the paper's shape.
 fn network(trial: &Trial) -> String {
-    let numbers = |path: &str| -> Option<Vec<String>> {
-        let list = trial.setting.get(path)?.as_array()?;
-        Some(list.iter().map(ToString::to_string).collect())
-    };
-    let long = Brain { preset: Some(Preset::Long), ..Brain::default() }.resolved();
-    let given = |path: &str, value: serde_json::Value| trial.setting.get(path) == Some(&value);
-    if given("brain.width", json!(long.width))
-        && given("brain.kernels", json!(long.kernels))
-        && given("brain.dilations", json!(long.dilations))
-        && !trial.setting.contains_key("brain.causal")
-    {
+    let own = of_spec(trial).resolved();
+    if own.network() == (Brain { preset: Some(Preset::Long), ..Brain::default() }).network() {
         return "long".into();
     }
     let mut name = "cnn".to_owned();
-    if let Some(width) = trial.setting.get("brain.width") {
+    if let Some(width) = own.width {
         name += &format!(", width {width}");
     }
-    for (path, what) in [("brain.kernels", "kernels"), ("brain.dilations", "dilations")] {
-        if let Some(list) = numbers(path) {
+    for (list, what) in [(own.kernels, "kernels"), (own.dilations, "dilations")] {
+        if let Some(list) = list {
+            let list: Vec<String> = list.iter().map(ToString::to_string).collect();
             name += &format!(", {what} {}", list.join(" "));
         }
     }
-    if trial.setting.get("brain.causal").and_then(Value::as_bool) == Some(true) {
+    if own.causal == Some(true) {
         name += ", causal";
     }
     name
@@ -107,7 +125,7 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
         let alike: Vec<&&Trial> =
             trials.iter().filter(|t| brains(t) == [by.clone(), trained_with.clone()]).collect();
         let errors = |t: &&&Trial| Some(Body::ALL.map(|body| t.error(body, Set::Holdout)));
-        let memory = alike.first().map_or([0.0; 2], |t| t.memory());
+        let memory = alike.first().map_or([0.0; 2], |t| memory(t));
         found.extend(read(trained_with, by, (memory, false, true), alike.iter().filter_map(errors)));
     }
     let mut with: Vec<&String> = kinds.iter().map(|kind| &kind[1]).collect();
@@ -159,6 +177,7 @@ fn read(
 mod tests {
     use super::*;
     use crate::analysis::Cluster;
+    use serde_json::json;
 
     fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whole: [f64; 2]) -> Trial {
         let keys = [("brain.kind", brain), ("optimise.brain", with)];

@@ -134,28 +134,6 @@ impl Trial {
         self.setting.contains_key("body.design.random")
     }
 
-    /// How far its own brain looks back and ahead (s).
-    #[must_use]
-    pub fn memory(&self) -> [f64; 2] {
-        let list = |path: &str| -> Option<Vec<f64>> {
-            self.setting.get(path)?.as_array()?.iter().map(Value::as_f64).collect()
-        };
-        let number = |path: &str| self.setting.get(path).and_then(Value::as_f64);
-        let duration = number("time.duration").unwrap_or(1.0);
-        let instant = duration / number("time.samples").unwrap_or(200.0);
-        if self.setting.contains_key("brain.kind") {
-            let whole = duration - instant;
-            return list("brain.memory").map_or([whole; 2], |m| [m[0].min(whole), m[1].min(whole)]);
-        }
-        let kernels = list("brain.kernels").unwrap_or(vec![3.0, 3.0, 1.0]);
-        let dilations = list("brain.dilations").unwrap_or(vec![1.0; kernels.len()]);
-        let reach: f64 = kernels.iter().zip(&dilations).map(|(k, d)| (k - 1.0) * d * instant).sum();
-        match self.setting.get("brain.causal").and_then(Value::as_bool) {
-            Some(true) => [reach, 0.0],
-            _ => [0.5 * reach; 2],
-        }
-    }
-
     /// A training protocol's name.
     #[must_use]
     pub fn protocol(&self) -> &str {
@@ -266,8 +244,7 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
         let value = |key: &Key| key.iter().find(|(p, _)| p == path).map(|(_, v)| v.to_string());
         alike.iter().any(|k| value(k) != value(alike[0]))
     };
-    let of_brains =
-        |path: &str| ["brain.", "optimise.", "evaluation."].iter().any(|table| path.starts_with(table));
+    let of_brains = |path: &str| BRAINS.iter().any(|table| path.starts_with(table));
     let mut parts = Vec::new();
     for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
         parts.extend(value(path).map(|v| format!("{name} = {v}")));

@@ -2,6 +2,7 @@
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{Brain, BrainKind, Evaluation, Optimise, Ridge, SweepSpec};
+use metasense_worker::problem::lags;
 
 /// The brain that reads the bodies, and the one that trains them. A stacked one does not train.
 fn kinds(spec: &SweepSpec) -> [BrainKind; 2] {
@@ -36,9 +37,9 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
     }
     // what can be said in two ways is said in one
     brain.ridge = brain.ridge.filter(|ridge| matches!(ridge, Ridge::Given(_)));
-    let (duration, instants) = (spec.time.duration, spec.time.samples as f64);
-    let whole = |seconds: &f64| *seconds >= duration * (1.0 - 1.0 / instants) * (1.0 - 1e-9);
-    brain.memory = brain.memory.filter(|memory| !memory.iter().all(|s| whole(s) && *s <= duration));
+    let whole = |memory: &[f64; 2]| lags(&spec.time, Some(*memory)) == lags(&spec.time, None);
+    brain.memory =
+        brain.memory.filter(|memory| memory.iter().any(|s| *s > spec.time.duration) || !whole(memory));
     // named where it is not the paper's, whatever reads
     optimise.brain = (trainer == BrainKind::Linear).then_some(trainer);
     if trainer == BrainKind::Linear {

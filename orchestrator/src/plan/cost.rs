@@ -3,8 +3,8 @@
 //! One core with AVX-512, as README's rates; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
 
 use super::Trial;
-use metasense_schemas::spec::{Brain, BrainKind, Network, Protocol, TrialSpec};
-use metasense_worker::problem::READINGS_MAX;
+use metasense_schemas::spec::{BrainKind, Network, Protocol, TrialSpec};
+use metasense_worker::problem::{READINGS_MAX, lags};
 
 /// Integrator steps a second of motion, of the reference scene at its default tolerance.
 const STEPS_PER_SECOND: f64 = 3100.0;
@@ -28,12 +28,12 @@ const STEP_FACTORS: f64 = 1.5;
 
 /// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, of a stacked one both; with biases.
 pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
-    if trial.brain.kind == BrainKind::Linear {
-        return trial.point.panels * (unknowns(trial) + 1);
+    let linear = || trial.point.panels * (unknowns(trial, trial.brain.memory) + 1);
+    match trial.brain.kind {
+        BrainKind::Cnn => network_weights(trial),
+        BrainKind::Linear => linear(),
+        BrainKind::Stacked => network_weights(trial) + linear(),
     }
-    let linear =
-        if trial.brain.kind == BrainKind::Stacked { trial.point.panels * (unknowns(trial) + 1) } else { 0 };
-    network_weights(trial) + linear
 }
 
 fn network_weights(trial: &TrialSpec) -> usize {
@@ -47,14 +47,9 @@ fn network_weights(trial: &TrialSpec) -> usize {
     layers.sum()
 }
 
-/// Unknowns of the linear brain, a force.
-fn unknowns(trial: &TrialSpec) -> usize {
-    let instants = trial.time.samples;
-    let reach = |seconds: f64| {
-        ((seconds / trial.time.duration * instants as f64 + 1e-9) as usize).min(instants.saturating_sub(1))
-    };
-    let reaches = trial.brain.memory.unwrap_or([trial.time.duration; 2]).map(reach);
-    3 * trial.point.sensors * (reaches[0] + reaches[1] + 1)
+/// Unknowns of a linear brain with this memory, a force.
+fn unknowns(trial: &TrialSpec, memory: Option<[f64; 2]>) -> usize {
+    3 * trial.point.sensors * lags(&trial.time, memory).count()
 }
 
 fn factor(unknowns: usize) -> f64 {
@@ -80,7 +75,7 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
     let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
     let differentiate = batch * one_sample * (1.0 + REVERSE);
-    let solve = STEP_FACTORS * factor(unknowns(trial));
+    let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory));
     let step = match optimise.protocol {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
         Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
@@ -92,10 +87,9 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
     let trainings = if network { trial.evaluation.seeds as f64 * (1.0 + long) } else { 0.0 };
-    let whole = TrialSpec { brain: Brain { memory: None, ..trial.brain.clone() }, ..trial.clone() };
     // as much as fits
     let readings = match 3 * trial.point.sensors * trial.time.samples <= READINGS_MAX {
-        true => FACTORS * factor(unknowns(&whole).min(READINGS_MAX)),
+        true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)),
         false => 0.0,
     };
     let comparison =
