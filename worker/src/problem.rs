@@ -372,7 +372,7 @@ pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
         trial.point.sensors,
         &remedy,
     )?;
-    let unknowns = channels * lags.count();
+    let unknowns = channels * lags.groups().len();
     let remedy = format!(
         "gives {unknowns} unknowns a force, at most {UNKNOWNS_MAX} can be solved for: a shorter memory, fewer sensors \
          or fewer time.samples"

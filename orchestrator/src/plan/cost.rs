@@ -49,7 +49,7 @@ fn network_weights(trial: &TrialSpec) -> usize {
 
 /// Unknowns of a linear brain with this memory, a force.
 fn unknowns(trial: &TrialSpec, memory: Option<[f64; 2]>) -> usize {
-    3 * trial.point.sensors * lags(&trial.time, memory).count()
+    3 * trial.point.sensors * lags(&trial.time, memory).groups().len()
 }
 
 fn factor(unknowns: usize) -> f64 {

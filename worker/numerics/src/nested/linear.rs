@@ -32,8 +32,10 @@ pub enum Ridge {
 impl Decoder {
     /// Of the whole sample, both ways, or as much of it as can be solved for: what every body is read by.
     pub fn whole(instants: usize, channels: usize) -> Self {
-        let reach = Lags::whole(instants).before.min((UNKNOWNS_MAX / channels).saturating_sub(1) / 2);
-        Self { lags: Lags { before: reach, after: reach }, ridge: Ridge::Auto }
+        let both = |reach| Lags { before: reach, after: reach };
+        let solvable = |lags: &Lags| lags.groups().len() * channels <= UNKNOWNS_MAX;
+        let lags = (0..instants).rev().map(both).find(solvable).unwrap_or(both(0));
+        Self { lags, ridge: Ridge::Auto }
     }
 }
 
@@ -312,7 +314,8 @@ pub(super) fn readings(setting: &Setting, sets: &[Plain; 3]) -> Result<Vec<Readi
     let read = |linear: &Linear| reading(sets, linear, ridge);
     let factor = |order| Fit::new(&moments, whole, ridge, order).map_err(|_| Trouble::Singular);
     let delta = setting.problem.scene.duration / instants as f64;
-    let shorter = |seconds: f64| Some((seconds / delta).round() as usize).filter(|n| *n < reach);
+    let instants = |seconds: f64| Lags::whole_groups((seconds / delta).round() as usize);
+    let shorter = |seconds: f64| Some(instants(seconds)).filter(|n| *n < reach);
 
     let mut found = Vec::new();
     {

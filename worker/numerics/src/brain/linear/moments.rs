@@ -4,6 +4,7 @@
 //! R[(s,c), (t,d)] = Σ_i w_i x_ic(s) x_id(t)      P[(t,c), (n,k)] = Σ_i w_i x_ic(t) f_ik(n)
 //! G[(l,c), (m,d)] = Σ_n R[(n+l,c), (n+m,d)]      Q[(l,c), k]     = Σ_n P[(n+l,c), (n,k)]
 //! ```
+//! Rows and columns of lags that share a weight are summed.
 //! Along a diagonal G changes by one entry of R at either end of the window (the covariance method of linear
 //! prediction; Makhoul, Proc. IEEE 63, 561, 1975), so that G costs O(N·D²), not O(N·T·D²).
 
@@ -11,6 +12,7 @@ use super::{Lags, Sizes, matrix, matrix_mut};
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, Par};
+use std::ops::Range;
 
 /// Moments of some samples; those of two sets add up.
 #[derive(Debug, Clone)]
@@ -32,7 +34,9 @@ pub struct Moments {
 
 /// The normal equations of one memory, the bias eliminated.
 pub(super) struct Normal {
-    /// D = lags · C.
+    /// Lags of one weight.
+    pub groups: Vec<Range<usize>>,
+    /// D = groups of lags · C.
     pub unknowns: usize,
     /// G − g gᵀ/s (D, D), column-major; its lower triangle.
     pub g: Vec<f64>,
@@ -117,32 +121,47 @@ impl Moments {
     /// The normal equations of this memory, divided by the samples' weighted power.
     pub(super) fn normal(&self, lags: Lags) -> Normal {
         let Sizes { instants, channels, outputs } = self.sizes;
-        let (rows, unknowns) = (instants * channels, lags.count() * channels);
+        let (rows, all) = (instants * channels, lags.count() * channels);
         let first = instants - lags.before;
+        let groups = lags.groups();
+        let unknowns = groups.len() * channels;
 
-        // a column of G is that of a lag before, moved down by C; ends of the window come and go
+        // below its diagonal a column is that of the lag before, moved down by C; ends of the window come and go
         let mut g = vec![0.0; unknowns * unknowns];
-        for j in 0..unknowns {
-            let (l, c) = (j / channels, j % channels);
-            let (passed, rest) = g.split_at_mut(j * unknowns);
-            let column = &mut rest[j..unknowns];
-            if l == 0 {
-                for m in 0..first {
-                    let at = m * channels + c;
-                    accumulate(column, &self.second[at * rows + at..(at + 1) * rows], 1.0);
+        let mut columns = vec![vec![0.0; all]; channels];
+        for (b, group) in groups.iter().enumerate() {
+            for (l, c) in group.clone().flat_map(|l| (0..channels).map(move |c| (l, c))) {
+                let (j, column) = (l * channels + c, &mut columns[c]);
+                let mut ends: Vec<(usize, f64)> = (0..first).map(|t| (t, 1.0)).collect();
+                if l > 0 {
+                    column.copy_within(j - channels..all - channels, j);
+                    ends = vec![(first - 1 + l, 1.0), ((l - 1).wrapping_sub(lags.before), -1.0)];
                 }
-                continue;
-            }
-            let before = (j - channels) * unknowns + j - channels;
-            column.copy_from_slice(&passed[before..before + unknowns - j]);
-            let ends = [(first - 1 + l, 1.0), ((l - 1).wrapping_sub(lags.before), -1.0)];
-            for (t, sign) in ends.into_iter().filter(|(t, _)| *t < instants) {
-                let at = t * channels + c;
-                accumulate(column, &self.second[at * rows + at..(at + 1) * rows], sign);
+                for (t, sign) in ends.into_iter().filter(|(t, _)| *t < instants) {
+                    let at = t * channels + c;
+                    accumulate(&mut column[j..], &self.second[at * rows + at..(at + 1) * rows], sign);
+                }
+                // within a group, (l, c) and (m, d) meet twice: as themselves and mirrored
+                for (i, x) in (j..).zip(&column[j..group.end * channels]) {
+                    let d = i % channels;
+                    let twice = if d == c && i != j { 2.0 } else { 1.0 };
+                    g[(b * channels + c.min(d)) * unknowns + b * channels + c.max(d)] += twice * x;
+                }
+                let below = &mut g[(b * channels + c) * unknowns..(b * channels + c + 1) * unknowns];
+                for (a, group) in groups.iter().enumerate().skip(b + 1) {
+                    for m in group.clone() {
+                        accumulate(
+                            &mut below[a * channels..],
+                            &column[m * channels..(m + 1) * channels],
+                            1.0,
+                        );
+                    }
+                }
             }
         }
-        let mut q = lagged(self.sizes, lags, outputs, |j| &self.cross[j * rows..(j + 1) * rows]);
-        let mut mean = lagged(self.sizes, lags, 1, |_| &self.signals);
+        let q = lagged(self.sizes, lags, outputs, |j| &self.cross[j * rows..(j + 1) * rows]);
+        let mut q = by_group(&groups, channels, &q);
+        let mut mean = by_group(&groups, channels, &lagged(self.sizes, lags, 1, |_| &self.signals));
         let force = |k: usize| self.forces[k..].iter().step_by(outputs).sum();
         let mut mean_force: Vec<f64> = (0..outputs).map(force).collect();
 
@@ -156,7 +175,7 @@ impl Moments {
         }
         let scale = self.power.recip();
         g.iter_mut().chain(&mut q).for_each(|x| *x *= scale);
-        Normal { unknowns, g, q, mean, mean_force, weight: s * scale }
+        Normal { unknowns, groups, g, q, mean, mean_force, weight: s * scale }
     }
 }
 
@@ -177,6 +196,21 @@ pub(super) fn lagged<'a>(
             let seen = &column(n * outputs + k)[from * channels..to * channels];
             accumulate(&mut sums[k * unknowns + at..(k + 1) * unknowns], seen, 1.0);
         }
+    }
+    sums
+}
+
+/// Columns (lags · C, K) with the rows of each group of lags summed: (D, K).
+pub(super) fn by_group(groups: &[Range<usize>], channels: usize, columns: &[f64]) -> Vec<f64> {
+    let all = groups.iter().map(|group| group.len()).sum::<usize>() * channels;
+    let mut sums = Vec::with_capacity(columns.len());
+    for (column, group) in
+        columns.chunks_exact(all).flat_map(|column| groups.iter().map(move |g| (column, g)))
+    {
+        let rows = column[group.start * channels..group.end * channels].chunks_exact(channels);
+        let at = sums.len();
+        sums.resize(at + channels, 0.0);
+        rows.for_each(|row| accumulate(&mut sums[at..], row, 1.0));
     }
     sums
 }

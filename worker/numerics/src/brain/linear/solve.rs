@@ -3,13 +3,14 @@
 //! A memory whose lags come first has the leading block of G, whose factor is the leading block of G's: one factor serves
 //! them all.
 
-use super::moments::{Normal, lagged};
+use super::moments::{Normal, by_group, lagged};
 use super::{Lags, Linear, Moments, Sizes, matrix, matrix_mut};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
 use faer::{Accum, Par, Spec};
+use std::ops::Range;
 
 /// The normal matrix is not positive definite to rounding: the ridge is too small for these signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,7 +21,7 @@ pub struct Singular;
 pub enum Order {
     /// From the past on: shorter memories have the whole past and less ahead.
     Ascending,
-    /// 0, −1, 1, −2, …: shorter memories reach as far both ways. For a memory that does so itself.
+    /// 0, −1, 1, −2, …: shorter memories reach as far both ways.
     Outward,
 }
 
@@ -29,7 +30,8 @@ pub enum Order {
 pub struct Fit {
     sizes: Sizes,
     lags: Lags,
-    order: Order,
+    /// Lags of one weight, in its order.
+    groups: Vec<Range<usize>>,
     unknowns: usize,
     /// L, column-major in its order; lower triangle.
     lower: Vec<f64>,
@@ -46,16 +48,21 @@ impl Fit {
     ///
     /// # Errors
     /// If it is not positive definite.
-    ///
-    /// # Panics
-    /// If the order is `Outward` and the memory does not reach as far both ways.
     pub fn new(moments: &Moments, lags: Lags, ridge: f64, order: Order) -> Result<Self, Singular> {
         let sizes = moments.sizes;
-        let Normal { unknowns, g, mut q, mut mean, mean_force, weight } = moments.normal(lags);
+        let Normal { unknowns, mut groups, g, mut q, mut mean, mean_force, weight } = moments.normal(lags);
+        let channels = sizes.channels;
         let mut lower = match order {
             Order::Ascending => g,
             Order::Outward => {
-                let from: Vec<usize> = outward(lags, sizes.channels);
+                let mut numbered: Vec<_> = groups.into_iter().enumerate().collect();
+                numbered.sort_by_key(|(_, group)| {
+                    let nearest = if group.end <= lags.before { group.end - 1 } else { group.start };
+                    (nearest.abs_diff(lags.before), nearest)
+                });
+                let from: Vec<usize> =
+                    numbered.iter().flat_map(|(u, _)| u * channels..(u + 1) * channels).collect();
+                groups = numbered.into_iter().map(|(_, group)| group).collect();
                 q = q.chunks_exact(unknowns).flat_map(|q| from.iter().map(|&i| q[i])).collect();
                 mean = from.iter().map(|&i| mean[i]).collect();
                 let mut sorted = Vec::with_capacity(g.len());
@@ -65,7 +72,10 @@ impl Fit {
                 sorted
             }
         };
-        lower.iter_mut().step_by(unknowns + 1).for_each(|d| *d += ridge);
+        // λ|W|²: a shared weight counts once a lag
+        for (u, d) in lower.iter_mut().step_by(unknowns + 1).enumerate() {
+            *d += ridge * groups[u / channels].len() as f64;
+        }
         let mut memory =
             MemBuffer::new(cholesky_in_place_scratch::<f64>(unknowns, Par::Seq, Spec::default()));
         cholesky_in_place(
@@ -83,7 +93,7 @@ impl Fit {
             Par::Seq,
         );
         if q.iter().all(|x| x.is_finite()) {
-            Ok(Self { sizes, lags, order, unknowns, lower, half: q, mean, mean_force, weight })
+            Ok(Self { sizes, lags, groups, unknowns, lower, half: q, mean, mean_force, weight })
         } else {
             Err(Singular)
         }
@@ -99,28 +109,26 @@ impl Fit {
     /// # Panics
     /// If they do not.
     pub fn shorter(&self, lags: Lags) -> Linear {
-        let first = match self.order {
-            Order::Ascending => lags.before == self.lags.before && lags.after <= self.lags.after,
-            Order::Outward => lags.before == lags.after && lags.before <= self.lags.before,
-        };
-        assert!(first, "{lags:?} of {:?}", self.lags);
-        let unknowns = lags.count() * self.sizes.channels;
+        let (groups, later) = (lags.groups(), self.lags.before - lags.before);
+        let first = &self.groups[..groups.len()];
+        let held = |group: &Range<usize>| first.contains(&(group.start + later..group.end + later));
+        assert!(groups.iter().all(held), "{lags:?} of {:?}", self.lags);
+        let unknowns = groups.len() * self.sizes.channels;
         let columns = self.half.chunks_exact(self.unknowns);
         let mut w: Vec<f64> = columns.flat_map(|column| column[..unknowns].iter().copied()).collect();
         self.back(unknowns, &mut w);
         let means = w.chunks_exact(unknowns).map(|w| dot(w, &self.mean));
         let b = self.mean_force.iter().zip(means).map(|(force, seen)| force - seen).collect();
-        Linear { sizes: self.sizes, lags, w: self.in_lag_order(lags, w), b }
+        Linear { sizes: self.sizes, lags, w: self.each_lag(lags, &w), b }
     }
 
     /// How the brain of the whole memory answers a force on its weights: H⁻¹ (V, v), H the second derivative of what it
     /// minimises; (V, v) a gradient as of [`Linear::weights_vjp`].
     pub fn sensitivity(&self, gradient: &Linear) -> Linear {
         let unknowns = self.unknowns;
-        let from = self.positions(self.lags);
-        let mut z = Vec::with_capacity(gradient.w.len());
-        for (w, b) in gradient.w.chunks_exact(unknowns).zip(&gradient.b) {
-            z.extend(from.iter().zip(&self.mean).map(|(&i, mean)| 0.5 * (w[i] - mean * b)));
+        let mut z = by_group(&self.groups, self.sizes.channels, &gradient.w);
+        for (z, b) in z.chunks_exact_mut(unknowns).zip(&gradient.b) {
+            z.iter_mut().zip(&self.mean).for_each(|(z, mean)| *z = 0.5 * (*z - mean * b));
         }
         solve_lower_triangular_in_place(
             matrix(&self.lower, unknowns, unknowns),
@@ -130,7 +138,7 @@ impl Fit {
         self.back(unknowns, &mut z);
         let means = z.chunks_exact(unknowns).map(|z| dot(z, &self.mean));
         let b = gradient.b.iter().zip(means).map(|(b, seen)| 0.5 * b / self.weight - seen).collect();
-        Linear { sizes: self.sizes, lags: self.lags, w: self.in_lag_order(self.lags, z), b }
+        Linear { sizes: self.sizes, lags: self.lags, w: self.each_lag(self.lags, &z), b }
     }
 
     /// L⁻ᵀ of the leading block.
@@ -143,19 +151,17 @@ impl Fit {
         );
     }
 
-    /// Where the unknowns of this order stand in that of the lags.
-    fn positions(&self, lags: Lags) -> Vec<usize> {
-        match self.order {
-            Order::Ascending => (0..lags.count() * self.sizes.channels).collect(),
-            Order::Outward => outward(lags, self.sizes.channels),
-        }
-    }
-
-    fn in_lag_order(&self, lags: Lags, solved: Vec<f64>) -> Vec<f64> {
-        let (from, unknowns) = (self.positions(lags), lags.count() * self.sizes.channels);
-        let mut w = vec![0.0; solved.len()];
-        for (to, column) in w.chunks_exact_mut(unknowns).zip(solved.chunks_exact(unknowns)) {
-            from.iter().zip(column).for_each(|(&i, x)| to[i] = *x);
+    /// The weight of each lag, in their order, from those of its groups.
+    fn each_lag(&self, lags: Lags, solved: &[f64]) -> Vec<f64> {
+        let Sizes { channels, outputs, .. } = self.sizes;
+        let (unknowns, later) = (solved.len() / outputs, self.lags.before - lags.before);
+        let mut w = vec![0.0; lags.count() * channels * outputs];
+        for (to, from) in w.chunks_exact_mut(lags.count() * channels).zip(solved.chunks_exact(unknowns)) {
+            for (group, weights) in self.groups.iter().zip(from.chunks_exact(channels)) {
+                for lag in group.clone() {
+                    to[(lag - later) * channels..][..channels].copy_from_slice(weights);
+                }
+            }
         }
         w
     }
@@ -184,13 +190,6 @@ impl Linear {
         let b = (0..outputs).map(|k| cotangent[k..].iter().step_by(outputs).sum()).collect();
         Self { w, b, ..*self }
     }
-}
-
-/// Unknowns, numbered by lag and channel, in the order of lags 0, −1, 1, −2, ….
-fn outward(lags: Lags, channels: usize) -> Vec<usize> {
-    assert_eq!(lags.before, lags.after, "reaches as far both ways");
-    let lag = |i: usize| if i % 2 == 1 { lags.before - i.div_ceil(2) } else { lags.before + i / 2 };
-    (0..lags.count()).flat_map(|i| (0..channels).map(move |c| lag(i) * channels + c)).collect()
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

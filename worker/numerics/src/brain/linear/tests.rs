@@ -1,38 +1,42 @@
+use super::moments::by_group;
 use super::*;
 use crate::random::{Purpose, Stream};
 
 const SIZES: Sizes = Sizes { instants: 9, channels: 3, outputs: 2 };
+/// Long enough for lags that share a weight.
+const LONG: Sizes = Sizes { instants: 50, channels: 2, outputs: 1 };
 const SAMPLES: usize = 7;
 
 struct Set {
+    sizes: Sizes,
     x: Vec<f64>,
     f: Vec<f64>,
     w: Vec<f64>,
 }
 
-fn set(seed: u64) -> Set {
+fn set(sizes: Sizes, seed: u64) -> Set {
     let mut stream = Stream::new(Purpose::Design, seed, [0, 0]);
     let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| 0.3 + stream.normal()).collect() };
-    let x = draw(SAMPLES * SIZES.instants * SIZES.channels);
-    let f = draw(SAMPLES * SIZES.instants * SIZES.outputs);
-    Set { x, f, w: draw(SAMPLES).into_iter().map(|w| w * w + 0.1).collect() }
+    let x = draw(SAMPLES * sizes.instants * sizes.channels);
+    let f = draw(SAMPLES * sizes.instants * sizes.outputs);
+    Set { sizes, x, f, w: draw(SAMPLES).into_iter().map(|w| w * w + 0.1).collect() }
 }
 
 fn moments(set: &Set) -> Moments {
-    let mut moments = Moments::new(SIZES);
+    let mut moments = Moments::new(set.sizes);
     moments.add(&set.x, &set.f, &set.w);
     moments
 }
 
 /// Σ w Σ f².
 fn power(set: &Set) -> f64 {
-    let one = SIZES.instants * SIZES.outputs;
+    let one = set.sizes.instants * set.sizes.outputs;
     set.f.iter().enumerate().map(|(j, f)| set.w[j / one] * f * f).sum()
 }
 
 /// What is minimised, instant by instant as it is written.
 fn objective(set: &Set, linear: &Linear, ridge: f64) -> f64 {
-    let Sizes { instants, channels, outputs } = SIZES;
+    let Sizes { instants, channels, outputs } = set.sizes;
     let Lags { before, after } = linear.lags;
     let mut sum = 0.0;
     for i in 0..SAMPLES {
@@ -52,31 +56,58 @@ fn objective(set: &Set, linear: &Linear, ridge: f64) -> f64 {
     sum / power(set) + ridge * linear.w.iter().map(|w| w * w).sum::<f64>()
 }
 
-const MEMORIES: [(usize, usize); 6] = [(0, 0), (2, 1), (0, 4), (8, 0), (3, 3), (8, 8)];
+const MEMORIES: [(Sizes, usize, usize); 9] = [
+    (SIZES, 0, 0),
+    (SIZES, 2, 1),
+    (SIZES, 0, 4),
+    (SIZES, 8, 0),
+    (SIZES, 3, 3),
+    (SIZES, 8, 8),
+    (LONG, 49, 0),
+    (LONG, 44, 49),
+    (LONG, 3, 42),
+];
+
+/// Every lag is in one group, in order; a longer memory begins with the groups of each that ends where a group does.
+#[test]
+fn groups_hold_every_lag_once() {
+    for (_, before, after) in MEMORIES {
+        let lags = Lags { before, after };
+        let all: Vec<usize> = lags.groups().into_iter().flatten().collect();
+        assert!(all.into_iter().eq(0..lags.count()), "{lags:?}");
+    }
+    assert_eq!(Lags { before: 46, after: 41 }.groups().len(), 2 + 81 + 1);
+    assert_eq!([0, 40, 41, 42, 47, 80].map(Lags::whole_groups), [0, 40, 40, 44, 48, 80]);
+}
 
 /// No move of any weight or bias, up or down, lowers the objective, for memories of all kinds; predictions are those of
 /// the sum as it is written.
 #[test]
 fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
-    let (set, ridge) = (set(1), 0.05);
-    for (before, after) in MEMORIES {
-        let fit = Fit::new(&moments(&set), Lags { before, after }, ridge, Order::Ascending).unwrap();
-        let linear = fit.linear();
+    let ridge = 0.05;
+    for (sizes, before, after) in MEMORIES {
+        let (set, lags) = (set(sizes, 1), Lags { before, after });
+        let linear = Fit::new(&moments(&set), lags, ridge, Order::Ascending).unwrap().linear();
         let least = objective(&set, &linear, ridge);
-        for i in 0..linear.w.len() + linear.b.len() {
+        let rises = |change: &dyn Fn(&mut Linear, f64)| {
             for step in [1e-4, -1e-4] {
                 let mut moved = linear.clone();
-                match i.checked_sub(linear.w.len()) {
-                    Some(k) => moved.b[k] += step,
-                    None => moved.w[i] += step,
-                }
+                change(&mut moved, step);
                 let rise = objective(&set, &moved, ridge) - least;
-                assert!(rise > 0.0 && rise < 1e-5, "{before} {after} {i}: {rise}");
+                assert!(rise > 0.0 && rise < 1e-5, "{sizes:?} {lags:?}: {rise}");
+            }
+        };
+        for k in 0..sizes.outputs {
+            rises(&|moved, step| moved.b[k] += step);
+            for (group, c) in lags.groups().iter().flat_map(|g| (0..sizes.channels).map(move |c| (g, c))) {
+                let at = |lag| (k * lags.count() + lag) * sizes.channels + c;
+                rises(&|moved, step| group.clone().for_each(|lag| moved.w[at(lag)] += step));
+                assert!(group.clone().all(|lag| linear.w[at(lag)] == linear.w[at(group.start)]), "{group:?}");
             }
         }
         let said = linear.predict(&set.x);
         let total = power(&set);
-        let one = SIZES.instants * SIZES.outputs;
+        let one = sizes.instants * sizes.outputs;
         let by_prediction: f64 =
             (0..said.len()).map(|j| set.w[j / one] / total * (said[j] - set.f[j]).powi(2)).sum::<f64>()
                 + ridge * linear.w.iter().map(|w| w * w).sum::<f64>();
@@ -87,23 +118,30 @@ fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
 /// Blocks of one factor are the factors of shorter memories; moments of parts add up.
 #[test]
 fn one_factor_serves_every_shorter_memory() {
-    let (set, ridge, whole) = (set(2), 0.03, Lags::whole(SIZES.instants));
-    let all = moments(&set);
+    let ridge = 0.03;
     let close = |a: &Linear, b: &Linear| {
         let far = a.w.iter().chain(&a.b).zip(b.w.iter().chain(&b.b)).map(|(a, b)| (a - b).abs());
         let far = far.fold(0.0, f64::max);
         assert!(a.lags == b.lags && far < 1e-9, "{:?}: {far:e}", a.lags);
     };
-    for (order, lags) in [
-        (Order::Ascending, Lags { before: 8, after: 3 }),
-        (Order::Ascending, Lags { before: 8, after: 0 }),
-        (Order::Outward, Lags { before: 0, after: 0 }),
-        (Order::Outward, Lags { before: 5, after: 5 }),
-        (Order::Outward, whole),
+    for (sizes, order, before, after) in [
+        (SIZES, Order::Ascending, 8, 3),
+        (SIZES, Order::Ascending, 8, 0),
+        (SIZES, Order::Outward, 0, 0),
+        (SIZES, Order::Outward, 5, 5),
+        (SIZES, Order::Outward, 8, 8),
+        (LONG, Order::Ascending, 49, 44),
+        (LONG, Order::Ascending, 49, 7),
+        (LONG, Order::Outward, 48, 48),
+        (LONG, Order::Outward, 12, 12),
     ] {
+        let (all, lags) = (moments(&set(sizes, 2)), Lags { before, after });
         let alone = Fit::new(&all, lags, ridge, Order::Ascending).unwrap().linear();
-        close(&Fit::new(&all, whole, ridge, order).unwrap().shorter(lags), &alone);
+        let whole = Fit::new(&all, Lags::whole(sizes.instants), ridge, order).unwrap();
+        close(&whole.shorter(lags), &alone);
     }
+    let set = set(SIZES, 2);
+    let all = moments(&set);
     let (one_x, one_f) = (SIZES.instants * SIZES.channels, SIZES.instants * SIZES.outputs);
     let mut part = Moments::new(SIZES);
     part.add(&set.x[2 * one_x..], &set.f[2 * one_f..], &set.w[2..]);
@@ -117,8 +155,8 @@ fn one_factor_serves_every_shorter_memory() {
 /// ⟨c, W ∗ x⟩ = ⟨vjp(c), x⟩ = ⟨weights_vjp(c), W⟩ but for the bias.
 #[test]
 fn predictions_and_pull_backs_are_transposes() {
-    let (set, other) = (set(3), set(4));
-    for (before, after) in MEMORIES {
+    for (sizes, before, after) in MEMORIES {
+        let (set, other) = (set(sizes, 3), set(sizes, 4));
         let mut linear =
             Fit::new(&moments(&set), Lags { before, after }, 0.1, Order::Ascending).unwrap().linear();
         linear.b.fill(0.0);
@@ -136,10 +174,14 @@ fn predictions_and_pull_backs_are_transposes() {
 /// its gradient zero at W + ε z to first order, and solves (H z = V) by differences of the gradient.
 #[test]
 fn the_sensitivity_solves_the_second_derivative() {
-    let (set, other, ridge) = (set(5), set(6), 0.02);
-    for (order, lags) in
-        [(Order::Ascending, Lags { before: 3, after: 1 }), (Order::Outward, Lags { before: 2, after: 2 })]
-    {
+    let ridge = 0.02;
+    for (sizes, order, before, after) in [
+        (SIZES, Order::Ascending, 3, 1),
+        (SIZES, Order::Outward, 2, 2),
+        (LONG, Order::Ascending, 47, 43),
+        (LONG, Order::Outward, 42, 49),
+    ] {
+        let (set, other, lags) = (set(sizes, 5), set(sizes, 6), Lags { before, after });
         let fit = Fit::new(&moments(&set), lags, ridge, order).unwrap();
         let linear = fit.linear();
         let force = linear.weights_vjp(&other.x, &other.f);
@@ -149,14 +191,15 @@ fn the_sensitivity_solves_the_second_derivative() {
         moved.w.iter_mut().zip(&z.w).for_each(|(w, z)| *w += z);
         moved.b.iter_mut().zip(&z.b).for_each(|(b, z)| *b += z);
         let total = power(&set);
-        let one = SIZES.instants * SIZES.outputs;
+        let one = sizes.instants * sizes.outputs;
         let said = moved.predict(&set.x);
         let residual: Vec<f64> =
             (0..said.len()).map(|j| 2.0 * set.w[j / one] / total * (said[j] - set.f[j])).collect();
         let mut gradient = moved.weights_vjp(&set.x, &residual);
         gradient.w.iter_mut().zip(&moved.w).for_each(|(g, w)| *g += 2.0 * ridge * w);
+        let summed = |w: &[f64]| by_group(&lags.groups(), sizes.channels, w);
         let far = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        let (w, b) = (far(&gradient.w, &force.w), far(&gradient.b, &force.b));
+        let (w, b) = (far(&summed(&gradient.w), &summed(&force.w)), far(&gradient.b, &force.b));
         assert!(w < 1e-9 && b < 1e-9 && force.w.iter().any(|v| v.abs() > 0.1), "{order:?}: {w:e} {b:e}");
     }
 }
@@ -164,7 +207,7 @@ fn the_sensitivity_solves_the_second_derivative() {
 /// Signals that repeat each other have no factor without a ridge, and one with it.
 #[test]
 fn a_singular_matrix_is_named() {
-    let mut set = set(7);
+    let mut set = set(SIZES, 7);
     set.x.chunks_exact_mut(3).for_each(|row| row[2] = row[1]);
     let lags = Lags { before: 1, after: 1 };
     let fit = |ridge| Fit::new(&moments(&set), lags, ridge, Order::Ascending);
