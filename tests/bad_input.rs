@@ -112,6 +112,29 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("panels = [2]", "panels = []", "s.toml:14: sweep.panels = []: needs at least one value"),
     ("panels = [2]", "panels = [2, 2]", "s.toml:14: sweep.panels = 2: is named twice"),
     ("sensors = [1, 2]", "sensors = [17]", "s.toml:15: sweep.sensors = 17: the 6 × 6 body has 16 free units"),
+    ("[sweep]", "[sensors]\nsearch = \"best\"\n[sweep]", "s.toml:14: sensors.search = "),
+    (
+        "[sweep]",
+        "[sensors]\nsearch = \"greedy\"\nplacements = [[14]]\n[sweep]",
+        "sensors.search = \"greedy\": cannot be given beside sensors.placements",
+    ),
+    ("[sweep]", "[sensors]\nspacing = 20.0\n[sweep]", "sensors.spacing = 20: is for sensors.search"),
+    ("[sweep]", "[sensors]\nfrom = \"free\"\n[sweep]", "sensors.from = free: is for sensors.search"),
+    (
+        "[sweep]",
+        "[sensors]\nsearch = \"greedy\"\nspacing = 200.0\n[sweep]",
+        "sensors.spacing = 200: leaves room for 1 sensors",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [17]\n\"sensors.search\" = [\"greedy\"]",
+        "sweep.sensors = 17: the body has 16 units where sensors.search may put one",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\nplacements = 17\n\"sensors.search\" = [\"greedy\"]",
+        "sweep.placements = 17: the body has 16 units",
+    ),
     ("sensors = [1, 2]", "sensors = [1]\nplacements = 0", "s.toml:16: sweep.placements = 0: "),
     (
         "sensors = [1, 2]",

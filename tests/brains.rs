@@ -12,6 +12,38 @@ fn spec() -> String {
     )
 }
 
+/// Random and searched placements side by side: each trial says where its sensors are and how they came there; what is
+/// exported and simulated again is of those units; equal on one worker and two; `place` finds the same ones.
+#[test]
+fn sensors_are_searched_for() {
+    let bench = Bench::new();
+    let searched = "sensors = [2]\n\"sensors.search\" = [\"random\", \"greedy\", \"pivots\"]";
+    let spec = TINY
+        .replace("sensors = [1, 2]", searched)
+        .replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"");
+    bench.file("s.toml", &spec);
+    bench.output(&["run", "s.toml", "--workers", "2"]);
+    let found = rows(
+        &bench,
+        "SELECT placed, replace(sensor_units, ',', ' '), hash, holdout_error_initial FROM v_trial ORDER BY placed",
+    );
+    let ways: Vec<&str> = found.iter().map(|row| row[0].as_str()).collect();
+    assert_eq!(ways, ["greedy", "pivots", "random"]);
+    assert!(found.iter().all(|row| row[1].split_whitespace().count() == 2), "{found:?}");
+    let table =
+        bench.output(&["place", "s.toml", "--hash", &found[0][2], "--out", "p.svg", "--format", "json"]);
+    let units = found[0][1].trim_matches(['[', ']']);
+    assert!(table.contains(&format!("\"units\":\"{units}\"")), "{units}: {table}");
+    let svg = std::fs::read_to_string(bench.path("p.svg")).unwrap();
+    assert_eq!(svg.matches("class=\"number\"").count(), 2);
+    bench.output(&["export", "results/tiny.sqlite", &found[0][2], "--format", "npz", "--out", "t.npz"]);
+    let one = Bench::new();
+    one.file("s.toml", &spec);
+    one.output(&["run", "s.toml", "--workers", "1"]);
+    let all = "SELECT hash, sensor_units, holdout_error_optimised FROM v_trial ORDER BY hash";
+    assert_eq!(rows(&bench, all), rows(&one, all));
+}
+
 /// Rows of a query by their cells.
 fn rows(bench: &Bench, sql: &str) -> Vec<Vec<String>> {
     let csv = bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"]);

@@ -20,6 +20,8 @@ pub struct Drawing<'a> {
     pub panels: &'a [(usize, Point)],
     /// Units that carry a sensor.
     pub sensors: &'a [usize],
+    /// What a sensor on a unit is worth (unit, error in %), where units are coloured by it; sensors are then numbered.
+    pub worth: Option<&'a [(usize, f64)]>,
     /// Constraints at their limit.
     pub active: &'a [Active],
     /// Broken constraints.
@@ -36,7 +38,7 @@ const STYLE: &str = "\
 .sensor{fill:#1d7a5f;stroke:#fff;stroke-width:.3}\
 .active{stroke:#e07a00;stroke-width:.7;fill:none;stroke-linecap:round}.active-node{fill:#e07a00}\
 .wrong{stroke:#c1121f;stroke-width:.9;fill:none;stroke-linecap:round}.wrong-node{fill:#c1121f}\
-text{font-family:sans-serif;fill:#33475b}.index{font-size:2px;text-anchor:middle;fill:#7a8b9c}.caption{font-size:3px}";
+text{font-family:sans-serif;fill:#33475b}.number{font-size:2.6px;text-anchor:middle;fill:#fff;font-weight:bold}.index{font-size:2px;text-anchor:middle;fill:#7a8b9c}.caption{font-size:3px}";
 
 /// The drawing as an SVG document.
 pub fn svg(drawing: &Drawing<'_>) -> String {
@@ -137,13 +139,19 @@ fn draw_body(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {
         ] {
             class.push_str(if applies { name } else { "" });
         }
+        let shade = drawing.worth.and_then(|worth| shade(worth, u)).unwrap_or_default();
         let points: Vec<String> = corners.iter().map(|[x, y]| format!("{x:.3},{y:.3}")).collect();
-        let _ = writeln!(out, "<polygon class=\"{class}\" points=\"{}\"/>", points.join(" "));
+        let _ = writeln!(out, "<polygon class=\"{class}\"{shade} points=\"{}\"/>", points.join(" "));
     }
     for (u, corners) in units.iter().enumerate() {
         let [x, y] = middle(corners);
-        if drawing.sensors.contains(&u) {
+        if let Some(number) = drawing.sensors.iter().position(|sensor| *sensor == u) {
             let _ = writeln!(out, "<circle class=\"sensor\" cx=\"{x:.3}\" cy=\"{y:.3}\" r=\"1.8\"/>");
+            if drawing.worth.is_some() {
+                let below = y + 0.9;
+                let number = number + 1;
+                let _ = writeln!(out, "<text class=\"number\" x=\"{x:.3}\" y=\"{below:.3}\">{number}</text>");
+            }
         } else {
             let _ = writeln!(out, "<text class=\"index\" x=\"{x:.3}\" y=\"{:.3}\">{u}</text>", y + 0.7);
         }
@@ -157,6 +165,17 @@ fn draw_body(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {
         let (x0, y0) = (x1 - length * dx, y1 + length * dy);
         let _ = writeln!(out, "<path class=\"force\" d=\"M{x0:.3} {y0:.3}L{x1:.3} {y1:.3}\"/>");
     }
+}
+
+/// The fill of a unit by the rank of its error: dark is best.
+fn shade(worth: &[(usize, f64)], unit: usize) -> Option<String> {
+    let own = worth.iter().find(|(u, _)| *u == unit)?.1;
+    let better = worth.iter().filter(|(_, error)| *error < own).count();
+    let part = better as f64 / (worth.len() - 1).max(1) as f64;
+    // from deep blue to nearly white
+    let [r, g, b] =
+        [[28.0, 238.0], [84.0, 243.0], [140.0, 248.0]].map(|[from, to]| from + part * (to - from));
+    Some(format!(" style=\"fill:rgb({r:.0},{g:.0},{b:.0})\""))
 }
 
 fn draw_marks(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    Body, Design, Disturbance, LayoutKind, Point, Run, Stimuli, SweepSpec, TrialSpec,
+    Body, Design, Disturbance, LayoutKind, Point, Run, Search, SearchFrom, Stimuli, SweepSpec, TrialSpec,
 };
 use metasense_worker::design::{self, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
@@ -120,6 +120,11 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         if sweep.placements != 1 {
             return Err(source.error("sweep.placements", "cannot be given beside sensors.placements"));
         }
+        if spec.sensors.search.is_some() {
+            return Err(
+                source.error("sensors.search", "cannot be given beside sensors.placements, which says where")
+            );
+        }
         distinct(lists, "sensors.placements", source)?;
     }
     let others = sweep.axes.values().map(Vec::len);
@@ -206,6 +211,7 @@ fn add_points(
         ..spec.clone()
     };
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
+    let searched = spec.sensors.search.is_some_and(|search| search != Search::Random);
     let seeded: Vec<Vec<usize>> =
         (0..sweep.sweep.placements).map(|p| layout.placement(p as u64, &clamped)).collect();
     for &panels in &sweep.sweep.panels {
@@ -217,6 +223,8 @@ fn add_points(
             }
             let placements: Vec<Vec<usize>> = match &spec.sensors.placements {
                 Some(lists) => lists.iter().filter(|list| list.len() == sensors).cloned().collect(),
+                // a worker finds them
+                None if searched => vec![Vec::new(); sweep.sweep.placements],
                 None => seeded.iter().map(|order| order.iter().copied().take(sensors).collect()).collect(),
             };
             if placements.is_empty() {
@@ -228,7 +236,7 @@ fn add_points(
                     format!("holds no list of {}, which sweep.sensors asks for", counted(sensors, "unit"));
                 return Err(source.error("sensors.placements", &remedy));
             }
-            if let Some(short) = placements.iter().find(|units| units.len() < sensors) {
+            if let Some(short) = placements.iter().find(|units| !searched && units.len() < sensors) {
                 let remedy = format!(
                     "the {} × {} body has {} free units inside its boundary to carry sensors",
                     spec.body.columns,
@@ -238,9 +246,10 @@ fn add_points(
                 return Err(source.error_with("sweep.sensors", Some(&sensors.to_string()), &remedy));
             }
             let template = template(spec, panels, &panel_units, sensors);
-            // Seeded placements are sound by construction; lists are as good as who wrote them.
-            let to_check = if spec.sensors.placements.is_some() { placements.len() } else { 1 };
-            for (placement, units) in placements.iter().enumerate().take(to_check) {
+            // Seeded placements are sound by construction, of a search the last one tells; lists are as good as who
+            // wrote them.
+            let to_check = if spec.sensors.placements.is_some() { 0 } else { placements.len() - 1 };
+            for (placement, units) in placements.iter().enumerate().skip(to_check) {
                 let trial = at(&template, placement, units, sweep.sweep.seeds[0]);
                 problem::problem(&trial).map_err(located)?;
             }
@@ -384,6 +393,9 @@ fn template(spec: &SweepSpec, panels: usize, panel_units: &[usize], sensors: usi
     }
     let mut read = spec.sensors.clone();
     read.placements = None;
+    read.search = read.search.filter(|search| *search != Search::Random);
+    read.from = read.from.filter(|from| *from != SearchFrom::Interior);
+    read.spacing = read.spacing.filter(|spacing| *spacing != 0.0);
     let none =
         |size: &Disturbance| matches!(size, Disturbance::Relative(0.0) | Disturbance::Physical([0.0, 0.0]));
     read.noise = read.noise.filter(|size| !none(size));

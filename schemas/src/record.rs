@@ -144,6 +144,22 @@ pub struct BodyEvaluation {
     pub zero_samples: [u32; 3],
 }
 
+/// What a search for the sensors' places found.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Placed {
+    /// The units, those worth most first.
+    pub units: Vec<usize>,
+    /// Error (%) of a linear brain on training samples that it has not seen, with the first m of them, m = 1 … M.
+    pub errors: Vec<f64>,
+    /// The next best set that differs by one unit.
+    pub runner_up: Vec<usize>,
+    /// Its error (%).
+    pub runner_up_error: Option<f64>,
+    /// λ.
+    pub ridge: f64,
+}
+
 /// A finished trial.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -162,6 +178,8 @@ pub struct TrialResult {
     pub simd: String,
     /// What `solver.method` came to, and why.
     pub solver: String,
+    /// Where a search put the sensors, where there was one.
+    pub placed: Option<Placed>,
 }
 
 /// What is needed to go on inside a trial. Stored as postcard bytes behind a version byte.

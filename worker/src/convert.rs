@@ -3,7 +3,8 @@
 use metasense_numerics::brain::Adam;
 use metasense_numerics::nested::{self, Best, State, Waypoint};
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, Counters, ImplicitRecord, NetworkEvaluation, Reading, Seconds, StepRecord,
+    BodyEvaluation, Checkpoint, Counters, ImplicitRecord, NetworkEvaluation, Placed, Reading, Seconds,
+    StepRecord,
 };
 
 /// Not a number becomes absent.
@@ -72,6 +73,18 @@ pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
         long: body.long.into_iter().map(network).collect(),
         readings: body.readings.iter().map(reading).collect(),
         zero_samples: body.zero_samples,
+    }
+}
+
+/// What a search for sensors found.
+pub fn placed(placed: metasense_numerics::place::Placed) -> Placed {
+    let (runner_up, runner_up_error) = placed.runner_up.unzip();
+    Placed {
+        units: placed.units,
+        errors: placed.errors,
+        runner_up: runner_up.unwrap_or_default(),
+        runner_up_error,
+        ridge: placed.ridge,
     }
 }
 

@@ -10,7 +10,7 @@ use crate::convert::finite;
 use crate::measured::Measured;
 use crate::problem::{problem, solvable};
 use crate::replay::check;
-use crate::run::{Failure, pool};
+use crate::run::{Failure, placed, pool};
 
 /// How many networks, and how long they train.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -147,7 +147,8 @@ pub fn simulated(
     forces: &Forces,
     threads: usize,
 ) -> Result<Vec<f64>, Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let pool = pool(threads)?;
+    let problem = placed(trial, &pool)?;
     check(design, problem.initial.len())?;
-    nested::sense(&problem, design, forces, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
+    nested::sense(&problem, design, forces, &pool).map_err(|e| Failure::NonFinite(e.to_string()))
 }

@@ -5,8 +5,7 @@ use metasense_numerics::identify::{Settings, fit};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::measured::Measured;
-use crate::problem::problem;
-use crate::run::{Failure, pool};
+use crate::run::{Failure, placed, pool};
 
 /// Most iterations, those on the beginnings of the records included.
 const ITERATIONS: usize = 1000;
@@ -26,7 +25,8 @@ pub fn identify(
     threads: usize,
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Fit, Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let pool = pool(threads)?;
+    let problem = placed(trial, &pool)?;
     let scene = &problem.scene;
     let mut free = free.to_vec();
     free.sort_unstable();
@@ -48,7 +48,6 @@ pub fn identify(
             )));
         }
     }
-    let pool = pool(threads)?;
     let settings = Settings { free, solver: problem.solver, iterations: ITERATIONS };
     Ok(fit(scene, design, &measured.forces, &measured.signals, &settings, &pool, watch))
 }

@@ -11,6 +11,7 @@ pub mod files;
 pub mod identify;
 pub mod measured;
 pub mod noop;
+pub mod place;
 pub mod problem;
 pub mod process;
 pub mod records;

@@ -13,6 +13,7 @@ use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::nested::{
     Decoder, Evaluation, Going, Kind, Optimise, Problem, Protocol, Ridge, Schedule, Terms, Training, fits,
 };
+use metasense_numerics::place::{self, Search};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
 
 mod stimuli;
@@ -106,6 +107,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             long: trial.evaluation.long_iterations,
         },
         seed: trial.point.seed,
+        search: search(trial, &scene)?,
         scene,
     })
 }
@@ -360,7 +362,7 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
 
 /// Whether there is memory for a linear brain of these lags.
 pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
-    let (instants, channels) = (trial.time.samples, 3 * trial.sensor_units.len());
+    let (instants, channels) = (trial.time.samples, 3 * trial.point.sensors);
     let readings = channels * instants;
     let remedy = format!(
         "gives a linear brain {readings} readings a sample, time.samples × 3 × sensors; at most {READINGS_MAX}, and \
@@ -512,8 +514,9 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
         &format!("the layout gives {} panels", panels.len()),
     )?;
     let sensors = check_units("sensors.placements", &trial.sensor_units, &layout, &clamped)?;
+    let searched = trial.sensors.search.is_some() && sensors.is_empty();
     require(
-        sensors.len() == trial.point.sensors && !sensors.is_empty(),
+        searched || sensors.len() == trial.point.sensors && !sensors.is_empty(),
         "sweep.sensors",
         trial.point.sensors,
         &format!("the layout has {} free units to carry sensors", sensors.len()),
@@ -549,6 +552,46 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
         instants: trial.time.samples,
         layout,
     })
+}
+
+/// How the sensors are placed that are not given.
+fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Search>, Invalid> {
+    let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
+    let method = match search {
+        None | Some(spec::Search::Random) => {
+            let remedy = "is for sensors.search = \"greedy\" or \"pivots\"";
+            let shown = from.map_or(String::new(), |from| format!("{from:?}").to_lowercase());
+            require(from.is_none(), "sensors.from", shown, remedy)?;
+            require(spacing.is_none(), "sensors.spacing", spacing.unwrap_or_default(), remedy)?;
+            return Ok(None);
+        }
+        Some(spec::Search::Greedy) => place::Method::Greedy,
+        Some(spec::Search::Pivots) => place::Method::Pivots,
+    };
+    let spacing = spacing.unwrap_or(0.0);
+    not_negative("sensors.spacing", spacing)?;
+    let inside = from.unwrap_or(spec::SearchFrom::Interior) == spec::SearchFrom::Interior;
+    let open = |unit: &usize| !scene.clamped.contains(unit) && !(inside && scene.layout.boundary[*unit]);
+    let candidates: Vec<usize> = (0..scene.layout.units()).filter(open).collect();
+    let Point { sensors, placement, .. } = trial.point;
+    let remedy = format!("the body has {} units where sensors.search may put one", candidates.len());
+    require((1..=candidates.len()).contains(&sensors), "sweep.sensors", sensors, &remedy)?;
+    require(placement < candidates.len(), "sweep.placements", placement + 1, &remedy)?;
+    // one after another, row by row: hardly less than would fit at best
+    let mut apart: Vec<usize> = Vec::new();
+    for &unit in &candidates {
+        let far = |&other: &usize| {
+            let [p, q] = [unit, other].map(|unit| scene.layout.centres[unit]);
+            (p[0] - q[0]).hypot(p[1] - q[1]) >= spacing * (1.0 - 1e-9)
+        };
+        if apart.iter().all(far) {
+            apart.push(unit);
+        }
+    }
+    let remedy = format!("leaves room for {} sensors, where sweep.sensors asks for {sensors}", apart.len());
+    require(sensors <= apart.len(), "sensors.spacing", spacing, &remedy)?;
+    let given = !trial.sensor_units.is_empty();
+    Ok((!given).then_some(Search { method, candidates, sensors, turn: placement, spacing }))
 }
 
 /// Panels are struck along −y where planar, inward where circular: along the direction of the rule that gave them, or

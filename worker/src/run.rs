@@ -1,6 +1,6 @@
 //! One trial from its spec to its result, for a worker process or in the foreground.
 
-use metasense_numerics::nested::{self, Optimised, State};
+use metasense_numerics::nested::{self, Optimised, Problem, State};
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 
@@ -75,7 +75,14 @@ fn result(optimised: Optimised) -> TrialResult {
         counters: convert::counters(&optimised.counters),
         simd: simd::name().into(),
         solver: optimised.solver,
+        placed: optimised.placed.map(convert::placed),
     }
+}
+
+/// The problem that a spec stands for, on these threads, its sensors in place: searched for where that is to be done.
+pub(crate) fn placed(trial: &TrialSpec, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    nested::place(problem, pool).map_err(|failure| Failure::NonFinite(failure.to_string()))
 }
 
 /// Threads for the maths.

@@ -4,7 +4,7 @@ use metasense_numerics::dynamics::{self, Forces, Outcome, energy, pull_back, tun
 use metasense_schemas::spec::TrialSpec;
 
 use crate::problem::problem;
-use crate::run::{Failure, pool};
+use crate::run::{Failure, placed, pool};
 
 /// What a body does; N samples, T instants, M sensors.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +41,8 @@ pub fn simulate(
     threads: usize,
 ) -> Result<Simulated, Failure> {
     let rejected = |what: String| Failure::Rejected(what);
-    let problem = problem(trial).map_err(|invalid| rejected(invalid.to_string()))?;
+    let pool = pool(threads)?;
+    let problem = placed(trial, &pool)?;
     let scene = &problem.scene;
     if design.len() != problem.initial.len() {
         let expected = problem.initial.len();
@@ -72,7 +73,6 @@ pub fn simulate(
     if let Some(bad) = design.iter().chain(forces.1).find(|x| !x.is_finite()) {
         return Err(rejected(format!("{bad} among the numbers of design and forces")));
     }
-    let pool = pool(threads)?;
     let forces = Forces { samples, panels, instants: clock, values: forces.1.to_vec() };
     let tuned = tune(scene, design, &forces, &problem.solver, &pool);
     let run = dynamics::simulate(scene, design, &forces, &tuned.solver, true, &pool);

@@ -53,6 +53,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         clamped: &body.clamped,
         panels: &body.panels,
         sensors: &body.sensors,
+        worth: None,
         // A broken constraint is beyond its limit, not at it.
         active: &active.iter().copied().filter(|a| a.slack >= 0.0).collect::<Vec<_>>(),
         violations: &violations,

@@ -13,6 +13,7 @@ mod identify;
 mod live;
 mod log;
 mod merge;
+mod place;
 mod project;
 mod query;
 mod report;
@@ -71,6 +72,7 @@ enum Command {
     Query(query::Args),
     Analyse(analyse::Args),
     Report(report::Args),
+    Place(place::Args),
     Project(project::Args),
     Draw(draw::Args),
     Export(export::Args),
@@ -105,6 +107,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Watch(args) => block_on(watch::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
+        Command::Place(args) => place::execute(&args),
         Command::Project(args) => project::execute(&args),
         Command::Draw(args) => draw::execute(&args),
         Command::Schema(args) => schema::execute(&args),

@@ -245,6 +245,10 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
         table.columns.truncate(STATE);
         table.rows.iter_mut().for_each(|row| row.truncate(STATE));
     }
+    if format == Format::Table && table.rows.iter().all(|row| row[PLACED] == "random") {
+        table.columns.remove(PLACED);
+        table.rows.iter_mut().for_each(|row| drop(row.remove(PLACED)));
+    }
     let paper = |row: &Vec<Value>| row[BRAINS].iter().all(|brain| brain == "cnn");
     if format == Format::Table && !table.rows.is_empty() && table.rows.iter().all(paper) {
         table.columns.drain(BRAINS);
@@ -268,6 +272,8 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
 }
 
 /// Column of the state; reason and hash follow it, and are shown where not all is done.
-const STATE: usize = 12;
+const STATE: usize = 13;
 /// Columns of the brains that read and trained, which are shown where they are not all the paper's.
 const BRAINS: std::ops::Range<usize> = 5..7;
+/// Column of how sensors were placed, which is shown where it is not all at random.
+const PLACED: usize = 7;

@@ -11,7 +11,7 @@ use crate::store::Table;
 #[must_use]
 pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
     let (panels, sensors, instants) =
-        (stored.spec.panel_units.len(), stored.spec.sensor_units.len(), stored.spec.time.samples);
+        (stored.spec.panel_units.len(), stored.spec.point.sensors, stored.spec.time.samples);
     let mut columns: Vec<String> = ["sample", "set", "time"].map(String::from).to_vec();
     columns.extend((0..panels).map(|k| format!("force_{k}")));
     for body in Body::ALL {

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use metasense_schemas::spec::TrialSpec;
 use serde_json::Value;
 
 use super::samples::Stored;
@@ -309,7 +310,7 @@ fn typical(trials: &[Trial]) -> Option<&Trial> {
 /// # Errors
 /// Where there is no such trial, or what is stored of it cannot be read.
 pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, StoreError> {
-    let rows: Rows = reader.query("SELECT hash, spec, state FROM v_trial").await?.into();
+    let rows: Rows = reader.query("SELECT hash, spec, state, sensor_units FROM v_trial").await?.into();
     let mut found = rows.iter().filter(|r| r.text("hash").starts_with(hash));
     let (Some(row), None) = (found.next(), found.next()) else {
         return Err(StoreError::UnknownTrial { path: reader.path().to_owned(), hash: hash.to_owned() });
@@ -318,11 +319,12 @@ pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, S
         return Ok(None);
     }
     let hash = row.text("hash").to_owned();
-    let spec = serde_json::from_str(row.text("spec")).map_err(|e| StoreError::Unreadable {
-        hash: hash.clone(),
-        what: "spec",
-        message: e.to_string(),
-    })?;
+    let unreadable = |what| {
+        let hash = hash.clone();
+        move |e: serde_json::Error| StoreError::Unreadable { hash, what, message: e.to_string() }
+    };
+    let mut spec: TrialSpec = serde_json::from_str(row.text("spec")).map_err(unreadable("spec"))?;
+    spec.sensor_units = serde_json::from_str(row.text("sensor_units")).map_err(unreadable("sensor_units"))?;
     let mut stored = Stored {
         hash,
         spec,

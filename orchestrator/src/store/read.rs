@@ -152,11 +152,11 @@ impl Reader {
             .await
             .map_err(at)?;
         let rows = sqlx::query(
-            "SELECT panels AS K, sensors AS M, placement, seed, units, brain, trained_with, error_initial AS test_error_initial,
+            "SELECT panels AS K, sensors AS M, placement, seed, units, brain, trained_with, placed, error_initial AS test_error_initial,
                error_optimised AS test_error_optimised, holdout_error_initial, holdout_error_optimised, seconds, state, reason, hash
              FROM v_trial WHERE hash IN
                (SELECT t.hash FROM sweep_trial x JOIN trial t ON t.id = x.trial_id WHERE x.sweep_id = ?)
-             ORDER BY panels, sensors, units, placement, seed, brain, trained_with, hash LIMIT ?",
+             ORDER BY panels, sensors, units, placement, seed, brain, trained_with, placed, hash LIMIT ?",
         )
         .bind(sweep)
         .bind(i64::try_from(limit).unwrap_or(i64::MAX))

@@ -18,7 +18,7 @@ pub use optimise::{
     Auto, Brain, BrainKind, Curvature, Evaluation, GradientTerms, Network, Optimise, Preset, Protocol, Ridge,
     Schedule,
 };
-pub use sensors::{Disturbance, Frame, Sensors};
+pub use sensors::{Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{Augment, ForceUnit, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger};
 pub use trial::{Point, TrialSpec};

@@ -24,6 +24,28 @@ pub enum Disturbance {
     Physical([f64; 2]),
 }
 
+/// How the units that carry sensors are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Search {
+    /// Seeded shuffles.
+    Random,
+    /// What a linear brain reads the initial body's training samples from best: greedily, then by exchange.
+    Greedy,
+    /// Pivots of the signals' covariance (PySensors' SSPOR), forces unseen.
+    Pivots,
+}
+
+/// Units among which a search looks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum From {
+    /// Neither at the boundary nor held, as seeded placements.
+    Interior,
+    /// Not held.
+    Free,
+}
+
 /// Where and how the body is read.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -33,6 +55,16 @@ pub struct Sensors {
     /// Lists of units instead of `sweep.placements`; a trial with M sensors takes every list of M units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placements: Option<Vec<Vec<usize>>>,
+    /// How `sweep.placements` placements are found; by default at random. Of a search the first is the best, the n-th
+    /// the best that holds the n-th best single unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub search: Option<Search>,
+    /// Where a search looks; by default in the interior.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from: Option<From>,
+    /// Least distance (mm) of the cells of two sensors that a search places; by default none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<f64>,
     /// White noise of every reading; by default none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<Disturbance>,

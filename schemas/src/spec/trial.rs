@@ -44,7 +44,7 @@ pub struct TrialSpec {
     pub point: Point,
     /// Input panels, by unit.
     pub panel_units: Vec<usize>,
-    /// Sensors, by unit.
+    /// Sensors, by unit; none as long as a search has not placed them.
     pub sensor_units: Vec<usize>,
 }
 

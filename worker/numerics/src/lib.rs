@@ -8,6 +8,7 @@ pub mod dynamics;
 pub mod feasible;
 pub mod identify;
 pub mod nested;
+pub mod place;
 pub mod random;
 pub mod simd;
 pub mod stimuli;

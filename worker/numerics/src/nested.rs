@@ -12,6 +12,7 @@ mod downhill;
 mod evaluation;
 mod implicit;
 mod linear;
+mod placing;
 mod problem;
 mod protocol;
 mod replay;
@@ -25,6 +26,7 @@ pub use chip::{Disturbance, Size};
 pub use downhill::{Downhill, downhill};
 pub use evaluation::{BodyEvaluation, NetworkEvaluation};
 pub use linear::{Decoder, READINGS_MAX, Reading, Ridge, fits};
+pub use placing::{Candidates, place};
 pub use problem::{Evaluation, Going, Kind, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
 pub use replay::{LinearReplay, Motion, Replay, motion, replay};
 pub use report::{Control, Counters, Failure, Implicit, Observe, Report, Seconds, Trouble};
@@ -38,6 +40,7 @@ use setting::Setting;
 use tuning::Tuning;
 
 use crate::feasible::Feasible;
+use crate::place::Placed;
 
 /// What a nested optimisation found.
 #[derive(Debug, Clone)]
@@ -48,6 +51,8 @@ pub struct Optimised {
     pub optimised: BodyEvaluation,
     /// The outer step whose design is the best, by the test set.
     pub best_step: u32,
+    /// Where a search put the sensors, where there was one.
+    pub placed: Option<Placed>,
     /// What the solvers came to, and why.
     pub solver: String,
     /// Counts of work of the pilot that tuned them and of the two evaluations.
@@ -67,7 +72,7 @@ pub fn optimise(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
-    let Tuning { problem, reason: solver, counters: pilot } = &Tuning::new(problem, pool);
+    let Tuning { problem, placed, reason: solver, counters: pilot } = &Tuning::new(problem, pool)?;
     let setting = Setting::new(problem, pool)?;
     let mut castable = Feasible::new(&problem.scene.layout, problem.limits, &problem.kept);
     let mut session = Session::new(&setting);
@@ -100,7 +105,8 @@ pub fn optimise(
     let optimised = evaluate(&setting, best_design, 1, &mut log);
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += *pilot;
-    Ok(Some(Optimised { initial, optimised, best_step, solver: solver.clone(), counters, seconds }))
+    let (placed, solver) = (placed.clone(), solver.clone());
+    Ok(Some(Optimised { initial, optimised, best_step, placed, solver, counters, seconds }))
 }
 
 /// The comparison at the end for any designs: fresh networks of the same initial weights on each.
@@ -113,7 +119,7 @@ pub fn evaluate_designs(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Vec<BodyEvaluation>, Failure> {
-    let Tuning { problem, .. } = &Tuning::new(problem, pool);
+    let Tuning { problem, .. } = &Tuning::new(problem, pool)?;
     let setting = Setting::new(problem, pool)?;
     let mut log = Log::new(0, observer);
     Ok(designs.iter().map(|design| evaluate(&setting, design, 0, &mut log)).collect())

@@ -5,6 +5,7 @@ use super::linear::Decoder;
 use crate::brain::{Architecture, Policy, Shape};
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::Limits;
+use crate::place::Search;
 use crate::random::Purpose;
 use crate::stimuli::{Deal, Source, bells, irregular, targets};
 
@@ -22,8 +23,10 @@ pub enum Kind {
 /// Everything that a nested optimisation starts from. Angles in rad.
 #[derive(Debug, Clone)]
 pub struct Problem {
-    /// Body, panels, sensors, clock.
+    /// Body, panels, sensors, clock; without sensors as long as they are to be searched for.
     pub scene: Scene,
+    /// How the sensors are placed, where they are not given.
+    pub search: Option<Search>,
     /// α of the initial body (mm).
     pub initial: Vec<f64>,
     /// The integrator of every evaluation, and of the steps that ask for no other.

@@ -47,7 +47,7 @@ pub fn replay(
     weights: &[f32],
     pool: &rayon::ThreadPool,
 ) -> Result<Replay, Failure> {
-    let Tuning { problem, .. } = &Tuning::new(problem, pool);
+    let Tuning { problem, .. } = &Tuning::new(problem, pool)?;
     let setting = Setting::new(problem, pool)?;
     let forces = all_forces(problem);
     let (_, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
@@ -170,7 +170,7 @@ pub fn motion(
     sample: usize,
     pool: &rayon::ThreadPool,
 ) -> Result<Motion, Failure> {
-    let Tuning { problem, .. } = &Tuning::new(problem, pool);
+    let Tuning { problem, .. } = &Tuning::new(problem, pool)?;
     let forces = crate::stimuli::select(&all_forces(problem), &[sample]);
     let simulation = simulate(&problem.scene, design, &forces, &problem.solver, true, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;

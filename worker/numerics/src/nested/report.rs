@@ -112,6 +112,8 @@ pub enum Trouble {
     GradientNonFinite,
     /// The linear brain's normal matrix has no factor at its ridge.
     Singular,
+    /// No units are as many and as far apart as the sensors are to be.
+    Nowhere,
 }
 
 impl Trouble {
@@ -123,6 +125,7 @@ impl Trouble {
             Self::LossJump(_) => "loss_jump",
             Self::GradientNonFinite => "gradient_non_finite",
             Self::Singular => "singular",
+            Self::Nowhere => "nowhere_to_sense",
         }
     }
 }

@@ -30,6 +30,7 @@ fn small(protocol: Protocol) -> Problem {
             duration: 0.2,
             instants: 40,
         },
+        search: None,
         solver: Solver { method: Method::Tsit5, tolerance: 1e-4 },
         limits: Limits::default(),
         kept: vec![],

@@ -1,13 +1,18 @@
-//! The integrators of a trial, made ready by a pilot on its initial body and its first samples.
+//! A trial made ready on its initial body: its sensors in place, its integrators tuned by a pilot on the first samples.
 
+use super::placing::placed;
 use super::problem::Problem;
+use super::report::Failure;
 use crate::dynamics::{Counters, Tuned, tune};
+use crate::place::Placed;
 use crate::random::Purpose;
 
-/// A problem whose solvers keep their tolerances by measurement.
+/// A problem with sensors whose solvers keep their tolerances by measurement.
 pub(super) struct Tuning {
-    /// The same but for solvers.
+    /// The same but for solvers and, where they were searched for, sensors.
     pub(super) problem: Problem,
+    /// What the search found.
+    pub(super) placed: Option<Placed>,
     /// What they became, and why.
     pub(super) reason: String,
     /// Work of the pilots.
@@ -15,12 +20,15 @@ pub(super) struct Tuning {
 }
 
 /// Samples of the pilots: as many as the lanes take at once.
-const SAMPLES: usize = 8;
+pub(super) const SAMPLES: usize = 8;
 
 impl Tuning {
     /// The same for every process that goes on with a trial or looks at its result.
-    pub(super) fn new(problem: &Problem, pool: &rayon::ThreadPool) -> Self {
-        let mut problem = problem.clone();
+    ///
+    /// # Errors
+    /// If sensors are to be searched for, and the initial body cannot be simulated or has no place for them.
+    pub(super) fn new(problem: &Problem, pool: &rayon::ThreadPool) -> Result<Self, Failure> {
+        let (mut problem, placed) = placed(problem, pool)?;
         let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(SAMPLES));
         let pilot = |solver: &_| tune(&problem.scene, &problem.initial, &forces, solver, pool);
         let usual = pilot(&problem.solver);
@@ -32,6 +40,6 @@ impl Tuning {
             counters += coarse.counters;
             problem.optimise.coarse = Some(coarse.solver);
         }
-        Self { problem, reason, counters }
+        Ok(Self { problem, placed, reason, counters })
     }
 }

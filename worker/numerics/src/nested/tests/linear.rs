@@ -54,6 +54,37 @@ fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
     }
 }
 
+/// A search puts the sensor where it reads best; the trial goes on to the bits of one that is told so. Nowhere is named.
+#[test]
+fn a_searched_placement_is_a_given_one() {
+    use crate::place::{Method, Search};
+    let mut problem = linear(LINEAR[3]);
+    let candidates = vec![4, 5, 6, 7];
+    let alone = |unit: usize| {
+        let mut problem = problem.clone();
+        problem.scene.sensors = vec![unit];
+        let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+        (errors(&found.initial), found)
+    };
+    let each: Vec<_> = candidates.iter().map(|&unit| alone(unit)).collect();
+    let search =
+        Search { method: Method::Greedy, candidates: candidates.clone(), sensors: 1, turn: 0, spacing: 0.0 };
+    problem.scene.sensors.clear();
+    problem.search = Some(search.clone());
+    let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+    let placed = found.placed.as_ref().unwrap();
+    let chosen = candidates.iter().position(|unit| [*unit] == placed.units[..]).unwrap();
+    assert_eq!(errors(&found.initial), each[chosen].0);
+    assert_eq!(found.optimised.design, each[chosen].1.optimised.design);
+    assert!(each[chosen].1.placed.is_none());
+    // by the training set of twelve samples alone, it is not the worst on the holdout
+    let holdout = |i: usize| each[i].1.initial.readings[0].error_holdout.unwrap();
+    assert!((0..4).any(|i| holdout(i) > holdout(chosen)), "{placed:?}");
+    problem.search = Some(Search { sensors: 5, ..search });
+    let nowhere = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap_err();
+    assert_eq!(nowhere, Failure::Initial(Trouble::Nowhere));
+}
+
 /// Each protocol lowers the holdout's error, by the trial's own brain and by the whole sample's.
 #[test]
 fn every_protocol_lowers_the_holdout_error() {

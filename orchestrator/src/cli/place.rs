@@ -1,0 +1,89 @@
+//! `place`: where a body's sensors are best.
+
+use std::path::PathBuf;
+
+use metasense_worker::place::{Looked, look};
+use serde_json::json;
+
+use super::{Error, Format, print_rows, read_plan, trial_and_design, write};
+use crate::draw::{Drawing, svg};
+use crate::exit::Exit;
+use crate::store::Table;
+
+/// Searches for the units that carry a trial's sensors best: error by their number, beside pivots and random placements
+///
+/// Errors are a linear brain's on training samples that it has not seen; test set and holdout are not looked at. As in a
+/// sweep with sensors.search, which needs no such call.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML)
+    spec: PathBuf,
+    /// The trial, by its hash or the beginning of it [default: the first with the most sensors]
+    #[arg(long)]
+    hash: Option<String>,
+    /// The design (.npy or .csv) [default: the trial's initial one]
+    #[arg(long, value_name = "FILE")]
+    design: Option<PathBuf>,
+    /// Draws the body, units coloured by the error with a sensor there, those placed numbered
+    #[arg(long, value_name = "FILE.svg")]
+    out: Option<PathBuf>,
+    /// Colours by a sensor beside the first so many of those placed
+    #[arg(long, value_name = "M", default_value_t = 0)]
+    given: usize,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    let most = plan.trials.iter().rev().max_by_key(|trial| trial.spec.point.sensors);
+    let first = most.map_or(String::new(), |trial| trial.hash.clone());
+    let hash = args.hash.as_ref().unwrap_or(&first);
+    let (trial, design) = &trial_and_design(&plan, &args.spec, hash, args.design.as_deref())?;
+    let said = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
+    let found = look(trial, design, args.given, args.threads.into()).map_err(|e| said(&e))?;
+    print_rows(&table(&found), args.format)?;
+    if let Some(out) = &args.out {
+        let drawn = metasense_worker::replay::drawing(trial, design).map_err(|e| said(&e))?;
+        let (layout, _) = metasense_worker::simulate::body(trial).map_err(|e| said(&e))?;
+        let caption = format!(
+            "Error with {}: {:.1} % (dark) … {:.1} % (light)",
+            match args.given {
+                0 => "a sensor there alone".to_owned(),
+                m => format!("a sensor there beside the first {m}"),
+            },
+            found.worth.first().map_or(0.0, |best| best.1),
+            found.worth.last().map_or(0.0, |worst| worst.1),
+        );
+        let text = svg(&Drawing {
+            layout: &layout,
+            design,
+            clamped: &drawn.clamped,
+            panels: &drawn.panels,
+            sensors: found.placed.last().map_or(&[], |placed| &placed.units),
+            worth: Some(&found.worth),
+            active: &[],
+            violations: &[],
+            caption: &caption,
+        });
+        write(out, text)?;
+        say!("written {}", out.display());
+    }
+    Ok(Exit::Done)
+}
+
+fn table(found: &Looked) -> Table {
+    let columns =
+        ["sensors", "units", "error", "next_best", "pivots", "random_best", "random_median", "random_worst"];
+    let rows = found.placed.iter().enumerate().map(|(m, placed)| {
+        let [best, median, worst] = found.random[m];
+        let units = placed.units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
+        let named = [json!(m + 1), json!(units), json!(placed.errors[m]), json!(placed.runner_up_error)];
+        named.into_iter().chain([found.pivots[m], best, median, worst].map(|error| json!(error))).collect()
+    });
+    Table { columns: columns.map(String::from).to_vec(), rows: rows.collect() }
+}

@@ -1,0 +1,142 @@
+//! Sensors put where a linear brain reads the initial body's training samples best, before anything else of a trial.
+//!
+//! All candidate units listen to the same simulations, through the chips that the sensors will have.
+
+use super::linear::{Plain, force_scale};
+use super::problem::Problem;
+use super::report::{Failure, Trouble};
+use super::setting::{Scales, all_well};
+use super::tuning::SAMPLES as PILOT;
+use super::unseen::folds;
+use crate::brain::linear::Sizes;
+use crate::dynamics::{Scene, simulate, tune};
+use crate::place::{CANDIDATES, Nowhere, Placed, Scores, Search};
+use crate::random::Purpose;
+use crate::stimuli::{select, split};
+
+/// Parts of the training samples; each is judged by what the others say.
+const FOLDS: usize = 4;
+/// Candidates that are rated alone at a time, where there are too many to be searched.
+const GROUP: usize = 8;
+
+/// What all candidates of a search hear.
+#[derive(Debug, Clone)]
+pub struct Candidates {
+    /// Units, by their channels' order.
+    pub units: Vec<usize>,
+    samples: Plain,
+    dealt: Vec<usize>,
+}
+
+impl Candidates {
+    /// Those of `search` on a body under the training samples.
+    ///
+    /// # Errors
+    /// If the body cannot be simulated.
+    pub fn new(
+        problem: &Problem,
+        search: &Search,
+        design: &[f64],
+        pool: &rayon::ThreadPool,
+    ) -> Result<Self, Failure> {
+        let units = search.candidates.clone();
+        let scene = &Scene { sensors: units.clone(), ..problem.scene.clone() };
+        let problem = &Problem { scene: scene.clone(), ..problem.clone() };
+        let all = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples);
+        let (train, _) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
+        let train = select(&all, &train);
+        let pilot = select(&train, &(0..train.samples.min(PILOT)).collect::<Vec<_>>());
+        let solver = tune(scene, design, &pilot, &problem.solver, pool).solver;
+        let mut simulation = simulate(scene, design, &train, &solver, false, pool);
+        all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+        let targets = problem.targets(&train);
+        let scales = Scales::new(&problem.shape(), &simulation.signals, &targets);
+        if let Some(chip) = problem.chip(&scales.channels) {
+            chip.disturb(&mut simulation.signals, &train);
+        }
+        let sizes =
+            Sizes { instants: scene.instants, channels: 3 * units.len(), outputs: scene.panels.len() };
+        let force = force_scale(&scales.mean, &scales.deviation);
+        let samples = Plain::new(sizes, scales.inputs(&simulation.signals), &targets, force);
+        let dealt = folds(problem.seed, train.samples, FOLDS.min(train.samples));
+        Ok(Self { units, samples, dealt })
+    }
+
+    /// As many as can be searched: where there are more, the best alone.
+    fn thinned(self, problem: &Problem, pool: &rayon::ThreadPool) -> Self {
+        if self.units.len() <= CANDIDATES {
+            return self;
+        }
+        let of = |group: &[usize]| self.of(group).scores(problem, pool).alone();
+        let mut alone: Vec<(usize, f64)> = self.units.chunks(GROUP).flat_map(of).collect();
+        alone.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let mut best: Vec<usize> = alone[..CANDIDATES].iter().map(|(unit, _)| *unit).collect();
+        best.sort_unstable();
+        self.of(&best)
+    }
+
+    /// Error (%) of a linear brain of these units on samples that it has not seen.
+    ///
+    /// # Panics
+    /// If one is no candidate.
+    pub fn error(&self, problem: &Problem, units: &[usize], ridge: f64, pool: &rayon::ThreadPool) -> f64 {
+        self.of(units).scores(problem, pool).error(units, ridge)
+    }
+
+    /// Searches.
+    ///
+    /// # Errors
+    /// If there is no such placement.
+    pub fn search(
+        self,
+        problem: &Problem,
+        search: &Search,
+        pool: &rayon::ThreadPool,
+    ) -> Result<Placed, Nowhere> {
+        let some = self.thinned(problem, pool);
+        some.scores(problem, pool).search(&Search { candidates: some.units.clone(), ..search.clone() })
+    }
+
+    /// What these of them hear.
+    fn of(&self, units: &[usize]) -> Self {
+        let position = |unit: &usize| self.units.iter().position(|u| u == unit).expect("a candidate");
+        let from: Vec<usize> = units.iter().map(position).flat_map(|i| 3 * i..3 * i + 3).collect();
+        let rows = self.samples.x.chunks_exact(self.samples.sizes.channels);
+        let x = rows.flat_map(|row| from.iter().map(|&c| row[c])).collect();
+        let sizes = Sizes { channels: from.len(), ..self.samples.sizes };
+        let Plain { y, w, .. } = self.samples.clone();
+        Self { units: units.to_vec(), samples: Plain { sizes, x, y, w }, dealt: self.dealt.clone() }
+    }
+
+    /// How well any of them are read.
+    pub fn scores<'a>(&self, problem: &'a Problem, pool: &'a rayon::ThreadPool) -> Scores<'a> {
+        let Plain { sizes, x, y, w } = &self.samples;
+        Scores::new(&problem.scene.layout, self.units.clone(), *sizes, [x, y, w], &self.dealt, pool)
+    }
+}
+
+/// The problem with its sensors in place.
+///
+/// # Errors
+/// As `placed`.
+pub fn place(problem: Problem, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
+    placed(&problem, pool).map(|(problem, _)| problem)
+}
+
+/// The problem with its sensors in place, and what a search for them found; as it is where they are given.
+///
+/// # Errors
+/// If the initial body cannot be simulated, or there is no such placement.
+pub(super) fn placed(
+    problem: &Problem,
+    pool: &rayon::ThreadPool,
+) -> Result<(Problem, Option<Placed>), Failure> {
+    let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
+    let candidates = Candidates::new(problem, search, &problem.initial, pool)?;
+    let found =
+        candidates.search(problem, search, pool).map_err(|Nowhere| Failure::Initial(Trouble::Nowhere))?;
+    let mut problem = problem.clone();
+    problem.scene.sensors = found.units.clone();
+    problem.search = None;
+    Ok((problem, Some(found)))
+}

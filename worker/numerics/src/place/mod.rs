@@ -1,0 +1,265 @@
+//! Which units carry the sensors: those whose signals a linear brain reads the forces from best.
+//!
+//! An error is that of folds of the training samples (`spectra`). Greedy: the unit that lowers it most joins the chosen
+//! ones, then each gives way to another as long as that lowers it; up to two sensors all sets are tried. Pivots: the unit
+//! whose signals those of the chosen ones explain least (Manohar et al., IEEE Control Systems 38, 63, 2018), forces unseen.
+
+mod spectra;
+
+use crate::body::Layout;
+use crate::brain::linear::Sizes;
+use rayon::prelude::*;
+use spectra::Spectra;
+
+/// How units are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// By what a linear brain makes of them.
+    Greedy,
+    /// By the pivots of the signals' covariance.
+    Pivots,
+}
+
+/// A search.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Search {
+    /// How units are chosen.
+    pub method: Method,
+    /// Units that may carry a sensor.
+    pub candidates: Vec<usize>,
+    /// M.
+    pub sensors: usize,
+    /// 0 the best placement; n: that with the n-th next best single unit in it.
+    pub turn: usize,
+    /// Least distance of two sensors' cells (mm).
+    pub spacing: f64,
+}
+
+/// What a search found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Placed {
+    /// The units, in the order in which they are worth most.
+    pub units: Vec<usize>,
+    /// Error (%) of a linear brain on samples that it has not seen, of the first m of them, m = 1 … M.
+    pub errors: Vec<f64>,
+    /// The next best of the sets that differ by one unit, and its error (%).
+    pub runner_up: Option<(Vec<usize>, f64)>,
+    /// λ.
+    pub ridge: f64,
+}
+
+/// No placement has so many sensors so far apart, or no λ gives their brain a solution.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Nowhere;
+
+/// More candidates are thinned out to those that are best alone: what the exchange goes through grows with their square.
+pub const CANDIDATES: usize = 64;
+/// Where the search for λ begins, and how far it goes.
+const FIRST_RIDGE: f64 = 1e-4;
+const RIDGES: std::ops::RangeInclusive<f64> = 1e-10..=1e2;
+
+/// Signals of candidate units, and how well any of them are read.
+pub struct Scores<'a> {
+    spectra: Spectra,
+    layout: &'a Layout,
+    /// Units by their channels' order.
+    units: Vec<usize>,
+    pool: &'a rayon::ThreadPool,
+}
+
+impl<'a> Scores<'a> {
+    /// Of signals x (N, T, 3 units) and forces f (N, T, K); sample i has weight w_i and is judged in fold `dealt[i]`.
+    ///
+    /// # Panics
+    /// If lengths do not belong to one N.
+    pub fn new(
+        layout: &'a Layout,
+        units: Vec<usize>,
+        sizes: Sizes,
+        [x, f, w]: [&[f64]; 3],
+        dealt: &[usize],
+        pool: &'a rayon::ThreadPool,
+    ) -> Self {
+        assert_eq!(sizes.channels, 3 * units.len(), "three channels a unit");
+        let folds = dealt.iter().max().map_or(0, |most| most + 1);
+        Self { spectra: Spectra::new(sizes, x, f, w, dealt, folds), layout, units, pool }
+    }
+
+    /// Error (%) of a linear brain of these units on samples that it has not seen; infinite where λ gives none.
+    ///
+    /// # Panics
+    /// If one is no candidate.
+    pub fn error(&self, units: &[usize], ridge: f64) -> f64 {
+        let channel = |unit: &usize| 3 * self.units.iter().position(|u| u == unit).expect("a candidate");
+        let channels: Vec<usize> = units.iter().map(channel).flat_map(|c| c..c + 3).collect();
+        self.spectra.error(&channels, ridge).unwrap_or(f64::INFINITY)
+    }
+
+    /// Sets and their errors, best first; equal ones as they came.
+    fn rated(&self, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<(Vec<usize>, f64)> {
+        let of = |set: Vec<usize>| {
+            let error = self.error(&set, ridge);
+            (set, error)
+        };
+        let mut rated: Vec<_> = self.pool.install(|| sets.into_par_iter().map(of).collect());
+        rated.sort_by(|a: &(_, f64), b| a.1.total_cmp(&b.1));
+        rated
+    }
+
+    /// The λ of least error for these units, by decades from `start`.
+    fn ridge(&self, units: &[usize], start: f64) -> f64 {
+        let mut best = (start, self.error(units, start));
+        for factor in [10.0, 0.1] {
+            let mut ridge = best.0 * factor;
+            while RIDGES.contains(&ridge) {
+                let error = self.error(units, ridge);
+                if error >= best.1 {
+                    break;
+                }
+                best = (ridge, error);
+                ridge *= factor;
+            }
+        }
+        best.0
+    }
+
+    /// Units of `from` that are far enough from the chosen ones, and none of them.
+    fn beside(&self, from: &[usize], chosen: &[usize], spacing: f64) -> Vec<usize> {
+        let far = |a: usize, b: usize| {
+            let [p, q] = [a, b].map(|unit| self.layout.centres[unit]);
+            a != b && (p[0] - q[0]).hypot(p[1] - q[1]) >= spacing * (1.0 - 1e-9)
+        };
+        from.iter().copied().filter(|&unit| chosen.iter().all(|&other| far(unit, other))).collect()
+    }
+
+    /// Each unit of `candidates` that may stand beside the chosen ones, and the error (%) with it, best first.
+    pub fn worth(
+        &self,
+        chosen: &[usize],
+        candidates: &[usize],
+        spacing: f64,
+        ridge: f64,
+    ) -> Vec<(usize, f64)> {
+        let sets = self.beside(candidates, chosen, spacing).into_iter().map(|unit| with(chosen, unit));
+        let rated = self.rated(sets.collect(), ridge);
+        rated.into_iter().map(|(set, error)| (set[chosen.len()], error)).collect()
+    }
+
+    /// Each unit alone, and its error (%).
+    pub fn alone(&self) -> Vec<(usize, f64)> {
+        self.worth(&[], &self.units, 0.0, FIRST_RIDGE)
+    }
+
+    /// Searches.
+    ///
+    /// # Errors
+    /// If there is no such placement.
+    pub fn search(&self, search: &Search) -> Result<Placed, Nowhere> {
+        let &Search { method, ref candidates, sensors, turn, spacing } = search;
+        let alone = self.worth(&[], candidates, spacing, FIRST_RIDGE);
+        let first = alone.get(turn).ok_or(Nowhere)?.0;
+        let mut ridge = self.ridge(&[first], FIRST_RIDGE);
+        // the unit of a later turn stays; of the first one all may give way
+        let kept = usize::from(turn > 0);
+        let mut chosen = match method {
+            Method::Pivots => self.pivots(search)?,
+            Method::Greedy => vec![first],
+        };
+        let mut runner_up = None;
+        while method == Method::Greedy && chosen.len() < sensors {
+            let next = self.worth(&chosen, candidates, spacing, ridge);
+            chosen.push(next.first().ok_or(Nowhere)?.0);
+            ridge = self.ridge(&chosen, ridge);
+        }
+        if method == Method::Greedy {
+            loop {
+                let rated = self.rated(self.neighbours(&chosen, kept, search), ridge);
+                let own = self.error(&chosen, ridge);
+                match rated.into_iter().next() {
+                    Some((set, error)) if error < own => {
+                        chosen = set;
+                        ridge = self.ridge(&chosen, ridge);
+                    }
+                    other => {
+                        runner_up = other;
+                        break;
+                    }
+                }
+            }
+        }
+        let units = self.by_worth(chosen, kept, ridge);
+        let errors: Vec<f64> = (1..=units.len()).map(|m| self.error(&units[..m], ridge)).collect();
+        match errors.last() {
+            Some(error) if error.is_finite() => Ok(Placed { units, errors, runner_up, ridge }),
+            _ => Err(Nowhere),
+        }
+    }
+
+    /// Sets that differ from the chosen one by one unit that is not kept; of two sensors all sets.
+    fn neighbours(&self, chosen: &[usize], kept: usize, search: &Search) -> Vec<Vec<usize>> {
+        let Search { candidates, spacing, .. } = search;
+        let mut sets = Vec::new();
+        for i in kept..chosen.len() {
+            let mut rest = chosen.to_vec();
+            let gone = rest.remove(i);
+            let others = self.beside(candidates, &rest, *spacing).into_iter().filter(|&unit| unit != gone);
+            sets.extend(others.map(|unit| with(&rest, unit)));
+        }
+        if chosen.len() == 2 && kept == 0 {
+            let pairs = candidates.iter().enumerate().flat_map(|(i, &a)| {
+                let others = self.beside(&candidates[i + 1..], &[a], *spacing);
+                others.into_iter().map(move |b| vec![a, b])
+            });
+            sets = pairs.filter(|pair| !chosen.iter().all(|unit| pair.contains(unit))).collect();
+        }
+        sets
+    }
+
+    /// The chosen units in the order in which each lowers the error most, kept ones first.
+    fn by_worth(&self, chosen: Vec<usize>, kept: usize, ridge: f64) -> Vec<usize> {
+        let mut ordered = chosen[..kept].to_vec();
+        while ordered.len() < chosen.len() {
+            let rest: Vec<usize> = chosen.iter().copied().filter(|unit| !ordered.contains(unit)).collect();
+            ordered.push(self.worth(&ordered, &rest, 0.0, ridge)[0].0);
+        }
+        ordered
+    }
+
+    /// Pivots of the covariance by units: again and again the one whose channels have most left.
+    fn pivots(&self, search: &Search) -> Result<Vec<usize>, Nowhere> {
+        let n = 3 * self.units.len();
+        let mut left = self.spectra.covariance();
+        let mut chosen = Vec::new();
+        for turn in 0..search.sensors {
+            let most = |unit: usize| -> f64 {
+                let at = 3 * self.units.iter().position(|u| *u == unit).unwrap_or_default();
+                (at..at + 3).map(|c| left[c * n + c]).sum()
+            };
+            let mut open = self.beside(&search.candidates, &chosen, search.spacing);
+            open.sort_by(|a, b| most(*b).total_cmp(&most(*a)));
+            let unit = *open.get(if turn == 0 { search.turn } else { 0 }).ok_or(Nowhere)?;
+            chosen.push(unit);
+            let at = 3 * self.units.iter().position(|u| *u == unit).unwrap_or_default();
+            for c in at..at + 3 {
+                let pivot = left[c * n + c];
+                if pivot > 0.0 {
+                    let column = left[c * n..(c + 1) * n].to_vec();
+                    for (j, to) in left.chunks_exact_mut(n).enumerate() {
+                        let factor = column[j] / pivot;
+                        to.iter_mut().zip(&column).for_each(|(to, x)| *to -= factor * x);
+                    }
+                }
+            }
+        }
+        Ok(chosen)
+    }
+}
+
+fn with(chosen: &[usize], unit: usize) -> Vec<usize> {
+    let mut set = chosen.to_vec();
+    set.push(unit);
+    set
+}
+
+#[cfg(test)]
+mod tests;

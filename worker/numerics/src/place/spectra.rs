@@ -1,0 +1,234 @@
+//! How well a linear brain reads forces from any of many units: Gram matrices of all signals by frequency, cut down.
+//!
+//! ```text
+//! X_b = Σ_n x(n) e^(−iπbn/T), b = 0 … B     W_b = argmin Σ_i w_i |X_b W_b − F_b|² + λ|W_b|²
+//! ```
+//! Of samples padded to 2T, so that a weight a frequency is a weight a lag (Parseval); frequencies beyond those that hold
+//! all but 10⁻⁴ of the forces count as unread. An error is that of folds: each sample read by weights of the others.
+
+use crate::brain::linear::Sizes;
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
+use faer::linalg::matmul::matmul;
+use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
+use faer::{Accum, MatMut, MatRef, Par, Spec};
+
+/// The part of the forces' power that no frequency above the last one looked at may exceed.
+const UNREAD: f64 = 1e-4;
+
+/// Gram matrices of samples, by frequency and fold, then of all folds.
+///
+/// For real and imaginary parts x = p + iq: A = Σ p pᵀ + q qᵀ, S = Σ q pᵀ − p qᵀ; with a force f = r + is:
+/// U = Σ p r + q s, V = Σ p s − q r. W = a + ib solves [[A, S], [−S, A]] (a, b) = (U, V).
+#[derive(Debug, Clone)]
+pub(super) struct Spectra {
+    sizes: Sizes,
+    folds: usize,
+    /// Of each frequency: 1/(2T), twice that where −b is another one.
+    shares: Vec<f64>,
+    /// (frequency, fold; folds + 1) of A, S (C, C), U, V (C, K).
+    grams: Vec<Gram>,
+    /// Weighted power of the forces by fold, the sum last.
+    power: Vec<f64>,
+    /// What of the sum the frequencies leave out.
+    left_out: f64,
+}
+
+#[derive(Debug, Clone)]
+struct Gram {
+    a: Vec<f64>,
+    s: Vec<f64>,
+    u: Vec<f64>,
+    v: Vec<f64>,
+    /// Σ |f|².
+    f: f64,
+}
+
+impl Spectra {
+    /// Of signals x (N, T, C) and forces f (N, T, K), sample i of weight w_i in fold `dealt[i]` of `folds`.
+    ///
+    /// # Panics
+    /// If lengths do not belong to one N.
+    pub(super) fn new(sizes: Sizes, x: &[f64], f: &[f64], w: &[f64], dealt: &[usize], folds: usize) -> Self {
+        let Sizes { instants, channels, outputs } = sizes;
+        assert!(x.len() == w.len() * instants * channels && f.len() == w.len() * instants * outputs);
+        let scaled = |values: &[f64]| -> Vec<f64> {
+            let one = values.len() / w.len();
+            values.iter().enumerate().map(|(j, x)| w[j / one].sqrt() * x).collect()
+        };
+        let (x, f) = (scaled(x), scaled(f));
+        let mut power = vec![0.0; folds + 1];
+        for (sample, fold) in f.chunks_exact(instants * outputs).zip(dealt) {
+            let all: f64 = sample.iter().map(|f| f * f).sum();
+            [*fold, folds].into_iter().for_each(|at| power[at] += all);
+        }
+        let share = |b| if b == 0 || b == instants { 0.5 } else { 1.0 } / instants as f64;
+        let f = transform(&f, instants, outputs, instants + 1);
+        let mut left_out = power[folds];
+        let mut shares = Vec::new();
+        while left_out > UNREAD * power[folds] && shares.len() <= instants {
+            let b = shares.len();
+            let rows = f.iter().flat_map(|part| part.chunks_exact(outputs).skip(b).step_by(instants + 1));
+            left_out -= share(b) * rows.flatten().map(|f| f * f).sum::<f64>();
+            shares.push(share(b));
+        }
+        let x = transform(&x, instants, channels, shares.len());
+        let own: Vec<Vec<usize>> =
+            (0..folds).map(|fold| (0..w.len()).filter(|&i| dealt[i] == fold).collect()).collect();
+        let mut grams = Vec::with_capacity(shares.len() * (folds + 1));
+        for b in 0..shares.len() {
+            let of = |samples: &Vec<usize>| {
+                let pick = |values: &[f64], width: usize| -> Vec<f64> {
+                    let bins = values.len() / w.len() / width;
+                    samples.iter().flat_map(|i| &values[(i * bins + b) * width..][..width]).copied().collect()
+                };
+                let [p, q] = x.each_ref().map(|x| pick(x, channels));
+                let [r, s] = f.each_ref().map(|f| pick(f, outputs));
+                Gram::new([&p, &q], [&r, &s], channels, outputs)
+            };
+            let parts: Vec<Gram> = own.iter().map(of).collect();
+            let sum = parts[1..].iter().fold(parts[0].clone(), Gram::plus);
+            grams.extend(parts);
+            grams.push(sum);
+        }
+        Self { sizes, folds, shares, grams, power, left_out: left_out.max(0.0) }
+    }
+
+    /// Error (%) of these channels' linear brain, the mean of samples that the others' weights read; none where λ is too
+    /// small for a factor.
+    pub(super) fn error(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
+        let (channels, outputs, n) = (self.sizes.channels, self.sizes.outputs, 2 * chosen.len());
+        let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default()));
+        let (mut matrix, mut own, mut right) = (vec![0.0; n * n], vec![0.0; n * n], vec![0.0; n * outputs]);
+        let mut judged = vec![0.0; n * outputs];
+        let mut error = self.left_out;
+        for (grams, share) in self.grams.chunks_exact(self.folds + 1).zip(&self.shares) {
+            let (all, parts) = grams.split_last().expect("of all folds");
+            for (part, power) in parts.iter().zip(&self.power) {
+                let scale = (self.power[self.folds] - power).recip();
+                part.cut(chosen, channels, &mut own);
+                all.cut(chosen, channels, &mut matrix);
+                matrix.iter_mut().zip(&own).for_each(|(m, own)| *m = scale * (*m - own));
+                matrix.iter_mut().step_by(n + 1).for_each(|d| *d += ridge);
+                part.cut_right(chosen, channels, &mut judged);
+                all.cut_right(chosen, channels, &mut right);
+                right.iter_mut().zip(&judged).for_each(|(r, judged)| *r = scale * (*r - judged));
+                let lower = MatMut::from_column_major_slice_mut(&mut matrix, n, n);
+                let stack = MemStack::new(&mut memory);
+                cholesky_in_place(lower, Default::default(), Par::Seq, stack, Spec::default()).ok()?;
+                let lower = MatRef::from_column_major_slice(&matrix, n, n);
+                let mut weights = MatMut::from_column_major_slice_mut(&mut right, n, outputs);
+                solve_lower_triangular_in_place(lower, weights.as_mut(), Par::Seq);
+                solve_upper_triangular_in_place(lower.transpose(), weights, Par::Seq);
+                error += share * (part.f + quadratic(&own, &right, &judged));
+            }
+        }
+        error.is_finite().then(|| 100.0 * error / self.power[self.folds])
+    }
+
+    /// Σ_t x xᵀ (C, C), column-major: what pivots by signals alone look at.
+    pub(super) fn covariance(&self) -> Vec<f64> {
+        let mut sum = vec![0.0; self.sizes.channels * self.sizes.channels];
+        for (grams, share) in self.grams.chunks_exact(self.folds + 1).zip(&self.shares) {
+            sum.iter_mut().zip(&grams[self.folds].a).for_each(|(sum, a)| *sum += share * a);
+        }
+        sum
+    }
+}
+
+/// wᵀ G w − 2 wᵀ r, summed over columns.
+fn quadratic(gram: &[f64], weights: &[f64], right: &[f64]) -> f64 {
+    let n = gram.len().isqrt();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let of = |(w, r): (&[f64], &[f64])| {
+        let squares: f64 = gram.chunks_exact(n).zip(w).map(|(column, w_j)| w_j * dot(column, w)).sum();
+        squares - 2.0 * dot(w, r)
+    };
+    weights.chunks_exact(n).zip(right.chunks_exact(n)).map(of).sum()
+}
+
+impl Gram {
+    /// Of real and imaginary parts of signals (n, C) and forces (n, K).
+    fn new([p, q]: [&[f64]; 2], [r, s]: [&[f64]; 2], channels: usize, outputs: usize) -> Self {
+        let samples = p.len() / channels;
+        let product = |terms: [(&[f64], &[f64], f64); 2], columns: usize| {
+            let mut sum = vec![0.0; channels * columns];
+            for (left, right, sign) in terms {
+                matmul(
+                    MatMut::from_column_major_slice_mut(&mut sum, channels, columns),
+                    Accum::Add,
+                    MatRef::from_column_major_slice(left, channels, samples),
+                    MatRef::from_column_major_slice(right, columns, samples).transpose(),
+                    sign,
+                    Par::Seq,
+                );
+            }
+            sum
+        };
+        Self {
+            a: product([(p, p, 1.0), (q, q, 1.0)], channels),
+            s: product([(q, p, 1.0), (p, q, -1.0)], channels),
+            u: product([(p, r, 1.0), (q, s, 1.0)], outputs),
+            v: product([(p, s, 1.0), (q, r, -1.0)], outputs),
+            f: r.iter().chain(s).map(|f| f * f).sum(),
+        }
+    }
+
+    fn plus(mut self, other: &Self) -> Self {
+        let add = |to: &mut [f64], from: &[f64]| to.iter_mut().zip(from).for_each(|(a, b)| *a += b);
+        add(&mut self.a, &other.a);
+        add(&mut self.s, &other.s);
+        add(&mut self.u, &other.u);
+        add(&mut self.v, &other.v);
+        self.f += other.f;
+        self
+    }
+
+    /// [[A, S], [−S, A]] of these channels.
+    fn cut(&self, chosen: &[usize], channels: usize, matrix: &mut [f64]) {
+        let (c, n) = (chosen.len(), 2 * chosen.len());
+        for (j, &y) in chosen.iter().enumerate() {
+            for (i, &x) in chosen.iter().enumerate() {
+                let (a, s) = (self.a[y * channels + x], self.s[y * channels + x]);
+                matrix[j * n + i] = a;
+                matrix[j * n + c + i] = -s;
+                matrix[(c + j) * n + i] = s;
+                matrix[(c + j) * n + c + i] = a;
+            }
+        }
+    }
+
+    /// (U, V) of these channels.
+    fn cut_right(&self, chosen: &[usize], channels: usize, right: &mut [f64]) {
+        let c = chosen.len();
+        let columns = self.u.chunks_exact(channels).zip(self.v.chunks_exact(channels));
+        for (to, (u, v)) in right.chunks_exact_mut(2 * c).zip(columns) {
+            for (i, &x) in chosen.iter().enumerate() {
+                (to[i], to[c + i]) = (u[x], v[x]);
+            }
+        }
+    }
+}
+
+/// Real and imaginary parts (N, bins, width) at the first frequencies of values (N, T, width).
+fn transform(values: &[f64], instants: usize, width: usize, bins: usize) -> [Vec<f64>; 2] {
+    let angle =
+        |b: usize, n: usize| std::f64::consts::PI * ((n * b) % (2 * instants)) as f64 / instants as f64;
+    let waves = |part: fn(f64) -> f64| -> Vec<f64> {
+        (0..bins).flat_map(|b| (0..instants).map(move |n| part(angle(b, n)))).collect()
+    };
+    [waves(f64::cos), waves(|x| -x.sin())].map(|waves| {
+        let mut out = vec![0.0; values.len() / instants * bins];
+        for (sample, out) in values.chunks_exact(instants * width).zip(out.chunks_exact_mut(bins * width)) {
+            matmul(
+                MatMut::from_column_major_slice_mut(out, width, bins),
+                Accum::Replace,
+                MatRef::from_column_major_slice(sample, width, instants),
+                MatRef::from_column_major_slice(&waves, instants, bins),
+                1.0,
+                Par::Seq,
+            );
+        }
+        out
+    })
+}

@@ -1,0 +1,81 @@
+//! Where a trial's sensors are best placed, and what other places are worth.
+
+use metasense_numerics::nested::Candidates;
+use metasense_numerics::place::{Method, Search};
+use metasense_schemas::record::Placed;
+use metasense_schemas::spec::{self, TrialSpec};
+
+use crate::convert;
+use crate::problem::problem;
+use crate::replay::check;
+use crate::run::{Failure, pool};
+
+/// What searches found for m = 1 … M sensors, and what stands beside it. Errors (%) are a linear brain's on training
+/// samples that it has not seen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Looked {
+    /// What the search found.
+    pub placed: Vec<Placed>,
+    /// Each candidate with the first `given` of the M units placed, and the error, best first.
+    pub worth: Vec<(usize, f64)>,
+    /// By pivots of the signals' covariance.
+    pub pivots: Vec<f64>,
+    /// Of random placements: best, median, worst.
+    pub random: Vec<[f64; 3]>,
+}
+
+/// Random placements beside the one that is searched for.
+pub const RANDOM: u64 = 30;
+
+/// Searches for a trial's sensors on this design, greedily where its spec says no other way.
+///
+/// # Errors
+/// If the spec stands for no trial, the design is of another length or cannot be simulated, or there is no placement.
+pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> Result<Looked, Failure> {
+    let mut trial = trial.clone();
+    trial.sensor_units.clear();
+    trial.sensors.search.get_or_insert(spec::Search::Greedy);
+    let problem = problem(&trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    check(design, problem.initial.len())?;
+    let search = problem.search.as_ref().expect("asked for");
+    let pool = pool(threads)?;
+    let trouble = |what: &dyn std::fmt::Display| Failure::NonFinite(what.to_string());
+    let nowhere = |_| trouble(&"nowhere_to_sense");
+    let all = Candidates::new(&problem, search, design, &pool).map_err(|e| trouble(&e))?;
+    let found = |method: Method| -> Result<Vec<_>, Failure> {
+        let of = |sensors| Search { method, sensors, ..search.clone() };
+        (1..=search.sensors).map(|m| all.clone().search(&problem, &of(m), &pool).map_err(nowhere)).collect()
+    };
+    let placed = found(search.method)?;
+    let errors =
+        |placed: &metasense_numerics::place::Placed| placed.errors.last().copied().unwrap_or(f64::NAN);
+    let pivots = found(Method::Pivots)?.iter().map(errors).collect();
+
+    let orders: Vec<Vec<usize>> = (0..RANDOM)
+        .map(|p| problem.scene.layout.placement(p, &problem.scene.clamped))
+        .map(|order| order.into_iter().filter(|unit| all.units.contains(unit)).collect())
+        .collect();
+    let spread = |(m, ridge): (usize, f64)| {
+        let errors =
+            orders.iter().filter_map(|order| Some(all.error(&problem, order.get(..m)?, ridge, &pool)));
+        let mut errors: Vec<f64> = errors.collect();
+        errors.sort_by(f64::total_cmp);
+        let at = |i: usize| errors.get(i).copied().unwrap_or(f64::NAN);
+        [at(0), at(errors.len() / 2), at(errors.len().saturating_sub(1))]
+    };
+    let random = placed.iter().enumerate().map(|(m, placed)| (m + 1, placed.ridge)).map(spread).collect();
+
+    let last = &placed[search.sensors - 1];
+    let (chosen, ridge) = (&last.units[..given.min(search.sensors)], last.ridge);
+    let mut worth: Vec<(usize, f64)> = all
+        .units
+        .iter()
+        .filter(|unit| !chosen.contains(unit))
+        .map(|&unit| {
+            let set: Vec<usize> = chosen.iter().copied().chain([unit]).collect();
+            (unit, all.error(&problem, &set, ridge, &pool))
+        })
+        .collect();
+    worth.sort_by(|a, b| a.1.total_cmp(&b.1));
+    Ok(Looked { worth, pivots, random, placed: placed.into_iter().map(convert::placed).collect() })
+}
