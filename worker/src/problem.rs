@@ -571,7 +571,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Search>, Invalid> {
     let spacing = spacing.unwrap_or(0.0);
     not_negative("sensors.spacing", spacing)?;
     let inside = from.unwrap_or(spec::SearchFrom::Interior) == spec::SearchFrom::Interior;
-    let open = |unit: &usize| !scene.clamped.contains(unit) && !(inside && scene.layout.boundary[*unit]);
+    let open = |unit: &usize| !(scene.clamped.contains(unit) || inside && scene.layout.boundary[*unit]);
     let candidates: Vec<usize> = (0..scene.layout.units()).filter(open).collect();
     let Point { sensors, placement, .. } = trial.point;
     let remedy = format!("the body has {} units where sensors.search may put one", candidates.len());
