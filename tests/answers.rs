@@ -137,3 +137,101 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     let figure = std::fs::read_to_string(figures.join("sensors.svg")).unwrap();
     assert!(figure.starts_with("<svg xmlns") && figure.contains("<style>"), "{}", &figure[..200]);
 }
+
+/// Names of sweeps come from whoever made the database: none leads out of the folder, and none takes another's place.
+#[test]
+fn figures_stay_in_their_folder_whatever_sweeps_are_called() {
+    let (folder, db) = database();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let mut store = metasense::store::Store::open(&db).await.unwrap();
+        for (name, text) in [
+            ("../../up", "a"),
+            ("..", "b"),
+            ("x/y", "c"),
+            ("x y", "d"),
+            ("same", "e"),
+            ("same", "f"),
+            ("same-2", "g"),
+        ] {
+            let spec = synthetic::sweep_named(name);
+            store.begin_sweep(&spec, text, &[]).await.unwrap();
+        }
+        store.close().await.unwrap();
+    });
+    let (inner, page) = (folder.path().join("a/b/figures"), folder.path().join("r.html"));
+    let to = |path: &Path| path.to_str().unwrap().to_owned();
+    let (ok, _, err) = metasense(&db, &["report", "--out", &to(&page), "--figures", &to(&inner)]);
+    assert!(ok, "{err}");
+    let mut texts: Vec<String> = std::fs::read_dir(&inner)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|e| e == "toml"))
+        .map(|path| std::fs::read_to_string(path).unwrap())
+        .collect();
+    texts.sort();
+    assert_eq!(texts, ["a", "b", "c", "d", "e", "f", "g", synthetic::TEXT]);
+    let beside = |path: &Path| std::fs::read_dir(path).unwrap().count();
+    assert_eq!((beside(&folder.path().join("a")), beside(&folder.path().join("a/b"))), (1, 1));
+}
+
+/// Whoever only reads leaves the folder as it was, also where what is asked for is not there.
+#[test]
+fn readers_leave_no_file_behind() {
+    let (folder, db) = database();
+    let out = folder.path().join("out");
+    std::fs::create_dir(&out).unwrap();
+    let at = |name: &str| out.join(name).to_str().unwrap().to_owned();
+    let trial = format!("{:032x}", 1);
+    std::fs::write(out.join("r.toml"), "").unwrap();
+    let records = format!("initial={}", at("r.toml"));
+    for (expected, args) in [
+        (true, vec!["analyse".to_owned(), "--question".into(), "paired".into()]),
+        (true, vec!["report".into(), "--out".into(), at("r.html")]),
+        (false, vec!["report".into(), "--trial".into(), "no-such".into(), "--out".into(), at("r.html")]),
+        (
+            true,
+            vec![
+                "export".into(),
+                trial.clone(),
+                "--format".into(),
+                "npy".into(),
+                "--out".into(),
+                at("a.npy"),
+            ],
+        ),
+        (
+            true,
+            vec![
+                "export".into(),
+                "v_trial".into(),
+                "--format".into(),
+                "csv".into(),
+                "--out".into(),
+                at("v.csv"),
+            ],
+        ),
+        (
+            false,
+            vec![
+                "export".into(),
+                "no-such".into(),
+                "--format".into(),
+                "npy".into(),
+                "--out".into(),
+                at("b.npy"),
+            ],
+        ),
+        (false, vec!["evaluate".into(), trial, "--records".into(), records]),
+        (false, vec!["evaluate".into(), "no-such".into(), "--records".into(), "initial=none.toml".into()]),
+        (false, vec!["status".into()]),
+    ] {
+        let args: Vec<&str> = args.iter().map(String::as_str).collect();
+        let (ok, _, err) = metasense(&db, &args);
+        assert_eq!(ok, expected, "{args:?}: {err}");
+        let mut files: Vec<_> =
+            std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        files.sort();
+        assert_eq!(files, ["out", "synthetic.sqlite"], "{args:?}");
+    }
+}

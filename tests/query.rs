@@ -69,6 +69,44 @@ async fn nothing_can_be_changed_and_no_file_is_left() {
     assert_eq!(files, ["s.sqlite"]);
 }
 
+/// Answers to two questions do not go under one header; what is not even text is shown as far as it is.
+#[tokio::test]
+async fn one_statement_is_answered_and_none_panics() {
+    let bench = Bench::new();
+    database(&bench).await;
+    for sql in [
+        "SELECT 1, 2; SELECT 3",
+        "SELECT 1; SELECT 2",
+        "SELECT 1 WHERE 0; SELECT 2, 3",
+        "; SELECT 1; ; SELECT 2",
+    ] {
+        let output = bench.metasense(&["query", "s.sqlite", sql]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{sql}: {message}");
+        assert!(message.contains("one statement at a time") && output.stdout.is_empty(), "{sql}: {message}");
+    }
+    for sql in ["SELECT 1 AS one; -- that is all", "SELECT 1 AS one ; ;", "SELECT ';' AS one"] {
+        let out = bench.output(&["query", "s.sqlite", sql, "--format", "csv"]);
+        assert!(out.starts_with("one\n"), "{sql}: {out}");
+    }
+    for format in ["table", "csv", "json", "parquet"] {
+        for sql in [
+            "",
+            ";",
+            "/* nothing */",
+            "SELECT CAST(x'61ff' AS TEXT) AS t, 9e999, -0.0, NULL",
+            "SELECT 1 AS a, 2 AS a",
+        ] {
+            let output = bench.metasense(&["query", "s.sqlite", sql, "--format", format]);
+            let message = String::from_utf8_lossy(&output.stderr);
+            assert!(
+                output.status.code() == Some(0) && !message.contains("panicked"),
+                "{format} {sql}: {message}"
+            );
+        }
+    }
+}
+
 /// What no other command line and no other spec would mend is code 3: a script may wait, or call for help.
 #[tokio::test]
 async fn a_database_that_is_damaged_or_in_use_gives_code_3() {

@@ -22,6 +22,14 @@ use serde_json::{Value, json};
 /// The spec text that the database keeps.
 pub const TEXT: &str = "name = \"synthetic\"\n# made-up trials\n";
 
+/// A sweep of that name.
+#[allow(dead_code, reason = "each test file uses its share")]
+pub fn sweep_named(name: &str) -> SweepSpec {
+    let mut spec = sweep(6, 6, 2);
+    spec["name"] = name.into();
+    serde_json::from_value(spec).unwrap()
+}
+
 fn sweep(columns: usize, rows: usize, panels: usize) -> Value {
     let spec: SweepSpec = serde_json::from_value(json!({
         "name": "synthetic",

@@ -30,7 +30,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
-    let trials = finished_trials(&mut Reader::open(&args.db).await?).await?;
+    let trials = Reader::asked(&args.db, finished_trials).await?;
     let mut objects = Map::new();
     for &question in questions {
         let table = question.answer(&trials);

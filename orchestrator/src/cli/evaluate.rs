@@ -123,8 +123,7 @@ async fn of_trial(args: &Args) -> Result<(TrialSpec, BTreeMap<String, Vec<f64>>)
         let plan = read_plan(&args.source)?;
         return Ok((find(&plan, &args.trial, &args.source)?.spec.clone(), BTreeMap::new()));
     }
-    let mut reader = Reader::open(&args.source).await?;
-    let stored = load::stored(&mut reader, &args.trial).await?;
+    let stored = Reader::asked(&args.source, async |reader| load::stored(reader, &args.trial).await).await?;
     let stored = stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.trial)))?;
     let [initial, optimised] = stored.designs;
     Ok((stored.spec, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))

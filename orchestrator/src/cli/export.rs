@@ -76,14 +76,15 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let mut reader = Reader::open(&args.db).await?;
     let bytes = match VIEWS.iter().find(|(view, _)| *view == args.what) {
         Some((view, _)) => {
-            let rows = reader.query(&format!("SELECT * FROM {view}")).await?;
+            let sql = format!("SELECT * FROM {view}");
+            let rows = Reader::asked(&args.db, async |reader| reader.query(&sql).await).await?;
             tabular(&rows, args.format, &args.what)?
         }
         None => {
-            let stored = load::stored(&mut reader, &args.what).await?;
+            let stored =
+                Reader::asked(&args.db, async |reader| load::stored(reader, &args.what).await).await?;
             let stored =
                 stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.what)))?;
             trial(&stored, &args)?

@@ -32,13 +32,11 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let mut reader = Reader::open(&args.db).await?;
-    let table = match &args.sql {
+    let table = Reader::asked(&args.db, async |reader| match &args.sql {
         Some(sql) => reader.query(sql).await.map_err(Error::from),
-        None => views(&mut reader, args.format).await,
-    };
-    reader.close().await;
-    let table = table?;
+        None => views(reader, args.format).await,
+    })
+    .await?;
     match args.out {
         None => print_rows(&table, args.format)?,
         Some(path) => {

@@ -30,8 +30,8 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let mut reader = Reader::open(&args.db).await?;
-    let story = load::story(&mut reader, args.trial.as_deref()).await?;
+    let asked = async |reader: &mut Reader| load::story(reader, args.trial.as_deref()).await;
+    let story = Reader::asked(&args.db, asked).await?;
     let (drawn, missing) = figures(&story, args.threads);
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
     write(&out, html(&story, &drawn, missing.as_deref()))?;
@@ -53,10 +53,24 @@ fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Err
         }
     }
     write(&folder.join("trials.csv"), csv(&story.settled))?;
-    for sweep in &story.sweeps {
-        write(&folder.join(format!("{}.toml", sweep.name)), &sweep.text)?;
+    for (sweep, name) in story.sweeps.iter().zip(file_names(story.sweeps.iter().map(|s| s.name.as_str()))) {
+        write(&folder.join(format!("{name}.toml")), &sweep.text)?;
     }
     Ok(())
+}
+
+/// Names as names of files, each its own: whoever made the database may have called a sweep anything.
+fn file_names<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut taken: Vec<String> = Vec::new();
+    for name in names {
+        let harmless = |(i, c): (usize, char)| c.is_alphanumeric() || "-_".contains(c) || i > 0 && c == '.';
+        let safe = name.chars().take(100).enumerate().map(|c| if harmless(c) { c.1 } else { '_' });
+        let safe = safe.collect::<String>();
+        let numbered = (2..).map(|n| format!("{safe}-{n}"));
+        let free = std::iter::once(safe.clone()).chain(numbered).find(|name| !taken.contains(name));
+        taken.push(free.expect("numbers do not end"));
+    }
+    taken
 }
 
 /// Every figure with its data, into a folder that is made where it is missing.

@@ -221,11 +221,11 @@ fn options(run: &Run, args: &Args, trials: &[&Trial]) -> Options {
 /// The final table; returns how many trials have failed.
 async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, Error> {
     let limit = if format == Format::Table { MOST_ROWS } else { usize::MAX };
-    let mut reader = Reader::open(db).await?;
-    let results = reader.results(&plan.spec.name, &plan.source.text, limit).await;
-    let failures = reader.failures(&plan.spec.name, &plan.source.text).await;
-    reader.close().await;
-    let ((mut table, count), failures) = (results?, failures?);
+    let (name, text) = (&*plan.spec.name, &*plan.source.text);
+    let ((mut table, count), failures) = Reader::asked(db, async |reader| {
+        Ok::<_, Error>((reader.results(name, text, limit).await?, reader.failures(name, text).await?))
+    })
+    .await?;
     let (pruned, failures): (Vec<_>, Vec<_>) = failures.into_iter().partition(|(_, reason)| reason == PRUNED);
     if !pruned.is_empty() {
         say!("{} given up as hopeless; without `prune` in [run] they go on", counted(pruned.len(), "trial"));

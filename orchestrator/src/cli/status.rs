@@ -35,22 +35,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Error::Usage("there is no database under results/; name one: metasense status DB".into())
         })?,
     };
-    let mut reader = Reader::open(&db).await?;
+    let (table, failed) = Reader::asked(&db, async |reader| {
+        let failed = "SELECT count(*) FROM trial WHERE state = 'failed' AND reason <> 'pruned'";
+        Ok::<_, Error>((reader.query(STATES).await?, reader.query(failed).await?))
+    })
+    .await?;
     say!("{}", db.display());
-    let table = reader
-        .query(
-            "SELECT (SELECT group_concat(name, ', ') FROM (SELECT name FROM sweep_trial JOIN sweep ON sweep.id = sweep_id
-                 JOIN trial ON trial.id = trial_id WHERE hash = v.hash GROUP BY name ORDER BY min(sweep.created_at), name))
-               AS sweep, state, CASE WHEN state <> 'done' THEN coalesce(reason, '') ELSE '' END AS reason,
-               count(*) AS trials, sum(steps) AS steps, sum(attempts) AS attempts,
-               round(sum(seconds), 1) AS seconds, avg(holdout_error_initial) AS holdout_error_initial,
-               avg(holdout_error_optimised) AS holdout_error_optimised
-             FROM v_trial v GROUP BY 1, 2, 3 ORDER BY 1, 2, 3",
-        )
-        .await?;
-    let failed =
-        reader.query("SELECT count(*) FROM trial WHERE state = 'failed' AND reason <> 'pruned'").await?;
-    reader.close().await;
     print_rows(&table, args.format)?;
     Ok(if failed.rows[0][0] == 0 { Exit::Done } else { Exit::Failed })
 }
@@ -131,3 +121,12 @@ pub(super) fn newest(folder: &Path) -> Option<PathBuf> {
     let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
     entries.filter(|path| path.extension().is_some_and(|e| e == "sqlite")).max_by_key(written)
 }
+
+/// Trials by sweep, state and reason.
+const STATES: &str = "SELECT (SELECT group_concat(name, ', ') FROM (SELECT name FROM sweep_trial JOIN sweep ON sweep.id = sweep_id
+                 JOIN trial ON trial.id = trial_id WHERE hash = v.hash GROUP BY name ORDER BY min(sweep.created_at), name))
+               AS sweep, state, CASE WHEN state <> 'done' THEN coalesce(reason, '') ELSE '' END AS reason,
+               count(*) AS trials, sum(steps) AS steps, sum(attempts) AS attempts,
+               round(sum(seconds), 1) AS seconds, avg(holdout_error_initial) AS holdout_error_initial,
+               avg(holdout_error_optimised) AS holdout_error_optimised
+             FROM v_trial v GROUP BY 1, 2, 3 ORDER BY 1, 2, 3";

@@ -76,10 +76,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
     loop {
-        let mut reader = Reader::open(&db).await?;
-        let whole = reader.query(WHOLE).await?;
-        let running = reader.query(RUNNING).await?;
-        reader.close().await;
+        let (whole, running) = Reader::asked(&db, async |reader| {
+            Ok::<_, Error>((reader.query(WHOLE).await?, reader.query(RUNNING).await?))
+        })
+        .await?;
         let run = run_of(&db);
         let workers = run.map(|run| look(run, &mut before)).unwrap_or_default();
         let table = by_worker(&running, &workers);

@@ -6,11 +6,12 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use futures_util::TryStreamExt;
 use serde_json::Value;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow};
 use sqlx::{
-    AssertSqlSafe, Column, ConnectOptions, Connection, Executor, Row, SqlSafeStr, Statement, TypeInfo,
-    ValueRef,
+    AssertSqlSafe, Column, ConnectOptions, Connection, Either, Executor, Row, SqlSafeStr, Statement,
+    TypeInfo, ValueRef,
 };
 
 use super::error::is_trouble;
@@ -112,6 +113,20 @@ impl Reader {
         Ok(Self { connection, path, alone })
     }
 
+    /// Opens a database, asks it, and closes it, whatever came of that.
+    ///
+    /// # Errors
+    /// As [`Reader::open`], or as what was asked.
+    pub async fn asked<T, E: From<StoreError>>(
+        path: impl AsRef<Path>,
+        ask: impl AsyncFnOnce(&mut Self) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let mut reader = Self::open(path).await?;
+        let answer = ask(&mut reader).await;
+        reader.close().await;
+        answer
+    }
+
     /// Closes the connection and leaves no file behind that was not there before.
     pub async fn close(self) {
         let Self { connection, path, alone } = self;
@@ -184,7 +199,7 @@ impl Reader {
         .map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
-    /// Answers one statement. A write is refused.
+    /// Answers one statement. A write is refused, and so are several statements: their rows have no common columns.
     ///
     /// # Errors
     /// With SQLite's message.
@@ -200,8 +215,20 @@ impl Reader {
         let sql = AssertSqlSafe(sql.to_owned()).into_sql_str();
         let statement = self.connection.prepare(sql).await.map_err(wrong)?;
         let columns = statement.columns().iter().map(|c| c.name().to_owned()).collect();
-        let rows = statement.query().fetch_all(&mut self.connection).await.map_err(wrong)?;
-        Ok(Table { columns, rows: rows.iter().map(values).collect() })
+        let (mut rows, mut ended) = (Vec::new(), false);
+        let mut answers = self.connection.fetch_many(statement.query());
+        while let Some(answer) = answers.try_next().await.map_err(wrong)? {
+            if ended {
+                let message = "one statement at a time; more follows the first one's `;`".into();
+                return Err(StoreError::Query { message });
+            }
+            match answer {
+                Either::Right(row) => rows.push(values(&row)),
+                Either::Left(_) => ended = true,
+            }
+        }
+        drop(answers);
+        Ok(Table { columns, rows })
     }
 
     /// The file.
@@ -282,7 +309,8 @@ fn value(row: &SqliteRow, i: usize) -> Value {
         "INTEGER" => Value::from(row.get_unchecked::<i64, _>(i)),
         "REAL" => Value::from(row.get_unchecked::<f64, _>(i)),
         "BLOB" => Value::from(format!("blob of {} bytes", row.get_unchecked::<&[u8], _>(i).len())),
-        _ => Value::from(row.get_unchecked::<String, _>(i)),
+        // Not all that SQLite calls text is UTF-8.
+        _ => Value::from(String::from_utf8_lossy(row.get_unchecked::<&[u8], _>(i))),
     }
 }
 
