@@ -27,7 +27,7 @@ fn a_body_is_simulated_under_given_forces() {
     bench.write_array("fine.npy", &[1, 2, 401], &halves);
 
     let summary = simulate("a", &["--forces", "f.npy", "--format", "csv"]);
-    assert!(summary.contains("0,ok,") && summary.contains("measured"), "{summary}");
+    assert!(summary.contains("\nok,1,0,") && summary.contains("measured"), "{summary}");
     let (shape, signals) = bench.array("a/signals.npy");
     assert_eq!(shape, [1, 200, 3]);
     assert_eq!(bench.array("a/displacements.npy").0, [1, 200, 36, 3]);
@@ -48,6 +48,14 @@ fn a_body_is_simulated_under_given_forces() {
     simulate("d", &["--forces", "f.npy", "--cotangent", "c2.npy"]);
     let (one, two) = (bench.array("c/gradient.npy").1, bench.array("d/gradient.npy").1);
     assert!(one.iter().any(|g| *g != 0.0) && one.iter().zip(&two).all(|(a, b)| 2.0 * a == *b));
+
+    // A row an outcome, however many samples; a row a sample where asked for.
+    let many: Vec<f64> = (0..5).flat_map(|_| knots.iter().copied()).collect();
+    bench.write_array("many.npy", &[5, 2, 201], &many);
+    let summary = simulate("f", &["--forces", "many.npy", "--format", "csv"]);
+    assert!(summary.lines().count() == 2 && summary.contains("\nok,5,0,"), "{summary}");
+    let rows = simulate("g", &["--forces", "many.npy", "--format", "csv", "--rows"]);
+    assert!(rows.lines().count() == 6 && rows.contains("\n4,ok,"), "{rows}");
 
     bench.write_array("short.npy", &[1, 2, 200], &knots[..400]);
     let call = ["simulate", "s.toml", "--hash", hash, "--out", "e", "--forces", "short.npy"];

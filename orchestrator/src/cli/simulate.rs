@@ -35,7 +35,10 @@ pub(super) struct Args {
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
-    /// The form of the summary
+    /// A row a sample, instead of one an outcome
+    #[arg(long)]
+    rows: bool,
+    /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -61,12 +64,31 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     if let Some(gradient) = &found.gradient {
         write("gradient.npy", &[gradient.len()], gradient)?;
     }
-    let columns = ["sample", "outcome", "force_evaluations", "solver"].map(String::from).to_vec();
-    let a_sample = found.force_evaluations / samples as u64;
-    let row = |(n, outcome)| vec![json!(n), json!(outcome), json!(a_sample), json!(found.solver)];
-    let table = Table { columns, rows: found.outcomes.iter().enumerate().map(row).collect() };
-    print_rows(&table, args.format)?;
+    print_rows(&table(&found, args.rows), args.format)?;
     Ok(if found.outcomes.iter().all(|o| *o == "ok") { Exit::Done } else { Exit::Failed })
+}
+
+/// What became of the samples: a row each, or a row an outcome, with the first sample that met it.
+fn table(found: &Simulated, each: bool) -> Table {
+    let a_sample = found.force_evaluations / found.outcomes.len() as u64;
+    let end = [json!(a_sample), json!(found.solver)];
+    if each {
+        let row = |(n, outcome)| [vec![json!(n), json!(outcome)], end.to_vec()].concat();
+        let rows = found.outcomes.iter().enumerate().map(row).collect();
+        return Table::new(&["sample", "outcome", "force_evaluations", "solver"], rows);
+    }
+    let mut met: Vec<(&str, usize, usize)> = Vec::new();
+    for (n, &outcome) in found.outcomes.iter().enumerate() {
+        match met.iter_mut().find(|(known, ..)| *known == outcome) {
+            Some((_, samples, _)) => *samples += 1,
+            None => met.push((outcome, 1, n)),
+        }
+    }
+    let row = |(outcome, samples, first)| {
+        [vec![json!(outcome), json!(samples), json!(first)], end.to_vec()].concat()
+    };
+    let columns = ["outcome", "samples", "first_sample", "force_evaluations_a_sample", "solver"];
+    Table::new(&columns, met.into_iter().map(row).collect())
 }
 
 /// Shape and values of an NPY file of numbers in C order.
