@@ -47,6 +47,44 @@ fn any_design_goes_in_and_a_castable_one_comes_out() {
     assert_eq!(read("c.csv"), read("tame.csv"), "the previous design");
 }
 
+/// Of a sweep over bodies the trial says which; without `--hash` only where all its trials have one body.
+#[test]
+fn the_body_is_that_of_the_trial() {
+    let bench = Bench::new();
+    bench.file("s.toml", &(small("") + "\"body.columns\" = [3, 4]\n"));
+    let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+    let hashes: Vec<&str> = csv.lines().skip(1).map(|line| line.split(',').next().unwrap()).collect();
+    for (hash, units) in hashes.iter().zip(["9 units", "12 units"]) {
+        let drawn = bench.output(&[
+            "draw",
+            "s.toml",
+            "--hash",
+            &hash[..8],
+            "--out",
+            "a.svg",
+            "--design-out",
+            "a.npy",
+        ]);
+        assert!(drawn.contains(units), "{drawn}");
+        let said =
+            bench.output(&["project", "s.toml", "--hash", &hash[..8], "--design", "a.npy", "--out", "b.npy"]);
+        assert!(said.contains("untouched"), "{said}");
+    }
+    for call in [
+        &["draw", "s.toml", "--out", "c.svg"][..],
+        &["project", "s.toml", "--design", "a.npy", "--out", "c.npy"],
+    ] {
+        let refused = bench.metasense(call);
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && said.contains("--hash"), "{call:?}: {said}");
+    }
+    let refused = bench.metasense(&["draw", "s.toml", "--hash", "zz", "--out", "c.svg"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
+    // Seeds and sensors do not make another body.
+    bench.file("s.toml", &(small("") + "seeds = [1, 2]\n"));
+    bench.output(&["draw", "s.toml", "--out", "a.svg"]);
+}
+
 /// A drawing is SVG, and is not written under another name.
 #[test]
 fn a_drawing_of_another_kind_is_refused() {

@@ -335,15 +335,21 @@ pub struct OneBody {
 }
 
 impl OneBody {
-    /// The body of a spec file's text; the first one of a sweep over bodies.
+    /// The body of a spec file's text; none of a sweep over bodies.
     ///
     /// # Errors
     /// At the first key that is unknown, or whose value no body can have.
-    pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
+    pub fn new(file: impl AsRef<Path>, text: String) -> Result<Option<Self>, SpecError> {
         let source = Source::new(file, text)?;
         let sweep = source.parse()?;
         let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
-        let first = axes::combinations(&sweep, &source)?.swap_remove(0).spec;
+        let mut combinations = axes::combinations(&sweep, &source)?;
+        let first = combinations.swap_remove(0).spec;
+        let other = |spec: &SweepSpec| spec.body != first.body || spec.feasible != first.feasible;
+        let panels_count = first.feasible.keep_panels && sweep.sweep.panels.len() > 1;
+        if panels_count || combinations.iter().any(|c| other(&c.spec)) {
+            return Ok(None);
+        }
         let layout = layout(&first.body).map_err(located)?;
         let body = with_design(&first.body, &layout, &source)?;
         let limits = problem::limits(&first.feasible).map_err(located)?;
@@ -356,18 +362,42 @@ impl OneBody {
             None => layout.placement(0, &clamped).into_iter().take(sensors).collect(),
         };
         let units = problem::panel_units(&body, &layout, panels).unwrap_or_default();
-        let directions = problem::directions(&body, &units, &layout);
-        Ok(Self {
+        Ok(Some(Self {
             kept: problem::kept(&first.feasible, &units, &clamped),
             limits,
             initial,
             clamped,
-            panels: units.into_iter().zip(directions).collect(),
+            panels: with_directions(&body, &units, &layout),
             sensors: placed,
             body,
             layout,
+        }))
+    }
+
+    /// The body of a trial.
+    ///
+    /// # Errors
+    /// Where no body can have its values; a plan's trials have been checked.
+    pub fn of_trial(trial: &TrialSpec) -> Result<Self, Invalid> {
+        let layout = problem::layout(&trial.body)?;
+        let limits = problem::limits(&trial.feasible)?;
+        let clamped = problem::clamped(&trial.body, &layout)?;
+        Ok(Self {
+            kept: problem::kept(&trial.feasible, &trial.panel_units, &clamped),
+            limits,
+            initial: problem::initial_design(&trial.body, &layout, limits)?,
+            clamped,
+            panels: with_directions(&trial.body, &trial.panel_units, &layout),
+            sensors: trial.sensor_units.clone(),
+            body: trial.body.clone(),
+            layout,
         })
     }
+}
+
+/// Panels with the directions of their forces.
+fn with_directions(body: &Body, units: &[usize], layout: &Layout) -> Vec<(usize, [f64; 2])> {
+    units.iter().copied().zip(problem::directions(body, units, layout)).collect()
 }
 
 /// The layout that a spec asks for. Of a circular body trials alone carry rows, as many as columns.

@@ -11,8 +11,11 @@ use crate::exit::Exit;
 /// Draws a design as SVG, constraints at their limit in orange, broken ones in red; by default the initial body
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML); of a sweep over bodies, the first one, with its first panels and sensors
+    /// The spec file (TOML); without --hash, its first panels and sensors are shown
     spec: PathBuf,
+    /// The trial whose body it is, by its hash or the beginning of it; not needed where all trials of the spec have one body
+    #[arg(long)]
+    hash: Option<String>,
     /// The design to draw (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: Option<PathBuf>,
@@ -33,7 +36,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
             named.display()
         )));
     }
-    let body = read_body(&args.spec)?;
+    let body = read_body(&args.spec, args.hash.as_deref())?;
     let drawn = match &args.design {
         Some(file) => design::read(file, &body.layout)?,
         None => body.initial.clone(),

@@ -134,11 +134,21 @@ fn read_plan(file: &Path) -> Result<Plan, Error> {
     Ok(Plan::new(file, text)?)
 }
 
-/// Reads the body of a spec file.
-fn read_body(file: &Path) -> Result<OneBody, Error> {
+/// Reads the body of a trial of a spec file; without its hash, the one that all trials have.
+fn read_body(file: &Path, hash: Option<&str>) -> Result<OneBody, Error> {
+    if let Some(hash) = hash {
+        let plan = read_plan(file)?;
+        let trial = trial::find(&plan, hash, file)?;
+        return OneBody::of_trial(&trial.spec).map_err(|e| Error::Usage(format!("{}: {e}", file.display())));
+    }
     let text = std::fs::read_to_string(file)
         .map_err(|source| Error::Unreadable { path: file.to_owned(), source })?;
-    Ok(OneBody::new(file, text)?)
+    OneBody::new(file, text)?.ok_or_else(|| {
+        let path = file.display();
+        Error::Usage(format!(
+            "{path} has several bodies: choose a trial's with --hash; `metasense expand {path}` lists them"
+        ))
+    })
 }
 
 /// Writes a whole file.

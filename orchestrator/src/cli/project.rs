@@ -15,8 +15,11 @@ use crate::store::Table;
 /// and writes nothing, where neither the result nor the previous design can.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML); of a sweep over bodies, the first one
+    /// The spec file (TOML)
     spec: PathBuf,
+    /// The trial whose body it is, by its hash or the beginning of it; not needed where all trials of the spec have one body
+    #[arg(long)]
+    hash: Option<String>,
     /// The design to project (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: PathBuf,
@@ -35,7 +38,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let body = read_body(&args.spec)?;
+    let body = read_body(&args.spec, args.hash.as_deref())?;
     let target = design::read(&args.design, &body.layout)?;
     let previous = match &args.from {
         Some(file) => design::read(file, &body.layout)?,
