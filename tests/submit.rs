@@ -3,7 +3,7 @@
 mod common;
 
 use std::os::unix::fs::PermissionsExt;
-use std::process::Command;
+use std::process::{Command, Output};
 
 use common::{Bench, SPEC};
 
@@ -32,19 +32,28 @@ fn scripts_for_hyperqueue_run_the_same_shard() {
     insta::assert_snapshot!(dry_run(&bench, &["hq", "--shards", "3"]));
 }
 
+/// Calls the program where `hq` is this script.
+fn with_hq(bench: &Bench, script: &str, arguments: &[&str]) -> Output {
+    let hq = bench.file("hq", &format!("#!/bin/sh\n{script}\n"));
+    std::fs::set_permissions(&hq, PermissionsExt::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", bench.path("").display(), std::env::var("PATH").unwrap());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+    command.args(arguments).current_dir(bench.path("")).env("PATH", path).output().unwrap()
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
 /// A stand-in for `hq` writes down how it is called.
 #[test]
 fn hyperqueue_is_handed_shards_and_a_merge() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
-    let hq = bench.file("hq", "#!/bin/sh\necho \"$@\" >> calls\necho 7\n");
-    std::fs::set_permissions(&hq, PermissionsExt::from_mode(0o755)).unwrap();
     let call = |arguments: &[&str]| {
-        let path = format!("{}:{}", bench.path("").display(), std::env::var("PATH").unwrap());
-        let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
-        let output = command.args(arguments).current_dir(bench.path("")).env("PATH", path).output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8_lossy(&output.stderr).into_owned()
+        let output = with_hq(&bench, "echo \"$@\" >> calls\necho 7", arguments);
+        assert!(output.status.success(), "{}", said(&output));
+        said(&output)
     };
     call(&["submit", "hq", "s.toml", "--shards", "2", "--", "--pin", "taskset"]);
     let calls = std::fs::read_to_string(bench.path("calls")).unwrap();
@@ -54,10 +63,60 @@ fn hyperqueue_is_handed_shards_and_a_merge() {
             && calls[0].contains("--pin taskset -- sh"),
         "{calls:?}"
     );
-    assert!(calls[1].ends_with("merge.sh 7"), "{calls:?}");
+    assert!(calls[1].ends_with("merge.sh 7") && calls[1].contains("--priority=-1"), "{calls:?}");
     let again = bench.metasense(&["submit", "hq", "s.toml", "--shards", "3"]);
-    let said = String::from_utf8_lossy(&again.stderr).into_owned();
-    assert!(again.status.code() == Some(2) && said.contains("holds shards of 2"), "{said}");
+    assert!(again.status.code() == Some(2) && said(&again).contains("holds shards of 2"), "{}", said(&again));
     let status = call(&["status", "--cluster"]);
     assert!(status.contains("0 of 2 shards complete"), "{status}");
+}
+
+/// The scheduler has accepted the shards, and then refuses the merge: they are known all the same.
+#[test]
+fn what_was_accepted_is_written_down_before_anything_else_can_fail() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    let hq = "case \"$*\" in *merge.sh*) echo refused >&2; exit 2;; *) echo 7;; esac";
+    let output = with_hq(&bench, hq, &["submit", "hq", "s.toml", "--shards", "2"]);
+    let message = said(&output);
+    assert!(output.status.code() == Some(2) && message.contains("refused"), "{message}");
+    assert!(message.contains("metasense merge"), "{message}");
+    let running = r#"echo '{"7": [{"id": 1, "state": "running"}, {"id": 2, "state": "waiting"}]}'"#;
+    let status = with_hq(&bench, running, &["status", "--cluster"]);
+    assert!(said(&status).contains("2 in the queue"), "{}", said(&status));
+    // Where nothing can be written down, nothing is submitted.
+    std::fs::create_dir_all(bench.path("no/jobs.jsonl")).unwrap();
+    let output = with_hq(&bench, "touch called; echo 8", &["submit", "hq", "s.toml", "--folder", "no"]);
+    assert!(output.status.code() == Some(3) && !bench.path("called").exists(), "{}", said(&output));
+    // A line that is none is not overlooked.
+    bench.file("results/s.shards/jobs.jsonl", "{\"scheduler\": \"hq\", \"jo");
+    let output = with_hq(&bench, running, &["status", "--cluster"]);
+    assert!(output.status.code() == Some(3) && said(&output).contains("jobs.jsonl:1"), "{}", said(&output));
+}
+
+/// The script as it is written, run by a shell: a folder may be called anything that a line can hold.
+#[test]
+fn no_part_of_a_folder_is_run() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    let folder = "a $(touch pwned) `touch pwned` 'b' $HOME %d";
+    let output = with_hq(&bench, "echo 7", &["submit", "hq", "s.toml", "--shards", "1", "--folder", folder]);
+    assert!(output.status.success(), "{}", said(&output));
+    // Changed since, so that the shard ends at once.
+    bench.file("s.toml", &SPEC.replace("columns = 6", "columns = 5"));
+    for script in ["shard.sh", "merge.sh"] {
+        let mut sh = Command::new("sh");
+        sh.arg(bench.path(folder).join(script))
+            .args(["7"])
+            .env("HQ_TASK_ID", "1")
+            .env("PATH", "/bin:/usr/bin");
+        sh.current_dir(bench.path("")).output().unwrap();
+    }
+    let log = std::fs::read_to_string(bench.path(folder).join("shard-1-of-1.out")).unwrap();
+    assert!(log.contains("has changed since") && !bench.path("pwned").exists(), "{log}");
+    assert!(bench.path(folder).join("merge.out").exists());
+    for (scheduler, folder) in [("hq", "a\nb"), ("slurm", "a\nb"), ("slurm", "a\"b"), ("slurm", "a\\b")] {
+        let args = ["submit", scheduler, "s.toml", "--shards", "1", "--folder", folder, "--dry-run"];
+        let output = bench.metasense(&args);
+        assert!(output.status.code() == Some(2) && said(&output).contains("folder"), "{}", said(&output));
+    }
 }

@@ -51,7 +51,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
         Error::Usage("name the folder of the shards: metasense status --cluster results/NAME.shards".into())
     };
     let folder = folder.or_else(|| only(Path::new("results"), "shards")).ok_or_else(none)?;
-    let jobs = queue::jobs(&folder);
+    let jobs = super::submit::submitted(&folder)?;
     let Some(last) = jobs.last() else {
         let path = folder.display();
         return Err(Error::Usage(format!(

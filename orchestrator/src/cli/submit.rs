@@ -8,7 +8,7 @@ use sqlx::{ConnectOptions, Connection};
 
 use super::{Error, duration, make_folder, read_plan, write};
 use crate::cluster::home::SUBMITTED_SPEC;
-use crate::cluster::queue::{self, Job};
+use crate::cluster::queue::{self, Job, Notes};
 use crate::cluster::submit::{Scheduler, Submission, estimate, line, planned, seconds};
 use crate::cluster::{Shard, index, ranges};
 use crate::exit::Exit;
@@ -56,7 +56,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let results = Path::new("results");
     let folder = args.folder.clone().unwrap_or_else(|| results.join(format!("{}.shards", plan.spec.name)));
-    let before = shards_of(&folder);
+    let jobs = submitted(&folder)?;
+    let before = shards_of(&folder, &jobs);
     let shards = match (args.shards, before) {
         (Some(asked), Some(before)) if asked != before => {
             return Err(Error::Usage(format!(
@@ -103,6 +104,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         partition: args.partition.clone(),
         further: args.further.clone(),
     };
+    if let Some(unfit) = submission.unfit() {
+        return Err(Error::Usage(format!("{unfit}; it would stand in a script")));
+    }
     say(&plan, &submission);
     match args.dry_run {
         true => print(&submission)?,
@@ -147,21 +151,25 @@ fn submit(plan: &Plan, submission: &Submission) -> Result<(), Error> {
     for script in submission.scripts() {
         write(&folder.join(script.name), script.text)?;
     }
+    let noting =
+        |source| Error::Io { doing: "writing down what was submitted in", path: folder.clone(), source };
+    let mut notes = Notes::open(folder).map_err(noting)?;
     let job = run(&submission.submit_shards())?;
     say!("submitted: job {job}, shards {}", ranges(&submission.which));
-    let merge_job = run(&submission.submit_merge(&job))?;
-    say!("submitted: job {merge_job}, which merges them into {}", submission.out.display());
-    say!("metasense status --cluster {} says how they are", folder.display());
     let scheduler = match submission.scheduler {
         Scheduler::Slurm => "slurm",
         Scheduler::Hq => "hq",
     };
-    let job = Job { scheduler: scheduler.into(), job, merge_job, shards: submission.shards };
-    queue::note(folder, &job).map_err(|source| Error::Io {
-        doing: "writing to",
-        path: folder.clone(),
-        source,
-    })
+    let mut job = Job { scheduler: scheduler.into(), job, merge_job: None, shards: submission.shards };
+    notes.note(&job).map_err(noting)?;
+    say!("metasense status --cluster {} says how they are", folder.display());
+    let merge_job = run(&submission.submit_merge(&job.job)).inspect_err(|_| {
+        let (folder, out) = (folder.display(), submission.out.display());
+        say!("the shards are submitted, what merges them is not: metasense merge {folder} --out {out}");
+    })?;
+    say!("submitted: job {merge_job}, which merges them into {}", submission.out.display());
+    job.merge_job = Some(merge_job);
+    notes.note(&job).map_err(noting)
 }
 
 /// Runs a scheduler's command; the number of the job that it prints.
@@ -188,9 +196,18 @@ fn run(words: &[String]) -> Result<String, Error> {
     )))
 }
 
+/// What was submitted from a folder.
+pub(super) fn submitted(folder: &Path) -> Result<Vec<Job>, Error> {
+    queue::jobs(folder).map_err(|source| Error::Io {
+        doing: "reading what was submitted from",
+        path: folder.to_owned(),
+        source,
+    })
+}
+
 /// Of how many shards a folder holds databases, or has had some submitted.
-fn shards_of(folder: &Path) -> Option<u32> {
-    let submitted = queue::jobs(folder).last().map(|job| job.shards);
+fn shards_of(folder: &Path, jobs: &[Job]) -> Option<u32> {
+    let submitted = jobs.last().map(|job| job.shards);
     let name = |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
     let count = |name: String| name.strip_suffix(".sqlite")?.rsplit_once("-of-")?.1.parse().ok();
     submitted.or_else(|| std::fs::read_dir(folder).ok()?.flatten().map(name).find_map(count))

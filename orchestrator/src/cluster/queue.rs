@@ -1,8 +1,8 @@
 //! What the scheduler says of the shards that were submitted. Only its queue is asked: there need be no accounting.
 
 use std::collections::HashMap;
-use std::fs::OpenOptions;
-use std::io::{self, Write};
+use std::fs::{File, OpenOptions};
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::process::Command;
 
@@ -19,26 +19,57 @@ pub struct Job {
     pub scheduler: String,
     /// Its number there.
     pub job: String,
-    /// That of the merge behind it.
-    pub merge_job: String,
+    /// That of the merge behind it, once that has been submitted.
+    #[serde(default)]
+    pub merge_job: Option<String>,
     /// Shards of the sweep.
     pub shards: u32,
 }
 
-/// Notes a job in a folder.
-///
-/// # Errors
-/// If it cannot be written.
-pub fn note(folder: &Path, job: &Job) -> io::Result<()> {
-    let mut file = OpenOptions::new().create(true).append(true).open(folder.join(JOBS))?;
-    writeln!(file, "{}", serde_json::to_string(job).expect("strings and numbers are JSON"))
+/// What was submitted from a folder, open before anything is: what a scheduler has accepted can be written down.
+#[derive(Debug)]
+pub struct Notes(File);
+
+impl Notes {
+    /// # Errors
+    /// If nothing can be written there.
+    pub fn open(folder: &Path) -> io::Result<Self> {
+        OpenOptions::new().create(true).append(true).open(folder.join(JOBS)).map(Self)
+    }
+
+    /// Notes a job; again, with its merge.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn note(&mut self, job: &Job) -> io::Result<()> {
+        let line = serde_json::to_string(job).expect("strings and numbers are JSON") + "\n";
+        self.0.write_all(line.as_bytes())?;
+        self.0.sync_data()
+    }
 }
 
 /// The jobs of a folder, oldest first; none where nothing was submitted.
-#[must_use]
-pub fn jobs(folder: &Path) -> Vec<Job> {
-    let text = std::fs::read_to_string(folder.join(JOBS)).unwrap_or_default();
-    text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+///
+/// # Errors
+/// If they cannot be read.
+pub fn jobs(folder: &Path) -> io::Result<Vec<Job>> {
+    let file = folder.join(JOBS);
+    let at = |number: usize, what: &dyn std::fmt::Display| {
+        io::Error::new(ErrorKind::InvalidData, format!("{}:{}: {what}", file.display(), number + 1))
+    };
+    let text = match std::fs::read_to_string(&file) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        text => text.map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", file.display())))?,
+    };
+    let mut jobs: Vec<Job> = Vec::new();
+    for (number, line) in text.lines().enumerate() {
+        let job: Job = serde_json::from_str(line).map_err(|error| at(number, &error))?;
+        match jobs.iter_mut().find(|known| known.scheduler == job.scheduler && known.job == job.job) {
+            Some(known) => *known = job,
+            None => jobs.push(job),
+        }
+    }
+    Ok(jobs)
 }
 
 /// State of each shard that the schedulers still know of, in their own words.

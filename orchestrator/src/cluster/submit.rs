@@ -78,6 +78,30 @@ pub fn estimate(trials: &[Trial], shards: u32, cpus: u32) -> (f64, f64) {
 }
 
 impl Submission {
+    /// What cannot stand in a script's lines, if anything: paths go into them as they are, or quoted.
+    #[must_use]
+    pub fn unfit(&self) -> Option<String> {
+        // Slurm reads its directives itself, with quotes and backslashes of its own.
+        let slurm = self.scheduler == Scheduler::Slurm;
+        let bad = |c: char, directive: bool| c.is_control() || directive && slurm && "\"\\".contains(c);
+        let texts = [
+            ("folder", self.folder.to_str(), true),
+            ("out", self.out.to_str(), false),
+            ("spec", self.spec.to_str(), false),
+            ("program", self.program.to_str(), false),
+        ];
+        let found = texts
+            .into_iter()
+            .find(|(_, text, directive)| text.is_none_or(|text| text.chars().any(|c| bad(c, *directive))));
+        let partition =
+            self.partition.as_ref().filter(|p| p.chars().any(|c| c.is_whitespace() || bad(c, true)));
+        found
+            .map(|(name, text, _)| {
+                format!("{name} {text:?}: must be text without line ends, quotes and backslashes")
+            })
+            .or_else(|| partition.map(|p| format!("partition {p:?}: is no name of a partition")))
+    }
+
     /// The scripts: of a shard, and of the merge.
     #[must_use]
     pub fn scripts(&self) -> [Script; 2] {
@@ -135,13 +159,13 @@ impl Submission {
     }
 
     fn hq_shard(&self) -> String {
-        let output = format!("{}/shard-$HQ_TASK_ID-of-{}.out", self.folder.display(), self.shards);
+        let output = format!("{}/shard-\"$HQ_TASK_ID\"-of-{}.out", quoted(&self.folder), self.shards);
         format!(
             "#!/bin/sh\n\
              # A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on\n\
              # from what an earlier try has left here, and puts its database here when it ends: by itself {NOTICE} s before\n\
              # the time limit, of which HyperQueue gives no notice.\n\
-             exec {} \"$HQ_TASK_ID/{}\" {} --stop-after {} \\\n  >> \"{output}\" 2>&1\n",
+             exec {} \"$HQ_TASK_ID/{}\" {} --stop-after {} \\\n  >> {output} 2>&1\n",
             self.run(),
             self.shards,
             self.how(),
@@ -213,18 +237,8 @@ impl Submission {
             Scheduler::Hq => {
                 // It waits on a core, and only for one that no shard wants.
                 let name = format!("{}-merge", self.name);
-                let head = [
-                    "hq",
-                    "--output-mode=quiet",
-                    "submit",
-                    "--name",
-                    &name,
-                    "--cpus",
-                    "1",
-                    "--priority",
-                    "-1",
-                ];
-                let tail = ["--stdout", "none", "--stderr", "none"];
+                let head = ["hq", "--output-mode=quiet", "submit", "--name", &name, "--cpus", "1"];
+                let tail = ["--priority=-1", "--stdout", "none", "--stderr", "none"];
                 self.words(&[&head[..], &tail].concat(), &["--", "sh", &script, job])
             }
         }
