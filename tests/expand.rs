@@ -114,3 +114,28 @@ fn the_schema_knows_every_table() {
         assert!(schema["properties"][table].is_object(), "{table}");
     }
 }
+
+/// Thirty trials whose estimates differ fourteen-fold, ten a shard: the longest has 1.15 times the mean at most.
+#[test]
+fn shards_are_dealt_by_cost_and_stay_as_they_are_written_down() {
+    let bench = Bench::new();
+    let spec = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/sweeps/fig4b-linear.toml");
+    let rows = |more: &[&str]| -> Vec<(String, f64)> {
+        let csv = bench.output(&[&["expand", spec, "--format", "csv"], more].concat());
+        let at = csv.lines().next().unwrap().split(',').position(|name| name == "cost_seconds").unwrap();
+        let row = |line: &str| {
+            let cells: Vec<&str> = line.split(',').collect();
+            (cells[0].to_owned(), cells[at].parse().unwrap())
+        };
+        csv.lines().skip(1).map(row).collect()
+    };
+    let shards: Vec<_> = ["1/3", "2/3", "3/3"].iter().map(|shard| rows(&["--shard", shard])).collect();
+    let costs: Vec<f64> = shards.iter().map(|rows| rows.iter().map(|row| row.1).sum()).collect();
+    let mean = costs.iter().sum::<f64>() / 3.0;
+    assert!(costs.iter().all(|cost| *cost <= 1.15 * mean), "{costs:?}");
+    assert_eq!(shards.iter().map(Vec::len).sum::<usize>(), rows(&[]).len());
+    // All to the first one, once: what is written down counts.
+    let lines = rows(&[]).iter().map(|row| format!("{},1\n", row.0)).collect::<String>();
+    bench.file("deal-of-3.csv", &format!("hash,shard\n{lines}"));
+    assert_eq!(rows(&["--shard", "1/3", "--folder", "."]), rows(&[]));
+}

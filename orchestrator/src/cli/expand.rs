@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 
 use super::{Error, Format, print_rows, read_plan};
-use crate::cluster::Shard;
+use crate::cluster::{Deal, Shard};
 use crate::exit::Exit;
 use crate::plan::{Trial, counted};
 use crate::store::Table;
@@ -18,6 +18,9 @@ pub(super) struct Args {
     /// Only those of shard I of N
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
+    /// The folder of the shards, by what is written down there; else as they would be dealt now
+    #[arg(long, value_name = "DIR", requires = "shard")]
+    folder: Option<PathBuf>,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -26,7 +29,11 @@ pub(super) struct Args {
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let mut plan = read_plan(&args.spec)?;
     if let Some(shard) = args.shard {
-        shard.restrict(&mut plan);
+        let deal = match &args.folder {
+            Some(folder) => Deal::in_folder(folder, &plan.trials, shard.count())?,
+            None => Deal::new(&plan.trials, shard.count()),
+        };
+        deal.restrict(shard, &mut plan);
     }
     let axes: Vec<&String> = plan.spec.sweep.axes.keys().collect();
     let named = [

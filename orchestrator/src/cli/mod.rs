@@ -33,6 +33,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand};
 
+use crate::cluster::DealError;
 use crate::cluster::home::HomeError;
 use crate::cluster::merge::MergeError;
 use crate::engine::EngineError;
@@ -242,6 +243,9 @@ pub enum Error {
     /// A merge.
     #[error(transparent)]
     Merge(#[from] MergeError),
+    /// Which shard runs what.
+    #[error(transparent)]
+    Deal(#[from] DealError),
     /// A shard's database.
     #[error(transparent)]
     Home(#[from] HomeError),
@@ -263,7 +267,8 @@ impl Error {
             Self::Engine(_) => Exit::Io,
             Self::Merge(MergeError::Nothing { .. }) => Exit::BadInput,
             Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
-            Self::Merge(_) | Self::Home(_) => Exit::Io,
+            Self::Merge(_) | Self::Home(_) | Self::Deal(DealError::File { .. }) => Exit::Io,
+            Self::Deal(_) => Exit::BadInput,
             Self::Usage(_)
             | Self::Spec(_)
             | Self::Design(_)

@@ -13,8 +13,8 @@ use super::simd::Simd;
 use super::{Error, Format, log, print_rows, read_plan};
 use crate::analysis::brains::brains;
 use crate::analysis::data::{self, flatten};
-use crate::cluster::Shard;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_in_time};
+use crate::cluster::{Deal, Shard};
 use crate::engine::{self, Again, Options, Signals};
 use crate::exit::Exit;
 use crate::plan::{Plan, Trial, cost, counted};
@@ -44,7 +44,8 @@ pub(super) struct Args {
     /// Run trials of the spec again that have failed, from their last step; otherwise they stay as they are
     #[arg(long)]
     retry_failed: bool,
-    /// Only the trials of shard I of N, chosen by their hashes
+    /// Only the trials of shard I of N: dealt out by their estimates, as the folder of --copy-to has it, else as the spec
+    /// has it now
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
     /// Of a shard: goes on from what an earlier try has put into this folder, and puts the database there when the run
@@ -83,7 +84,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut plan = read_plan(&args.spec)?;
     let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
         if let Some(shard) = args.shard {
-            shard.restrict(&mut plan);
+            Deal::new(&plan.trials, shard.count()).restrict(shard, &mut plan);
         }
         let db = args.db.clone().unwrap_or_else(|| match args.shard {
             Some(shard) => plan.default_database().with_extension(format!("{}.sqlite", shard.file_stem())),
@@ -93,8 +94,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return end(&db, &plan, args.format, outcome).await;
     };
     check_submitted(folder, &plan)?;
-    shard.restrict(&mut plan);
+    let deal = Deal::in_folder(folder, &plan.trials, shard.count())?;
     let mut home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
+    deal.write(folder)?;
+    deal.restrict(shard, &mut plan);
     home.take_in().await?;
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();

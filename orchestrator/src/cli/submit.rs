@@ -7,10 +7,10 @@ use std::process::Command;
 use sqlx::{ConnectOptions, Connection};
 
 use super::{Error, duration, make_folder, read_plan, write};
-use crate::cluster::home::SUBMITTED_SPEC;
+use crate::cluster::home::{SUBMITTED_SPEC, tries};
 use crate::cluster::queue::{self, Job, Notes};
 use crate::cluster::submit::{Scheduler, Submission, estimate, line, planned, seconds};
-use crate::cluster::{Shard, index, ranges};
+use crate::cluster::{Deal, Shard, ranges};
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
 
@@ -68,7 +68,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         (asked, before) => asked.or(before).unwrap_or_else(|| planned(&plan.trials, args.cpus, args.time)),
     };
-    let which = incomplete(&folder, &plan, shards).await?;
+    let deal = Deal::in_folder(&folder, &plan.trials, shards)?;
+    let which = incomplete(&folder, &plan, &deal, shards).await?;
     if which.is_empty() {
         say!(
             "nothing left to do: all {shards} shards are complete; metasense merge {} --out FILE",
@@ -107,18 +108,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(unfit) = submission.unfit() {
         return Err(Error::Usage(format!("{unfit}; it would stand in a script")));
     }
-    say(&plan, &submission);
+    say(&plan, &deal, &submission);
     match args.dry_run {
         true => print(&submission)?,
-        false => submit(&plan, &submission)?,
+        false => submit(&plan, &deal, &submission)?,
     }
     Ok(Exit::Done)
 }
 
 /// What is going to be submitted, and how long it is thought to take.
-fn say(plan: &Plan, submission: &Submission) {
+fn say(plan: &Plan, deal: &Deal, submission: &Submission) {
     let Submission { shards, which, cpus, seconds, .. } = submission;
-    let (mean, longest) = estimate(&plan.trials, *shards, *cpus);
+    let (mean, longest) = estimate(&plan.trials, deal, *cpus);
     say!(
         "{} in {}, each about {} on {}, the longest {}; the time limit is {}",
         counted(plan.trials.len(), "trial"),
@@ -144,10 +145,11 @@ fn print(submission: &Submission) -> std::io::Result<()> {
     print_line!("$ {}", line(&submission.submit_merge("JOB")))
 }
 
-fn submit(plan: &Plan, submission: &Submission) -> Result<(), Error> {
+fn submit(plan: &Plan, deal: &Deal, submission: &Submission) -> Result<(), Error> {
     let folder = &submission.folder;
     make_folder(folder)?;
     write(&folder.join(SUBMITTED_SPEC), &plan.source.text)?;
+    deal.write(folder)?;
     for script in submission.scripts() {
         write(&folder.join(script.name), script.text)?;
     }
@@ -208,16 +210,14 @@ pub(super) fn submitted(folder: &Path) -> Result<Vec<Job>, Error> {
 /// Of how many shards a folder holds databases, or has had some submitted.
 fn shards_of(folder: &Path, jobs: &[Job]) -> Option<u32> {
     let submitted = jobs.last().map(|job| job.shards);
-    let name = |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
-    let count = |name: String| name.strip_suffix(".sqlite")?.rsplit_once("-of-")?.1.parse().ok();
-    submitted.or_else(|| std::fs::read_dir(folder).ok()?.flatten().map(name).find_map(count))
+    submitted.or_else(|| tries(folder).keys().next_back().map(|shard| shard.count()))
 }
 
 /// Shards that have handed nothing in, or not all of their trials settled. One without trials has to say so too.
-async fn incomplete(folder: &Path, plan: &Plan, shards: u32) -> Result<Vec<u32>, Error> {
+async fn incomplete(folder: &Path, plan: &Plan, deal: &Deal, shards: u32) -> Result<Vec<u32>, Error> {
     let mut trials = vec![Vec::new(); shards as usize];
     for trial in &plan.trials {
-        trials[index(&trial.hash, shards) as usize - 1].push(trial.hash.as_str());
+        trials[deal.shard(&trial.hash) as usize - 1].push(trial.hash.as_str());
     }
     let mut which = Vec::new();
     for (shard, hashes) in (1..=shards).filter_map(|i| Shard::new(i, shards)).zip(trials) {

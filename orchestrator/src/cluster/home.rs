@@ -4,6 +4,7 @@
 //! the run ends, by itself or by a signal, and from time to time, should the node be lost. A file in the results folder
 //! is always whole: it is renamed into its place, and what another run has put there meanwhile is merged.
 
+use std::collections::BTreeMap;
 use std::fs::{DirBuilder, File, Metadata};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
@@ -172,6 +173,27 @@ impl Home {
             let _ = std::fs::remove_dir_all(scratch);
         }
     }
+}
+
+/// The databases that shards have handed in to a folder.
+#[must_use]
+pub fn tries(folder: &Path) -> BTreeMap<Shard, Vec<PathBuf>> {
+    let mut tries = BTreeMap::<Shard, Vec<PathBuf>>::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if let Some(shard) = Shard::of_file(&name).filter(|_| name.ends_with(".sqlite")) {
+            tries.entry(shard).or_default().push(entry.path());
+        }
+    }
+    tries.values_mut().for_each(|files| files.sort());
+    tries
+}
+
+/// This machine, as part of a file's name.
+#[must_use]
+pub fn host() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    name.trim().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect()
 }
 
 /// What changes when a file is replaced.

@@ -1,9 +1,10 @@
 //! Beyond one machine: shards of a sweep, and their databases merged.
 //!
 //! A shard is an ordinary run, with its own orchestrator, workers and database on a disk of its node; the cluster's own
-//! scheduler starts it. Shards know nothing of each other: trials belong to them by their hashes, and what comes back is
-//! a database each.
+//! scheduler starts it. Shards know nothing of each other: trials are dealt out to them, and what comes back is a database
+//! each.
 
+mod deal;
 pub mod disk;
 pub mod home;
 pub mod merge;
@@ -12,4 +13,5 @@ mod shard;
 pub mod state;
 pub mod submit;
 
-pub use shard::{Shard, ShardError, index, ranges};
+pub use deal::{Deal, DealError};
+pub use shard::{Shard, ShardError, ranges};

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use super::shard::{self, ranges};
+use super::Deal;
+use super::shard::ranges;
 use crate::plan::Trial;
 
 /// SIGTERM comes so long before the time limit (s): steps in progress have 20 s to end, the copy has the rest.
@@ -69,12 +70,12 @@ pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
 
 /// Estimated seconds of the mean and of the longest shard, each on its cores.
 #[must_use]
-pub fn estimate(trials: &[Trial], shards: u32, cpus: u32) -> (f64, f64) {
-    let costs = shard::costs(trials, shards);
+pub fn estimate(trials: &[Trial], deal: &Deal, cpus: u32) -> (f64, f64) {
+    let costs = deal.costs(trials);
     let cores = f64::from(cpus);
     let longest_trial = trials.iter().map(|trial| trial.cost).fold(0.0, f64::max);
     let longest = costs.iter().fold(0.0_f64, |most, cost| most.max(cost / cores)).max(longest_trial);
-    (costs.iter().sum::<f64>() / f64::from(shards) / cores, longest)
+    (costs.iter().sum::<f64>() / costs.len() as f64 / cores, longest)
 }
 
 impl Submission {
