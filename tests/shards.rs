@@ -106,8 +106,16 @@ fn a_shard_goes_on_on_another_node() {
     let tiny = four().replace("iterations = 4\n", "iterations = 100\n");
     bench.file("tiny.toml", &tiny);
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
-    let handed_in = "out/shard-1-of-1.sqlite";
-    let steps = || number(&bench, handed_in, "SELECT count(*) FROM v_step");
+    // Of each try one file; named by when it began.
+    let tries = || {
+        let files = bench.path("out").read_dir().into_iter().flatten().flatten();
+        let mut tries: Vec<String> = files.map(|f| f.file_name().into_string().unwrap()).collect();
+        tries.retain(|name| name.starts_with("shard-1-of-1.") && name.ends_with(".sqlite"));
+        tries.sort();
+        tries
+    };
+    let handed_in = || format!("out/{}", tries().pop().unwrap_or_default());
+    let steps = || number(&bench, &handed_in(), "SELECT count(*) FROM v_step");
     let left = |node: &str| bench.path(node).read_dir().unwrap().count();
 
     let mut lost = start(&bench, "node1");
@@ -127,16 +135,27 @@ fn a_shard_goes_on_on_another_node() {
     while runs() == workers && ended.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(2));
     }
+    // The results folder is away when it ends, and comes back while there is time.
+    let (out, away) = (bench.path("out"), bench.path("away"));
+    std::fs::rename(&out, &away).unwrap();
     signal(&ended, libc::SIGTERM);
+    let log = || std::fs::read_to_string(away.join("shard-1-of-1.log")).unwrap_or_default();
+    while !log().contains("could not be handed in") && ended.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::fs::rename(&away, &out).unwrap();
     assert_eq!(wait(&mut ended), Some(4));
     assert!(steps() >= before && left("node2") == 0, "{} steps after {before}", steps());
 
     let mut last = start(&bench, "node3");
     assert_eq!(wait(&mut last), Some(0));
     assert_eq!(left("node3"), 0);
-    assert_eq!(results(&bench, handed_in), results(&bench, "whole.sqlite"));
+    assert_eq!(tries().len(), 3, "{:?}", tries());
+    assert_eq!(results(&bench, &handed_in()), results(&bench, "whole.sqlite"));
+    bench.output(&["merge", "out", "--out", "merged.sqlite"]);
+    assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
     let outcomes = "SELECT count(*) FROM v_run WHERE outcome IN ('interrupted', 'complete')";
-    assert_eq!(number(&bench, handed_in, outcomes), 2);
+    assert_eq!(number(&bench, &handed_in(), outcomes), 2);
 
     // A spec that has changed since it was submitted is not run.
     bench.file("out/spec.toml", &tiny.replace("[1, 2]", "[1]"));

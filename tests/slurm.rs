@@ -72,6 +72,15 @@ impl Site {
         format!("{}\n{}", self.rows(db, trials), self.rows(db, steps))
     }
 
+    /// The database that a shard has handed in last.
+    fn handed_in(&self, name: &str, shard: u32) -> Option<String> {
+        let folder = format!("results/{name}.shards");
+        let files = std::fs::read_dir(self.home.join(&folder)).ok()?.flatten();
+        let names = files.map(|file| file.file_name().into_string().unwrap());
+        let mine = |n: &String| n.starts_with(&format!("shard-{shard}-of-")) && n.ends_with(".sqlite");
+        names.filter(mine).max().map(|name| format!("{folder}/{name}"))
+    }
+
     fn read(&self, file: &str) -> String {
         std::fs::read_to_string(self.home.join(file)).unwrap_or_default()
     }
@@ -101,8 +110,7 @@ fn a_sweep_in_shards_is_the_sweep() {
     site.slurm.tool("scontrol", "update nodename=n2 state=drain reason=test");
     let said = site.says(0, "submit slurm tiny.toml --shards 2 --cpus 1 --time 5 --partition main");
     assert!(said.contains("4 trials in 2 shards") && said.contains("submitted: job"), "{said}");
-    let handed_in = site.home.join("results/tiny.shards/shard-1-of-2.sqlite");
-    site.slurm.until("the first shard is handed in", 60, || handed_in.exists());
+    site.slurm.until("the first shard is handed in", 60, || site.handed_in("tiny", 1).is_some());
     let early = site.says(0, "merge results/tiny.shards --out early.sqlite");
     assert!(early.contains("no database of 1 of its 2 shards: 2"), "{early}");
     site.slurm.tool("scontrol", "update nodename=n2 state=resume");
@@ -142,6 +150,8 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
 
     site.says(0, "submit slurm slow.toml --cpus 1 --time 5");
     site.until_running(log, 2);
+    let again = site.says(0, "submit slurm slow.toml --cpus 1 --time 5");
+    assert!(again.contains("left out: shards 1") && again.contains("nothing to submit"), "{again}");
     let job = site.slurm.tool("squeue", "-h -t running -o %A").trim().to_owned();
     site.slurm.tool("scontrol", &format!("requeue {job}"));
     // Slurm lets it wait for two minutes, unless it is told otherwise.
@@ -150,7 +160,7 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     });
     assert!(site.says(0, "status --cluster results/slow.shards").contains("pending"));
     let interrupted = "SELECT outcome FROM v_run ORDER BY started_at DESC LIMIT 1";
-    assert_eq!(site.rows("results/slow.shards/shard-1-of-1.sqlite", interrupted), "interrupted");
+    assert_eq!(site.rows(&site.handed_in("slow", 1).unwrap(), interrupted), "interrupted");
     let id = site.slurm.tool("squeue", "-h -r -t pending -o %i");
     let id = id.lines().find(|id| id.contains('_')).expect("an array's job");
     site.slurm.tool("scontrol", &format!("update jobid={id} starttime=now"));
@@ -166,11 +176,14 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
 fn a_time_limit_cuts_a_shard_off_in_order() {
     let Some(site) = Site::new("a_time_limit_cuts_a_shard_off_in_order") else { return };
     std::fs::write(site.home.join("long.toml"), spec("long", 6000, "[1]")).unwrap();
-    site.says(0, "submit slurm long.toml --shards 1 --cpus 1 --time 1");
+    // A name that neither a shell nor sbatch is to take for more than that.
+    let folder = "$(touch${IFS}pwned)#'%d.shards";
+    site.says(0, &format!("submit slurm long.toml --shards 1 --cpus 1 --time 1 --folder {folder}"));
     site.slurm.until_empty(100);
+    assert!(site.home.join(folder).join("shard-1-of-1.out").exists() && !site.home.join("pwned").exists());
     let outcome = "SELECT outcome, shards, estimated_seconds > 0 FROM v_run";
     assert_eq!(site.rows("results/long.sqlite", outcome), "interrupted,1,1");
     assert_ne!(site.rows("results/long.sqlite", "SELECT count(*) FROM v_step"), "0");
-    let status = site.says(0, "status --cluster");
+    let status = site.says(0, &format!("status --cluster {folder}"));
     assert!(status.contains("partial") && status.contains("`metasense submit` goes on"), "{status}");
 }

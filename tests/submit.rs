@@ -51,7 +51,8 @@ fn hyperqueue_is_handed_shards_and_a_merge() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
     let call = |arguments: &[&str]| {
-        let output = with_hq(&bench, "echo \"$@\" >> calls\necho 7", arguments);
+        let hq = "case \"$*\" in *task\\ list*) echo '{}';; *) echo \"$@\" >> calls; echo 7;; esac";
+        let output = with_hq(&bench, hq, arguments);
         assert!(output.status.success(), "{}", said(&output));
         said(&output)
     };
@@ -119,4 +120,52 @@ fn no_part_of_a_folder_is_run() {
         let output = bench.metasense(&args);
         assert!(output.status.code() == Some(2) && said(&output).contains("folder"), "{}", said(&output));
     }
+}
+
+/// What runs or waits is not submitted a second time, whatever it has handed in; a queue that does not answer is not an
+/// empty one. The merge waits for all that is at work on the folder.
+#[test]
+fn what_the_queue_still_has_is_left_out() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    let tasks = |states: &str| {
+        format!(
+            "case \"$*\" in *task\\ list*) echo '{{\"7\": [{states}], \"8\": [{{\"id\": 0, \"state\": \"waiting\"}}]}}';; \
+             *merge.sh*) echo \"$@\" >> calls; echo 8;; *) echo \"$@\" >> calls; cat id;; esac"
+        )
+    };
+    let call = |states: &str, more: &[&str]| {
+        let _ = std::fs::remove_file(bench.path("calls"));
+        let output = with_hq(&bench, &tasks(states), &[&["submit", "hq", "s.toml"], more].concat());
+        assert!(output.status.success(), "{}", said(&output));
+        (said(&output), std::fs::read_to_string(bench.path("calls")).unwrap_or_default())
+    };
+    bench.file("id", "7\n");
+    call("", &["--shards", "2"]);
+    bench.file("id", "9\n");
+    let one = r#"{"id": 1, "state": "running"}, {"id": 2, "state": "failed"}"#;
+    let (message, calls) = call(one, &[]);
+    assert!(message.contains("left out: shards 1"), "{message}");
+    assert!(calls.contains("--array 2 ") && calls.contains("merge.sh 9,7,8"), "{calls}");
+    let both = r#"{"id": 1, "state": "running"}, {"id": 2, "state": "waiting"}"#;
+    let (message, calls) = call(both, &[]);
+    assert!(message.contains("left out: shards 1-2") && message.contains("nothing to submit"), "{message}");
+    assert_eq!(calls, "");
+    for (broken, expected) in [("echo broken >&2; exit 1", "broken"), ("echo 7", "not understood")] {
+        let output = with_hq(&bench, broken, &["submit", "hq", "s.toml"]);
+        assert!(output.status.code() == Some(3) && said(&output).contains(expected), "{}", said(&output));
+    }
+    // Slurm: a controller that is away, and one that has long forgotten the job.
+    bench
+        .file("results/s.shards/jobs.jsonl", r#"{"scheduler":"slurm","job":"7","merge_job":"8","shards":2}"#);
+    let squeue = |script: &str| {
+        let file = bench.file("squeue", script);
+        std::fs::set_permissions(file, PermissionsExt::from_mode(0o755)).unwrap();
+        with_hq(&bench, "echo 9", &["submit", "hq", "s.toml"])
+    };
+    let away =
+        squeue("#!/bin/sh\necho 'slurm_load_jobs error: Unable to contact slurm controller' >&2; exit 1\n");
+    assert!(away.status.code() == Some(3) && said(&away).contains("Unable to contact"), "{}", said(&away));
+    let forgotten = squeue("#!/bin/sh\necho 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1\n");
+    assert!(forgotten.status.success(), "{}", said(&forgotten));
 }

@@ -36,6 +36,7 @@ use clap::{Parser, Subcommand};
 use crate::cluster::DealError;
 use crate::cluster::home::HomeError;
 use crate::cluster::merge::MergeError;
+use crate::cluster::queue::QueueError;
 use crate::engine::EngineError;
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::{OneBody, Plan};
@@ -246,6 +247,9 @@ pub enum Error {
     /// Which shard runs what.
     #[error(transparent)]
     Deal(#[from] DealError),
+    /// A scheduler's queue.
+    #[error(transparent)]
+    Queue(#[from] QueueError),
     /// A shard's database.
     #[error(transparent)]
     Home(#[from] HomeError),
@@ -267,7 +271,7 @@ impl Error {
             Self::Engine(_) => Exit::Io,
             Self::Merge(MergeError::Nothing { .. }) => Exit::BadInput,
             Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
-            Self::Merge(_) | Self::Home(_) | Self::Deal(DealError::File { .. }) => Exit::Io,
+            Self::Merge(_) | Self::Home(_) | Self::Queue(_) | Self::Deal(DealError::File { .. }) => Exit::Io,
             Self::Deal(_) => Exit::BadInput,
             Self::Usage(_)
             | Self::Spec(_)

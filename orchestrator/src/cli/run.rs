@@ -14,6 +14,7 @@ use super::{Error, Format, log, print_rows, read_plan};
 use crate::analysis::brains::brains;
 use crate::analysis::data::{self, flatten};
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_in_time};
+use crate::cluster::submit::NOTICE;
 use crate::cluster::{Deal, Shard};
 use crate::engine::{self, Again, Options, Signals};
 use crate::exit::Exit;
@@ -95,7 +96,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     check_submitted(folder, &plan)?;
     let deal = Deal::in_folder(folder, &plan.trials, shard.count())?;
-    let mut home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
+    let home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
     deal.write(folder)?;
     deal.restrict(shard, &mut plan);
     home.take_in().await?;
@@ -106,9 +107,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         drop(stop);
         outcome
     };
-    let (outcome, mut home) = tokio::join!(running, home.hand_in_every(copy_every, stopped));
+    let (outcome, ()) = tokio::join!(running, home.hand_in_every(copy_every, stopped));
     // Whatever has gone wrong: what there is, is handed in.
-    let handed_in = home.hand_in().await;
+    let handed_in = home.hand_in_within(Duration::from_secs(NOTICE)).await;
     let exit = end(&db, &plan, args.format, outcome?).await?;
     handed_in?;
     home.leave();

@@ -58,11 +58,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
             "{path} holds no shards that `submit` has submitted; name their folder"
         )));
     };
-    let queued = queue::states(&jobs).map_err(|source| Error::Io {
-        doing: "asking the queue of",
-        path: last.scheduler.clone().into(),
-        source,
-    })?;
+    let queued = queue::ask(&jobs)?.shards;
     let states = state::states(&folder, last.shards, &queued).await;
     let columns = [
         "shard",

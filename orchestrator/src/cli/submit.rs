@@ -69,7 +69,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         (asked, before) => asked.or(before).unwrap_or_else(|| planned(&plan.trials, args.cpus, args.time)),
     };
     let deal = Deal::in_folder(&folder, &plan.trials, shards)?;
-    let which = incomplete(&folder, &plan, &deal, shards).await?;
+    // In this order: what ends in between has been handed in when that is looked at.
+    let queue = queue::ask(&jobs)?;
+    let incomplete = incomplete(&folder, &plan, &deal, shards).await?;
+    let (queued, which): (Vec<u32>, Vec<u32>) =
+        incomplete.into_iter().partition(|shard| queue.shards.contains_key(shard));
+    if !queued.is_empty() {
+        say!("running or waiting already, and left out: shards {}", ranges(&queued));
+    }
+    if which.is_empty() && !queued.is_empty() {
+        say!("nothing to submit; metasense status --cluster {} says how they are", folder.display());
+        return Ok(Exit::Done);
+    }
     if which.is_empty() {
         say!(
             "nothing left to do: all {shards} shards are complete; metasense merge {} --out FILE",
@@ -111,7 +122,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     say(&plan, &deal, &submission);
     match args.dry_run {
         true => print(&submission)?,
-        false => submit(&plan, &deal, &submission)?,
+        false => submit(&plan, &deal, &submission, &queue.jobs)?,
     }
     Ok(Exit::Done)
 }
@@ -142,10 +153,10 @@ fn print(submission: &Submission) -> std::io::Result<()> {
         print_line!("# {}\n{}", submission.folder.join(script.name).display(), script.text)?;
     }
     print_line!("$ {}", line(&submission.submit_shards()))?;
-    print_line!("$ {}", line(&submission.submit_merge("JOB")))
+    print_line!("$ {}", line(&submission.submit_merge("JOB", &[])))
 }
 
-fn submit(plan: &Plan, deal: &Deal, submission: &Submission) -> Result<(), Error> {
+fn submit(plan: &Plan, deal: &Deal, submission: &Submission, others: &[String]) -> Result<(), Error> {
     let folder = &submission.folder;
     make_folder(folder)?;
     write(&folder.join(SUBMITTED_SPEC), &plan.source.text)?;
@@ -165,7 +176,7 @@ fn submit(plan: &Plan, deal: &Deal, submission: &Submission) -> Result<(), Error
     let mut job = Job { scheduler: scheduler.into(), job, merge_job: None, shards: submission.shards };
     notes.note(&job).map_err(noting)?;
     say!("metasense status --cluster {} says how they are", folder.display());
-    let merge_job = run(&submission.submit_merge(&job.job)).inspect_err(|_| {
+    let merge_job = run(&submission.submit_merge(&job.job, others)).inspect_err(|_| {
         let (folder, out) = (folder.display(), submission.out.display());
         say!("the shards are submitted, what merges them is not: metasense merge {folder} --out {out}");
     })?;
@@ -219,24 +230,29 @@ async fn incomplete(folder: &Path, plan: &Plan, deal: &Deal, shards: u32) -> Res
     for trial in &plan.trials {
         trials[deal.shard(&trial.hash) as usize - 1].push(trial.hash.as_str());
     }
-    let mut which = Vec::new();
+    let (mut which, mut handed_in) = (Vec::new(), tries(folder));
     for (shard, hashes) in (1..=shards).filter_map(|i| Shard::new(i, shards)).zip(trials) {
-        let file = folder.join(format!("{}.sqlite", shard.file_stem()));
-        // One that cannot be read is run again, and says why it cannot go on.
-        let settled = if file.is_file() { settled(&file).await.ok() } else { None };
-        if settled.is_none_or(|settled| hashes.iter().any(|hash| !settled.contains(*hash))) {
+        let (mut there, mut all) = (false, HashSet::new());
+        for file in handed_in.remove(&shard).unwrap_or_default() {
+            // One that cannot be read is run again, and says why it cannot go on.
+            if let Ok(settled) = settled(&file).await {
+                there = true;
+                all.extend(settled);
+            }
+        }
+        if !there || hashes.iter().any(|hash| !all.contains(*hash)) {
             which.push(shard.index());
         }
     }
     Ok(which)
 }
 
-async fn settled(file: &Path) -> sqlx::Result<HashSet<String>> {
+async fn settled(file: &Path) -> sqlx::Result<Vec<String>> {
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).immutable(true).read_only(true);
     let mut db = options.disable_statement_logging().connect().await?;
     let hashes: Vec<String> = sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
         .fetch_all(&mut db)
         .await?;
     db.close().await?;
-    Ok(hashes.into_iter().collect())
+    Ok(hashes)
 }

@@ -1,16 +1,16 @@
 //! A shard's database: live on a disk of its node, handed in to the results folder as one file.
 //!
-//! What an earlier try has handed in is taken in first, so that a shard goes on on another node. It is handed in when
-//! the run ends, by itself or by a signal, and from time to time, should the node be lost. A file in the results folder
-//! is always whole: it is renamed into its place, and what another run has put there meanwhile is merged.
+//! What earlier tries have handed in is taken in first, so that a shard goes on on another node. It is handed in when
+//! the run ends, by itself or by a signal, and from time to time, should the node be lost. Each try has a file of its own
+//! name, so that none overwrites another's, and one that is there is whole: it is renamed into its place.
 
 use std::collections::BTreeMap;
-use std::fs::{DirBuilder, File, Metadata};
+use std::fs::{DirBuilder, File};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -21,6 +21,9 @@ use crate::store::StoreError;
 /// How long steps in progress may go on after SIGTERM. Slurm kills 30 s after it (`KillWait`).
 const GRACE: Duration = Duration::from_secs(20);
 
+/// Between two tries to hand in for the last time.
+const AGAIN: Duration = Duration::from_secs(1);
+
 /// In a folder of shards: the spec that they were submitted with.
 pub const SUBMITTED_SPEC: &str = "spec.toml";
 
@@ -30,9 +33,10 @@ pub struct Home {
     live: PathBuf,
     /// The folder of `live` is ours, and goes with it.
     scratch: Option<PathBuf>,
+    folder: PathBuf,
+    shard: Shard,
+    /// What this try hands in.
     handed_in: PathBuf,
-    /// The file as we have last read or written it.
-    seen: Option<(u64, i64, i64)>,
 }
 
 /// Why a shard's database cannot be had, or handed in.
@@ -50,12 +54,20 @@ pub enum HomeError {
     #[error("{} belongs to another user; set TMPDIR, or name a database with --db", .0.display())]
     Foreign(PathBuf),
     /// What an earlier try has handed in.
-    #[error("{} cannot be gone on with: {why}; move it away to begin the shard anew", path.display())]
+    #[error("{} cannot be gone on with: {why}; move it away to go on without it", path.display())]
     Refused {
         /// The file.
         path: PathBuf,
         /// Why not.
         why: String,
+    },
+    /// After many tries.
+    #[error("the database of the shard could not be handed in; it is left in {}", live.display())]
+    NotHandedIn {
+        /// Where it is, on this node.
+        live: PathBuf,
+        /// The last try.
+        source: Box<HomeError>,
     },
     /// Merging it.
     #[error(transparent)]
@@ -75,7 +87,9 @@ impl Home {
         let at = |path: &Path, source| HomeError::Folder { path: path.to_owned(), source };
         std::fs::create_dir_all(folder).map_err(|e| at(folder, e))?;
         let folder = folder.canonicalize().map_err(|e| at(folder, e))?;
-        let file = format!("{}.sqlite", shard.file_stem());
+        let began = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
+        let stem = shard.file_stem();
+        let handed_in = folder.join(format!("{stem}.{began}-{}-{}.sqlite", host(), std::process::id()));
         let (live, scratch) = match db {
             Some(db) => (db, None),
             None => {
@@ -89,10 +103,10 @@ impl Home {
                 if ours.symlink_metadata().map_err(|e| at(&ours, e))?.uid() != user {
                     return Err(HomeError::Foreign(ours));
                 }
-                (ours.join(&file), Some(ours))
+                (ours.join(format!("{stem}.sqlite")), Some(ours))
             }
         };
-        Ok(Self { live, scratch, handed_in: folder.join(file), seen: None })
+        Ok(Self { live, scratch, folder, shard, handed_in })
     }
 
     /// The live database.
@@ -104,30 +118,24 @@ impl Home {
     /// The run's log: in the results folder, where it outlives the node.
     #[must_use]
     pub fn log(&self) -> PathBuf {
-        self.handed_in.with_extension("log")
+        self.folder.join(format!("{}.log", self.shard.file_stem()))
     }
 
-    /// Takes in what an earlier try has handed in. To be called before the database is opened.
+    /// Takes in what earlier tries have handed in. To be called before the database is opened.
     ///
     /// # Errors
     /// If it cannot be read.
-    pub async fn take_in(&mut self) -> Result<(), HomeError> {
-        let stamp = stamp(&self.handed_in);
-        if stamp.is_some() {
-            self.merge_into(&self.live).await?;
+    pub async fn take_in(&self) -> Result<(), HomeError> {
+        let earlier = tries(&self.folder).remove(&self.shard).unwrap_or_default();
+        if earlier.is_empty() {
+            return Ok(());
         }
-        self.seen = stamp;
-        Ok(())
-    }
-
-    async fn merge_into(&self, out: &Path) -> Result<(), HomeError> {
-        let refused = |why| HomeError::Refused { path: self.handed_in.clone(), why };
-        let summary = match merge::merge(std::slice::from_ref(&self.handed_in), out).await {
+        let summary = match merge::merge(&earlier, &self.live).await {
             Err(MergeError::Nothing { refused }) => merge::Summary { refused, ..Default::default() },
             other => other?,
         };
         match summary.refused.into_iter().next() {
-            Some((_, why)) => Err(refused(why)),
+            Some((path, why)) => Err(HomeError::Refused { path, why }),
             None => Ok(()),
         }
     }
@@ -135,30 +143,42 @@ impl Home {
     /// Copies the database, live or not, to the results folder.
     ///
     /// # Errors
-    /// If it cannot be copied; what lay there before still does.
-    pub async fn hand_in(&mut self) -> Result<(), HomeError> {
+    /// If it cannot be copied; what this try has handed in before still lies there.
+    pub async fn hand_in(&self) -> Result<(), HomeError> {
         let at = |path: &Path, source| HomeError::Folder { path: path.to_owned(), source };
-        let copy = self.handed_in.with_extension(format!("{}.tmp", std::process::id()));
+        let copy = self.handed_in.with_extension("tmp");
         let _ = std::fs::remove_file(&copy);
         merge::snapshot(&self.live, &copy, true).await?;
-        if stamp(&self.handed_in) != self.seen && self.handed_in.exists() {
-            self.merge_into(&copy).await?;
-        }
         File::open(&copy).and_then(|file| file.sync_all()).map_err(|e| at(&copy, e))?;
         std::fs::rename(&copy, &self.handed_in).map_err(|e| at(&self.handed_in, e))?;
-        self.seen = stamp(&self.handed_in);
-        Ok(())
+        File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(|e| at(&self.folder, e))
+    }
+
+    /// Hands in for the last time, again and again until it has worked or `notice` is over.
+    ///
+    /// # Errors
+    /// The last try's.
+    pub async fn hand_in_within(&self, notice: Duration) -> Result<(), HomeError> {
+        let end = tokio::time::Instant::now() + notice;
+        loop {
+            match self.hand_in().await {
+                Ok(()) => return Ok(()),
+                Err(error) if tokio::time::Instant::now() < end => {
+                    tracing::warn!(%error, "the database could not be handed in; it is tried again");
+                    tokio::time::sleep(AGAIN).await;
+                }
+                Err(error) => {
+                    return Err(HomeError::NotHandedIn { live: self.live.clone(), source: Box::new(error) });
+                }
+            }
+        }
     }
 
     /// Hands in every so often until `stopped` says that the run is over.
-    pub async fn hand_in_every(
-        mut self,
-        period: Duration,
-        mut stopped: tokio::sync::oneshot::Receiver<()>,
-    ) -> Self {
+    pub async fn hand_in_every(&self, period: Duration, mut stopped: tokio::sync::oneshot::Receiver<()>) {
         loop {
             tokio::select! {
-                _ = &mut stopped => return self,
+                _ = &mut stopped => return,
                 () = tokio::time::sleep(period) => {}
             }
             if let Err(error) = self.hand_in().await {
@@ -196,12 +216,6 @@ pub fn host() -> String {
     name.trim().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect()
 }
 
-/// What changes when a file is replaced.
-fn stamp(file: &Path) -> Option<(u64, i64, i64)> {
-    let of = |m: Metadata| (m.ino(), m.mtime(), m.mtime_nsec());
-    file.metadata().ok().map(of)
-}
-
 /// Sees to it that a run ends in time: after SIGTERM, or `after`, steps in progress have some seconds to end; then it is
 /// asked again, and ends at once.
 ///
@@ -222,4 +236,24 @@ pub fn end_in_time(after: Option<Duration>) -> io::Result<()> {
         }
     });
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::Store;
+
+    #[tokio::test]
+    async fn what_cannot_be_handed_in_stays_where_it_is_said_to_be() {
+        let bench = tempfile::tempdir().unwrap();
+        let (folder, db) = (bench.path().join("out"), bench.path().join("live.sqlite"));
+        let home = Home::new("s", Shard::new(1, 2).unwrap(), &folder, Some(db.clone())).unwrap();
+        Store::open(&db).await.unwrap().close().await.unwrap();
+        std::fs::rename(&folder, bench.path().join("away")).unwrap();
+        let error = home.hand_in_within(Duration::from_millis(10)).await.unwrap_err();
+        assert!(error.to_string().contains(db.to_str().unwrap()) && db.exists(), "{error}");
+        std::fs::rename(bench.path().join("away"), &folder).unwrap();
+        home.hand_in_within(Duration::ZERO).await.unwrap();
+        assert_eq!(tries(&folder).into_values().map(|files| files.len()).sum::<usize>(), 1);
+    }
 }

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, ExitStatus};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -72,61 +72,142 @@ pub fn jobs(folder: &Path) -> io::Result<Vec<Job>> {
     Ok(jobs)
 }
 
-/// State of each shard that the schedulers still know of, in their own words.
+/// What schedulers have of jobs that have not ended.
+#[derive(Debug, Default, PartialEq)]
+pub struct Queue {
+    /// Shards that run or wait, in the scheduler's own words.
+    pub shards: HashMap<u32, String>,
+    /// Jobs, those of merges included.
+    pub jobs: Vec<String>,
+}
+
+/// A queue that does not answer: nothing is known of the shards then.
+#[derive(Debug, thiserror::Error)]
+pub enum QueueError {
+    /// There is no such program here.
+    #[error("cannot start `{command}`: what runs or waits is not known")]
+    Start {
+        /// The command.
+        command: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// It says that something is wrong.
+    #[error("`{command}` failed ({status}), so that what runs or waits is not known: {said}")]
+    Failed {
+        /// The command.
+        command: String,
+        /// How it ended.
+        status: ExitStatus,
+        /// What it said.
+        said: String,
+    },
+    /// It says what we do not understand.
+    #[error("`{command}` answered what is not understood: {answer}")]
+    Answer {
+        /// The command.
+        command: String,
+        /// Its answer.
+        answer: String,
+    },
+}
+
+/// Asks the schedulers of these jobs.
 ///
 /// # Errors
-/// If a scheduler's command cannot be run.
-pub fn states(jobs: &[Job]) -> io::Result<HashMap<u32, String>> {
-    let mut states = HashMap::new();
-    let slurm: Vec<&str> = jobs.iter().filter(|j| j.scheduler == "slurm").map(|j| j.job.as_str()).collect();
-    if !slurm.is_empty() {
-        // Of a job that has left the queue it says `Invalid job id`, where no other is asked for: nothing to add.
-        let ids = format!("--jobs={}", slurm.join(","));
-        let text = output("squeue", &["--noheader", "--array", "--format=%K|%T|%r", &ids])?;
-        states.extend(slurm_states(&text));
-    }
-    for job in jobs.iter().filter(|j| j.scheduler == "hq") {
-        let text = output("hq", &["--output-mode=json", "task", "list", &job.job])?;
-        states.extend(hq_states(&text));
-    }
-    Ok(states)
-}
-
-fn output(program: &str, arguments: &[&str]) -> io::Result<String> {
-    let output = Command::new(program).args(arguments).output()?;
-    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
-}
-
-/// Lines of `squeue`: index, state, and why it waits.
-fn slurm_states(text: &str) -> HashMap<u32, String> {
-    let shard = |line: &str| {
-        let mut parts = line.split('|');
-        let (index, state) = (parts.next()?.trim().parse().ok()?, parts.next()?.to_lowercase());
-        let reason = parts.next().unwrap_or("None").trim();
-        Some((index, if reason == "None" { state } else { format!("{state} ({reason})") }))
-    };
-    text.lines().filter_map(shard).collect()
-}
-
-/// Tasks that have not ended, wherever they stand in the answer.
-fn hq_states(text: &str) -> HashMap<u32, String> {
-    fn collect(value: &Value, states: &mut HashMap<u32, String>) {
-        match value {
-            Value::Array(values) => values.iter().for_each(|value| collect(value, states)),
-            Value::Object(map) => {
-                if let (Some(id), Some(state)) = (map.get("id").and_then(Value::as_u64), map.get("state"))
-                    && let Some(state) = state.as_str().filter(|s| ["waiting", "running"].contains(s))
-                {
-                    states.insert(id as u32, state.to_owned());
-                }
-                map.values().for_each(|value| collect(value, states));
-            }
-            _ => {}
+/// If one does not answer.
+pub fn ask(jobs: &[Job]) -> Result<Queue, QueueError> {
+    let mut queue = Queue::default();
+    for (scheduler, read) in [("slurm", slurm as fn(&[&Job], &mut Queue) -> _), ("hq", hq)] {
+        let jobs: Vec<&Job> = jobs.iter().filter(|job| job.scheduler == scheduler).collect();
+        if !jobs.is_empty() {
+            read(&jobs, &mut queue)?;
         }
     }
-    let mut states = HashMap::new();
-    collect(&serde_json::from_str(text).unwrap_or_default(), &mut states);
-    states
+    Ok(queue)
+}
+
+/// Numbers of jobs and of the merges behind them.
+fn numbers(jobs: &[&Job]) -> String {
+    let numbers = jobs.iter().flat_map(|job| std::iter::once(&*job.job).chain(job.merge_job.as_deref()));
+    numbers.collect::<Vec<_>>().join(",")
+}
+
+fn slurm(jobs: &[&Job], queue: &mut Queue) -> Result<(), QueueError> {
+    let ids = format!("--jobs={}", numbers(jobs));
+    match output(&["squeue", "--noheader", "--array", "--format=%F|%K|%T|%r", &ids]) {
+        Ok(text) => queue.add_slurm(&text, jobs),
+        // What it says of a job that has left the queue, where no other is asked for.
+        Err(QueueError::Failed { said, .. }) if said.contains("Invalid job id") => {}
+        Err(error) => return Err(error),
+    }
+    Ok(())
+}
+
+fn hq(jobs: &[&Job], queue: &mut Queue) -> Result<(), QueueError> {
+    let command = ["hq", "--output-mode=json", "task", "list", &numbers(jobs)];
+    let text = output(&command)?;
+    match serde_json::from_str(&text) {
+        Ok(Value::Object(tasks)) => queue.add_hq(&tasks, jobs),
+        _ => return Err(QueueError::Answer { command: command.join(" "), answer: text }),
+    }
+    Ok(())
+}
+
+fn output(words: &[&str]) -> Result<String, QueueError> {
+    let command = || words.join(" ");
+    let output = Command::new(words[0])
+        .args(&words[1..])
+        .output()
+        .map_err(|source| QueueError::Start { command: command(), source })?;
+    if output.status.success() {
+        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    // `hq` says in JSON what is wrong.
+    let said = [&output.stderr[..], &output.stdout].concat();
+    let said = String::from_utf8_lossy(&said).trim().chars().take(500).collect();
+    Err(QueueError::Failed { command: command(), status: output.status, said })
+}
+
+impl Queue {
+    fn add_job(&mut self, job: &str) {
+        if !self.jobs.iter().any(|known| known == job) {
+            self.jobs.push(job.to_owned());
+        }
+    }
+
+    /// Lines of `squeue`: job, index, state, and why it waits.
+    fn add_slurm(&mut self, text: &str, jobs: &[&Job]) {
+        for line in text.lines() {
+            let mut parts = line.split('|').map(str::trim);
+            let (Some(job), Some(index), Some(state)) = (parts.next(), parts.next(), parts.next()) else {
+                continue;
+            };
+            let reason = parts.next().unwrap_or("None");
+            let state = state.to_lowercase();
+            self.add_job(job);
+            if let Ok(index) = index.parse()
+                && jobs.iter().any(|known| known.job == job)
+            {
+                let state = if reason == "None" { state } else { format!("{state} ({reason})") };
+                self.shards.insert(index, state);
+            }
+        }
+    }
+
+    /// Lists of tasks by job.
+    fn add_hq(&mut self, tasks: &serde_json::Map<String, Value>, jobs: &[&Job]) {
+        for (job, tasks) in tasks {
+            for task in tasks.as_array().into_iter().flatten() {
+                let state = task["state"].as_str().filter(|state| ["waiting", "running"].contains(state));
+                let Some((state, index)) = state.zip(task["id"].as_u64()) else { continue };
+                self.add_job(job);
+                if jobs.iter().any(|known| known.job == *job) {
+                    self.shards.insert(index as u32, state.to_owned());
+                }
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -135,12 +216,22 @@ mod tests {
 
     #[test]
     fn the_queue_is_read() {
-        let slurm = slurm_states("3|RUNNING|None\n4|PENDING|Resources\nN/A|PENDING|Dependency\n");
-        assert_eq!(slurm.len(), 2);
-        assert_eq!((slurm[&3].as_str(), slurm[&4].as_str()), ("running", "pending (Resources)"));
-        let hq = hq_states(
-            r#"{"1": [{"id": 1, "state": "finished"}, {"id": 2, "state": "running", "worker": 1}]}"#,
-        );
-        assert_eq!(hq, HashMap::from([(2, "running".to_owned())]));
+        let job = |job: &str, merge: &str| Job {
+            scheduler: "slurm".into(),
+            job: job.into(),
+            merge_job: Some(merge.into()),
+            shards: 4,
+        };
+        let (one, two) = (job("7", "8"), job("9", "10"));
+        let mut queue = Queue::default();
+        queue.add_slurm("7|3|RUNNING|None\n7|4|PENDING|Resources\n8|N/A|PENDING|Dependency\n", &[&one, &two]);
+        assert_eq!(queue.shards, HashMap::from([(3, "running".into()), (4, "pending (Resources)".into())]));
+        assert_eq!(queue.jobs, ["7", "8"]);
+        let mut queue = Queue::default();
+        let text = r#"{"7": [{"id": 1, "state": "finished"}, {"id": 2, "state": "running", "worker": 1}],
+                       "8": [{"id": 0, "state": "waiting"}], "9": [{"id": 1, "state": "canceled"}]}"#;
+        queue.add_hq(serde_json::from_str::<Value>(text).unwrap().as_object().unwrap(), &[&one, &two]);
+        assert_eq!(queue.shards, HashMap::from([(2, "running".into())]));
+        assert_eq!(queue.jobs, ["7", "8"]);
     }
 }

@@ -8,6 +8,7 @@ use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, Row};
 
 use super::Shard;
+use super::home::tries;
 
 /// A shard.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,19 +28,18 @@ pub struct State {
 /// The shards of a folder. `queued`: what the scheduler says of each.
 pub async fn states(folder: &Path, shards: u32, queued: &HashMap<u32, String>) -> Vec<State> {
     let mut states = Vec::with_capacity(shards as usize);
+    let mut tries = tries(folder);
     for shard in (1..=shards).filter_map(|index| Shard::new(index, shards)) {
-        let file = folder.join(format!("{}.sqlite", shard.file_stem()));
         let mut state = State { shard, state: "nothing".into(), trials: None, run: None, age: None };
-        if let Ok(written) = file.metadata().and_then(|m| m.modified()) {
-            state.age = SystemTime::now().duration_since(written).ok().map(|age| age.as_secs_f64());
-            match read(&file, &mut state).await {
-                Ok([trials, done, failed]) => {
-                    let complete = done + failed == trials;
-                    state.state = if complete { "complete" } else { "partial" }.into();
-                    state.trials = Some([trials, done, failed]);
-                }
-                Err(error) => state.state = format!("unreadable: {error}"),
+        let settled = |state: &State| state.trials.map(|[_, done, failed]| done + failed);
+        for file in tries.remove(&shard).unwrap_or_default() {
+            let this = of_try(&file, shard).await;
+            let age = [state.age, this.age].into_iter().flatten().reduce(f64::min);
+            // The one that has come farthest; of several, the last.
+            if settled(&this) >= settled(&state) {
+                state = this;
             }
+            state.age = age;
         }
         // A shard that has handed its last database in may still be in the queue for a moment.
         if let Some(queued) = queued.get(&shard.index()).filter(|_| state.state != "complete") {
@@ -48,6 +48,21 @@ pub async fn states(folder: &Path, shards: u32, queued: &HashMap<u32, String>) -
         states.push(state);
     }
     states
+}
+
+/// A shard by one of its files.
+async fn of_try(file: &Path, shard: Shard) -> State {
+    let mut state = State { shard, state: "nothing".into(), trials: None, run: None, age: None };
+    let written = file.metadata().and_then(|m| m.modified()).ok();
+    state.age = written.and_then(|at| SystemTime::now().duration_since(at).ok()).map(|age| age.as_secs_f64());
+    match read(file, &mut state).await {
+        Ok([trials, done, failed]) => {
+            state.state = if done + failed == trials { "complete" } else { "partial" }.into();
+            state.trials = Some([trials, done, failed]);
+        }
+        Err(error) => state.state = format!("unreadable: {error}"),
+    }
+    state
 }
 
 async fn read(file: &Path, state: &mut State) -> sqlx::Result<[u32; 3]> {

@@ -7,7 +7,7 @@ use super::shard::ranges;
 use crate::plan::Trial;
 
 /// SIGTERM comes so long before the time limit (s): steps in progress have 20 s to end, the copy has the rest.
-const NOTICE: u64 = 60;
+pub const NOTICE: u64 = 60;
 /// Most shards that are planned; more have to be asked for. Slurm's `MaxArraySize` is 1001 where nobody has changed it.
 const MOST_PLANNED: u32 = 1000;
 
@@ -177,7 +177,7 @@ impl Submission {
     fn hq_merge(&self) -> String {
         format!(
             "#!/bin/sh\n\
-             # When all shards of job $1 have ended, however: what there is becomes one database.\n\
+             # When all shards of jobs $1 have ended, however: what there is becomes one database.\n\
              hq job wait \"$1\"\n\
              exec {} >> {} 2>&1\n",
             self.merge(),
@@ -226,13 +226,14 @@ impl Submission {
         }
     }
 
-    /// The command that submits the merge behind them.
+    /// The command that submits the merge behind them, and behind other jobs on the same folder.
     #[must_use]
-    pub fn submit_merge(&self, job: &str) -> Vec<String> {
+    pub fn submit_merge(&self, job: &str, others: &[String]) -> Vec<String> {
+        let jobs = |between: &str| [&[job.to_owned()], others].concat().join(between);
         let script = self.folder.join("merge.sh").display().to_string();
         match self.scheduler {
             Scheduler::Slurm => {
-                let after = format!("--dependency=afterany:{job}");
+                let after = format!("--dependency=afterany:{}", jobs(":"));
                 self.words(&["sbatch", "--parsable", &after], &[&script])
             }
             Scheduler::Hq => {
@@ -240,7 +241,7 @@ impl Submission {
                 let name = format!("{}-merge", self.name);
                 let head = ["hq", "--output-mode=quiet", "submit", "--name", &name, "--cpus", "1"];
                 let tail = ["--priority=-1", "--stdout", "none", "--stderr", "none"];
-                self.words(&[&head[..], &tail].concat(), &["--", "sh", &script, job])
+                self.words(&[&head[..], &tail].concat(), &["--", "sh", &script, &jobs(",")])
             }
         }
     }
