@@ -1,0 +1,132 @@
+//! Shards on a real HyperQueue: a worker killed, a job cancelled, submitted again while shards run; nothing is lost.
+//!
+//! Without `hq` in PATH (a program of one file, from its releases or `cargo build --bin hq`) it says so and passes.
+
+mod common;
+
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{Bench, TINY, results};
+
+/// A server with its folder, and what was started; dropped, all of it ends.
+struct Site {
+    bench: Bench,
+    started: Vec<Child>,
+}
+
+impl Site {
+    fn new() -> Option<Self> {
+        let there = Command::new("hq").arg("--version").stdout(Stdio::null()).status();
+        if !there.is_ok_and(|status| status.success()) {
+            eprintln!("HyperQueue is skipped: there is no hq in PATH");
+            return None;
+        }
+        let bench = Bench::new();
+        std::fs::create_dir(bench.path("tmp")).unwrap();
+        let mut site = Self { bench, started: Vec::new() };
+        site.start(&["server", "start"]);
+        site.until("the server answers", || site.hq("job list").status.success());
+        Some(site)
+    }
+
+    fn command(&self, program: &str) -> Command {
+        let mut command = Command::new(program);
+        command.current_dir(self.bench.path(""));
+        command.env("HQ_SERVER_DIR", self.bench.path("server")).env("TMPDIR", self.bench.path("tmp"));
+        command
+    }
+
+    fn start(&mut self, arguments: &[&str]) {
+        let log = std::fs::File::create(self.bench.path(&format!("hq-{}.log", self.started.len()))).unwrap();
+        let mut command = self.command("hq");
+        command.args(arguments).stdin(Stdio::null()).stdout(log.try_clone().unwrap()).stderr(log);
+        self.started.push(command.spawn().unwrap());
+    }
+
+    fn worker(&mut self) {
+        self.start(&["worker", "start", "--cpus", "2", "--heartbeat", "1s"]);
+    }
+
+    fn hq(&self, arguments: &str) -> Output {
+        self.command("hq").args(arguments.split(' ')).output().unwrap()
+    }
+
+    /// What a call says that must end with code 0.
+    fn says(&self, arguments: &str) -> String {
+        let output =
+            self.command(env!("CARGO_BIN_EXE_metasense")).args(arguments.split(' ')).output().unwrap();
+        let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+        assert_eq!(output.status.code(), Some(0), "{arguments}: {said}");
+        said
+    }
+
+    fn until(&self, what: &str, mut ask: impl FnMut() -> bool) {
+        let began = Instant::now();
+        while !ask() {
+            let jobs = || String::from_utf8_lossy(&self.hq("job list --all").stdout).into_owned();
+            assert!(began.elapsed() < Duration::from_secs(90), "not within 90 s: {what}\n{}", jobs());
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+
+    /// How often shards have begun to run, by their logs.
+    fn begun(&self) -> usize {
+        let log = |i: u32| {
+            std::fs::read_to_string(self.bench.path(&format!("results/tiny.shards/shard-{i}-of-2.log")))
+        };
+        (1..=2).map(|i| log(i).unwrap_or_default().matches("worker started").count()).sum()
+    }
+}
+
+impl Drop for Site {
+    fn drop(&mut self) {
+        let _ = self.hq("server stop");
+        for child in &mut self.started {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+#[test]
+fn shards_survive_their_worker_and_are_not_submitted_twice() {
+    let Some(mut site) = Site::new() else { return };
+    // Some seconds a shard.
+    let text =
+        TINY.replace("1e-4", "1e-3").replace("iterations = 4\n", "iterations = 300\n") + "seeds = [1, 2]\n";
+    site.bench.file("tiny.toml", &text);
+    site.says("run tiny.toml --db whole.sqlite");
+    let submitted = site.says("submit hq tiny.toml --shards 2 --cpus 1 --time 10");
+    assert_eq!(submitted.matches("submitted: job").count(), 2, "{submitted}");
+
+    // Waiting, for want of a worker; then running: not again.
+    for state in ["waiting", "running"] {
+        let again = site.says("submit hq tiny.toml --cpus 1 --time 10");
+        assert!(again.contains("left out: shards 1-2") && again.contains("nothing to submit"), "{again}");
+        let status = site.says("status --cluster");
+        assert!(status.contains(state) && status.contains("2 in the queue"), "{status}");
+        if state == "waiting" {
+            site.worker();
+            site.until("both shards run", || site.begun() == 2);
+        }
+    }
+
+    // The worker dies; its shards are queued again, and another one runs them.
+    let mut worker = site.started.pop().unwrap();
+    worker.kill().unwrap();
+    worker.wait().unwrap();
+    site.worker();
+    site.until("both shards run again", || site.begun() == 4);
+
+    // Somebody cancels the job; what it had is handed in, or on the node, and the next one goes on.
+    site.until("the job is cancelled", || site.hq("job cancel 1").status.success());
+    site.until("the queue is empty", || site.says("status --cluster").contains("0 in the queue"));
+    site.says("submit hq tiny.toml --cpus 1 --time 10");
+    site.until("all is complete", || site.says("status --cluster").contains("2 of 2 shards complete"));
+    let merged = || site.bench.metasense(&["run", "tiny.toml", "--db", "results/tiny.sqlite"]);
+    site.until("the merge is done", || site.hq("job wait all").status.success());
+    assert!(String::from_utf8_lossy(&merged().stderr).contains("nothing left to do"));
+    assert_eq!(results(&site.bench, "results/tiny.sqlite"), results(&site.bench, "whole.sqlite"));
+    assert!(site.says("submit hq tiny.toml").contains("nothing left to do"));
+}
