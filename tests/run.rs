@@ -203,3 +203,34 @@ fn a_trial_in_the_foreground_is_the_trial_of_the_run() {
         "{alone}"
     );
 }
+
+/// Whoever waits for the lock gets it when all that the run has to say of itself is written, and not between.
+#[test]
+fn a_run_holds_its_database_until_its_outcome_is_recorded() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    let mut run = Command::new(env!("CARGO_BIN_EXE_metasense"))
+        .args(["run", "tiny.toml", "--db", "t.sqlite"])
+        .current_dir(bench.path(""))
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    while !std::fs::read_to_string(bench.path("t.log")).unwrap_or_default().contains("worker started") {
+        assert!(began.elapsed() < Duration::from_secs(60), "no worker is started within a minute");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let file = std::fs::File::open(bench.path("t.sqlite")).unwrap();
+    assert!(file.try_lock().is_err(), "the run does not hold its database");
+    // Without a pause: who closes and opens again lets go for some microseconds.
+    while file.try_lock().is_err() {
+        assert!(began.elapsed() < Duration::from_secs(60), "the run does not end within a minute");
+    }
+    let outcome = bench.output(&["query", "t.sqlite", "SELECT outcome FROM v_run", "--format", "csv"]);
+    assert_eq!(outcome, "outcome\ncomplete\n");
+    drop(file);
+    let mut said = String::new();
+    std::io::Read::read_to_string(&mut run.stderr.take().unwrap(), &mut said).unwrap();
+    assert!(run.wait().unwrap().success(), "{said}");
+}

@@ -168,10 +168,15 @@ async fn run(
     let run = store.begin_run(&planned).await?;
     let mut live = Live::new(open.len(), plan.trials.len() - open.len(), options.settings.workers);
     let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
-    let summary = engine::run(store, &open, &work, &options, signals, &mut live).await?;
-    let mut store = Store::open(db).await?;
-    store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await?;
-    store.close().await?;
+    let ended = engine::run(&mut store, &open, &work, &options, signals, &mut live).await;
+    // Closed in any case, and let go of when all is written.
+    let noted = match &ended {
+        Ok(summary) => store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await,
+        Err(_) => Ok(()),
+    };
+    let closed = store.close().await;
+    let summary = ended?;
+    noted.and(closed)?;
     Ok(summary.outcome)
 }
 

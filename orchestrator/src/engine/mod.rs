@@ -88,7 +88,7 @@ pub enum EngineError {
     NoWorkers(String),
 }
 
-/// Runs trials until all are settled or somebody wants it to end. Closes the store.
+/// Runs trials until all are settled or somebody wants it to end.
 ///
 /// `work` says what a worker is to do for a trial. To be called from the main thread: workers end with the thread
 /// that has started them.
@@ -96,17 +96,16 @@ pub enum EngineError {
 /// # Errors
 /// If nothing can be recorded, or no worker comes up.
 pub async fn run(
-    store: Store,
+    store: &mut Store,
     trials: &[&Trial],
     work: &dyn Fn(&Trial) -> Work,
     options: &Options,
     signals: &mut Signals,
     watch: &mut dyn Watch,
 ) -> Result<Summary, EngineError> {
-    let mut store = store;
     let settings = &options.settings;
     let state = |priors: &[Prior]| State::new(settings.clone(), priors);
-    let (priors, state) = begin::priors(&mut store, trials, state, settings.prune.as_ref()).await?;
+    let (priors, state) = begin::priors(store, trials, state, settings.prune.as_ref()).await?;
     let runtime = Runtime::new(settings.workers)?;
     let (ended_out, mut ended) = mpsc::channel(QUEUE);
     let (words_out, mut words) = mpsc::channel(QUEUE);
@@ -161,11 +160,7 @@ pub async fn run(
             _ => Ok(summary),
         }
     };
-    let (store, summary) = tokio::join!(writing, running);
-    let closed = store.close().await;
-    let summary = summary?;
-    closed?;
-    Ok(summary)
+    tokio::join!(writing, running).1
 }
 
 /// What the scheduler passes on unread.

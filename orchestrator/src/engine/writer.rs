@@ -70,26 +70,25 @@ pub enum Written {
     Broken(StoreError),
 }
 
-/// Writes until the queue is closed, and hands the store back. `hashes` are those of the run's trials.
+/// Writes until the queue is closed. `hashes` are those of the run's trials.
 pub async fn write(
-    mut store: Store,
+    store: &mut Store,
     hashes: Vec<String>,
     mut queue: Receiver<Write>,
     said: UnboundedSender<Written>,
-) -> Store {
+) {
     let mut batch = Vec::with_capacity(BATCH);
     while queue.recv_many(&mut batch, BATCH).await > 0 {
-        match transact(&mut store, &hashes, &batch).await {
+        match transact(store, &hashes, &batch).await {
             Ok(written) => written.into_iter().for_each(|word| drop(said.send(word))),
             Err(error) => {
                 let _ = said.send(Written::Broken(error));
-                return store;
+                return;
             }
         }
         // Releases the arrays.
         batch.clear();
     }
-    store
 }
 
 async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Result<Vec<Written>, StoreError> {

@@ -127,7 +127,9 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         Some(minutes) => Box::new(Soak::new(minutes)),
         None => Box::new(Silent),
     };
-    let summary = engine::run(store, &pending, &work, &options, &mut signals, &mut *watch).await?;
+    let summary = engine::run(&mut store, &pending, &work, &options, &mut signals, &mut *watch).await;
+    store.close().await?;
+    let summary = summary?;
     let seconds = began.elapsed().as_secs_f64();
     let row = json!({
         "bench": "engine",
