@@ -1,8 +1,9 @@
-//! A database to be merged: attached as it is where it lies still, through a copy where a run may write to it, where it
-//! has a journal, or where it is of an older version.
+//! A database to be merged: attached as it is where we can keep writers away from it, through a copy where a run may write
+//! to it, where it has a journal, or where it is of an older version.
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use metasense_schemas::database::MIGRATIONS;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -18,6 +19,8 @@ pub(super) struct Input {
     pub named: PathBuf,
     /// To attach.
     pub uri: String,
+    /// Keeps writers out for as long as it is attached, if it is the file itself.
+    _lock: Option<File>,
 }
 
 impl Input {
@@ -33,7 +36,9 @@ impl Input {
         };
         let copy = scratch.join(format!("input-{number}.sqlite"));
         let mut path = file.to_owned();
-        if beside(file, "-wal").metadata().is_ok_and(|m| m.len() > 0) || is_written(file) {
+        let lock = File::open(file).map_err(|e| text(&e))?;
+        let busy = matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
+        if busy || has_journal(file) {
             snapshot(file, &copy, false).await.map_err(|e| text(&e))?;
             path.clone_from(&copy);
         }
@@ -57,13 +62,31 @@ impl Input {
             }
             store::upgrade(&copy).await.map_err(|e| text(&e))?;
         }
-        Ok(Self { named, uri: uri(&path) })
+        Ok(Self { named, uri: uri(&path), _lock: (path != copy).then_some(lock) })
     }
 }
 
-/// Whether a run holds it.
-fn is_written(file: &Path) -> bool {
-    File::open(file).is_ok_and(|f| matches!(f.try_lock_shared(), Err(TryLockError::WouldBlock)))
+/// Whether there is a write-ahead log with something in it.
+pub(super) fn has_journal(file: &Path) -> bool {
+    beside(file, "-wal").metadata().is_ok_and(|m| m.len() > 0)
+}
+
+/// Folds what a killed run has left in the log into the file, so that nothing is lost with the log.
+pub(super) async fn fold(file: &Path) -> Result<(), StoreError> {
+    if !has_journal(file) {
+        return Ok(());
+    }
+    let at = |source| StoreError::sql(file, "folding the log into", source);
+    let options = SqliteConnectOptions::new().filename(file).busy_timeout(Duration::from_secs(10));
+    let mut connection = options.disable_statement_logging().connect().await.map_err(at)?;
+    // Busy, frames in the log, those of them that are in the file.
+    let folded: (i64, i64, i64) =
+        sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&mut connection).await.map_err(at)?;
+    connection.close().await.map_err(at)?;
+    match folded.0 {
+        0 => Ok(()),
+        _ => Err(StoreError::InUse { path: file.to_owned() }),
+    }
 }
 
 /// One consistent state of a database, whoever writes to it, as a file without a journal. `ours`: it may be tidied up
@@ -76,7 +99,7 @@ pub(in crate::cluster) async fn snapshot(file: &Path, copy: &Path, ours: bool) -
     let mut connection = SqliteConnectOptions::new()
         .filename(file)
         .read_only(!ours)
-        .busy_timeout(std::time::Duration::from_secs(10))
+        .busy_timeout(Duration::from_secs(10))
         .disable_statement_logging()
         .connect()
         .await
@@ -121,4 +144,24 @@ fn escaped(file: &Path) -> String {
         c => c.to_string(),
     };
     file.to_string_lossy().chars().map(escape).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::Store;
+
+    /// What is attached as it is does not change: no run can begin on it before the merge has let go of it.
+    #[tokio::test]
+    async fn an_input_is_locked_for_as_long_as_it_is_attached() {
+        let folder = tempfile::tempdir().unwrap();
+        let db = folder.path().join("a.sqlite");
+        Store::open(&db).await.unwrap().close().await.unwrap();
+        let input = Input::open(&db, folder.path(), 0).await.unwrap();
+        assert!(matches!(Store::open(&db).await, Err(StoreError::InUse { .. })), "{input:?}");
+        let other = Input::open(&db, folder.path(), 1).await.unwrap();
+        assert_eq!(other.uri, input.uri, "merges may share it");
+        drop((input, other));
+        Store::open(&db).await.unwrap().close().await.unwrap();
+    }
 }

@@ -117,13 +117,22 @@ async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path) -> Result<Summa
         }
     }
     summary.read = inputs.len();
-    File::open(&built).and_then(|file| file.sync_all()).map_err(unwritable)?;
-    // A journal of the former file would be taken for the new one's.
+    put_in_place(&built, out).await?;
+    Ok(summary)
+}
+
+/// Puts what was built where the former result lies, which is whole until then: a log that a killed run has left beside it
+/// would be taken for the new one's, and goes when all that it holds is in the former file.
+async fn put_in_place(built: &Path, out: &Path) -> Result<(), MergeError> {
+    let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
+    File::open(built).and_then(|file| file.sync_all()).map_err(unwritable)?;
+    input::fold(out).await?;
     for journal in ["-wal", "-shm"] {
         let _ = std::fs::remove_file(input::beside(out, journal));
     }
-    std::fs::rename(&built, out).map_err(unwritable)?;
-    Ok(summary)
+    std::fs::rename(built, out).map_err(unwritable)?;
+    let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    File::open(folder).and_then(|folder| folder.sync_all()).map_err(unwritable)
 }
 
 /// Where something went wrong: in an input, or in what is made.
@@ -194,4 +203,35 @@ fn distinct(files: &[PathBuf], out: &Path) -> Vec<PathBuf> {
 
 fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As far as the rename, which fails here as a crash would: what a killed run had left in the log is still there.
+    #[tokio::test]
+    async fn until_the_new_file_is_in_place_nothing_of_the_old_one_is_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let (live, out) = (folder.path().join("live.sqlite"), folder.path().join("out.sqlite"));
+        let mut store = crate::store::Store::open(&live).await.unwrap();
+        let spec = "name = \"s\"\n[body]\ncolumns = 4\nrows = 4\nspacing = 15.0\nligament_length = 2.25\n\
+            density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }\n[stimuli]\nkind = \"bell\"\n\
+            samples = 8\ntest = 2\n[sweep]\npanels = [2]\nsensors = [1, 2]\n";
+        let plan = crate::plan::Plan::new("s.toml", spec.into()).unwrap();
+        store.begin_sweep(&plan.spec, spec, &plan.trials).await.unwrap();
+        // As a killed run leaves them.
+        for end in ["", "-wal"] {
+            std::fs::copy(input::beside(&live, end), input::beside(&out, end)).unwrap();
+        }
+        assert!(input::has_journal(&out));
+        let built = folder.path().join("built.sqlite");
+        // A folder that is not empty takes no file's place, and cannot take one's.
+        std::fs::create_dir(&built).unwrap();
+        std::fs::write(built.join("x"), "").unwrap();
+        assert!(put_in_place(&built, &out).await.is_err());
+        let mut reader = crate::store::Reader::open(&out).await.unwrap();
+        let rows = reader.query("SELECT count(*) FROM v_trial").await.unwrap().rows;
+        assert_eq!(rows[0][0], 2);
+    }
 }
