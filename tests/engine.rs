@@ -200,6 +200,35 @@ fn a_stopped_worker_is_ended_by_its_deadline() {
     assert_eq!(reasons, [r#"["no_progress"]"#]);
 }
 
+/// The run is stopped (SIGSTOP, a debugger, a suspended machine) for longer than any silence may last, alone or with its
+/// workers: nobody is taken for dead, and nothing is done twice.
+#[test]
+fn a_run_that_was_stopped_ends_no_worker_on_waking() {
+    let folder = tempfile::tempdir().unwrap();
+    for with_workers in [false, true] {
+        let db = folder.path().join(format!("stopped-{with_workers}.sqlite"));
+        // More than a second: what goes by between two looks counts up to that.
+        let sweep = "--trials 4 --steps 100 --step-ms 20 --workers 2 --no-progress-ms 1500";
+        let mut run = Run::start(&db, sweep);
+        let workers = run.some_workers(2);
+        eventually(Duration::from_secs(20), || (rows(&db, "SELECT 1 FROM step").len() > 20).then_some(()))
+            .expect("steps come in");
+        let stopped = if with_workers { &workers[..] } else { &[] };
+        run.signal(libc::SIGSTOP);
+        stopped.iter().for_each(|pid| kill(*pid, libc::SIGSTOP));
+        std::thread::sleep(Duration::from_millis(2500));
+        run.signal(libc::SIGCONT);
+        if with_workers {
+            // They come after it, as processes do.
+            std::thread::sleep(Duration::from_millis(200));
+        }
+        stopped.iter().for_each(|pid| kill(*pid, libc::SIGCONT));
+        assert_eq!(run.wait(), Some(0));
+        assert_eq!(rows(&db, "SELECT number, reason FROM attempt WHERE state = 'failed'"), [""; 0]);
+        assert_eq!(rows(&db, "SELECT DISTINCT number FROM attempt"), ["[1]"]);
+    }
+}
+
 /// Segments and directories of runs that are gone disappear with the next run; those of living runs stay.
 #[test]
 fn leftovers_of_dead_runs_are_removed_and_living_runs_are_not() {

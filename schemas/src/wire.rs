@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use iceoryx2::config::Config;
 use iceoryx2::port::ReceiveError;
+use iceoryx2::port::listener::ListenerWaitError;
 use iceoryx2::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -414,6 +415,18 @@ impl Services {
     /// If iceoryx2 cannot create it.
     pub fn sleeper(service: &Wakes) -> Result<Sleeper, LinkError> {
         service.listener_builder().create().map_err(LinkError::of("creating a sleeper"))
+    }
+}
+
+/// Waits for a wake-up, for `POLL` at the longest. A signal, also one that stopped the process or let it go on, ends the
+/// wait early and does no harm: whoever waits looks again.
+///
+/// # Errors
+/// If iceoryx2 cannot wait; `waiting` says for what.
+pub fn sleep(sleeper: &Sleeper, waiting: &'static str) -> Result<(), LinkError> {
+    match sleeper.timed_wait(|_| {}, POLL) {
+        Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
+        Err(error) => Err(LinkError::of(waiting)(error)),
     }
 }
 

@@ -154,11 +154,7 @@ impl Worker {
                     name_process(IDLE);
                 }
                 Some(ToWorker::Stop) => return Ok(()),
-                None => {
-                    self.sleeper
-                        .timed_wait(|_| {}, wire::POLL)
-                        .map_err(LinkError::of("waiting for a job"))?;
-                }
+                None => wire::sleep(&self.sleeper, "waiting for a job")?,
             }
         }
     }

@@ -4,6 +4,7 @@
 //! memory) and the writer's (database). A result counts, and is shown, when it is on disk.
 
 mod begin;
+mod clock;
 mod forecast;
 mod signals;
 mod watch;
@@ -22,6 +23,8 @@ use tokio::sync::mpsc;
 pub use begin::{Again, begin};
 pub use signals::Signals;
 pub use watch::{Silent, View, Watch};
+
+use clock::Clock;
 
 use crate::fleet::Fleet;
 use crate::link::{Line, Runtime, RuntimeError, Word};
@@ -125,6 +128,7 @@ pub async fn run(
         work,
         options,
         began: Instant::now(),
+        clock: Clock::start(),
         fleet: Fleet::new(options.program.clone(), ended_out),
         runtime,
         links: HashMap::new(),
@@ -188,6 +192,7 @@ struct Engine<'a> {
     work: &'a dyn Fn(&Trial) -> Work,
     options: &'a Options,
     began: Instant,
+    clock: Clock,
     // Before the runtime: processes go before the directory that they use.
     fleet: Fleet,
     links: HashMap<WorkerId, Link>,
@@ -210,7 +215,7 @@ type Events = VecDeque<Event<Record>>;
 impl Engine<'_> {
     /// Puts the events to the scheduler, and carries out what it wants. The outcome, once the run is over.
     async fn carry_out(&mut self, events: &mut Events) -> Option<Outcome> {
-        let now = self.began.elapsed().as_millis() as u64;
+        let now = self.clock.look();
         let mut actions: VecDeque<_> = scheduler::on_event(&mut self.state, Event::Clock(now)).into();
         loop {
             while let Some(action) = actions.pop_front() {

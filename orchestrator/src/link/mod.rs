@@ -135,7 +135,7 @@ fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(Word) -> bool) -> Result<
         if closing {
             break;
         }
-        receivers.sleeper.timed_wait(|_| {}, wire::POLL).map_err(LinkError::of("waiting for a worker"))?;
+        wire::sleep(&receivers.sleeper, "waiting for a worker")?;
     }
     Ok(())
 }
