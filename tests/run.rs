@@ -8,7 +8,10 @@ use std::time::{Duration, Instant};
 use common::{Bench, TINY, results};
 use metasense::plan::Plan;
 use metasense::store::Store;
+use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_worker::simd::NAMES;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 
 #[test]
 fn a_sweep_runs_once_and_only_what_is_new_is_added() {
@@ -122,6 +125,36 @@ fn a_run_that_is_killed_goes_on_to_the_same_results() {
         bench.output(&["query", "killed.sqlite", lost, "--format", "csv"]).ends_with("1\n"),
         "nothing was killed"
     );
+}
+
+/// Of another version, or damaged: the trial begins anew, and says so; the results are the same.
+#[tokio::test]
+async fn a_checkpoint_that_is_of_no_use_is_not_overlooked() {
+    let bench = Bench::new();
+    let text = TINY.replace("[1, 2]", "[1]");
+    bench.file("tiny.toml", &text);
+    bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+    let plan = Plan::new("tiny.toml", text).unwrap();
+    let hash = &plan.trials[0].hash;
+    let whole = Checkpoint { step: 2, ..Checkpoint::default() }.to_bytes();
+    let newer = [&[99], &whole[1..]].concat();
+    for (bytes, expected) in [(newer, "version 99"), (whole[..whole.len() - 1].to_vec(), "damaged")] {
+        let db = bench.path("old.sqlite");
+        let _ = std::fs::remove_file(&db);
+        let mut store = Store::open(&db).await.unwrap();
+        store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
+        store.begin_attempt(hash).await.unwrap();
+        let step = StepRecord { outcome: "ok".into(), ..StepRecord::default() };
+        store.record_step(hash, 1, &step, &Checkpoint::default()).await.unwrap();
+        store.close().await.unwrap();
+        let mut db = SqliteConnectOptions::new().filename(db).connect().await.unwrap();
+        sqlx::query("UPDATE checkpoint SET bytes = ?").bind(bytes).execute(&mut db).await.unwrap();
+        db.close().await.unwrap();
+        let run = bench.metasense(&["run", "tiny.toml", "--db", "old.sqlite"]);
+        let said = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert!(run.status.success() && said.contains("begins anew") && said.contains(expected), "{said}");
+        assert_eq!(results(&bench, "old.sqlite"), results(&bench, "whole.sqlite"));
+    }
 }
 
 /// A trial that has failed stays so until it is asked for again; then its next attempt is run.

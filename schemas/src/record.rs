@@ -182,7 +182,8 @@ pub struct TrialResult {
     pub placed: Option<Placed>,
 }
 
-/// What is needed to go on inside a trial. Stored as postcard bytes behind a version byte.
+/// What is needed to go on inside a trial. Stored as postcard bytes behind a version byte: these know no field by its name,
+/// so that a field more is a version more, and [`Checkpoint::from_bytes`] keeps the old one's shape.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Checkpoint {
     /// The next outer step.
@@ -199,4 +200,106 @@ pub struct Checkpoint {
     pub best: Option<(Vec<f64>, f64, u32)>,
     /// What else the protocol carries from step to step (rate factors, running trends), by position.
     pub protocol: Vec<f64>,
+}
+
+/// A stored checkpoint that this program cannot go on from.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum CheckpointError {
+    /// Of another program.
+    #[error("it is of version {0}, this program knows version {known}", known = Checkpoint::VERSION)]
+    Version(u8),
+    /// Cut short, or of another shape than its version says.
+    #[error("it is damaged: {0}")]
+    Damaged(String),
+}
+
+impl Checkpoint {
+    /// Of what [`Checkpoint::to_bytes`] writes.
+    pub const VERSION: u8 = 1;
+
+    /// As it is stored.
+    ///
+    /// # Panics
+    /// Never: it is plain data.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        postcard::to_extend(self, vec![Self::VERSION]).expect("a checkpoint is plain data")
+    }
+
+    /// From what is stored.
+    ///
+    /// # Errors
+    /// If it is of another version, or not whole.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
+        let damaged = |why: &dyn std::fmt::Display| CheckpointError::Damaged(why.to_string());
+        match bytes.split_first() {
+            Some((&Self::VERSION, rest)) => match postcard::take_from_bytes(rest) {
+                Ok((checkpoint, [])) => Ok(checkpoint),
+                Ok((_, more)) => Err(damaged(&format!("{} bytes too many", more.len()))),
+                Err(error) => Err(damaged(&error)),
+            },
+            Some((version, _)) => Err(CheckpointError::Version(*version)),
+            None => Err(damaged(&"it is empty")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What version 1 has written is read for ever: whoever changes `Checkpoint` sees these bytes fail, and adds a version.
+    #[test]
+    fn a_checkpoint_of_version_1_goes_on() {
+        let checkpoint = Checkpoint {
+            step: 300,
+            design: vec![0.5, -2.0],
+            design_moments: (vec![1.0], vec![2.0], 7),
+            weights: vec![0.25],
+            weight_moments: (vec![0.5], Vec::new(), 200),
+            best: Some((vec![1.5], 12.5, 299)),
+            protocol: vec![3.0],
+        };
+        let stored = "01 ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
+                      01 0000803e 01 0000003f 00 c801 01 01 000000000000f83f 0000000000002940 ab02 01 0000000000000840";
+        let digits: Vec<u8> = stored.bytes().filter(u8::is_ascii_hexdigit).collect();
+        let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+        let bytes: Vec<u8> = digits.chunks(2).map(byte).collect();
+        assert_eq!(Checkpoint::from_bytes(&bytes), Ok(checkpoint.clone()));
+        assert_eq!(checkpoint.to_bytes(), bytes);
+        assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
+        for broken in [&bytes[..bytes.len() - 1], &[&bytes[..], &[0]].concat(), &[]] {
+            assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
+        }
+    }
+
+    /// Ten thousand checkpoints with some bytes changed, cut off or added: an answer each, and no panic.
+    #[test]
+    fn no_stored_bytes_make_a_reader_panic() {
+        let whole = Checkpoint {
+            step: 3,
+            design: vec![0.5; 6],
+            weights: vec![0.25; 4],
+            best: Some((vec![1.5; 6], 12.5, 2)),
+            protocol: vec![3.0; 4],
+            ..Default::default()
+        };
+        let mut runner = proptest::test_runner::TestRunner::new(proptest::test_runner::Config {
+            cases: 10_000,
+            failure_persistence: None,
+            ..Default::default()
+        });
+        let edits = (proptest::collection::vec((0usize..120, 0u8..=255), 0..6), 0usize..120);
+        let read = |(edits, length): (Vec<(usize, u8)>, usize)| {
+            let mut bytes = whole.to_bytes();
+            bytes.resize(length.max(1), 0xff);
+            for (at, value) in edits {
+                let end = bytes.len() - 1;
+                bytes[at.min(end)] = value;
+            }
+            let _ = Checkpoint::from_bytes(&bytes);
+            Ok(())
+        };
+        runner.run(&edits, read).unwrap();
+    }
 }

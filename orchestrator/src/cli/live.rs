@@ -70,6 +70,10 @@ impl Watch for Live {
         self.say(&format!("attempt {attempt} failed: {}: {reason}; {then}", named(trial)));
     }
 
+    fn begins_anew(&mut self, trial: &Trial, why: &str) {
+        self.say(&format!("begins anew, as its checkpoint is of no use: {}: {why}", named(trial)));
+    }
+
     fn interrupted(&mut self, again: bool) {
         self.say(match again {
             false => "stopping: the steps in progress are finished and recorded (Ctrl-C again stops at once)",

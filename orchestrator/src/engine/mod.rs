@@ -487,6 +487,12 @@ impl Engine<'_> {
                 events.push_back(Event::Recorded(lease, mark));
             }
             Written::Loaded(worker, lease, checkpoint) => {
+                let checkpoint = checkpoint.unwrap_or_else(|why| {
+                    let trial = self.trials[lease.trial as usize];
+                    tracing::error!(trial.hash, why, "the checkpoint is of no use; the trial begins anew");
+                    self.watch.begins_anew(trial, &why);
+                    None
+                });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
                     self.send_job(worker, lease, checkpoint);
                 }

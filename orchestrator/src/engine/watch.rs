@@ -16,6 +16,8 @@ pub trait Watch {
     fn done(&mut self, _trial: &Trial, _result: &TrialResult) {}
     /// An attempt has come to nothing; `settled`: for good.
     fn attempt_failed(&mut self, _trial: &Trial, _attempt: u32, _reason: Reason, _settled: bool) {}
+    /// A trial's checkpoint is of no use: it begins anew.
+    fn begins_anew(&mut self, _trial: &Trial, _why: &str) {}
     /// Somebody wants the run to end; `again`: not for the first time.
     fn interrupted(&mut self, _again: bool) {}
     /// Some time has passed.

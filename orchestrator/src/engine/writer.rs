@@ -64,8 +64,8 @@ impl Arrays {
 pub enum Written {
     /// It is on disk.
     Recorded(Lease, Mark),
-    /// The checkpoint that was wanted.
-    Loaded(WorkerId, Lease, Option<Checkpoint>),
+    /// The checkpoint that was wanted; or why the one that is there is of no use.
+    Loaded(WorkerId, Lease, Result<Option<Checkpoint>, String>),
     /// Nothing can be recorded any more.
     Broken(StoreError),
 }
@@ -119,7 +119,11 @@ async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Resu
                 written.push(Written::Recorded(*lease, Mark::Failure));
             }
             Write::Load(worker, lease) => {
-                written.push(Written::Loaded(*worker, *lease, store.checkpoint(hash(lease)).await?));
+                let checkpoint = match store.checkpoint(hash(lease)).await {
+                    Err(StoreError::Unreadable { message, .. }) => Err(message),
+                    other => Ok(other?),
+                };
+                written.push(Written::Loaded(*worker, *lease, checkpoint));
             }
         }
     }

@@ -2,14 +2,13 @@
 
 use std::borrow::Cow;
 
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense_schemas::record::{
+    BodyEvaluation, Checkpoint, CheckpointError, NetworkEvaluation, StepRecord, TrialResult,
+};
 use metasense_worker::milestones;
 use sqlx::Executor;
 
 use super::{Store, StoreError, npy_bytes, npy_values};
-
-/// The first byte of a stored checkpoint; a checkpoint behind another byte is not used, its trial starts anew.
-const CHECKPOINT_VERSION: u8 = 1;
 
 /// The version of this program, as attempts and sweeps record it.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -70,10 +69,12 @@ impl Store {
             .fetch_optional(&mut self.connection)
             .await
             .map_err(|source| StoreError::sql(&self.path, "reading a checkpoint from", source))?;
-        Ok(bytes.and_then(|bytes| match bytes.split_first() {
-            Some((&CHECKPOINT_VERSION, rest)) => postcard::from_bytes(rest).ok(),
-            _ => None,
-        }))
+        let unreadable = |error: CheckpointError| StoreError::Unreadable {
+            hash: hash.to_owned(),
+            what: "checkpoint",
+            message: error.to_string(),
+        };
+        bytes.map(|bytes| Checkpoint::from_bytes(&bytes)).transpose().map_err(unreadable)
     }
 
     /// Begins an attempt at a trial and returns its number, from 1.
@@ -193,12 +194,10 @@ impl Store {
         .bind(seconds.store)
         .execute(&mut self.connection)
         .await?;
-        let mut bytes = vec![CHECKPOINT_VERSION];
-        bytes.extend(postcard::to_stdvec(checkpoint).expect("a checkpoint is plain data"));
         sqlx::query("INSERT OR REPLACE INTO checkpoint (trial_id, step, bytes) VALUES (?, ?, ?)")
             .bind(id)
             .bind(checkpoint.step)
-            .bind(bytes)
+            .bind(checkpoint.to_bytes())
             .execute(&mut self.connection)
             .await?;
         Ok(())
