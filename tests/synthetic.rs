@@ -145,7 +145,7 @@ pub async fn fill(db: &Path) {
     for placement in 0..4 {
         for n in 4..=8 {
             let trial = trial(trials.len(), (n, n), 2, 1, placement);
-            let noise = (0.03 * ((trials.len() * 7919 % 101) as f64 / 50.0 - 1.0)).exp();
+            let noise = (0.03 * ((trials.len() * trials.len() * 7919 % 101) as f64 / 50.0 - 1.0)).exp();
             let law = 20.0 * (trial.design_parameters as f64 / 100.0).powf(-0.7) + 3.0;
             trials.push((trial, 30.0 * noise, law * noise));
         }

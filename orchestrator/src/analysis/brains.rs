@@ -4,7 +4,7 @@
 
 use super::data::{Trial, geometric_mean};
 use super::paired::Ratio;
-use super::{Body, Set};
+use super::{Body, Cluster, Set};
 use metasense_schemas::spec::{Brain, BrainKind, Network, Preset};
 use serde_json::Value;
 
@@ -124,9 +124,9 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
     for [by, trained_with] in &kinds {
         let alike: Vec<&&Trial> =
             trials.iter().filter(|t| brains(t) == [by.clone(), trained_with.clone()]).collect();
-        let errors = |t: &&&Trial| Some(Body::ALL.map(|body| t.error(body, Set::Holdout)));
+        let errors = |t: &&&Trial| (t.cluster, Body::ALL.map(|body| t.error(body, Set::Holdout)));
         let memory = alike.first().map_or([0.0; 2], |t| memory(t));
-        found.extend(read(trained_with, by, (memory, false, true), alike.iter().filter_map(errors)));
+        found.extend(read(trained_with, by, (memory, false, true), alike.iter().map(errors)));
     }
     let mut with: Vec<&String> = kinds.iter().map(|kind| &kind[1]).collect();
     with.sort();
@@ -152,7 +152,8 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
         for (memory, whole) in memories {
             let errors = alike.iter().filter_map(|t| {
                 let reading = t.readings.iter().find(|r| r.memory == memory)?;
-                Some(reading.errors.map(|body| body[Set::Holdout as usize].filter(|e| *e > 0.0)))
+                let errors = reading.errors.map(|body| body[Set::Holdout as usize].filter(|e| *e > 0.0));
+                Some((t.cluster, errors))
             });
             found.extend(read(trained_with, "linear", (memory, whole, false), errors));
         }
@@ -164,11 +165,12 @@ fn read(
     trained_with: &str,
     by: &str,
     (memory, whole, own): ([f64; 2], bool, bool),
-    errors: impl Iterator<Item = [Option<f64>; 2]>,
+    errors: impl Iterator<Item = (Cluster, [Option<f64>; 2])>,
 ) -> Option<Read> {
-    let pairs: Vec<[f64; 2]> = errors.filter_map(|[a, b]| Some([a?, b?])).collect();
-    let ratio = Ratio::of(&pairs.iter().map(|[a, b]| a / b).collect::<Vec<_>>())?;
-    let of = |body: usize| geometric_mean(&pairs.iter().map(|pair| pair[body]).collect::<Vec<_>>());
+    let pairs: Vec<(Cluster, [f64; 2])> =
+        errors.filter_map(|(cluster, [a, b])| Some((cluster, [a?, b?]))).collect();
+    let ratio = Ratio::of(&pairs.iter().map(|(cluster, [a, b])| (*cluster, a / b)).collect::<Vec<_>>())?;
+    let of = |body: usize| geometric_mean(&pairs.iter().map(|(_, pair)| pair[body]).collect::<Vec<_>>());
     let (trained_with, by) = (trained_with.to_owned(), by.to_owned());
     Some(Read { trained_with, by, memory, whole, own, errors: [of(0), of(1)], ratio })
 }
@@ -176,7 +178,6 @@ fn read(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::Cluster;
     use serde_json::json;
 
     fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whole: [f64; 2]) -> Trial {

@@ -51,7 +51,7 @@ impl Set {
     }
 }
 
-/// What trials share that are compared with one another: sensors and stimuli.
+/// What trials share that are compared with one another, and what is independent of what: sensors and stimuli.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Cluster {
     /// Sensor placement.
@@ -131,7 +131,7 @@ impl Trial {
     /// Whether its initial body is a random one.
     #[must_use]
     pub fn starts_random(&self) -> bool {
-        self.setting.contains_key("body.design.random")
+        self.setting.contains_key(RANDOM)
     }
 
     /// A training protocol's name.
@@ -168,6 +168,9 @@ pub struct Group<'a> {
     /// Its trials, in the order given.
     pub trials: Vec<&'a Trial>,
 }
+
+/// The seed of a random initial body.
+pub const RANDOM: &str = "body.design.random";
 
 /// What placements and seeds vary, and what leaves the ordinary comparison as it is.
 const CLUSTER: &[&str] =

@@ -28,7 +28,7 @@ pub enum Verdict {
     NoElbow,
     /// No place and no absence has more than half; the most votes went here.
     Undecided(f64),
-    /// One placement and seed alone: no votes; the fit itself has it here, or none.
+    /// Too few placements and seeds for votes; the fit itself has it here, or none.
     WithoutVote(Option<f64>),
 }
 
@@ -49,6 +49,8 @@ pub struct Elbow {
     pub gains: Vec<Gain>,
     /// What it comes to.
     pub verdict: Verdict,
+    /// The units that votes and intervals are over, or that are too few.
+    pub over: String,
 }
 
 /// What further sensors bring.
@@ -60,7 +62,7 @@ pub struct Gain {
     pub to: f64,
     /// Error before over error after; above 1 is better.
     pub ratio: f64,
-    /// Its 95 % interval, where there is more than one cluster.
+    /// Its 95 % interval, where there are units enough.
     pub interval: Option<Interval>,
 }
 
@@ -101,8 +103,9 @@ pub fn elbow(observations: &[Observation]) -> Result<Elbow, TooFew> {
         kneedle: kneedle(&levels),
         chord: chord(&levels),
         votes,
-        gains: at.windows(2).map(|w| gain(observations, w[0], w[1], &resampling)).collect(),
+        gains: gains(observations),
         verdict,
+        over: resampling.over(),
         levels,
     })
 }
@@ -250,6 +253,13 @@ fn chord(levels: &[Level]) -> Option<f64> {
     best.0
 }
 
+/// What each further sensor brings.
+pub(super) fn gains(observations: &[Observation]) -> Vec<Gain> {
+    let clusters: Vec<Cluster> = observations.iter().map(|o| o.cluster).collect();
+    let resampling = Resampling::new(&clusters);
+    places(observations).windows(2).map(|w| gain(observations, w[0], w[1], &resampling)).collect()
+}
+
 fn gain(observations: &[Observation], from: f64, to: f64, resampling: &Resampling) -> Gain {
     let mean = |weights: &[f64]| {
         let (mut sum, mut n) = (0.0, 0.0);
@@ -262,12 +272,11 @@ fn gain(observations: &[Observation], from: f64, to: f64, resampling: &Resamplin
         }
         (n > 0.0).then_some(sum / n)
     };
-    let replicates = resampling.replicates(|weights| mean(&weights));
     Gain {
         from,
         to,
         ratio: mean(&vec![1.0; observations.len()]).map_or(f64::NAN, f64::exp),
-        interval: Interval::of(replicates).map(|i| i.map(f64::exp)),
+        interval: resampling.interval(|weights| mean(weights)).map(|i| i.map(f64::exp)),
     }
 }
 

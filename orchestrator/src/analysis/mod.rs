@@ -2,10 +2,12 @@
 //!
 //! Errors are prediction errors in %, compared on a logarithmic scale: ratios are what carries over from one scene to
 //! another, and a mean of logarithms is not ruled by the one worst trial. A *cluster* is a (placement, seed) pair: all
-//! of a cluster's trials share sensors and stimuli, so that curves are compared within clusters and intervals are had
-//! by drawing whole placements and seeds anew ([`resample`]).
+//! of a cluster's trials share sensors and stimuli, so that curves are compared within clusters; what is independent, and
+//! with it every interval and vote, is in [`resample`], and whether intervals cover in its test, `coverage`.
 
 pub mod brains;
+#[cfg(test)]
+mod coverage;
 pub mod data;
 pub mod elbow;
 pub mod paired;

@@ -1,14 +1,13 @@
 //! Initial against optimised body, paired by trial.
 //!
 //! The ratio of the two errors of a trial compares bodies under the same stimuli, sensors and initial weights. The mean
-//! of ln(ratio) over trials has a 95 % interval by Student's t, which stays honest with few trials.
+//! of ln(ratio) over trials has an interval over placements and seeds ([`Resampling`]).
 
 use super::data::{CurvePoint, Set, Trial};
-use super::{Body, Interval};
-use metasense_worker::student;
+use super::{Body, Cluster, Interval, Resampling};
 
 /// A ratio over trials.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Ratio {
     /// Trials that have both values.
     pub trials: usize,
@@ -16,52 +15,54 @@ pub struct Ratio {
     pub above_one: usize,
     /// Geometric mean; above 1 the optimised body is the better one.
     pub ratio: f64,
-    /// Its 95 % interval; `None` of a single trial.
+    /// Its 95 % interval; `None` where there are too few units to tell.
     pub interval: Option<Interval>,
+    /// The units that the interval is over, or that are too few.
+    pub over: String,
 }
 
 impl Ratio {
-    /// The geometric mean of positive ratios with its interval; `None` of no ratios.
+    /// The geometric mean of positive ratios with its interval over placements and seeds; `None` of no ratios.
     #[must_use]
-    pub fn of(ratios: &[f64]) -> Option<Self> {
-        let logs: Vec<f64> = ratios.iter().map(|r| r.ln()).filter(|l| l.is_finite()).collect();
-        let n = logs.len() as f64;
-        if logs.is_empty() {
-            return None;
-        }
-        let mean = logs.iter().sum::<f64>() / n;
-        let interval = (logs.len() > 1).then(|| {
-            let variance = logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / (n - 1.0);
-            let half = student(logs.len() - 1) * (variance / n).sqrt();
-            Interval { low: mean - half, high: mean + half }.map(f64::exp)
-        });
+    pub fn of(ratios: &[(Cluster, f64)]) -> Option<Self> {
+        let (clusters, ratios): (Vec<Cluster>, Vec<f64>) = ratios.iter().copied().unzip();
+        Self::over(&Resampling::new(&clusters), &ratios)
+    }
+
+    /// The same over other units.
+    #[must_use]
+    pub fn over(units: &Resampling, ratios: &[f64]) -> Option<Self> {
+        let logs: Vec<f64> = ratios.iter().map(|r| r.ln()).collect();
+        let mean = |weights: &[f64]| {
+            let sum: f64 = weights.iter().zip(&logs).map(|(w, l)| w * l).sum();
+            Some(sum / weights.iter().sum::<f64>()).filter(|mean| mean.is_finite())
+        };
         Some(Self {
             trials: logs.len(),
             above_one: logs.iter().filter(|l| **l > 0.0).count(),
-            ratio: mean.exp(),
-            interval,
+            ratio: mean(&vec![1.0; logs.len()])?.exp(),
+            interval: units.interval(mean).map(|i| i.map(f64::exp)),
+            over: units.over(),
         })
     }
+}
+
+/// Of each trial that has both, the first value over the second.
+fn ratio(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64; 2]>) -> Option<Ratio> {
+    let of = |t: &&Trial| values(t).map(|[a, b]| (t.cluster, a / b));
+    Ratio::of(&trials.iter().filter_map(of).collect::<Vec<_>>())
 }
 
 /// Error of the initial over error of the optimised body.
 #[must_use]
 pub fn error_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
-    let ratios: Vec<f64> = trials
-        .iter()
-        .filter_map(|t| Some(t.error(Body::Initial, set)? / t.error(Body::Optimised, set)?))
-        .collect();
-    Ratio::of(&ratios)
+    ratio(trials, |t| Some([t.error(Body::Initial, set)?, t.error(Body::Optimised, set)?]))
 }
 
 /// The same after long training.
 #[must_use]
 pub fn long_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
-    let ratios: Vec<f64> = trials
-        .iter()
-        .filter_map(|t| Some(t.long_error(Body::Initial, set)? / t.long_error(Body::Optimised, set)?))
-        .collect();
-    Ratio::of(&ratios)
+    ratio(trials, |t| Some([t.long_error(Body::Initial, set)?, t.long_error(Body::Optimised, set)?]))
 }
 
 /// By what two trainings are compared.
@@ -114,13 +115,13 @@ pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Opti
 /// [`iteration_ratio`] over trials, each the geometric mean over its networks.
 #[must_use]
 pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
-    let ratios: Vec<f64> = trials
+    let ratios: Vec<(Cluster, f64)> = trials
         .iter()
         .filter_map(|t| {
             let [initial, optimised] = by.curves(t);
             let networks: Vec<f64> =
                 initial.iter().zip(optimised).filter_map(|(i, o)| iteration_ratio(i, o)).collect();
-            (!networks.is_empty()).then(|| super::data::geometric_mean(&networks))
+            (!networks.is_empty()).then(|| (t.cluster, super::data::geometric_mean(&networks)))
         })
         .collect();
     Ratio::of(&ratios)
@@ -132,15 +133,20 @@ mod tests {
 
     #[test]
     fn the_ratio_of_known_pairs_with_student_s_interval() {
-        let logs = [0.5, 0.7, 0.9];
-        let found = Ratio::of(&logs.map(f64::exp)).unwrap();
-        let half = 4.303 * 0.2 / 3f64.sqrt();
+        let logs = [0.5, 0.7, 0.9, 1.1];
+        let of_seeds = |logs: &[f64]| {
+            let seed = |i: usize| Cluster { placement: 0, seed: i as u64 };
+            Ratio::of(&logs.iter().enumerate().map(|(i, l)| (seed(i), l.exp())).collect::<Vec<_>>())
+        };
+        let found = of_seeds(&logs).unwrap();
+        let half = 3.182 * (0.2f64 / 3.0).sqrt() / 2.0;
         let interval = found.interval.unwrap();
-        assert!((found.ratio.ln() - 0.7).abs() < 1e-12 && found.above_one == 3, "{found:?}");
-        assert!((interval.low.ln() - (0.7 - half)).abs() < 1e-9, "{interval:?}");
-        assert!((interval.high.ln() - (0.7 + half)).abs() < 1e-9, "{interval:?}");
-        assert_eq!(Ratio::of(&[2.0]).unwrap().interval, None);
-        assert_eq!(Ratio::of(&[]), None);
+        assert!((found.ratio.ln() - 0.8).abs() < 1e-12 && found.above_one == 4, "{found:?}");
+        assert!((interval.low.ln() - (0.8 - half)).abs() < 1e-9, "{interval:?}");
+        assert!((interval.high.ln() - (0.8 + half)).abs() < 1e-9, "{interval:?}");
+        let few = of_seeds(&logs[..3]).unwrap();
+        assert_eq!((few.interval, &few.over[..]), (None, "too few to tell: 3 seeds"));
+        assert_eq!(of_seeds(&[]), None);
     }
 
     /// Loss 1/n on the initial body and 1/(4n) on the optimised one: equal at a quarter of the iterations.

@@ -1,11 +1,12 @@
 //! Optimised and initial against random bodies: whether training finds what chance does not.
 //!
 //! A trial whose body starts from `{ random = SEED }` gives a random body's error with its `initial`; it is compared with
-//! the trials of rotated squares that share its sensors and stimuli.
+//! the trials of rotated squares that share its sensors and stimuli. What is drawn is the body, as well as placement and seed.
 
-use super::data::{Trial, geometric_mean};
+use super::data::{RANDOM, Trial, geometric_mean};
 use super::paired::Ratio;
-use super::{Body, Set};
+use super::resample::{PLACEMENTS, SEEDS};
+use super::{Body, Resampling, Set};
 
 /// Random bodies beside the initial and the optimised one.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,8 +48,15 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
         (!same.is_empty()).then(|| geometric_mean(&same))
     };
     let ratios = Body::ALL.map(|body| {
-        let ratios = random.iter().filter_map(|t| Some(t.error(Body::Initial, set)? / alike(t, body)?));
-        Ratio::of(&ratios.collect::<Vec<f64>>())
+        let ratio = |&t| Some((t, Trial::error(t, Body::Initial, set)? / alike(t, body)?));
+        let (trials, ratios): (Vec<&Trial>, Vec<f64>) = random.iter().filter_map(ratio).unzip();
+        let of = |unit: fn(&Trial) -> u64| trials.iter().map(|t| unit(t)).collect();
+        let units = Resampling::of([
+            (["body", "bodies"], of(|t| t.setting[RANDOM].as_u64().unwrap_or_default())),
+            (PLACEMENTS, of(|t| t.cluster.placement)),
+            (SEEDS, of(|t| t.cluster.seed)),
+        ]);
+        Ratio::over(&units, &ratios)
     });
     let errors = of(&random, Body::Initial);
     (ratios[0].is_some() && !errors.is_empty()).then(|| Random {
@@ -85,10 +93,12 @@ mod tests {
         let trials: Vec<&Trial> = trials.iter().collect();
         let found = random(&trials, Set::Holdout).unwrap();
         let truth = (1.2f64 * 1.8).sqrt();
-        let [initial, optimised] = found.ratios;
+        let [initial, optimised] = found.ratios.clone();
         assert!((initial.unwrap().ratio / truth - 1.0).abs() < 1e-12, "{found:?}");
-        assert!((optimised.unwrap().ratio / (2.0 * truth) - 1.0).abs() < 1e-12, "{found:?}");
-        assert_eq!((found.errors.len(), found.trained.len(), optimised.unwrap().above_one), (4, 4, 4));
+        let optimised = optimised.unwrap();
+        assert!((optimised.ratio / (2.0 * truth) - 1.0).abs() < 1e-12, "{found:?}");
+        assert_eq!((found.errors.len(), found.trained.len(), optimised.above_one), (4, 4, 4));
+        assert_eq!(optimised.over, "too few to tell: 2 bodies × 2 placements");
         assert_eq!(random(&trials[..2], Set::Holdout), None);
         assert_eq!(random(&trials[2..], Set::Holdout), None);
     }

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::data::CurvePoint;
 use super::paired::iteration_ratio;
-use super::resample::{Draw, Interval, REPLICATES, SEED};
+use super::{Interval, Resampling};
 use crate::store::Table;
 
 /// What fresh networks made of a body's records.
@@ -93,20 +93,43 @@ pub struct MeanRatio {
     pub interval: Option<Interval>,
 }
 
-/// Ratio of mean errors. `paired`: record by record under the same blows, so that both draw the same ones.
+/// Ratio of mean errors. `paired`: record by record under the same blows, so that both leave out the same one.
 #[must_use]
 pub fn mean_ratio(first: &Judged, second: &Judged, paired: bool) -> Option<MeanRatio> {
-    let [a, b]: [Vec<f64>; 2] = if paired {
-        let both = first.errors.iter().zip(&second.errors).filter_map(|(a, b)| Some([(*a)?, (*b)?]));
-        let both: Vec<[f64; 2]> = both.collect();
-        [0, 1].map(|body: usize| both.iter().map(|pair| pair[body]).collect())
-    } else {
-        [first, second].map(Judged::known)
+    let both = first.errors.iter().zip(&second.errors).filter_map(|(a, b)| Some([(*a)?, (*b)?]));
+    // of each record its error on either body
+    let records: Vec<[Option<f64>; 2]> = match paired {
+        true => both.map(|pair| pair.map(Some)).collect(),
+        false => {
+            let second = second.known().into_iter().map(|e| [None, Some(e)]);
+            first.known().into_iter().map(|e| [Some(e), None]).chain(second).collect()
+        }
     };
-    let ratio = mean(&a)? / mean(&b)?;
-    let (a, b) = (replicates(&a, 0), replicates(&b, u64::from(!paired)));
-    let interval = Interval::of(a.iter().zip(&b).map(|(a, b)| a / b).collect());
+    let log_ratio = |weights: &[f64]| {
+        let [a, b] = [0, 1].map(|body: usize| {
+            let of_body = records.iter().zip(weights).filter_map(|(r, w)| Some([w * r[body]?, *w]));
+            let [sum, weight] = of_body.fold([0.0; 2], |[s, n], [e, w]| [s + e, n + w]);
+            sum / weight
+        });
+        Some((a / b).ln()).filter(|l| l.is_finite())
+    };
+    let ratio = log_ratio(&vec![1.0; records.len()])?.exp();
+    let interval = over_records(records.len()).interval(log_ratio).map(|i| i.map(f64::exp));
     Some(MeanRatio { ratio, interval })
+}
+
+/// Records are independent of each other.
+fn over_records(count: usize) -> Resampling {
+    Resampling::of([(["record", "records"], (0..count as u64).collect())])
+}
+
+/// Of the mean of positive errors, over records.
+pub(super) fn mean_interval(errors: &[f64]) -> Option<Interval> {
+    let log_mean = |weights: &[f64]| {
+        let sum: f64 = weights.iter().zip(errors).map(|(w, e)| w * e).sum();
+        Some((sum / weights.iter().sum::<f64>()).ln()).filter(|l| l.is_finite())
+    };
+    over_records(errors.len()).interval(log_mean).map(|i| i.map(f64::exp))
 }
 
 impl Judged {
@@ -168,18 +191,6 @@ fn deviation(values: &[f64]) -> Option<f64> {
     (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
 }
 
-/// Means of values drawn anew; of a single one there are none.
-fn replicates(values: &[f64], stream: u64) -> Vec<f64> {
-    if values.len() < 2 {
-        return Vec::new();
-    }
-    let one = |replicate: usize| {
-        let mut draw = Draw::new(SEED + stream, replicate as u64);
-        (0..values.len()).map(|_| values[draw.below(values.len())]).sum::<f64>() / values.len() as f64
-    };
-    (0..REPLICATES).map(one).collect()
-}
-
 /// A row a body and kind of signals; ratios are to the first body's row of the same kind. `delta` is an instant's length (s).
 #[must_use]
 pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
@@ -205,7 +216,7 @@ pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
         let first = judged.iter().find(|other| other.simulated == body.simulated);
         let first = first.filter(|first| first.body != body.body);
         let ratio = first.and_then(|first| mean_ratio(first, body, paired));
-        let test = Interval::of(replicates(&body.known(), 0));
+        let test = mean_interval(&body.known());
         vec![
             json!(body.body),
             json!(if body.simulated { "simulated" } else { "measured" }),

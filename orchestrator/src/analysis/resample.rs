@@ -1,11 +1,18 @@
-//! Bootstrap over placements and seeds.
+//! What is independent of what, and the intervals and votes that follow from it.
 //!
-//! A replicate draws as many placements and as many seeds as there are, with replacement, each list by itself; the
-//! trial of placement p and seed s then counts (times p was drawn) × (times s was drawn). Replicates are
-//! numbered, and a draw depends on (seed, replicate, position) alone. Intervals are percentile intervals (Efron 1979):
-//! with a handful of placements they are too narrow rather than too wide.
+//! Trials of one seed share stimuli, split and first weights, those of one placement their sensors, be they more or
+//! fewer, at every seed: never trials but seeds and placements, crossed, are the *units* of inference. A kind with four
+//! units or more is drawn anew; one with fewer is held, and what is said holds for those it has.
+//! ```text
+//! V = Σ_kinds V_k − Σ_pairs V_kl + …,   V_k = (n−1)/n Σ (θ₋ᵢ − θ̄₋)²   by leaving out one unit at a time
+//! ```
+//! (Cameron, Gelbach and Miller 2011), with Student's t at Satterthwaite's degrees of freedom. Votes are by bootstrap.
 
 use super::Cluster;
+use metasense_worker::student;
+
+/// Units of a kind below which it is not drawn anew: of three, leaving one out says next to nothing about the spread.
+pub const LEAST_UNITS: usize = 4;
 
 /// Replicates of a bootstrap.
 pub const REPLICATES: usize = 1000;
@@ -16,24 +23,13 @@ pub const SEED: u64 = 1;
 /// Ends of a 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interval {
-    /// 2.5 % quantile.
+    /// 2.5 % of the time the truth lies below.
     pub low: f64,
-    /// 97.5 % quantile.
+    /// 2.5 % of the time the truth lies above.
     pub high: f64,
 }
 
 impl Interval {
-    /// The interval between the 2.5 % and 97.5 % quantiles of finite values; `None` of fewer than twenty.
-    #[must_use]
-    pub fn of(mut values: Vec<f64>) -> Option<Self> {
-        values.retain(|v| v.is_finite());
-        if values.len() < 20 {
-            return None;
-        }
-        values.sort_by(f64::total_cmp);
-        Some(Self { low: quantile(&values, 0.025), high: quantile(&values, 0.975) })
-    }
-
     /// Both ends through an increasing function.
     #[must_use]
     pub fn map(self, f: impl Fn(f64) -> f64) -> Self {
@@ -54,61 +50,168 @@ pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     sorted[below] + (at - below as f64) * (sorted[above] - sorted[below])
 }
 
-/// The clusters of some trials, ready to be drawn anew.
+/// What units are called, one and several.
+pub const PLACEMENTS: [&str; 2] = ["placement", "placements"];
+/// Likewise.
+pub const SEEDS: [&str; 2] = ["seed", "seeds"];
+
+/// A kind of unit: its name, of one and of several, how many there are, and which is each trial's.
+#[derive(Debug, Clone)]
+struct Kind {
+    name: [&'static str; 2],
+    count: usize,
+    of_trial: Vec<usize>,
+}
+
+/// The units of some trials, ready to be left out and to be drawn anew.
 #[derive(Debug, Clone)]
 pub struct Resampling {
-    placements: Vec<u64>,
-    seeds: Vec<u64>,
-    of_trial: Vec<(usize, usize)>,
+    trials: usize,
+    kinds: Vec<Kind>,
 }
 
 impl Resampling {
-    /// One entry a trial.
+    /// Placements and seeds, one entry a trial.
     #[must_use]
     pub fn new(clusters: &[Cluster]) -> Self {
-        let sorted = |pick: fn(&Cluster) -> u64| {
-            let mut values: Vec<u64> = clusters.iter().map(pick).collect();
+        let of = |pick: fn(&Cluster) -> u64| clusters.iter().map(pick).collect();
+        Self::of([(PLACEMENTS, of(|c| c.placement)), (SEEDS, of(|c| c.seed))])
+    }
+
+    /// Other kinds of units: a name, and each trial's.
+    #[must_use]
+    pub fn of(kinds: impl IntoIterator<Item = ([&'static str; 2], Vec<u64>)>) -> Self {
+        let kind = |(name, of_trial): ([&'static str; 2], Vec<u64>)| {
+            let mut values = of_trial.clone();
             values.sort_unstable();
             values.dedup();
-            values
+            let find = |value| values.binary_search(value).expect("collected above");
+            Kind { name, count: values.len(), of_trial: of_trial.iter().map(find).collect() }
         };
-        let (placements, seeds) = (sorted(|c| c.placement), sorted(|c| c.seed));
-        let find = |list: &[u64], value| list.binary_search(&value).expect("collected above");
-        let of_trial =
-            clusters.iter().map(|c| (find(&placements, c.placement), find(&seeds, c.seed))).collect();
-        Self { placements, seeds, of_trial }
+        let kinds: Vec<Kind> = kinds.into_iter().map(kind).collect();
+        Self { trials: kinds.first().map_or(0, |k| k.of_trial.len()), kinds }
     }
 
-    /// Whether there is more than one cluster to draw from.
+    fn drawn(&self) -> Vec<&Kind> {
+        self.kinds.iter().filter(|k| k.count >= LEAST_UNITS).collect()
+    }
+
+    /// Whether there are enough units of some kind to tell anything beyond them.
     #[must_use]
-    pub fn is_possible(&self) -> bool {
-        self.placements.len() > 1 || self.seeds.len() > 1
+    pub fn can_tell(&self) -> bool {
+        !self.drawn().is_empty()
     }
 
-    /// How often each trial counts in a replicate.
+    /// Over what an interval or vote is: `5 placements`, `6 placements at 2 seeds`, `too few to tell: 3 seeds`.
+    #[must_use]
+    pub fn over(&self) -> String {
+        let list = |kinds: &[&Kind]| -> String {
+            let each = kinds.iter().map(|k| format!("{} {}", k.count, k.name[usize::from(k.count > 1)]));
+            each.collect::<Vec<_>>().join(" × ")
+        };
+        let held: Vec<&Kind> = self.kinds.iter().filter(|k| (2..LEAST_UNITS).contains(&k.count)).collect();
+        match (self.can_tell(), held.is_empty()) {
+            (true, true) => list(&self.drawn()),
+            (true, false) => format!("{} at {}", list(&self.drawn()), list(&held)),
+            (false, false) => format!("too few to tell: {}", list(&held)),
+            (false, true) => format!("too few to tell: {}", list(&self.kinds.iter().collect::<Vec<_>>())),
+        }
+    }
+
+    /// The unit of each trial, of the kind that is drawn and has the fewest; `None` where there are too few of every kind.
+    #[must_use]
+    pub fn units(&self) -> Option<&[usize]> {
+        self.drawn().into_iter().min_by_key(|k| k.count).map(|k| &k.of_trial[..])
+    }
+
+    /// How often each trial counts in a replicate: of n units n − 1 are drawn with replacement, so that a mean's variance
+    /// comes out right (Rao and Wu 1988).
     #[must_use]
     pub fn weights(&self, replicate: usize) -> Vec<f64> {
         let mut draw = Draw::new(SEED, replicate as u64);
-        let placements = counts(self.placements.len(), &mut draw);
-        let seeds = counts(self.seeds.len(), &mut draw);
-        self.of_trial.iter().map(|&(p, s)| placements[p] * seeds[s]).collect()
+        let mut weights = vec![1.0; self.trials];
+        for kind in self.drawn() {
+            let mut counts = vec![0.0; kind.count];
+            for _ in 1..kind.count {
+                counts[draw.below(kind.count)] += kind.count as f64 / (kind.count - 1) as f64;
+            }
+            for (weight, unit) in weights.iter_mut().zip(&kind.of_trial) {
+                *weight *= counts[*unit];
+            }
+        }
+        weights
     }
 
-    /// A statistic of every replicate, in their order; replicates without one are left out.
+    /// A statistic of every replicate, in their order; replicates without one are left out. None where there are too few
+    /// units.
     pub fn replicates<T>(&self, statistic: impl FnMut(Vec<f64>) -> Option<T>) -> Vec<T> {
-        if !self.is_possible() {
+        if !self.can_tell() {
             return Vec::new();
         }
         (0..REPLICATES).map(|r| self.weights(r)).filter_map(statistic).collect()
     }
+
+    /// A statistic of all trials, and with each unit left out; `None` where there are too few units, or one of them leaves
+    /// no statistic.
+    pub fn jackknife<T>(&self, mut statistic: impl FnMut(&[f64]) -> Option<T>) -> Option<Jackknife<T>> {
+        let drawn = self.drawn();
+        let fewest = drawn.iter().map(|k| k.count).min()?;
+        let whole = statistic(&vec![1.0; self.trials])?;
+        let mut parts = Vec::new();
+        for chosen in 1usize..1 << drawn.len() {
+            let kinds: Vec<&&Kind> =
+                (0..drawn.len()).filter(|i| chosen >> i & 1 == 1).map(|i| &drawn[i]).collect();
+            let unit = |trial: usize| -> Vec<usize> { kinds.iter().map(|k| k.of_trial[trial]).collect() };
+            let of_trial: Vec<Vec<usize>> = (0..self.trials).map(unit).collect();
+            let mut units = of_trial.clone();
+            units.sort_unstable();
+            units.dedup();
+            let mut without = |unit: &Vec<usize>| {
+                statistic(&of_trial.iter().map(|u| f64::from(u8::from(u != unit))).collect::<Vec<f64>>())
+            };
+            let left_out = units.iter().map(&mut without).collect::<Option<Vec<T>>>()?;
+            parts.push((kinds.len(), left_out));
+        }
+        Some(Jackknife { whole, fewest, parts })
+    }
+
+    /// The 95 % interval of a statistic of weighted trials.
+    pub fn interval(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Interval> {
+        self.jackknife(statistic)?.interval(|x| *x)
+    }
 }
 
-fn counts(n: usize, draw: &mut Draw) -> Vec<f64> {
-    let mut counts = vec![0.0; n];
-    for _ in 0..n {
-        counts[draw.below(n)] += 1.0;
+/// A statistic with units left out, one at a time, of each kind and of each crossing of kinds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Jackknife<T> {
+    /// Of all trials.
+    pub whole: T,
+    fewest: usize,
+    parts: Vec<(usize, Vec<T>)>,
+}
+
+impl<T> Jackknife<T> {
+    /// The 95 % interval of a number had from the statistic.
+    pub fn interval(&self, number: impl Fn(&T) -> f64) -> Option<Interval> {
+        let (mut variance, mut most, mut squares) = (0.0, 0.0f64, 0.0);
+        for (kinds, left_out) in &self.parts {
+            let values: Vec<f64> = left_out.iter().map(&number).collect();
+            let n = values.len() as f64;
+            let mean = values.iter().sum::<f64>() / n;
+            let part = (n - 1.0) / n * values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+            if *kinds == 1 {
+                most = most.max(part);
+                squares += part * part / (n - 1.0);
+            }
+            variance += if kinds % 2 == 1 { part } else { -part };
+        }
+        let (whole, variance) = (number(&self.whole), variance.max(most));
+        let freedom = if squares > 0.0 { variance * variance / squares } else { 0.0 };
+        let freedom = freedom.max((self.fewest - 1) as f64);
+        let [below, above] = [freedom.floor(), freedom.ceil()].map(|f| student(f as usize));
+        let half = (below + (freedom - freedom.floor()) * (above - below)) * variance.sqrt();
+        (whole.is_finite() && half.is_finite()).then_some(Interval { low: whole - half, high: whole + half })
     }
-    counts
 }
 
 /// A small stream of random numbers (SplitMix64, Steele, Lea and Flood 2014).
@@ -161,29 +264,62 @@ mod tests {
     }
 
     #[test]
-    fn a_replicate_draws_as_many_placements_and_seeds_as_there_are() {
-        let resampling = Resampling::new(&grid(5, 3));
+    fn a_replicate_draws_one_placement_and_seed_fewer_than_there_are() {
+        let resampling = Resampling::new(&grid(5, 4));
         for replicate in 0..50 {
             let weights = resampling.weights(replicate);
-            assert_eq!(weights.iter().sum::<f64>(), 15.0, "replicate {replicate}: {weights:?}");
+            let sum = weights.iter().sum::<f64>();
+            assert!((sum - 20.0).abs() < 1e-12, "replicate {replicate}: {weights:?}");
         }
         assert_ne!(resampling.weights(0), resampling.weights(1));
-        assert_eq!(resampling.weights(7), Resampling::new(&grid(5, 3)).weights(7));
+        assert_eq!(resampling.weights(7), Resampling::new(&grid(5, 4)).weights(7));
+    }
+
+    /// A mean's variance over replicates is that of its units: Σ (x − x̄)²/n(n − 1).
+    #[test]
+    fn replicates_vary_as_means_do() {
+        let x = [1.0, 2.0, 4.0, 8.0];
+        let mean = |w: Vec<f64>| Some(w.iter().zip(x).map(|(w, x)| w * x).sum::<f64>() / 4.0);
+        let means = Resampling::new(&grid(4, 1)).replicates(mean);
+        let variance = means.iter().map(|m| (m - 3.75).powi(2)).sum::<f64>() / means.len() as f64;
+        let truth = x.map(|x| (x - 3.75) * (x - 3.75)).iter().sum::<f64>() / 12.0;
+        assert!((variance / truth - 1.0).abs() < 0.1, "{variance} {truth}");
     }
 
     #[test]
-    fn one_cluster_gives_no_replicates() {
-        assert!(Resampling::new(&grid(1, 1)).replicates(Some).is_empty());
+    fn fewer_than_four_units_of_every_kind_are_too_few_to_tell() {
+        for (placements, seeds, over) in [
+            (1, 1, "too few to tell: 1 placement × 1 seed"),
+            (3, 1, "too few to tell: 3 placements"),
+            (3, 2, "too few to tell: 3 placements × 2 seeds"),
+            (5, 1, "5 placements"),
+            (1, 4, "4 seeds"),
+            (5, 3, "5 placements at 3 seeds"),
+            (5, 4, "5 placements × 4 seeds"),
+        ] {
+            let resampling = Resampling::new(&grid(placements, seeds));
+            let tells = placements > 3 || seeds > 3;
+            assert_eq!(resampling.over(), over);
+            assert_eq!(resampling.replicates(Some).len(), if tells { REPLICATES } else { 0 }, "{over}");
+            assert_eq!(resampling.interval(|w| Some(w.iter().sum())).is_some(), tells, "{over}");
+        }
     }
 
-    /// Mean 0, variance 1 and quantiles of 20 000 draws.
+    /// Of one trial a unit it is Student's: 4 values 1, 2, 4, 8, s² = 28.75/3, t₃ = 3.182. Nested trials add nothing.
     #[test]
-    fn the_interval_of_normal_draws_is_that_of_the_normal_distribution() {
-        let mut draw = Draw::new(3, 5);
-        let values: Vec<f64> = (0..20_000).map(|_| draw.normal()).collect();
-        let mean = values.iter().sum::<f64>() / 2e4;
-        let interval = Interval::of(values).unwrap();
-        assert!(mean.abs() < 0.03, "{mean}");
-        assert!((interval.low + 1.96).abs() < 0.08 && (interval.high - 1.96).abs() < 0.08, "{interval:?}");
+    fn the_interval_of_a_mean_is_student_s_over_units() {
+        let x = [1.0, 2.0, 4.0, 8.0];
+        for nested in [1, 6] {
+            let trial = |i: usize| (Cluster { placement: (i % 4) as u64, seed: 1 }, x[i % 4]);
+            let trials: Vec<(Cluster, f64)> = (0..4 * nested).map(trial).collect();
+            let resampling = Resampling::new(&trials.iter().map(|t| t.0).collect::<Vec<_>>());
+            let mean = |w: &[f64]| {
+                Some(w.iter().zip(&trials).map(|(w, t)| w * t.1).sum::<f64>() / w.iter().sum::<f64>())
+            };
+            let found = resampling.interval(mean).unwrap();
+            let half = 3.182 * (28.75f64 / 3.0 / 4.0).sqrt();
+            assert!((found.low - (3.75 - half)).abs() < 1e-9, "{found:?}");
+            assert!((found.high - (3.75 + half)).abs() < 1e-9, "{found:?}");
+        }
     }
 }

@@ -4,7 +4,7 @@ use super::data::{geometric_mean, places};
 use super::{Cluster, Observation, Resampling};
 
 /// The smallest M that suffices.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Fewer {
     /// The most sensors that the initial body was tried with.
     pub most: f64,
@@ -16,6 +16,8 @@ pub struct Fewer {
     pub optimised_error: Option<f64>,
     /// Share of the bootstrap's replicates in which this M or fewer suffice.
     pub share: Option<f64>,
+    /// The units that votes are over, or that are too few.
+    pub over: String,
 }
 
 /// Compares the two bodies' curves of error against M; `None` without errors of both.
@@ -32,7 +34,8 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer
     };
     let (initial_error, first) = find(&|_| 1.0)?;
     let clusters: Vec<Cluster> = initial.iter().chain(optimised).map(|o| o.cluster).collect();
-    let replicates = Resampling::new(&clusters).replicates(|weights| {
+    let units = Resampling::new(&clusters);
+    let replicates = units.replicates(|weights| {
         let weigh = |o: &Observation| {
             clusters.iter().zip(&weights).find(|(c, _)| **c == o.cluster).map_or(0.0, |(_, w)| *w)
         };
@@ -47,6 +50,7 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer
         fewest: first.map(|f| f.0),
         optimised_error: first.map(|f| f.1),
         share,
+        over: units.over(),
     })
 }
 

@@ -139,7 +139,7 @@ fn ends(interval: Option<Interval>) -> [Value; 2] {
 
 fn ratio_cells(ratio: Ratio) -> Vec<Value> {
     let [low, high] = ends(ratio.interval);
-    vec![json!(ratio.trials), json!(ratio.above_one), json!(ratio.ratio), low, high]
+    vec![json!(ratio.trials), json!(ratio.above_one), json!(ratio.ratio), low, high, json!(ratio.over)]
 }
 
 fn brains_table(trials: &[&Trial]) -> Table {
@@ -166,6 +166,7 @@ fn brains_table(trials: &[&Trial]) -> Table {
         "ratio",
         "low",
         "high",
+        "over",
     ];
     Table::new(&columns, rows)
 }
@@ -181,7 +182,7 @@ fn paired_table(trials: &[&Trial]) -> Table {
             }
         }
     }
-    Table::new(&["setting", "set", "trials", "improved", "ratio", "low", "high"], rows)
+    Table::new(&["setting", "set", "trials", "improved", "ratio", "low", "high", "over"], rows)
 }
 
 fn iterations_table(trials: &[&Trial]) -> Table {
@@ -195,7 +196,7 @@ fn iterations_table(trials: &[&Trial]) -> Table {
             })
         })
         .collect();
-    Table::new(&["setting", "to_equal", "trials", "faster", "ratio", "low", "high"], rows)
+    Table::new(&["setting", "to_equal", "trials", "faster", "ratio", "low", "high", "over"], rows)
 }
 
 fn long_table(trials: &[&Trial]) -> Table {
@@ -227,6 +228,7 @@ fn long_table(trials: &[&Trial]) -> Table {
         "ratio",
         "low",
         "high",
+        "over",
     ];
     Table::new(&columns, rows)
 }
@@ -241,10 +243,16 @@ fn random_table(trials: &[&Trial]) -> Table {
             let mut row = vec![json!(group.label), json!(set.name()), json!(found.errors.len())];
             row.extend([mean(&found.errors), end(f64::min), end(f64::max), json!(found.deviation())]);
             row.extend([mean(&found.others[0]), mean(&found.others[1]), mean(&found.trained)]);
+            let over = found.ratios[1].as_ref().map(|r| r.over.clone());
             for ratio in found.ratios {
-                let [low, high] = ends(ratio.and_then(|r| r.interval));
-                row.extend([json!(ratio.map(|r| r.above_one)), json!(ratio.map(|r| r.ratio)), low, high]);
+                let [low, high] = ends(ratio.as_ref().and_then(|r| r.interval));
+                row.extend([
+                    json!(ratio.as_ref().map(|r| r.above_one)),
+                    json!(ratio.as_ref().map(|r| r.ratio)),
+                ]);
+                row.extend([low, high]);
             }
+            row.push(json!(over));
             rows.push(row);
         }
     }
@@ -267,6 +275,7 @@ fn random_table(trials: &[&Trial]) -> Table {
         "over_optimised",
         "over_optimised_low",
         "over_optimised_high",
+        "over",
     ];
     Table::new(&columns, rows)
 }
@@ -314,6 +323,7 @@ fn sensors_table(trials: &[&Trial]) -> Table {
                 json!(gain.map(|g| g.ratio)),
                 low,
                 high,
+                json!(found.map(|e| e.over.clone())),
             ]);
         }
     });
@@ -330,6 +340,7 @@ fn sensors_table(trials: &[&Trial]) -> Table {
         "gain_to_next",
         "gain_low",
         "gain_high",
+        "over",
     ];
     Table::new(&columns, rows)
 }
@@ -345,8 +356,8 @@ pub fn verdict_text(verdict: Verdict) -> String {
         Verdict::At(m) => format!("elbow at M = {m}"),
         Verdict::NoElbow => "no elbow".into(),
         Verdict::Undecided(m) => format!("undecided, most votes for M = {m}"),
-        Verdict::WithoutVote(Some(m)) => format!("elbow at M = {m}, without votes: one placement and seed"),
-        Verdict::WithoutVote(None) => "no elbow, without votes: one placement and seed".into(),
+        Verdict::WithoutVote(Some(m)) => format!("elbow at M = {m} by the fit, units too few for votes"),
+        Verdict::WithoutVote(None) => "no elbow by the fit, units too few for votes".into(),
     }
 }
 
@@ -356,7 +367,8 @@ fn elbow_table(trials: &[&Trial]) -> Table {
         let mut row = vec![json!(group.label), json!(body.name()), json!(set.name())];
         match elbow(&observations(&group.trials, body, set, |t| t.sensors)) {
             Err(why) => {
-                row.extend([json!(why.to_string()), json!(null), json!(null), json!(null), json!(null)])
+                row.push(json!(why.to_string()));
+                row.extend(std::iter::repeat_n(Value::Null, 5));
             }
             Ok(e) => row.extend([
                 json!(verdict_text(e.verdict)),
@@ -364,12 +376,13 @@ fn elbow_table(trials: &[&Trial]) -> Table {
                 json!(has_votes(&e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>())),
                 json!(e.kneedle.map(|m| m as u64)),
                 json!(e.chord.map(|m| m as u64)),
+                json!(e.over),
             ]),
         }
         rows.push(row);
     });
     Table::new(
-        &["setting", "body", "set", "verdict", "broken_stick", "votes_for_none", "kneedle", "chord"],
+        &["setting", "body", "set", "verdict", "broken_stick", "votes_for_none", "kneedle", "chord", "over"],
         rows,
     )
 }
@@ -388,6 +401,7 @@ fn fewer_table(trials: &[&Trial]) -> Table {
                     json!(found.fewest.map(|m| m as u64)),
                     json!(found.optimised_error),
                     json!(found.share),
+                    json!(found.over),
                 ]);
             }
         }
@@ -400,6 +414,7 @@ fn fewer_table(trials: &[&Trial]) -> Table {
         "optimised_sensors",
         "optimised_error",
         "votes",
+        "over",
     ];
     Table::new(&columns, rows)
 }
@@ -448,7 +463,7 @@ fn complexity_table(trials: &[&Trial]) -> Table {
         match scaling(&points) {
             Err(why) => {
                 row.push(json!(why.to_string()));
-                row.extend(std::iter::repeat_n(Value::Null, 8));
+                row.extend(std::iter::repeat_n(Value::Null, 14));
             }
             Ok(found) => {
                 row.push(match &found.not_identifiable {
@@ -458,12 +473,34 @@ fn complexity_table(trials: &[&Trial]) -> Table {
                 let ([b_low, b_high], [c_low, c_high]) = (ends(found.exponent), ends(found.floor));
                 row.extend([json!(found.law.scale), json!(found.law.reference)]);
                 row.extend([json!(found.law.exponent), b_low, b_high, json!(found.law.floor), c_low, c_high]);
+                let held = found.held_out;
+                let [low, high] = ends(held.and_then(|h| h.interval));
+                row.extend([json!(held.map(|h| h.at as u64)), json!(held.map(|h| h.predicted))]);
+                row.extend([json!(held.map(|h| h.observed)), low, high, json!(found.over)]);
             }
         }
         rows.push(row);
     });
-    let columns =
-        ["setting", "body", "set", "verdict", "a", "N0", "b", "b_low", "b_high", "c", "c_low", "c_high"];
+    let columns = [
+        "setting",
+        "body",
+        "set",
+        "verdict",
+        "a",
+        "N0",
+        "b",
+        "b_low",
+        "b_high",
+        "c",
+        "c_low",
+        "c_high",
+        "held_out_N",
+        "predicted",
+        "observed",
+        "predicted_over_observed_low",
+        "predicted_over_observed_high",
+        "over",
+    ];
     Table::new(&columns, rows)
 }
 

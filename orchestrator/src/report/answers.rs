@@ -40,7 +40,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
                 verdict(&r),
                 format!(
                     "{who}On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
-                     {optimised} %{}); the optimised one is better in {} of {}.",
+                     {optimised} %, {}); the optimised one is better in {} of {}.",
                     number(r.ratio),
                     interval(&r),
                     r.above_one,
@@ -60,9 +60,10 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
 }
 
 fn interval(ratio: &Ratio) -> String {
-    ratio.interval.map_or(", one trial: no interval".into(), |i| {
-        format!(", 95 % interval {} to {}", number(i.low), number(i.high))
-    })
+    match ratio.interval {
+        Some(i) => format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over),
+        None => format!("interval: {}", ratio.over),
+    }
 }
 
 fn verdict(ratio: &Ratio) -> Option<bool> {
@@ -92,7 +93,7 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
         verdict(&ratio),
         format!(
             "After {iterations} iterations of the brain the initial body's holdout error still is {} times the optimised \
-             body's ({initial} % against {optimised} %{}).",
+             body's ({initial} % against {optimised} %, {}).",
             number(ratio.ratio),
             interval(&ratio)
         ),
@@ -141,18 +142,14 @@ fn random_bodies(group: &Group) -> Option<Answer> {
         verdict(&optimised),
         format!(
             "{}: {} random bodies have {} times the holdout error of the initial body ({} of {} are worse) and {} times that \
-             of the optimised one{}.",
+             of the optimised one ({}).",
             group.label,
             found.errors.len(),
             number(initial.ratio),
             initial.above_one,
             initial.trials,
             number(optimised.ratio),
-            optimised.interval.map_or(String::new(), |i| format!(
-                " (95 % interval {} to {})",
-                number(i.low),
-                number(i.high)
-            ))
+            interval(&optimised)
         ),
     ))
 }

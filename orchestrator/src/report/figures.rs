@@ -291,10 +291,13 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
         .into_iter()
         .filter_map(|by| {
             let ratio = paired::iterations(&refs, by)?;
-            let interval = ratio.interval.map_or(String::new(), |i| {
-                format!(" (95 % interval {} to {})", number(i.low), number(i.high))
-            });
-            Some(format!("{} times{interval} by {}", number(ratio.ratio), by.name()))
+            let interval = match ratio.interval {
+                Some(i) => {
+                    format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over)
+                }
+                None => ratio.over,
+            };
+            Some(format!("{} times ({interval}) by {}", number(ratio.ratio), by.name()))
         })
         .collect();
     if ratios.is_empty() {

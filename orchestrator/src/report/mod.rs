@@ -154,8 +154,8 @@ fn summary(story: &Story) -> String {
     let class = if failed > 0 { "bad" } else { "open" };
     let _ = write!(
         list,
-        "<li class=\"{class}\">{done} of {all} trials are done, {failed} failed{}. Ratios are geometric means over trials \
-         with Student's 95 % interval.</li></ul>",
+        "<li class=\"{class}\">{done} of {all} trials are done, {failed} failed{}. Ratios are geometric means over trials, \
+         their intervals over placements and seeds: trials that share these are not independent.</li></ul>",
         if failed > 0 { " (reasons in the table of trials)" } else { "" }
     );
     list

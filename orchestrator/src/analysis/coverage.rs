@@ -1,0 +1,214 @@
+//! Do 95 % intervals hold the truth in 95 % of campaigns? Each question is put to made-up campaigns of known truth, with
+//! placements and seeds that have effects of their own, M nested in placements, and seeded draws.
+
+use super::data::RANDOM;
+use super::data::{Set, Trial};
+use super::elbow::gains;
+use super::paired::{Progress, error_ratio, iterations};
+use super::random::random;
+use super::records::{Judged, mean_interval, mean_ratio};
+use super::resample::Draw;
+use super::scaling::{Scaling, scaling};
+use super::{Cluster, Interval, Observation};
+use serde_json::json;
+
+/// Share of campaigns whose interval holds `truth`, in %; those without an interval do not count.
+fn coverage(question: &str, campaigns: u64, truth: f64, ask: impl Fn(&mut Draw) -> Option<Interval>) -> f64 {
+    held(question, truth, (0..campaigns).filter_map(|c| ask(&mut Draw::new(17, c))).collect())
+}
+
+/// The share of intervals that hold `truth`, in %, which is printed.
+fn held(question: &str, truth: f64, found: Vec<Interval>) -> f64 {
+    let holds = found.iter().filter(|i| i.low <= truth && truth <= i.high).count();
+    let share = 100.0 * holds as f64 / found.len() as f64;
+    let mut widths: Vec<f64> = found.iter().map(|i| i.high / i.low).collect();
+    widths.sort_by(f64::total_cmp);
+    let width = widths[widths.len() / 2];
+    #[expect(clippy::print_stdout, reason = "the table, with --nocapture")]
+    {
+        println!("{question:64} {:5} campaigns  {share:5.1} %  high/low {width:.2}", found.len());
+    }
+    share
+}
+
+/// Normal, or of Student's t with five degrees of freedom and variance 1.
+fn noise(draw: &mut Draw, heavy: bool) -> f64 {
+    let normal = draw.normal();
+    let squares = if heavy { (0..5).map(|_| draw.normal().powi(2)).sum::<f64>() } else { 3.0 };
+    normal * (3.0 / squares).sqrt()
+}
+
+/// What adds to ln of some quantity of trial (placement, seed): effects of both, of standard deviations 0.3 and 0.2.
+fn effects(draw: &mut Draw, placements: u64, seeds: u64, heavy: bool) -> Vec<(Cluster, f64)> {
+    let p: Vec<f64> = (0..placements).map(|_| 0.3 * noise(draw, heavy)).collect();
+    let s: Vec<f64> = (0..seeds).map(|_| 0.2 * noise(draw, heavy)).collect();
+    // one of a kind is held: its effect is part of the truth
+    let of = |list: &[f64], i: usize| if list.len() > 1 { list[i] } else { 0.0 };
+    let cluster = |i: u64| Cluster { placement: i % placements, seed: i / placements };
+    let sum = |c: Cluster| (c, of(&p, c.placement as usize) + of(&s, c.seed as usize));
+    (0..placements * seeds).map(|i| sum(cluster(i))).collect()
+}
+
+/// Trials with one to three sensors whose initial error is twice the optimised one, but for effects and noise.
+fn campaign(draw: &mut Draw, placements: u64, seeds: u64, heavy: bool) -> Vec<Trial> {
+    let mut trials = Vec::new();
+    for (cluster, effect) in effects(draw, placements, seeds, heavy) {
+        for sensors in 1..=3 {
+            let ratio = 2.0 * (effect + 0.1 * noise(draw, heavy)).exp();
+            // equal loss at 1/ratio of the iterations
+            let curve = |factor: f64| vec![(1, 1.0), ((1e6 / factor) as u32, 0.1)];
+            let error_curves = [vec![curve(1.0)], vec![curve(ratio)]];
+            let errors = [[None, Some(10.0 * ratio)], [None, Some(10.0)]];
+            trials.push(Trial { cluster, sensors, errors, error_curves, ..Trial::default() });
+        }
+    }
+    trials
+}
+
+fn assert_covers(shares: &[f64]) {
+    assert!(shares.iter().all(|s| (93.0..=97.0).contains(s)), "{shares:?}");
+}
+
+#[test]
+fn ratios_of_trials_that_share_placement_and_seed() {
+    let mut shares = Vec::new();
+    for (placements, seeds, heavy) in [
+        (4, 1, false),
+        (5, 1, false),
+        (5, 1, true),
+        (12, 1, false),
+        (1, 4, false),
+        (1, 8, true),
+        (5, 4, false),
+        (6, 5, true),
+    ] {
+        let tails = if heavy { ", heavy tails" } else { "" };
+        let of = format!("{placements} placements × {seeds} seeds × 3 M{tails}");
+        shares.push(coverage(&format!("paired: {of}"), 1000, 2.0, |draw| {
+            let trials = campaign(draw, placements, seeds, heavy);
+            error_ratio(&trials.iter().collect::<Vec<_>>(), Set::Holdout)?.interval
+        }));
+    }
+    shares.push(coverage("iterations: 5 placements × 1 seed × 3 M", 1000, 2.0, |draw| {
+        let trials = campaign(draw, 5, 1, false);
+        iterations(&trials.iter().collect::<Vec<_>>(), Progress::Error)?.interval
+    }));
+    assert_covers(&shares);
+}
+
+/// Trials as if they were independent, as intervals were had before: what sharing a placement costs.
+#[test]
+fn trials_taken_for_independent_do_not_cover() {
+    let share = coverage("30 trials of 5 placements taken for independent", 1000, 2.0, |draw| {
+        let trials = campaign(draw, 5, 1, false);
+        let each = |(i, t): (usize, &Trial)| {
+            let cluster = Cluster { placement: i as u64, seed: 0 };
+            Trial { cluster, ..t.clone() }
+        };
+        let trials: Vec<Trial> = trials.iter().enumerate().map(each).collect();
+        error_ratio(&trials.iter().collect::<Vec<_>>(), Set::Holdout)?.interval
+    });
+    assert!(share < 85.0, "{share}");
+}
+
+/// e falls by a factor 2 with the second sensor in the mean of placements, which differ in that.
+#[test]
+fn what_the_next_sensor_brings() {
+    let share = coverage("sensors, gain from M = 1 to 2: 5 placements", 1000, 2.0, |draw| {
+        let mut observations = Vec::new();
+        for (cluster, effect) in effects(draw, 5, 1, false) {
+            for m in 1..=4 {
+                let fall = if m > 1 { effect - 2f64.ln() } else { 0.0 };
+                let error = 20.0 * (fall + 0.1 * draw.normal()).exp();
+                observations.push(Observation { at: f64::from(m), cluster, error });
+            }
+        }
+        gains(&observations)[0].interval
+    });
+    assert_covers(&[share]);
+}
+
+/// Six random bodies under one placement and seed, 1.5 times as bad as the initial one that all are compared with.
+#[test]
+fn random_bodies() {
+    let share = coverage("random: 6 bodies", 1000, 1.5, |draw| {
+        let mut trials = vec![Trial { errors: [[None, Some(10.0)]; 2], ..Trial::default() }];
+        for body in 0..6 {
+            let setting = [(RANDOM.to_owned(), json!(body))].into_iter().collect();
+            let errors = [[None, Some(15.0 * (0.3 * draw.normal()).exp())]; 2];
+            trials.push(Trial { setting, errors, ..Trial::default() });
+        }
+        let [initial, _] = random(&trials.iter().collect::<Vec<_>>(), Set::Holdout)?.ratios;
+        initial?.interval
+    });
+    assert_covers(&[share]);
+}
+
+/// Errors of records are skewed: ln e of standard deviation 0.6, of which 0.5 is the record's under either body.
+#[test]
+fn means_over_records() {
+    let judged = |errors: Vec<f64>| Judged {
+        body: String::new(),
+        simulated: false,
+        errors: errors.into_iter().map(Some).collect(),
+        error_train: None,
+        by_seed: vec![],
+        by_fold: vec![],
+        progress: vec![],
+        agreement: None,
+    };
+    let draws = |draw: &mut Draw| -> [Vec<f64>; 2] {
+        let each = |_| {
+            let record = 0.5 * draw.normal();
+            [2.0, 1.0].map(|e: f64| e * (record + 0.33 * draw.normal()).exp())
+        };
+        let pairs: Vec<[f64; 2]> = (0..30).map(each).collect();
+        [0, 1].map(|body: usize| pairs.iter().map(|p| p[body]).collect())
+    };
+    let mut shares = Vec::new();
+    for (paired, of) in [(true, "the same blows"), (false, "blows of their own")] {
+        shares.push(coverage(&format!("evaluate, ratio of means: 30 records, {of}"), 1000, 2.0, |draw| {
+            let [first, mut second] = draws(draw);
+            if !paired {
+                second = draws(draw)[1].clone();
+            }
+            mean_ratio(&judged(first), &judged(second), paired)?.interval
+        }));
+    }
+    let mean = (0.5 * (0.5f64 * 0.5 + 0.33 * 0.33)).exp();
+    shares.push(coverage("evaluate, mean: 30 records", 1000, mean, |draw| mean_interval(&draws(draw)[1])));
+    assert_covers(&shares);
+}
+
+/// L = 30·(N/N₀)^−0.8 + 4 on seven sizes in `placements` whose levels differ by 10 %, noise 4 %.
+#[test]
+fn scaling_laws() {
+    let laws = |placements: u64| -> Vec<Scaling> {
+        let campaign = |c| {
+            let mut draw = Draw::new(17, c);
+            let mut observations = Vec::new();
+            for placement in 0..placements {
+                let level = 0.1 * draw.normal();
+                for n in [40.0, 84.0, 144.0, 220.0, 312.0, 420.0, 612.0] {
+                    let law = 30.0 * (n / 150.0f64).powf(-0.8) + 4.0;
+                    let error = law * (level + 0.04 * draw.normal()).exp();
+                    observations.push(Observation { at: n, cluster: Cluster { placement, seed: 1 }, error });
+                }
+            }
+            scaling(&observations).unwrap()
+        };
+        (0..400).map(campaign).collect()
+    };
+    let mut shares = Vec::new();
+    for placements in [4, 6] {
+        let laws = laws(placements);
+        let of = |what: &str| format!("complexity, {what}: {placements} placements");
+        let mut ask = |what: &str, truth: f64, interval: &dyn Fn(&Scaling) -> Option<Interval>| {
+            shares.push(held(&of(what), truth, laws.iter().filter_map(interval).collect()));
+        };
+        ask("exponent", 0.8, &|law| law.exponent);
+        ask("law at N = 300", 30.0 * 2f64.powf(-0.8) + 4.0, &|law| law.band(300.0));
+        ask("held-out N", 1.0, &|law| law.held_out?.interval);
+    }
+    assert_covers(&shares);
+}
