@@ -8,6 +8,7 @@ use super::paired::{Progress, error_ratio, iterations};
 use super::random::random;
 use super::records::{Judged, mean_interval, mean_ratio};
 use super::resample::Draw;
+use super::run_time::{Watched, median_time};
 use super::scaling::{Scaling, scaling};
 use super::{Cluster, Interval, Observation};
 use serde_json::json;
@@ -210,5 +211,29 @@ fn scaling_laws() {
         ask("law at N = 300", 30.0 * 2f64.powf(-0.8) + 4.0, &|law| law.band(300.0));
         ask("held-out N", 1.0, &|law| law.held_out?.interval);
     }
+    assert_covers(&shares);
+}
+
+/// Times to an error about a median of 100 s, which differ by a factor e^0.5; runs end between 80 and 400 s, about one in
+/// six before it gets there. Ends that are open hold all.
+#[test]
+fn times_to_an_error() {
+    let shares: Vec<f64> = [(6, 1e9), (9, 1e9), (8, 80.0), (12, 80.0), (20, 80.0)]
+        .into_iter()
+        .map(|(placements, earliest)| {
+            let who = if earliest > 100.0 { "all there" } else { "some never there" };
+            let of = format!("time-to: {placements} placements, {who}");
+            coverage(&of, 1000, 100.0, |draw| {
+                let run = |placement| {
+                    let (time, end) =
+                        (100.0 * (0.5 * draw.normal()).exp(), earliest * 5f64.powf(draw.uniform()));
+                    let cluster = Cluster { placement, seed: 1 };
+                    Watched { cluster, seconds: time.min(end), reached: time <= end }
+                };
+                let [low, high] = median_time(&(0..placements).map(run).collect::<Vec<_>>()).ends;
+                Some(Interval { low: low.unwrap_or(0.0), high: high.unwrap_or(f64::INFINITY) })
+            })
+        })
+        .collect();
     assert_covers(&shares);
 }

@@ -3,6 +3,10 @@
 //! The ratio of the two errors of a trial compares bodies under the same stimuli, sensors and initial weights. The mean
 //! of ln(ratio) over trials has an interval over placements and seeds ([`Resampling`]).
 
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
 use super::data::{CurvePoint, Set, Trial};
 use super::{Body, Cluster, Interval, Resampling};
 
@@ -127,6 +131,18 @@ pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
     Ratio::of(&ratios)
 }
 
+/// Trials by the schedule of their comparison's learning rate: one that falls to nothing meets a target late, whatever the
+/// body, so that ratios of iterations under different ones are not mixed.
+#[must_use]
+pub fn schedules<'a>(trials: &[&'a Trial]) -> Vec<(&'a str, Vec<&'a Trial>)> {
+    let mut found: BTreeMap<&str, Vec<&Trial>> = BTreeMap::new();
+    for trial in trials {
+        let rate = trial.setting.get("evaluation.schedule").and_then(Value::as_str);
+        found.entry(rate.unwrap_or("unknown")).or_default().push(trial);
+    }
+    found.into_iter().collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -147,6 +163,18 @@ mod tests {
         let few = of_seeds(&logs[..3]).unwrap();
         assert_eq!((few.interval, &few.over[..]), (None, "too few to tell: 3 seeds"));
         assert_eq!(of_seeds(&[]), None);
+    }
+
+    #[test]
+    fn schedules_are_not_mixed() {
+        let trial = |rate: &str| Trial {
+            setting: [("evaluation.schedule".to_owned(), serde_json::json!(rate))].into_iter().collect(),
+            ..Trial::default()
+        };
+        let trials = ["cosine", "constant", "cosine"].map(trial);
+        let found = schedules(&trials.iter().collect::<Vec<_>>());
+        let counts: Vec<(&str, usize)> = found.iter().map(|(rate, trials)| (*rate, trials.len())).collect();
+        assert_eq!(counts, [("constant", 1), ("cosine", 2)]);
     }
 
     /// Loss 1/n on the initial body and 1/(4n) on the optimised one: equal at a quarter of the iterations.

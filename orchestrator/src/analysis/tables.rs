@@ -10,7 +10,7 @@ use super::data::{
 };
 use super::paired::{self, Ratio};
 use super::random::random;
-use super::run_time::{mean_seconds, pareto, round_errors, time_to};
+use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
 use super::scaling::scaling;
 use super::sensors::{fewer, spread};
 use super::{Body, Interval, Set, Trial, Verdict, elbow};
@@ -93,7 +93,9 @@ impl Question {
             }
             Self::Sizes => "Error (%, geometric mean) against the number of design parameters N",
             Self::Complexity => "Scaling law: error = a (N/N0)^(-b) + c (%, 95 % intervals)",
-            Self::TimeTo => "CPU seconds until a test error (%) is reached (median of the trials that do)",
+            Self::TimeTo => {
+                "CPU seconds until half of the trials have reached a test error (%; Kaplan and Meier's median, 95 % interval, open above where too few get there)"
+            }
             Self::Front => "Pareto front of best test error so far (%) against CPU seconds",
             Self::Seconds => "Where the time went (CPU seconds a trial)",
         }
@@ -527,21 +529,24 @@ fn time_table(trials: &[&Trial]) -> Table {
         let histories: Vec<&[(f64, f64)]> = group.trials.iter().map(|t| t.history.as_slice()).collect();
         for error in round_errors(&histories) {
             for way in trainings(&group) {
-                let mut seconds: Vec<f64> =
-                    way.trials.iter().filter_map(|t| time_to(&t.history, error)).collect();
-                seconds.sort_by(f64::total_cmp);
+                let runs: Vec<Watched> = way.trials.iter().filter_map(|t| Watched::new(t, error)).collect();
+                let found = median_time(&runs);
                 rows.push(vec![
                     json!(group.label),
                     json!(way.label),
                     json!(error),
-                    json!(way.trials.len()),
-                    json!(seconds.len()),
-                    json!((!seconds.is_empty()).then(|| super::resample::quantile(&seconds, 0.5))),
+                    json!(runs.len()),
+                    json!(runs.iter().filter(|r| r.reached).count()),
+                    json!(found.median),
+                    json!(found.ends[0]),
+                    json!(found.ends[1]),
+                    json!(found.over),
                 ]);
             }
         }
     }
-    Table::new(&["setting", "training", "error", "trials", "reached", "seconds"], rows)
+    let columns = ["setting", "training", "error", "trials", "reached", "seconds", "low", "high", "over"];
+    Table::new(&columns, rows)
 }
 
 fn front_table(trials: &[&Trial]) -> Table {

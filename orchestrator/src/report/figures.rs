@@ -287,19 +287,18 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
             plots.push(plot.svg());
         }
     }
-    let ratios: Vec<String> = paired::Progress::ALL
-        .into_iter()
-        .filter_map(|by| {
-            let ratio = paired::iterations(&refs, by)?;
-            let interval = match ratio.interval {
-                Some(i) => {
-                    format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over)
-                }
-                None => ratio.over,
-            };
-            Some(format!("{} times ({interval}) by {}", number(ratio.ratio), by.name()))
-        })
-        .collect();
+    let schedules = paired::schedules(&refs);
+    let of = |(rate, trials): &(&str, Vec<&Trial>), by: paired::Progress| {
+        let ratio = paired::iterations(trials, by)?;
+        let interval = match ratio.interval {
+            Some(i) => format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over),
+            None => ratio.over,
+        };
+        let rate = if schedules.len() > 1 { format!(", {rate} rate") } else { String::new() };
+        Some(format!("{} times ({interval}) by {}{rate}", number(ratio.ratio), by.name()))
+    };
+    let ratios: Vec<String> =
+        schedules.iter().flat_map(|s| paired::Progress::ALL.map(|by| of(s, by))).flatten().collect();
     if ratios.is_empty() {
         return None;
     }
