@@ -82,6 +82,37 @@ fn analyse_finds_what_was_put_into_the_database() {
     assert!((paired[0]["ratio"].as_f64().unwrap() / truth - 1.0).abs() < 1e-6, "{:#?}", paired[0]);
 }
 
+/// 28·e^(−0.7·min(M, 2) − 0.04·M): 6.4 % at M = 2, after which a sensor brings 4 %: M = 4 is 8 % off the best, and dearer
+/// than a price of 1 % a sensor.
+#[test]
+fn how_many_sensors_to_build_hangs_on_their_price() {
+    let (folder, db) = database();
+    let asked = ["analyse", "--question", "elbow", "--format", "json", "--price", "1"];
+    let (ok, out, err) = metasense(&db, &asked);
+    assert!(ok, "{err}");
+    let answers: Value = serde_json::from_str(&format!("{{\"elbow\": {out}}}")).unwrap();
+    let found =
+        rows(&answers, "elbow", &[("setting", "K = 4"), ("body", "optimised"), ("set", "holdout")])[0];
+    for (column, m) in
+        [("within", 4), ("within_without_largest", 3), ("price", 2), ("price_without_largest", 2)]
+    {
+        assert_eq!(found[column], Value::from(m), "{column}: {found:#}");
+    }
+    assert!(found["price_votes"].as_f64().unwrap() > 0.95 && found["over"] == "5 placements", "{found:#}");
+    let page = folder.path().join("r.html");
+    let (ok, _, err) = metasense(&db, &["report", "--out", page.to_str().unwrap(), "--price", "1"]);
+    assert!(ok, "{err}");
+    let html = std::fs::read_to_string(&page).unwrap();
+    for said in [
+        "smallest M within 10&nbsp;% of the best: optimised body 4 (",
+        "least error + 1&nbsp;% × M: optimised body 2 (",
+    ] {
+        assert!(html.contains(said), "the page does not say {said}");
+    }
+    let (ok, _, err) = metasense(&db, &["analyse", "--price", "cheap"]);
+    assert!(!ok && err.contains("cheap") && err.contains("--price"), "{err}");
+}
+
 #[test]
 fn csv_holds_one_table_and_says_so() {
     let (_folder, db) = database();

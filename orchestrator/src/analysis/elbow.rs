@@ -39,6 +39,8 @@ pub struct Elbow {
     pub levels: Vec<Level>,
     /// Where all the data have the broken stick's elbow; `None`: no elbow.
     pub broken_stick: Option<f64>,
+    /// The same without the largest M, where four are left.
+    pub without_largest: Option<Option<f64>>,
     /// Kneedle's, on the mean error.
     pub kneedle: Option<f64>,
     /// The point farthest below the chord, on the logarithm of the mean error.
@@ -98,8 +100,15 @@ pub fn elbow(observations: &[Observation]) -> Result<Elbow, TooFew> {
         let first = votes.iter().copied().fold((at[1], 0.0), |a, b| if b.1 > a.1 { b } else { a });
         if first.1 > MAJORITY { Verdict::At(first.0) } else { Verdict::Undecided(first.0) }
     };
+    let largest = at[at.len() - 1];
+    let without_largest = (at.len() > LEAST_VALUES).then(|| {
+        curve.broken_stick(
+            &observations.iter().map(|o| f64::from(u8::from(o.at < largest))).collect::<Vec<_>>(),
+        )
+    });
     Ok(Elbow {
         broken_stick,
+        without_largest,
         kneedle: kneedle(&levels),
         chord: chord(&levels),
         votes,
@@ -306,6 +315,7 @@ mod tests {
         let found = elbow(&curve(|m| 20.0 * (-1.2 * m.min(2.0) - 0.05 * m).exp(), 0.05)).unwrap();
         assert_eq!(found.verdict, Verdict::At(2.0), "{found:?}");
         assert_eq!((found.broken_stick, found.kneedle, found.chord), (Some(2.0), Some(2.0), Some(2.0)));
+        assert_eq!(found.without_largest, Some(Some(2.0)));
         let total: f64 = found.votes.iter().map(|v| v.1).sum();
         assert!(found.votes[0].1 > 0.95 && total <= 1.0, "{:?}", found.votes);
     }

@@ -9,6 +9,7 @@ pub mod brains;
 #[cfg(test)]
 mod coverage;
 pub mod data;
+pub mod decision;
 pub mod elbow;
 pub mod paired;
 pub mod random;
@@ -20,6 +21,7 @@ pub mod sensors;
 pub mod tables;
 
 pub use data::{Body, Cluster, Group, Observation, Set, Trial};
+pub use decision::Terms;
 pub use elbow::{Elbow, Verdict, elbow};
 pub use resample::{Interval, Resampling};
 pub use tables::Question;

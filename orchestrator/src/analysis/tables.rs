@@ -8,12 +8,13 @@ use super::brains::reads;
 use super::data::{
     BRAINS, COMPLEXITY, DESIGN, Group, SENSORS, TRAINING, geometric_mean, groups, levels, observations,
 };
+use super::decision::{Decision, decide};
 use super::paired::{self, Ratio};
 use super::random::random;
 use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
 use super::scaling::scaling;
 use super::sensors::{fewer, spread};
-use super::{Body, Interval, Set, Trial, Verdict, elbow};
+use super::{Body, Interval, Set, Terms, Trial, Verdict, elbow};
 use crate::store::Table;
 
 /// A question to finished trials.
@@ -29,7 +30,7 @@ pub enum Question {
     Long,
     /// Error against the number of sensors M, votes for an elbow there, what the next sensor brings
     Sensors,
-    /// The elbow of error against M, by three methods
+    /// The elbow of error against M, by three methods; the smallest M within 10 % of the best, the best at a price (--price)
     Elbow,
     /// The fewest sensors with which the optimised body beats the initial one with the most
     Fewer,
@@ -83,7 +84,9 @@ impl Question {
             }
             Self::Long => "Initial over optimised error after long training, paired by trial (95 % interval)",
             Self::Sensors => "Error (%, geometric mean) against the number of sensors M",
-            Self::Elbow => "Elbow of error against M",
+            Self::Elbow => {
+                "Elbow of error against M; the smallest M within --within of the best, and of least error + --price × M, each also without the largest M"
+            }
             Self::Fewer => "Fewest sensors of the optimised body that beat the most of the initial one",
             Self::Placements => {
                 "Spread of error over placements at equal M and seed (standard deviation of ln error)"
@@ -114,15 +117,15 @@ impl Question {
 
     /// The answer; no rows where the trials cannot give one.
     #[must_use]
-    pub fn answer(self, trials: &[Trial]) -> Table {
+    pub fn answer(self, trials: &[Trial], terms: Terms) -> Table {
         let trials: Vec<&Trial> = trials.iter().collect();
         match self {
             Self::Paired => paired_table(&trials),
             Self::Brains => brains_table(&trials),
             Self::Iterations => iterations_table(&trials),
             Self::Long => long_table(&trials),
-            Self::Sensors => sensors_table(&trials),
-            Self::Elbow => elbow_table(&trials),
+            Self::Sensors => sensors_table(&trials, terms),
+            Self::Elbow => elbow_table(&trials, terms),
             Self::Fewer => fewer_table(&trials),
             Self::Placements => placements_table(&trials),
             Self::Random => random_table(&trials),
@@ -302,11 +305,12 @@ fn each_curve(groups: &[Group], mut visit: impl FnMut(&Group, Body, Set)) {
     }
 }
 
-fn sensors_table(trials: &[&Trial]) -> Table {
+fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
     let mut rows = Vec::new();
     each_curve(&with_curves(groups(trials, SENSORS), |t| t.sensors), |group, body, set| {
         let points = observations(&group.trials, body, set, |t| t.sensors);
         let found = elbow(&points);
+        let decided = decide(&points, terms);
         for level in levels(&points) {
             let found = found.as_ref().ok();
             let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
@@ -322,10 +326,12 @@ fn sensors_table(trials: &[&Trial]) -> Table {
                 json!(level.least),
                 json!(level.most),
                 json!(vote.filter(|_| found.is_some_and(has_votes))),
+                json!(decided.as_ref().and_then(|d| d.within.share(level.at))),
+                json!(decided.as_ref().and_then(|d| d.priced.as_ref()?.share(level.at))),
                 json!(gain.map(|g| g.ratio)),
                 low,
                 high,
-                json!(found.map(|e| e.over.clone())),
+                json!(decided.as_ref().map(|d| &d.over)),
             ]);
         }
     });
@@ -339,6 +345,8 @@ fn sensors_table(trials: &[&Trial]) -> Table {
         "least",
         "most",
         "elbow_votes",
+        "within_votes",
+        "price_votes",
         "gain_to_next",
         "gain_low",
         "gain_high",
@@ -363,11 +371,12 @@ pub fn verdict_text(verdict: Verdict) -> String {
     }
 }
 
-fn elbow_table(trials: &[&Trial]) -> Table {
+fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
     let mut rows = Vec::new();
     each_curve(&with_curves(groups(trials, SENSORS), |t| t.sensors), |group, body, set| {
+        let points = observations(&group.trials, body, set, |t| t.sensors);
         let mut row = vec![json!(group.label), json!(body.name()), json!(set.name())];
-        match elbow(&observations(&group.trials, body, set, |t| t.sensors)) {
+        match elbow(&points) {
             Err(why) => {
                 row.push(json!(why.to_string()));
                 row.extend(std::iter::repeat_n(Value::Null, 5));
@@ -376,17 +385,45 @@ fn elbow_table(trials: &[&Trial]) -> Table {
                 json!(verdict_text(e.verdict)),
                 json!(e.broken_stick.map(|m| m as u64)),
                 json!(has_votes(&e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>())),
+                e.without_largest.map_or(Value::Null, |m| m.map_or(json!("none"), |m| json!(m as u64))),
                 json!(e.kneedle.map(|m| m as u64)),
                 json!(e.chord.map(|m| m as u64)),
-                json!(e.over),
             ]),
         }
+        let decided = decide(&points, terms);
+        row.extend(decision_cells(decided.as_ref().map(|d| &d.within)));
+        row.extend(decision_cells(decided.as_ref().and_then(|d| d.priced.as_ref())));
+        row.push(json!(decided.map(|d| d.over)));
         rows.push(row);
     });
-    Table::new(
-        &["setting", "body", "set", "verdict", "broken_stick", "votes_for_none", "kneedle", "chord", "over"],
-        rows,
-    )
+    let columns = [
+        "setting",
+        "body",
+        "set",
+        "verdict",
+        "broken_stick",
+        "votes_for_none",
+        "without_largest",
+        "kneedle",
+        "chord",
+        "within",
+        "within_votes",
+        "within_without_largest",
+        "price",
+        "price_votes",
+        "price_without_largest",
+        "over",
+    ];
+    Table::new(&columns, rows)
+}
+
+/// M, the share of votes for it, and M without the largest.
+fn decision_cells(decision: Option<&Decision>) -> [Value; 3] {
+    [
+        json!(decision.map(|d| d.at as u64)),
+        json!(decision.and_then(|d| d.share(d.at))),
+        json!(decision.map(|d| d.without_largest as u64)),
+    ]
 }
 
 fn fewer_table(trials: &[&Trial]) -> Table {

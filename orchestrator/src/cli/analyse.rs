@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde_json::{Map, Value};
 
 use super::{Error, Format, print_rows};
-use crate::analysis::Question;
+use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
 use crate::report::load::finished_trials;
 use crate::store::{Reader, Table};
@@ -19,6 +19,8 @@ pub(super) struct Args {
     /// Answer this question alone; may be given several times
     #[arg(long, value_enum)]
     question: Vec<Question>,
+    #[command(flatten)]
+    terms: Terms,
     /// The form of the tables; JSON of several is an object of lists by question, CSV and Parquet hold one
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -33,7 +35,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let trials = Reader::asked(&args.db, finished_trials).await?;
     let mut objects = Map::new();
     for &question in questions {
-        let table = question.answer(&trials);
+        let table = question.answer(&trials, args.terms);
         match args.format {
             Format::Json if questions.len() > 1 => {
                 let name = clap::ValueEnum::to_possible_value(&question).expect("none is hidden");

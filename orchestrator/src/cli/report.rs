@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 
 use super::{Error, make_folder, write};
-use crate::analysis::Question;
+use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
 use crate::report::{Figure, Story, csv, figures, html, load, standalone};
 use crate::store::Reader;
@@ -27,10 +27,12 @@ pub(super) struct Args {
     /// Threads for simulating the shown trial again
     #[arg(long, default_value_t = 1)]
     threads: usize,
+    #[command(flatten)]
+    terms: Terms,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let asked = async |reader: &mut Reader| load::story(reader, args.trial.as_deref()).await;
+    let asked = async |reader: &mut Reader| load::story(reader, args.trial.as_deref(), args.terms).await;
     let story = Reader::asked(&args.db, asked).await?;
     let (drawn, missing) = figures(&story, args.threads);
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
@@ -46,7 +48,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
     write_figures(folder, drawn)?;
     for question in Question::ALL {
-        let table = question.answer(&story.trials);
+        let table = question.answer(&story.trials, story.terms);
         if !table.rows.is_empty() && question.was_put(&story.trials) {
             let name = question.to_possible_value().expect("none is hidden");
             write(&folder.join(format!("answer-{}.csv", name.get_name())), csv(&table))?;

@@ -4,11 +4,12 @@ use super::figures::distinct;
 use super::plot::number;
 use crate::analysis::brains::brains;
 use crate::analysis::data::{DESIGN, Group, SENSORS, geometric_mean, groups, observations};
+use crate::analysis::decision::{Decision, Decisions, decide};
 use crate::analysis::paired::Ratio;
 use crate::analysis::random::random;
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::verdict_text;
-use crate::analysis::{Body, Set, Trial, Verdict, elbow, paired};
+use crate::analysis::{Body, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::plan::counted;
 
 /// An answer, and whether it is good news, or bad; `None`: neither, or undecided.
@@ -16,7 +17,7 @@ pub type Answer = (Option<bool>, String);
 
 /// What the trials answer.
 #[must_use]
-pub fn answers(trials: &[Trial]) -> Vec<Answer> {
+pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let mut said = Vec::new();
     let mut kinds: Vec<[String; 2]> = refs.iter().map(|t| brains(t)).collect();
@@ -52,7 +53,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     said.extend(super::brains::answers(trials));
     said.extend(long(&refs));
     for group in groups(&refs, SENSORS).iter().filter(|g| distinct(g, |t| t.sensors) > 1) {
-        said.extend(sensors(group));
+        said.extend(sensors(group, terms));
     }
     let all: Vec<&Trial> = trials.iter().collect();
     said.extend(groups(&all, DESIGN).iter().filter_map(random_bodies));
@@ -101,7 +102,7 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
 }
 
 /// Where more sensors stop to pay, and how few of the optimised body's suffice.
-fn sensors(group: &Group) -> Vec<Answer> {
+fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
     let curve = |body| observations(&group.trials, body, Set::Holdout, |t| t.sensors);
     let [initial, optimised] = Body::ALL.map(|b| match elbow(&curve(b)) {
         Err(why) => why.to_string(),
@@ -120,6 +121,21 @@ fn sensors(group: &Group) -> Vec<Answer> {
         false => format!("{}: optimised body: {optimised}; initial body: {initial}.", group.label),
     };
     let mut said = vec![(None, text)];
+    let [initial, optimised] = Body::ALL.map(|body| decide(&curve(body), terms));
+    let price = terms.price.map_or(String::new(), |p| format!("least error + {} % × M", number(p)));
+    let within = format!("smallest M within {} % of the best", number(100.0 * terms.within));
+    for (what, of) in [
+        (within, (|d| Some(&d.within)) as fn(&Decisions) -> Option<&Decision>),
+        (price, |d| d.priced.as_ref()),
+    ] {
+        let told = |decided: &Option<Decisions>| decided.as_ref().and_then(of).map(decision);
+        if let (Some(initial), Some(optimised)) = (told(&initial), told(&optimised)) {
+            said.push((
+                None,
+                format!("{}: {what}: optimised body {optimised}; initial body {initial}.", group.label),
+            ));
+        }
+    }
     if let Some(f) = fewer(&curve(Body::Initial), &curve(Body::Optimised)) {
         let initial = format!("the initial one with M = {} ({} %)", f.most, number(f.initial_error));
         let text = match (f.fewest, f.optimised_error) {
@@ -132,6 +148,17 @@ fn sensors(group: &Group) -> Vec<Answer> {
         said.push((Some(f.fewest.is_some()), format!("{}: {text}.", group.label)));
     }
     said
+}
+
+fn decision(decision: &Decision) -> String {
+    let votes = decision
+        .share(decision.at)
+        .map_or("units too few for votes".into(), |share| format!("{:.0} % of votes", 100.0 * share));
+    let hangs = match decision.without_largest == decision.at {
+        true => "the same without the largest M".into(),
+        false => format!("{} without the largest M", decision.without_largest),
+    };
+    format!("{} ({votes}; {hangs})", decision.at)
 }
 
 fn random_bodies(group: &Group) -> Option<Answer> {

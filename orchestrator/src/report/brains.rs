@@ -5,7 +5,7 @@ use super::figures::Figure;
 use super::plot::{Axis, Plot, Scale, number};
 use crate::analysis::brains::{Read, reads};
 use crate::analysis::data::{BRAINS, groups};
-use crate::analysis::{Body, Question, Trial};
+use crate::analysis::{Body, Question, Terms, Trial};
 
 /// At most so many settings are drawn; the data hold all.
 const MOST_SETTINGS: usize = 4;
@@ -75,7 +75,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         legend: entries,
         plots,
         small: false,
-        data: Question::Brains.answer(trials),
+        data: Question::Brains.answer(trials, Terms::default()),
     })
 }
 

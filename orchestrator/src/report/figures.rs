@@ -11,7 +11,7 @@ use crate::analysis::random::random;
 use crate::analysis::resample::quantile;
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
-use crate::analysis::{Body, Question, Set, Trial, Verdict, elbow, paired};
+use crate::analysis::{Body, Question, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::store::Table;
 
 /// A figure: plots side by side under one caption.
@@ -133,7 +133,7 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
 
 /// Error against M, placements shaded, elbow marked.
 #[must_use]
-pub fn sensors(trials: &[Trial]) -> Option<Figure> {
+pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let drawn: Vec<Group> =
         groups(&refs, SENSORS).into_iter().filter(|g| distinct(g, |t| t.sensors) > 1).collect();
@@ -191,7 +191,7 @@ pub fn sensors(trials: &[Trial]) -> Option<Figure> {
         legend: legend(&BODIES),
         plots,
         small: false,
-        data: Question::Sensors.answer(trials),
+        data: Question::Sensors.answer(trials, terms),
     })
 }
 
@@ -237,7 +237,7 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
         legend: vec![],
         plots,
         small: false,
-        data: Question::Random.answer(trials),
+        data: Question::Random.answer(trials, Terms::default()),
     })
 }
 
@@ -411,7 +411,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
         legend: legend(&BODIES),
         plots,
         small: false,
-        data: Question::Sizes.answer(trials),
+        data: Question::Sizes.answer(trials, Terms::default()),
     })
 }
 

@@ -9,7 +9,7 @@ use super::samples::Stored;
 use super::{Story, Sweep};
 use crate::analysis::brains::Reading;
 use crate::analysis::data::{CurvePoint, flatten};
-use crate::analysis::{Body, Cluster, Set, Trial};
+use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::store::{Reader, StoreError, Table};
 
 /// Parts of an outer step's time, as the columns of `v_step` and in words.
@@ -256,7 +256,7 @@ async fn add_long_errors(
 ///
 /// # Errors
 /// Where the database cannot be read, or does not hold the trial whole.
-pub async fn story(reader: &mut Reader, trial: Option<&str>) -> Result<Story, StoreError> {
+pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Result<Story, StoreError> {
     let trials = finished_trials(reader).await?;
     let sweeps: Rows = reader
         .query("SELECT name, text, version, created_at FROM sweep ORDER BY created_at, name")
@@ -291,6 +291,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>) -> Result<Story, St
         settled,
         trials,
         stored,
+        terms,
     })
 }
 

@@ -20,7 +20,7 @@ pub use figures::Figure;
 use plot::{escape, number};
 use samples::Stored;
 
-use crate::analysis::{Question, Trial};
+use crate::analysis::{Question, Terms, Trial};
 use crate::store::Table;
 use serde_json::Value;
 
@@ -35,6 +35,8 @@ pub struct Story {
     pub trials: Vec<Trial>,
     /// The one that is replayed, where one is stored whole.
     pub stored: Option<Stored>,
+    /// What a decision on M weighs.
+    pub terms: Terms,
 }
 
 /// A sweep as the database knows it.
@@ -57,7 +59,7 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     let mut drawn: Vec<Figure> = [
         figures::pairs(trials),
         brains::figure(trials),
-        figures::sensors(trials),
+        figures::sensors(trials, story.terms),
         figures::random_bodies(trials),
     ]
     .into_iter()
@@ -113,7 +115,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
         Question::TimeTo,
         Question::Seconds,
     ] {
-        let table = question.answer(&story.trials);
+        let table = question.answer(&story.trials, story.terms);
         if !table.rows.is_empty() && question.was_put(&story.trials) {
             let _ = write!(
                 content,
@@ -145,7 +147,7 @@ fn page(title: &str, content: &str) -> String {
 }
 
 fn summary(story: &Story) -> String {
-    let mut list = answer_list(&answers::answers(&story.trials));
+    let mut list = answer_list(&answers::answers(&story.trials, story.terms));
     let state = story.settled.columns.iter().position(|c| c == "state");
     let count = |name: &str| {
         state.map_or(0, |i| story.settled.rows.iter().filter(|r| r[i].as_str() == Some(name)).count())
