@@ -113,6 +113,19 @@ fn how_many_sensors_to_build_hangs_on_their_price() {
     assert!(!ok && err.contains("cheap") && err.contains("--price"), "{err}");
 }
 
+/// A database beside itself: every trial has its partner, every ratio is 1; one that is not there is named.
+#[test]
+fn a_database_is_compared_with_another() {
+    let (_folder, db) = database();
+    let (ok, out, err) = metasense(&db, &["analyse", "--compare", db.to_str().unwrap(), "--format", "json"]);
+    assert!(ok && err.contains("0 of"), "{err}");
+    let rows: Vec<Value> = serde_json::from_str(&out).unwrap();
+    assert!(rows.len() > 10 && rows.iter().all(|row| row["ratio"] == 1.0), "{out}");
+    assert_eq!(rows[0]["setting"], "all");
+    let (ok, _, err) = metasense(&db, &["analyse", "--compare", "nowhere.sqlite"]);
+    assert!(!ok && err.contains("nowhere.sqlite"), "{err}");
+}
+
 #[test]
 fn csv_holds_one_table_and_says_so() {
     let (_folder, db) = database();

@@ -52,7 +52,7 @@ impl Ratio {
 }
 
 /// Of each trial that has both, the first value over the second.
-fn ratio(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64; 2]>) -> Option<Ratio> {
+pub(super) fn ratio_of(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64; 2]>) -> Option<Ratio> {
     let of = |t: &&Trial| values(t).map(|[a, b]| (t.cluster, a / b));
     Ratio::of(&trials.iter().filter_map(of).collect::<Vec<_>>())
 }
@@ -60,13 +60,13 @@ fn ratio(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64; 2]>) -> Opti
 /// Error of the initial over error of the optimised body.
 #[must_use]
 pub fn error_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
-    ratio(trials, |t| Some([t.error(Body::Initial, set)?, t.error(Body::Optimised, set)?]))
+    ratio_of(trials, |t| Some([t.error(Body::Initial, set)?, t.error(Body::Optimised, set)?]))
 }
 
 /// The same after long training.
 #[must_use]
 pub fn long_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
-    ratio(trials, |t| Some([t.long_error(Body::Initial, set)?, t.long_error(Body::Optimised, set)?]))
+    ratio_of(trials, |t| Some([t.long_error(Body::Initial, set)?, t.long_error(Body::Optimised, set)?]))
 }
 
 /// By what two trainings are compared.

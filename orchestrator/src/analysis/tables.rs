@@ -142,7 +142,7 @@ fn ends(interval: Option<Interval>) -> [Value; 2] {
     [json!(interval.map(|i| i.low)), json!(interval.map(|i| i.high))]
 }
 
-fn ratio_cells(ratio: Ratio) -> Vec<Value> {
+pub(super) fn ratio_cells(ratio: Ratio) -> Vec<Value> {
     let [low, high] = ends(ratio.interval);
     vec![json!(ratio.trials), json!(ratio.above_one), json!(ratio.ratio), low, high, json!(ratio.over)]
 }

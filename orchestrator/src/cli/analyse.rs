@@ -1,10 +1,11 @@
 //! `analyse`: what a database's finished trials teach, as tables.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
 use super::{Error, Format, print_rows};
+use crate::analysis::compare::Comparison;
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
 use crate::report::load::finished_trials;
@@ -16,6 +17,9 @@ use crate::store::{Reader, Table};
 pub(super) struct Args {
     /// The database
     db: PathBuf,
+    /// Compare the database, trial by trial, with this one, which comes first: ratios of errors and seconds
+    #[arg(long, value_name = "FIRST", conflicts_with_all = ["question", "within", "price"])]
+    compare: Option<PathBuf>,
     /// Answer this question alone; may be given several times
     #[arg(long, value_enum)]
     question: Vec<Question>,
@@ -27,6 +31,9 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    if let Some(first) = &args.compare {
+        return compare(first, &args.db, args.format).await;
+    }
     let all = args.question.is_empty();
     let questions = if all { &Question::ALL[..] } else { &args.question };
     if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
@@ -67,6 +74,39 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if trials.is_empty() {
         say!("no trial of {} is done yet", args.db.display());
     }
+    Ok(Exit::Done)
+}
+
+async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Error> {
+    let [a, b] = [
+        finished_trials(&mut Reader::open(first).await?).await?,
+        finished_trials(&mut Reader::open(second).await?).await?,
+    ];
+    let found = Comparison::new(&a, &b);
+    let shown = |value: Option<&Value>| value.map_or("none".to_owned(), Value::to_string);
+    for (path, [a, b]) in &found.differs {
+        say!("{path}: {} in {}, {} in {}", shown(*a), first.display(), shown(*b), second.display());
+    }
+    let [a, b] = found.alone;
+    say!(
+        "{} pairs; without a partner: {a} of {}, {b} of {}",
+        found.pairs.len(),
+        first.display(),
+        second.display()
+    );
+    if found.pairs.is_empty() {
+        return Err(Error::Usage(format!(
+            "--compare {}: no trial that is done has a partner in {}: pairs agree in all that varies within either",
+            first.display(),
+            second.display()
+        )));
+    }
+    if format == Format::Table {
+        print_line!(
+            "First over second, paired (above 1: the second has less; geometric means, 95 % interval)"
+        )?;
+    }
+    print_rows(&found.table(), format)?;
     Ok(Exit::Done)
 }
 
