@@ -76,6 +76,16 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[solver]\nmethod = \"euler\"\n[sweep]",
         "s.toml:14: solver.method = \"euler\": must be \"auto\", \"tsit5\", ",
     ),
+    (
+        "[sweep]",
+        "[solver]\nmethod = \"implicit\"\n[sweep]",
+        "s.toml:14: solver.method = \"implicit\": is no longer an integrator: \"auto\" was cheaper in every scene",
+    ),
+    (
+        "[sweep]",
+        "[optimise]\ncoarse = { method = \"implicit\" }\n[sweep]",
+        "s.toml:14: optimise.coarse.method = \"implicit\": is no longer an integrator",
+    ),
     ("[sweep]", "[brain]\niterations = 0\n[sweep]", "s.toml:14: brain.iterations = 0: "),
     ("[sweep]", "[brain]\nlearning_rate = nan\n[sweep]", "s.toml:14: brain.learning_rate = nan: "),
     ("[sweep]", "[optimise]\nlearning_rate = -0.1\n[sweep]", "s.toml:14: optimise.learning_rate = -0.1: "),

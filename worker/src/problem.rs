@@ -75,11 +75,11 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let initial = initial_design(&trial.body, &layout, limits)?;
     castable(&trial.body, &layout, limits, &initial)?;
     let scene = scene(trial, layout)?;
-    let steps = trial.optimise.steps();
+    let (steps, coarse) = (trial.optimise.steps(), trial.optimise.resolved().coarse);
     Ok(Problem {
         kept: kept(&trial.feasible, &trial.panel_units, &scene.clamped),
         initial,
-        solver: solver(&trial.solver),
+        solver: solver("solver.method", &trial.solver)?,
         limits,
         stimuli: stimuli(trial)?,
         disturbance: disturbance(&trial.sensors, &trial.time)?,
@@ -96,7 +96,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
             rate: trial.optimise.resolved().learning_rate.unwrap_or_default(),
-            coarse: trial.optimise.resolved().coarse.as_ref().map(solver),
+            coarse: coarse.as_ref().map(|coarse| solver("optimise.coarse.method", coarse)).transpose()?,
         },
         evaluation: Evaluation {
             seeds: trial.evaluation.seeds,
@@ -240,16 +240,22 @@ fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {
     require((1e-12..=0.5).contains(&tolerance), key, tolerance, "must lie in [1e-12, 0.5]")
 }
 
-pub(crate) fn solver(solver: &spec::Solver) -> Solver {
+fn solver(key: &str, solver: &spec::Solver) -> Result<Solver, Invalid> {
     let method = match solver.method {
         spec::Method::Auto => Method::Auto,
         spec::Method::Tsit5 => Method::Tsit5,
         spec::Method::Leapfrog => Method::Leapfrog,
         spec::Method::Nystrom4 => Method::Nystrom4,
         spec::Method::Nystrom6 => Method::Nystrom6,
-        spec::Method::Implicit => Method::Implicit,
+        spec::Method::Implicit => {
+            return Err(invalid(
+                key,
+                "\"implicit\"",
+                "is no longer an integrator: \"auto\" was cheaper in every scene",
+            ));
+        }
     };
-    Solver { method, tolerance: solver.tolerance }
+    Ok(Solver { method, tolerance: solver.tolerance })
 }
 
 /// Of a linear brain's system: 3 GB and a minute a step.

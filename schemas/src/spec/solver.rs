@@ -33,7 +33,8 @@ pub enum Method {
     Nystrom4,
     /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 6.
     Nystrom6,
-    /// Hairer and Wanner's SDIRK, equal steps, order 4: stiff modes need not be followed.
+    /// What old databases may hold; no longer an integrator.
+    #[schemars(skip)]
     Implicit,
 }
 

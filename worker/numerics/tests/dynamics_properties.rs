@@ -55,12 +55,8 @@ fn plan(method: Method, steps: usize) -> Plan {
     Plan { method, tolerance: 1e-10, steps, reason: String::new() }
 }
 
-const EQUAL_STEPS: [(Method, f64, usize); 4] = [
-    (Method::Leapfrog, 2.0, 64),
-    (Method::Nystrom4, 4.0, 36),
-    (Method::Nystrom6, 6.0, 12),
-    (Method::Implicit, 4.0, 48),
-];
+const EQUAL_STEPS: [(Method, f64, usize); 3] =
+    [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
 
 /// Errors at n and 2n steps against a run far finer, with damping light and heavy: the drift carries it exactly.
 #[test]
@@ -98,7 +94,7 @@ fn every_width_computes_the_same() {
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 11, 0.4));
         let samples: Vec<usize> = (0..forces.samples).collect();
-        for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom4, 24), (Method::Implicit, 12)] {
+        for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom4, 24)] {
             let plan = Plan { tolerance: 1e-6, ..plan(method, steps) };
             let at = |width| {
                 let run = run_at(width, &scene, &design, &forces, &plan, true, &pool);
@@ -143,12 +139,8 @@ fn gradients_are_those_of_the_discrete_scheme() {
                 dot(&run(&scene, &moved, &forces, &plan, false, &pool).signals, &cotangent)
             };
             let central = |eps: f64| (value(eps) - value(-eps)) / (2.0 * eps);
-            // Where contact sets in, the second derivative jumps; Newton's method leaves a little noise.
-            let (eps, least) = if scene.contact.is_some() {
-                (1.5e-7, 2e-5)
-            } else {
-                (1e-4, if method == Method::Implicit { 2e-6 } else { 2e-7 })
-            };
+            // Where contact sets in, the second derivative jumps.
+            let (eps, least) = if scene.contact.is_some() { (1.5e-7, 2e-5) } else { (1e-4, 2e-7) };
             let differences = (4.0 * central(eps) - central(2.0 * eps)) / 3.0;
             let simulation = run(&scene, &design, &forces, &plan, true, &pool);
             assert_eq!(simulation.outcomes, [Outcome::Ok; 3], "{what}");
@@ -321,9 +313,7 @@ fn pull_back_is_the_transpose_of_push_forward() {
         let forces = pushes(&Scene { instants: kinks * scene.instants, ..scene.clone() }, 2, 0.4);
         let v: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
         let still = vec![0.0; design.len()];
-        // Newton's method in plain dual numbers takes its time.
-        let steps = |method, n: usize| if method == Method::Implicit { 8 } else { 2 * n };
-        let equal = EQUAL_STEPS.map(|(method, _, n)| (method, steps(method, n)));
+        let equal = EQUAL_STEPS.map(|(method, _, n)| (method, 2 * n));
         for (method, steps) in equal.into_iter().chain([(Method::Tsit5, 0)]) {
             let plan = Plan { tolerance: 1e-7, ..plan(method, steps) };
             let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));
@@ -347,10 +337,8 @@ fn pull_back_is_the_transpose_of_push_forward() {
                 let error = (ours - theirs).abs() / if absent { 1.0 } else { theirs.abs() };
                 let what = format!("{what}, {method:?}, direction {k}");
                 // No closer than the two programs' signals are
-                // Newton's iterations end where rounding of the forces hides their residual.
-                let near = if method == Method::Implicit { 1e-10 } else { 1e-11 };
                 let what = format!("{what}: {error:e}, signals {same:e}");
-                assert!(error < 1e-12 + 4.0 * same.min(near) && same < near, "{what}");
+                assert!(error < 1e-12 + 4.0 * same.min(1e-11) && same < 1e-11, "{what}");
             }
         }
     }
@@ -362,13 +350,9 @@ fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
     let base = small_scene();
     let scene = Scene { sensors: vec![base.sensors[0], base.clamped[0]], ..base };
     let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.4));
-    for (method, steps) in [
-        (Method::Tsit5, 0),
-        (Method::Leapfrog, 60),
-        (Method::Nystrom4, 30),
-        (Method::Nystrom6, 15),
-        (Method::Implicit, 8),
-    ] {
+    for (method, steps) in
+        [(Method::Tsit5, 0), (Method::Leapfrog, 60), (Method::Nystrom4, 30), (Method::Nystrom6, 15)]
+    {
         let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
         let gradient = |held: f64| {
             let of = |i: usize| if i % 6 < 3 { (0.7 * i as f64).sin() } else { held };
@@ -409,7 +393,7 @@ fn gradients_in_the_parameters_are_those_of_the_signals() {
                     dot(&solve(&Parameters::from_array(moved).set(&scene)).signals, &w)
                 };
                 let central = |step: f64| (value(step) - value(-step)) / (2.0 * step);
-                // Where contact sets in, the second derivative jumps; Newton's method leaves a little noise.
+                // Where contact sets in, the second derivative jumps.
                 let touches = scene.contact.is_some();
                 let step = if touches { 1e-7 } else { 1e-5 };
                 let (ours, theirs) = (ours[k] * at[k], (4.0 * central(step) - central(2.0 * step)) / 3.0);
@@ -470,9 +454,8 @@ fn forces_may_have_a_finer_clock_than_the_signals() {
             pull_back(scene, &design, &forces, simulation, &[0, 1], cotangent, &pool(1)).design
         };
         let (g, h) = (gradient(&coarse, &ours, &cotangent), gradient(&fine, &theirs, &spread));
-        let limit = if method == Method::Implicit { 1e-8 } else { 1e-11 };
         let errors = [relative(&ours.signals, &every_fourth), relative(&g, &h)];
-        assert!(errors.iter().all(|e| *e < limit) && norm(&g) > 0.0, "{method:?}: {errors:?}");
+        assert!(errors.iter().all(|e| *e < 1e-11) && norm(&g) > 0.0, "{method:?}: {errors:?}");
         if steps > 0 {
             assert_eq!(solve(&coarse, 4 * steps - 1).signals, ours.signals, "{method:?}");
         }

@@ -78,7 +78,7 @@ fn truth(kind: BenchScene) -> f64 {
     if kind == BenchScene::Contact { 0.03 } else { 0.12 }
 }
 
-/// The same of the points of a method of equal steps; of `implicit`, steps an interval.
+/// The same of the points of a method of equal steps.
 ///
 /// On the stiffest scene the long points say all: leapfrog's error stays that of the ringing it does not follow.
 fn ladder(kind: BenchScene, method: Method) -> &'static [f64] {
@@ -86,8 +86,7 @@ fn ladder(kind: BenchScene, method: Method) -> &'static [f64] {
         (Method::Leapfrog, BenchScene::Stretch10000) => &[1.4, 0.7],
         (Method::Leapfrog, _) => &[1.4, 0.7, 0.35, 0.18, 0.09],
         (Method::Nystrom4, _) => &[0.6, 0.42, 0.3, 0.21, 0.15],
-        (Method::Nystrom6, _) => &[0.5, 0.4, 0.3, 0.22],
-        _ => &[2.0, 4.0, 8.0, 16.0],
+        _ => &[0.5, 0.4, 0.3, 0.22],
     }
 }
 
@@ -181,7 +180,6 @@ impl Subject {
     fn plan(&self, method: Method, at: f64) -> Plan {
         let steps = match method {
             Method::Tsit5 => 0,
-            Method::Implicit => at as usize,
             _ => self.steps(method, at),
         };
         Plan { method, tolerance: at, steps, reason: String::new() }
@@ -232,7 +230,7 @@ pub fn work_precision(
     for &tolerance in kind.tolerances() {
         measure(&subject.plan(Method::Tsit5, tolerance), format!("tolerance {tolerance:.0e}"), false);
     }
-    for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6, Method::Implicit] {
+    for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
         for &at in ladder(kind, method) {
             let plan = subject.plan(method, at);
             measure(&plan, format!("{} steps", plan.steps), false);
@@ -353,7 +351,7 @@ mod tests {
     #[test]
     fn shorter_steps_cost_more_and_err_less() {
         let points = work_precision(BenchScene::Reference, 2, 10, |_| ());
-        for method in ["tsit5", "leapfrog", "nystrom4", "nystrom6", "implicit"] {
+        for method in ["tsit5", "leapfrog", "nystrom4", "nystrom6"] {
             let of: Vec<&Point> = points.iter().filter(|p| p.method == method && !p.auto).collect();
             assert!(of.len() >= 4, "{method}: {of:?}");
             let (first, last) = (of[0], of[of.len() - 1]);

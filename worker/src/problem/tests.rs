@@ -56,6 +56,8 @@ fn an_impossible_value_is_named_by_its_key() {
         ("body.damping_ratio", json!(-0.1), "body.damping_ratio"),
         ("body.stiffness.shear", json!(-0.5), "body.stiffness.shear"),
         ("body.contact", json!({ "stiffness": -1.0 }), "body.contact.stiffness"),
+        // Old databases hold it: read, not run.
+        ("solver.method", json!("implicit"), "solver.method"),
         ("body.contact", json!({ "min_angle": 6.0 }), "body.contact.min_angle"),
         ("body.clamp", json!("hub"), "body.clamp"),
         ("body.clamp", json!([3, 3]), "body.clamp"),

@@ -1,7 +1,7 @@
 //! Geometry, energies, trajectories, gradients and force histories against their cases.
 
 use super::case::{Case, CaseError};
-use super::{Row, relative};
+use super::{DEFAULT, Row, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::dynamics::{
     Forces, Method, Outcome, Scene, Simulation, Solver, energy, energy_design_gradient, energy_gradient,
@@ -130,14 +130,13 @@ pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, Cas
         rows.push(Row::new("forces from the record", relative(&ours, &forces.values), ROUNDING));
     }
 
-    let solver = crate::problem::solver(&metasense_schemas::spec::Solver::default());
-    let tuned = tune(&scene, &design, &forces, &solver, pool);
+    let tuned = tune(&scene, &design, &forces, &DEFAULT, pool);
     let usual = run(&scene, &design, &forces, &tuned.plan, false, pool);
     let work = usual.counters.force_evaluations / forces.samples.max(1) as u64;
     let (name, error) = ("sensors at default settings", relative(&usual.signals, &signals));
     // Where the pilot found that no steps keep the tolerance, none was promised.
     let row = match tuned.error {
-        Some(_) => Row::new(name, error, LEEWAY * solver.tolerance),
+        Some(_) => Row::new(name, error, LEEWAY * DEFAULT.tolerance),
         None => Row::shown(name, error),
     };
     let note = format!("{work} forces a sample; {} {}", tuned.plan.reason, outcomes(&usual));

@@ -57,7 +57,6 @@ fn fine() -> (Scene, Vec<f64>, Forces) {
 /// All checks for `method`.
 pub fn rows(methods: &[(Method, f64)], pool: &rayon::ThreadPool) -> Vec<Row> {
     let mut rows = orders(pool);
-    rows.push(implicit_gradient(pool));
     rows.extend(
         [(Method::Nystrom6, 1e-3), (Method::Tsit5, 1e-6), (Method::Tsit5, 1e-12)].map(|m| tape(m, pool)),
     );
@@ -89,18 +88,15 @@ fn orders(pool: &rayon::ThreadPool) -> Vec<Row> {
         run(&scene, &design, &forces, &Plan { method, tolerance, steps, reason: String::new() }, false, pool)
     };
     let truth = solve(Method::Nystrom6, 120, 0.0).signals;
-    let mut rows: Vec<Row> = [
-        (Method::Leapfrog, 2.0, 64),
-        (Method::Nystrom4, 4.0, 36),
-        (Method::Nystrom6, 6.0, 16),
-        (Method::Implicit, 4.0, 64),
-    ]
-    .into_iter()
-    .map(|(method, order, steps)| {
-        let [coarse, fine] = [steps, 2 * steps].map(|n| relative(&solve(method, n, 0.0).signals, &truth));
-        order_row(method, order, (coarse / fine).log2())
-    })
-    .collect();
+    let mut rows: Vec<Row> =
+        [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 16)]
+            .into_iter()
+            .map(|(method, order, steps)| {
+                let [coarse, fine] =
+                    [steps, 2 * steps].map(|n| relative(&solve(method, n, 0.0).signals, &truth));
+                order_row(method, order, (coarse / fine).log2())
+            })
+            .collect();
     let [coarse, fine] = [1e-8, 1e-11].map(|tolerance| solve(Method::Tsit5, 0, tolerance));
     let ratio = |f: &dyn Fn(&Simulation) -> f64| (f(&coarse) / f(&fine)).ln();
     let steps = -ratio(&|s| s.counters.steps as f64);
@@ -257,22 +253,6 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
             1e-12,
         ),
     ]
-}
-
-/// dα of the implicit method against that of a splitting scheme, both at tight steps.
-fn implicit_gradient(pool: &rayon::ThreadPool) -> Row {
-    let (scene, design, forces) = short();
-    let gradient = |method, steps, cotangent: Option<&[f64]>| {
-        let plan = Plan { method, tolerance: 0.0, steps, reason: String::new() };
-        let run = run(&scene, &design, &forces, &plan, true, pool);
-        let scale = run.signals.iter().map(|s| s * s).sum::<f64>();
-        let own: Vec<f64> = run.signals.iter().map(|s| s / scale).collect();
-        let cotangent = cotangent.unwrap_or(&own);
-        (pull_back(&scene, &design, &forces, &run, &[0], cotangent, pool).design, cotangent.to_vec())
-    };
-    let (theirs, cotangent) = gradient(Method::Nystrom6, 60, None);
-    let (ours, _) = gradient(Method::Implicit, 300, Some(&cotangent));
-    Row::new("dα of implicit against nystrom6", relative(&ours, &theirs), 1e-6)
 }
 
 /// What 300 samples of the reference scene keep for their gradient, in MB.

@@ -83,23 +83,17 @@ pub(super) struct Law {
     pub(super) work: usize,
 }
 
-const LAWS: [Law; 4] = [
+const LAWS: [Law; 3] = [
     Law { method: Method::Leapfrog, power: 2.0, factor: 0.45, limit: 0.7, work: 1 },
     Law { method: Method::Nystrom4, power: 4.0, factor: 0.25, limit: 0.6, work: 6 },
     Law { method: Method::Nystrom6, power: 6.0, factor: 1.5, limit: 0.5, work: 11 },
-    // Of the highest soft mode; about 3.5 forces and a share of a factorisation a stage
-    Law { method: Method::Implicit, power: 4.0, factor: 30.0, limit: 0.4, work: 26 },
 ];
-/// Asked errors from which the ringing of stiff modes, some per cent of accelerations, may be left out.
-const SOFT: f64 = 0.03;
 
 /// A method of equal steps in a scene.
 pub(super) struct Candidate {
     pub(super) law: &'static Law,
-    /// Highest frequency that the method follows (rad/s).
-    pub(super) followed: f64,
-    /// Highest frequency of all (rad/s).
-    pub(super) all: f64,
+    /// Highest frequency (rad/s).
+    pub(super) highest: f64,
     /// Length of an interval (s).
     pub(super) interval: f64,
     /// Kinks of the forces in an interval, each of which ends a step.
@@ -110,7 +104,7 @@ impl Candidate {
     /// Steps an interval by the law.
     pub(super) fn steps(&self, tolerance: f64) -> usize {
         let w = (tolerance / self.law.factor).powf(1.0 / self.law.power).min(self.law.limit);
-        self.whole(self.followed * self.interval / (w * self.stages()))
+        self.whole(self.highest * self.interval / (w * self.stages()))
     }
 
     /// So many steps or a few more: as many from kink to kink.
@@ -120,25 +114,20 @@ impl Candidate {
 
     /// The tolerance for which the law gives so many steps, rounded up.
     pub(super) fn tolerance(&self, steps: f64) -> f64 {
-        self.law.factor * (self.followed * self.interval / (steps * self.stages())).powf(self.law.power)
+        self.law.factor * (self.highest * self.interval / (steps * self.stages())).powf(self.law.power)
     }
 
     pub(super) fn plan(&self, steps: usize, reason: String) -> Plan {
         Plan { method: self.law.method, tolerance: self.tolerance(steps as f64), steps, reason }
     }
 
-    /// The method and its steps, why, and the frequencies that decide about them, in words.
+    /// The method and its steps, why, and the frequency that decides about them, in words.
     pub(super) fn reason(&self, steps: usize, why: &str) -> String {
-        let hertz = |omega: f64| omega / std::f64::consts::TAU;
-        let followed = match self.followed < self.all {
-            true => format!(", followed up to {:.0} Hz", hertz(self.followed)),
-            false => String::new(),
-        };
         format!(
-            "{}, {steps} steps an interval of {} ms: {why}; highest frequency {:.0} Hz{followed}",
+            "{}, {steps} steps an interval of {} ms: {why}; highest frequency {:.0} Hz",
             self.law.method.name(),
             (self.interval * 1e6).round() * 1e-3,
-            hertz(self.all)
+            self.highest / std::f64::consts::TAU
         )
     }
 
@@ -149,14 +138,9 @@ impl Candidate {
 
 /// Every method of equal steps in this scene, under forces with so many kinks an interval.
 pub(super) fn candidates(scene: &Scene, design: &[f64], kinks: usize) -> Vec<Candidate> {
-    let all = highest_frequency(scene, design);
-    // Without the stiffness by which stretching exceeds shearing more than in the reference material
-    let mut soft = scene.clone();
-    soft.stiffness.stretch = soft.stiffness.stretch.min(6.0 * soft.stiffness.shear);
-    let soft = if soft == *scene { all } else { highest_frequency(&soft, design) };
-    let followed = |law: &Law| if law.method == Method::Implicit { soft } else { all };
+    let highest = highest_frequency(scene, design);
     let interval = scene.duration / scene.instants as f64;
-    LAWS.iter().map(|law| Candidate { law, followed: followed(law), all, interval, kinks }).collect()
+    LAWS.iter().map(|law| Candidate { law, highest, interval, kinks }).collect()
 }
 
 /// Turns a solver into a plan for this scene and design, under forces on the scene's clock.
@@ -170,13 +154,9 @@ pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: 
     if method == Method::Tsit5 {
         return Plan { method, tolerance, steps: 0, reason: "asked for".to_owned() };
     }
-    let allowed = |c: &Candidate| match method {
-        Method::Auto => c.law.method != Method::Implicit || tolerance >= SOFT,
-        named => c.law.method == named,
-    };
     let best = candidates(scene, design, kinks)
         .into_iter()
-        .filter(allowed)
+        .filter(|c| method == Method::Auto || method == c.law.method)
         .min_by_key(|c| c.steps(tolerance) * c.law.work)
         .expect("a law for every method of equal steps");
     let steps = best.steps(tolerance);

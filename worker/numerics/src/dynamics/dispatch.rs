@@ -1,7 +1,6 @@
 //! Entry points of each instruction set, and the division of samples among lanes and threads.
 
-use super::implicit;
-use super::ligaments::{Shape, Turn, gradient, hessian, product};
+use super::ligaments::{Shape, Turn, gradient, product};
 use super::model::{Model, ModelCotangent};
 use super::splitting::{self, Scheme};
 use super::system::{Kernels, Second, System, Unit};
@@ -55,28 +54,13 @@ macro_rules! machine {
                 product::<$vector, LINEAR, CONTACT, GRADIENT, PARAMETERS>(model, x, w, turn, g, h, shape);
             }
 
-            $(#[target_feature(enable = $feature)])?
-            unsafe fn third<const LINEAR: bool, const CONTACT: bool>(
-                model: &Model,
-                x: &[Unit<$vector>],
-                turn: &mut [Turn<$vector>],
-                factor: f64,
-                place: &[Option<usize>],
-                stride: usize,
-                band: &mut [$vector],
-            ) {
-                let factor = <$vector>::splat(factor);
-                hessian::<$vector, LINEAR, CONTACT>(model, x, turn, factor, place, stride, band);
-            }
-
             fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {
                 fn of<const LINEAR: bool, const CONTACT: bool>(parameters: bool) -> Kernels<$vector> {
                     let (second, product): (Second<$vector>, Second<$vector>) = match parameters {
                         false => (second::<LINEAR, CONTACT, true, false>, second::<LINEAR, CONTACT, false, false>),
                         true => (second::<LINEAR, CONTACT, true, true>, second::<LINEAR, CONTACT, false, true>),
                     };
-                    let (gradient, hessian) = (first::<LINEAR, CONTACT>, third::<LINEAR, CONTACT>);
-                    Kernels { gradient, second, product, hessian }
+                    Kernels { gradient: first::<LINEAR, CONTACT>, second, product }
                 }
                 match (scene.linearised, scene.contact.is_some()) {
                     (false, false) => of::<false, false>(parameters),
@@ -98,19 +82,16 @@ macro_rules! machine {
                 let scheme = scheme(plan.method);
                 let damped = scheme.is_none();
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), damped, false);
-                if plan.method == Method::Tsit5 {
+                let Some(scheme) = scheme else {
                     return tsit5::forward(system, forces, plan.tolerance, queue);
-                }
+                };
                 let mut counters = Counters::default();
                 loop {
                     let slots = take(queue, LANES);
                     if slots.is_empty() {
                         return counters;
                     }
-                    counters += match &scheme {
-                        Some(scheme) => splitting::forward(&mut system, scheme, plan.steps, parts, forces, slots),
-                        None => implicit::forward(&mut system, plan.steps, forces, slots),
-                    };
+                    counters += splitting::forward(&mut system, &scheme, plan.steps, parts, forces, slots);
                 }
             }
 
@@ -128,9 +109,6 @@ macro_rules! machine {
                 let kernels = kernels(scene, parameters);
                 let mut system = System::<$vector>::new(scene, model, kernels, scheme.is_none(), parameters);
                 let counters = match scheme {
-                    None if plan.method == Method::Implicit => {
-                        implicit::reverse(&mut system, plan.steps, forces, sweeps)
-                    }
                     None => tsit5::reverse(&mut system, forces, sweeps),
                     Some(scheme) => splitting::reverse(&mut system, &scheme, plan.steps, parts, forces, sweeps),
                 };
@@ -187,7 +165,7 @@ pub fn scheme(method: Method) -> Option<Scheme> {
         Method::Leapfrog => Some(Scheme::leapfrog()),
         Method::Nystrom4 => Some(Scheme::fourth()),
         Method::Nystrom6 => Some(Scheme::sixth()),
-        Method::Auto | Method::Tsit5 | Method::Implicit => None,
+        Method::Auto | Method::Tsit5 => None,
     }
 }
 

@@ -183,44 +183,6 @@ pub fn product<
     }
 }
 
-/// Adds factor·∂²U/∂s_i∂s_j, j ≤ i by their places, to `band` at i·stride + i − j, but for degrees of freedom
-/// (3·unit + d) without a place.
-#[inline(always)]
-pub fn hessian<V: Vector, const LINEAR: bool, const CONTACT: bool>(
-    model: &Model,
-    x: &[[V; 3]],
-    turn: &mut [Turn<V>],
-    factor: V,
-    places: &[Option<usize>],
-    stride: usize,
-    band: &mut [V],
-) {
-    turns(x, turn);
-    let (zero, one) = (V::splat(0.0), V::splat(1.0));
-    for bar in &model.bars {
-        let ends = [bar.a, bar.b];
-        let at = place::<V, LINEAR>(bar, x, turn);
-        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, shear_angle::<V, LINEAR>(&at), &mut { zero });
-        for column in 0..6 {
-            let Some(j) = places[3 * ends[column / 3] + column % 3] else { continue };
-            let mut along = [[zero; 3]; 2];
-            along[column / 3][column % 3] = one;
-            let swing = pull.along::<LINEAR, CONTACT>(model, bar, along);
-            let [fx, fy] = swing.force;
-            for (end, [p, q, t]) in [(0, [-fx, -fy, swing.moments[0]]), (1, [fx, fy, swing.moments[1]])] {
-                for (d, value) in [p, q, t].into_iter().enumerate() {
-                    if let Some(i) = places[3 * ends[end] + d]
-                        && j <= i
-                    {
-                        let at = &mut band[i * stride + i - j];
-                        *at = factor.mul_add(value, *at);
-                    }
-                }
-            }
-        }
-    }
-}
-
 /// Overwrites `turn`.
 #[inline(always)]
 fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {

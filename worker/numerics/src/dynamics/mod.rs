@@ -10,7 +10,6 @@ mod balance;
 mod choose;
 mod dispatch;
 mod energy;
-mod implicit;
 mod ligaments;
 mod model;
 mod push_forward;
@@ -170,8 +169,6 @@ pub enum Method {
     Nystrom4,
     /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 6.
     Nystrom6,
-    /// Hairer and Wanner's SDIRK, equal steps, order 4, by Newton's method: stiff modes need not be followed.
-    Implicit,
 }
 
 /// What `choose` made of a solver for one scene, and why.
@@ -230,8 +227,6 @@ pub enum Outcome {
     NonFinite,
     /// Void angles below the least allowed could not be avoided.
     ForbiddenContact,
-    /// Newton's method did not find an implicit step.
-    NoConvergence,
     /// Steps too long for the highest mode made kinetic energy out of nothing.
     Unstable,
 }
@@ -245,14 +240,12 @@ impl Method {
             Self::Leapfrog => "leapfrog",
             Self::Nystrom4 => "nystrom4",
             Self::Nystrom6 => "nystrom6",
-            Self::Implicit => "implicit",
         }
     }
 
-    /// Forces, or Newton solves, a step of equal steps.
+    /// Forces a step of equal steps.
     pub fn stages(self) -> Option<usize> {
-        let implicit = (self == Self::Implicit).then_some(implicit::STAGES);
-        implicit.or_else(|| dispatch::scheme(self).map(|s| s.stages()))
+        dispatch::scheme(self).map(|s| s.stages())
     }
 }
 
@@ -265,7 +258,6 @@ impl Outcome {
             Self::StepTooSmall => "step_too_small",
             Self::NonFinite => "non_finite",
             Self::ForbiddenContact => "forbidden_contact",
-            Self::NoConvergence => "no_convergence",
             Self::Unstable => "unstable",
         }
     }

@@ -5,7 +5,7 @@
 //! that signals which agree to rounding check those too.
 
 use super::splitting::Drift;
-use super::{Forces, Frame, Method, Parameters, Scene, Simulation, Tape, dispatch, implicit, tsit5};
+use super::{Forces, Frame, Method, Parameters, Scene, Simulation, Tape, dispatch, tsit5};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -285,7 +285,6 @@ pub fn push_forward(
             let delta = scene.duration / forces.instants as f64;
             adaptive(&body, &tsit5::sizes(&tape.steps, &tape.counts, delta), &tape.counts)
         }
-        Method::Implicit => implicit_steps(&body, simulation.plan.steps * tape.refined),
         method => equal(&body, method, simulation.plan.steps * tape.refined),
     };
     signals.into_iter().map(|s| (s.0, s.1)).unzip()
@@ -330,95 +329,6 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
         }
     }
     signals
-}
-
-fn implicit_steps(body: &Body<'_>, substeps: usize) -> Vec<Dual> {
-    let Body { scene, forces, .. } = body;
-    let h = scene.duration / (scene.instants * substeps) as f64;
-    let span = substeps / forces.kinks(scene);
-    let (mut x, mut v, mut signals) = (body.still(), body.still(), Vec::new());
-    let mut last = body.still();
-    for step in 0..scene.instants * substeps {
-        let mut a: Vec<State> = Vec::new();
-        for i in 0..implicit::STAGES {
-            let (mut xs, mut vs) = (scaled(implicit::C[i] * h, &v), v.clone());
-            add(&mut xs, &x);
-            for (j, a) in a.iter().enumerate() {
-                add(&mut vs, &scaled(h * implicit::A[i][j], a));
-                add(&mut xs, &scaled(h * h * implicit::A2[i][j], a));
-            }
-            let at = (step / span, ((step % span) as f64 + implicit::C[i]) / span as f64);
-            let stage = Stage { body, x: xs, v: vs, h: implicit::GAMMA * h, at };
-            last = stage.solve(last);
-            a.push(last.clone());
-            if i + 1 == implicit::STAGES {
-                (x, v) = stage.state(&last);
-            }
-        }
-        if (step + 1).is_multiple_of(substeps) {
-            body.read(&x, &v, &last, &mut signals);
-            body.meet((step + 1) / substeps, &mut x, &mut v);
-        }
-    }
-    signals
-}
-
-/// A stage of an implicit step: A = a(x + h²A, v + hA).
-struct Stage<'a> {
-    body: &'a Body<'a>,
-    x: State,
-    v: State,
-    h: f64,
-    at: (usize, f64),
-}
-
-impl Stage<'_> {
-    fn state(&self, a: &State) -> (State, State) {
-        let (mut x, mut v) = (scaled(self.h * self.h, a), scaled(self.h, a));
-        add(&mut x, &self.x);
-        add(&mut v, &self.v);
-        (x, v)
-    }
-
-    /// a(x + h²A, v + hA) − A over the degrees of freedom `free`.
-    fn residual(&self, a: &State, free: &[usize]) -> Vec<Dual> {
-        let (x, v) = self.state(a);
-        let there = self.body.acceleration(&x, &v, self.body.damping, self.at);
-        free.iter().map(|&i| there.as_flattened()[i] - a.as_flattened()[i]).collect()
-    }
-
-    /// By Newton's method with all derivatives anew, until neither value nor derivative of A changes any more: at the solution
-    /// the derivative is that of the implicit function.
-    fn solve(&self, mut a: State) -> State {
-        let moves = |i: &usize| !self.body.scene.clamped.contains(&(i / 3));
-        let free: Vec<usize> = (0..3 * a.len()).filter(moves).collect();
-        let n = free.len();
-        for _ in 0..20 {
-            let rest = self.residual(&a, &free);
-            // Its derivative along each A less that along what moves anyway
-            let mut jacobian = nalgebra::DMatrix::zeros(n, n);
-            for (j, &dof) in free.iter().enumerate() {
-                let mut along = a.clone();
-                along.as_flattened_mut()[dof].1 += 1.0;
-                for (i, r) in self.residual(&along, &free).into_iter().enumerate() {
-                    jacobian[(i, j)] = r.1 - rest[i].1;
-                }
-            }
-            let columns =
-                nalgebra::DMatrix::from_fn(n, 2, |i, k| if k == 0 { -rest[i].0 } else { -rest[i].1 });
-            let change = jacobian.lu().solve(&columns).expect("mass and stiffness are not singular together");
-            let mut sizes = [0.0; 2];
-            for (i, &dof) in free.iter().enumerate() {
-                let a = &mut a.as_flattened_mut()[dof];
-                *a = *a + Dual(change[(i, 0)], change[(i, 1)]);
-                (sizes[0], sizes[1]) = (sizes[0] + a.0 * a.0, sizes[1] + a.1 * a.1);
-            }
-            if (0..2).all(|k| change.column(k).norm_squared() <= 1e-28 * sizes[k]) {
-                break;
-            }
-        }
-        a
-    }
 }
 
 fn adaptive(body: &Body<'_>, steps: &[f64], counts: &[u32]) -> Vec<Dual> {

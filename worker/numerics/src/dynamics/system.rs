@@ -16,9 +16,6 @@ pub type First<V> = unsafe fn(&Model, &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>]
 pub type Second<V> =
     unsafe fn(&Model, &[Unit<V>], &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>], &mut [Unit<V>], Shape<'_, V>);
 
-/// (model, x, scratch, factor, place, stride, band): adds factor·∂²U/∂s_i∂s_j, j ≤ i, at place i·stride + i − j.
-pub type Hessian<V> = unsafe fn(&Model, &[Unit<V>], &mut [Turn<V>], f64, &[Option<usize>], usize, &mut [V]);
-
 /// The kernels of one instruction set, for one kind of scene.
 pub struct Kernels<V> {
     /// Gradient of the energy.
@@ -27,8 +24,6 @@ pub struct Kernels<V> {
     pub second: Second<V>,
     /// The same without the gradient.
     pub product: Second<V>,
-    /// All second derivatives.
-    pub hessian: Hessian<V>,
 }
 
 /// Cotangents of the model, in lanes, as negatives of the arms', void angles' and stiffnesses'.
@@ -129,20 +124,6 @@ impl<'a, V: Vector> System<'a, V> {
         unsafe { (self.kernels.gradient)(self.model, x, &mut self.turn, g, &mut { V::splat(0.0) }) };
     }
 
-    /// Adds factor·∂²U, lower half, to a band matrix.
-    #[inline(always)]
-    pub fn hessian(
-        &mut self,
-        x: &[Unit<V>],
-        factor: f64,
-        place: &[Option<usize>],
-        stride: usize,
-        band: &mut [V],
-    ) {
-        // SAFETY: as in `acceleration`.
-        unsafe { (self.kernels.hessian)(self.model, x, &mut self.turn, factor, place, stride, band) };
-    }
-
     /// Turns a gradient of the energy into accelerations.
     #[inline(always)]
     fn finish(&self, v: &[Unit<V>], force: &[V], a: &mut [Unit<V>]) {
@@ -181,35 +162,6 @@ impl<'a, V: Vector> System<'a, V> {
                 w[d] = V::splat(inverse[d]) * bar[d];
             }
         }
-        self.pull_back_w(x, v, force, bar_x, bar_v, a);
-    }
-
-    /// As `acceleration_vjp`, of accelerations whose cotangent M w an integrator has found by a solve of its own.
-    #[inline(always)]
-    pub fn weighted_vjp(
-        &mut self,
-        x: &[Unit<V>],
-        v: &[Unit<V>],
-        force: &[V],
-        w: &[Unit<V>],
-        bar_x: &mut [Unit<V>],
-        bar_v: &mut [Unit<V>],
-        a: &mut [Unit<V>],
-    ) {
-        self.w.copy_from_slice(w);
-        self.pull_back_w(x, v, force, bar_x, bar_v, a);
-    }
-
-    #[inline(always)]
-    fn pull_back_w(
-        &mut self,
-        x: &[Unit<V>],
-        v: &[Unit<V>],
-        force: &[V],
-        bar_x: &mut [Unit<V>],
-        bar_v: &mut [Unit<V>],
-        a: &mut [Unit<V>],
-    ) {
         let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
         let shape = Shape { arms, voids, stiffness };
         // SAFETY: as in `acceleration`.

@@ -54,7 +54,7 @@ pub fn tune(
         Tuned { solver: *solver, plan, error: None, counters }
     };
     let all = candidates(scene, design, forces.kinks(scene));
-    let moved = pilot.forces.values.iter().any(|f| *f != 0.0) && all[0].all > 0.0;
+    let moved = pilot.forces.values.iter().any(|f| *f != 0.0) && all[0].highest > 0.0;
     if solver.method == Method::Tsit5 || !moved || scene.sensors.is_empty() {
         return as_it_is(None, Counters::default());
     }
