@@ -336,3 +336,39 @@ fn weights_are_counted() {
     assert_eq!(paper.weights(), 13_122);
     assert_eq!(long.weights(), 5 * 3 * 48 + 48 + 2 * (5 * 48 * 48 + 48) + 48 * 2 + 2);
 }
+
+/// A batch of indices is the data set of those samples.
+#[test]
+fn a_batch_is_its_samples() {
+    let shape = Shape { instants: 21, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
+    let (x, y) = (normal(6 * 21 * 3, 1), normal(6 * 21 * 2, 2));
+    let data = Data::<f64>::new(shape, &x, &y);
+    let (nx, ny) = (21 * 3, 21 * 2);
+    let two =
+        Data::new(shape, &[&x[4 * nx..5 * nx], &x[..nx]].concat(), &[&y[4 * ny..5 * ny], &y[..ny]].concat());
+    let (ws, pool, weights) = (&mut Workspace::new(shape), pool(1), initial_weights(shape, 1, 0));
+    let mut gradients = [vec![0.0; shape.weights()], vec![0.0; shape.weights()]];
+    let a = full_gradient(&weights, data.batch(&[4, 0]), &mut gradients[0], ws, &pool);
+    let b = full_gradient(&weights, two.all(), &mut gradients[1], ws, &pool);
+    assert!(a == b && gradients[0] == gradients[1], "{} {}", a.0, b.0);
+}
+
+/// NaN and divergence are named, and the weights stay finite.
+#[test]
+fn trainings_gone_wrong_are_named() {
+    let shape = Shape { instants: 21, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
+    let (x, y) = (normal(6 * 21 * 3, 1), normal(6 * 21 * 2, 2));
+    let data = Data::<f64>::new(shape, &x, &y);
+    let (pool, fresh) = (pool(1), initial_weights(shape, 1, 0));
+    let run = |mut weights: Vec<f64>, data: &Data<f64>, rate: f64| {
+        let (mut adam, mut losses, ws) = (Adam::new(weights.len()), Vec::new(), &mut Workspace::new(shape));
+        let outcome = train(&mut weights, &mut adam, data.all(), &|_| rate, 30, &mut losses, ws, &pool);
+        assert!(weights.iter().all(|w| w.is_finite()));
+        outcome
+    };
+    assert_eq!(run(fresh.clone(), &data, 1e-2), TrainOutcome::Ok);
+    assert_eq!(run(fresh.clone(), &data, 1e3), TrainOutcome::Diverged);
+    assert_eq!(run(fresh.clone(), &data, 1e200), TrainOutcome::NonFinite);
+    let poisoned = Data::new(shape, &[&[f64::NAN], &x[1..]].concat(), &y);
+    assert_eq!(run(fresh, &poisoned, 1e-2), TrainOutcome::NonFinite);
+}

@@ -2,11 +2,11 @@
 
 mod common;
 
-use common::{dot, norm, pool, relative};
+use common::{norm, pool, relative};
 use metasense_numerics::body::{Geometry, Layout};
 use metasense_numerics::dynamics::{
-    Contact, Forces, Frame, Method, Outcome, Panel, Parameters, Plan, Scene, Solver, Stiffness, choose,
-    energy, highest_frequency, pull_back, pull_back_parameters, push_forward, run, run_at, simulate, tune,
+    Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Solver, Stiffness, choose,
+    highest_frequency, pull_back, pull_back_parameters, run, run_at, simulate, tune,
 };
 use metasense_numerics::simd::Width;
 use std::f64::consts::TAU;
@@ -58,28 +58,6 @@ fn plan(method: Method, steps: usize) -> Plan {
 const EQUAL_STEPS: [(Method, f64, usize); 3] =
     [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
 
-/// Errors at n and 2n steps against a run far finer, with damping light and heavy: the drift carries it exactly.
-#[test]
-fn schemes_of_equal_steps_converge_with_their_order() {
-    let pool = pool(1);
-    for damping_ratio in [0.02, 1.0] {
-        let scene = Scene { damping_ratio, ..small_scene() };
-        let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.4));
-        let truth = run(&scene, &design, &forces, &plan(Method::Nystrom6, 60), false, &pool).signals;
-        for (method, order, steps) in EQUAL_STEPS {
-            let error = |steps| {
-                relative(&run(&scene, &design, &forces, &plan(method, steps), false, &pool).signals, &truth)
-            };
-            let (coarse, fine) = (error(steps), error(2 * steps));
-            let seen = (coarse / fine).log2();
-            assert!(
-                (order - 0.4..order + 0.8).contains(&seen),
-                "{method:?} at ζ = {damping_ratio}: order {seen:.2} from {coarse:e}, {fine:e}"
-            );
-        }
-    }
-}
-
 /// What the kernels of one instruction set compute, those of another do, to rounding; their tapes are swept back by their own.
 #[test]
 fn every_width_computes_the_same() {
@@ -113,94 +91,6 @@ fn every_width_computes_the_same() {
         }
     }
     assert!(apart.iter().all(|(_, _, off)| *off < 1e-9), "{apart:?}");
-}
-
-/// ⟨c, signals(α + εδ)⟩ = … + ε ⟨gradient, δ⟩ + O(ε²) with the same steps: a central difference, extrapolated.
-#[test]
-fn gradients_are_those_of_the_discrete_scheme() {
-    let pool = pool(1);
-    let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 };
-    let base = small_scene();
-    for (what, scene) in [
-        ("plain", base.clone()),
-        ("linearised, body frame", Scene { linearised: true, frame: Frame::Body, ..base.clone() }),
-        ("body frame, contact", Scene { frame: Frame::Body, contact: Some(contact), ..base.clone() }),
-        ("undamped", Scene { damping_ratio: 0.0, ..base.clone() }),
-        ("heavily damped", Scene { damping_ratio: 2.0, ..base }),
-    ] {
-        let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
-        let len = 3 * scene.instants * 3 * scene.sensors.len();
-        let cotangent: Vec<f64> = (0..len).map(|i| (0.7 * i as f64).sin()).collect();
-        let delta: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
-        for (method, _, steps) in EQUAL_STEPS {
-            let plan = plan(method, steps);
-            let value = |eps: f64| {
-                let moved: Vec<f64> = design.iter().zip(&delta).map(|(a, d)| a + eps * d).collect();
-                dot(&run(&scene, &moved, &forces, &plan, false, &pool).signals, &cotangent)
-            };
-            let central = |eps: f64| (value(eps) - value(-eps)) / (2.0 * eps);
-            // Where contact sets in, the second derivative jumps.
-            let (eps, least) = if scene.contact.is_some() { (1.5e-7, 2e-5) } else { (1e-4, 2e-7) };
-            let differences = (4.0 * central(eps) - central(2.0 * eps)) / 3.0;
-            let simulation = run(&scene, &design, &forces, &plan, true, &pool);
-            assert_eq!(simulation.outcomes, [Outcome::Ok; 3], "{what}");
-            let gradient =
-                pull_back(&scene, &design, &forces, &simulation, &[0, 1, 2], &cotangent, &pool).design;
-            let ours = dot(&gradient, &delta);
-            let scale = norm(&gradient) * norm(&delta);
-            assert!(norm(&gradient) > 0.0, "{what}");
-            let error = (ours - differences).abs() / scale;
-            assert!(error < least, "{what}, {method:?}: {ours} against {differences}: {error:e}");
-        }
-    }
-}
-
-/// The same bits alone, among others, in any order and with any number of threads.
-#[test]
-fn a_sample_does_not_depend_on_its_lane_mates() {
-    let scene = small_scene();
-    let (design, forces) = (shaken(&scene), pushes(&scene, 11, 0.4));
-    let len = scene.instants * 3 * scene.sensors.len();
-    for method in [Method::Tsit5, Method::Nystrom6] {
-        let solver = Solver { method, tolerance: 1e-5 };
-        let together = simulate(&scene, &design, &forces, &solver, true, &pool(2));
-        for i in [0, 4, 10] {
-            let alone = Forces { samples: 1, values: forces.sample(i).to_vec(), ..forces.clone() };
-            let alone = simulate(&scene, &design, &alone, &solver, false, &pool(1));
-            assert!(alone.signals == together.signals[i * len..][..len], "{method:?}, sample {i}");
-        }
-        let cotangent = vec![1.0; 11 * len];
-        let all: Vec<usize> = (0..11).collect();
-        let gradient = |threads| {
-            let pool = pool(threads);
-            pull_back(&scene, &design, &forces, &together, &all, &cotangent, &pool).design
-        };
-        assert!(gradient(1) == gradient(3), "{method:?}");
-    }
-}
-
-/// Kinetic and elastic energy at the end equal the work done, without damping, once the force is over.
-#[test]
-fn energy_is_conserved_without_damping() {
-    let scene = Scene { damping_ratio: 0.0, ..small_scene() };
-    let design = shaken(&scene);
-    let mut forces = pushes(&scene, 1, 0.4);
-    forces.values.chunks_mut(scene.instants + 1).for_each(|f| f[8..].fill(0.0));
-    let geometry = Geometry::new(&scene.layout, &design, scene.density);
-    for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom4, 30), (Method::Nystrom6, 15)] {
-        let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
-        let total = |n: usize| {
-            let (x, v) = run.tape.as_ref().expect("kept").state(&scene, 0, n);
-            let kinetic = |u: usize| {
-                let (m, j) = (geometry.mass[u], geometry.moment[u]);
-                0.5 * (m * (v[u][0].powi(2) + v[u][1].powi(2)) + j * v[u][2].powi(2))
-            };
-            (0..x.len()).map(kinetic).sum::<f64>() + energy(&scene, &design, &x).elastic
-        };
-        let (after, end) = (total(9), total(20));
-        assert!(after > 1e-3, "{method:?}: something moves: {after}");
-        assert!((end / after - 1.0).abs() < 1e-6, "{method:?}: {after} became {end}");
-    }
 }
 
 /// Lanczos' estimate against the reference scene's highest mode, 664 Hz.
@@ -295,55 +185,6 @@ fn a_pilot_says_what_it_cannot_measure() {
     assert!(still.error.is_none() && still.counters.steps == 0, "{still:?}");
 }
 
-/// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩ to rounding for every method on scenes of every kind, J v by dual numbers in a plain
-/// program of its own, whose signals are those of the lanes.
-#[test]
-fn pull_back_is_the_transpose_of_push_forward() {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 });
-    let base = small_scene();
-    for (what, scene, kinks) in [
-        ("plain", base.clone(), 1),
-        ("finer forces", base.clone(), 2),
-        ("body frame, contact", Scene { frame: Frame::Body, contact, ..base.clone() }, 1),
-        ("linearised, body frame", Scene { linearised: true, frame: Frame::Body, ..base.clone() }, 1),
-        ("undamped", Scene { damping_ratio: 0.0, ..base.clone() }, 1),
-        ("damped", Scene { damping_ratio: 0.5, ..base }, 1),
-    ] {
-        let design = shaken(&scene);
-        let forces = pushes(&Scene { instants: kinks * scene.instants, ..scene.clone() }, 2, 0.4);
-        let v: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
-        let still = vec![0.0; design.len()];
-        let equal = EQUAL_STEPS.map(|(method, _, n)| (method, 2 * n));
-        for (method, steps) in equal.into_iter().chain([(Method::Tsit5, 0)]) {
-            let plan = Plan { tolerance: 1e-7, ..plan(method, steps) };
-            let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));
-            // The design, then each parameter alone, relative to its value
-            let at = Parameters::of(&scene).array();
-            for k in 0..=at.len() {
-                let of = |i: usize| if i + 1 == k { at[i] } else { 0.0 };
-                let parameters = Parameters::from_array(std::array::from_fn(of));
-                let v = if k == 0 { &v } else { &still };
-                let (signals, along) = push_forward(&scene, &design, v, parameters, &forces, &simulation, 1);
-                // Of one sign with J v, lest the sum cancel
-                let w: Vec<f64> =
-                    along.iter().enumerate().map(|(i, a)| a * (1.2 + (0.7 * i as f64).sin())).collect();
-                let gradient =
-                    pull_back_parameters(&scene, &design, &forces, &simulation, &[1], &w, &pool(1));
-                let slopes = gradient.parameters.expect("asked for").array();
-                let ours = dot(&gradient.design, v) + dot(&slopes, &parameters.array());
-                let theirs = dot(&w, &along);
-                let same = relative(&simulation.signals[along.len()..], &signals);
-                let absent = k > 0 && at[k - 1] == 0.0;
-                let error = (ours - theirs).abs() / if absent { 1.0 } else { theirs.abs() };
-                let what = format!("{what}, {method:?}, direction {k}");
-                // No closer than the two programs' signals are
-                let what = format!("{what}: {error:e}, signals {same:e}");
-                assert!(error < 1e-12 + 4.0 * same.min(1e-11) && same < 1e-11, "{what}");
-            }
-        }
-    }
-}
-
 /// A sensor on a held unit reads zeros whatever the design: its cotangent changes no gradient.
 #[test]
 fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
@@ -361,72 +202,6 @@ fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
         };
         assert!(run.signals.chunks_exact(6).all(|s| s[3..] == [0.0; 3]), "{method:?}");
         assert_eq!(gradient(0.0), gradient(1e3), "{method:?}");
-    }
-}
-
-/// The gradient in every parameter against central differences with the same steps, for every method; asking for it changes
-/// nothing in that of the design.
-#[test]
-fn gradients_in_the_parameters_are_those_of_the_signals() {
-    let base = small_scene();
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 });
-    for scene in [
-        base.clone(),
-        Scene { contact, frame: Frame::Body, ..base.clone() },
-        Scene { linearised: true, ..base },
-    ] {
-        let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
-        for (method, steps) in EQUAL_STEPS.map(|(method, _, steps)| (method, steps)) {
-            let solve = |scene: &Scene| run(scene, &design, &forces, &plan(method, steps), true, &pool(1));
-            let simulation = solve(&scene);
-            let w: Vec<f64> = (0..simulation.signals.len()).map(|i| (0.7 * i as f64).sin()).collect();
-            let all = [0, 1, 2];
-            let gradient = pull_back_parameters(&scene, &design, &forces, &simulation, &all, &w, &pool(1));
-            let plain = pull_back(&scene, &design, &forces, &simulation, &all, &w, &pool(1));
-            assert_eq!((plain.design, plain.parameters), (gradient.design.clone(), None), "{method:?}");
-            let at = Parameters::of(&scene).array();
-            let ours = gradient.parameters.expect("asked for").array();
-            for k in (0..at.len()).filter(|&k| at[k] != 0.0) {
-                let value = |step: f64| {
-                    let mut moved = at;
-                    moved[k] *= 1.0 + step;
-                    dot(&solve(&Parameters::from_array(moved).set(&scene)).signals, &w)
-                };
-                let central = |step: f64| (value(step) - value(-step)) / (2.0 * step);
-                // Where contact sets in, the second derivative jumps.
-                let touches = scene.contact.is_some();
-                let step = if touches { 1e-7 } else { 1e-5 };
-                let (ours, theirs) = (ours[k] * at[k], (4.0 * central(step) - central(2.0 * step)) / 3.0);
-                let error = (ours - theirs).abs() / theirs.abs();
-                let least = if touches { 1e-3 } else { 1e-5 };
-                assert!(error < least, "{method:?}, parameter {k}: {ours} against {theirs}: {error:e}");
-            }
-        }
-    }
-}
-
-/// A tape holds the states of the free units at the instants: not the steps in between, but for a byte or two of adaptive ones.
-#[test]
-fn a_tape_grows_with_units_and_instants_not_with_steps() {
-    let kept = |columns, instants, method, steps, tolerance| {
-        let layout = Layout::planar(columns, 3, 15.0, 2.25);
-        let clamped = layout.bottom();
-        let scene = Scene { layout, clamped, instants, ..small_scene() };
-        let plan = Plan { tolerance, ..plan(method, steps) };
-        let run = run(&scene, &shaken(&scene), &pushes(&scene, 3, 0.4), &plan, true, &pool(1));
-        (run.tape.expect("asked for").bytes(), run.counters.steps as usize)
-    };
-    let states = |columns, instants| 3 * instants * 2 * columns * 6 * 8;
-    for method in EQUAL_STEPS.map(|m| m.0) {
-        for (columns, instants, steps) in [(3, 20, 8), (3, 20, 32), (6, 20, 8), (3, 40, 8)] {
-            let found = kept(columns, instants, method, steps, 0.0).0;
-            assert_eq!(found, states(columns, instants), "{method:?} {columns} {instants} {steps}");
-        }
-    }
-    for tolerance in [1e-6, 1e-9, 1e-12] {
-        let (bytes, steps) = kept(6, 20, Method::Tsit5, 0, tolerance);
-        let rest = bytes - states(6, 20) - 3 * 20 * 4;
-        assert!(steps <= rest && rest <= 2 * steps, "{tolerance:.0e}: {rest} bytes for {steps} steps");
     }
 }
 

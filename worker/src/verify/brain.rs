@@ -6,6 +6,7 @@ use metasense_numerics::brain::{
     Adam, Architecture, Curvature, Data, Matrix, Policy, Real, Shape, Workspace, full_gradient, predict,
     prediction_error, solve_implicit, train,
 };
+use metasense_numerics::simd::Width;
 
 const F64: f64 = 1e-10;
 const F32: f64 = 1e-4;
@@ -32,15 +33,20 @@ fn cast<F: Real>(values: &[f64]) -> Vec<F> {
     values.iter().map(|&v| F::from_f64(v)).collect()
 }
 
-/// Output, loss, gradients, second derivatives and five Adam steps, in both precisions.
+/// Output, loss, gradients, second derivatives and five Adam steps, in both precisions, by the kernels of every instruction
+/// set that the machine has.
 pub fn network(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
-    let mut rows = network_in::<f64>(case, "f64", F64, pool)?;
-    rows.extend(network_in::<f32>(case, "f32", F32, pool)?);
+    let mut rows = Vec::new();
+    for width in Width::ALL.into_iter().filter(|width| *width <= Width::detect()) {
+        rows.extend(network_in::<f64>(case, width, "f64", F64, pool)?);
+        rows.extend(network_in::<f32>(case, width, "f32", F32, pool)?);
+    }
     Ok(rows)
 }
 
 fn network_in<F: Real>(
     case: &Case,
+    width: Width,
     precision: &str,
     tolerance: f64,
     pool: &rayon::ThreadPool,
@@ -49,12 +55,16 @@ fn network_in<F: Real>(
     let x = case.array_of("x", samples * shape.instants * shape.inputs)?;
     let y = case.array_of("y", samples * shape.instants * shape.outputs)?;
     let data = Data::<F>::new(shape, &cast(&x), &cast(&y));
-    let ws = &mut Workspace::new(shape);
+    let ws = &mut Workspace::with_width(shape, width);
     let weights: Vec<F> = cast(&flat(case, shape, "")?);
     let mut rows = Vec::new();
     let mut compare = |quantity: &str, found: &[F], expected: &[f64]| {
         let found: Vec<f64> = found.iter().map(|v| v.to_f64()).collect();
-        rows.push(Row::new(format!("{quantity} {precision}"), relative(&found, expected), tolerance));
+        rows.push(Row::new(
+            format!("{quantity} {precision} {}", width.name()),
+            relative(&found, expected),
+            tolerance,
+        ));
     };
     let mut gradient = vec![F::from_f64(0.0); shape.weights()];
     compare("output", &predict(&weights, data.all(), ws, pool), &case.array("output")?);
@@ -70,6 +80,11 @@ fn network_in<F: Real>(
     let (mut trained, mut adam, mut losses) = (weights, Adam::new(shape.weights()), Vec::new());
     let outcome = train(&mut trained, &mut adam, data.all(), &|_| 1e-2, 5, &mut losses, ws, pool);
     compare("five Adam steps", &trained, &flat(case, shape, "adam5_")?);
+    let theirs: Result<Vec<f64>, CaseError> =
+        (0..losses.len()).map(|i| case.number(&format!("adam.losses_before_step.{i}"))).collect();
+    let ours: Vec<f64> = losses.into_iter().map(f64::from).collect();
+    let name = format!("losses before each step {precision} {}", width.name());
+    rows.push(Row::new(name, relative(&ours, &theirs?), F32));
     if let Some(last) = rows.last_mut() {
         last.note = outcome.name().to_string();
     }

@@ -117,6 +117,14 @@ mod tests {
         rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads")
     }
 
+    /// Every row that `metasense verify` prints.
+    #[test]
+    fn the_built_in_checks_hold() {
+        let rows = built_in(&pool());
+        let failed: Vec<&Row> = rows.iter().filter(|row| !row.pass).collect();
+        assert!(failed.is_empty() && rows.len() > 30, "{} rows: {failed:#?}", rows.len());
+    }
+
     /// Every committed case, every quantity.
     #[test]
     fn the_committed_cases_hold() {
