@@ -44,7 +44,7 @@ fn the_same_trial_said_differently_has_the_same_hash() {
         assert_eq!(brain(said), plain, "{said}");
     }
     let long = brain("preset = \"long\"");
-    assert_eq!(brain("width = 48\nkernels = [5, 5, 5, 1]\ndilations = [1, 4, 16, 1]"), long);
+    assert_eq!(brain("width = 24\nkernels = [9, 9, 9, 1]\ndilations = [1, 4, 16, 1]"), long);
     assert_ne!(long[1], plain[1]);
     assert_ne!(brain("preset = \"long\"\ncausal = true")[1], long[1]);
     assert_ne!(hashes(&SPEC.replace("bend = 1.0", "bend = 1.5"))[1], plain[1]);

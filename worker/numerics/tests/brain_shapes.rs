@@ -16,14 +16,14 @@ fn shapes() -> Vec<Shape> {
         outputs,
         architecture,
     };
-    let long = |causal| Architecture::new(48, &[5, 5, 5, 1], &[1, 4, 16, 1], causal);
+    let long = |causal| Architecture::new(24, &[9, 9, 9, 1], &[1, 4, 16, 1], causal);
     vec![
         of(20, [3, 2], Architecture::paper(64)),
         of(21, [6, 3], Architecture::paper(16)),
         of(36, [3, 2], Architecture::new(48, &[3, 3, 3, 1], &[1; 4], false)),
         of(36, [3, 2], Architecture::new(64, &[3, 3, 3, 1], &[1; 4], true)),
-        of(50, [3, 2], long(false)),
-        of(67, [3, 2], long(true)),
+        of(70, [3, 2], long(false)),
+        of(141, [3, 2], long(true)),
         of(7, [3, 2], Architecture::new(8, &[1, 1], &[1, 1], false)),
         of(20, [3, 2], Architecture::new(20, &[3, 3, 3], &[1; 3], false)),
         of(23, [3, 4], Architecture::new(50, &[3, 3, 3, 3], &[2, 1, 3, 2], false)),
@@ -329,12 +329,12 @@ fn any_dead_layer_is_named() {
 #[test]
 fn weights_are_counted() {
     let [paper, long] =
-        [Architecture::paper(64), Architecture::new(48, &[5, 5, 5, 1], &[1, 4, 16, 1], false)]
+        [Architecture::paper(64), Architecture::new(24, &[9, 9, 9, 1], &[1, 4, 16, 1], false)]
             .map(|architecture| Shape { instants: 200, inputs: 3, outputs: 2, architecture });
     let ranges = [0..64, 64..128, 128..130, 130..706, 706..12_994, 12_994..13_122];
     assert!(ranges.into_iter().enumerate().all(|(block, range)| paper.range(block) == range));
     assert_eq!(paper.weights(), 13_122);
-    assert_eq!(long.weights(), 5 * 3 * 48 + 48 + 2 * (5 * 48 * 48 + 48) + 48 * 2 + 2);
+    assert_eq!(long.weights(), 9 * 3 * 24 + 24 + 2 * (9 * 24 * 24 + 24) + 24 * 2 + 2);
 }
 
 /// A batch of indices is the data set of those samples.

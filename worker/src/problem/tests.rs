@@ -119,11 +119,11 @@ fn the_network_is_as_the_spec_says() {
     };
     assert_eq!(network(&[]), Ok(Architecture::paper(64)));
     assert_eq!(network(&[("brain.preset", json!("paper"))]), Ok(Architecture::paper(64)));
-    assert_eq!(network(std::slice::from_ref(&long)), of(48, &[5, 5, 5, 1], &[1, 4, 16, 1], false));
+    assert_eq!(network(std::slice::from_ref(&long)), of(24, &[9, 9, 9, 1], &[1, 4, 16, 1], false));
     let wide = [long.clone(), ("brain.width", json!(1024)), causal.clone()];
     assert_eq!(network(&wide), Err("brain.width".into()), "15 million weights");
     let narrow = [long.clone(), ("brain.width", json!(7)), causal.clone()];
-    assert_eq!(network(&narrow), of(7, &[5, 5, 5, 1], &[1, 4, 16, 1], true));
+    assert_eq!(network(&narrow), of(7, &[9, 9, 9, 1], &[1, 4, 16, 1], true));
     let even = ("brain.kernels", json!([4, 2, 3, 1, 1]));
     assert_eq!(network(&[even.clone(), causal.clone()]), of(64, &[4, 2, 3, 1, 1], &[1; 5], true));
     assert_eq!(network(&[even, causal, long.clone()]), Err("brain.dilations".into()));
