@@ -10,6 +10,7 @@ use super::records::{Judged, mean_interval, mean_ratio};
 use super::resample::Draw;
 use super::run_time::{Watched, median_time};
 use super::scaling::{Scaling, scaling};
+use super::sensors::fewer;
 use super::{Cluster, Interval, Observation};
 use serde_json::json;
 
@@ -25,11 +26,14 @@ fn held(question: &str, truth: f64, found: Vec<Interval>) -> f64 {
     let mut widths: Vec<f64> = found.iter().map(|i| i.high / i.low).collect();
     widths.sort_by(f64::total_cmp);
     let width = widths[widths.len() / 2];
-    #[expect(clippy::print_stdout, reason = "the table, with --nocapture")]
-    {
-        println!("{question:64} {:5} campaigns  {share:5.1} %  high/low {width:.2}", found.len());
-    }
+    told(&format!("{question:64} {:5} campaigns  {share:5.1} %  high/low {width:.2}", found.len()));
     share
+}
+
+/// A row of the table, to be seen with `--nocapture`.
+#[expect(clippy::print_stdout, reason = "the table is for whoever runs the test by hand")]
+fn told(row: &str) {
+    println!("{row}");
 }
 
 /// Normal, or of Student's t with five degrees of freedom and variance 1.
@@ -236,4 +240,31 @@ fn times_to_an_error() {
         })
         .collect();
     assert_covers(&shares);
+}
+
+/// Votes are no probabilities: where the optimised body with three sensors is as good as the initial one with six, and no
+/// better, 95 % of votes for it should be had in one campaign of twenty.
+#[test]
+fn votes_for_what_is_not_so() {
+    let wrong: Vec<f64> = [5, 12]
+        .into_iter()
+        .map(|placements| {
+            let sure = (0..250).filter(|c| {
+                let mut draw = Draw::new(17, *c);
+                let mut errors = |at: f64| -> Vec<Observation> {
+                    let error = |placement| Observation {
+                        at,
+                        cluster: Cluster { placement, seed: 1 },
+                        error: (0.3 * draw.normal()).exp(),
+                    };
+                    (0..placements).map(error).collect()
+                };
+                fewer(&errors(6.0), &errors(3.0)).is_some_and(|f| f.share.is_some_and(|s| s >= 0.95))
+            });
+            let share = sure.count() as f64 / 2.5;
+            told(&format!("fewer: {placements} placements, 95 % of votes for what is not so: {share:.1} %"));
+            share
+        })
+        .collect();
+    assert!(wrong.iter().all(|w| *w < 12.0), "{wrong:?}");
 }

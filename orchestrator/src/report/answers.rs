@@ -15,6 +15,9 @@ use crate::plan::counted;
 /// An answer, and whether it is good news, or bad; `None`: neither, or undecided.
 pub type Answer = (Option<bool>, String);
 
+/// The share of votes from which on an answer is good news.
+const SURE: f64 = 0.95;
+
 /// What the trials answer.
 #[must_use]
 pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
@@ -107,13 +110,20 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
     let [initial, optimised] = Body::ALL.map(|b| match elbow(&curve(b)) {
         Err(why) => why.to_string(),
         Ok(found) => {
-            let votes = match found.verdict {
-                Verdict::At(m) | Verdict::Undecided(m) => {
-                    found.votes.iter().find(|v| v.0 == m).map(|v| format!(" ({:.0} % of votes)", 100.0 * v.1))
-                }
-                _ => None,
+            let share = |m: f64| {
+                found.votes.iter().find(|v| v.0 == m).map(|v| format!("{:.0} % of votes", 100.0 * v.1))
             };
-            verdict_text(found.verdict) + &votes.unwrap_or_default()
+            let mut told = match found.verdict {
+                Verdict::At(m) | Verdict::Undecided(m) => Vec::from_iter(share(m)),
+                _ => vec![],
+            };
+            told.extend(found.without_largest.map(|m| match m {
+                m if m == found.broken_stick => "the same without the largest M".into(),
+                Some(m) => format!("M = {m} without the largest M"),
+                None => "none without the largest M".into(),
+            }));
+            let verdict = verdict_text(found.verdict);
+            if told.is_empty() { verdict } else { format!("{verdict} ({})", told.join("; ")) }
         }
     });
     let text = match initial == optimised {
@@ -141,11 +151,20 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
         let text = match (f.fewest, f.optimised_error) {
             (Some(m), Some(error)) => {
                 let least = if m == f.most { ", and with fewer it does not" } else { "" };
-                format!("the optimised body with M = {m} ({} %) beats {initial}{least}", number(error))
+                let votes =
+                    f.share.map_or(f.over.clone(), |share| format!("{:.0} % of votes", 100.0 * share));
+                format!(
+                    "the optimised body with M = {m} ({} %) beats {initial}{least} ({votes})",
+                    number(error)
+                )
             }
             _ => format!("with no number of sensors tried does the optimised body beat {initial}"),
         };
-        said.push((Some(f.fewest.is_some()), format!("{}: {text}.", group.label)));
+        let verdict = match f.fewest {
+            Some(_) => f.share.is_some_and(|share| share >= SURE).then_some(true),
+            None => Some(false),
+        };
+        said.push((verdict, format!("{}: {text}.", group.label)));
     }
     said
 }
