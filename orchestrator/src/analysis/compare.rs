@@ -13,6 +13,9 @@ use super::tables::ratio_cells;
 use super::{Body, Set, Trial};
 use crate::store::Table;
 
+/// What pairs always agree in.
+const ALWAYS: [&str; 2] = ["point.placement", "point.seed"];
+
 /// Trials of two databases that belong together.
 #[derive(Debug, Clone)]
 pub struct Comparison<'a> {
@@ -38,7 +41,7 @@ impl<'a> Comparison<'a> {
         let differs: BTreeMap<&str, [Option<&Value>; 2]> = paths
             .into_iter()
             .filter_map(|path| Some((path, [sole(first, path)?, sole(second, path)?])))
-            .filter(|(_, [a, b])| a != b)
+            .filter(|(path, [a, b])| a != b && !ALWAYS.contains(path))
             .collect();
         let key = |t: &'a Trial| -> Vec<(&'a str, String)> {
             let rest = t.setting.iter().filter(|(path, _)| !differs.contains_key(path.as_str()));
@@ -127,8 +130,13 @@ mod tests {
     }
 
     #[test]
-    fn sweeps_of_other_places_have_no_pairs() {
-        let (first, mut second) = (database("cnn", 2.0, &[1, 2]), database("cnn", 1.5, &[3, 4]));
+    fn sweeps_of_other_places_or_seeds_have_no_pairs() {
+        let (mut first, mut second) = (database("cnn", 2.0, &[1, 2]), database("cnn", 1.5, &[3, 4]));
+        assert_eq!(Comparison::new(&first, &second).pairs.len(), 0);
+        second = database("cnn", 1.5, &[1, 2]);
+        for (seed, trials) in [(1, &mut first), (2, &mut second)] {
+            trials.iter_mut().for_each(|t| drop(t.setting.insert("point.seed".into(), json!(seed))));
+        }
         assert_eq!(Comparison::new(&first, &second).pairs.len(), 0);
         second.clear();
         assert_eq!(Comparison::new(&first, &second).alone, [10, 0]);
