@@ -7,7 +7,7 @@ use super::elbow::gains;
 use super::paired::{Progress, error_ratio, iterations};
 use super::random::random;
 use super::records::{Judged, mean_interval, mean_ratio};
-use super::resample::Draw;
+use super::resample::{Draw, LEAST_UNITS};
 use super::run_time::{Watched, median_time};
 use super::scaling::{Scaling, scaling};
 use super::sensors::fewer;
@@ -47,8 +47,8 @@ fn noise(draw: &mut Draw, heavy: bool) -> f64 {
 fn effects(draw: &mut Draw, placements: u64, seeds: u64, heavy: bool) -> Vec<(Cluster, f64)> {
     let p: Vec<f64> = (0..placements).map(|_| 0.3 * noise(draw, heavy)).collect();
     let s: Vec<f64> = (0..seeds).map(|_| 0.2 * noise(draw, heavy)).collect();
-    // one of a kind is held: its effect is part of the truth
-    let of = |list: &[f64], i: usize| if list.len() > 1 { list[i] } else { 0.0 };
+    // what is held has no effect here: the interval is for those that there are
+    let of = |list: &[f64], i: usize| if list.len() >= LEAST_UNITS { list[i] } else { 0.0 };
     let cluster = |i: u64| Cluster { placement: i % placements, seed: i / placements };
     let sum = |c: Cluster| (c, of(&p, c.placement as usize) + of(&s, c.seed as usize));
     (0..placements * seeds).map(|i| sum(cluster(i))).collect()
@@ -84,6 +84,7 @@ fn ratios_of_trials_that_share_placement_and_seed() {
         (12, 1, false),
         (1, 4, false),
         (1, 8, true),
+        (5, 2, false),
         (5, 4, false),
         (6, 5, true),
     ] {
