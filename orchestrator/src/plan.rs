@@ -49,7 +49,13 @@ impl Trial {
     /// What of `cost` is the comparison at the end.
     #[must_use]
     pub fn comparison_cost(&self) -> f64 {
-        cost::seconds(&self.spec, self.units).1
+        cost::seconds(&self.spec, self.units).comparison
+    }
+
+    /// Seconds that it may be silent on one core, by the estimate: signs of life come between simulations and trainings.
+    #[must_use]
+    pub fn longest_silence(&self) -> f64 {
+        cost::seconds(&self.spec, self.units).piece
     }
 }
 
@@ -260,8 +266,8 @@ fn add_points(
                 design_parameters: layout.design_len(),
                 brain_parameters: cost::brain_parameters(&template),
                 cost: {
-                    let (steps, comparison) = cost::seconds(&template, layout.units());
-                    steps + comparison
+                    let seconds = cost::seconds(&template, layout.units());
+                    seconds.steps + seconds.comparison
                 },
                 template,
             });

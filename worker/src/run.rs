@@ -11,7 +11,8 @@ use crate::simd;
 
 /// Who watches a trial.
 pub trait Observe {
-    /// The part of the trial that is done, in [0, 1].
+    /// A sign of life, with the part of the trial that is done, in [0, 1]: before and after every simulation, training,
+    /// gradient and projection.
     fn progress(&mut self, fraction: f64);
     /// A finished outer step, and what is needed to go on after it.
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control;
@@ -58,7 +59,7 @@ pub fn run_trial(
         }
     };
     let pool = pool(threads)?;
-    let mut watch = Watch { observer, store: 0.0 };
+    let mut watch = Watch { observer, store: 0.0, done: 0.0 };
     match nested::optimise(&problem, resume, &pool, &mut watch) {
         Ok(Some(optimised)) => Ok(result(optimised)),
         Ok(None) => Err(Failure::Stopped),
@@ -98,14 +99,19 @@ struct Watch<'a> {
     observer: &'a mut dyn Observe,
     /// CPU seconds that the observer took with the last step; they stand in the next one's record.
     store: f64,
+    /// The part of the trial that was done when it was last said.
+    done: f64,
 }
 
 impl nested::Observe for Watch<'_> {
+    /// Asked where a part of a step begins and ends, which makes it a sign of life.
     fn seconds(&mut self) -> f64 {
+        self.observer.progress(self.done);
         cpu_seconds()
     }
 
     fn progress(&mut self, fraction: f64) {
+        self.done = fraction;
         self.observer.progress(fraction);
     }
 

@@ -11,18 +11,22 @@ use serde_json::json;
 #[derive(Default)]
 struct Sleeper {
     recorded: f64,
+    beats: Vec<f64>,
+    by_step: Vec<usize>,
 }
 
 const NAP: Duration = Duration::from_millis(150);
 
 impl Observe for Sleeper {
-    fn progress(&mut self, _: f64) {
+    fn progress(&mut self, fraction: f64) {
+        self.beats.push(fraction);
         std::thread::sleep(NAP / 10);
     }
 
     fn step(&mut self, record: StepRecord, _: Checkpoint) -> Control {
         let s = record.seconds;
         self.recorded += s.simulate + s.train + s.differentiate + s.implicit + s.project + s.store;
+        self.by_step.push(self.beats.len());
         std::thread::sleep(NAP);
         Control::Continue
     }
@@ -49,5 +53,9 @@ fn a_trials_seconds_are_those_of_the_cpu_and_not_of_the_wall_clock() {
     let result = run_trial(&trial, None, 1, &mut sleeper).unwrap();
     let (wall, recorded) = (began.elapsed().as_secs_f64(), sleeper.recorded + result.seconds_evaluation);
     assert!(recorded > 0.0, "{recorded} s recorded");
+    // Signs of life within every step, not one at its end alone; the part that is done grows.
+    let within = |steps: &[usize]| steps[1] - steps[0];
+    assert!(sleeper.by_step.windows(2).all(|steps| within(steps) >= 4), "{:?}", sleeper.by_step);
+    assert!(sleeper.beats.is_sorted() && sleeper.beats.last() == Some(&1.0), "{:?}", sleeper.beats);
     assert!(recorded < wall - 2.9 * NAP.as_secs_f64(), "{recorded} s recorded, {wall} s by the wall clock");
 }

@@ -206,9 +206,7 @@ fn options(run: &Run, args: &Args, trials: &[&Trial]) -> Options {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = args.threads.map(usize::from).or(run.threads).unwrap_or(1).max(1);
     let workers = args.workers.map(usize::from).or(run.workers).unwrap_or((cores / threads).max(1));
-    // Signs of life come with each outer step: wait for longer than any step of the costliest trial takes.
-    let costliest = trials.iter().map(|trial| trial.cost).filter(|cost| cost.is_finite()).fold(0.0, f64::max);
-    let patience = run.no_progress.unwrap_or(600.0 + costliest);
+    let patience = run.no_progress.unwrap_or_else(|| patience(trials));
     let millis = |seconds: f64| (1000.0 * seconds) as u64;
     Options {
         settings: Settings {
@@ -225,6 +223,12 @@ fn options(run: &Run, args: &Args, trials: &[&Trial]) -> Options {
         keep_arrays: true,
         program: PathBuf::from("/proc/self/exe"),
     }
+}
+
+/// Longest silence of a worker (s) where the spec names none: an estimate is good to a factor of two.
+fn patience(trials: &[&Trial]) -> f64 {
+    let silences = trials.iter().map(|trial| trial.longest_silence()).filter(|s| s.is_finite());
+    600.0 + 2.0 * silences.fold(0.0, f64::max)
 }
 
 /// The final table; returns how many trials have failed.
@@ -286,3 +290,25 @@ const STATE: usize = 13;
 const BRAINS: std::ops::Range<usize> = 5..7;
 /// Column of how sensors were placed, which is shown where it is not all at random.
 const PLACED: usize = 7;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// On every committed spec: a hang is seen within ten minutes and the longest training, not within a trial.
+    #[test]
+    fn a_hang_is_not_waited_out_for_a_whole_trial() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/sweeps");
+        for entry in std::fs::read_dir(folder).unwrap().flatten() {
+            let plan = read_plan(&entry.path()).unwrap();
+            let trials: Vec<&Trial> = plan.trials.iter().collect();
+            let (costliest, patience) =
+                (trials.iter().map(|t| t.cost).fold(0.0, f64::max), patience(&trials));
+            assert!(
+                (600.0..1500.0).contains(&patience) && patience < 600.0 + 0.5 * costliest,
+                "{:?}: {patience} s, the costliest trial {costliest} s",
+                entry.file_name()
+            );
+        }
+    }
+}

@@ -56,8 +56,18 @@ fn factor(unknowns: usize) -> f64 {
     (unknowns as f64).powi(3) / 6.0 / FACTOR_RATE
 }
 
-/// Seconds of a trial on one core: of all outer steps, and of the comparison at the end.
-pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
+/// Seconds of a trial on one core.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Seconds {
+    /// Of all outer steps.
+    pub steps: f64,
+    /// Of the comparison at the end.
+    pub comparison: f64,
+    /// Of what takes longest in one piece: a simulation with its gradient, the training of a network, a factor.
+    pub piece: f64,
+}
+
+pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
     let stimuli = &trial.stimuli;
     let scale = (trial.solver.tolerance / 1e-6).powf(-0.2);
     // A step ends at every instant, and wherever the forces' own clock has a kink.
@@ -86,6 +96,7 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
         Protocol::Joint => 0.5 * differentiate + going * 4.0 * batch / train_samples.max(1.0),
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
+    let training = if network { train * long.max(1.0) } else { 0.0 };
     let trainings = if network { trial.evaluation.seeds as f64 * (1.0 + long) } else { 0.0 };
     // as much as fits
     let readings = match 3 * trial.point.sensors * trial.time.samples <= READINGS_MAX {
@@ -94,7 +105,8 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> (f64, f64) {
     };
     let comparison =
         2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train + readings);
-    (optimise.steps() as f64 * step, comparison)
+    let piece = (simulate * (1.0 + REVERSE)).max(training).max(readings);
+    Seconds { steps: optimise.steps() as f64 * step, comparison, piece }
 }
 
 /// Seconds that trials take on so many workers of so many threads: the work shared out, but no less than the longest.
