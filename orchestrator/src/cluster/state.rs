@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::SystemTime;
 
 use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection, Row};
+use sqlx::{ConnectOptions, Connection};
 
 use super::Shard;
 use super::home::tries;
@@ -68,18 +68,17 @@ async fn of_try(file: &Path, shard: Shard) -> State {
 async fn read(file: &Path, state: &mut State) -> sqlx::Result<[u32; 3]> {
     let options = SqliteConnectOptions::new().filename(file).immutable(true).read_only(true);
     let mut db = options.disable_statement_logging().connect().await?;
-    let row = sqlx::query(
+    let trials: (u32, u32, u32) = sqlx::query_as(
         "SELECT count(*), coalesce(sum(state = 'done'), 0), coalesce(sum(state = 'failed'), 0) FROM trial",
     )
     .fetch_one(&mut db)
     .await?;
-    let run = sqlx::query(
+    state.run = sqlx::query_as(
         "SELECT estimated_seconds, seconds, host || coalesce(', ' || job, ''), outcome FROM v_run ORDER BY started_at DESC
          LIMIT 1",
     )
     .fetch_optional(&mut db)
     .await?;
-    state.run = run.map(|row| (row.get(0), row.get(1), row.get(2), row.get(3)));
     db.close().await?;
-    Ok([row.get(0), row.get(1), row.get(2)])
+    Ok(trials.into())
 }

@@ -1,7 +1,5 @@
 //! What earlier runs have left of the trials of a sweep.
 
-use sqlx::Row;
-
 use super::{Store, StoreError};
 use crate::scheduler::Prior;
 
@@ -22,7 +20,7 @@ impl Store {
     /// # Errors
     /// Where SQLite fails.
     pub async fn priors(&mut self) -> Result<Vec<(String, Prior)>, StoreError> {
-        let rows = sqlx::query(
+        let rows: Vec<(String, u32, Option<u32>)> = sqlx::query_as(
             "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)
              FROM trial t JOIN attempt a ON a.trial_id = t.id
              WHERE t.state IN ('pending', 'running') GROUP BY t.id",
@@ -31,7 +29,7 @@ impl Store {
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
         let prior = |attempts, steps| Prior { attempts, steps, ..Prior::default() };
-        Ok(rows.into_iter().map(|row| (row.get(0), prior(row.get(1), row.get(2)))).collect())
+        Ok(rows.into_iter().map(|(hash, attempts, steps)| (hash, prior(attempts, steps))).collect())
     }
 
     /// The trials of the sweep that was begun which have done this part of their steps, and what they had then.
@@ -39,7 +37,7 @@ impl Store {
     /// # Errors
     /// Where SQLite fails.
     pub async fn reached(&mut self, part: f64) -> Result<Vec<Reached>, StoreError> {
-        let rows = sqlx::query(
+        let rows: Vec<(String, u32, u32, f64)> = sqlx::query_as(
             "WITH some AS (SELECT t.id, t.hash, t.panels, t.sensors,
                     (SELECT max(step) + 1 FROM step p WHERE p.trial_id = t.id) AS steps,
                     ?1 * (t.spec->>'$.optimise.iterations') AS mark
@@ -54,11 +52,7 @@ impl Store {
         .fetch_all(&mut self.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        let reached = |row: &sqlx::sqlite::SqliteRow| Reached {
-            hash: row.get(0),
-            point: (row.get(1), row.get(2)),
-            error: row.get(3),
-        };
-        Ok(rows.iter().map(reached).collect())
+        let reached = |(hash, panels, sensors, error)| Reached { hash, point: (panels, sensors), error };
+        Ok(rows.into_iter().map(reached).collect())
     }
 }

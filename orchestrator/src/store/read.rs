@@ -242,7 +242,7 @@ impl Reader {
     /// # Errors
     /// Where SQLite fails.
     pub async fn arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
-        let rows = sqlx::query(
+        let rows: Vec<(String, String, Vec<u8>)> = sqlx::query_as(
             "SELECT t.hash, a.name, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id
              WHERE t.hash = ? ORDER BY a.name",
         )
@@ -250,7 +250,7 @@ impl Reader {
         .fetch_all(&mut self.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        Ok(rows.iter().map(|r| Artifact { hash: r.get(0), name: r.get(1), bytes: r.get(2) }).collect())
+        Ok(rows.into_iter().map(|(hash, name, bytes)| Artifact { hash, name, bytes }).collect())
     }
 
     /// The stored arrays whose names are LIKE a pattern (`losses_%`), by trial and name.
@@ -258,7 +258,7 @@ impl Reader {
     /// # Errors
     /// Where SQLite fails.
     pub async fn artifacts(&mut self, pattern: &str) -> Result<Vec<Artifact>, StoreError> {
-        let rows = sqlx::query(
+        let rows: Vec<(String, String, Vec<u8>)> = sqlx::query_as(
             "SELECT t.hash, a.name, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id
              WHERE a.name LIKE ? ORDER BY t.hash, a.name",
         )
@@ -266,7 +266,7 @@ impl Reader {
         .fetch_all(&mut self.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        Ok(rows.iter().map(|r| Artifact { hash: r.get(0), name: r.get(1), bytes: r.get(2) }).collect())
+        Ok(rows.into_iter().map(|(hash, name, bytes)| Artifact { hash, name, bytes }).collect())
     }
 }
 

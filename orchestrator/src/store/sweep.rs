@@ -1,7 +1,7 @@
 //! The writer's methods for sweeps: their trials, recorded once, and which of them are settled.
 
 use metasense_schemas::spec::SweepSpec;
-use sqlx::{Connection, Row};
+use sqlx::Connection;
 
 use super::write::VERSION;
 use super::{Store, StoreError};
@@ -74,9 +74,9 @@ impl Store {
             sweep = Some(id);
         }
         self.sweep = sweep;
-        let rows =
-            sqlx::query("SELECT id, hash FROM trial").fetch_all(&mut self.connection).await.map_err(at)?;
-        self.ids = rows.into_iter().map(|row| (row.get(1), row.get(0))).collect();
+        let rows: Vec<(String, i64)> =
+            sqlx::query_as("SELECT hash, id FROM trial").fetch_all(&mut self.connection).await.map_err(at)?;
+        self.ids = rows.into_iter().collect();
         Ok(())
     }
 

@@ -3,11 +3,12 @@
 use std::collections::{BTreeMap, HashSet};
 use std::path::PathBuf;
 
+use sqlx::AssertSqlSafe;
 use sqlx::sqlite::SqliteConnection;
-use sqlx::{AssertSqlSafe, Executor, Row};
 
 use super::Summary;
 use super::input::Input;
+use crate::cluster::Shard;
 
 /// What is to be said of a copy that was not kept.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -60,6 +61,10 @@ const COMPARED: [&str; 9] = [
     "solver",
 ];
 
+/// Hash, whose copy is kept, state and reason here and there, one instruction set, all of it in the kept one, attempts,
+/// steps, columns that differ, number here and there.
+type Copied = (String, i64, String, String, String, String, bool, bool, i64, i64, String, i64, i64);
+
 /// Inputs with copies of tried trials that were not kept.
 pub(super) async fn losers(out: &mut SqliteConnection) -> sqlx::Result<HashSet<usize>> {
     let rows: Vec<i64> = sqlx::query_scalar(
@@ -91,12 +96,11 @@ pub(super) async fn compare(
          WHERE c.input = ? AND c.attempts > 0 AND (c.input <> k.input OR c.old <> k.old)"
     );
     // Names of our own schema only.
-    let rows = sqlx::query(AssertSqlSafe(sql)).bind(input as i64).fetch_all(&mut *out).await?;
+    let rows: Vec<Copied> =
+        sqlx::query_as(AssertSqlSafe(sql)).bind(input as i64).fetch_all(&mut *out).await?;
     for row in rows {
-        let (hash, kept): (String, i64) = (row.get(0), row.get(1));
-        let (state, kept_state): (String, String) = (row.get(2), row.get(3));
-        let (reason, kept_reason): (String, String) = (row.get(4), row.get(5));
-        let (one_simd, contained): (bool, bool) = (row.get(6), row.get(7));
+        let (hash, kept, state, kept_state, reason, kept_reason, one_simd, contained, ..) = row;
+        let (.., attempts, steps, mut differing, old, new) = row;
         let mut finding = |kind, what| {
             let kept = inputs[kept as usize].named.clone();
             let other = inputs[input].named.clone();
@@ -107,8 +111,7 @@ pub(super) async fn compare(
             _ if contained => summary.covered += 1,
             ("done", "done") if !one_simd => summary.not_compared += 1,
             ("done", "done") => {
-                let mut differing: String = row.get(10);
-                differing += &arrays(out, row.get(11), row.get(12)).await?;
+                differing += &arrays(out, old, new).await?;
                 match differing.trim_end() {
                     "" => summary.covered += 1,
                     names => finding(Kind::Bits, names.to_owned()),
@@ -117,7 +120,6 @@ pub(super) async fn compare(
             ("failed", "done") => finding(Kind::Outcome, format!("failed there ({reason}), done here")),
             ("done", _) => finding(Kind::Outcome, format!("done there, {kept_state} ({kept_reason}) here")),
             _ => {
-                let (attempts, steps): (i64, i64) = (row.get(8), row.get(9));
                 let because = if reason.is_empty() { String::new() } else { format!(" ({reason})") };
                 finding(Kind::LeftOut, format!("{state}{because}: {attempts} attempts with {steps} steps"));
             }
@@ -143,18 +145,18 @@ async fn arrays(out: &mut SqliteConnection, other: i64, kept: i64) -> sqlx::Resu
 
 /// Shards of which no database has a run; none once a run of the whole sweep has completed it.
 pub(super) async fn missing_shards(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, u32, Vec<u32>)>> {
-    let rows = out
-        .fetch_all(
+    let rows: Vec<(String, i64, u32, u32)> = sqlx::query_as(
             "SELECT s.name, -s.id, r.shards, r.shard FROM main.run r JOIN main.sweep s ON s.id = r.sweep_id
-             WHERE NOT EXISTS (SELECT 1 FROM main.run w
+             WHERE r.shards BETWEEN 1 AND ? AND r.shard BETWEEN 1 AND r.shards AND NOT EXISTS (SELECT 1 FROM main.run w
                WHERE w.sweep_id = r.sweep_id AND w.shards = 1 AND w.outcome = 'complete')
              GROUP BY s.id, r.shards, r.shard",
         )
+        .bind(Shard::MOST)
+        .fetch_all(out)
         .await?;
     let mut seen: BTreeMap<(i64, u32), (String, HashSet<u32>)> = BTreeMap::new();
-    for row in rows {
-        let entry = seen.entry((row.get(1), row.get(2))).or_insert_with(|| (row.get(0), HashSet::new()));
-        entry.1.insert(row.get(3));
+    for (name, sweep, shards, shard) in rows {
+        seen.entry((sweep, shards)).or_insert_with(|| (name, HashSet::new())).1.insert(shard);
     }
     let missing = |((_, count), (name, there)): ((i64, u32), (String, HashSet<u32>))| {
         let missing: Vec<u32> = (1..=count).filter(|i| !there.contains(i)).collect();

@@ -1,0 +1,149 @@
+//! Databases and hand-ins that somebody else wrote, or a disk has damaged: an answer or an error, and never a panic.
+//!
+//! Bytes of the file, or cells of its tables, are replaced; `FOREIGN_SEED=N` does one case again, `FOREIGN_CASES=N` says how
+//! many there are.
+
+mod common;
+
+use std::panic::AssertUnwindSafe;
+use std::path::Path;
+
+use common::SPEC;
+use metasense::analysis::Question;
+use metasense::cluster::{Deal, Shard, merge, state};
+use metasense::plan::Plan;
+use metasense::report::load;
+use metasense::store::{Reader, Store};
+use metasense_schemas::database::VIEWS;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
+
+/// SplitMix64.
+struct Roll(u64);
+
+impl Roll {
+    fn below(&mut self, n: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) % n.max(1) as u64) as usize
+    }
+}
+
+/// Values that columns of any type may come to hold in a file that is not ours.
+const AWKWARD: &[&str] = &[
+    "NULL",
+    "-1",
+    "0",
+    "9223372036854775807",
+    "9e999",
+    "1.5",
+    "''",
+    "'x'",
+    "'done'",
+    "'running'",
+    "'{}'",
+    "'[1, {\"a\": null}]'",
+    "CAST(x'ff61' AS TEXT)",
+    "x''",
+    "x'01ffffffff'",
+    "x'934e554d5059'",
+    "zeroblob(100)",
+];
+
+async fn damage_cells(file: &Path, roll: &mut Roll) -> sqlx::Result<()> {
+    let options = SqliteConnectOptions::new().filename(file).foreign_keys(false);
+    let mut db = options.disable_statement_logging().connect().await?;
+    let columns = sqlx::query(
+        "SELECT t.name, c.name FROM sqlite_schema t, pragma_table_info(t.name) c
+         WHERE t.type = 'table' AND t.name NOT LIKE 'sqlite%' ORDER BY 1, c.cid",
+    )
+    .fetch_all(&mut db)
+    .await?;
+    for _ in 0..=roll.below(4) {
+        let column = &columns[roll.below(columns.len())];
+        let (table, name): (&str, &str) = (column.get(0), column.get(1));
+        let value = AWKWARD[roll.below(AWKWARD.len())];
+        // What a table's own rules refuse stays as it is.
+        let sql = format!("UPDATE {table} SET \"{name}\" = {value}");
+        let _ = sqlx::query(AssertSqlSafe(sql)).execute(&mut db).await;
+    }
+    db.close().await
+}
+
+fn damage_bytes(file: &Path, roll: &mut Roll) {
+    let mut bytes = std::fs::read(file).unwrap();
+    for _ in 0..=roll.below(30) {
+        // Half of them where pages say what they hold.
+        let page = 4096 * roll.below(bytes.len() / 4096);
+        let at = if roll.below(2) == 0 { page + roll.below(120) } else { roll.below(bytes.len()) };
+        bytes[at] = roll.below(256) as u8;
+    }
+    if roll.below(10) == 0 {
+        bytes.truncate(roll.below(bytes.len()));
+    }
+    std::fs::write(file, bytes).unwrap();
+}
+
+/// Everything that reads databases, as far as it comes.
+async fn read(folder: &Path, file: &Path, plan: &Plan) {
+    let _ = state::states(folder, 1, &Default::default()).await;
+    let _ = Deal::in_folder(folder, &plan.trials, 1);
+    let _ = merge::merge(&[file.to_owned()], &folder.join("merged.sqlite")).await;
+    if let Ok(mut reader) = Reader::open(file).await {
+        for (view, _) in VIEWS {
+            let _ = reader.query(&format!("SELECT * FROM {view}")).await;
+        }
+        if let Ok(trials) = load::finished_trials(&mut reader).await {
+            for question in Question::ALL {
+                let _ = question.answer(&trials);
+            }
+        }
+        let _ = load::story(&mut reader, None).await;
+        for trial in &plan.trials {
+            let _ = load::stored(&mut reader, &trial.hash).await;
+        }
+        reader.close().await;
+    }
+    if let Ok(mut store) = Store::open(file).await {
+        let _ = store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await;
+        let _ = store.priors().await;
+        let _ = store.reached(0.5).await;
+        for trial in &plan.trials {
+            let _ = store.checkpoint(&trial.hash).await;
+        }
+        let _ = store.close().await;
+    }
+}
+
+#[test]
+fn no_database_makes_a_reader_panic() {
+    let number = |name| std::env::var(name).ok().and_then(|n| n.parse::<u64>().ok());
+    let seeds = match number("FOREIGN_SEED") {
+        Some(seed) => seed..seed + 1,
+        None => 0..number("FOREIGN_CASES").unwrap_or(200),
+    };
+    let whole = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v4.sqlite");
+    // As tests/upgrade.rs has it.
+    let then = "[optimise]\nprotocol = \"paper\"\niterations = 100\nlearning_rate = 0.1\n\
+                [solver]\nmethod = \"tsit5\"\ntolerance = 1e-6\n";
+    let plan = Plan::new("s.toml", format!("{SPEC}{then}")).unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let mut failed = Vec::new();
+    for seed in seeds {
+        let folder = tempfile::tempdir().unwrap();
+        let stem = Shard::new(1, 1).unwrap().file_stem();
+        let file = folder.path().join(format!("{stem}.1-a-1.sqlite"));
+        std::fs::copy(whole, &file).unwrap();
+        let mut roll = Roll(seed);
+        match roll.below(3) {
+            0 => damage_bytes(&file, &mut roll),
+            _ => runtime.block_on(damage_cells(&file, &mut roll)).unwrap(),
+        }
+        let reading = || runtime.block_on(read(folder.path(), &file, &plan));
+        if std::panic::catch_unwind(AssertUnwindSafe(reading)).is_err() {
+            failed.push(seed);
+        }
+    }
+    assert!(failed.is_empty(), "FOREIGN_SEED: {failed:?}");
+}
