@@ -9,7 +9,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::Path;
 
 use common::SPEC;
-use metasense::analysis::Question;
+use metasense::analysis::{Question, Terms};
 use metasense::cluster::{Deal, Shard, merge, state};
 use metasense::plan::Plan;
 use metasense::report::load;
@@ -96,10 +96,10 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
         }
         if let Ok(trials) = load::finished_trials(&mut reader).await {
             for question in Question::ALL {
-                let _ = question.answer(&trials);
+                let _ = question.answer(&trials, Terms::default());
             }
         }
-        let _ = load::story(&mut reader, None).await;
+        let _ = load::story(&mut reader, None, Terms::default()).await;
         for trial in &plan.trials {
             let _ = load::stored(&mut reader, &trial.hash).await;
         }

@@ -179,6 +179,9 @@ const CLUSTER: &[&str] =
 /// What the number of sensors varies, besides.
 pub const SENSORS: &[&str] = &["point.sensors"];
 
+/// What the way of placing sensors varies.
+pub const SEARCH: &[&str] = &["sensors.search", "sensors.from", "sensors.spacing"];
+
 /// What the complexity of the body varies: the lengths of a circular body shrink as its units grow in number.
 pub const COMPLEXITY: &[&str] = &[
     "body.columns",

@@ -13,6 +13,7 @@ pub mod data;
 pub mod decision;
 pub mod elbow;
 pub mod paired;
+pub mod placed;
 pub mod random;
 pub mod records;
 pub mod resample;

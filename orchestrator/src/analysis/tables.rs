@@ -10,6 +10,7 @@ use super::data::{
 };
 use super::decision::{Decision, decide};
 use super::paired::{self, Ratio};
+use super::placed::placed;
 use super::random::random;
 use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
 use super::scaling::scaling;
@@ -36,6 +37,8 @@ pub enum Question {
     Fewer,
     /// Spread of the error over sensor placements
     Placements,
+    /// What placing sensors well buys (sensors.search), and what training the body buys beyond it
+    Placed,
     /// Random bodies (body.design = { random = SEED }) against the initial and the optimised one
     Random,
     /// Error against the number of design parameters N
@@ -52,7 +55,7 @@ pub enum Question {
 
 impl Question {
     /// All of them, in the order in which they are answered.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Paired,
         Self::Brains,
         Self::Iterations,
@@ -61,6 +64,7 @@ impl Question {
         Self::Elbow,
         Self::Fewer,
         Self::Placements,
+        Self::Placed,
         Self::Random,
         Self::Sizes,
         Self::Complexity,
@@ -90,6 +94,9 @@ impl Question {
             Self::Fewer => "Fewest sensors of the optimised body that beat the most of the initial one",
             Self::Placements => {
                 "Spread of error over placements at equal M and seed (standard deviation of ln error)"
+            }
+            Self::Placed => {
+                "Error (%, geometric mean) with sensors at random and placed by a search; by_placing: the first over the second on the initial body, by_training: initial over optimised body with sensors placed (95 % interval)"
             }
             Self::Random => {
                 "Error (%, geometric mean) of random bodies beside the initial and the optimised one, and over theirs"
@@ -128,6 +135,7 @@ impl Question {
             Self::Elbow => elbow_table(&trials, terms),
             Self::Fewer => fewer_table(&trials),
             Self::Placements => placements_table(&trials),
+            Self::Placed => placed_table(&trials),
             Self::Random => random_table(&trials),
             Self::Sizes => sizes_table(&trials),
             Self::Complexity => complexity_table(&trials),
@@ -473,6 +481,42 @@ fn placements_table(trials: &[&Trial]) -> Table {
         }
     });
     Table::new(&["setting", "body", "set", "placements", "deviation", "worst_over_best"], rows)
+}
+
+fn placed_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for found in placed(trials) {
+        for (set, level) in Set::ALL.into_iter().flat_map(|set| found.levels.iter().map(move |l| (set, l))) {
+            let mut row = vec![json!(found.label), json!(set.name()), json!(level.sensors)];
+            for (searched, body) in [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body))) {
+                row.push(json!(level.error(searched, body, set)));
+            }
+            let [placing, training] = [level.by_placing(Body::Initial, set), level.by_training(set)];
+            for ratio in [&placing, &training] {
+                row.push(json!(ratio.as_ref().map(|r| r.ratio)));
+                row.extend(ends(ratio.as_ref().and_then(|r| r.interval)));
+            }
+            row.push(json!(training.map(|r| r.over)));
+            rows.push(row);
+        }
+    }
+    let columns = [
+        "setting",
+        "set",
+        "M",
+        "random_initial",
+        "random_optimised",
+        "placed_initial",
+        "placed_optimised",
+        "by_placing",
+        "by_placing_low",
+        "by_placing_high",
+        "by_training",
+        "by_training_low",
+        "by_training_high",
+        "over",
+    ];
+    Table::new(&columns, rows)
 }
 
 fn sizes_table(trials: &[&Trial]) -> Table {

@@ -6,6 +6,7 @@ use crate::analysis::brains::brains;
 use crate::analysis::data::{DESIGN, Group, SENSORS, geometric_mean, groups, observations};
 use crate::analysis::decision::{Decision, Decisions, decide};
 use crate::analysis::paired::Ratio;
+use crate::analysis::placed::{Placed, placed};
 use crate::analysis::random::random;
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::verdict_text;
@@ -58,6 +59,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     for group in groups(&refs, SENSORS).iter().filter(|g| distinct(g, |t| t.sensors) > 1) {
         said.extend(sensors(group, terms));
     }
+    said.extend(placed(&refs).iter().filter_map(placing));
     let all: Vec<&Trial> = trials.iter().collect();
     said.extend(groups(&all, DESIGN).iter().filter_map(random_bodies));
     said
@@ -100,6 +102,39 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
              body's ({initial} % against {optimised} %, {}).",
             number(ratio.ratio),
             interval(&ratio)
+        ),
+    ))
+}
+
+/// What training buys beyond placing sensors well, at the M where both were tried with most.
+fn placing(found: &Placed) -> Option<Answer> {
+    let level = found.levels.last()?;
+    let set = Set::Holdout;
+    let [by_placing, by_training] = [level.by_placing(Body::Initial, set)?, level.by_training(set)?];
+    let error = |searched, body| level.error(searched, body, set).map(number);
+    let needed = |searched, body| {
+        let of = |error| found.needed(searched, body, set, error).map_or("–".into(), |m| m.to_string());
+        [20.0, 10.0, 5.0].map(of).join(", ")
+    };
+    Some((
+        verdict(&by_training),
+        format!(
+            "{}, M = {}: sensors placed by a search instead of at random take the initial body from {} to {} % ({} times \
+             less, {}); training the body beyond that to {} %, {} times less ({}). M needed for 20, 10, 5 %: initial body \
+             {} at random, {} placed; trained {} at random, {} placed.",
+            found.label,
+            level.sensors,
+            error(false, Body::Initial)?,
+            error(true, Body::Initial)?,
+            number(by_placing.ratio),
+            interval(&by_placing),
+            error(true, Body::Optimised)?,
+            number(by_training.ratio),
+            interval(&by_training),
+            needed(false, Body::Initial),
+            needed(true, Body::Initial),
+            needed(false, Body::Optimised),
+            needed(true, Body::Optimised),
         ),
     ))
 }

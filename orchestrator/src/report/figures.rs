@@ -7,6 +7,7 @@ use crate::analysis::brains::brains;
 use crate::analysis::data::{
     COMPLEXITY, CurvePoint, DESIGN, Group, SENSORS, TRAINING, groups, levels, observations, places,
 };
+use crate::analysis::placed::{Level, placed};
 use crate::analysis::random::random;
 use crate::analysis::resample::quantile;
 use crate::analysis::run_time::{mean_history, pareto};
@@ -192,6 +193,49 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
         plots,
         small: false,
         data: Question::Sensors.answer(trials, terms),
+    })
+}
+
+/// Error against M with sensors at random and placed, on both bodies.
+#[must_use]
+pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let mut plots = Vec::new();
+    for found in placed(&refs).iter().filter(|found| found.levels.len() > 1).take(MOST_PLOTS) {
+        let curve = |searched, body| {
+            let of = |l: &Level| Some((l.sensors as f64, l.error(searched, body, Set::Holdout)?));
+            found.levels.iter().filter_map(of).collect::<Vec<_>>()
+        };
+        let ways = [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body)));
+        let curves: Vec<_> = ways.map(|(s, body)| (s, body, curve(s, body))).collect();
+        let values: Vec<f64> = found.levels.iter().map(|l| l.sensors as f64).collect();
+        let x = Axis::new("sensors M", Scale::Linear, values.iter().copied().chain([0.7])).with_ticks(values);
+        let errors = curves.iter().flat_map(|c| c.2.iter().map(|point| point.1));
+        let mut plot = Plot::new(&found.label, x, Axis::new("holdout error (%)", Scale::Log, errors));
+        for (searched, body, points) in &curves {
+            let way = if *searched { "placed" } else { "at random" };
+            plot.line(
+                &format!("{}{}", body.name(), if *searched { "" } else { " thin" }),
+                points.iter().copied(),
+            );
+            let told = points.iter().map(|&(m, error)| {
+                ((m, error), format!("{} body, M = {m} {way}: {} %", body.name(), number(error)))
+            });
+            if *searched { plot.dots(body.name(), told) } else { plot.rings(body.name(), told) }
+        }
+        plots.push(plot.svg());
+    }
+    (!plots.is_empty()).then(|| Figure {
+        name: "placed",
+        title: "Place sensors well, or train the body?".into(),
+        caption: "Prediction error on the holdout against the number of sensors: thin lines and rings with sensors at \
+                  random, thick lines and dots where a search puts them, by the training samples alone. Geometric mean \
+                  over placements and seeds."
+            .into(),
+        legend: legend(&BODIES),
+        plots,
+        small: false,
+        data: Question::Placed.answer(trials, Terms::default()),
     })
 }
 

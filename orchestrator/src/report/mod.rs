@@ -60,6 +60,7 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
         figures::pairs(trials),
         brains::figure(trials),
         figures::sensors(trials, story.terms),
+        figures::placed_sensors(trials),
         figures::random_bodies(trials),
     ]
     .into_iter()
@@ -110,6 +111,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
         Question::Elbow,
         Question::Fewer,
         Question::Placements,
+        Question::Placed,
         Question::Random,
         Question::Complexity,
         Question::TimeTo,
