@@ -4,7 +4,8 @@ use std::fs::OpenOptions;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::SubscriberExt;
 
 use super::Error;
 
@@ -24,12 +25,10 @@ pub fn start(path: &Path) -> Result<(), Error> {
     let file = OpenOptions::new().create(true).append(true).open(path);
     let file =
         file.map_err(|source| Error::Io { doing: "opening the log", path: path.to_owned(), source })?;
-    let filter = EnvFilter::try_from_env(FILTER).unwrap_or_else(|_| EnvFilter::new("info"));
-    let subscriber = tracing_subscriber::fmt()
-        .with_writer(Mutex::new(file))
-        .with_ansi(false)
-        .with_env_filter(filter)
-        .finish();
+    let asked = std::env::var(FILTER).ok().and_then(|filter| filter.parse::<Targets>().ok());
+    let lines = tracing_subscriber::fmt::layer().with_writer(Mutex::new(file)).with_ansi(false);
+    let filter = asked.unwrap_or_else(|| Targets::new().with_default(tracing::Level::INFO));
+    let subscriber = tracing_subscriber::registry().with(filter).with(lines);
     // A second run of the same process goes on with the first one's log.
     let _ = tracing::subscriber::set_global_default(subscriber);
     Ok(())
