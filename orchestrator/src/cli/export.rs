@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
-use metasense_schemas::spec::Method;
 use metasense_worker::replay::{Drawing, drawing, linear, replay};
 use metasense_worker::run::Failure;
 
@@ -103,7 +102,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
     };
     let drawn = |b: usize| drawing(&stored.spec, &stored.designs[b]).map_err(unreadable);
     let mut spec = stored.spec.clone();
-    spec.solver.tolerance = spec.solver.tolerance.min(signal_tolerance(spec.solver.method));
+    spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
     let replayed =
         |b: usize| replay(&spec, &stored.designs[b], &stored.weights[b], args.threads).map_err(unreadable);
     let body = drawn(args.body as usize)?;
@@ -159,17 +158,11 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
     })
 }
 
+/// Exported signals are at least as good as this.
+const SIGNAL_TOLERANCE: f64 = 1e-4;
+
 /// The least and the largest measure of something cast (mm).
 const MEASURES: (f64, f64) = (0.01, 1000.0);
-
-/// What keeps the signals of an export to 1e-3 where a scene is harder than the integrators' laws have it.
-fn signal_tolerance(method: Method) -> f64 {
-    match method {
-        // its own error norm, a step
-        Method::Tsit5 => 1e-6,
-        _ => 1e-4,
-    }
-}
 
 fn tabular(rows: &Table, form: Form, what: &str) -> Result<Vec<u8>, Error> {
     match form {

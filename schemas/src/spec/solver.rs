@@ -44,7 +44,7 @@ pub enum Method {
 pub struct Solver {
     /// The integrator.
     pub method: Method,
-    /// `tsit5`: tolerance of its own error norm, absolute and relative. Others: relative error asked of the signals.
+    /// Relative error asked of the signals, whatever the method.
     pub tolerance: f64,
 }
 

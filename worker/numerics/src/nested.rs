@@ -72,7 +72,7 @@ pub fn optimise(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
-    let Tuning { problem, placed, reason: solver, counters: pilot } = &Tuning::new(problem, pool)?;
+    let Tuning { asked, problem, placed, reason: solver, counters: pilot } = &Tuning::new(problem, pool)?;
     let setting = Setting::new(problem, pool)?;
     let mut castable = Feasible::new(&problem.scene.layout, problem.limits, &problem.kept);
     let mut session = Session::new(&setting);
@@ -101,11 +101,13 @@ pub fn optimise(
         None => (&problem.initial, 0),
     };
     let mut log = Log::new(state.step, observer);
-    let initial = evaluate(&setting, &problem.initial, 0, &mut log);
-    let optimised = evaluate(&setting, best_design, 1, &mut log);
+    let initial = evaluate(&setting, &problem.initial, &problem.solver, 0, &mut log);
+    let best = log.timed(|s| &mut s.simulate, |_| Tuning::of_body(asked, best_design, pool));
+    let optimised = evaluate(&setting, best_design, &best.solver, 1, &mut log);
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += *pilot;
-    let (placed, solver) = (placed.clone(), solver.clone());
+    counters.dynamics += best.counters;
+    let (placed, solver) = (placed.clone(), format!("{solver}. Best body: {}", best.plan.reason));
     Ok(Some(Optimised { initial, optimised, best_step, placed, solver, counters, seconds }))
 }
 
@@ -119,10 +121,14 @@ pub fn evaluate_designs(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Vec<BodyEvaluation>, Failure> {
-    let Tuning { problem, .. } = &Tuning::new(problem, pool)?;
+    let Tuning { asked, problem, .. } = &Tuning::new(problem, pool)?;
     let setting = Setting::new(problem, pool)?;
     let mut log = Log::new(0, observer);
-    Ok(designs.iter().map(|design| evaluate(&setting, design, 0, &mut log)).collect())
+    let mut of = |design: &Vec<f64>| {
+        let solver = Tuning::of_body(asked, design, pool).solver;
+        evaluate(&setting, design, &solver, 0, &mut log)
+    };
+    Ok(designs.iter().map(&mut of).collect())
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use super::{DEFAULT, Row, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::dynamics::{
     Forces, Method, Outcome, Scene, Simulation, Solver, energy, energy_design_gradient, energy_gradient,
-    pull_back, run, simulate, tune,
+    pull_back, run, signal_error, simulate, tune,
 };
 use metasense_numerics::stimuli::resample;
 
@@ -133,7 +133,8 @@ pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, Cas
     let tuned = tune(&scene, &design, &forces, &DEFAULT, pool);
     let usual = run(&scene, &design, &forces, &tuned.plan, false, pool);
     let work = usual.counters.force_evaluations / forces.samples.max(1) as u64;
-    let (name, error) = ("sensors at default settings", relative(&usual.signals, &signals));
+    let (name, error) =
+        ("sensors at default settings", signal_error(&usual.signals, &signals, 3 * scene.sensors.len()));
     // Where the pilot found that no steps keep the tolerance, none was promised.
     let row = match tuned.error {
         Some(_) => Row::new(name, error, LEEWAY * DEFAULT.tolerance),

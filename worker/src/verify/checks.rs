@@ -223,7 +223,7 @@ fn taylor_parameters(solver: Solver, pool: &rayon::ThreadPool) -> Row {
 /// every kind.
 fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
     let (base, design, blow) = short();
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 });
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let scenes = [
         ("plain", base.clone(), 1),
         ("forces twice as fine", base.clone(), 2),

@@ -79,7 +79,12 @@ pub fn built_in(pool: &rayon::ThreadPool) -> Vec<Row> {
         let name = case.to_string();
         rows.into_iter().map(move |row| Row { case: name.clone(), ..row }).collect::<Vec<_>>()
     };
-    let methods = [(Method::Tsit5, 1e-11), (Method::Nystrom4, 1e-6), (Method::Nystrom6, 1e-7)];
+    let methods = [
+        (Method::Tsit5, 1e-11),
+        (Method::Leapfrog, 1e-3),
+        (Method::Nystrom4, 1e-6),
+        (Method::Nystrom6, 1e-7),
+    ];
     let mut rows = named("numerics", checks::rows(&methods, pool));
     rows.extend(named("extreme", extreme::rows(DEFAULT, pool)));
     rows

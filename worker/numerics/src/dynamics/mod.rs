@@ -26,7 +26,7 @@ pub use choose::{choose, highest_frequency};
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
 pub use model::damping;
 pub use push_forward::push_forward;
-pub use tune::{Tuned, tune};
+pub use tune::{Tuned, signal_error, tune};
 
 /// Stiffnesses of a ligament.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -152,7 +152,8 @@ pub struct Scene {
 pub struct Solver {
     /// The integrator.
     pub method: Method,
-    /// Tsit5: tolerance of its own error norm, relative and absolute. Others: relative error asked of the signals.
+    /// Relative error asked of the signals, by `signal_error`, as `tune` takes it; to `choose` and `simulate`, of Tsit5,
+    /// tolerance of its own error norm, relative and absolute.
     pub tolerance: f64,
 }
 

@@ -27,12 +27,15 @@ const SAFETY: f64 = 1.25;
 const REFINED: usize = 8;
 /// Runs of one method.
 const TRIES: usize = 6;
+/// Tsit5's tolerance by the error asked, to begin with, and the least: below it rounding decides.
+const LOCAL: f64 = 1e-3;
+const LOCAL_LEAST: f64 = 1e-13;
 
 /// Finds the cheapest way to keep the solver's tolerance, a relative error of the signals, in this scene under these forces.
 ///
 /// Takes the first eight samples, in the order given; the same inputs give the same answer on any number of threads.
-/// Where no steps reach the tolerance, those of least error remain and the plan's reason says so. `Tsit5` is returned as it is: its
-/// tolerance is that of its own error norm.
+/// Where no steps reach the tolerance, those of least error remain and the plan's reason says so. `Tsit5` comes back with the
+/// tolerance of its own error norm that keeps the error asked.
 ///
 /// # Panics
 /// As `simulate`.
@@ -46,16 +49,19 @@ pub fn tune(
     let asked = solver.tolerance;
     let mut pilot =
         Pilot { scene, design, forces: first(forces, LANES), pool, counters: Counters::default() };
+    let adaptive = solver.method == Method::Tsit5;
     let as_it_is = |why: Option<String>, counters| {
-        let mut plan = choose_under(scene, design, forces.kinks(scene), solver);
+        let tolerance = if adaptive { (LOCAL * asked).max(LOCAL_LEAST) } else { asked };
+        let solver = Solver { tolerance, ..*solver };
+        let mut plan = choose_under(scene, design, forces.kinks(scene), &solver);
         if let Some(why) = why {
             plan.reason = format!("{}; {why}", plan.reason);
         }
-        Tuned { solver: *solver, plan, error: None, counters }
+        Tuned { solver, plan, error: None, counters }
     };
     let all = candidates(scene, design, forces.kinks(scene));
     let moved = pilot.forces.values.iter().any(|f| *f != 0.0) && all[0].highest > 0.0;
-    if solver.method == Method::Tsit5 || !moved || scene.sensors.is_empty() {
+    if !moved || scene.sensors.is_empty() {
         return as_it_is(None, Counters::default());
     }
     let six = all.iter().find(|c| c.law.method == Method::Nystrom6).expect("a law");
@@ -76,6 +82,20 @@ pub fn tune(
             return Tuned { solver, plan, error: None, counters: pilot.counters };
         }
     };
+    if adaptive {
+        let Some((tolerance, error)) = pilot.tolerance(&truth, asked) else {
+            return as_it_is(
+                Some("no tolerance of the pilot reached the error asked".to_owned()),
+                pilot.counters,
+            );
+        };
+        let reason = format!(
+            "tsit5, tolerance {tolerance:.1e} of its own error norm: error {error:.0e} measured, asked {asked:.0e}"
+        );
+        let solver = Solver { method: Method::Tsit5, tolerance };
+        let plan = Plan { method: Method::Tsit5, tolerance, steps: 0, reason };
+        return Tuned { solver, plan, error: Some(error), counters: pilot.counters };
+    }
     let mut open: Vec<Candidate> =
         all.into_iter().filter(|c| solver.method == Method::Auto || solver.method == c.law.method).collect();
     let mut best: Option<(Candidate, Fewest)> = None;
@@ -132,11 +152,55 @@ struct Pilot<'a> {
 }
 
 impl Pilot<'_> {
+    fn channels(&self) -> usize {
+        3 * self.scene.sensors.len()
+    }
+
     fn run(&mut self, candidate: &Candidate, steps: usize) -> Simulation {
-        let plan = candidate.plan(steps, String::new());
-        let simulation = run(self.scene, self.design, &self.forces, &plan, false, self.pool);
+        self.run_plan(&candidate.plan(steps, String::new()))
+    }
+
+    fn run_plan(&mut self, plan: &Plan) -> Simulation {
+        let simulation = run(self.scene, self.design, &self.forces, plan, false, self.pool);
         self.counters += simulation.counters;
         simulation
+    }
+
+    /// Error against the truth; infinite where samples failed that need not, or steps were halved, which is not cheap.
+    fn error(&self, simulation: &Simulation, truth: &Simulation) -> f64 {
+        let fails = |(a, b): (&Outcome, &Outcome)| *a != Outcome::Ok && *b == Outcome::Ok;
+        let halved = simulation.plan.steps > 0 && simulation.counters.rejected > 0;
+        if halved || simulation.outcomes.iter().zip(&truth.outcomes).any(fails) {
+            return f64::INFINITY;
+        }
+        distance(simulation, truth, self.channels())
+    }
+
+    /// The largest tolerance of Tsit5's own norm found to keep the error, with safety, and the error.
+    fn tolerance(&mut self, truth: &Simulation, asked: f64) -> Option<(f64, f64)> {
+        let mut tolerance = (LOCAL * asked).max(LOCAL_LEAST);
+        let mut good: Option<(f64, f64)> = None;
+        for _ in 0..TRIES {
+            let plan = Plan { method: Method::Tsit5, tolerance, steps: 0, reason: String::new() };
+            let found = self.run_plan(&plan);
+            let error = self.error(&found, truth);
+            let keeps = SAFETY * error <= asked;
+            if keeps && good.is_none_or(|(t, _)| tolerance > t) {
+                good = Some((tolerance, error));
+            }
+            // Work is as its fifth root: a few times too small is near enough.
+            if keeps && error > 0.2 * asked {
+                break;
+            }
+            // Errors are about as the tolerance, until steps no longer resolve the motion.
+            let factor = (0.5 * asked / (SAFETY * error)).clamp(1e-2, 1e2);
+            let next = (tolerance * factor).clamp(LOCAL_LEAST, 0.5);
+            if next == tolerance || good.is_some_and(|(t, _)| next <= t) {
+                break;
+            }
+            tolerance = next;
+        }
+        good
     }
 
     /// Signals that are exact to well below `asked`, with steps and error of the run before; or by how much the law's steps
@@ -148,7 +212,11 @@ impl Pilot<'_> {
         while refined < REFINED {
             let fine = self.run(six, 2 * refined * start);
             // A sample whose steps were halved has the same bits in both, whatever its error.
-            let error = if coarse.counters.rejected > 0 { f64::INFINITY } else { distance(&coarse, &fine) };
+            let error = if coarse.counters.rejected > 0 {
+                f64::INFINITY
+            } else {
+                distance(&coarse, &fine, self.channels())
+            };
             if error <= asked {
                 return Ok((fine, (refined * start, error)));
             }
@@ -177,6 +245,7 @@ impl Pilot<'_> {
         let start = candidate.steps(asked);
         // What stability asks for whatever the error
         let least = candidate.steps(f64::INFINITY);
+        let most = REFINED * start.max(least);
         let mut tried: Vec<(usize, f64)> = Vec::new();
         let mut steps = start;
         let power = candidate.law.power;
@@ -186,9 +255,19 @@ impl Pilot<'_> {
         for _ in 0..TRIES {
             let error = match known {
                 Some((n, error)) if n == steps => error,
-                _ => distance(&self.run(candidate, steps), truth),
+                _ => {
+                    let found = self.run(candidate, steps);
+                    self.error(&found, truth)
+                }
             };
             tried.push((steps, error));
+            if error.is_infinite() {
+                if steps >= most {
+                    break;
+                }
+                steps = candidate.whole(2.0 * steps as f64).min(most);
+                continue;
+            }
             // Where forces or contacts are not smooth, errors fall more slowly than the method's order has it.
             let seen = match tried[..] {
                 [.., (n, e), (m, f)] if n != m => (e / f).ln() / (m as f64 / n as f64).ln(),
@@ -196,10 +275,10 @@ impl Pilot<'_> {
             };
             let seen = if seen >= 1.0 { seen.min(power) } else { 1.0 };
             let wanted = exact((steps, error), seen);
-            if !wanted.is_finite() {
+            if wanted.is_nan() {
                 return None;
             }
-            steps = candidate.whole(wanted).clamp(least, REFINED * start.max(least));
+            steps = candidate.whole(wanted).clamp(least, most);
             if tried.iter().any(|(n, _)| *n == steps) {
                 break;
             }
@@ -212,15 +291,31 @@ impl Pilot<'_> {
     }
 }
 
-/// ‖a − b‖/‖b‖ of the samples that ended well in both; infinite where there is none.
-fn distance(a: &Simulation, b: &Simulation) -> f64 {
+/// `signal_error` of the samples that ended well in both; infinite where there is none.
+fn distance(a: &Simulation, b: &Simulation, channels: usize) -> f64 {
     let len = b.signals.len() / b.outcomes.len().max(1);
-    let (mut off, mut size) = (0.0, 0.0);
-    for i in (0..b.outcomes.len()).filter(|&i| a.outcomes[i] == Outcome::Ok && b.outcomes[i] == Outcome::Ok) {
-        for (a, b) in a.signals[i * len..][..len].iter().zip(&b.signals[i * len..][..len]) {
-            off += (a - b) * (a - b);
-            size += b * b;
-        }
+    let well = |i: &usize| a.outcomes[*i] == Outcome::Ok && b.outcomes[*i] == Outcome::Ok;
+    let of = |s: &Simulation| -> Vec<f64> {
+        (0..b.outcomes.len()).filter(well).flat_map(|i| &s.signals[i * len..][..len]).copied().collect()
+    };
+    signal_error(&of(a), &of(b), channels)
+}
+
+/// Relative error of signals (N, T, `channels`) as networks see them: the root mean square over the channels of
+/// ‖a − b‖/‖b‖ of each, so that a gyroscope counts as much as an accelerometer. Channels in which b is nothing but rounding are
+/// left out; infinite where none is left.
+///
+/// # Panics
+/// If lengths differ.
+pub fn signal_error(a: &[f64], b: &[f64], channels: usize) -> f64 {
+    assert_eq!(a.len(), b.len(), "lengths of the signals");
+    let (mut off, mut size) = (vec![0.0; channels], vec![0.0; channels]);
+    for (i, (a, b)) in a.iter().zip(b).enumerate() {
+        off[i % channels] += (a - b) * (a - b);
+        size[i % channels] += b * b;
     }
-    if size > 0.0 { (off / size).sqrt() } else { f64::INFINITY }
+    let rounding = 1e-20 * size.iter().sum::<f64>();
+    let parts: Vec<f64> =
+        off.iter().zip(&size).filter(|(_, size)| **size > rounding).map(|(off, size)| off / size).collect();
+    if parts.is_empty() { f64::INFINITY } else { (parts.iter().sum::<f64>() / parts.len() as f64).sqrt() }
 }

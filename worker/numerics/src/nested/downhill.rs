@@ -8,6 +8,7 @@ use super::implicit::implicit_term;
 use super::problem::Problem;
 use super::report::{Failure, Implicit, Log, Observe, Trouble};
 use super::setting::Setting;
+use super::tuning::Tuning;
 use crate::brain::{self, Adam, Data, Policy, TrainOutcome, Workspace};
 use crate::random::{Purpose, Stream};
 
@@ -42,6 +43,7 @@ pub fn downhill(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Vec<Downhill>, Failure> {
+    let Tuning { problem, .. } = &Tuning::new(problem, pool)?;
     let setting = Setting::new(problem, pool)?;
     let mut log = Log::new(0, observer);
     steps(&setting, network, step, iterations, &mut log).map_err(Failure::Initial)

@@ -5,7 +5,7 @@ use super::problem::{Kind, Schedule, Training};
 use super::report::{Log, Trouble};
 use super::setting::{Setting, mean_error};
 use crate::brain::{self, Adam, Data, Shape, TrainOutcome, Workspace};
-use crate::dynamics::Forces;
+use crate::dynamics::{Forces, Solver};
 use crate::random::Purpose;
 
 /// A fresh network on a body.
@@ -45,16 +45,21 @@ pub struct BodyEvaluation {
 /// Initial weights of evaluations are numbered from here, out of the way of the outer steps'.
 pub(super) const FIRST_NETWORK: u64 = 1 << 32;
 
-/// Simulates `design` with the accurate integrator and trains fresh networks on it. `turn` (0, 1) is for the progress.
-pub(super) fn evaluate(setting: &Setting, design: &[f64], turn: usize, log: &mut Log) -> BodyEvaluation {
+/// Simulates `design` with `solver`, tuned to it, and trains fresh networks on it. `turn` (0, 1) is for the progress.
+pub(super) fn evaluate(
+    setting: &Setting,
+    design: &[f64],
+    solver: &Solver,
+    turn: usize,
+    log: &mut Log,
+) -> BodyEvaluation {
     let problem = setting.problem;
     let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
     let signals = log.timed(
         |s| &mut s.simulate,
         |report| -> Result<_, Trouble> {
-            let mut signals = |forces: &Forces| {
-                Ok(setting.simulate(design, forces, &problem.solver, false, report)?.signals)
-            };
+            let mut signals =
+                |forces: &Forces| Ok(setting.simulate(design, forces, solver, false, report)?.signals);
             let train = if design == problem.initial {
                 setting.initial_signals.clone()
             } else {

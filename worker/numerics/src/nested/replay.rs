@@ -47,14 +47,15 @@ pub fn replay(
     weights: &[f32],
     pool: &rayon::ThreadPool,
 ) -> Result<Replay, Failure> {
-    let Tuning { problem, .. } = &Tuning::new(problem, pool)?;
+    let Tuning { asked, problem, .. } = &Tuning::new(problem, pool)?;
+    let solver = Tuning::of_body(asked, design, pool).solver;
     let setting = Setting::new(problem, pool)?;
     let forces = all_forces(problem);
     let (_, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
     let mut kinds = vec![0; problem.stimuli.samples];
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);
-    let mut simulation = simulate(&problem.scene, design, &forces, &problem.solver, false, pool);
+    let mut simulation = simulate(&problem.scene, design, &forces, &solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     setting.disturb(&mut simulation.signals, &forces);
     let forces = problem.seen(forces);
@@ -170,9 +171,9 @@ pub fn motion(
     sample: usize,
     pool: &rayon::ThreadPool,
 ) -> Result<Motion, Failure> {
-    let Tuning { problem, .. } = &Tuning::new(problem, pool)?;
+    let solver = Tuning::of_body(problem, design, pool).solver;
     let forces = crate::stimuli::select(&all_forces(problem), &[sample]);
-    let simulation = simulate(&problem.scene, design, &forces, &problem.solver, true, pool);
+    let simulation = simulate(&problem.scene, design, &forces, &solver, true, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     let tape = simulation.tape.expect("asked for");
     let states = (1..=problem.scene.instants).map(|n| tape.state(&problem.scene, 0, n));

@@ -9,7 +9,9 @@ use crate::random::Purpose;
 
 /// A problem with sensors whose solvers keep their tolerances by measurement.
 pub(super) struct Tuning {
-    /// The same but for solvers and, where they were searched for, sensors.
+    /// The same, its sensors in place.
+    pub(super) asked: Problem,
+    /// That with its solvers tuned.
     pub(super) problem: Problem,
     /// What the search found.
     pub(super) placed: Option<Placed>,
@@ -28,7 +30,8 @@ impl Tuning {
     /// # Errors
     /// If sensors are to be searched for, and the initial body cannot be simulated or has no place for them.
     pub(super) fn new(problem: &Problem, pool: &rayon::ThreadPool) -> Result<Self, Failure> {
-        let (mut problem, placed) = placed(problem, pool)?;
+        let (asked, placed) = placed(problem, pool)?;
+        let mut problem = asked.clone();
         let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(SAMPLES));
         let pilot = |solver: &_| tune(&problem.scene, &problem.initial, &forces, solver, pool);
         let usual = pilot(&problem.solver);
@@ -40,6 +43,12 @@ impl Tuning {
             counters += coarse.counters;
             problem.optimise.coarse = Some(coarse.solver);
         }
-        Ok(Self { problem, placed, reason, counters })
+        Ok(Self { asked, problem, placed, reason, counters })
+    }
+
+    /// What the accurate solver of the spec comes to on another body, by a pilot of its own.
+    pub(super) fn of_body(asked: &Problem, design: &[f64], pool: &rayon::ThreadPool) -> Tuned {
+        let forces = asked.forces(Purpose::Stimulus, 0, asked.stimuli.samples.min(SAMPLES));
+        tune(&asked.scene, design, &forces, &asked.solver, pool)
     }
 }
