@@ -1,5 +1,7 @@
 //! Nothing lost, nothing left behind: real processes, real signals, and the database compared row for row.
 
+#[path = "support/roll.rs"]
+mod roll;
 #[path = "support/engine.rs"]
 mod support;
 
@@ -11,6 +13,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use metasense::link::SHARED_MEMORY;
+use roll::Roll;
 use support::{Run, children, eventually, is_alive, kill, results, rows};
 
 const SWEEP: &str = "--trials 24 --steps 12 --step-ms 8 --array 3000 --workers 2";
@@ -23,37 +26,33 @@ fn undisturbed(folder: &Path) -> Vec<String> {
     results(&run.db)
 }
 
-/// A number below `n`, other moments in every run of the test.
-fn roll(n: u64) -> u64 {
-    use std::hash::{BuildHasher, RandomState};
-    RandomState::new().hash_one(0) % n
-}
-
-/// Fifty kills: of a worker, of the orchestrator, or of all at once, at random moments, until the sweep is done.
+/// Fifty kills (`KILLS=N` for more, `KILL_SEED=N` for the same): of a worker, of the orchestrator, or of all at once, at
+/// random moments, until the sweep is done.
 #[test]
 fn fifty_kills_at_random_moments_leave_the_results_of_an_undisturbed_run() {
     let folder = tempfile::tempdir().unwrap();
     let expected = undisturbed(folder.path());
-    let (mut kills, mut sweeps) = (0, 0);
-    while kills < 50 {
+    let least = roll::number("KILLS").unwrap_or(50);
+    let (mut kills, mut sweeps, mut roll) = (0, 0, Roll::new());
+    while kills < least {
         let db = folder.path().join(format!("disturbed-{sweeps}.sqlite"));
         sweeps += 1;
         loop {
             let mut run = Run::start(&db, SWEEP);
             let ended = loop {
                 let workers = run.workers();
-                std::thread::sleep(Duration::from_millis(5 + roll(150)));
+                std::thread::sleep(Duration::from_millis(5 + roll.below(150)));
                 if let Some(status) = run.child.try_wait().unwrap() {
                     break Some(status);
                 }
-                let Some(&worker) = workers.get(roll(2) as usize) else { continue };
+                let Some(&worker) = workers.get(roll.place(2)) else { continue };
                 kills += 1;
-                if roll(3) > 0 {
+                if roll.below(3) > 0 {
                     kill(worker, libc::SIGKILL);
                     continue;
                 }
                 run.signal(libc::SIGKILL);
-                if roll(2) == 0 {
+                if roll.below(2) == 0 {
                     kill(worker, libc::SIGKILL);
                 }
                 let gone = || workers.iter().all(|pid| !is_alive(*pid)).then_some(());

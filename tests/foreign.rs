@@ -4,6 +4,8 @@
 //! many there are.
 
 mod common;
+#[path = "support/roll.rs"]
+mod roll;
 
 use std::panic::AssertUnwindSafe;
 use std::path::Path;
@@ -15,20 +17,9 @@ use metasense::plan::Plan;
 use metasense::report::load;
 use metasense::store::{Reader, Store};
 use metasense_schemas::database::VIEWS;
+use roll::Roll;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
-
-/// SplitMix64.
-struct Roll(u64);
-
-impl Roll {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) % n.max(1) as u64) as usize
-    }
-}
 
 /// Values that columns of any type may come to hold in a file that is not ours.
 const AWKWARD: &[&str] = &[
@@ -60,10 +51,10 @@ async fn damage_cells(file: &Path, roll: &mut Roll) -> sqlx::Result<()> {
     )
     .fetch_all(&mut db)
     .await?;
-    for _ in 0..=roll.below(4) {
-        let column = &columns[roll.below(columns.len())];
+    for _ in 0..=roll.place(4) {
+        let column = &columns[roll.place(columns.len())];
         let (table, name): (&str, &str) = (column.get(0), column.get(1));
-        let value = AWKWARD[roll.below(AWKWARD.len())];
+        let value = AWKWARD[roll.place(AWKWARD.len())];
         // What a table's own rules refuse stays as it is.
         let sql = format!("UPDATE {table} SET \"{name}\" = {value}");
         let _ = sqlx::query(AssertSqlSafe(sql)).execute(&mut db).await;
@@ -73,14 +64,14 @@ async fn damage_cells(file: &Path, roll: &mut Roll) -> sqlx::Result<()> {
 
 fn damage_bytes(file: &Path, roll: &mut Roll) {
     let mut bytes = std::fs::read(file).unwrap();
-    for _ in 0..=roll.below(30) {
+    for _ in 0..=roll.place(30) {
         // Half of them where pages say what they hold.
-        let page = 4096 * roll.below(bytes.len() / 4096);
-        let at = if roll.below(2) == 0 { page + roll.below(120) } else { roll.below(bytes.len()) };
-        bytes[at] = roll.below(256) as u8;
+        let page = 4096 * roll.place(bytes.len() / 4096);
+        let at = if roll.place(2) == 0 { page + roll.place(120) } else { roll.place(bytes.len()) };
+        bytes[at] = roll.place(256) as u8;
     }
-    if roll.below(10) == 0 {
-        bytes.truncate(roll.below(bytes.len()));
+    if roll.place(10) == 0 {
+        bytes.truncate(roll.place(bytes.len()));
     }
     std::fs::write(file, bytes).unwrap();
 }
@@ -118,10 +109,9 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
 
 #[test]
 fn no_database_makes_a_reader_panic() {
-    let number = |name| std::env::var(name).ok().and_then(|n| n.parse::<u64>().ok());
-    let seeds = match number("FOREIGN_SEED") {
+    let seeds = match roll::number("FOREIGN_SEED") {
         Some(seed) => seed..seed + 1,
-        None => 0..number("FOREIGN_CASES").unwrap_or(200),
+        None => 0..roll::number("FOREIGN_CASES").unwrap_or(200),
     };
     let whole = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v4.sqlite");
     // As tests/upgrade.rs has it.
@@ -136,7 +126,7 @@ fn no_database_makes_a_reader_panic() {
         let file = folder.path().join(format!("{stem}.1-a-1.sqlite"));
         std::fs::copy(whole, &file).unwrap();
         let mut roll = Roll(seed);
-        match roll.below(3) {
+        match roll.place(3) {
             0 => damage_bytes(&file, &mut roll),
             _ => runtime.block_on(damage_cells(&file, &mut roll)).unwrap(),
         }

@@ -1,11 +1,14 @@
 //! Shards on one machine: by hand, into a results folder, interrupted and killed; merged, they are the whole sweep.
 
 mod common;
+#[path = "support/roll.rs"]
+mod roll;
 
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use common::{Bench, TINY, results};
+use roll::Roll;
 
 /// Four trials, quick ones.
 fn four() -> String {
@@ -162,4 +165,52 @@ fn a_shard_goes_on_on_another_node() {
     let refused = bench.metasense(&["run", "tiny.toml", "--shard", "1/1", "--copy-to", "out"]);
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
+}
+
+/// A shard is killed at random moments, on two nodes in turn, one of which is lost each time; so are merges of what it has
+/// handed in (`KILLS=N` for more, `KILL_SEED=N` for the same). What a merge has once given is never less, and what comes
+/// of it all is what an undisturbed run gives.
+#[test]
+fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
+    let kills = roll::number("KILLS").unwrap_or(10);
+    let (mut roll, mut killed) = (Roll::new(), 0);
+    while killed < kills {
+        let bench = Bench::new();
+        bench.file("tiny.toml", &four().replace("iterations = 4\n", "iterations = 100\n"));
+        bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+        let mut before = 0;
+        let mut merge = |roll: &mut Roll, kill: bool| {
+            let args = ["merge", "out", "--out", "merged.sqlite"];
+            let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+            command.args(args).current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::null());
+            let mut child = command.spawn().unwrap();
+            if kill {
+                std::thread::sleep(Duration::from_millis(roll.below(150)));
+                signal(&child, libc::SIGKILL);
+            }
+            let status = child.wait().unwrap();
+            let now = number(&bench, "merged.sqlite", "SELECT count(*) FROM v_step");
+            assert!(now >= before, "{now} steps after {before}");
+            before = now;
+            u64::from(status.code().is_none())
+        };
+        for round in 0.. {
+            let node = format!("node{}", round % 2);
+            let mut shard = start(&bench, &node);
+            std::thread::sleep(Duration::from_millis(200 + roll.below(2500)));
+            let ended = shard.try_wait().unwrap().is_some_and(|status| status.success());
+            signal(&shard, libc::SIGKILL);
+            shard.wait().unwrap();
+            if ended {
+                break;
+            }
+            killed += 1 + merge(&mut roll, true);
+            if roll.below(2) == 0 {
+                std::fs::remove_dir_all(bench.path(&node)).unwrap();
+            }
+        }
+        merge(&mut roll, false);
+        assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
+    }
+    println!("{killed} kills, no difference");
 }

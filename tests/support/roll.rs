@@ -1,0 +1,33 @@
+//! Random numbers whose seed is printed, so that what a test has met can be met again.
+
+/// SplitMix64.
+pub struct Roll(pub u64);
+
+#[allow(dead_code, reason = "each test file uses its share")]
+impl Roll {
+    /// Another one each time, unless `KILL_SEED` says which.
+    pub fn new() -> Self {
+        let clock = || std::time::UNIX_EPOCH.elapsed().unwrap().as_nanos() as u64;
+        let seed = number("KILL_SEED").unwrap_or_else(clock);
+        println!("KILL_SEED={seed}");
+        Self(seed)
+    }
+
+    /// A number below `n`; 0 below 0.
+    pub fn below(&mut self, n: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (z ^ (z >> 31)) % n.max(1)
+    }
+
+    /// A place in something so long.
+    pub fn place(&mut self, length: usize) -> usize {
+        self.below(length as u64) as usize
+    }
+}
+
+/// A number from the environment.
+pub fn number(name: &str) -> Option<u64> {
+    std::env::var(name).ok()?.parse().ok()
+}
