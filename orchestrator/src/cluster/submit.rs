@@ -82,25 +82,19 @@ impl Submission {
     /// What cannot stand in a script's lines, if anything: paths go into them as they are, or quoted.
     #[must_use]
     pub fn unfit(&self) -> Option<String> {
+        let control = |text: &str| text.chars().any(char::is_control);
         // Slurm reads its directives itself, with quotes and backslashes of its own.
-        let slurm = self.scheduler == Scheduler::Slurm;
-        let bad = |c: char, directive: bool| c.is_control() || directive && slurm && "\"\\".contains(c);
-        let texts = [
-            ("folder", self.folder.to_str(), true),
-            ("out", self.out.to_str(), false),
-            ("spec", self.spec.to_str(), false),
-            ("program", self.program.to_str(), false),
-        ];
-        let found = texts
-            .into_iter()
-            .find(|(_, text, directive)| text.is_none_or(|text| text.chars().any(|c| bad(c, *directive))));
-        let partition =
-            self.partition.as_ref().filter(|p| p.chars().any(|c| c.is_whitespace() || bad(c, true)));
-        found
-            .map(|(name, text, _)| {
-                format!("{name} {text:?}: must be text without line ends, quotes and backslashes")
-            })
-            .or_else(|| partition.map(|p| format!("partition {p:?}: is no name of a partition")))
+        let directive = |text: &str| self.scheduler == Scheduler::Slurm && text.contains(['"', '\\']);
+        let paths =
+            [("folder", &self.folder), ("out", &self.out), ("spec", &self.spec), ("program", &self.program)];
+        let path = paths.into_iter().find(|(name, path)| {
+            path.to_str().is_none_or(|text| control(text) || *name == "folder" && directive(text))
+        });
+        let partition = self.partition.as_ref().filter(|p| p.contains(char::is_whitespace) || control(p));
+        path.map(|(name, path)| {
+            format!("{name} {path:?}: must be text without line ends, quotes and backslashes")
+        })
+        .or_else(|| partition.map(|name| format!("partition {name:?}: is no name of a partition")))
     }
 
     /// The scripts: of a shard, and of the merge.
