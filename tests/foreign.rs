@@ -109,9 +109,10 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
 
 #[test]
 fn no_database_makes_a_reader_panic() {
-    let seeds = match roll::number("FOREIGN_SEED") {
-        Some(seed) => seed..seed + 1,
-        None => 0..roll::number("FOREIGN_CASES").unwrap_or(200),
+    let seeds: Vec<u64> = match roll::number("FOREIGN_SEED") {
+        Some(seed) => vec![seed],
+        // One that made a reader wait for ever: a name that is no text.
+        None => (0..roll::number("FOREIGN_CASES").unwrap_or(200)).chain([1102]).collect(),
     };
     let whole = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v4.sqlite");
     // As tests/upgrade.rs has it.

@@ -131,6 +131,15 @@ pub(crate) async fn check_version(
         .fetch_one(&mut *connection)
         .await
         .map_err(at)?;
+    // A name that is no text ends sqlx's thread, and whoever has asked waits for ever.
+    let schema: Vec<Vec<u8>> =
+        sqlx::query_scalar("SELECT CAST(name || coalesce(sql, '') AS BLOB) FROM sqlite_schema")
+            .fetch_all(&mut *connection)
+            .await
+            .map_err(at)?;
+    if schema.iter().any(|text| std::str::from_utf8(text).is_err()) {
+        return Err(at(sqlx::Error::Protocol("the file is damaged: a name in it is no text".into())));
+    }
     if application != APPLICATION_ID && (application != 0 || tables != 0) {
         return Err(StoreError::NotOurs { path: path.to_owned() });
     }
