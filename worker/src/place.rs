@@ -42,40 +42,35 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let trouble = |what: &dyn std::fmt::Display| Failure::NonFinite(what.to_string());
     let nowhere = |_| trouble(&"nowhere_to_sense");
     let all = Candidates::new(&problem, search, design, &pool).map_err(|e| trouble(&e))?;
+    let best = all.clone().thinned(&problem, &pool);
+    let scores = best.scores(&problem, &pool);
     let found = |method: Method| -> Result<Vec<_>, Failure> {
-        let of = |sensors| Search { method, sensors, ..search.clone() };
-        (1..=search.sensors).map(|m| all.clone().search(&problem, &of(m), &pool).map_err(nowhere)).collect()
+        let of = |sensors| Search { method, sensors, candidates: best.units.clone(), ..search.clone() };
+        (1..=search.sensors).map(|m| scores.search(&of(m)).map_err(nowhere)).collect()
     };
     let placed = found(search.method)?;
     let errors =
         |placed: &metasense_numerics::place::Placed| placed.errors.last().copied().unwrap_or(f64::NAN);
     let pivots = found(Method::Pivots)?.iter().map(errors).collect();
 
-    let orders: Vec<Vec<usize>> = (0..RANDOM)
-        .map(|p| problem.scene.layout.placement(p, &problem.scene.clamped))
-        .map(|order| order.into_iter().filter(|unit| all.units.contains(unit)).collect())
-        .collect();
-    let spread = |(m, ridge): (usize, f64)| {
-        let errors =
-            orders.iter().filter_map(|order| Some(all.error(&problem, order.get(..m)?, ridge, &pool)));
-        let mut errors: Vec<f64> = errors.collect();
+    // errors of the first m units of each random placement
+    let of_order = |p: u64| -> Option<Vec<f64>> {
+        let order = problem.scene.layout.placement(p, &problem.scene.clamped);
+        let order: Vec<usize> = order.into_iter().filter(|unit| all.units.contains(unit)).collect();
+        let some = all.of(order.get(..search.sensors)?);
+        let scores = some.scores(&problem, &pool);
+        Some((1..=search.sensors).map(|m| scores.error(&order[..m], placed[m - 1].ridge)).collect())
+    };
+    let orders: Vec<Vec<f64>> = (0..RANDOM).filter_map(of_order).collect();
+    let spread = |m: usize| {
+        let mut errors: Vec<f64> = orders.iter().map(|order| order[m]).collect();
         errors.sort_by(f64::total_cmp);
         let at = |i: usize| errors.get(i).copied().unwrap_or(f64::NAN);
         [at(0), at(errors.len() / 2), at(errors.len().saturating_sub(1))]
     };
-    let random = placed.iter().enumerate().map(|(m, placed)| (m + 1, placed.ridge)).map(spread).collect();
+    let random = (0..search.sensors).map(spread).collect();
 
     let last = &placed[search.sensors - 1];
-    let (chosen, ridge) = (&last.units[..given.min(search.sensors)], last.ridge);
-    let mut worth: Vec<(usize, f64)> = all
-        .units
-        .iter()
-        .filter(|unit| !chosen.contains(unit))
-        .map(|&unit| {
-            let set: Vec<usize> = chosen.iter().copied().chain([unit]).collect();
-            (unit, all.error(&problem, &set, ridge, &pool))
-        })
-        .collect();
-    worth.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let worth = all.worth(&last.units[..given.min(search.sensors)], last.ridge, &problem, &pool);
     Ok(Looked { worth, pivots, random, placed: placed.into_iter().map(convert::placed).collect() })
 }

@@ -10,7 +10,7 @@ use super::tuning::SAMPLES as PILOT;
 use super::unseen::folds;
 use crate::brain::linear::Sizes;
 use crate::dynamics::{Scene, simulate, tune};
-use crate::place::{CANDIDATES, Nowhere, Placed, Scores, Search};
+use crate::place::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores, Search};
 use crate::random::Purpose;
 use crate::stimuli::{select, split};
 
@@ -63,42 +63,41 @@ impl Candidates {
     }
 
     /// As many as can be searched: where there are more, the best alone.
-    fn thinned(self, problem: &Problem, pool: &rayon::ThreadPool) -> Self {
+    #[must_use]
+    pub fn thinned(self, problem: &Problem, pool: &rayon::ThreadPool) -> Self {
         if self.units.len() <= CANDIDATES {
             return self;
         }
-        let of = |group: &[usize]| self.of(group).scores(problem, pool).alone();
-        let mut alone: Vec<(usize, f64)> = self.units.chunks(GROUP).flat_map(of).collect();
-        alone.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let alone = self.worth(&[], FIRST_RIDGE, problem, pool);
         let mut best: Vec<usize> = alone[..CANDIDATES].iter().map(|(unit, _)| *unit).collect();
         best.sort_unstable();
         self.of(&best)
     }
 
-    /// Error (%) of a linear brain of these units on samples that it has not seen.
-    ///
-    /// # Panics
-    /// If one is no candidate.
-    pub fn error(&self, problem: &Problem, units: &[usize], ridge: f64, pool: &rayon::ThreadPool) -> f64 {
-        self.of(units).scores(problem, pool).error(units, ridge)
-    }
-
-    /// Searches.
-    ///
-    /// # Errors
-    /// If there is no such placement.
-    pub fn search(
-        self,
+    /// Each unit that is not chosen, and the error (%) of a linear brain with it beside the chosen ones, best first.
+    pub fn worth(
+        &self,
+        chosen: &[usize],
+        ridge: f64,
         problem: &Problem,
-        search: &Search,
         pool: &rayon::ThreadPool,
-    ) -> Result<Placed, Nowhere> {
-        let some = self.thinned(problem, pool);
-        some.scores(problem, pool).search(&Search { candidates: some.units.clone(), ..search.clone() })
+    ) -> Vec<(usize, f64)> {
+        let others: Vec<usize> = self.units.iter().copied().filter(|unit| !chosen.contains(unit)).collect();
+        let of = |group: &[usize]| {
+            let some = self.of(&[chosen, group].concat());
+            some.scores(problem, pool).worth(chosen, group, 0.0, ridge)
+        };
+        let mut worth: Vec<(usize, f64)> = others.chunks(GROUP).flat_map(of).collect();
+        worth.sort_by(|a, b| a.1.total_cmp(&b.1));
+        worth
     }
 
     /// What these of them hear.
-    fn of(&self, units: &[usize]) -> Self {
+    ///
+    /// # Panics
+    /// If one is none of them.
+    #[must_use]
+    pub fn of(&self, units: &[usize]) -> Self {
         let position = |unit: &usize| self.units.iter().position(|u| u == unit).expect("a candidate");
         let from: Vec<usize> = units.iter().map(position).flat_map(|i| 3 * i..3 * i + 3).collect();
         let rows = self.samples.x.chunks_exact(self.samples.sizes.channels);
@@ -132,9 +131,10 @@ pub(super) fn placed(
     pool: &rayon::ThreadPool,
 ) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
-    let candidates = Candidates::new(problem, search, &problem.initial, pool)?;
-    let found =
-        candidates.search(problem, search, pool).map_err(|Nowhere| Failure::Initial(Trouble::Nowhere))?;
+    let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);
+    let search = Search { candidates: candidates.units.clone(), ..search.clone() };
+    let found = candidates.scores(problem, pool).search(&search);
+    let found = found.map_err(|Nowhere| Failure::Initial(Trouble::Nowhere))?;
     let mut problem = problem.clone();
     problem.scene.sensors = found.units.clone();
     problem.search = None;

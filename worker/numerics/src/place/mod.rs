@@ -55,7 +55,7 @@ pub struct Nowhere;
 /// More candidates are thinned out to those that are best alone: what the exchange goes through grows with their square.
 pub const CANDIDATES: usize = 64;
 /// Where the search for λ begins, and how far it goes.
-const FIRST_RIDGE: f64 = 1e-4;
+pub const FIRST_RIDGE: f64 = 1e-4;
 const RIDGES: std::ops::RangeInclusive<f64> = 1e-10..=1e2;
 
 /// Signals of candidate units, and how well any of them are read.
@@ -113,10 +113,11 @@ impl<'a> Scores<'a> {
             let mut ridge = best.0 * factor;
             while RIDGES.contains(&ridge) {
                 let error = self.error(units, ridge);
-                if error >= best.1 {
+                if error < best.1 {
+                    best = (ridge, error);
+                } else if best.1.is_finite() {
                     break;
                 }
-                best = (ridge, error);
                 ridge *= factor;
             }
         }
@@ -143,11 +144,6 @@ impl<'a> Scores<'a> {
         let sets = self.beside(candidates, chosen, spacing).into_iter().map(|unit| with(chosen, unit));
         let rated = self.rated(sets.collect(), ridge);
         rated.into_iter().map(|(set, error)| (set[chosen.len()], error)).collect()
-    }
-
-    /// Each unit alone, and its error (%).
-    pub fn alone(&self) -> Vec<(usize, f64)> {
-        self.worth(&[], &self.units, 0.0, FIRST_RIDGE)
     }
 
     /// Searches.
