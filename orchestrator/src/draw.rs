@@ -38,7 +38,7 @@ const STYLE: &str = "\
 .sensor{fill:#1d7a5f;stroke:#fff;stroke-width:.3}\
 .active{stroke:#e07a00;stroke-width:.7;fill:none;stroke-linecap:round}.active-node{fill:#e07a00}\
 .wrong{stroke:#c1121f;stroke-width:.9;fill:none;stroke-linecap:round}.wrong-node{fill:#c1121f}\
-text{font-family:sans-serif;fill:#33475b}.number{font-size:2.6px;text-anchor:middle;fill:#fff;font-weight:bold}.index{font-size:2px;text-anchor:middle;fill:#7a8b9c}.caption{font-size:3px}";
+text{font-family:sans-serif;fill:#33475b}.number{font-size:2.6px;text-anchor:middle;fill:#fff;font-weight:bold}.index{font-size:2px;text-anchor:middle;fill:#7a8b9c}.light{fill:#fff}.caption{font-size:3px}";
 
 /// The drawing as an SVG document.
 pub fn svg(drawing: &Drawing<'_>) -> String {
@@ -139,7 +139,7 @@ fn draw_body(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {
         ] {
             class.push_str(if applies { name } else { "" });
         }
-        let shade = drawing.worth.and_then(|worth| shade(worth, u)).unwrap_or_default();
+        let shade = drawing.worth.and_then(|worth| rank(worth, u)).map(shade).unwrap_or_default();
         let points: Vec<String> = corners.iter().map(|[x, y]| format!("{x:.3},{y:.3}")).collect();
         let _ = writeln!(out, "<polygon class=\"{class}\"{shade} points=\"{}\"/>", points.join(" "));
     }
@@ -153,7 +153,9 @@ fn draw_body(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {
                 let _ = writeln!(out, "<text class=\"number\" x=\"{x:.3}\" y=\"{below:.3}\">{number}</text>");
             }
         } else {
-            let _ = writeln!(out, "<text class=\"index\" x=\"{x:.3}\" y=\"{:.3}\">{u}</text>", y + 0.7);
+            let dark = drawing.worth.and_then(|worth| rank(worth, u)).is_some_and(|rank| rank < 0.6);
+            let class = if dark { "index light" } else { "index" };
+            let _ = writeln!(out, "<text class=\"{class}\" x=\"{x:.3}\" y=\"{:.3}\">{u}</text>", y + 0.7);
         }
     }
     let length = 0.55 * drawing.layout.spacing;
@@ -167,15 +169,19 @@ fn draw_body(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {
     }
 }
 
-/// The fill of a unit by the rank of its error: dark is best.
-fn shade(worth: &[(usize, f64)], unit: usize) -> Option<String> {
+/// The rank of a unit's error, from 0, the best, to 1.
+fn rank(worth: &[(usize, f64)], unit: usize) -> Option<f64> {
     let own = worth.iter().find(|(u, _)| *u == unit)?.1;
     let better = worth.iter().filter(|(_, error)| *error < own).count();
-    let part = better as f64 / (worth.len() - 1).max(1) as f64;
+    Some(better as f64 / (worth.len() - 1).max(1) as f64)
+}
+
+/// The fill of a unit of this rank: dark is best.
+fn shade(part: f64) -> String {
     // from deep blue to nearly white
     let [r, g, b] =
         [[28.0, 238.0], [84.0, 243.0], [140.0, 248.0]].map(|[from, to]| from + part * (to - from));
-    Some(format!(" style=\"fill:rgb({r:.0},{g:.0},{b:.0})\""))
+    format!(" style=\"fill:rgb({r:.0},{g:.0},{b:.0})\"")
 }
 
 fn draw_marks(drawing: &Drawing<'_>, units: &[[Point; 4]], out: &mut String) {

@@ -217,10 +217,10 @@ impl Plot {
 
     /// A vertical line across the plot with a text at its top, `row` lines down.
     pub fn vertical(&mut self, class: &str, x: f64, text: &str, row: usize) {
-        let [_, right, top, bottom] = MARGIN;
+        let [_, _, top, bottom] = MARGIN;
         let px = self.at((x, self.y.range[0])).0;
         let (low, high) = (self.size[1] - bottom, top);
-        let fits = px < self.size[0] - right - 70.0;
+        let fits = px + 4.0 + 6.5 * text.chars().count() as f64 <= self.size[0];
         let (at, anchor) = if fits { (px + 4.0, "start") } else { (px - 4.0, "end") };
         let _ = write!(
             self.marks,
