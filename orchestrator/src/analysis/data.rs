@@ -246,10 +246,12 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
     };
     let own = kind(key);
     let alike: Vec<&&Key> = all.iter().filter(|k| kind(k) == own).collect();
-    let differs_within = |path: &str| {
-        let value = |key: &Key| key.iter().find(|(p, _)| p == path).map(|(_, v)| v.to_string());
-        alike.iter().any(|k| value(k) != value(alike[0]))
-    };
+    let at = |key: &Key, path: &str| key.iter().find(|(p, _)| p == path).map(|(_, v)| v.to_string());
+    let differs_within =
+        |among: &[&&Key], path: &str| among.iter().any(|k| at(k, path) != at(among[0], path));
+    // and what a kind of stimuli has by default differs with it
+    let stimuli = value("stimuli.kind").map(ToString::to_string);
+    let struck: Vec<&&Key> = all.iter().filter(|k| at(k, "stimuli.kind") == stimuli).collect();
     let of_brains = |path: &str| BRAINS.iter().any(|table| path.starts_with(table));
     let mut parts = Vec::new();
     for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
@@ -273,7 +275,11 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
     for (path, value) in key {
         let told =
             path.starts_with("point.") || path.ends_with("panel_units") || SIZES.contains(&path.as_str());
-        let apart = if of_brains(path) { differs_within(path) } else { differs(path) };
+        let apart = match path.as_str() {
+            path if of_brains(path) => differs_within(&alike, path),
+            path if path.starts_with("stimuli.") && path != "stimuli.kind" => differs_within(&struck, path),
+            path => differs(path),
+        };
         if !told && apart {
             let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
             parts.push(format!("{path} = {value}"));
@@ -379,5 +385,22 @@ mod tests {
             labels(COMPLEXITY),
             [("K = 2, M = 1".to_owned(), 2), ("K = 2, M = 2".to_owned(), 1), ("K = 4, M = 1".to_owned(), 1)]
         );
+        let struck = |kind: &str, width: f64, double: Option<f64>| {
+            let mut trial = trial(2, 5, 1, 0);
+            trial
+                .setting
+                .extend(flatten(&json!({"stimuli": {"kind": kind, "width": [width], "double": double}})));
+            trial
+        };
+        let kinds = [struck("bell", 0.1, None), struck("irregular", 0.02, Some(0.1))];
+        let labels = |trials: &[Trial]| -> Vec<String> {
+            groups(&trials.iter().collect::<Vec<_>>(), &[]).into_iter().map(|g| g.label).collect()
+        };
+        let [bell, irregular] =
+            ["bell", "irregular"].map(|kind| format!("K = 2, M = 1, stimuli.kind = {kind}"));
+        assert_eq!(labels(&kinds), [bell.clone(), irregular.clone()]);
+        let wider = [&kinds[..], &[struck("bell", 0.2, None)]].concat();
+        let told = |width: &str| format!("{bell}, stimuli.width = [{width}]");
+        assert_eq!(labels(&wider), [told("0.1"), irregular, told("0.2")]);
     }
 }

@@ -11,7 +11,7 @@ use crate::analysis::{Body, Question, Terms, Trial};
 const MOST_SETTINGS: usize = 4;
 
 /// Classes of the optimised bodies' lines, by what trained them.
-const TRAINED: [&str; 3] = ["optimised", "front", "sensor"];
+const TRAINED: [&str; 3] = ["optimised", "front", "truth"];
 
 /// Error against memory, and against the wait after the instant, by linear brains; dots: networks.
 #[must_use]
