@@ -92,7 +92,7 @@ fn json_rows_are_a_list_of_objects() {
     bench.file("s.toml", &(SPEC.to_owned() + "[brain]\npreset = \"long\"\n"));
     let rows: serde_json::Value =
         serde_json::from_str(&bench.output(&["expand", "s.toml", "--format", "json"])).unwrap();
-    let long = 5 * 6 * 48 + 48 + 2 * (5 * 48 * 48 + 48) + 48 * 2 + 2;
+    let long = 9 * 6 * 24 + 24 + 2 * (9 * 24 * 24 + 24) + 24 * 2 + 2;
     assert_eq!(rows[1]["brain_parameters"], long, "{rows}");
 }
 
