@@ -586,11 +586,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Search>, Invalid> {
     // one after another, row by row: hardly less than would fit at best
     let mut apart: Vec<usize> = Vec::new();
     for &unit in &candidates {
-        let far = |&other: &usize| {
-            let [p, q] = [unit, other].map(|unit| scene.layout.centres[unit]);
-            (p[0] - q[0]).hypot(p[1] - q[1]) >= spacing * (1.0 - 1e-9)
-        };
-        if apart.iter().all(far) {
+        if apart.iter().all(|&other| scene.layout.apart(unit, other, spacing)) {
             apart.push(unit);
         }
     }

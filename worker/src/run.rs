@@ -83,7 +83,9 @@ fn result(optimised: Optimised) -> TrialResult {
 /// The problem that a spec stands for, on these threads, its sensors in place: searched for where that is to be done.
 pub(crate) fn placed(trial: &TrialSpec, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
-    nested::place(problem, pool).map_err(|failure| Failure::NonFinite(failure.to_string()))
+    let (problem, _) =
+        nested::placed(&problem, pool).map_err(|failure| Failure::NonFinite(failure.to_string()))?;
+    Ok(problem)
 }
 
 /// Threads for the maths.

@@ -26,7 +26,7 @@ pub use chip::{Disturbance, Size};
 pub use downhill::{Downhill, downhill};
 pub use evaluation::{BodyEvaluation, NetworkEvaluation};
 pub use linear::{Decoder, READINGS_MAX, Reading, Ridge, fits};
-pub use placing::{Candidates, place};
+pub use placing::{Candidates, placed};
 pub use problem::{Evaluation, Going, Kind, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
 pub use replay::{LinearReplay, Motion, Replay, motion, replay};
 pub use report::{Control, Counters, Failure, Implicit, Observe, Report, Seconds, Trouble};

@@ -221,6 +221,12 @@ impl Layout {
         (0..self.units()).filter(|&u| radius(u) < least + 0.1 * self.spacing).collect()
     }
 
+    /// Whether the cells of two units are at least so far apart (mm).
+    pub fn apart(&self, a: usize, b: usize, distance: f64) -> bool {
+        let [p, q] = [a, b].map(|unit| self.centres[unit]);
+        (p[0] - q[0]).hypot(p[1] - q[1]) >= distance * (1.0 - 1e-9)
+    }
+
     /// Placement `p`: an order of the interior free units, of which a body with M sensors takes the first M.
     pub fn placement(&self, p: u64, clamped: &[usize]) -> Vec<usize> {
         let interior: Vec<usize> =

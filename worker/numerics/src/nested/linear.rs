@@ -7,9 +7,10 @@
 use super::report::Trouble;
 use super::setting::{Scales, Setting, mean_error};
 use super::unseen::folds;
-use crate::brain::linear::{Fit, Lags, Linear, Moments, Order, Sizes};
+use crate::brain::linear::{Fit, Lags, Linear, Moments, Order, Sizes, downhill_ridge};
 use crate::brain::{Data, Shape, prediction_error};
 use crate::dynamics::Forces;
+use std::ops::RangeInclusive;
 
 /// What a linear brain is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +44,7 @@ impl Decoder {
 const FOLDS: usize = 5;
 /// Where the search for λ begins, and how far it goes.
 const FIRST_RIDGE: f64 = 1e-6;
-const RIDGES: std::ops::RangeInclusive<f64> = 1e-14..=1e2;
+pub(super) const RIDGES: RangeInclusive<f64> = 1e-14..=1e2;
 
 /// Samples as a linear brain takes them.
 #[derive(Debug, Clone)]
@@ -119,27 +120,6 @@ pub(super) fn force_scale(mean: &[f64], deviation: &[f64]) -> f64 {
 /// The weights of a fit, or its trouble.
 pub(super) fn fit(moments: &Moments, lags: Lags, ridge: f64) -> Result<Fit, Trouble> {
     Fit::new(moments, lags, ridge, Order::Ascending).map_err(|_| Trouble::Singular)
-}
-
-/// The λ of least `error`, decade by decade downhill from `start`.
-pub(super) fn downhill_ridge(start: f64, mut error: impl FnMut(f64) -> Option<f64>) -> Option<f64> {
-    let mut best = error(start).map(|found| (start, found));
-    for factor in [0.1, 10.0] {
-        let mut ridge = start * factor;
-        while RIDGES.contains(&ridge) {
-            match error(ridge) {
-                Some(found) if best.is_none_or(|best| found < best.1) => best = Some((ridge, found)),
-                // too small to be solved with: smaller ones are no better, greater ones may be
-                None if best.is_none() && factor > 1.0 => {}
-                _ => break,
-            }
-            ridge *= factor;
-        }
-        if best.is_some_and(|best| best.0 != start) {
-            break;
-        }
-    }
-    best.map(|best| best.0)
 }
 
 /// Linear brains for a network that sees their answers: of what each was fitted on it never sees one's.
@@ -248,7 +228,7 @@ impl Decoder {
             let linear = fit(&moments, lags, ridge).ok()?.linear();
             judges.error(&linear.predict(&judges.x))
         };
-        downhill_ridge(last.unwrap_or(FIRST_RIDGE), error).ok_or(Trouble::Singular)
+        downhill_ridge(last.unwrap_or(FIRST_RIDGE), RIDGES, error).ok_or(Trouble::Singular)
     }
 }
 

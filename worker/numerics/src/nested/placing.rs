@@ -2,17 +2,15 @@
 //!
 //! All candidate units listen to the same simulations, through the chips that the sensors will have.
 
-use super::linear::{Plain, force_scale};
+use super::linear::Plain;
 use super::problem::Problem;
 use super::report::{Failure, Trouble};
-use super::setting::{Scales, all_well};
-use super::tuning::SAMPLES as PILOT;
+use super::setting::Setting;
+use super::tuning::Tuning;
 use super::unseen::folds;
 use crate::brain::linear::Sizes;
-use crate::dynamics::{Scene, simulate, tune};
+use crate::dynamics::Scene;
 use crate::place::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores, Search};
-use crate::random::Purpose;
-use crate::stimuli::{select, split};
 
 /// Parts of the training samples; each is judged by what the others say.
 const FOLDS: usize = 4;
@@ -40,25 +38,13 @@ impl Candidates {
         pool: &rayon::ThreadPool,
     ) -> Result<Self, Failure> {
         let units = search.candidates.clone();
-        let scene = &Scene { sensors: units.clone(), ..problem.scene.clone() };
-        let problem = &Problem { scene: scene.clone(), ..problem.clone() };
-        let all = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples);
-        let (train, _) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
-        let train = select(&all, &train);
-        let pilot = select(&train, &(0..train.samples.min(PILOT)).collect::<Vec<_>>());
-        let solver = tune(scene, design, &pilot, &problem.solver, pool).solver;
-        let mut simulation = simulate(scene, design, &train, &solver, false, pool);
-        all_well(&simulation.outcomes).map_err(Failure::Initial)?;
-        let targets = problem.targets(&train);
-        let scales = Scales::new(&problem.shape(), &simulation.signals, &targets);
-        if let Some(chip) = problem.chip(&scales.channels) {
-            chip.disturb(&mut simulation.signals, &train);
-        }
-        let sizes =
-            Sizes { instants: scene.instants, channels: 3 * units.len(), outputs: scene.panels.len() };
-        let force = force_scale(&scales.mean, &scales.deviation);
-        let samples = Plain::new(sizes, scales.inputs(&simulation.signals), &targets, force);
-        let dealt = folds(problem.seed, train.samples, FOLDS.min(train.samples));
+        let scene = Scene { sensors: units.clone(), ..problem.scene.clone() };
+        let problem = Problem { scene, initial: design.to_vec(), ..problem.clone() };
+        let solver = Tuning::of_body(&problem, design, pool).solver;
+        let problem = Problem { solver, ..problem };
+        let setting = Setting::new(&problem, pool)?;
+        let samples = setting.plain(&setting.initial_signals, &setting.train);
+        let dealt = folds(problem.seed, setting.train.samples, FOLDS.min(setting.train.samples));
         Ok(Self { units, samples, dealt })
     }
 
@@ -114,22 +100,11 @@ impl Candidates {
     }
 }
 
-/// The problem with its sensors in place.
-///
-/// # Errors
-/// As `placed`.
-pub fn place(problem: Problem, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
-    placed(&problem, pool).map(|(problem, _)| problem)
-}
-
 /// The problem with its sensors in place, and what a search for them found; as it is where they are given.
 ///
 /// # Errors
 /// If the initial body cannot be simulated, or there is no such placement.
-pub(super) fn placed(
-    problem: &Problem,
-    pool: &rayon::ThreadPool,
-) -> Result<(Problem, Option<Placed>), Failure> {
+pub fn placed(problem: &Problem, pool: &rayon::ThreadPool) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
     let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);
     let search = Search { candidates: candidates.units.clone(), ..search.clone() };

@@ -22,7 +22,7 @@ pub(super) struct Tuning {
 }
 
 /// Samples of the pilots: as many as the lanes take at once.
-pub(super) const SAMPLES: usize = 8;
+const SAMPLES: usize = 8;
 
 impl Tuning {
     /// The same for every process that goes on with a trial or looks at its result.

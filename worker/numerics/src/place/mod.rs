@@ -7,9 +7,10 @@
 mod spectra;
 
 use crate::body::Layout;
-use crate::brain::linear::Sizes;
+use crate::brain::linear::{Sizes, downhill_ridge};
 use rayon::prelude::*;
 use spectra::Spectra;
+use std::ops::{Range, RangeInclusive};
 
 /// How units are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,6 +36,9 @@ pub struct Search {
     pub spacing: f64,
 }
 
+/// A set of units, and its error (%).
+pub type Rated = (Vec<usize>, f64);
+
 /// What a search found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placed {
@@ -43,7 +47,7 @@ pub struct Placed {
     /// Error (%) of a linear brain on samples that it has not seen, of the first m of them, m = 1 … M.
     pub errors: Vec<f64>,
     /// The next best of the sets that differ by one unit, and its error (%).
-    pub runner_up: Option<(Vec<usize>, f64)>,
+    pub runner_up: Option<Rated>,
     /// λ.
     pub ridge: f64,
 }
@@ -56,7 +60,7 @@ pub struct Nowhere;
 pub const CANDIDATES: usize = 64;
 /// Where the search for λ begins, and how far it goes.
 pub const FIRST_RIDGE: f64 = 1e-4;
-const RIDGES: std::ops::RangeInclusive<f64> = 1e-10..=1e2;
+const RIDGES: RangeInclusive<f64> = 1e-10..=1e2;
 
 /// Signals of candidate units, and how well any of them are read.
 pub struct Scores<'a> {
@@ -90,13 +94,23 @@ impl<'a> Scores<'a> {
     /// # Panics
     /// If one is no candidate.
     pub fn error(&self, units: &[usize], ridge: f64) -> f64 {
-        let channel = |unit: &usize| 3 * self.units.iter().position(|u| u == unit).expect("a candidate");
-        let channels: Vec<usize> = units.iter().map(channel).flat_map(|c| c..c + 3).collect();
-        self.spectra.error(&channels, ridge).unwrap_or(f64::INFINITY)
+        self.solved(units, ridge).unwrap_or(f64::INFINITY)
+    }
+
+    /// The same; none where λ gives none.
+    fn solved(&self, units: &[usize], ridge: f64) -> Option<f64> {
+        let channels: Vec<usize> = units.iter().flat_map(|&unit| self.channels(unit)).collect();
+        self.spectra.error(&channels, ridge)
+    }
+
+    /// The three of a candidate.
+    fn channels(&self, unit: usize) -> Range<usize> {
+        let at = 3 * self.units.iter().position(|&u| u == unit).expect("a candidate");
+        at..at + 3
     }
 
     /// Sets and their errors, best first; equal ones as they came.
-    fn rated(&self, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<(Vec<usize>, f64)> {
+    fn rated(&self, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<Rated> {
         let of = |set: Vec<usize>| {
             let error = self.error(&set, ridge);
             (set, error)
@@ -108,28 +122,12 @@ impl<'a> Scores<'a> {
 
     /// The λ of least error for these units, by decades from `start`.
     fn ridge(&self, units: &[usize], start: f64) -> f64 {
-        let mut best = (start, self.error(units, start));
-        for factor in [10.0, 0.1] {
-            let mut ridge = best.0 * factor;
-            while RIDGES.contains(&ridge) {
-                let error = self.error(units, ridge);
-                if error < best.1 {
-                    best = (ridge, error);
-                } else if best.1.is_finite() {
-                    break;
-                }
-                ridge *= factor;
-            }
-        }
-        best.0
+        downhill_ridge(start, RIDGES, |ridge| self.solved(units, ridge)).unwrap_or(start)
     }
 
     /// Units of `from` that are far enough from the chosen ones, and none of them.
     fn beside(&self, from: &[usize], chosen: &[usize], spacing: f64) -> Vec<usize> {
-        let far = |a: usize, b: usize| {
-            let [p, q] = [a, b].map(|unit| self.layout.centres[unit]);
-            a != b && (p[0] - q[0]).hypot(p[1] - q[1]) >= spacing * (1.0 - 1e-9)
-        };
+        let far = |a: usize, b: usize| a != b && self.layout.apart(a, b, spacing);
         from.iter().copied().filter(|&unit| chosen.iter().all(|&other| far(unit, other))).collect()
     }
 
@@ -151,43 +149,56 @@ impl<'a> Scores<'a> {
     /// # Errors
     /// If there is no such placement.
     pub fn search(&self, search: &Search) -> Result<Placed, Nowhere> {
-        let &Search { method, ref candidates, sensors, turn, spacing } = search;
-        let alone = self.worth(&[], candidates, spacing, FIRST_RIDGE);
+        let &Search { method, ref candidates, turn, .. } = search;
+        let alone = self.worth(&[], candidates, search.spacing, FIRST_RIDGE);
         let first = alone.get(turn).ok_or(Nowhere)?.0;
-        let mut ridge = self.ridge(&[first], FIRST_RIDGE);
+        let ridge = self.ridge(&[first], FIRST_RIDGE);
         // the unit of a later turn stays; of the first one all may give way
         let kept = usize::from(turn > 0);
-        let mut chosen = match method {
-            Method::Pivots => self.pivots(search)?,
-            Method::Greedy => vec![first],
-        };
-        let mut runner_up = None;
-        while method == Method::Greedy && chosen.len() < sensors {
-            let next = self.worth(&chosen, candidates, spacing, ridge);
-            chosen.push(next.first().ok_or(Nowhere)?.0);
-            ridge = self.ridge(&chosen, ridge);
-        }
-        if method == Method::Greedy {
-            loop {
-                let rated = self.rated(self.neighbours(&chosen, kept, search), ridge);
-                let own = self.error(&chosen, ridge);
-                match rated.into_iter().next() {
-                    Some((set, error)) if error < own => {
-                        chosen = set;
-                        ridge = self.ridge(&chosen, ridge);
-                    }
-                    other => {
-                        runner_up = other;
-                        break;
-                    }
-                }
+        let (chosen, runner_up, ridge) = match method {
+            Method::Pivots => (self.pivots(search)?, None, ridge),
+            Method::Greedy => {
+                let (chosen, ridge) = self.grown(first, ridge, search)?;
+                self.exchanged(chosen, kept, ridge, search)
             }
-        }
+        };
         let units = self.by_worth(chosen, kept, ridge);
         let errors: Vec<f64> = (1..=units.len()).map(|m| self.error(&units[..m], ridge)).collect();
         match errors.last() {
             Some(error) if error.is_finite() => Ok(Placed { units, errors, runner_up, ridge }),
             _ => Err(Nowhere),
+        }
+    }
+
+    /// From the first unit on, each time the one that lowers the error most, and λ after it.
+    fn grown(&self, first: usize, mut ridge: f64, search: &Search) -> Result<(Vec<usize>, f64), Nowhere> {
+        let mut chosen = vec![first];
+        while chosen.len() < search.sensors {
+            let next = self.worth(&chosen, &search.candidates, search.spacing, ridge);
+            chosen.push(next.first().ok_or(Nowhere)?.0);
+            ridge = self.ridge(&chosen, ridge);
+        }
+        Ok((chosen, ridge))
+    }
+
+    /// Neighbours for as long as one is better; the best that is not, with its error, and λ.
+    fn exchanged(
+        &self,
+        mut chosen: Vec<usize>,
+        kept: usize,
+        mut ridge: f64,
+        search: &Search,
+    ) -> (Vec<usize>, Option<Rated>, f64) {
+        loop {
+            let best = self.rated(self.neighbours(&chosen, kept, search), ridge).into_iter().next();
+            let own = self.error(&chosen, ridge);
+            match best {
+                Some((set, error)) if error < own => {
+                    ridge = self.ridge(&set, ridge);
+                    chosen = set;
+                }
+                other => return (chosen, other, ridge),
+            }
         }
     }
 
@@ -227,16 +238,12 @@ impl<'a> Scores<'a> {
         let mut left = self.spectra.covariance();
         let mut chosen = Vec::new();
         for turn in 0..search.sensors {
-            let most = |unit: usize| -> f64 {
-                let at = 3 * self.units.iter().position(|u| *u == unit).unwrap_or_default();
-                (at..at + 3).map(|c| left[c * n + c]).sum()
-            };
+            let most = |unit: usize| -> f64 { self.channels(unit).map(|c| left[c * n + c]).sum() };
             let mut open = self.beside(&search.candidates, &chosen, search.spacing);
             open.sort_by(|a, b| most(*b).total_cmp(&most(*a)));
             let unit = *open.get(if turn == 0 { search.turn } else { 0 }).ok_or(Nowhere)?;
             chosen.push(unit);
-            let at = 3 * self.units.iter().position(|u| *u == unit).unwrap_or_default();
-            for c in at..at + 3 {
+            for c in self.channels(unit) {
                 let pivot = left[c * n + c];
                 if pivot > 0.0 {
                     let column = left[c * n..(c + 1) * n].to_vec();

@@ -6,12 +6,10 @@
 //! Of samples padded to 2T, so that a weight a frequency is a weight a lag (Parseval); frequencies beyond those that hold
 //! all but 10⁻⁴ of the forces count as unread. An error is that of folds: each sample read by weights of the others.
 
-use crate::brain::linear::Sizes;
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
+use crate::brain::linear::{Sizes, factor, matrix, matrix_mut};
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
-use faer::{Accum, MatMut, MatRef, Par, Spec};
+use faer::{Accum, Par};
 
 /// The part of the forces' power that no frequency above the last one looked at may exceed.
 const UNREAD: f64 = 1e-4;
@@ -98,8 +96,7 @@ impl Spectra {
     /// small for a factor.
     pub(super) fn error(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
         let (channels, outputs, n) = (self.sizes.channels, self.sizes.outputs, 2 * chosen.len());
-        let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default()));
-        let (mut matrix, mut own, mut right) = (vec![0.0; n * n], vec![0.0; n * n], vec![0.0; n * outputs]);
+        let (mut lower, mut own, mut right) = (vec![0.0; n * n], vec![0.0; n * n], vec![0.0; n * outputs]);
         let mut judged = vec![0.0; n * outputs];
         let mut error = self.left_out;
         for (grams, share) in self.grams.chunks_exact(self.folds + 1).zip(&self.shares) {
@@ -107,17 +104,15 @@ impl Spectra {
             for (part, power) in parts.iter().zip(&self.power) {
                 let scale = (self.power[self.folds] - power).recip();
                 part.cut(chosen, channels, &mut own);
-                all.cut(chosen, channels, &mut matrix);
-                matrix.iter_mut().zip(&own).for_each(|(m, own)| *m = scale * (*m - own));
-                matrix.iter_mut().step_by(n + 1).for_each(|d| *d += ridge);
+                all.cut(chosen, channels, &mut lower);
+                lower.iter_mut().zip(&own).for_each(|(m, own)| *m = scale * (*m - own));
+                lower.iter_mut().step_by(n + 1).for_each(|d| *d += ridge);
                 part.cut_right(chosen, channels, &mut judged);
                 all.cut_right(chosen, channels, &mut right);
                 right.iter_mut().zip(&judged).for_each(|(r, judged)| *r = scale * (*r - judged));
-                let lower = MatMut::from_column_major_slice_mut(&mut matrix, n, n);
-                let stack = MemStack::new(&mut memory);
-                cholesky_in_place(lower, Default::default(), Par::Seq, stack, Spec::default()).ok()?;
-                let lower = MatRef::from_column_major_slice(&matrix, n, n);
-                let mut weights = MatMut::from_column_major_slice_mut(&mut right, n, outputs);
+                factor(&mut lower, n).ok()?;
+                let mut weights = matrix_mut(&mut right, n, outputs);
+                let lower = matrix(&lower, n, n);
                 solve_lower_triangular_in_place(lower, weights.as_mut(), Par::Seq);
                 solve_upper_triangular_in_place(lower.transpose(), weights, Par::Seq);
                 error += share * (part.f + quadratic(&own, &right, &judged));
@@ -155,10 +150,10 @@ impl Gram {
             let mut sum = vec![0.0; channels * columns];
             for (left, right, sign) in terms {
                 matmul(
-                    MatMut::from_column_major_slice_mut(&mut sum, channels, columns),
+                    matrix_mut(&mut sum, channels, columns),
                     Accum::Add,
-                    MatRef::from_column_major_slice(left, channels, samples),
-                    MatRef::from_column_major_slice(right, columns, samples).transpose(),
+                    matrix(left, channels, samples),
+                    matrix(right, columns, samples).transpose(),
                     sign,
                     Par::Seq,
                 );
@@ -221,10 +216,10 @@ fn transform(values: &[f64], instants: usize, width: usize, bins: usize) -> [Vec
         let mut out = vec![0.0; values.len() / instants * bins];
         for (sample, out) in values.chunks_exact(instants * width).zip(out.chunks_exact_mut(bins * width)) {
             matmul(
-                MatMut::from_column_major_slice_mut(out, width, bins),
+                matrix_mut(out, width, bins),
                 Accum::Replace,
-                MatRef::from_column_major_slice(sample, width, instants),
-                MatRef::from_column_major_slice(&waves, instants, bins),
+                matrix(sample, width, instants),
+                matrix(&waves, instants, bins),
                 1.0,
                 Par::Seq,
             );

@@ -12,7 +12,8 @@ mod moments;
 mod solve;
 
 pub use moments::Moments;
-pub use solve::{Fit, Order, Singular};
+pub(crate) use solve::factor;
+pub use solve::{Fit, Order, Singular, downhill_ridge};
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
@@ -97,12 +98,12 @@ pub struct Linear {
 }
 
 /// A column-major (rows, columns) view.
-fn matrix(values: &[f64], rows: usize, columns: usize) -> MatRef<'_, f64> {
+pub(crate) fn matrix(values: &[f64], rows: usize, columns: usize) -> MatRef<'_, f64> {
     MatRef::from_column_major_slice(values, rows, columns)
 }
 
 /// As `matrix`, to be written.
-fn matrix_mut(values: &mut [f64], rows: usize, columns: usize) -> MatMut<'_, f64> {
+pub(crate) fn matrix_mut(values: &mut [f64], rows: usize, columns: usize) -> MatMut<'_, f64> {
     MatMut::from_column_major_slice_mut(values, rows, columns)
 }
 

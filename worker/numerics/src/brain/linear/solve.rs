@@ -10,7 +10,7 @@ use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_s
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
 use faer::{Accum, Par, Spec};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 /// The normal matrix is not positive definite to rounding: the ridge is too small for these signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,16 +76,7 @@ impl Fit {
         for (u, d) in lower.iter_mut().step_by(unknowns + 1).enumerate() {
             *d += ridge * groups[u / channels].len() as f64;
         }
-        let mut memory =
-            MemBuffer::new(cholesky_in_place_scratch::<f64>(unknowns, Par::Seq, Spec::default()));
-        cholesky_in_place(
-            matrix_mut(&mut lower, unknowns, unknowns),
-            Default::default(),
-            Par::Seq,
-            MemStack::new(&mut memory),
-            Spec::default(),
-        )
-        .map_err(|_| Singular)?;
+        factor(&mut lower, unknowns)?;
         let outputs = sizes.outputs;
         solve_lower_triangular_in_place(
             matrix(&lower, unknowns, unknowns),
@@ -194,4 +185,41 @@ impl Linear {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Overwrites a symmetric matrix (n, n), of which the lower triangle counts, with its Cholesky factor.
+///
+/// # Errors
+/// If it is not positive definite.
+pub(crate) fn factor(lower: &mut [f64], n: usize) -> Result<(), Singular> {
+    let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default()));
+    let stack = MemStack::new(&mut memory);
+    let found =
+        cholesky_in_place(matrix_mut(lower, n, n), Default::default(), Par::Seq, stack, Spec::default());
+    found.map(|_| ()).map_err(|_| Singular)
+}
+
+/// The λ of least `error`, decade by decade downhill from `start`, within `ridges`; none where none has an error.
+pub fn downhill_ridge(
+    start: f64,
+    ridges: RangeInclusive<f64>,
+    mut error: impl FnMut(f64) -> Option<f64>,
+) -> Option<f64> {
+    let mut best = error(start).map(|found| (start, found));
+    for factor in [0.1, 10.0] {
+        let mut ridge = start * factor;
+        while ridges.contains(&ridge) {
+            match error(ridge) {
+                Some(found) if best.is_none_or(|best| found < best.1) => best = Some((ridge, found)),
+                // too small to be solved with: smaller ones are no better, greater ones may be
+                None if best.is_none() && factor > 1.0 => {}
+                _ => break,
+            }
+            ridge *= factor;
+        }
+        if best.is_some_and(|best| best.0 != start) {
+            break;
+        }
+    }
+    best.map(|best| best.0)
 }

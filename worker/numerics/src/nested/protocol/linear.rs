@@ -1,11 +1,11 @@
 //! The protocols with a linear brain: its inner problem is solved exactly, so that no step takes up where another ended.
 
-use super::super::linear::{Plain, downhill_ridge, fit};
+use super::super::linear::{Plain, RIDGES, fit};
 use super::super::problem::{Going, Terms};
 use super::super::report::{Log, Trouble};
 use super::super::state::State;
 use super::{Sensed, Session};
-use crate::brain::linear::{Linear, Moments};
+use crate::brain::linear::{Linear, Moments, downhill_ridge};
 use crate::dynamics::{Forces, Simulation};
 use std::collections::VecDeque;
 
@@ -152,7 +152,7 @@ impl Session<'_> {
                     newest.error(&linear.predict(&newest.x))
                 };
                 if setting.problem.decoder.ridge == super::super::Ridge::Auto {
-                    state.ridge = downhill_ridge(last, error).or(state.ridge);
+                    state.ridge = downhill_ridge(last, RIDGES, error).or(state.ridge);
                 }
             }
             Some(_) => {}
