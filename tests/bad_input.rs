@@ -118,6 +118,53 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     ("[sweep]", "[run]\nworkers = 0\n[sweep]", "s.toml:14: run.workers = 0: "),
     ("panels = [2]", "panels = [7]", "s.toml:14: sweep.panels = 7: "),
+    ("panels = [2]", "", "s.toml:13: sweep.panels: needs at least one value"),
+    (
+        "panels = [2]",
+        "panels = [2]\npoints = [{ \"body.columns\" = 6 }, { \"body.columns\" = 7.5 }]",
+        "s.toml:15: body.columns = 7.5: must be a whole number from 0 up",
+    ),
+    (
+        "panels = [2]",
+        "points = [\n  { panels = 2 },\n  { panels = 7 },\n]",
+        "s.toml:16: sweep.panels = 7: the top row of 6 units has no place for as many panels",
+    ),
+    (
+        "panels = [2]",
+        "points = [\n  { panels = 2 },\n  { \"body.columns\" = 7 },\n]",
+        "s.toml:14: sweep.points = [ { panels = 2 }, { \"body.columns\" = 7 }, ]: every point must have panels, or none",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\n\"body.columns\" = [6, 7]\npoints = [{ \"body.rows\" = 6, \"body.columns\" = 8 }]",
+        "s.toml:16: sweep.points.\"body.columns\" = 8: stands in a list of [sweep], too",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\npoints = [{ panels = 4 }]",
+        "s.toml:15: sweep.points.panels = 4: stands in a list of [sweep], too",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\n[[sweep.points]]\n\"body.colums\" = 8\n[sweep.unread]",
+        "s.toml:16: sweep.points.\"body.colums\" = 8: unknown key; the nearest known one is \"body.columns\"",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\npoints = [{ seed = 8 }]",
+        "s.toml:15: sweep.points.seed = 8: unknown key; the nearest known one is \"sweep.seeds\"",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\npoints = [{ \"body.columns\" = 8 }, { \"body.columns\" = 8 }]",
+        "s.toml:15: sweep.points = {\"body.columns\": Number(8)}: is named twice",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\npoints = [{ \"body.columns\" = 8 }]\nexclude = [{ \"body.rows\" = 8 }]",
+        "s.toml:16: sweep.exclude = 8: unknown key \"body.rows\"; those known here are panels, sensors, placement, seed, \
+         body.columns",
+    ),
     ("panels = [2]", "panels = [0]", "s.toml:14: sweep.panels = 0: "),
     ("panels = [2]", "panels = []", "s.toml:14: sweep.panels = []: needs at least one value"),
     ("panels = [2]", "panels = [2, 2]", "s.toml:14: sweep.panels = 2: is named twice"),

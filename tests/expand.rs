@@ -55,6 +55,72 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     );
 }
 
+/// Points are multiplied with the lists, points slowest; what says the same by lists has the same trials.
+#[test]
+fn linked_values_multiply_with_the_lists() {
+    let bench = Bench::new();
+    let rows = |sweep: &str| -> Vec<String> {
+        bench.file("s.toml", &SPEC.replace("panels = [2]\nsensors = [1, 2]\n", sweep));
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        csv.lines().skip(1).map(str::to_owned).collect()
+    };
+    let shown = |rows: &[String]| -> Vec<String> {
+        let pick = |row: &String| {
+            let cells: Vec<&str> = row.split(',').collect();
+            [1, 2, 5, 11].map(|i| cells[i]).join(" ")
+        };
+        rows.iter().map(pick).collect()
+    };
+    let linked = rows(
+        "sensors = [1, 2]\npoints = [{ panels = 2, \"body.columns\" = 6 }, { panels = 4, \"body.columns\" = 8 }]\n",
+    );
+    assert_eq!(shown(&linked), ["2 1 36 6", "2 2 36 6", "4 1 48 8", "4 2 48 8"]);
+    let excluded = "sensors = [1, 2]\npanels = [2, 4]\n\"body.columns\" = [6, 8]\n\
+                    exclude = [{ panels = 2, \"body.columns\" = 8 }, { panels = 4, \"body.columns\" = 6 }]\n";
+    assert_eq!(rows(excluded), linked);
+    // a point that leaves a key out has the spec's own value, and an entry of exclude that names it does not mean it
+    let some = rows(
+        "panels = [2]\nsensors = [1]\n\"brain.iterations\" = [10, 20]\n\
+         points = [{}, { \"body.columns\" = 8 }]\nexclude = [{ \"body.columns\" = 8, \"brain.iterations\" = 20 }]\n",
+    );
+    assert_eq!(shown(&some), ["2 1 36 6", "2 1 36 6", "2 1 48 8"]);
+}
+
+/// The hashes of every committed spec's trials, whatever the spec gains: they name trials in databases that exist.
+#[test]
+fn committed_specs_keep_their_hashes() {
+    let bench = Bench::new();
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/sweeps");
+    let mut digests = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+        let csv = bench.output(&["expand", entry.to_str().unwrap(), "--format", "csv"]);
+        let hashes: String = csv.lines().skip(1).map(|line| format!("{}\n", &line[..32])).collect();
+        let name = entry.file_stem().unwrap().to_str().unwrap();
+        digests.push(format!("{name} {}", &blake3::hash(hashes.as_bytes()).to_hex()[..16]));
+    }
+    digests.sort();
+    insta::assert_snapshot!(digests.join("\n"), @r"
+    brains-two-core 954804d56823f225
+    fig2 e582672de812b89c
+    fig2-linear d6b6a3f760e8dca8
+    fig2-two-core f2555594714306fb
+    fig3 bf037e6c8d375f84
+    fig3-two-core 2c4c1a90a26a1e1f
+    fig4b 688de3edf8cea134
+    fig4b-linear 02bbf75fb7dfcc2f
+    fig4b-two-core f4fb8128c06f91f4
+    fig4c cdb6e7edaff7021e
+    fig4c-linear 5fa3b04b28e4246e
+    fig4c-two-core e225fb8a1fb52555
+    fig5 7a693ec06e75fedd
+    fig5-two-core 47a219660b0182c6
+    placed-two-core 50e5d8b49b04bb0d
+    quickstart c5fc1d861fdbe216
+    random-two-core 2f5dde1678f3c2fa
+    reference bb7bbd223572a489
+    ");
+}
+
 /// Every spec that is committed, and with it every figure's, stands for trials that can be had.
 #[test]
 fn every_committed_spec_expands() {

@@ -106,8 +106,14 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     if spec.name.is_empty() || spec.name.starts_with('.') || !spec.name.chars().all(harmless) {
         return Err(source.error("name", "must be letters, digits, '-', '_' and '.': it names the database"));
     }
-    distinct(&sweep.panels, "sweep.panels", source)?;
-    distinct(&sweep.sensors, "sweep.sensors", source)?;
+    for (list, key) in [(&sweep.panels, "sweep.panels"), (&sweep.sensors, "sweep.sensors")] {
+        if !list.is_empty() || sweep.points.is_empty() {
+            distinct(list, key, source)?;
+        }
+    }
+    if !sweep.points.is_empty() {
+        distinct(&sweep.points, "sweep.points", source)?;
+    }
     distinct(&sweep.seeds, "sweep.seeds", source)?;
     for (path, values) in &sweep.axes {
         distinct(values, path, source)?;
@@ -134,8 +140,8 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         distinct(lists, "sensors.placements", source)?;
     }
     let others = sweep.axes.values().map(Vec::len);
-    let mut lists =
-        others.chain([sweep.panels.len(), sweep.sensors.len(), sweep.seeds.len(), sweep.placements]);
+    let own = [sweep.panels.len(), sweep.sensors.len(), sweep.points.len()].map(|n| n.max(1));
+    let mut lists = others.chain(own).chain([sweep.seeds.len(), sweep.placements]);
     match lists.try_fold(1usize, usize::checked_mul) {
         Some(n) if n <= MOST_TRIALS => Ok(()),
         n => {
@@ -220,9 +226,9 @@ fn add_points(
     let searched = spec.sensors.search.is_some_and(|search| search != Search::Random);
     let seeded: Vec<Vec<usize>> =
         (0..sweep.sweep.placements).map(|p| layout.placement(p as u64, &clamped)).collect();
-    for &panels in &sweep.sweep.panels {
+    for &panels in &spec.sweep.panels {
         let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
-        for &sensors in &sweep.sweep.sensors {
+        for &sensors in &spec.sweep.sensors {
             let excluded = combination.exclusions(panels, sensors);
             if excluded.iter().any(axes::Exclusion::is_total) {
                 continue;
@@ -351,8 +357,12 @@ impl OneBody {
         let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
         let mut combinations = axes::combinations(&sweep, &source)?;
         let first = combinations.swap_remove(0).spec;
-        let other = |spec: &SweepSpec| spec.body != first.body || spec.feasible != first.feasible;
-        let panels_count = first.feasible.keep_panels && sweep.sweep.panels.len() > 1;
+        let keeps_panels = first.feasible.keep_panels;
+        let other = |spec: &SweepSpec| {
+            let panels = keeps_panels && spec.sweep.panels != first.sweep.panels;
+            spec.body != first.body || spec.feasible != first.feasible || panels
+        };
+        let panels_count = keeps_panels && first.sweep.panels.len() > 1;
         if panels_count || combinations.iter().any(|c| other(&c.spec)) {
             return Ok(None);
         }

@@ -95,7 +95,14 @@ impl Source {
 
     fn check_key(&self, place: &Place, known: &KnownKeys) -> Result<(), SpecError> {
         let key = place.key.as_str();
-        if let Some(axis) = key.strip_prefix("sweep.").filter(|_| !known.contains(key)) {
+        if let Some(linked) = key.strip_prefix(POINTS) {
+            let linked = linked.trim_matches('"');
+            if !known.is_axis(linked) && !COUNTS.contains(&linked) {
+                return Err(
+                    self.at(place, format!("{key} = {}: {}", self.value(place), no_axis(linked, known)))
+                );
+            }
+        } else if let Some(axis) = key.strip_prefix("sweep.").filter(|_| !known.contains(key)) {
             let axis = axis.trim_matches('"');
             if place.is_table && known.contains(axis) {
                 let what = format!(
@@ -146,8 +153,8 @@ impl Source {
         }
     }
 
-    /// An error at a key: at the axis that sets it where there is one, else at the key, else at the table that would
-    /// hold it.
+    /// An error at a key: at the axis or the point that sets it where there is one, else at the key, else at the table that
+    /// would hold it.
     #[must_use]
     pub fn error(&self, key: &str, remedy: &str) -> SpecError {
         self.error_with(key, None, remedy)
@@ -159,7 +166,7 @@ impl Source {
     pub fn error_with(&self, key: &str, value: Option<&str>, remedy: &str) -> SpecError {
         let axis = format!("sweep.\"{key}\"");
         let exact = |wanted: &str| self.places.iter().find(|p| p.key == wanted);
-        let stated = exact(&axis).or_else(|| exact(key));
+        let stated = exact(&axis).or_else(|| self.linked(key, value)).or_else(|| exact(key));
         let mut holder = key;
         let place = stated.or_else(|| {
             while let Some((table, _)) = holder.rsplit_once('.') {
@@ -181,6 +188,16 @@ impl Source {
         SpecError { file: self.file.clone(), line, key: key.to_owned(), what }
     }
 
+    /// The entry of `sweep.points` that gives a key this value, else the first that gives it one.
+    fn linked(&self, key: &str, value: Option<&str>) -> Option<&Place> {
+        let key = key.strip_prefix("sweep.").filter(|key| COUNTS.contains(key)).unwrap_or(key);
+        let named = |p: &&Place| p.key.strip_prefix(POINTS).is_some_and(|k| k.trim_matches('"') == key);
+        let bare = |text: &str| text.split_whitespace().collect::<String>();
+        let same = |p: &&Place| value.is_some_and(|v| bare(&self.text[p.value.clone()]) == bare(v));
+        let places = || self.places.iter().filter(named);
+        places().find(same).or_else(|| places().next())
+    }
+
     fn at(&self, place: &Place, what: String) -> SpecError {
         SpecError { file: self.file.clone(), line: self.line(place.at), key: place.key.clone(), what }
     }
@@ -200,7 +217,11 @@ impl Source {
     }
 }
 
-/// Keys with their paths; one that holds a dot keeps its quotes.
+/// Before the keys of an entry of `sweep.points`, and those of them that are no paths.
+const POINTS: &str = "sweep.points.";
+const COUNTS: [&str; 2] = ["panels", "sensors"];
+
+/// Keys with their paths; one that holds a dot keeps its quotes. Of lists those of `sweep.points` alone.
 fn find_places(table: &DeTable<'_>, prefix: &str, places: &mut Vec<Place>) {
     for (name, value) in table {
         let name_text = name.get_ref();
@@ -211,6 +232,12 @@ fn find_places(table: &DeTable<'_>, prefix: &str, places: &mut Vec<Place>) {
             find_places(inner, &key, places);
         }
         let is_list = matches!(value.get_ref(), DeValue::Array(_));
+        if let DeValue::Array(entries) = value.get_ref()
+            && key == POINTS.trim_end_matches('.')
+        {
+            let tables = entries.iter().filter_map(|entry| entry.get_ref().as_table());
+            tables.for_each(|table| find_places(table, &key, places));
+        }
         let not_finite = if is_table { None } else { not_finite(value.get_ref()) };
         places.push(Place { key, at: name.span().start, value: value.span(), is_table, is_list, not_finite });
     }

@@ -1,5 +1,6 @@
 //! `expand`: the trials that a spec stands for; starts nothing.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use serde_json::{Value, json};
@@ -35,7 +36,10 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         };
         deal.restrict(shard, &mut plan);
     }
-    let axes: Vec<&String> = plan.spec.sweep.axes.keys().collect();
+    let sweep = &plan.spec.sweep;
+    let linked = sweep.points.iter().flat_map(|point| point.keys()).filter(|key| key.contains('.'));
+    let axes: BTreeSet<&String> = sweep.axes.keys().chain(linked).collect();
+    let axes: Vec<&String> = axes.into_iter().collect();
     let named = [
         "hash",
         "panels",

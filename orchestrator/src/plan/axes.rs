@@ -1,4 +1,4 @@
-//! Axes beyond K, M, placement and seed: any key by its path; and the points that are left out.
+//! Axes beyond K, M, placement and seed: any key by its path, in lists or linked in points; and the points that are left out.
 
 use metasense_schemas::source::{KnownKeys, Source, SpecError};
 use metasense_schemas::spec::SweepSpec;
@@ -46,41 +46,80 @@ impl Combination {
     }
 }
 
-/// The product of all axes, the last one (in the order of names) varying fastest.
+/// The product of all points and axes, the last axis (in the order of names) varying fastest, points slowest.
 pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Combination>, SpecError> {
-    let axes: Vec<(&String, &Vec<Value>)> = spec.sweep.axes.iter().collect();
+    let axes: Vec<(&str, &Vec<Value>)> = spec.sweep.axes.iter().map(|(path, v)| (path.as_str(), v)).collect();
+    check_points(spec, source)?;
     check_excludes(spec, source)?;
-    if axes.is_empty() {
+    let none = [Map::new()];
+    let points = if spec.sweep.points.is_empty() { &none[..] } else { &spec.sweep.points };
+    if axes.is_empty() && spec.sweep.points.is_empty() {
         return Ok(vec![Combination { spec: spec.clone(), excludes: spec.sweep.exclude.clone() }]);
     }
     let mut base = spec.clone();
     base.sweep.exclude.clear();
     base.sweep.axes.clear();
+    base.sweep.points.clear();
     let base = serde_json::to_value(&base).expect("a spec is JSON");
-    for (path, values) in &axes {
-        for value in *values {
-            let mut one = base.clone();
-            set(&mut one, path, value);
-            serde_json::from_value::<SweepSpec>(one).map_err(|e| refused(path, value, &e, source))?;
-        }
+    let linked = points.iter().flatten().map(|(key, value)| (key.as_str(), value));
+    for (key, value) in axes.iter().flat_map(|(path, values)| values.iter().map(|v| (*path, v))).chain(linked)
+    {
+        let mut one = base.clone();
+        set(&mut one, key, value);
+        serde_json::from_value::<SweepSpec>(one).map_err(|e| refused(key, value, &e, source))?;
     }
-    let count = axes.iter().map(|(_, values)| values.len()).product();
-    let mut combinations = Vec::with_capacity(count);
-    for index in 0..count {
+    let count: usize = axes.iter().map(|(_, values)| values.len()).product();
+    let mut combinations = Vec::with_capacity(points.len() * count);
+    for (linked, index) in points.iter().flat_map(|linked| (0..count).map(move |index| (linked, index))) {
         let mut point = base.clone();
         let mut rest = index;
-        let mut chosen: Vec<(&str, &Value)> = Vec::with_capacity(axes.len());
+        let mut chosen: Vec<(&str, &Value)> =
+            linked.iter().map(|(key, value)| (key.as_str(), value)).collect();
         for (path, values) in axes.iter().rev() {
-            let value = &values[rest % values.len()];
+            chosen.push((path, &values[rest % values.len()]));
             rest /= values.len();
-            set(&mut point, path, value);
-            chosen.push((path, value));
         }
+        chosen.iter().for_each(|(key, value)| set(&mut point, key, value));
         let excludes = spec.sweep.exclude.iter().filter_map(|entry| without_axes(entry, &chosen)).collect();
         let spec = serde_json::from_value(point).map_err(|e| source.error("sweep", &e.to_string()))?;
         combinations.push(Combination { spec, excludes });
     }
     Ok(combinations)
+}
+
+/// Each key of a point stands there alone, and K and M, which have no value of their own, in every point or in none.
+fn check_points(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
+    let sweep = &spec.sweep;
+    for (key, value) in sweep.points.iter().flatten() {
+        let listed = match key.as_str() {
+            "panels" => !sweep.panels.is_empty(),
+            "sensors" => !sweep.sensors.is_empty(),
+            path => sweep.axes.contains_key(path),
+        };
+        if listed {
+            let (key, remedy) = (format!("sweep.points.{}", quoted(key)), "stands in a list of [sweep], too");
+            return Err(source.error_with(&key, Some(&value.to_string()), remedy));
+        }
+        if !key.contains('.') && value.as_u64().is_none_or(|n| n == 0) {
+            let key = format!("sweep.points.{key}");
+            return Err(source.error_with(&key, Some(&value.to_string()), "must be a number from 1 up"));
+        }
+    }
+    for (key, list) in [("panels", &sweep.panels), ("sensors", &sweep.sensors)] {
+        let linked = sweep.points.iter().filter(|point| point.contains_key(key)).count();
+        if list.is_empty() && linked < sweep.points.len().max(1) {
+            return Err(match linked {
+                0 => source.error(&format!("sweep.{key}"), "needs at least one value"),
+                _ => source.error("sweep.points", &format!("every point must have {key}, or none")),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// A key as a spec has it.
+fn quoted(key: &str) -> String {
+    if key.contains('.') { format!("\"{key}\"") } else { key.to_owned() }
 }
 
 /// A value that its key cannot have; within a table, only serde knows where.
@@ -92,17 +131,18 @@ fn refused(path: &str, value: &Value, e: &serde_json::Error, source: &Source) ->
     source.error_with(path, Some(&value.to_string()), &message)
 }
 
-/// The entry without its axes, or `None` where one of them disagrees.
+/// The entry without its axes, or `None` where one of them disagrees, or is a point's that is not chosen.
 fn without_axes(entry: &Map<String, Value>, chosen: &[(&str, &Value)]) -> Option<Map<String, Value>> {
     let mut rest = entry.clone();
     for (path, value) in chosen {
-        if let Some(wanted) = rest.remove(*path)
+        if path.contains('.')
+            && let Some(wanted) = rest.remove(*path)
             && !same(&wanted, value)
         {
             return None;
         }
     }
-    Some(rest)
+    rest.keys().all(|key| !key.contains('.')).then_some(rest)
 }
 
 /// Equal, numbers by their value.
@@ -115,7 +155,9 @@ fn same(a: &Value, b: &Value) -> bool {
 
 fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     let mut known = vec!["panels", "sensors", "placement", "seed"];
-    known.extend(spec.sweep.axes.keys().map(String::as_str));
+    known.extend(
+        spec.sweep.axes.keys().chain(spec.sweep.points.iter().flat_map(Map::keys)).map(String::as_str),
+    );
     for entry in &spec.sweep.exclude {
         if entry.is_empty() {
             return Err(source.error_with(
@@ -143,8 +185,12 @@ fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     Ok(())
 }
 
-/// Sets a key by its path; tables on the way that are left out come into being.
+/// Sets a key by its path, K or M; tables on the way that are left out come into being.
 fn set(spec: &mut Value, path: &str, value: &Value) {
+    if !path.contains('.') {
+        spec["sweep"][path] = Value::Array(vec![value.clone()]);
+        return;
+    }
     let mut here = spec;
     for part in path.split('.') {
         if !here.is_object() {

@@ -67,9 +67,11 @@ pub struct SweepSpec {
 /// The axes of the sweep; lists multiply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Sweep {
-    /// K: numbers of input panels.
+    /// K: numbers of input panels; left out where `points` say it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<usize>,
-    /// M: numbers of sensors.
+    /// M: numbers of sensors; likewise.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<usize>,
     /// How many seeded placements.
     #[serde(default = "one_placement")]
@@ -77,6 +79,10 @@ pub struct Sweep {
     /// Seeds of stimuli, split and networks.
     #[serde(default = "one_seed")]
     pub seeds: Vec<u64>,
+    /// Values that belong together, multiplied with the lists: keys by their paths, `panels`, `sensors`. A key that an entry
+    /// leaves out is as the spec has it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub points: Vec<serde_json::Map<String, serde_json::Value>>,
     /// Points left out: those that agree with every key of an entry.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub exclude: Vec<serde_json::Map<String, serde_json::Value>>,

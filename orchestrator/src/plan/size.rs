@@ -1,0 +1,56 @@
+//! A body of a given size: the same sheet, cut into more units or fewer.
+//!
+//! ```text
+//! s = diameter / (columns · spacing)      lengths × s      k_θ, k_c × s²      Adam's rate on α × s
+//! ```
+//! A ligament of width w and length l in a sheet of thickness t has k_l ~ E t w/l and k_s ~ E t (w/l)³, which similar ones
+//! share, and k_θ ~ E t w³/l. So the disc keeps its mass and what it opposes to being deformed, and its units alone
+//! become smaller.
+
+use metasense_schemas::spec::{LayoutKind, SweepSpec};
+use metasense_worker::problem::Invalid;
+
+/// The spec with the lengths that `body.diameter` or `body.width` asks for, and s.
+///
+/// # Errors
+/// Where it is no length, or the other layout's.
+pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
+    let mut spec = spec.clone();
+    let body = &mut spec.body;
+    let (own, other, remedy) = match body.layout {
+        LayoutKind::Circular => (
+            ("body.diameter", body.diameter.take()),
+            ("body.width", body.width.take()),
+            "is a planar body's; a circular one has body.diameter",
+        ),
+        LayoutKind::Planar => (
+            ("body.width", body.width.take()),
+            ("body.diameter", body.diameter.take()),
+            "is a circular body's; a planar one has body.width",
+        ),
+    };
+    let invalid = |(key, value): (&str, Option<f64>), remedy: &str| Invalid {
+        key: key.into(),
+        value: value.unwrap_or_default().to_string(),
+        remedy: remedy.into(),
+    };
+    if other.1.is_some() {
+        return Err(invalid(other, remedy));
+    }
+    let Some(size) = own.1 else { return Ok((spec, 1.0)) };
+    if !(size > 0.0 && size.is_finite()) {
+        return Err(invalid(own, "must be a number above 0"));
+    }
+    let scale = size / (body.columns as f64 * body.spacing);
+    body.spacing *= scale;
+    body.ligament_length *= scale;
+    body.stiffness.bend *= scale * scale;
+    if let Some(contact) = &mut body.contact {
+        contact.stiffness *= scale * scale;
+    }
+    let limits = &mut spec.feasible;
+    for length in [&mut limits.min_edge, &mut limits.clearance, &mut limits.ligament_clearance] {
+        *length *= scale;
+    }
+    Ok((spec, scale))
+}
