@@ -130,18 +130,18 @@ fn a_stop_while_a_large_sweep_is_recorded_ends_in_order() {
     }
 }
 
-/// Reasons have names, and follow from what happened.
+/// Reasons have names, and follow from what happened; beside them stands what was said.
 #[test]
 fn what_ends_an_attempt_stands_in_the_database_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let cases = [
-        ("hang", "--fault hang --no-progress-ms 150 --retries 1", "no_progress", 2),
-        ("slow", "--steps 100 --step-ms 50 --time-limit-ms 300", "time_limit", 1),
-        ("die", "--fault die --retries 2", "worker_killed(6)", 3),
-        ("reject", "--fault reject", "rejected", 1),
-        ("nan", "--fault non-finite", "non_finite", 1),
+        ("hang", "--fault hang --no-progress-ms 150 --retries 1", "no_progress", 2, ""),
+        ("slow", "--steps 100 --step-ms 50 --time-limit-ms 300", "time_limit", 1, ""),
+        ("die", "--fault die --retries 2", "worker_killed(6)", 3, ": a no-op trial that is to die"),
+        ("reject", "--fault reject", "rejected", 1, ": a no-op trial that is to be refused"),
+        ("nan", "--fault non-finite", "non_finite", 1, ": a no-op trial that is to fail"),
     ];
-    for (name, arguments, reason, attempts) in cases {
+    for (name, arguments, reason, attempts, detail) in cases {
         let db = folder.path().join(format!("{name}.sqlite"));
         let mut run = Run::start(&db, &format!("--trials 1 --workers 1 {arguments}"));
         assert_eq!(run.wait(), Some(1), "{name}: the exit code of failed trials");
@@ -149,6 +149,13 @@ fn what_ends_an_attempt_stands_in_the_database_by_name() {
         assert_eq!(rows(&db, "SELECT reason FROM attempt ORDER BY number"), expected, "{name}");
         assert_eq!(rows(&db, "SELECT state, reason FROM trial"), [format!(r#"["failed","{reason}"]"#)]);
         assert_eq!(run.leftovers(), [""; 0], "{name}");
+        // in words, each attempt's; and what its worker had to say stands before
+        let errors = rows(&db, "SELECT text FROM v_log WHERE level = 'error' ORDER BY attempt");
+        assert_eq!(errors, vec![format!(r#"["{reason}{detail}"]"#); attempts], "{name}");
+        if name == "die" {
+            let lines = rows(&db, "SELECT attempt, line, level FROM v_log ORDER BY attempt, line LIMIT 2");
+            assert_eq!(lines, [r#"[1,1,"warn"]"#, r#"[1,2,"error"]"#]);
+        }
     }
 }
 

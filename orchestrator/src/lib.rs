@@ -13,6 +13,7 @@ pub mod export;
 pub mod fleet;
 pub mod link;
 pub mod plan;
+pub mod provenance;
 pub mod report;
 pub mod scheduler;
 pub mod store;

@@ -10,6 +10,7 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0003.sql"),
     include_str!("../migrations/0004.sql"),
     include_str!("../migrations/0005.sql"),
+    include_str!("../migrations/0006.sql"),
 ];
 
 /// The stable views, and what a row of each is.
@@ -34,7 +35,12 @@ pub const VIEWS: &[(&str, &str)] = &[
     ("v_run", "a call of `run`: which shard, where, what was estimated (s) and what came of it"),
     (
         "v_attempt",
-        "an attempt at a trial, how it ended and why (stopped: by Ctrl-C; the trial goes on), and its seconds by the wall clock",
+        "an attempt at a trial, how it ended and why (stopped: by Ctrl-C; the trial goes on), its seconds by the wall clock, \
+         and by what code and where it was made",
+    ),
+    (
+        "v_log",
+        "a line of what was said of an attempt: what went wrong, in words, and what its worker wrote to standard error",
     ),
     ("v_artifact", "an array of a trial as the bytes of an NPY file: designs, loss curves, weights"),
     ("v_error_time", "best test error so far (%) against CPU seconds spent, step by step"),

@@ -37,7 +37,10 @@ pub fn run(
         Some(Fault::Hang) => loop {
             std::thread::park();
         },
-        Some(Fault::Die) => std::process::abort(),
+        Some(Fault::Die) => {
+            let _ = std::io::Write::write_all(&mut std::io::stderr(), b"a no-op trial that is to die\n");
+            std::process::abort()
+        }
         Some(Fault::NonFinite) => return Err(Failure::NonFinite("a no-op trial that is to fail".into())),
         None => {}
     }

@@ -8,6 +8,7 @@ use super::{Error, Format, print_rows};
 use crate::analysis::compare::Comparison;
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
+use crate::provenance;
 use crate::report::load::finished_trials;
 use crate::store::{Reader, Table};
 
@@ -39,7 +40,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
-    let trials = Reader::asked(&args.db, finished_trials).await?;
+    let (trials, made) = Reader::asked(&args.db, async |reader| {
+        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?))
+    })
+    .await?;
     let mut objects = Map::new();
     for &question in questions {
         let table = question.answer(&trials, args.terms);
@@ -70,6 +74,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     if !objects.is_empty() {
         print_line!("{:#}", Value::Object(objects))?;
+    }
+    if let Some(mixed) = provenance::mixed(&made) {
+        say!("{mixed}");
     }
     if trials.is_empty() {
         say!("no trial of {} is done yet", args.db.display());

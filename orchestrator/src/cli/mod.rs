@@ -27,6 +27,7 @@ mod submit;
 mod trial;
 mod verify;
 mod watch;
+mod why;
 
 use std::error::Error as _;
 use std::path::{Path, PathBuf};
@@ -71,6 +72,7 @@ enum Command {
     Identify(identify::Args),
     Status(status::Args),
     Watch(watch::Args),
+    Why(why::Args),
     Query(query::Args),
     Analyse(analyse::Args),
     Report(report::Args),
@@ -107,6 +109,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Identify(args) => identify::execute(&args),
         Command::Status(args) => block_on(status::execute(args)),
         Command::Watch(args) => block_on(watch::execute(args)),
+        Command::Why(args) => block_on(why::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
         Command::Place(args) => place::execute(&args),

@@ -45,6 +45,9 @@ pub(super) struct Args {
     /// Run trials of the spec again that have failed, from their last step; otherwise they stay as they are
     #[arg(long)]
     retry_failed: bool,
+    /// Make again, from the beginning, what other code than this program's has made of the spec; `status` says what has
+    #[arg(long)]
+    redo_other_code: bool,
     /// Only the trials of shard I of N: dealt out by their estimates, as the folder of --copy-to has it, else as the spec
     /// has it now
     #[arg(long, value_name = "I/N")]
@@ -139,7 +142,11 @@ async fn run(
 ) -> Result<Outcome, Error> {
     let mut store = Store::open(db).await?;
     // What was given up as hopeless is not, where nobody asks for that any more.
-    let again = Again { pruned: plan.spec.run.prune.is_none(), failed: args.retry_failed };
+    let again = Again {
+        pruned: plan.spec.run.prune.is_none(),
+        failed: args.retry_failed,
+        other_code: args.redo_other_code,
+    };
     let sweep = (&plan.spec, &*plan.source.text);
     let Some(open) = engine::begin(&mut store, sweep, &plan.trials, again, signals).await? else {
         store.close().await?;

@@ -9,6 +9,9 @@ use super::{Error, Format, print_rows};
 use crate::cluster::queue;
 use crate::cluster::state::{self, State};
 use crate::exit::Exit;
+use crate::plan::counted;
+use crate::provenance;
+use crate::scheduler::PRUNED;
 use crate::store::{Reader, Table};
 
 /// Shows what is done, running, pending and failed, and why; also while a run goes on
@@ -20,6 +23,9 @@ pub(super) struct Args {
     /// results/*.shards
     #[arg(long)]
     cluster: bool,
+    /// Shows one trial, by its hash or the beginning of it: its attempts, and what was said of them
+    #[arg(long, conflicts_with = "cluster")]
+    hash: Option<String>,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -35,14 +41,79 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Error::Usage("there is no database under results/; name one: metasense status DB".into())
         })?,
     };
-    let (table, failed) = Reader::asked(&db, async |reader| {
-        let failed = "SELECT count(*) FROM trial WHERE state = 'failed' AND reason <> 'pruned'";
-        Ok::<_, Error>((reader.query(STATES).await?, reader.query(failed).await?))
+    if let Some(hash) = &args.hash {
+        return one(&db, hash, args.format).await;
+    }
+    let (table, failed, made) = Reader::asked(&db, async |reader| {
+        Ok::<_, Error>((reader.query(STATES).await?, reader.query(FAILED).await?, reader.made().await?))
     })
     .await?;
     say!("{}", db.display());
     print_rows(&table, args.format)?;
-    Ok(if failed.rows[0][0] == 0 { Exit::Done } else { Exit::Failed })
+    for row in failed.rows.iter().take(MOST_FAILURES) {
+        let [reason, text, hash] = [0, 1, 2].map(|i| row[i].as_str().unwrap_or_default());
+        let what = if text.is_empty() { reason } else { text };
+        let count = counted(row[3].as_u64().unwrap_or_default() as usize, "trial");
+        say!(
+            "failed: {count}: {what} (metasense status {} --hash {})",
+            db.display(),
+            hash.get(..8).unwrap_or(hash)
+        );
+    }
+    if let Some(mixed) = provenance::mixed(&made) {
+        say!("{mixed}");
+    }
+    Ok(if failed.rows.is_empty() { Exit::Done } else { Exit::Failed })
+}
+
+/// A trial's attempts, and what was said of them.
+async fn one(db: &Path, hash: &str, format: Format) -> Result<Exit, Error> {
+    let (said, attempts, log, failed) = Reader::asked(db, async |reader| {
+        let hash = reader.hash_of(hash).await?;
+        let quoted = hash.replace('\'', "''");
+        let state = format!("SELECT state, reason FROM trial WHERE hash = '{quoted}'");
+        let state = reader.query(&state).await?.rows.swap_remove(0);
+        let log = format!(
+            "SELECT attempt, at, level, text FROM v_log WHERE hash = '{quoted}' ORDER BY attempt, line"
+        );
+        let [state, reason] = [0, 1].map(|i| state[i].as_str().unwrap_or_default().to_owned());
+        let said = format!("trial {hash}: {state} {reason}");
+        let (attempts, log) = (attempts(reader, &hash).await?, reader.query(&log).await?);
+        Ok::<_, Error>((said, attempts, log, state == "failed" && reason != PRUNED))
+    })
+    .await?;
+    say!("{}", said.trim_end());
+    attempts.iter().for_each(|line| say!("  {line}"));
+    print_rows(&log, format)?;
+    Ok(if failed { Exit::Failed } else { Exit::Done })
+}
+
+/// The attempts at a trial, in words.
+pub(super) async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error> {
+    let mut lines = Vec::new();
+    let quoted = hash.replace('\'', "''");
+    let sql = format!("SELECT * FROM v_attempt WHERE hash = '{quoted}' ORDER BY attempt");
+    reader
+        .each(&sql, |row| {
+            let text = |column| Some(row.text(column)).filter(|text| !text.is_empty());
+            let words = [
+                text("reason").map(|reason| format!(" ({reason})")),
+                (row.count("redone") > 0).then(|| ", thrown away".to_owned()),
+                Some(format!(", {}", counted(row.count("steps") as usize, "step"))),
+                Some(format!("; code {}", text("code").unwrap_or("unknown"))),
+                text("revision").map(|revision| format!(" ({revision})")),
+                text("rustc").map(|rustc| format!(", {rustc}")),
+                text("cpu").map(|cpu| format!("; {cpu}")),
+                text("simd")
+                    .map(|simd| format!(", {simd}, {}", counted(row.count("threads") as usize, "thread"))),
+                text("host").map(|host| format!(", on {host}")),
+            ];
+            let words: String = words.into_iter().flatten().collect();
+            lines.push(format!("attempt {}: {}{words}", row.count("attempt"), row.text("state")));
+            Ok::<_, Error>(())
+        })
+        .await?;
+    Ok(lines)
 }
 
 /// The shards of a folder.
@@ -117,6 +188,15 @@ pub(super) fn newest(folder: &Path) -> Option<PathBuf> {
     let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
     entries.filter(|path| path.extension().is_some_and(|e| e == "sqlite")).max_by_key(written)
 }
+
+/// Kinds of failures that are told one by one.
+const MOST_FAILURES: usize = 20;
+
+/// Failures by reason and by what was said of the last attempt, with one of their trials.
+const FAILED: &str = "SELECT reason, text, min(hash), count(*) FROM
+    (SELECT t.hash, t.reason, (SELECT l.text FROM log l WHERE l.trial_id = t.id AND l.level = 'error'
+       ORDER BY l.attempt DESC, l.line DESC LIMIT 1) AS text FROM trial t
+     WHERE t.state = 'failed' AND t.reason IS NOT 'pruned') GROUP BY 1, 2 ORDER BY 4 DESC, 1, 2";
 
 /// Trials by sweep, state and reason.
 const STATES: &str = "SELECT (SELECT group_concat(name, ', ') FROM (SELECT name FROM sweep_trial JOIN sweep ON sweep.id = sweep_id

@@ -9,13 +9,15 @@ use crate::plan::Trial;
 use crate::scheduler::{Prior, Prune, State};
 use crate::store::{Reopen, Store, StoreError};
 
-/// Which trials that were given up are run again.
+/// Which settled trials are run again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Again {
     /// Those that were given up as hopeless.
     pub pruned: bool,
     /// Those that have failed.
     pub failed: bool,
+    /// Those that other code than this program's has worked on, from the beginning.
+    pub other_code: bool,
 }
 
 /// Records a sweep with its trials, and returns those that are open; `None` where a signal came first: then nothing of
@@ -37,6 +39,10 @@ pub async fn begin<'a>(
                 let reopened = store.reopen(which).await?;
                 tracing::info!(reopened, ?which, "trials are run again");
             }
+        }
+        if again.other_code {
+            let reopened = store.redo_other_code().await?;
+            tracing::info!(reopened, "trials that other code has made are made again");
         }
         let settled: HashSet<String> = store.settled().await?.into_iter().collect();
         Ok(trials.iter().filter(|trial| !settled.contains(&trial.hash)).collect())

@@ -26,13 +26,13 @@ pub use watch::{Silent, View, Watch};
 
 use clock::Clock;
 
-use crate::fleet::Fleet;
+use crate::fleet::{Fleet, Heard};
 use crate::link::{Line, Runtime, RuntimeError, Word};
 use crate::plan::Trial;
 use crate::scheduler::{
     self, Action, Event, Mark, Outcome, Phase, Prior, Reason, Settings, Standing, State, WorkerId,
 };
-use crate::store::{Store, StoreError};
+use crate::store::{Level, Store, StoreError};
 use writer::{Arrays, Write, Written};
 
 /// Time between two looks at deadlines, and between two views.
@@ -109,8 +109,9 @@ pub async fn run(
     let settings = &options.settings;
     let state = |priors: &[Prior]| State::new(settings.clone(), priors);
     let (priors, state) = begin::priors(store, trials, state, settings.prune.as_ref()).await?;
+    store.set_threads(options.threads);
     let runtime = Runtime::new(settings.workers)?;
-    let (ended_out, mut ended) = mpsc::channel(QUEUE);
+    let (heard_out, mut heard) = mpsc::channel(QUEUE);
     let (words_out, mut words) = mpsc::channel(QUEUE);
     let (queue, entries) = mpsc::channel(QUEUE);
     let (said, mut written) = mpsc::unbounded_channel();
@@ -129,13 +130,16 @@ pub async fn run(
         options,
         began: Instant::now(),
         clock: Clock::start(),
-        fleet: Fleet::new(options.program.clone(), ended_out),
+        fleet: Fleet::new(options.program.clone(), heard_out),
         runtime,
         links: HashMap::new(),
         words: words_out,
         queue,
         checkpoints: HashMap::new(),
         results: HashMap::new(),
+        leases: HashMap::new(),
+        said: Vec::new(),
+        details: HashMap::new(),
         stale: 0,
         store_error: None,
         last_words: String::new(),
@@ -146,7 +150,7 @@ pub async fn run(
         let outcome = loop {
             tokio::select! {
                 Some((worker, word)) = words.recv() => engine.word(worker, word, &mut events),
-                Some((worker, reason)) = ended.recv() => engine.ended(worker, reason, &mut events),
+                Some((worker, heard)) = heard.recv() => engine.heard(worker, heard, &mut events),
                 Some(word) = written.recv() => engine.written(word, &mut events),
                 Some(()) = signals.next() => engine.interrupt(&mut events),
                 _ = ticks.tick() => engine.tick(&mut events),
@@ -204,6 +208,12 @@ struct Engine<'a> {
     /// Results on their way to the disk, to be shown when they are there.
     results: HashMap<u32, TrialResult>,
     view: View,
+    /// What each worker was given last.
+    leases: HashMap<WorkerId, Lease>,
+    /// On its way to the writer.
+    said: Vec<(Lease, Level, String)>,
+    /// What went wrong with attempts, in words; until they end.
+    details: HashMap<Lease, String>,
     stale: usize,
     store_error: Option<StoreError>,
     last_words: String,
@@ -218,6 +228,7 @@ impl Engine<'_> {
         let now = self.clock.look();
         let mut actions: VecDeque<_> = scheduler::on_event(&mut self.state, Event::Clock(now)).into();
         loop {
+            self.record_said().await;
             while let Some(action) = actions.pop_front() {
                 if let Action::End(outcome) = action {
                     return Some(outcome);
@@ -242,6 +253,7 @@ impl Engine<'_> {
                 }
             }
             Action::Assign(worker, lease) => {
+                self.leases.insert(worker, lease);
                 self.record(Write::Begin(lease)).await;
                 self.view.assigned(lease.trial, self.began.elapsed());
                 let known =
@@ -260,6 +272,7 @@ impl Engine<'_> {
             }
             Action::RecordResult(lease, Record::Result(result, arrays)) => {
                 self.checkpoints.remove(&lease.trial);
+                self.details.remove(&lease);
                 self.view.finished(lease.trial, self.began.elapsed());
                 self.results.insert(lease.trial, TrialResult::clone(&result));
                 self.record(Write::Result(lease, result, arrays)).await;
@@ -276,8 +289,12 @@ impl Engine<'_> {
                 } else if reason != Reason::Stopped {
                     tracing::warn!(hash, attempt, %reason, "the attempt has failed; the trial is tried again");
                 }
+                let detail =
+                    self.details.remove(&lease).map_or(String::new(), |detail| format!(": {detail}"));
+                let level = if reason == Reason::Pruned { Level::Info } else { Level::Error };
                 if reason != Reason::Stopped {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled);
+                    self.record(Write::Log(lease, level, format!("{reason}{detail}"))).await;
                 }
                 self.record(Write::Failure(lease, reason, settled)).await;
             }
@@ -321,6 +338,12 @@ impl Engine<'_> {
     async fn record(&mut self, write: Write) {
         if self.store_error.is_none() {
             let _ = self.queue.send(write).await;
+        }
+    }
+
+    async fn record_said(&mut self) {
+        for (lease, level, text) in std::mem::take(&mut self.said) {
+            self.record(Write::Log(lease, level, text)).await;
         }
     }
 
@@ -441,10 +464,24 @@ impl Engine<'_> {
                 let reason = Reason::from(trouble);
                 let trial = self.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
                 tracing::error!(trial, lease.attempt, %reason, detail, "the worker gave the trial up");
+                self.details.insert(lease, detail);
                 Event::Failed(worker, lease, reason)
             }
             ToOrchestrator::Stopped { lease } => Event::Failed(worker, lease, Reason::Stopped),
         });
+    }
+
+    fn heard(&mut self, worker: WorkerId, heard: Heard, events: &mut Events) {
+        match heard {
+            // Of the trial that it has, or had last.
+            Heard::Line(line) => {
+                if let Some(lease) = self.leases.get(&worker) {
+                    self.details.insert(*lease, line.clone());
+                    self.said.push((*lease, Level::Warn, line));
+                }
+            }
+            Heard::End(reason) => self.ended(worker, reason, events),
+        }
     }
 
     /// The process is gone: what it has sent is read before it counts as lost.
@@ -471,6 +508,7 @@ impl Engine<'_> {
         }
         tracing::info!(%worker, %reason, "worker gone");
         self.links.remove(&worker);
+        self.leases.remove(&worker);
         self.fleet.forget(worker);
         events.push_back(Event::Lost(worker, reason));
     }
@@ -491,6 +529,8 @@ impl Engine<'_> {
                     let trial = self.trials[lease.trial as usize];
                     tracing::error!(trial.hash, why, "the checkpoint is of no use; the trial begins anew");
                     self.watch.begins_anew(trial, &why);
+                    let text = format!("begins anew, as its checkpoint is of no use: {why}");
+                    self.said.push((lease, Level::Warn, text));
                     None
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {

@@ -10,7 +10,7 @@ use metasense_schemas::wire::{ArrayHead, Lease, Sample};
 use tokio::sync::mpsc::{Receiver, UnboundedSender};
 
 use crate::scheduler::{Mark, Reason, WorkerId};
-use crate::store::{Array, Store, StoreError};
+use crate::store::{Array, Level, Store, StoreError};
 
 /// Most entries of one transaction.
 const BATCH: usize = 128;
@@ -26,6 +26,8 @@ pub enum Write {
     Result(Lease, Box<TrialResult>, Option<Arrays>),
     /// An attempt has come to nothing.
     Failure(Lease, Reason, bool),
+    /// What is said of an attempt.
+    Log(Lease, Level, String),
     /// A checkpoint is wanted for a worker.
     Load(WorkerId, Lease),
 }
@@ -117,6 +119,9 @@ async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Resu
                     false => store.give_up_attempt(hash, lease.attempt, &reason).await?,
                 }
                 written.push(Written::Recorded(*lease, Mark::Failure));
+            }
+            Write::Log(lease, level, text) => {
+                store.log(hash(lease), lease.attempt, *level, text).await?;
             }
             Write::Load(worker, lease) => {
                 let checkpoint = match store.checkpoint(hash(lease)).await {

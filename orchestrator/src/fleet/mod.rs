@@ -9,12 +9,15 @@ use std::collections::HashMap;
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
+use std::time::Duration;
 
 use metasense_schemas::wire::Start;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, ChildStderr, ChildStdin, Command};
 use tokio::sync::mpsc::Sender;
 use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
 
 pub use processes::{Seen, children, workers_of};
 
@@ -25,8 +28,20 @@ use crate::scheduler::{Reason, WorkerId};
 pub struct Fleet {
     program: PathBuf,
     processes: HashMap<WorkerId, Process>,
-    ended: Sender<(WorkerId, Reason)>,
+    heard: Sender<(WorkerId, Heard)>,
 }
+
+/// What is heard of a process.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Heard {
+    /// A line on its standard error.
+    Line(String),
+    /// It has ended, and no more lines come.
+    End(Reason),
+}
+
+/// Longest wait for the last lines of a process that has ended: something that it has started may hold them back.
+const LINES_GRACE: Duration = Duration::from_millis(300);
 
 #[derive(Debug)]
 struct Process {
@@ -37,9 +52,9 @@ struct Process {
 }
 
 impl Fleet {
-    /// `program` is asked for its hidden subcommand `worker`; ends of processes go to `ended`.
-    pub fn new(program: PathBuf, ended: Sender<(WorkerId, Reason)>) -> Self {
-        Self { program, processes: HashMap::new(), ended }
+    /// `program` is asked for its hidden subcommand `worker`.
+    pub fn new(program: PathBuf, heard: Sender<(WorkerId, Heard)>) -> Self {
+        Self { program, processes: HashMap::new(), heard }
     }
 
     /// Starts a process.
@@ -56,14 +71,13 @@ impl Fleet {
             .stderr(Stdio::piped())
             .kill_on_drop(true)
             .spawn()?;
-        if let Some(errors) = child.stderr.take() {
-            tokio::spawn(log_errors(worker, errors));
-        }
+        let errors = child.stderr.take().expect("it is piped");
+        let lines = tokio::spawn(pass_on(worker, errors, self.heard.clone()));
         let (kill, killed) = oneshot::channel();
         let pid = child.id().unwrap_or_default();
         tracing::info!(%worker, pid, "worker started");
         self.processes.insert(worker, Process { pid, input: child.stdin.take(), kill: Some(kill) });
-        tokio::spawn(watch(worker, child, killed, self.ended.clone()));
+        tokio::spawn(watch(worker, child, lines, killed, self.heard.clone()));
         Ok(())
     }
 
@@ -95,8 +109,9 @@ impl Fleet {
 async fn watch(
     worker: WorkerId,
     mut child: Child,
+    lines: JoinHandle<()>,
     mut killed: oneshot::Receiver<()>,
-    ended: Sender<(WorkerId, Reason)>,
+    heard: Sender<(WorkerId, Heard)>,
 ) {
     let status = tokio::select! {
         status = child.wait() => status,
@@ -105,7 +120,8 @@ async fn watch(
             child.wait().await
         }
     };
-    let _ = ended.send((worker, reason(status))).await;
+    let _ = timeout(LINES_GRACE, lines).await;
+    let _ = heard.send((worker, Heard::End(reason(status)))).await;
 }
 
 fn reason(status: std::io::Result<ExitStatus>) -> Reason {
@@ -118,10 +134,13 @@ fn reason(status: std::io::Result<ExitStatus>) -> Reason {
     }
 }
 
-/// What a worker writes to its standard error goes to the log.
-async fn log_errors(worker: WorkerId, errors: ChildStderr) {
+/// What a worker writes to its standard error goes to the log, and to whoever listens.
+async fn pass_on(worker: WorkerId, errors: ChildStderr, heard: Sender<(WorkerId, Heard)>) {
     let mut lines = BufReader::new(errors).lines();
     while let Ok(Some(line)) = lines.next_line().await {
         tracing::warn!(%worker, "worker says: {line}");
+        if heard.send((worker, Heard::Line(line))).await.is_err() {
+            return;
+        }
     }
 }

@@ -290,6 +290,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
             .collect(),
         settled,
         trials,
+        made: reader.made().await?,
         stored,
         terms,
     })
@@ -311,9 +312,10 @@ fn typical(trials: &[Trial]) -> Option<&Trial> {
 /// # Errors
 /// Where there is no such trial, or what is stored of it cannot be read.
 pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, StoreError> {
-    let rows: Rows = reader.query("SELECT hash, spec, state, sensor_units FROM v_trial").await?.into();
-    let mut found = rows.iter().filter(|r| r.text("hash").starts_with(hash));
-    let (Some(row), None) = (found.next(), found.next()) else {
+    let quoted = reader.hash_of(hash).await?.replace('\'', "''");
+    let sql = format!("SELECT hash, spec, state, sensor_units FROM v_trial WHERE hash = '{quoted}'");
+    let rows: Rows = reader.query(&sql).await?.into();
+    let Some(row) = rows.iter().next() else {
         return Err(StoreError::UnknownTrial { path: reader.path().to_owned(), hash: hash.to_owned() });
     };
     if row.text("state") != "done" {

@@ -21,6 +21,7 @@ use plot::{escape, number};
 use samples::Stored;
 
 use crate::analysis::{Question, Terms, Trial};
+use crate::provenance::{self, Made};
 use crate::store::Table;
 use serde_json::Value;
 
@@ -33,6 +34,8 @@ pub struct Story {
     pub settled: Table,
     /// Those that are done.
     pub trials: Vec<Trial>,
+    /// By what code.
+    pub made: Vec<Made>,
     /// The one that is replayed, where one is stored whole.
     pub stored: Option<Stored>,
     /// What a decision on M weighs.
@@ -159,9 +162,13 @@ fn summary(story: &Story) -> String {
     let _ = write!(
         list,
         "<li class=\"{class}\">{done} of {all} trials are done, {failed} failed{}. Ratios are geometric means over trials, \
-         their intervals over placements and seeds: trials that share these are not independent.</li></ul>",
+         their intervals over placements and seeds: trials that share these are not independent.</li>",
         if failed > 0 { " (reasons in the table of trials)" } else { "" }
     );
+    if let Some(mixed) = provenance::mixed(&story.made) {
+        let _ = write!(list, "<li class=\"bad\">{}.</li>", escape(&mixed));
+    }
+    list.push_str("</ul>");
     list
 }
 
@@ -283,6 +290,11 @@ fn table_html(table: &Table) -> String {
 
 fn provenance(story: &Story) -> String {
     let mut html = String::from("<h2>Spec, versions, seeds</h2>");
+    for Made { code, revisions, trials } in &story.made {
+        let commits =
+            if revisions.is_empty() { String::new() } else { format!(" (commit {})", revisions.join(", ")) };
+        let _ = write!(html, "<p>Trials by code {}{}: {trials}.</p>", escape(code), escape(&commits));
+    }
     let mut seeds: Vec<u64> = story.trials.iter().map(|t| t.cluster.seed).collect();
     seeds.sort_unstable();
     seeds.dedup();

@@ -5,9 +5,12 @@
 //! many records. A lock on the file keeps a second writer out for as long as a `Store` lives.
 
 mod error;
+mod log;
+mod made;
 mod npy;
 mod prior;
 mod read;
+mod redo;
 mod runs;
 mod sweep;
 mod write;
@@ -18,14 +21,17 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::cluster::disk;
+use crate::provenance::Provenance;
 use metasense_schemas::database::{APPLICATION_ID, MIGRATIONS};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
 use error::OPENING;
 pub use error::StoreError;
+pub use log::Level;
+pub use made::Nearest;
 pub use npy::{npy_bytes, npy_values};
-pub use read::{Artifact, Reader, Table};
+pub use read::{Artifact, Reader, Row, Table};
 pub use runs::{RunKey, RunPlan};
 pub use sweep::Reopen;
 pub use write::Array;
@@ -39,6 +45,8 @@ pub struct Store {
     /// The sweep that was begun.
     sweep: Option<i64>,
     in_batch: bool,
+    /// Of the attempts that are begun.
+    provenance: Provenance,
     // Last field: SQLite's own locks on the file would go with an earlier close.
     _lock: File,
 }
@@ -69,8 +77,15 @@ impl Store {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
         }
         migrate(&mut connection, version).await.map_err(at)?;
-        let mut store =
-            Self { connection, path, ids: HashMap::new(), sweep: None, in_batch: false, _lock: lock };
+        let mut store = Self {
+            connection,
+            path,
+            ids: HashMap::new(),
+            sweep: None,
+            in_batch: false,
+            provenance: Provenance::here(1),
+            _lock: lock,
+        };
         store.release_orphans().await?;
         Ok(store)
     }
@@ -79,6 +94,11 @@ impl Store {
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// From here on attempts have so many threads a worker; without, one.
+    pub fn set_threads(&mut self, threads: u32) {
+        self.provenance.threads = threads;
     }
 
     /// Folds the journal into the file and closes it, so that one file alone is left.

@@ -10,7 +10,7 @@ use futures_util::TryStreamExt;
 use serde_json::Value;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow};
 use sqlx::{
-    AssertSqlSafe, Column, ConnectOptions, Connection, Either, Executor, Row, SqlSafeStr, Statement,
+    AssertSqlSafe, Column, ConnectOptions, Connection, Either, Executor, Row as _, SqlSafeStr, Statement,
     TypeInfo, ValueRef,
 };
 
@@ -18,11 +18,47 @@ use super::error::is_trouble;
 use super::{OPENING, Store, StoreError, check_version, lock, npy_values};
 use metasense_schemas::database::MIGRATIONS;
 
+/// A row of an answer, as SQLite holds it.
+#[derive(Debug)]
+pub struct Row<'a>(&'a SqliteRow);
+
+impl Row<'_> {
+    /// A text; empty where there is none.
+    #[must_use]
+    pub fn text(&self, column: &str) -> &str {
+        std::str::from_utf8(self.bytes(column)).unwrap_or_default()
+    }
+
+    /// A text's or blob's bytes; none where there is neither.
+    #[must_use]
+    pub fn bytes(&self, column: &str) -> &[u8] {
+        self.0.try_get_unchecked(column).unwrap_or_default()
+    }
+
+    /// A number, where there is one.
+    #[must_use]
+    pub fn number(&self, column: &str) -> Option<f64> {
+        self.0.try_get_unchecked::<Option<f64>, _>(column).unwrap_or_default()
+    }
+
+    /// A whole number, 0 where there is none.
+    #[must_use]
+    pub fn count(&self, column: &str) -> u64 {
+        self.0.try_get_unchecked(column).map_or(0, |n: i64| n.max(0) as u64)
+    }
+
+    /// All its values; a blob stands as the text `blob of N bytes`.
+    #[must_use]
+    pub fn values(&self) -> Vec<Value> {
+        values(self.0)
+    }
+}
+
 /// A read-only connection.
 #[derive(Debug)]
 pub struct Reader {
-    connection: SqliteConnection,
-    path: PathBuf,
+    pub(super) connection: SqliteConnection,
+    pub(super) path: PathBuf,
     alone: bool,
 }
 
@@ -204,37 +240,75 @@ impl Reader {
     /// # Errors
     /// With SQLite's message.
     pub async fn query(&mut self, sql: &str) -> Result<Table, StoreError> {
+        let mut table = Table { columns: self.columns(sql).await?, rows: Vec::new() };
+        self.each(sql, |row| {
+            table.rows.push(row.values());
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+        Ok(table)
+    }
+
+    /// The names of an answer's columns.
+    ///
+    /// # Errors
+    /// With SQLite's message.
+    pub async fn columns(&mut self, sql: &str) -> Result<Vec<String>, StoreError> {
         let path = &self.path;
-        let wrong = |source: sqlx::Error| match &source {
-            sqlx::Error::Database(e) if !is_trouble(&source) => {
-                StoreError::Query { message: e.message().to_owned() }
-            }
-            _ => StoreError::sql(path, "querying", source),
-        };
         // The user's own statement, on a connection that cannot write.
+        let statement = self.connection.prepare(AssertSqlSafe(sql.to_owned()).into_sql_str()).await;
+        let statement = statement.map_err(|source| wrong(path, source))?;
+        Ok(statement.columns().iter().map(|c| c.name().to_owned()).collect())
+    }
+
+    /// Answers one statement row by row, as [`Reader::query`] does, until `take` has had enough or fails.
+    ///
+    /// # Errors
+    /// With SQLite's message, or as `take`.
+    pub async fn each<E: From<StoreError>>(
+        &mut self,
+        sql: &str,
+        mut take: impl FnMut(&Row<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let path = &self.path;
         let sql = AssertSqlSafe(sql.to_owned()).into_sql_str();
-        let statement = self.connection.prepare(sql).await.map_err(wrong)?;
-        let columns = statement.columns().iter().map(|c| c.name().to_owned()).collect();
-        let (mut rows, mut ended) = (Vec::new(), false);
-        let mut answers = self.connection.fetch_many(statement.query());
-        while let Some(answer) = answers.try_next().await.map_err(wrong)? {
+        let mut ended = false;
+        let mut answers = self.connection.fetch_many(sqlx::raw_sql(sql));
+        while let Some(answer) = answers.try_next().await.map_err(|source| wrong(path, source))? {
             if ended {
                 let message = "one statement at a time; more follows the first one's `;`".into();
-                return Err(StoreError::Query { message });
+                return Err(StoreError::Query { message }.into());
             }
             match answer {
-                Either::Right(row) => rows.push(values(&row)),
+                Either::Right(row) => take(&Row(&row))?,
                 Either::Left(_) => ended = true,
             }
         }
-        drop(answers);
-        Ok(Table { columns, rows })
+        Ok(())
     }
 
     /// The file.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The one trial whose hash begins so.
+    ///
+    /// # Errors
+    /// `UnknownTrial` where there is none, or are several.
+    pub async fn hash_of(&mut self, beginning: &str) -> Result<String, StoreError> {
+        // Hashes are hex digits, none of which comes after f.
+        let found: Vec<String> =
+            sqlx::query_scalar("SELECT hash FROM trial WHERE hash >= ?1 AND hash < ?1 || 'g' LIMIT 2")
+                .bind(beginning)
+                .fetch_all(&mut self.connection)
+                .await
+                .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+        match <[String; 1]>::try_from(found) {
+            Ok([hash]) => Ok(hash),
+            Err(_) => Err(StoreError::UnknownTrial { path: self.path.clone(), hash: beginning.to_owned() }),
+        }
     }
 
     /// The stored arrays of a trial, by name.
@@ -267,6 +341,16 @@ impl Reader {
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
         Ok(rows.into_iter().map(|(hash, name, bytes)| Artifact { hash, name, bytes }).collect())
+    }
+}
+
+/// What SQLite says of a statement that a person has put.
+fn wrong(path: &Path, source: sqlx::Error) -> StoreError {
+    match &source {
+        sqlx::Error::Database(e) if !is_trouble(&source) => {
+            StoreError::Query { message: e.message().to_owned() }
+        }
+        _ => StoreError::sql(path, "querying", source),
     }
 }
 

@@ -89,6 +89,7 @@ impl Store {
     }
 
     async fn insert_attempt(&mut self, id: i64) -> sqlx::Result<u32> {
+        let made = &self.provenance;
         // An attempt that was not ended by name was superseded.
         sqlx::query(
             "UPDATE attempt SET state = 'failed', reason = coalesce(reason, 'superseded'),
@@ -103,12 +104,19 @@ impl Store {
             .execute(&mut self.connection)
             .await?;
         sqlx::query_scalar(
-            "INSERT INTO attempt (trial_id, number, version, started_at)
-             SELECT ?1, 1 + coalesce(max(number), 0), ?2, strftime('%Y-%m-%dT%H:%M:%fZ')
+            "INSERT INTO attempt (trial_id, number, version, started_at, code, revision, rustc, host, cpu, simd, threads)
+             SELECT ?1, 1 + coalesce(max(number), 0), ?2, strftime('%Y-%m-%dT%H:%M:%fZ'), ?3, ?4, ?5, ?6, ?7, ?8, ?9
              FROM attempt WHERE trial_id = ?1 RETURNING number",
         )
         .bind(id)
         .bind(VERSION)
+        .bind(made.code)
+        .bind(made.revision)
+        .bind(made.rustc)
+        .bind(&made.host)
+        .bind(&made.cpu)
+        .bind(made.simd)
+        .bind(made.threads)
         .fetch_one(&mut self.connection)
         .await
     }
@@ -436,7 +444,7 @@ impl Store {
         self.end_own(own, done, "tidying").await
     }
 
-    fn id(&self, hash: &str) -> Result<i64, StoreError> {
+    pub(super) fn id(&self, hash: &str) -> Result<i64, StoreError> {
         self.ids
             .get(hash)
             .copied()

@@ -113,8 +113,8 @@ async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
         ),
         format!("INSERT INTO sweep_trial SELECT 1, id, id + {first} FROM trial"),
         format!(
-            "INSERT INTO attempt SELECT id, 1, 'done', NULL, {steps}, '0', '2026-01-01T00:00:00.000Z',
-               '2026-01-01T00:00:00.000Z' FROM trial"
+            "INSERT INTO attempt (trial_id, number, state, steps, version, started_at, ended_at)
+             SELECT id, 1, 'done', {steps}, '0', '2026-01-01T00:00:00.000Z', '2026-01-01T00:00:00.000Z' FROM trial"
         ),
         format!(
             "{} INSERT INTO step SELECT trial.id, n.i, 1, {numbers}, 'projected', 0.1, NULL, NULL, NULL, NULL, 'ok', 64, 1000000,

@@ -27,7 +27,7 @@ pub(super) async fn create(path: &Path) -> sqlx::Result<SqliteConnection> {
     store::migrate(&mut out, 0).await?;
     out.execute(
         "CREATE TEMP TABLE candidate (input INTEGER, old INTEGER, hash TEXT, settled INTEGER, reached INTEGER,
-           attempts INTEGER, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT, simd TEXT, error REAL);
+           attempts INTEGER, redone INTEGER, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT, simd TEXT, error REAL);
          CREATE TEMP TABLE sweeps (input INTEGER, old INTEGER, name TEXT, text TEXT, version TEXT, spec TEXT,
            created_at TEXT, new INTEGER, chosen INTEGER);
          CREATE TEMP TABLE kept (new INTEGER PRIMARY KEY, input INTEGER, old INTEGER, hash TEXT);",
@@ -44,6 +44,7 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
            CASE t.state WHEN 'done' THEN 2 WHEN 'failed' THEN 0 WHEN 'pending' THEN 0 WHEN 'running' THEN 0 ELSE 1 END,
            coalesce((SELECT c.step FROM src.checkpoint c WHERE c.trial_id = t.id), 0),
            (SELECT count(*) FROM src.attempt a WHERE a.trial_id = t.id),
+           (SELECT coalesce(sum(a.redone), 0) FROM src.attempt a WHERE a.trial_id = t.id),
            coalesce((SELECT a.state <> 'running' AND a.reason IS NOT 'orchestrator_lost' FROM src.attempt a
                      WHERE a.trial_id = t.id ORDER BY a.number DESC LIMIT 1), 0),
            t.state IN ('pending', 'running'), t.finished_at,
@@ -58,14 +59,14 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
     Ok(())
 }
 
-/// Of each trial the copy that has come farthest: done; else with most steps behind it, then most attempts. A trial that
+/// Of each trial the copy that has come farthest: made again by other code; done; else with most steps behind it, then most attempts. A trial that
 /// failed and is open again has been asked for anew. Of several that are done, the first one. Sweeps are numbered as the store
 /// numbers them, the first one highest.
 pub(super) async fn choose(out: &mut SqliteConnection) -> sqlx::Result<()> {
     out.execute(
         "INSERT INTO temp.kept
          SELECT row_number() OVER (ORDER BY input, old), input, old, hash FROM
-           (SELECT input, old, hash, row_number() OVER (PARTITION BY hash ORDER BY settled DESC, reached DESC,
+           (SELECT input, old, hash, row_number() OVER (PARTITION BY hash ORDER BY redone DESC, settled DESC, reached DESC,
               CASE WHEN settled = 0 THEN attempts END DESC, ended DESC, open DESC, finished_at, last DESC, simd, error,
               input) AS place
             FROM temp.candidate)

@@ -1,0 +1,26 @@
+//! What code this is, written into the program, which records it with every attempt.
+
+#[path = "src/provenance/source.rs"]
+mod source;
+
+use std::path::Path;
+use std::process::Command;
+
+fn main() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    // Only what changes the answers: a commit builds this package anew, and none that it depends on.
+    for path in
+        source::PROGRAM.map(|path| root.join(path)).into_iter().chain(source::moves_with_commits(&root))
+    {
+        println!("cargo:rerun-if-changed={}", path.display());
+    }
+    let digest = source::digest(&root).unwrap_or_else(|e| panic!("reading the sources: {e}"));
+    println!("cargo:rustc-env=METASENSE_CODE={digest}");
+    if let Some(revision) = source::revision(&root) {
+        println!("cargo:rustc-env=METASENSE_REVISION={revision}");
+    }
+    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let version =
+        Command::new(rustc).arg("--version").output().map(|output| output.stdout).unwrap_or_default();
+    println!("cargo:rustc-env=METASENSE_RUSTC={}", String::from_utf8_lossy(&version).trim());
+}

@@ -1,0 +1,154 @@
+//! By what code, and where, a trial is computed.
+
+#[cfg(test)]
+mod source;
+
+use metasense_worker::simd;
+
+/// What an attempt records of its making.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Provenance {
+    /// Digest of the sources that compute.
+    pub code: &'static str,
+    /// Commit, with `-dirty` where the build had changes that it lacks; `None` of a build without git.
+    pub revision: Option<&'static str>,
+    /// The compiler.
+    pub rustc: &'static str,
+    /// Name of the machine.
+    pub host: String,
+    /// Model of its processor; `None` where the system does not say.
+    pub cpu: Option<String>,
+    /// Instruction set of the kernels.
+    pub simd: &'static str,
+    /// Threads of a worker.
+    pub threads: u32,
+}
+
+impl Provenance {
+    /// Of this program on this machine, with so many threads.
+    #[must_use]
+    pub fn here(threads: u32) -> Self {
+        Self {
+            code: code(),
+            revision: revision(),
+            rustc: env!("METASENSE_RUSTC"),
+            host: host(),
+            cpu: cpu(),
+            simd: simd::name(),
+            threads,
+        }
+    }
+}
+
+/// Digest of the sources of this program that compute.
+#[must_use]
+pub fn code() -> &'static str {
+    env!("METASENSE_CODE")
+}
+
+/// The commit of this program, where it was built with git.
+#[must_use]
+pub fn revision() -> Option<&'static str> {
+    option_env!("METASENSE_REVISION")
+}
+
+/// Name of this machine.
+#[must_use]
+pub fn host() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default().trim().to_owned()
+}
+
+/// Model of this machine's first processor.
+fn cpu() -> Option<String> {
+    let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
+    let line = text.lines().find(|line| line.starts_with("model name"))?;
+    Some(line.split_once(':')?.1.trim().to_owned())
+}
+
+/// Trials that one code has worked on, or several in turn.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Made {
+    /// Its digest, `unknown` of what versions before 6 made; of several in the order of their work, with blanks between.
+    pub code: String,
+    /// Commits whose builds were this code.
+    pub revisions: Vec<String>,
+    /// How many.
+    pub trials: usize,
+}
+
+/// What is to be said where different code has been at work; `None` where it was one.
+#[must_use]
+pub fn mixed(made: &[Made]) -> Option<String> {
+    let named = |made: &Made| {
+        let revisions = if made.revisions.is_empty() {
+            String::new()
+        } else {
+            format!(" ({})", made.revisions.join(", "))
+        };
+        format!(
+            "{} by {}{revisions}",
+            crate::plan::counted(made.trials, "trial"),
+            made.code.replace(' ', " and then ")
+        )
+    };
+    (made.len() > 1).then(|| {
+        let list = made.iter().map(named).collect::<Vec<_>>().join(", ");
+        format!("results of different code are mixed: {list}; `metasense run SPEC --redo-other-code` makes again what \
+            is not by {}, this program", code())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+    use std::process::Command;
+
+    fn git(root: &Path, arguments: &[&str]) {
+        let settings =
+            ["-c", "user.name=t", "-c", "user.email=t@example.org", "-c", "init.defaultBranch=main"];
+        let done = Command::new("git").arg("-C").arg(root).args(settings).args(arguments).output();
+        assert!(done.is_ok_and(|output| output.status.success()), "git {arguments:?}");
+    }
+
+    /// An archive has a digest and no commit; what computes changes the digest, what does not makes a build dirty at most.
+    #[test]
+    fn code_is_told_with_git_and_without() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let write = |path: &str, text: &str| {
+            std::fs::create_dir_all(root.join(path).parent().unwrap()).unwrap();
+            std::fs::write(root.join(path), text).unwrap();
+        };
+        for path in source::PROGRAM {
+            write(&if path.contains('.') { path.to_owned() } else { format!("{path}/deep/a.rs") }, path);
+        }
+        let first = source::digest(root).unwrap();
+        assert_eq!((first.len(), source::revision(root)), (16, None));
+        git(root, &["init"]);
+        assert_eq!(source::revision(root), None, "files that git does not know");
+        git(root, &["add", "."]);
+        git(root, &["commit", "-m", "one"]);
+        let commit = source::revision(root).unwrap();
+        assert!(commit.len() == 12 && source::moves_with_commits(root).len() == 2, "{commit}");
+        write("README.md", "words");
+        assert_eq!(
+            (source::digest(root).unwrap(), source::revision(root).unwrap()),
+            (first.clone(), commit.clone())
+        );
+        write("orchestrator/src/report.rs", "another look");
+        assert_eq!(source::digest(root).unwrap(), first);
+        assert_eq!(source::revision(root).unwrap(), format!("{commit}-dirty"));
+        write("worker/src/deep/a.rs", "other sums");
+        let second = source::digest(root).unwrap();
+        write("worker/src/deep/a.rs", "yet other sums");
+        assert!(![&first, &second].contains(&&source::digest(root).unwrap()) && first != second);
+    }
+
+    #[test]
+    fn this_program_knows_what_it_is() {
+        let here = Provenance::here(3);
+        assert_eq!(here.code, source::digest(&Path::new(env!("CARGO_MANIFEST_DIR")).join("..")).unwrap());
+        assert!(here.rustc.starts_with("rustc 1.") && here.threads == 3 && !here.host.is_empty(), "{here:?}");
+    }
+}

@@ -1,0 +1,72 @@
+//! The sources of a program, as its build script finds them: a digest of what computes, and the commit if there is one.
+//!
+//! Trials depend on the digest alone: it tells uncommitted states apart, needs no git, and a commit that changes words
+//! or the report leaves it as it is. The commit is for people.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// What a program is made of, from the workspace's root; the first four compute.
+pub const PROGRAM: [&str; 7] = [
+    "Cargo.lock",
+    "schemas/src",
+    "worker/numerics/src",
+    "worker/src",
+    "Cargo.toml",
+    "orchestrator/src",
+    "schemas/migrations",
+];
+
+/// Sixteen hex digits (FNV-1a, 64 bits) of names and bytes of the sources that compute.
+///
+/// # Errors
+/// If one cannot be read.
+pub fn digest(root: &Path) -> io::Result<String> {
+    let mut files = Vec::new();
+    for path in &PROGRAM[..4] {
+        add_files(root, Path::new(path), &mut files)?;
+    }
+    files.sort();
+    let mut digest = 0xcbf2_9ce4_8422_2325_u64;
+    for file in files {
+        let name = file.to_string_lossy().into_owned().into_bytes();
+        for byte in [name, vec![0], std::fs::read(root.join(&file))?, vec![0]].into_iter().flatten() {
+            digest = (digest ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+    Ok(format!("{digest:016x}"))
+}
+
+fn add_files(root: &Path, path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
+    if !root.join(path).is_dir() {
+        files.push(path.to_owned());
+        return Ok(());
+    }
+    for entry in std::fs::read_dir(root.join(path))? {
+        add_files(root, &path.join(entry?.file_name()), files)?;
+    }
+    Ok(())
+}
+
+/// Twelve digits of the commit, and `-dirty` where the program has changes that it lacks; `None` where git does not know
+/// these files, as of an archive.
+pub fn revision(root: &Path) -> Option<String> {
+    git(root, &["ls-files", "--error-unmatch", "Cargo.toml"])?;
+    let commit = git(root, &["rev-parse", "--short=12", "HEAD"])?;
+    let changes = git(root, &[&["status", "--porcelain", "--"][..], &PROGRAM].concat())?;
+    Some(if changes.is_empty() { commit } else { format!("{commit}-dirty") })
+}
+
+/// Files of git's that change when the commit does.
+#[allow(dead_code, reason = "the build script's")]
+pub fn moves_with_commits(root: &Path) -> Vec<PathBuf> {
+    let path = |name| Some(root.join(git(root, &["rev-parse", "--git-path", name])?));
+    ["HEAD", "logs/HEAD"].into_iter().filter_map(path).filter(|path| path.exists()).collect()
+}
+
+fn git(root: &Path, arguments: &[&str]) -> Option<String> {
+    let output =
+        Command::new("git").args(["--no-optional-locks", "-C"]).arg(root).args(arguments).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}

@@ -1,0 +1,94 @@
+//! What code has made the trials of a database, and which trial is like another.
+
+use std::collections::{BTreeMap, HashMap};
+
+use serde_json::Value;
+
+use super::{Reader, StoreError};
+use crate::analysis::data::flatten;
+use crate::provenance::Made;
+
+/// The trial of a database that differs least from another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Nearest {
+    /// Its hash.
+    pub hash: String,
+    /// Its state.
+    pub state: String,
+    /// Keys by which they differ, with the value there and here; `None`: the key is not there.
+    pub differs: Vec<(String, [Option<Value>; 2])>,
+}
+
+impl Reader {
+    /// The codes that have worked on trials, those of most trials first.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn made(&mut self) -> Result<Vec<Made>, StoreError> {
+        let at = |path: &std::path::Path, source| StoreError::sql(path, "reading", source);
+        let revisions: Vec<(String, String)> = sqlx::query_as(
+            "SELECT DISTINCT code, revision FROM attempt WHERE code IS NOT NULL AND revision IS NOT NULL ORDER BY 1, 2",
+        )
+        .fetch_all(&mut self.connection)
+        .await
+        .map_err(|e| at(&self.path, e))?;
+        let mut of_code: HashMap<String, Vec<String>> = HashMap::new();
+        revisions.into_iter().for_each(|(code, revision)| of_code.entry(code).or_default().push(revision));
+        let rows: Vec<(String, i64)> = sqlx::query_as(
+            "SELECT codes, count(*) FROM
+               (SELECT group_concat(code, ' ') AS codes FROM
+                 (SELECT trial_id, coalesce(code, 'unknown') AS code FROM attempt
+                  WHERE NOT redone AND (steps > 0 OR state = 'done') GROUP BY 1, 2 ORDER BY 1, min(number))
+                GROUP BY trial_id)
+             GROUP BY 1 ORDER BY 2 DESC, 1",
+        )
+        .fetch_all(&mut self.connection)
+        .await
+        .map_err(|e| at(&self.path, e))?;
+        let made = |(code, trials): (String, i64)| {
+            let known = code.split(' ').filter_map(|code| of_code.get(code)).flatten();
+            Made { revisions: known.cloned().collect(), trials: trials as usize, code }
+        };
+        Ok(rows.into_iter().map(made).collect())
+    }
+
+    /// The trial that differs by the fewest keys from this one; of several the first by hash. `None` of no trials.
+    ///
+    /// # Errors
+    /// Where SQLite fails, or a stored spec is no JSON.
+    pub async fn nearest(&mut self, spec: &Value) -> Result<Option<Nearest>, StoreError> {
+        let here = keys(spec);
+        let mut nearest: Option<Nearest> = None;
+        self.each("SELECT hash, state, spec FROM trial ORDER BY hash", |row| {
+            let unreadable = |e: serde_json::Error| StoreError::Unreadable {
+                hash: row.text("hash").to_owned(),
+                what: "spec",
+                message: e.to_string(),
+            };
+            let there = keys(&serde_json::from_str(row.text("spec")).map_err(unreadable)?);
+            let paths = here.keys().chain(there.keys().filter(|path| !here.contains_key(*path)));
+            let differs = paths.filter(|path| here.get(*path) != there.get(*path));
+            let most = nearest.as_ref().map_or(usize::MAX, |found| found.differs.len());
+            let differs: Vec<&String> = differs.take(most).collect();
+            if differs.len() < most {
+                let pair =
+                    |path: &String| (path.clone(), [there.get(path).cloned(), here.get(path).cloned()]);
+                nearest = Some(Nearest {
+                    hash: row.text("hash").to_owned(),
+                    state: row.text("state").to_owned(),
+                    differs: differs.into_iter().map(pair).collect(),
+                });
+            }
+            Ok(())
+        })
+        .await?;
+        Ok(nearest)
+    }
+}
+
+/// What names a trial, by path: of recorded forces what they hold, not where they lie.
+fn keys(spec: &Value) -> BTreeMap<String, Value> {
+    let mut keys = flatten(spec);
+    keys.remove("stimuli.recorded.files");
+    keys
+}

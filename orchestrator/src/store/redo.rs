@@ -1,0 +1,50 @@
+//! Trials that other code has made, to be made again.
+
+use sqlx::{AssertSqlSafe, Connection};
+
+use super::{Store, StoreError};
+
+/// Trials of the sweep `?1` of which some work that counts was done by other code than `?2`; those that have failed stay.
+const OTHERS: &str =
+    "CREATE TEMP TABLE other AS SELECT t.id FROM trial t JOIN sweep_trial x ON x.trial_id = t.id
+    WHERE x.sweep_id = ?1 AND t.state <> 'failed' AND EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = t.id
+      AND NOT a.redone AND (a.steps > 0 OR a.state = 'done') AND a.code IS NOT ?2)";
+
+/// Tables of what attempts leave.
+const LEFT: &str = "SELECT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'
+    AND c.name = 'trial_id' AND t.name NOT IN ('sweep_trial', 'attempt', 'log') ORDER BY t.name";
+
+/// What becomes of the trials themselves. Attempts stay, marked, and so does what was said of them.
+const EMPTY: &str = "
+    UPDATE attempt SET redone = 1 WHERE trial_id IN (SELECT id FROM temp.other);
+    UPDATE trial SET state = 'pending', reason = NULL, error_initial = NULL, error_optimised = NULL,
+      train_error_initial = NULL, train_error_optimised = NULL, holdout_error_initial = NULL,
+      holdout_error_optimised = NULL, best_step = NULL, seconds_evaluation = NULL, simd = NULL, solver = NULL,
+      result = NULL, finished_at = NULL WHERE id IN (SELECT id FROM temp.other)";
+
+impl Store {
+    /// Empties the trials of the sweep that was begun which other code than this program's has worked on: they are open,
+    /// and begin anew. Returns how many.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn redo_other_code(&mut self) -> Result<usize, StoreError> {
+        let path = self.path.clone();
+        let at = |source| StoreError::sql(&path, "reopening trials in", source);
+        let (sweep, code) = (self.sweep, self.provenance.code);
+        let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(at)?;
+        sqlx::query("DROP TABLE IF EXISTS temp.other").execute(&mut *tx).await.map_err(at)?;
+        sqlx::query(OTHERS).bind(sweep).bind(code).execute(&mut *tx).await.map_err(at)?;
+        let left: Vec<String> = sqlx::query_scalar(LEFT).fetch_all(&mut *tx).await.map_err(at)?;
+        for table in left {
+            // Names of our own schema only.
+            let sql = format!("DELETE FROM {table} WHERE trial_id IN (SELECT id FROM temp.other)");
+            sqlx::query(AssertSqlSafe(sql)).execute(&mut *tx).await.map_err(at)?;
+        }
+        sqlx::raw_sql(EMPTY).execute(&mut *tx).await.map_err(at)?;
+        let count: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM temp.other").fetch_one(&mut *tx).await.map_err(at)?;
+        tx.commit().await.map_err(at)?;
+        Ok(count as usize)
+    }
+}

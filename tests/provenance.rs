@@ -1,0 +1,166 @@
+//! What code has made a result, and what was said on the way, stand with it and stay with it.
+
+mod common;
+
+use std::path::Path;
+
+use common::{Bench, SPEC, TINY, results};
+use metasense::cluster::merge::merge;
+use metasense::plan::Plan;
+use metasense::provenance;
+use metasense::store::{Level, Store};
+use metasense_schemas::record::{Checkpoint, StepRecord};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
+
+async fn change(db: &Path, sql: &str) {
+    let mut connection = SqliteConnectOptions::new().filename(db).connect().await.unwrap();
+    connection.execute(AssertSqlSafe(sql.to_owned())).await.unwrap();
+    connection.close().await.unwrap();
+}
+
+fn said(bench: &Bench, arguments: &[&str]) -> String {
+    String::from_utf8_lossy(&bench.metasense(arguments).stderr).into_owned()
+}
+
+/// A sweep, one trial of which other code has made: that is told, made again when asked for, to the same bits, and the
+/// copy that the other code had made does not come back by a merge.
+#[tokio::test]
+async fn what_other_code_has_made_is_told_and_made_again() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml"]);
+    let (db, old) = ("results/tiny.sqlite", "results/old.sqlite");
+    let code = provenance::code();
+    let made = "SELECT DISTINCT code, simd IS NOT NULL AND host <> '' AND rustc LIKE 'rustc 1.%' AND threads = 1 FROM v_attempt";
+    assert_eq!(
+        bench.output(&["query", db, made, "--format", "csv"]).lines().nth(1),
+        Some(&*format!("{code},1"))
+    );
+    let before = results(&bench, db);
+    let [status, analyse] = [["status", db], ["analyse", db]];
+    assert!(!said(&bench, &status).contains("different code"), "one code is not mixed");
+    let other = "UPDATE attempt SET code = 'f00d', revision = 'abc-dirty' WHERE trial_id = (SELECT min(id) FROM trial)";
+    change(&bench.path(db), other).await;
+    for command in [&status, &analyse] {
+        let said = said(&bench, command);
+        let told = [
+            "different code",
+            "1 trial by f00d (abc-dirty)",
+            &format!("1 trial by {code}"),
+            "--redo-other-code",
+        ];
+        assert!(told.iter().all(|words| said.contains(words)), "{command:?}: {said}");
+    }
+    assert!(said(&bench, &["run", "tiny.toml"]).contains("nothing left to do"));
+    std::fs::copy(bench.path(db), bench.path(old)).unwrap();
+    bench.output(&["run", "tiny.toml", "--redo-other-code"]);
+    assert_eq!(results(&bench, db), before);
+    let attempts = "SELECT attempt, code, redone FROM v_attempt ORDER BY sensors, attempt";
+    let found = bench.output(&["query", db, attempts, "--format", "csv"]);
+    assert_eq!(found, format!("attempt,code,redone\n1,f00d,1\n2,{code},0\n1,{code},0\n"));
+    assert!(!said(&bench, &status).contains("different code"));
+    let out = bench.path("merged.sqlite");
+    let summary = merge(&[bench.path(old), bench.path(db)], &out).await.unwrap();
+    assert!(summary.findings.is_empty(), "{:?}", summary.findings);
+    assert_eq!(bench.output(&["query", "merged.sqlite", attempts, "--format", "csv"]), found);
+}
+
+/// A trial that other code began goes on, and both codes are named; asked for, it begins anew.
+#[tokio::test]
+async fn a_trial_of_two_codes_names_both() {
+    let bench = Bench::new();
+    let plan = Plan::new("s.toml", SPEC.into()).unwrap();
+    let (db, hash) = (bench.path("s.sqlite"), &plan.trials[0].hash);
+    let open = async || {
+        let mut store = Store::open(&db).await.unwrap();
+        store.begin_sweep(&plan.spec, SPEC, &plan.trials).await.unwrap();
+        store
+    };
+    for step in 0..2 {
+        let mut store = open().await;
+        let attempt = store.begin_attempt(hash).await.unwrap();
+        let record = StepRecord { step, ..Default::default() };
+        let checkpoint = Checkpoint { step: step + 1, ..Default::default() };
+        store.record_step(hash, attempt, &record, &checkpoint).await.unwrap();
+        store.close().await.unwrap();
+        if step == 0 {
+            change(&db, "UPDATE attempt SET code = NULL").await;
+        }
+    }
+    let state = "SELECT code, steps FROM v_trial WHERE steps > 0 OR code IS NOT NULL";
+    let both = format!("code,steps\nunknown {},2\n", provenance::code());
+    assert_eq!(bench.output(&["query", "s.sqlite", state, "--format", "csv"]), both);
+    let mut store = open().await;
+    assert!(store.checkpoint(hash).await.unwrap().is_some());
+    assert_eq!(store.redo_other_code().await.unwrap(), 1);
+    assert_eq!(store.redo_other_code().await.unwrap(), 0);
+    assert_eq!((store.checkpoint(hash).await.unwrap(), store.begin_attempt(hash).await.unwrap()), (None, 3));
+    store.close().await.unwrap();
+    assert_eq!(bench.output(&["query", "s.sqlite", state, "--format", "csv"]), "code,steps\n");
+}
+
+/// The keys by which a trial differs from the nearest one, and what made that.
+#[test]
+fn why_names_the_keys_that_differ() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml"]);
+    let expanded = |spec: &str| {
+        let rows = bench.output(&["expand", spec, "--format", "csv"]);
+        rows.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
+    };
+    let hash = expanded("tiny.toml");
+    let own = bench.metasense(&["why", "tiny.toml", "--hash", &hash]);
+    let own = String::from_utf8_lossy(&own.stderr).into_owned();
+    assert!(own.contains(&format!("trial {hash} is in results/tiny.sqlite: done")), "{own}");
+    bench.file(
+        "other.toml",
+        &TINY.replace("iterations = 4", "iterations = 5").replace("batch = 4", "batch = 3"),
+    );
+    let other = expanded("other.toml");
+    let why = ["why", "other.toml", "--hash", &other[..8], "--db", "results/tiny.sqlite", "--format", "csv"];
+    assert_eq!(bench.output(&why), "key,here,nearest\noptimise.batch,3,4\noptimise.iterations,5,4\n");
+    let said = said(&bench, &why);
+    let told = [&*other, "is not in", &hash, "2 keys differ", provenance::code(), "rustc 1.", "4 steps"];
+    assert!(told.iter().all(|words| said.contains(words)), "{said}");
+}
+
+/// More lines than are kept, a line longer than is kept, and what ended the attempt: shown, bounded, and still there
+/// after a merge.
+#[tokio::test]
+async fn what_was_said_stays_with_the_trial() {
+    let bench = Bench::new();
+    let plan = Plan::new("s.toml", SPEC.into()).unwrap();
+    let hash = &plan.trials[0].hash;
+    let mut store = Store::open(bench.path("s.sqlite")).await.unwrap();
+    store.begin_sweep(&plan.spec, SPEC, &plan.trials).await.unwrap();
+    let attempt = store.begin_attempt(hash).await.unwrap();
+    for line in 0..150 {
+        let text = format!("line {line}: {}", "ä".repeat(if line == 3 { 10_000 } else { 3 }));
+        store.log(hash, attempt, Level::Warn, &text).await.unwrap();
+    }
+    store.log(hash, attempt, Level::Error, "non_finite: sample 3").await.unwrap();
+    store.fail(hash, attempt, "non_finite").await.unwrap();
+    store.close().await.unwrap();
+    merge(&[bench.path("s.sqlite")], &bench.path("merged.sqlite")).await.unwrap();
+    for db in ["s.sqlite", "merged.sqlite"] {
+        let bounds = "SELECT count(*), max(length(text)), max(line) FROM v_log";
+        let bounds = bench.output(&["query", db, bounds, "--format", "csv"]);
+        assert_eq!(bounds.lines().nth(1), Some("101,2002,101"), "{db}");
+        let status = bench.metasense(&["status", db]);
+        let told = String::from_utf8_lossy(&status.stderr).into_owned();
+        let expected =
+            format!("failed: 1 trial: non_finite: sample 3 (metasense status {db} --hash {})", &hash[..8]);
+        assert!(status.status.code() == Some(1) && told.contains(&expected), "{db}: {told}");
+        let one = bench.metasense(&["status", db, "--hash", &hash[..8], "--format", "csv"]);
+        let lines = String::from_utf8_lossy(&one.stdout).into_owned();
+        let [first, last] = [1, 101].map(|n| lines.lines().nth(n).unwrap_or_default());
+        assert!(
+            first.contains("warn,line 0: äää") && last.ends_with("error,non_finite: sample 3"),
+            "{lines}"
+        );
+        let attempts = String::from_utf8_lossy(&one.stderr).into_owned();
+        assert!(attempts.contains("attempt 1: failed (non_finite), 0 steps; code "), "{attempts}");
+    }
+}
