@@ -1,9 +1,16 @@
 //! Measured signals, from files to the table that compares bodies.
 
 mod common;
+#[path = "support/engine.rs"]
+#[allow(dead_code, reason = "each test file uses its share")]
+mod support;
+
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 use common::Bench;
 use metasense_worker::design::{self, Layout};
+use support::{eventually, kill};
 
 const SPEC: &str = r#"name = "s"
 [body]
@@ -226,4 +233,39 @@ fn bad_calls_are_refused() {
     }
     let output = bench.metasense(&["evaluate", "s.toml", "ffff", initial]);
     assert!(String::from_utf8_lossy(&output.stderr).contains("holds no such trial"));
+}
+
+/// Ctrl-C in the middle of the computation, as soon as the program has seen to it.
+#[test]
+fn commands_that_compute_in_one_piece_end_at_once_on_request() {
+    let (bench, hash) = bench();
+    let evaluate = ["evaluate", "s.toml", &hash, "--records", "initial=good.toml", "--iterations", "1000000"];
+    let identify = ["identify", "s.toml", "--hash", &hash, "--records", "good.toml"];
+    let trial = ["trial", "s.toml", "--hash", &hash];
+    for (arguments, signal) in [
+        (&evaluate[..], libc::SIGINT),
+        (&evaluate, libc::SIGTERM),
+        (&identify, libc::SIGINT),
+        (&trial, libc::SIGINT),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+        command.args(arguments).current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::piped());
+        let child = command.spawn().unwrap();
+        let status = format!("/proc/{}/status", child.id());
+        let caught = || {
+            let status = std::fs::read_to_string(&status).ok()?;
+            let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?.trim();
+            (u64::from_str_radix(mask, 16).ok()? >> (signal - 1) & 1 == 1).then_some(())
+        };
+        eventually(Duration::from_secs(20), caught).expect("the program sees to signals");
+        let asked = Instant::now();
+        kill(child.id(), signal);
+        let ended = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(4), "{arguments:?}: {said}");
+        assert!(
+            asked.elapsed() < Duration::from_secs(2) && said.contains("begins anew"),
+            "{arguments:?}: {said}"
+        );
+    }
 }

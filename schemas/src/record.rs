@@ -182,8 +182,34 @@ pub struct TrialResult {
     pub placed: Option<Placed>,
 }
 
+/// A network in training.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Training {
+    /// Its weights.
+    pub weights: Vec<f32>,
+    /// First and second moments of Adam on them, and its count of steps.
+    pub moments: (Vec<f32>, Vec<f32>, u64),
+    /// Training loss (normalised) at every iteration so far.
+    pub losses: Vec<f32>,
+    /// (Iteration, from 1, prediction error on the holdout before it (%)), thinned.
+    pub errors: Vec<(u32, f64)>,
+}
+
+/// How far the comparison at the end has come.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Comparison {
+    /// The bodies, the initial one first; the last may lack networks.
+    pub bodies: Vec<BodyEvaluation>,
+    /// The network that is being trained on it.
+    pub training: Option<Training>,
+    /// Counts of work.
+    pub counters: Counters,
+    /// Where the time went.
+    pub seconds: Seconds,
+}
+
 /// What is needed to go on inside a trial. Stored as postcard bytes behind a version byte: these know no field by its name,
-/// so that a field more is a version more, and [`Checkpoint::from_bytes`] keeps the old one's shape.
+/// so that a field more, in what it holds too, is a version more, and [`Checkpoint::from_bytes`] goes on reading the old ones.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Checkpoint {
     /// The next outer step.
@@ -200,6 +226,8 @@ pub struct Checkpoint {
     pub best: Option<(Vec<f64>, f64, u32)>,
     /// What else the protocol carries from step to step (rate factors, running trends), by position.
     pub protocol: Vec<f64>,
+    /// Where it has begun (since version 2).
+    pub comparison: Option<Box<Comparison>>,
 }
 
 /// A stored checkpoint that this program cannot go on from.
@@ -215,7 +243,7 @@ pub enum CheckpointError {
 
 impl Checkpoint {
     /// Of what [`Checkpoint::to_bytes`] writes.
-    pub const VERSION: u8 = 1;
+    pub const VERSION: u8 = 2;
 
     /// As it is stored.
     ///
@@ -232,12 +260,15 @@ impl Checkpoint {
     /// If it is of another version, or not whole.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
         let damaged = |why: &dyn std::fmt::Display| CheckpointError::Damaged(why.to_string());
+        let read = |bytes: &[u8]| match postcard::take_from_bytes(bytes) {
+            Ok((checkpoint, [])) => Ok(checkpoint),
+            Ok((_, more)) => Err(damaged(&format!("{} bytes too many", more.len()))),
+            Err(error) => Err(damaged(&error)),
+        };
         match bytes.split_first() {
-            Some((&Self::VERSION, rest)) => match postcard::take_from_bytes(rest) {
-                Ok((checkpoint, [])) => Ok(checkpoint),
-                Ok((_, more)) => Err(damaged(&format!("{} bytes too many", more.len()))),
-                Err(error) => Err(damaged(&error)),
-            },
+            Some((&Self::VERSION, rest)) => read(rest),
+            // It ends before the comparison, of which there is none.
+            Some((1, rest)) => read(&[rest, &[0]].concat()),
             Some((version, _)) => Err(CheckpointError::Version(*version)),
             None => Err(damaged(&"it is empty")),
         }
@@ -248,10 +279,26 @@ impl Checkpoint {
 mod tests {
     use super::*;
 
-    /// What version 1 has written is read for ever: whoever changes `Checkpoint` sees these bytes fail, and adds a version.
+    const VERSION_1: &str = "01 ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
+        01 0000803e 01 0000003f 00 c801 01 01 000000000000f83f 0000000000002940 ab02 01 0000000000000840";
+    const VERSION_2: &str = "02 ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
+        01 0000803e 01 0000003f 00 c801 01 01 000000000000f83f 0000000000002940 ab02 01 0000000000000840 01 \
+        0101000000000000e03f0101000000000000f03f00010000000000000040010000003f01010000000000001040010000803e \
+        026f6b01000000000000000103c801000000000000e03f01000000000000f03f000100000000000000400102ac0201010000 \
+        003f010000803e01000080beac02010000004001c80100000000000020400102030405d804000000000000f03f0000000000 \
+        0000400000000000000840000000000000104000000000000014400000000000001840";
+
+    fn bytes(digits: &str) -> Vec<u8> {
+        let digits: Vec<u8> = digits.bytes().filter(u8::is_ascii_hexdigit).collect();
+        let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+        digits.chunks(2).map(byte).collect()
+    }
+
+    /// What any version has written is read for ever: whoever changes `Checkpoint`, or what it holds, sees these bytes fail,
+    /// and adds a version.
     #[test]
-    fn a_checkpoint_of_version_1_goes_on() {
-        let checkpoint = Checkpoint {
+    fn checkpoints_of_all_versions_go_on() {
+        let first = Checkpoint {
             step: 300,
             design: vec![0.5, -2.0],
             design_moments: (vec![1.0], vec![2.0], 7),
@@ -259,17 +306,67 @@ mod tests {
             weight_moments: (vec![0.5], Vec::new(), 200),
             best: Some((vec![1.5], 12.5, 299)),
             protocol: vec![3.0],
+            comparison: None,
         };
-        let stored = "01 ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
-                      01 0000803e 01 0000003f 00 c801 01 01 000000000000f83f 0000000000002940 ab02 01 0000000000000840";
-        let digits: Vec<u8> = stored.bytes().filter(u8::is_ascii_hexdigit).collect();
-        let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
-        let bytes: Vec<u8> = digits.chunks(2).map(byte).collect();
-        assert_eq!(Checkpoint::from_bytes(&bytes), Ok(checkpoint.clone()));
-        assert_eq!(checkpoint.to_bytes(), bytes);
+        let network = NetworkEvaluation {
+            error_train: Some(1.0),
+            error_test: None,
+            error_holdout: Some(2.0),
+            losses: vec![0.5],
+            errors: vec![(1, 4.0)],
+            weights: vec![0.25],
+            outcome: "ok".into(),
+        };
+        let reading = Reading {
+            before: 3,
+            after: 200,
+            ridge: 0.5,
+            error_train: Some(1.0),
+            error_test: None,
+            error_holdout: Some(2.0),
+        };
+        let body = BodyEvaluation {
+            design: vec![0.5],
+            long: vec![NetworkEvaluation::default()],
+            networks: vec![network],
+            readings: vec![reading],
+            zero_samples: [1, 2, 300],
+        };
+        let training = Training {
+            weights: vec![0.5],
+            moments: (vec![0.25], vec![-0.25], 300),
+            losses: vec![2.0],
+            errors: vec![(200, 8.0)],
+        };
+        let counters = Counters {
+            force_evaluations: 1,
+            steps: 2,
+            rejected: 3,
+            brain_iterations: 4,
+            hessian_products: 5,
+            projection_iterations: 600,
+        };
+        let seconds = Seconds {
+            simulate: 1.0,
+            train: 2.0,
+            differentiate: 3.0,
+            implicit: 4.0,
+            project: 5.0,
+            store: 6.0,
+        };
+        let comparison = Comparison { bodies: vec![body], training: Some(training), counters, seconds };
+        let second = Checkpoint { comparison: Some(Box::new(comparison)), ..first.clone() };
+        assert_eq!(Checkpoint::from_bytes(&bytes(VERSION_1)), Ok(first));
+        assert_eq!(Checkpoint::from_bytes(&bytes(VERSION_2)), Ok(second.clone()));
+        assert_eq!(second.to_bytes(), bytes(VERSION_2));
         assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
-        for broken in [&bytes[..bytes.len() - 1], &[&bytes[..], &[0]].concat(), &[]] {
-            assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
+        for stored in [VERSION_1, VERSION_2].map(bytes) {
+            for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {
+                assert!(
+                    matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))),
+                    "{broken:?}"
+                );
+            }
         }
     }
 
@@ -282,6 +379,10 @@ mod tests {
             weights: vec![0.25; 4],
             best: Some((vec![1.5; 6], 12.5, 2)),
             protocol: vec![3.0; 4],
+            comparison: Some(Box::new(Comparison {
+                bodies: vec![BodyEvaluation::default()],
+                ..Default::default()
+            })),
             ..Default::default()
         };
         let mut runner = proptest::test_runner::TestRunner::new(proptest::test_runner::Config {

@@ -94,7 +94,7 @@ pub enum ToWorker {
         /// The trial's hash, of which the process bears the beginning as its name.
         hash: String,
     },
-    /// Finish the step in progress and hand the trial back.
+    /// Finish the step in progress, or save the comparison, and hand the trial back.
     Stop,
 }
 
@@ -127,6 +127,13 @@ pub enum ToOrchestrator {
         lease: Lease,
         /// What happened.
         record: Box<StepRecord>,
+        /// Where to go on from.
+        checkpoint: Box<Checkpoint>,
+    },
+    /// The comparison at the end has come further.
+    Saved {
+        /// Whose it is.
+        lease: Lease,
         /// Where to go on from.
         checkpoint: Box<Checkpoint>,
     },

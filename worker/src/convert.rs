@@ -1,10 +1,12 @@
 //! The maths' reports and states as what is stored, and back. Stored types age slowly, maths types are free to change.
 
 use metasense_numerics::brain::Adam;
-use metasense_numerics::nested::{self, Best, State, Waypoint};
+use metasense_numerics::brain::linear::Lags;
+use metasense_numerics::dynamics;
+use metasense_numerics::nested::{self, Best, Fresh, Problem, State, Waypoint};
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, Counters, ImplicitRecord, NetworkEvaluation, Placed, Reading, Seconds,
-    StepRecord,
+    BodyEvaluation, Checkpoint, Comparison, Counters, ImplicitRecord, NetworkEvaluation, Placed, Reading,
+    Seconds, StepRecord, Training,
 };
 
 /// Not a number becomes absent.
@@ -116,15 +118,33 @@ pub fn checkpoint(state: &State) -> Checkpoint {
         weight_moments: (state.weight_adam.m.clone(), state.weight_adam.v.clone(), state.weight_adam.t),
         best: state.best.as_ref().map(|best| (best.design.clone(), best.error, best.step)),
         protocol,
+        comparison: Some(&state.comparison).filter(|c| !c.bodies.is_empty()).map(comparison).map(Box::new),
+    }
+}
+
+fn comparison(comparison: &nested::Comparison) -> Comparison {
+    let training = |fresh: &Fresh| Training {
+        weights: fresh.weights.clone(),
+        moments: (fresh.adam.m.clone(), fresh.adam.v.clone(), fresh.adam.t),
+        losses: fresh.losses.clone(),
+        errors: fresh.errors.clone(),
+    };
+    Comparison {
+        bodies: comparison.bodies.iter().cloned().map(body_evaluation).collect(),
+        training: comparison.training.as_ref().map(training),
+        counters: counters(&comparison.counters),
+        seconds: seconds(&comparison.seconds),
     }
 }
 
 /// The inverse of [`checkpoint`].
 ///
 /// # Errors
-/// If the checkpoint is not of a trial with `parameters` design parameters.
-pub fn state(checkpoint: Checkpoint, parameters: usize) -> Result<State, String> {
-    let Checkpoint { step, design, design_moments, weights, weight_moments, best, protocol } = checkpoint;
+/// If the checkpoint is not of such a trial.
+pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String> {
+    let parameters = problem.initial.len();
+    let Checkpoint { step, design, design_moments, weights, weight_moments, best, protocol, comparison } =
+        checkpoint;
     let lengths = [design.len(), design_moments.0.len(), design_moments.1.len()];
     // one number beside whole waypoints is the ridge
     let ridge = protocol.get(3).copied().filter(|_| (protocol.len() - 3) % (1 + parameters) == 1);
@@ -151,6 +171,77 @@ pub fn state(checkpoint: Checkpoint, parameters: usize) -> Result<State, String>
         trend: (protocol[2] > 0.0).then_some(protocol[2]),
         ridge,
         trail: waypoints.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect(),
+        comparison: comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default(),
+    })
+}
+
+/// The inverse of [`comparison`].
+fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Comparison, String> {
+    let Comparison { bodies, training, counters, seconds } = comparison;
+    let (parameters, weights) = (problem.initial.len(), problem.reader_shape().weights());
+    let of_design = |body: &BodyEvaluation| body.design.len() == parameters;
+    let of_network =
+        |t: &Training| [&t.weights, &t.moments.0, &t.moments.1].iter().all(|w| w.len() == weights);
+    if bodies.len() > 2 || !bodies.iter().all(of_design) || !training.iter().all(of_network) {
+        return Err(format!(
+            "a comparison that is not of {parameters} design parameters and {weights} weights"
+        ));
+    }
+    let fresh = |training: Training| {
+        let Training { weights, moments: (m, v, t), losses, errors } = training;
+        Fresh { weights, adam: Adam { m, v, t }, losses, errors }
+    };
+    let Seconds { simulate, train, differentiate, implicit, project, .. } = seconds;
+    Ok(nested::Comparison {
+        bodies: bodies.into_iter().map(evaluated).collect::<Result<_, _>>()?,
+        training: training.map(fresh),
+        counters: nested::Counters {
+            dynamics: dynamics::Counters {
+                force_evaluations: counters.force_evaluations,
+                steps: counters.steps,
+                rejected: counters.rejected,
+            },
+            brain_iterations: counters.brain_iterations,
+            hessian_products: counters.hessian_products,
+            projection_iterations: counters.projection_iterations,
+        },
+        seconds: nested::Seconds { simulate, train, differentiate, implicit, project },
+    })
+}
+
+/// The inverse of [`body_evaluation`].
+fn evaluated(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
+    let network = |network: NetworkEvaluation| {
+        let trouble = match &*network.outcome {
+            "ok" => None,
+            name => {
+                Some(nested::Trouble::named(name).ok_or_else(|| format!("a network that ended {name:?}"))?)
+            }
+        };
+        let NetworkEvaluation { error_train, error_test, error_holdout, losses, errors, weights, .. } =
+            network;
+        let network = nested::NetworkEvaluation {
+            error_train,
+            error_test,
+            error_holdout,
+            losses,
+            errors,
+            weights,
+            trouble,
+        };
+        Ok(network)
+    };
+    let reading = |reading: Reading| {
+        let Reading { before, after, ridge, error_train, error_test, error_holdout } = reading;
+        let lags = Lags { before: before as usize, after: after as usize };
+        nested::Reading { lags, ridge, error_train, error_test, error_holdout }
+    };
+    Ok(nested::BodyEvaluation {
+        design: body.design,
+        networks: body.networks.into_iter().map(network).collect::<Result<_, String>>()?,
+        long: body.long.into_iter().map(network).collect::<Result<_, String>>()?,
+        readings: body.readings.into_iter().map(reading).collect(),
+        zero_samples: body.zero_samples,
     })
 }
 
@@ -161,29 +252,70 @@ mod tests {
     /// A state that has all its parts goes through its stored form unchanged; one of another trial is refused.
     #[test]
     fn a_state_survives_its_checkpoint() {
+        let problem = crate::problem::problem(&crate::replay::tests::small_trial()).unwrap();
+        let (parameters, weights) = (problem.initial.len(), problem.reader_shape().weights());
+        let numbers = |n: usize| (0..n).map(|i| 0.1 * i as f64).collect::<Vec<f64>>();
+        let few = |n: usize| (0..n).map(|i| 0.1 * i as f32).collect::<Vec<f32>>();
+        let design = numbers(parameters);
         let full = State {
             step: 7,
-            design: vec![0.1, -0.2],
-            design_adam: Adam { m: vec![1.0, 2.0], v: vec![3.0, 4.0], t: 7 },
-            weights: vec![0.5; 3],
-            weight_adam: Adam { m: vec![0.1; 3], v: vec![0.2; 3], t: 70 },
-            best: Some(Best { design: vec![0.3, 0.4], error: 12.5, step: 5 }),
+            design: design.clone(),
+            design_adam: Adam { m: numbers(parameters), v: numbers(parameters), t: 7 },
+            weights: few(weights),
+            weight_adam: Adam { m: few(weights), v: few(weights), t: 70 },
+            best: Some(Best { design: design.clone(), error: 12.5, step: 5 }),
             caution: 0.5,
             setbacks: 2,
             trend: Some(0.01),
             ridge: None,
             trail: vec![
-                Waypoint { step: 5, design: vec![0.3, 0.4] },
-                Waypoint { step: 6, design: vec![0.5, 0.6] },
+                Waypoint { step: 5, design: design.clone() },
+                Waypoint { step: 6, design: design.clone() },
             ],
+            comparison: nested::Comparison::default(),
         };
         let bare = State { best: None, trend: None, trail: Vec::new(), weights: Vec::new(), ..full.clone() };
         let linear = State { ridge: Some(1e-4), weights: Vec::new(), ..full.clone() };
-        for original in [full, bare, linear] {
-            let bytes = postcard::to_allocvec(&checkpoint(&original)).unwrap();
-            let read: Checkpoint = postcard::from_bytes(&bytes).unwrap();
-            assert!(state(read.clone(), 3).is_err());
-            assert_eq!(state(read, 2).unwrap(), original);
+        let network = nested::NetworkEvaluation {
+            error_test: Some(3.0),
+            losses: vec![0.5, 0.25],
+            errors: vec![(1, 9.0)],
+            weights: few(weights),
+            trouble: nested::Trouble::named("diverged"),
+            ..Default::default()
+        };
+        let reading = nested::Reading {
+            lags: Lags { before: 3, after: 0 },
+            ridge: 1e-6,
+            error_train: None,
+            error_test: Some(1.0),
+            error_holdout: Some(2.0),
+        };
+        let body = nested::BodyEvaluation {
+            design,
+            networks: vec![network.clone(), nested::NetworkEvaluation { trouble: None, ..network.clone() }],
+            long: vec![network],
+            readings: vec![reading],
+            zero_samples: [1, 2, 3],
+        };
+        let adam = Adam { m: few(weights), v: few(weights), t: 2 };
+        let fresh = Fresh { weights: few(weights), adam, losses: vec![0.5], errors: Vec::new() };
+        let compared = |training| State {
+            comparison: nested::Comparison {
+                bodies: vec![body.clone(), nested::BodyEvaluation { long: Vec::new(), ..body.clone() }],
+                training,
+                counters: nested::Counters { brain_iterations: 5, ..Default::default() },
+                seconds: nested::Seconds { train: 2.0, ..Default::default() },
+            },
+            ..full.clone()
+        };
+        let wrong = Fresh { weights: few(3), ..fresh.clone() };
+        for original in [full.clone(), bare, linear, compared(None), compared(Some(fresh))] {
+            let read = Checkpoint::from_bytes(&checkpoint(&original).to_bytes()).unwrap();
+            let other = Checkpoint { design: vec![0.5; 3], ..read.clone() };
+            assert!(state(other, &problem).is_err());
+            assert_eq!(state(read, &problem).unwrap(), original);
         }
+        assert!(state(checkpoint(&compared(Some(wrong))), &problem).is_err());
     }
 }

@@ -81,7 +81,11 @@ struct Keeper<'a> {
 }
 
 impl Observe for Keeper<'_> {
-    fn progress(&mut self, _: f64) {}
+    fn progress(&mut self, _: f64) -> Control {
+        Control::Continue
+    }
+
+    fn save(&mut self, _: Checkpoint) {}
 
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
         let seconds = cpu_seconds() - self.start;
@@ -105,7 +109,10 @@ impl nested::Observe for Alone {
     fn seconds(&mut self) -> f64 {
         0.0
     }
-    fn progress(&mut self, _: f64) {}
+    fn progress(&mut self, _: f64) -> nested::Control {
+        nested::Control::Continue
+    }
+    fn save(&mut self, _: &nested::State) {}
     fn step(&mut self, _: &nested::Report, _: &nested::State) -> nested::Control {
         nested::Control::Continue
     }

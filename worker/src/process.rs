@@ -279,30 +279,48 @@ struct Reporter<'a> {
     broken: Option<LinkError>,
 }
 
-impl Observe for Reporter<'_> {
-    fn progress(&mut self, fraction: f64) {
-        if self.beaten.is_some_and(|at| at.elapsed() < BEAT) {
-            return;
+impl Reporter<'_> {
+    /// Sends, and hears whether a stop is wanted.
+    fn tell(&mut self, message: &ToOrchestrator) {
+        match self.worker.send(message) {
+            Ok(()) => self.listen(),
+            Err(error) => self.broken = Some(error),
         }
-        self.beaten = Some(Instant::now());
-        self.beat += 1;
-        let Lease { trial, attempt } = self.lease;
-        // A beat may be lost.
-        let _ = self.worker.beats.send_copy(Progress { trial, attempt, fraction, beat: self.beat });
     }
 
-    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
-        let message = ToOrchestrator::Step {
-            lease: self.lease,
-            record: Box::new(record),
-            checkpoint: Box::new(checkpoint),
-        };
-        let told = self.worker.send(&message).and_then(|()| wire::receive::<ToWorker>(&self.worker.down));
-        match told {
+    fn listen(&mut self) {
+        match wire::receive::<ToWorker>(&self.worker.down) {
             Ok(Some(ToWorker::Stop)) => self.stop = true,
             Ok(_) => {}
             Err(error) => self.broken = Some(error),
         }
+    }
+
+    fn wanted(&self) -> Control {
         if self.stop || self.broken.is_some() { Control::Stop } else { Control::Continue }
+    }
+}
+
+impl Observe for Reporter<'_> {
+    fn progress(&mut self, fraction: f64) -> Control {
+        if self.beaten.is_none_or(|at| at.elapsed() >= BEAT) {
+            self.beaten = Some(Instant::now());
+            self.beat += 1;
+            let Lease { trial, attempt } = self.lease;
+            // A beat may be lost.
+            let _ = self.worker.beats.send_copy(Progress { trial, attempt, fraction, beat: self.beat });
+            self.listen();
+        }
+        self.wanted()
+    }
+
+    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
+        let (record, checkpoint) = (Box::new(record), Box::new(checkpoint));
+        self.tell(&ToOrchestrator::Step { lease: self.lease, record, checkpoint });
+        self.wanted()
+    }
+
+    fn save(&mut self, checkpoint: Checkpoint) {
+        self.tell(&ToOrchestrator::Saved { lease: self.lease, checkpoint: Box::new(checkpoint) });
     }
 }

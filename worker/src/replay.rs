@@ -119,7 +119,7 @@ fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::run::{Control, Observe, run_trial};
     use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord};
@@ -127,13 +127,16 @@ mod tests {
     struct Blind;
 
     impl Observe for Blind {
-        fn progress(&mut self, _: f64) {}
+        fn progress(&mut self, _: f64) -> Control {
+            Control::Continue
+        }
+        fn save(&mut self, _: Checkpoint) {}
         fn step(&mut self, _: StepRecord, _: Checkpoint) -> Control {
             Control::Continue
         }
     }
 
-    fn small_trial() -> TrialSpec {
+    pub(crate) fn small_trial() -> TrialSpec {
         let json = r#"{"body": {"columns": 3, "rows": 3, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
             "stiffness": {"stretch": 3.0, "shear": 0.5, "bend": 1.0}}, "time": {"duration": 0.3, "samples": 30},
             "solver": {}, "sensors": {}, "stimuli": {"kind": "bell", "samples": 10, "test": 3, "holdout": 4,

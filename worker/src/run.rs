@@ -12,16 +12,18 @@ use crate::simd;
 /// Who watches a trial.
 pub trait Observe {
     /// A sign of life, with the part of the trial that is done, in [0, 1]: before and after every simulation, training,
-    /// gradient and projection.
-    fn progress(&mut self, fraction: f64);
+    /// gradient and projection, and at every iteration of the comparison at the end.
+    fn progress(&mut self, fraction: f64) -> Control;
     /// A finished outer step, and what is needed to go on after it.
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control;
+    /// What is needed to go on within the comparison at the end.
+    fn save(&mut self, checkpoint: Checkpoint);
 }
 
 /// What an observer wants next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Control {
-    /// Another step.
+    /// More.
     Continue,
     /// No more.
     Stop,
@@ -54,9 +56,7 @@ pub fn run_trial(
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     let resume = match checkpoint {
         None => None,
-        Some(checkpoint) => {
-            Some(convert::state(checkpoint, problem.initial.len()).map_err(Failure::Rejected)?)
-        }
+        Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(Failure::Rejected)?),
     };
     let pool = pool(threads)?;
     let mut watch = Watch { observer, store: 0.0, done: 0.0 };
@@ -112,9 +112,9 @@ impl nested::Observe for Watch<'_> {
         cpu_seconds()
     }
 
-    fn progress(&mut self, fraction: f64) {
+    fn progress(&mut self, fraction: f64) -> nested::Control {
         self.done = fraction;
-        self.observer.progress(fraction);
+        control(self.observer.progress(fraction))
     }
 
     fn step(&mut self, report: &nested::Report, state: &State) -> nested::Control {
@@ -124,9 +124,17 @@ impl nested::Observe for Watch<'_> {
         let before = cpu_seconds();
         let control = self.observer.step(record, checkpoint);
         self.store = cpu_seconds() - before;
-        match control {
-            Control::Continue => nested::Control::Continue,
-            Control::Stop => nested::Control::Stop,
-        }
+        self::control(control)
+    }
+
+    fn save(&mut self, state: &State) {
+        self.observer.save(convert::checkpoint(state));
+    }
+}
+
+fn control(control: Control) -> nested::Control {
+    match control {
+        Control::Continue => nested::Control::Continue,
+        Control::Stop => nested::Control::Stop,
     }
 }

@@ -18,10 +18,13 @@ struct Sleeper {
 const NAP: Duration = Duration::from_millis(150);
 
 impl Observe for Sleeper {
-    fn progress(&mut self, fraction: f64) {
+    fn progress(&mut self, fraction: f64) -> Control {
         self.beats.push(fraction);
         std::thread::sleep(NAP / 10);
+        Control::Continue
     }
+
+    fn save(&mut self, _: Checkpoint) {}
 
     fn step(&mut self, record: StepRecord, _: Checkpoint) -> Control {
         let s = record.seconds;

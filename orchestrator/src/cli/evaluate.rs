@@ -12,7 +12,7 @@ use metasense_worker::run::Failure;
 
 use super::report::write_figures;
 use super::trial::find;
-use super::{Error, Format, duration, print_rows, read_plan, write};
+use super::{Error, Format, duration, end_on_signal, print_rows, read_plan, write};
 use crate::exit::Exit;
 use crate::export::npz::Zip;
 use crate::report::load;
@@ -91,6 +91,7 @@ const LINE_EVERY: Duration = Duration::from_secs(10);
 const FOLDS: usize = 10;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    end_on_signal();
     let (trial, mut designs) = of_trial(&args).await?;
     let (layout, initial) =
         metasense_worker::simulate::body(&trial).map_err(|e| Error::Usage(format!("trial: {e}")))?;

@@ -9,7 +9,7 @@ use metasense_worker::measured;
 use serde_json::{Value, json};
 
 use super::report::write_figures;
-use super::{Error, Format, duration, print_rows, read_plan, trial_and_design, write};
+use super::{Error, Format, duration, end_on_signal, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
 use crate::report::{csv, fit as pictures};
 use crate::store::{Table, npy_bytes};
@@ -56,6 +56,7 @@ enum Fitted {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    end_on_signal();
     let plan = read_plan(&args.spec)?;
     let (trial, design) = &trial_and_design(&plan, &args.spec, &args.hash, args.design.as_deref())?;
     let usage = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));

@@ -38,7 +38,7 @@ use crate::cluster::DealError;
 use crate::cluster::home::HomeError;
 use crate::cluster::merge::MergeError;
 use crate::cluster::queue::QueueError;
-use crate::engine::EngineError;
+use crate::engine::{EngineError, Signals};
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::{OneBody, Plan};
 use crate::store::StoreError;
@@ -130,6 +130,18 @@ fn block_on<T>(future: impl Future<Output = Result<T, Error>>) -> Result<T, Erro
         .build()
         .map_err(|source| Error::Io { doing: "starting", path: PathBuf::from("the runtime"), source })?;
     runtime.block_on(future)
+}
+
+/// From here on a signal ends the program at once, with the exit code of a stop on request: for commands that compute in one
+/// piece, and write when they are done.
+fn end_on_signal() {
+    std::thread::spawn(|| {
+        let asked = block_on(async { Ok(Signals::new()?.unless(std::future::pending::<()>()).await) });
+        if asked.is_ok() {
+            say!("stopped; the same command begins anew");
+            std::process::exit(Exit::Interrupted as i32);
+        }
+    });
 }
 
 /// Reads and expands a spec file.

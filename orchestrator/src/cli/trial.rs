@@ -8,7 +8,7 @@ use metasense_worker::run::{Control, Failure, Observe, run_trial};
 use serde_json::json;
 
 use super::simd::Simd;
-use super::{Error, Format, duration, print_rows, read_plan};
+use super::{Error, Format, duration, end_on_signal, print_rows, read_plan};
 use crate::exit::Exit;
 use crate::plan::{Plan, Trial};
 use crate::store::Table;
@@ -34,6 +34,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    end_on_signal();
     args.simd.choose()?;
     let plan = read_plan(&args.spec)?;
     let trial = find(&plan, &args.hash, &args.spec)?;
@@ -100,7 +101,11 @@ pub(super) fn find<'a>(plan: &'a Plan, hash: &str, spec: &Path) -> Result<&'a Tr
 struct Steps;
 
 impl Observe for Steps {
-    fn progress(&mut self, _: f64) {}
+    fn progress(&mut self, _: f64) -> Control {
+        Control::Continue
+    }
+
+    fn save(&mut self, _: Checkpoint) {}
 
     fn step(&mut self, record: StepRecord, _: Checkpoint) -> Control {
         let number = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.4}"));

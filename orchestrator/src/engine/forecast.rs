@@ -39,6 +39,8 @@ impl Planned {
 #[derive(Debug, Clone, Copy)]
 struct Running {
     since: Duration,
+    /// There were steps left when the worker got it: its comparison is a whole one.
+    whole: bool,
     /// Its first step has come in, and with it all that a worker does before that.
     warm: bool,
     /// Further ones.
@@ -90,7 +92,9 @@ impl Forecast {
 
     /// A worker has the trial.
     pub fn assigned(&mut self, trial: u32, now: Duration) {
-        self.running.insert(trial, Running { since: now, warm: false, steps: 0, seconds: 0.0 });
+        let Planned { behind, steps, .. } = self.trials[trial as usize];
+        let whole = behind < steps;
+        self.running.insert(trial, Running { since: now, whole, warm: false, steps: 0, seconds: 0.0 });
     }
 
     /// A step has come in.
@@ -112,6 +116,7 @@ impl Forecast {
     pub fn returned(&mut self, trial: u32, done: bool, now: Duration) {
         if let Some(running) = self.running.remove(&trial)
             && done
+            && running.whole
         {
             let planned = self.trials[trial as usize];
             self.of_comparisons.add(now.saturating_sub(running.since).as_secs_f64(), planned.comparison);

@@ -175,6 +175,7 @@ pub async fn run(
 #[derive(Debug)]
 enum Record {
     Step(Box<StepRecord>, Arc<Checkpoint>),
+    Checkpoint(Arc<Checkpoint>),
     Result(Box<TrialResult>, Option<Arrays>),
 }
 
@@ -203,7 +204,7 @@ struct Engine<'a> {
     runtime: Runtime,
     words: mpsc::Sender<(WorkerId, Word)>,
     queue: mpsc::Sender<Write>,
-    /// The last one of each trial that has made a step in this run.
+    /// The last one of each open trial that has come further in this run.
     checkpoints: HashMap<u32, Arc<Checkpoint>>,
     /// Results on their way to the disk, to be shown when they are there.
     results: HashMap<u32, TrialResult>,
@@ -277,7 +278,13 @@ impl Engine<'_> {
                 self.results.insert(lease.trial, TrialResult::clone(&result));
                 self.record(Write::Result(lease, result, arrays)).await;
             }
-            Action::RecordStep(..) | Action::RecordResult(..) => unreachable!("records keep their kind"),
+            Action::RecordCheckpoint(lease, Record::Checkpoint(checkpoint)) => {
+                self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
+                self.record(Write::Checkpoint(lease, checkpoint)).await;
+            }
+            Action::RecordStep(..) | Action::RecordCheckpoint(..) | Action::RecordResult(..) => {
+                unreachable!("records keep their kind")
+            }
             Action::RecordFailure { lease, reason, settled } => {
                 let trial = self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
@@ -450,6 +457,9 @@ impl Engine<'_> {
                     error: checkpoint.best.as_ref().map(|best| best.1),
                 };
                 Event::Step(worker, lease, standing, Record::Step(record, Arc::from(checkpoint)))
+            }
+            ToOrchestrator::Saved { lease, checkpoint } => {
+                Event::Saved(worker, lease, Record::Checkpoint(Arc::from(checkpoint)))
             }
             ToOrchestrator::Finished { lease, result, arrays: heads } => {
                 let mut arrays = sample.map(|sample| Arrays { heads, sample });

@@ -22,6 +22,8 @@ pub enum Write {
     Begin(Lease),
     /// A step.
     Step(Lease, Box<StepRecord>, Arc<Checkpoint>),
+    /// How far a comparison has come.
+    Checkpoint(Lease, Arc<Checkpoint>),
     /// A result with its arrays, which stay in shared memory until they are recorded.
     Result(Lease, Box<TrialResult>, Option<Arrays>),
     /// An attempt has come to nothing.
@@ -105,6 +107,10 @@ async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Resu
             }
             Write::Step(lease, record, checkpoint) => {
                 store.record_step(hash(lease), lease.attempt, record, checkpoint).await?;
+                written.push(Written::Recorded(*lease, Mark::Step));
+            }
+            Write::Checkpoint(lease, checkpoint) => {
+                store.record_checkpoint(hash(lease), lease.attempt, checkpoint).await?;
                 written.push(Written::Recorded(*lease, Mark::Step));
             }
             Write::Result(lease, result, arrays) => {

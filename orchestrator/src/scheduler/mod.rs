@@ -47,6 +47,8 @@ pub enum Event<P> {
     Beat(WorkerId, Lease),
     /// An outer step is done.
     Step(WorkerId, Lease, Standing, P),
+    /// The comparison at the end of the trial has come further.
+    Saved(WorkerId, Lease, P),
     /// The trial is done.
     Finished(WorkerId, Lease, P),
     /// The attempt came to no result; the worker goes on.
@@ -64,7 +66,7 @@ pub enum Event<P> {
 /// What was recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mark {
-    /// A step.
+    /// A step, or a checkpoint behind the last one.
     Step,
     /// A result.
     Result,
@@ -81,6 +83,8 @@ pub enum Action<P> {
     Assign(WorkerId, Lease),
     /// Record a step.
     RecordStep(Lease, P),
+    /// Record how far the comparison has come.
+    RecordCheckpoint(Lease, P),
     /// Record a result.
     RecordResult(Lease, P),
     /// Record that the attempt came to nothing; `settled`: and so did the trial.
@@ -92,7 +96,7 @@ pub enum Action<P> {
         /// No further attempt follows.
         settled: bool,
     },
-    /// Ask for the trial back after the step in progress.
+    /// Ask for the trial back after the step in progress, or in the middle of the comparison.
     AskStop(WorkerId),
     /// End the process in order.
     Close(WorkerId),
@@ -139,7 +143,9 @@ pub const BACKOFF_MAX: Millis = 60_000;
 /// Longest time between the start of a process and its hello.
 pub const STARTING_MAX: Millis = 30_000;
 /// Longest time between asking a process to end and killing it.
-pub const ENDING_MAX: Millis = 3_000;
+pub const ENDING_MAX: Millis = 1_000;
+/// Longest time that a step in progress is waited for once the run is to end: somebody sits there and waits, too.
+pub const STOPPING_MAX: Millis = 1_400;
 /// Processes of a slot that may fail to come up in a row before the slot is given up.
 pub const MISFIRES_MAX: u32 = 4;
 /// Results of a worker that may wait for the disk before it gets a further trial.
@@ -231,6 +237,8 @@ pub struct State {
     unsettled: usize,
     unrecorded: usize,
     stopping: Stopping,
+    /// Since when.
+    stopping_since: Millis,
     ended: bool,
 }
 
@@ -251,6 +259,7 @@ pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
             }
         }
         Event::Step(worker, lease, ..)
+        | Event::Saved(worker, lease, _)
         | Event::Finished(worker, lease, _)
         | Event::Failed(worker, lease, _)
             if !state.holds(worker, lease) =>
@@ -258,12 +267,13 @@ pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
             out.push(Action::CountStale(lease));
         }
         Event::Step(worker, lease, standing, record) => {
-            state.beat(worker);
-            let trial = &mut state.trials[lease.trial as usize];
-            (trial.stepped, trial.begun) = (true, true);
-            state.unrecorded += 1;
+            state.progressed(worker, lease);
             out.push(Action::RecordStep(lease, record));
             state.judge(worker, lease, standing, out);
+        }
+        Event::Saved(worker, lease, record) => {
+            state.progressed(worker, lease);
+            out.push(Action::RecordCheckpoint(lease, record));
         }
         Event::Finished(worker, lease, record) => {
             state.release(worker);
@@ -294,8 +304,11 @@ pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
             state.unrecorded = 0;
         }
         Event::Interrupt => {
-            let next = if state.stopping == Stopping::No { Stopping::Asked } else { Stopping::AtOnce };
-            state.stopping = state.stopping.max(next);
+            let first = state.stopping == Stopping::No;
+            state.stopping = state.stopping.max(if first { Stopping::Asked } else { Stopping::AtOnce });
+            if first {
+                state.stopping_since = state.now;
+            }
         }
     }
     state.stop(out);
@@ -332,6 +345,7 @@ impl State {
             unsettled: trials.len(),
             unrecorded: 0,
             stopping: Stopping::No,
+            stopping_since: 0,
             ended: false,
             settings,
         }
@@ -378,6 +392,14 @@ impl State {
         }
     }
 
+    /// A worker has come further with its trial than a death could take back, once that is recorded.
+    fn progressed(&mut self, worker: WorkerId, lease: Lease) {
+        self.beat(worker);
+        let trial = &mut self.trials[lease.trial as usize];
+        (trial.stepped, trial.begun) = (true, true);
+        self.unrecorded += 1;
+    }
+
     /// Takes the trial from a worker that holds one.
     fn release(&mut self, worker: WorkerId) {
         if let Some(slot) = self.slot(worker) {
@@ -406,9 +428,11 @@ impl State {
             self.ready.insert((!self.trials[trial as usize].begun, trial));
         }
         let (now, settings) = (self.now, &self.settings);
+        let waited_out = self.stopping != Stopping::No && now > self.stopping_since + STOPPING_MAX;
         for (slot, number) in self.slots.iter_mut().zip(0..) {
             let worker = WorkerId { slot: number, generation: slot.generation };
             let (lease, why) = match slot.work {
+                Work::Busy { lease, .. } if waited_out => (Some(lease), Some(Reason::Stopped)),
                 Work::Busy { lease, beat, .. } if now > beat + settings.no_progress => {
                     (Some(lease), Some(Reason::NoProgress))
                 }

@@ -25,7 +25,7 @@ pub enum Reason {
     Panicked,
     /// Worse than others of its kind, where `[run] prune` asks for that.
     Pruned,
-    /// Handed back on request; goes on with the next run.
+    /// Handed back on request, or ended as that took too long; goes on with the next run.
     Stopped,
 }
 

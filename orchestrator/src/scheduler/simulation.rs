@@ -1,8 +1,8 @@
-//! The scheduler in a world of its own: workers that die, hang, lag, repeat themselves and speak too late.
+//! The scheduler in a world of its own: workers that die, hang, lag, repeat themselves, speak too late and are slow to stop.
 //!
 //! The world is a queue of events at times, drawn from a seed. After every event: no trial is lost, none is with two
 //! workers, no attempt number is given twice, no result is recorded twice, and none is given up as hopeless that is not
-//! worse than enough others; and every run ends. A seed that fails prints its history.
+//! worse than enough others; and every run ends, within two seconds of being asked to. A seed that fails prints its history.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -64,7 +64,10 @@ struct World {
     chance_of_trouble: u64,
     chance_of_misfire: u64,
     chance_of_echo: u64,
+    /// Of a worker that goes on with what it does for long after it was asked to stop.
+    chance_of_slowness: u64,
     interrupt: bool,
+    interrupted: Option<Millis>,
     store_breaks: bool,
     /// Kept on the second run of a seed that has failed.
     history: Option<Vec<String>>,
@@ -110,7 +113,9 @@ impl World {
             chance_of_trouble: chance(&mut dice, 6),
             chance_of_misfire: chance(&mut dice, 40),
             chance_of_echo: chance(&mut dice, 30),
+            chance_of_slowness: chance(&mut dice, 100),
             interrupt: dice.percent(25),
+            interrupted: None,
             store_breaks: dice.percent(5),
             history: None,
             outcome: None,
@@ -163,7 +168,8 @@ impl World {
             let next = self.queue.first_key_value().map_or(Millis::MAX, |(&(when, _), _)| when);
             if next > clock {
                 self.now = clock;
-                clock += if next > clock + 5_000 { 1_000 } else { 200 };
+                let quiet = next > clock + 5_000 && self.interrupted.is_none();
+                clock += if quiet { 1_000 } else { 200 };
                 self.event(Event::Clock(self.now));
             } else {
                 let ((when, _), event) = self.queue.pop_first().expect("looked at above");
@@ -207,6 +213,9 @@ impl World {
         {
             self.failed[lease.trial as usize] = Some(reason);
         }
+        if event == Event::Interrupt {
+            self.interrupted.get_or_insert(self.now);
+        }
         for action in on_event(&mut self.state, event) {
             if let Some(history) = &mut self.history {
                 history.push(format!("{:>8}     {action:?}", self.now));
@@ -237,6 +246,13 @@ impl World {
                 *known = (*known).max(step + 1);
                 self.soon(50, Event::Recorded(lease, Mark::Step));
             }
+            Action::RecordCheckpoint(lease, (trial, step)) => {
+                assert_eq!(
+                    self.steps[trial as usize], step,
+                    "trial {trial} is compared before its last step"
+                );
+                self.soon(50, Event::Recorded(lease, Mark::Step));
+            }
             Action::RecordResult(lease, (trial, _)) => {
                 self.results[trial as usize] += 1;
                 self.soon(50, Event::Recorded(lease, Mark::Result));
@@ -246,7 +262,8 @@ impl World {
                 if let Some(lease) = self.working.get(&worker).copied()
                     && self.processes[&worker] == Process::Up
                 {
-                    let when = self.now + self.dice.below(2_000);
+                    let slow = self.dice.percent(self.chance_of_slowness);
+                    let when = self.now + self.dice.below(if slow { 60_000 } else { 1_000 });
                     self.say(when, Event::Failed(worker, lease, Reason::Stopped));
                 }
             }
@@ -282,6 +299,13 @@ impl World {
                 error: Some(self.error[trial as usize]),
             };
             self.say(when, Event::Step(worker, lease, standing, (trial, step)));
+        }
+        for _ in 0..self.dice.below(4) {
+            when += 1 + self.dice.below(3_000);
+            if self.dice.percent(self.chance_of_death) {
+                return self.at(when, Event::Lost(worker, Reason::WorkerKilled(9)));
+            }
+            self.say(when, Event::Saved(worker, lease, (trial, self.length[trial as usize])));
         }
         when += self.dice.below(1_000);
         self.say(when, Event::Finished(worker, lease, (trial, 0)));
@@ -338,6 +362,8 @@ impl World {
         assert!(self.store_breaks || outcome != Outcome::StoreBroken, "the store was in order");
         let alive = self.processes.values().filter(|process| **process != Process::Gone).count();
         assert_eq!(alive, 0, "processes are left behind");
+        let waited = self.now - self.interrupted.unwrap_or(self.now);
+        assert!(waited <= 2_000, "the run ended {waited} ms after it was asked to");
         if outcome != Outcome::Complete {
             return;
         }

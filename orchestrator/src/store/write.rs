@@ -145,6 +145,29 @@ impl Store {
         }
     }
 
+    /// Records a checkpoint within the comparison at the end.
+    ///
+    /// # Errors
+    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    pub async fn record_checkpoint(
+        &mut self,
+        hash: &str,
+        attempt: u32,
+        checkpoint: &Checkpoint,
+    ) -> Result<(), StoreError> {
+        let doing = "recording a checkpoint in";
+        let id = self.id(hash)?;
+        let own = self.own_transaction(doing).await?;
+        let current = match self.touch(id, attempt, 0).await {
+            Ok(true) => self.insert_checkpoint(id, checkpoint).await.map(|()| true),
+            other => other,
+        };
+        match self.end_own(own, current, doing).await? {
+            true => Ok(()),
+            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
+        }
+    }
+
     /// Counts steps of the current attempt; false where it is not the current one.
     async fn touch(&mut self, id: i64, attempt: u32, steps: i64) -> sqlx::Result<bool> {
         let done = sqlx::query(
@@ -202,6 +225,10 @@ impl Store {
         .bind(seconds.store)
         .execute(&mut self.connection)
         .await?;
+        self.insert_checkpoint(id, checkpoint).await
+    }
+
+    async fn insert_checkpoint(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
         sqlx::query("INSERT OR REPLACE INTO checkpoint (trial_id, step, bytes) VALUES (?, ?, ?)")
             .bind(id)
             .bind(checkpoint.step)

@@ -24,7 +24,7 @@ mod unseen;
 
 pub use chip::{Disturbance, Size};
 pub use downhill::{Downhill, downhill};
-pub use evaluation::{BodyEvaluation, NetworkEvaluation};
+pub use evaluation::{BodyEvaluation, Comparison, Fresh, NetworkEvaluation};
 pub use linear::{Decoder, READINGS_MAX, Reading, Ridge, fits};
 pub use placing::{Candidates, placed};
 pub use problem::{Evaluation, Going, Kind, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
@@ -62,7 +62,7 @@ pub struct Optimised {
 }
 
 /// Optimises the body of `problem` together with its brain, from the beginning or from a state that `observer` was
-/// given earlier; goes on from there to the same bits. `None` if the observer said stop.
+/// given earlier, within the comparison too; goes on from there to the same bits. `None` if the observer said stop.
 ///
 /// # Errors
 /// If the initial body cannot be simulated or trained, or no smaller step leads out of trouble.
@@ -96,22 +96,30 @@ pub fn optimise(
         }
     }
 
-    let (best_design, best_step) = match &state.best {
-        Some(best) => (&best.design, best.step),
-        None => (&problem.initial, 0),
+    let (design, best_step) = match &state.best {
+        Some(best) => (best.design.clone(), best.step),
+        None => (problem.initial.clone(), 0),
     };
     let mut log = Log::new(state.step, observer);
-    let initial = evaluate(&setting, &problem.initial, &problem.solver, 0, &mut log);
-    let best = log.timed(|s| &mut s.simulate, |_| Tuning::of_body(asked, best_design, pool));
-    let optimised = evaluate(&setting, best_design, &best.solver, 1, &mut log);
+    (log.report.counters, log.report.seconds) = (state.comparison.counters, state.comparison.seconds);
+    let tuned = log.timed(|s| &mut s.simulate, |_| Tuning::of_body(asked, &design, pool));
+    for (turn, (design, solver)) in
+        [(&problem.initial, &problem.solver), (&design, &tuned.solver)].into_iter().enumerate()
+    {
+        if evaluate(&setting, design, solver, turn, &mut state, &mut log).is_none() {
+            return Ok(None);
+        }
+    }
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += *pilot;
-    counters.dynamics += best.counters;
-    let (placed, solver) = (placed.clone(), format!("{solver}. Best body: {}", best.plan.reason));
+    counters.dynamics += tuned.counters;
+    let (placed, solver) = (placed.clone(), format!("{solver}. Best body: {}", tuned.plan.reason));
+    let [initial, optimised] = <[_; 2]>::try_from(state.comparison.bodies).expect("two turns");
     Ok(Some(Optimised { initial, optimised, best_step, placed, solver, counters, seconds }))
 }
 
-/// The comparison at the end for any designs: fresh networks of the same initial weights on each.
+/// The comparison at the end for any designs: fresh networks of the same initial weights on each, as far as the observer
+/// lets it come.
 ///
 /// # Errors
 /// If the initial body, which fixes the scales, cannot be simulated.
@@ -123,12 +131,14 @@ pub fn evaluate_designs(
 ) -> Result<Vec<BodyEvaluation>, Failure> {
     let Tuning { asked, problem, .. } = &Tuning::new(problem, pool)?;
     let setting = Setting::new(problem, pool)?;
-    let mut log = Log::new(0, observer);
-    let mut of = |design: &Vec<f64>| {
+    let (mut state, mut log) = (State::new(problem, &setting.shape), Log::new(0, observer));
+    for (turn, design) in designs.iter().enumerate() {
         let solver = Tuning::of_body(asked, design, pool).solver;
-        evaluate(&setting, design, &solver, 0, &mut log)
-    };
-    Ok(designs.iter().map(&mut of).collect())
+        if evaluate(&setting, design, &solver, turn, &mut state, &mut log).is_none() {
+            break;
+        }
+    }
+    Ok(state.comparison.bodies)
 }
 
 #[cfg(test)]

@@ -36,13 +36,14 @@ pub(super) async fn create(path: &Path) -> sqlx::Result<SqliteConnection> {
     Ok(out)
 }
 
-/// Notes an input's sweeps, and how far it has come with each trial.
+/// Notes an input's sweeps, and how far it has come with each trial: by steps, behind the last one by what a checkpoint
+/// holds of the comparison.
 pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Result<()> {
     for sql in [
         "INSERT INTO temp.candidate
          SELECT ?, t.id, t.hash,
            CASE t.state WHEN 'done' THEN 2 WHEN 'failed' THEN 0 WHEN 'pending' THEN 0 WHEN 'running' THEN 0 ELSE 1 END,
-           coalesce((SELECT c.step FROM src.checkpoint c WHERE c.trial_id = t.id), 0),
+           coalesce((SELECT (c.step << 32) + length(c.bytes) FROM src.checkpoint c WHERE c.trial_id = t.id), 0),
            (SELECT count(*) FROM src.attempt a WHERE a.trial_id = t.id),
            (SELECT coalesce(sum(a.redone), 0) FROM src.attempt a WHERE a.trial_id = t.id),
            coalesce((SELECT a.state <> 'running' AND a.reason IS NOT 'orchestrator_lost' FROM src.attempt a

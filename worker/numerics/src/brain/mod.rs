@@ -29,4 +29,4 @@ pub use network::{Workspace, full_gradient, input_gradient, loss, loss_gradient,
 pub use real::Real;
 pub use shape::{Architecture, LAYERS_MAX, Layer, Shape, initial_weights};
 pub use solve::{Policy, Solve, SolveOutcome, conjugate_gradient, solve_implicit};
-pub use train::{Adam, TrainOutcome, cosine, milestones, train, train_watched};
+pub use train::{Adam, TrainOutcome, cosine, milestones, train, train_on};

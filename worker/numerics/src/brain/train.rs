@@ -88,11 +88,16 @@ pub fn train<F: Real>(
     ws: &mut Workspace<F>,
     pool: &rayon::ThreadPool,
 ) -> TrainOutcome {
-    train_watched(weights, adam, batch, schedule, iterations, losses, ws, pool, &mut |_, _| ())
+    let mut more = Vec::new();
+    let outcome = train_on(weights, adam, batch, schedule, iterations, &mut more, ws, pool, &mut |_, _| true);
+    losses.append(&mut more);
+    outcome.expect("nobody pauses it")
 }
 
-/// As [`train`]; shows `watch` the weights before each step, whose loss was just appended, with its number from 0.
-pub fn train_watched<F: Real>(
+/// As [`train`] with the iterations that are left of `iterations` after those whose `losses` are there: a training that has
+/// paused goes on to the same bits. Shows `watch` the number, from 0, of each iteration whose loss is finite and the
+/// weights before its step; where that says `false`, it pauses before the iteration: `None`.
+pub fn train_on<F: Real>(
     weights: &mut [F],
     adam: &mut Adam<F>,
     batch: Batch<F>,
@@ -101,37 +106,37 @@ pub fn train_watched<F: Real>(
     losses: &mut Vec<f32>,
     ws: &mut Workspace<F>,
     pool: &rayon::ThreadPool,
-    watch: &mut dyn FnMut(usize, &[F]),
-) -> TrainOutcome {
+    watch: &mut dyn FnMut(usize, &[F]) -> bool,
+) -> Option<TrainOutcome> {
     let (shape, n) = (batch.shape(), batch.shape().layers());
     let mut gradient = vec![F::ZERO; weights.len()];
+    // Where it goes on after a pause, the loss is finite: it was before.
     let mut last = weights.to_vec();
-    let mut ceiling = batch.target_power();
-    losses.reserve(iterations);
-    for i in 0..iterations {
+    let power = batch.target_power();
+    losses.reserve(iterations.saturating_sub(losses.len()));
+    for i in losses.len()..iterations {
         let loss = loss_gradient(weights, batch, &mut gradient, ws, pool);
         if !loss.is_finite() {
             weights.copy_from_slice(&last);
-            return TrainOutcome::NonFinite;
+            return Some(TrainOutcome::NonFinite);
+        }
+        if !watch(i, weights) {
+            return None;
         }
         losses.push(loss as f32);
-        watch(i, weights);
-        if i == 0 {
-            ceiling = 100.0 * loss.max(ceiling);
-        }
-        if loss > ceiling {
-            return TrainOutcome::Diverged;
+        if loss > 100.0 * f64::from(losses[0]).max(power) {
+            return Some(TrainOutcome::Diverged);
         }
         // A dead layer leaves the weights behind it without a gradient, and its biases without one.
         let silent = |block| gradient[shape.range(block)].iter().all(|&g| g == F::ZERO);
         let dead = |layer: &usize| silent(n + layer) && (layer + 1 == n || silent(layer - 1));
         if let Some(layer) = (1..n).rev().find(|layer| loss > 0.0 && dead(layer)) {
-            return TrainOutcome::DeadLayer(layer);
+            return Some(TrainOutcome::DeadLayer(layer));
         }
         last.copy_from_slice(weights);
         adam.step(weights, &gradient, schedule(i));
     }
-    TrainOutcome::Ok
+    Some(TrainOutcome::Ok)
 }
 
 /// A rate that falls from `rate` to 0 by a cosine over `iterations`.

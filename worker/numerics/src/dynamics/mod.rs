@@ -251,6 +251,16 @@ impl Method {
 }
 
 impl Outcome {
+    /// Each of them.
+    pub const ALL: [Self; 6] = [
+        Self::Ok,
+        Self::StepLimit,
+        Self::StepTooSmall,
+        Self::NonFinite,
+        Self::ForbiddenContact,
+        Self::Unstable,
+    ];
+
     /// The name by which records know it.
     pub fn name(self) -> &'static str {
         match self {

@@ -1,9 +1,10 @@
 //! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
 
 use super::linear::{Plain, Reading, Ridge, Stack, read, readings};
-use super::problem::{Kind, Schedule, Training};
-use super::report::{Log, Trouble};
+use super::problem::{Kind, Problem, Schedule, Training};
+use super::report::{Control, Counters, Log, Seconds, Trouble};
 use super::setting::{Setting, mean_error};
+use super::state::State;
 use crate::brain::{self, Adam, Data, Shape, TrainOutcome, Workspace};
 use crate::dynamics::{Forces, Solver};
 use crate::random::Purpose;
@@ -28,7 +29,7 @@ pub struct NetworkEvaluation {
 }
 
 /// A body with its fresh brains.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct BodyEvaluation {
     /// α (mm).
     pub design: Vec<f64>,
@@ -45,16 +46,62 @@ pub struct BodyEvaluation {
 /// Initial weights of evaluations are numbered from here, out of the way of the outer steps'.
 pub(super) const FIRST_NETWORK: u64 = 1 << 32;
 
-/// Simulates `design` with `solver`, tuned to it, and trains fresh networks on it. `turn` (0, 1) is for the progress.
+/// How far a comparison has come.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Comparison {
+    /// The bodies, the initial one first; the last may lack networks.
+    pub bodies: Vec<BodyEvaluation>,
+    /// The network that is being trained on it.
+    pub training: Option<Fresh>,
+    /// Counts of work.
+    pub counters: Counters,
+    /// Seconds.
+    pub seconds: Seconds,
+}
+
+impl Comparison {
+    /// The part of the whole trial that is done, with so many iterations of the network in training.
+    fn part(&self, iterations: usize, problem: &Problem) -> f64 {
+        let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
+        let each = if problem.reader == Kind::Linear { all } else { problem.brain.iterations };
+        let of = |body: &BodyEvaluation| body.networks.len() * each + body.long.len() * long;
+        let done = self.bodies.iter().map(of).sum::<usize>() + iterations;
+        let left = 1.0 - problem.progress(problem.optimise.iterations);
+        1.0 - left * (1.0 - done as f64 / (2 * all) as f64)
+    }
+}
+
+/// Goes on with the comparison of `state` on its body number `turn`: simulates `design` with `solver`, tuned to it, and
+/// trains what is left of its fresh networks. `None` if the observer said stop: it has the state by then.
 pub(super) fn evaluate(
     setting: &Setting,
     design: &[f64],
     solver: &Solver,
     turn: usize,
+    state: &mut State,
     log: &mut Log,
-) -> BodyEvaluation {
+) -> Option<()> {
     let problem = setting.problem;
+    let linear = problem.reader == Kind::Linear;
+    let seeds = if linear { 1 } else { problem.evaluation.seeds };
+    let long = problem.evaluation.long.filter(|_| !linear);
+    let lacks = |body: &BodyEvaluation| {
+        [(false, Some(problem.brain.iterations)), (true, long)].into_iter().find_map(
+            |(is_long, iterations)| {
+                let trained = if is_long { &body.long } else { &body.networks };
+                iterations
+                    .filter(|_| trained.len() < seeds)
+                    .map(|iterations| (is_long, trained.len(), iterations))
+            },
+        )
+    };
+    let begun = state.comparison.bodies.get(turn);
+    if begun.is_some_and(|body| lacks(body).is_none()) {
+        return Some(());
+    }
+
     let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    let counted = log.report.counters;
     let signals = log.timed(
         |s| &mut s.simulate,
         |report| -> Result<_, Trouble> {
@@ -68,54 +115,60 @@ pub(super) fn evaluate(
             Ok([train, signals(&setting.test)?, signals(&holdout)?])
         },
     );
-    let mut zero_samples = [0; 3];
+    if begun.is_some() {
+        log.report.counters = counted;
+    }
     let sets = [&setting.train, &setting.test, &holdout];
-    let mut found = Vec::new();
+    let mut body = begun.is_none().then(|| BodyEvaluation { design: design.to_vec(), ..Default::default() });
     let seen = signals.and_then(|signals| {
         log.timed(
             |s| &mut s.train,
             |_| {
                 let plain = [0, 1, 2].map(|set| setting.plain(&signals[set], sets[set]));
-                zero_samples = [0, 1, 2].map(|set| plain[set].zero_samples());
-                found = readings(setting, &plain).unwrap_or_default();
+                if let Some(body) = &mut body {
+                    body.zero_samples = [0, 1, 2].map(|set| plain[set].zero_samples());
+                    body.readings = readings(setting, &plain).unwrap_or_default();
+                }
                 let data = |set: usize| setting.data(&signals[set], sets[set]);
                 Ok(match problem.reader {
-                    Kind::Linear => Seen::Linear(linear(setting, &plain, &mut found)),
+                    Kind::Linear => {
+                        let readings = body.as_mut().map(|body| &mut body.readings);
+                        Seen::Linear(self::linear(setting, &plain, readings.unwrap_or(&mut Vec::new())))
+                    }
                     Kind::Network => Seen::Network(Box::new([data(0), data(1), data(2)])),
                     Kind::Stacked => Seen::Network(Box::new(stacked(setting, &plain)?)),
                 })
             },
         )
     });
-    let readings = found;
-    let all = problem.evaluation_iterations();
-    let mut done = turn * all;
-    let mut passed = |iterations: usize, log: &mut Log| {
-        done += iterations;
-        let left = 1.0 - problem.progress(problem.optimise.iterations);
-        log.progress(1.0 - left * (1.0 - done as f64 / (2 * all) as f64));
-    };
-    if let Ok(Seen::Linear(linear)) = seen {
-        passed(all, log);
-        let design = design.to_vec();
-        return BodyEvaluation { design, networks: vec![linear], long: Vec::new(), readings, zero_samples };
-    }
-    let mut trained = |iterations: usize| -> Vec<NetworkEvaluation> {
-        let one = |seed: usize| {
-            let network = match &seen {
-                Ok(Seen::Network(data)) => network(setting, seed, iterations, data, sets, log),
-                Ok(Seen::Linear(linear)) => linear.clone(),
-                Err(trouble) => nothing(*trouble),
-            };
-            passed(iterations, log);
-            network
+    state.comparison.bodies.extend(body);
+
+    while let Some((is_long, seed, iterations)) = lacks(&state.comparison.bodies[turn]) {
+        let mut found = match &seen {
+            Ok(Seen::Network(data)) => network(setting, seed, iterations, data, sets, state, log)?,
+            Ok(Seen::Linear(linear)) => linear.clone(),
+            Err(trouble) => nothing(*trouble),
         };
-        (0..problem.evaluation.seeds).map(one).collect()
-    };
-    let networks = trained(problem.brain.iterations);
-    let mut long = problem.evaluation.long.map(trained).unwrap_or_default();
-    long.iter_mut().for_each(|network| network.weights.clear());
-    BodyEvaluation { design: design.to_vec(), networks, long, readings, zero_samples }
+        let body = &mut state.comparison.bodies[turn];
+        if is_long {
+            found.weights.clear();
+        }
+        if is_long { &mut body.long } else { &mut body.networks }.push(found);
+        let wanted = log.progress(state.comparison.part(0, problem));
+        if wanted == Control::Stop || log.save_is_due() {
+            save(state, log);
+        }
+        if wanted == Control::Stop {
+            return None;
+        }
+    }
+    Some(())
+}
+
+/// Hands the observer the state, with what the report says of the comparison.
+fn save(state: &mut State, log: &mut Log) {
+    (state.comparison.counters, state.comparison.seconds) = (log.report.counters, log.report.seconds);
+    log.save(state);
 }
 
 /// A body as the trial's own brain has it before it.
@@ -163,31 +216,48 @@ fn linear(setting: &Setting, sets: &[Plain; 3], readings: &mut Vec<Reading>) -> 
     }
 }
 
+/// Trains the network that is in training, or else a new one; `None` if the observer said stop.
 fn network(
     setting: &Setting,
     seed: usize,
     iterations: usize,
     [data, test, unseen]: &[Data<f32>; 3],
     sets: [&Forces; 3],
+    state: &mut State,
     log: &mut Log,
-) -> NetworkEvaluation {
+) -> Option<NetworkEvaluation> {
     let Setting { problem, pool, .. } = setting;
     let mut workspace = Workspace::new(data.shape());
     let (truth, mut aside) = (problem.targets(sets[2]), Workspace::new(data.shape()));
-    let mut progress =
+    let mut error =
         |weights: &[f32]| mean_error(&setting.scales.predict(weights, unseen, &truth, &mut aside, pool).1);
     let training = Training { iterations, ..problem.brain };
-    let Fresh { weights, losses, errors, outcome } = log.timed(
-        |s| &mut s.train,
-        |report| {
-            let (schedule, start) = (problem.evaluation.schedule, [problem.seed, seed as u64]);
-            let fresh = train_fresh(data, training, schedule, start, &mut progress, &mut workspace, pool);
-            report.counters.brain_iterations += fresh.losses.len() as u64;
-            fresh
-        },
-    );
+    let start = [problem.seed, seed as u64];
+    state.comparison.training.get_or_insert_with(|| Fresh::new(data.shape(), start));
+    let (fresh, outcome) = loop {
+        let begun = log.seconds();
+        let mut fresh = state.comparison.training.take().expect("set above, and before each round");
+        let mut wanted = Control::Continue;
+        let mut pauses = |iterations: usize| {
+            wanted = log.progress(state.comparison.part(iterations, problem));
+            wanted == Control::Stop || log.save_is_due()
+        };
+        let schedule = problem.evaluation.schedule;
+        let outcome = fresh.train(data, training, schedule, &mut error, &mut pauses, &mut workspace, pool);
+        log.report.seconds.train += log.seconds() - begun;
+        if let Some(outcome) = outcome {
+            break (fresh, outcome);
+        }
+        state.comparison.training = Some(fresh);
+        save(state, log);
+        if wanted == Control::Stop {
+            return None;
+        }
+    };
+    let Fresh { weights, losses, errors, .. } = fresh;
+    log.report.counters.brain_iterations += losses.len() as u64;
     let mut error = |set: usize, data: &Data<f32>| setting.error(&weights, data, sets[set], &mut workspace);
-    NetworkEvaluation {
+    Some(NetworkEvaluation {
         error_train: error(0, data),
         error_test: error(1, test),
         error_holdout: error(2, unseen),
@@ -195,51 +265,56 @@ fn network(
         errors,
         weights: if seed == 0 { weights } else { Vec::new() },
         trouble: (outcome != TrainOutcome::Ok).then_some(Trouble::Training(outcome)),
+    })
+}
+
+/// A fresh network in training, with all that it takes to go on to the same bits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fresh {
+    /// Its weights.
+    pub weights: Vec<f32>,
+    /// Adam on them.
+    pub adam: Adam<f32>,
+    /// Training loss (normalised) at every iteration so far.
+    pub losses: Vec<f32>,
+    /// (Iteration, from 1, error there) at its milestones.
+    pub errors: Vec<(u32, f64)>,
+}
+
+impl Fresh {
+    /// Evaluation's initial weights of [seed, number].
+    pub(super) fn new(shape: Shape, [seed, number]: [u64; 2]) -> Self {
+        let weights = fresh_weights(shape, seed, FIRST_NETWORK + number);
+        Self { adam: Adam::new(weights.len()), weights, losses: Vec::new(), errors: Vec::new() }
     }
-}
 
-/// A network trained from the beginning.
-pub(super) struct Fresh {
-    pub(super) weights: Vec<f32>,
-    /// Training loss (normalised) at every iteration.
-    pub(super) losses: Vec<f32>,
-    /// (Iteration, from 1, `error` there) at its milestones.
-    pub(super) errors: Vec<(u32, f64)>,
-    pub(super) outcome: TrainOutcome,
-}
-
-/// Trains the network that starts from evaluation's initial weights of [seed, number].
-pub(super) fn train_fresh(
-    data: &Data<f32>,
-    training: Training,
-    schedule: Schedule,
-    [seed, number]: [u64; 2],
-    error: &mut dyn FnMut(&[f32]) -> Option<f64>,
-    workspace: &mut Workspace<f32>,
-    pool: &rayon::ThreadPool,
-) -> Fresh {
-    let Training { iterations, rate, .. } = training;
-    let mut weights = fresh_weights(data.shape(), seed, FIRST_NETWORK + number);
-    let (mut adam, mut losses, mut errors) = (Adam::new(weights.len()), Vec::new(), Vec::new());
-    let milestones = brain::milestones(iterations);
-    let mut watch = |i: usize, weights: &[f32]| {
-        if milestones.binary_search(&(i + 1)).is_ok() {
-            errors.extend(error(weights).map(|error| (i as u32 + 1, error)));
-        }
-    };
-    let rate = |i| rate * schedule.factor(i, iterations);
-    let outcome = brain::train_watched(
-        &mut weights,
-        &mut adam,
-        data.all(),
-        &rate,
-        iterations,
-        &mut losses,
-        workspace,
-        pool,
-        &mut watch,
-    );
-    Fresh { weights, losses, errors, outcome }
+    /// Trains it on, at least an iteration, noting `error` at milestones. `None` if `pauses` says so, which is asked with the number of iterations done.
+    pub(super) fn train(
+        &mut self,
+        data: &Data<f32>,
+        training: Training,
+        schedule: Schedule,
+        error: &mut dyn FnMut(&[f32]) -> Option<f64>,
+        pauses: &mut dyn FnMut(usize) -> bool,
+        workspace: &mut Workspace<f32>,
+        pool: &rayon::ThreadPool,
+    ) -> Option<TrainOutcome> {
+        let Self { weights, adam, losses, errors } = self;
+        let Training { iterations, rate, .. } = training;
+        let (first, milestones) = (losses.len(), brain::milestones(iterations));
+        let mut watch = |i: usize, weights: &[f32]| {
+            if i > first && pauses(i) {
+                return false;
+            }
+            if milestones.binary_search(&(i + 1)).is_ok() {
+                errors.extend(error(weights).map(|error| (i as u32 + 1, error)));
+            }
+            true
+        };
+        let rate = |i| rate * schedule.factor(i, iterations);
+        let all = data.all();
+        brain::train_on(weights, adam, all, &rate, iterations, losses, workspace, pool, &mut watch)
+    }
 }
 
 /// Initial weights in the precision of training.

@@ -7,16 +7,19 @@ use crate::dynamics;
 pub trait Observe {
     /// Seconds since any fixed moment.
     fn seconds(&mut self) -> f64;
-    /// The part of the whole trial that is done.
-    fn progress(&mut self, fraction: f64);
+    /// The part of the whole trial that is done. An outer step is finished all the same, a training in the comparison at the
+    /// end is not.
+    fn progress(&mut self, fraction: f64) -> Control;
     /// A finished outer step, and the state to go on from after it.
     fn step(&mut self, report: &Report, state: &super::State) -> Control;
+    /// The state to go on from within the comparison at the end, every few seconds, and where it stops.
+    fn save(&mut self, state: &super::State);
 }
 
 /// What an observer wants next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Control {
-    /// Another step.
+    /// More.
     Continue,
     /// No more.
     Stop,
@@ -128,6 +131,15 @@ impl Trouble {
             Self::Nowhere => "nowhere_to_sense",
         }
     }
+
+    /// One of this name; what a name does not say of it is 0.
+    pub fn named(name: &str) -> Option<Self> {
+        use TrainOutcome::{DeadLayer, Diverged, NonFinite};
+        let simulations = dynamics::Outcome::ALL.into_iter().map(Self::Simulation);
+        let trainings = [NonFinite, Diverged, DeadLayer(0)].into_iter().map(Self::Training);
+        let others = [Self::LossJump(0.0), Self::GradientNonFinite, Self::Singular, Self::Nowhere];
+        simulations.chain(trainings).chain(others).find(|trouble| trouble.name() == name)
+    }
 }
 
 /// Why a trial has no result.
@@ -153,11 +165,17 @@ impl std::fmt::Display for Failure {
 pub(super) struct Log<'a> {
     pub(super) report: Report,
     observer: &'a mut dyn Observe,
+    /// When the state was last saved, or this was made.
+    saved: f64,
 }
+
+/// Seconds of a comparison between two savings of it: what a kill may cost.
+const SAVE_EVERY: f64 = 2.0;
 
 impl<'a> Log<'a> {
     pub(super) fn new(step: u32, observer: &'a mut dyn Observe) -> Self {
-        Self { report: Report { step, ..Report::default() }, observer }
+        let saved = observer.seconds();
+        Self { report: Report { step, ..Report::default() }, observer, saved }
     }
 
     /// Does `work` and adds its time to the part of [`Seconds`] that `part` picks.
@@ -172,8 +190,21 @@ impl<'a> Log<'a> {
         result
     }
 
-    pub(super) fn progress(&mut self, fraction: f64) {
-        self.observer.progress(fraction);
+    pub(super) fn seconds(&mut self) -> f64 {
+        self.observer.seconds()
+    }
+
+    pub(super) fn progress(&mut self, fraction: f64) -> Control {
+        self.observer.progress(fraction)
+    }
+
+    pub(super) fn save_is_due(&mut self) -> bool {
+        self.observer.seconds() - self.saved >= SAVE_EVERY
+    }
+
+    pub(super) fn save(&mut self, state: &super::State) {
+        self.observer.save(state);
+        self.saved = self.observer.seconds();
     }
 }
 

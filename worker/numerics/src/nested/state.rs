@@ -1,5 +1,6 @@
 //! What an outer loop carries from step to step, and how a gradient moves the body.
 
+use super::evaluation::Comparison;
 use super::problem::Problem;
 use super::protocol::Sensed;
 use super::report::{Failure, Log, Trouble};
@@ -31,6 +32,8 @@ pub struct State {
     pub ridge: Option<f64>,
     /// The last designs before this one, newest last.
     pub trail: Vec<Waypoint>,
+    /// What the comparison at the end has come to.
+    pub comparison: Comparison,
 }
 
 /// A design that a loop has passed.
@@ -73,6 +76,7 @@ impl State {
             trend: None,
             ridge: None,
             trail: Vec::new(),
+            comparison: Comparison::default(),
         }
     }
 

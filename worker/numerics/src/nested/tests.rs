@@ -75,10 +75,13 @@ fn pool(threads: usize) -> rayon::ThreadPool {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap()
 }
 
-/// Keeps all that it is told, and says stop after `stop_after` steps. Its clock counts how often it was read.
+/// Keeps all that it is told, and says stop after `stop_after` steps. Its clock counts how often it was read, unless it
+/// stands still.
 #[derive(Default)]
 struct Keeper {
     reads: f64,
+    clock_stands: bool,
+    saved: Vec<State>,
     reports: Vec<Report>,
     states: Vec<State>,
     fractions: Vec<f64>,
@@ -87,11 +90,15 @@ struct Keeper {
 
 impl Observe for Keeper {
     fn seconds(&mut self) -> f64 {
-        self.reads += 1.0;
+        self.reads += if self.clock_stands { 0.0 } else { 1.0 };
         self.reads
     }
-    fn progress(&mut self, fraction: f64) {
+    fn progress(&mut self, fraction: f64) -> Control {
         self.fractions.push(fraction);
+        Control::Continue
+    }
+    fn save(&mut self, state: &State) {
+        self.saved.push(state.clone());
     }
     fn step(&mut self, report: &Report, state: &State) -> Control {
         self.reports.push(report.clone());
@@ -155,6 +162,67 @@ fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
         }
         assert!(whole.fractions.is_sorted() && whole.fractions.last() == Some(&1.0), "{:?}", whole.fractions);
     }
+}
+
+/// Trained in one piece, in pieces of two iterations, or from any state saved between them, on another number of threads:
+/// the same bits, and work is counted once.
+#[test]
+fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
+    for reader in [Kind::Network, Kind::Linear, Kind::Stacked] {
+        let mut problem = Problem { reader, ..small(PROTOCOLS[3]) };
+        (problem.optimise.iterations, problem.brain.iterations, problem.evaluation.long) = (2, 6, Some(9));
+        let run = |state, threads, clock_stands| {
+            let mut keeper = Keeper { clock_stands, ..Keeper::default() };
+            let found = optimise(&problem, state, &pool(threads), &mut keeper).unwrap().unwrap();
+            ((found.initial, found.optimised, found.counters), keeper)
+        };
+        let (whole, keeper) = run(None, 1, true);
+        assert_eq!(keeper.saved, [], "{reader:?}");
+        let (in_pieces, keeper) = run(None, 1, false);
+        assert_eq!(in_pieces, whole, "{reader:?}");
+        let least = if reader == Kind::Linear { 1 } else { 2 * 2 * (6 + 9) / 3 };
+        assert!(keeper.saved.len() >= least, "{reader:?}: saved {} times", keeper.saved.len());
+        let within = keeper.saved.iter().filter(|state| state.comparison.training.is_some()).count();
+        assert!(reader == Kind::Linear || within > 10, "{reader:?}: {within} within a training");
+        for (n, state) in keeper.saved.into_iter().enumerate() {
+            let (found, again) = run(Some(state), 1 + n % 3, true);
+            assert_eq!(found, whole, "{reader:?}, saved as number {n}");
+            assert_eq!(again.reports, [], "{reader:?}");
+        }
+    }
+}
+
+/// The last iteration before a pause, the first after it, and one whose step leads out of all numbers: wherever a training
+/// that diverges is paused, it ends with the weights and the name it would have had.
+#[test]
+fn a_training_that_goes_wrong_does_so_in_pieces_too() {
+    let mut problem = small(PROTOCOLS[3]);
+    (problem.optimise.iterations, problem.evaluation.seeds) = (0, 1);
+    let mut names = Vec::new();
+    for rate in [1e4, 1e18] {
+        problem.brain.rate = rate;
+        let run = |clock_stands| {
+            let mut keeper = Keeper { clock_stands, ..Keeper::default() };
+            optimise(&problem, None, &pool(1), &mut keeper).unwrap().unwrap().initial
+        };
+        let (whole, in_pieces) = (run(true), run(false));
+        names.push(whole.networks[0].trouble.expect("trouble").name());
+        assert_eq!(whole, in_pieces, "{rate}");
+    }
+    assert!(names.iter().all(|name| ["diverged", "non_finite", "dead_layer"].contains(name)), "{names:?}");
+}
+
+/// What the stored form of a finished network says of it leads back to it.
+#[test]
+fn troubles_are_known_by_their_names() {
+    let outcomes = [TrainOutcome::NonFinite, TrainOutcome::Diverged, TrainOutcome::DeadLayer(2)];
+    let trainings = outcomes.map(Trouble::Training);
+    let others = [Trouble::LossJump(3.0), Trouble::GradientNonFinite, Trouble::Singular, Trouble::Nowhere];
+    let simulations = crate::dynamics::Outcome::ALL.map(Trouble::Simulation);
+    for trouble in trainings.into_iter().chain(others).chain(simulations) {
+        assert_eq!(Trouble::named(trouble.name()).map(Trouble::name), Some(trouble.name()));
+    }
+    assert_eq!(Trouble::named("no such thing"), None);
 }
 
 /// Another holdout changes the holdout's figures and nothing else.

@@ -3,7 +3,7 @@
 //! A seeded shuffle deals the records into folds; a fold's network trains on all others, from the initial weights of the
 //! comparison at the end of a trial. Its scales are those of its own training records.
 
-use super::evaluation::{Fresh, train_fresh};
+use super::evaluation::Fresh;
 use super::linear::{Decoder, Plain, Stack, fit, force_scale};
 use super::problem::{Problem, Schedule, Training};
 use super::report::{Failure, Trouble};
@@ -114,10 +114,13 @@ impl Records {
             }
         };
         let [mut workspace, mut aside] = [(); 2].map(|()| Workspace::new(data.shape()));
-        let mut progress =
+        let mut error =
             |weights: &[f32]| mean_error(&scales.predict(weights, &unseen, &truth, &mut aside, pool).1);
-        let Fresh { weights, losses, errors: progress, outcome } =
-            train_fresh(&data, training, schedule, start, &mut progress, &mut workspace, pool);
+        let mut fresh = Fresh::new(data.shape(), start);
+        let outcome =
+            fresh.train(&data, training, schedule, &mut error, &mut |_| false, &mut workspace, pool);
+        let outcome = outcome.expect("it does not pause");
+        let Fresh { weights, losses, errors: progress, .. } = fresh;
         let error_train = mean_error(&scales.predict(&weights, &data, &targets, &mut workspace, pool).1);
         let (predictions, errors) = scales.predict(&weights, &unseen, &truth, &mut workspace, pool);
         let trouble = (outcome != TrainOutcome::Ok).then_some(Trouble::Training(outcome));

@@ -1,0 +1,174 @@
+//! The comparison at the end of a trial is stopped, killed and gone on with like its outer steps: to the same bits.
+
+mod common;
+#[path = "support/roll.rs"]
+mod roll;
+#[path = "support/engine.rs"]
+#[allow(dead_code, reason = "each test file uses its share")]
+mod support;
+
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{Bench, TINY, results};
+use metasense::store::Reader;
+use roll::Roll;
+use support::{children, eventually, is_alive, kill, rows};
+
+/// Longest time that a person waits after Ctrl-C: two seconds, and what a busy machine adds.
+const STOPPED: Duration = Duration::from_secs(3);
+
+/// Trials whose four steps take less than a second, and their comparison several.
+fn long(sensors: &str, iterations: u32) -> String {
+    let text = TINY.replace("[1, 2]", sensors);
+    text.replace("[sweep]", &format!("[evaluation]\nlong_iterations = {iterations}\n[sweep]"))
+}
+
+/// A run in a process of its own. Dropped, it is killed.
+struct Run(Child);
+
+impl Run {
+    fn start(bench: &Bench, db: &str) -> Self {
+        let child = Command::new(env!("CARGO_BIN_EXE_metasense"))
+            .args(["run", "long.toml", "--db", db])
+            .current_dir(bench.path(""))
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        Self(child)
+    }
+
+    fn code(&mut self) -> Option<i32> {
+        let ended = eventually(Duration::from_secs(120), || self.0.try_wait().unwrap());
+        ended.expect("the run ends within two minutes").code()
+    }
+
+    /// Asks it to end: its exit code, and how long it took.
+    fn stop(&mut self, signal: i32) -> (Option<i32>, Duration) {
+        let asked = Instant::now();
+        kill(self.0.id(), signal);
+        (self.code(), asked.elapsed())
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A number from the database, 0 where there is none yet.
+fn number(bench: &Bench, db: &str, sql: &str) -> u64 {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let found = runtime.block_on(async {
+        let table = Reader::open(&bench.path(db)).await.ok()?.query(sql).await.ok()?;
+        table.rows.first()?.first()?.as_u64()
+    });
+    found.unwrap_or(0)
+}
+
+/// Stopped twice in the middle of a network's training, the second time on from where it was the first time.
+#[test]
+fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
+    let bench = Bench::new();
+    bench.file("long.toml", &long("[1]", 15_000));
+    bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
+    let saved = || number(&bench, "s.sqlite", "SELECT length(bytes) FROM checkpoint WHERE step = 4");
+    let more_than = |size| {
+        let more = || Some(saved()).filter(|saved| *saved > size);
+        eventually(Duration::from_secs(60), more).expect("the comparison goes on")
+    };
+    let mut before = 0;
+    for signal in [libc::SIGINT, libc::SIGTERM] {
+        let mut run = Run::start(&bench, "s.sqlite");
+        before = more_than(more_than(before));
+        std::thread::sleep(Duration::from_millis(100 + 200 * u64::from(signal == libc::SIGTERM)));
+        let (code, took) = run.stop(signal);
+        println!("ended {took:?} after signal {signal}, {} bytes saved", saved());
+        assert!(code == Some(4) && took < STOPPED, "{code:?} after {took:?}");
+        assert!(saved() > before, "{} bytes, {before} before", saved());
+        before = saved();
+    }
+    assert_eq!(Run::start(&bench, "s.sqlite").code(), Some(0));
+    assert_eq!(results(&bench, "s.sqlite"), results(&bench, "whole.sqlite"));
+    let attempts = rows(&bench.path("s.sqlite"), "SELECT state, reason, steps FROM attempt ORDER BY number");
+    assert_eq!(attempts, [r#"["failed","stopped",4]"#, r#"["failed","stopped",0]"#, r#"["done",null,0]"#]);
+}
+
+/// An outer step that takes longer than anybody waits is given up; it is done again by the next run.
+#[test]
+fn a_stop_on_request_does_not_wait_for_a_long_step() {
+    let bench = Bench::new();
+    let paper = long("[1]", 0).replace("batch = 4", "protocol = \"paper\"");
+    let paper = paper.replace("long_iterations = 0", "").replace("iterations = 10", "iterations = 100000");
+    bench.file("long.toml", &paper);
+    let mut run = Run::start(&bench, "s.sqlite");
+    let begun = || (number(&bench, "s.sqlite", "SELECT count(*) FROM attempt") == 1).then_some(());
+    eventually(Duration::from_secs(60), begun).expect("the trial is begun");
+    std::thread::sleep(Duration::from_millis(500));
+    let (code, took) = run.stop(libc::SIGINT);
+    println!("ended after {took:?}");
+    assert!(code == Some(4) && took < STOPPED, "{code:?} after {took:?}");
+    let attempts = rows(&bench.path("s.sqlite"), "SELECT state, reason, steps FROM attempt");
+    assert_eq!(attempts, [r#"["failed","stopped",0]"#]);
+    assert_eq!(rows(&bench.path("s.sqlite"), "SELECT state FROM trial"), [r#"["pending"]"#]);
+}
+
+/// Six kills (`KILLS=N` for more, `KILL_SEED=N` for the same) of a worker, the run, or both, at random moments until the
+/// sweep is done: most of them when something more has been saved, so that it comes to an end.
+#[test]
+fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() {
+    let bench = Bench::new();
+    bench.file("long.toml", &long("[1, 2]", 10_000));
+    bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
+    let expected = results(&bench, "whole.sqlite");
+    let least = roll::number("KILLS").unwrap_or(6);
+    let (mut kills, mut within, mut sweeps, mut roll) = (0, 0, 0, Roll::new());
+    while kills < least {
+        let db = format!("killed-{sweeps}.sqlite");
+        sweeps += 1;
+        let come = || {
+            let sql = "SELECT (SELECT count(*) FROM step) + (SELECT count(*) FROM trial WHERE state = 'done') \
+                       + coalesce((SELECT sum(length(bytes)) FROM checkpoint), 0)";
+            number(&bench, &db, sql)
+        };
+        let ended = 'runs: loop {
+            let mut run = Run::start(&bench, &db);
+            loop {
+                let (before, began) = (come(), Instant::now());
+                let patience = if roll.below(4) == 0 { roll.below(1500) } else { 60_000 };
+                while come() == before && began.elapsed() < Duration::from_millis(patience) {
+                    if let Some(status) = run.0.try_wait().unwrap() {
+                        break 'runs status;
+                    }
+                    std::thread::sleep(Duration::from_millis(10));
+                }
+                std::thread::sleep(Duration::from_millis(roll.below(1000)));
+                let workers = children(run.0.id());
+                let Some(&worker) = workers.get(roll.place(workers.len())) else { continue };
+                kills += 1;
+                within += number(&bench, &db, "SELECT max(step = 4) FROM checkpoint");
+                match roll.below(3) {
+                    0 => kill(worker, libc::SIGKILL),
+                    which => {
+                        kill(run.0.id(), libc::SIGKILL);
+                        if which == 1 {
+                            kill(worker, libc::SIGKILL);
+                        }
+                        let gone = || workers.iter().all(|pid| !is_alive(*pid)).then_some(());
+                        assert!(
+                            eventually(Duration::from_secs(5), gone).is_some(),
+                            "workers outlive their run"
+                        );
+                        break;
+                    }
+                }
+            }
+        };
+        assert_eq!(ended.code(), Some(0), "after {kills} kills");
+        assert_eq!(results(&bench, &db), expected, "after {kills} kills");
+    }
+    println!("{kills} kills in {sweeps} sweeps, {within} of them within a comparison");
+}
