@@ -54,6 +54,12 @@ const EDITS: &[(&str, &str, &str)] = &[
         "spacing = 2.0",
         "s.toml:6: body.ligament_length = 2.25: must be less than body.spacing",
     ),
+    (
+        "columns = 6",
+        "columns = 6\ndiameter = 90.0",
+        "s.toml:4: body.diameter = 90: is a circular body's; a planar one has body.width",
+    ),
+    ("columns = 6", "columns = 6\nwidth = 0.0", "s.toml:4: body.width = 0: must be a number above 0"),
     ("density = 1e-8", "density = 0.0", "s.toml:7: body.density = 0: "),
     ("density = 1e-8", "density = 1e-8\ndamping_ratio = -0.1", "s.toml:8: body.damping_ratio = -0.1: "),
     ("density = 1e-8", "density = 1e-8\ninitial_angle = 60.0", "s.toml:8: body.initial_angle = 60: "),

@@ -112,8 +112,8 @@ fn committed_specs_keep_their_hashes() {
     fig4c cdb6e7edaff7021e
     fig4c-linear 5fa3b04b28e4246e
     fig4c-two-core e225fb8a1fb52555
-    fig5 7a693ec06e75fedd
-    fig5-two-core 47a219660b0182c6
+    fig5 184bdd14b2c9681f
+    fig5-two-core c3d23b49672a8297
     placed-two-core 50e5d8b49b04bb0d
     quickstart c5fc1d861fdbe216
     random-two-core 2f5dde1678f3c2fa

@@ -8,6 +8,7 @@
 mod axes;
 mod brains;
 pub mod cost;
+mod size;
 
 use std::collections::HashSet;
 use std::error::Error as _;
@@ -214,8 +215,8 @@ fn add_points(
     combination: &Combination,
     points: &mut Vec<PointPlan>,
 ) -> Result<(), SpecError> {
-    let spec = &combination.spec;
     let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
+    let (spec, scale) = size::of_size(&combination.spec).map_err(located)?;
     let layout = layout(&spec.body).map_err(located)?;
     let spec = &SweepSpec {
         body: with_design(&spec.body, &layout, source)?,
@@ -257,7 +258,7 @@ fn add_points(
                 );
                 return Err(source.error_with("sweep.sensors", Some(&sensors.to_string()), &remedy));
             }
-            let template = template(spec, panels, &panel_units, sensors);
+            let template = template(spec, scale, panels, &panel_units, sensors);
             // Seeded placements are sound by construction, of a search the last one tells; lists are as good as who
             // wrote them.
             let to_check = if spec.sensors.placements.is_some() { 0 } else { placements.len() - 1 };
@@ -366,6 +367,7 @@ impl OneBody {
         if panels_count || combinations.iter().any(|c| other(&c.spec)) {
             return Ok(None);
         }
+        let (first, _) = size::of_size(&first).map_err(located)?;
         let layout = layout(&first.body).map_err(located)?;
         let body = with_design(&first.body, &layout, &source)?;
         let limits = problem::limits(&first.feasible).map_err(located)?;
@@ -429,7 +431,7 @@ fn layout(body: &Body) -> Result<Layout, Invalid> {
 }
 
 /// What trials of a point share. What can be said in two ways is said in one, so that equal trials have equal hashes.
-fn template(spec: &SweepSpec, panels: usize, panel_units: &[usize], sensors: usize) -> TrialSpec {
+fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], sensors: usize) -> TrialSpec {
     let mut body = spec.body.clone();
     body.panel_units = None;
     body.rows = body.rows.or(Some(body.columns));
@@ -449,7 +451,8 @@ fn template(spec: &SweepSpec, panels: usize, panel_units: &[usize], sensors: usi
     read.delay = read.delay.filter(|delay| *delay != 0.0);
     let mut stimuli = spec.stimuli.clone().resolved();
     stimuli.force_samples = stimuli.force_samples.filter(|instants| *instants != spec.time.samples);
-    let (brain, optimise, evaluation) = brains::resolved(spec);
+    let (brain, mut optimise, evaluation) = brains::resolved(spec);
+    optimise.learning_rate = optimise.learning_rate.map(|rate| scale * rate);
     TrialSpec {
         body,
         time: spec.time,

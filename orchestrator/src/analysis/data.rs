@@ -195,6 +195,10 @@ pub const COMPLEXITY: &[&str] = &[
     "feasible.ligament_clearance",
 ];
 
+/// What a body of a given size brings along where its units shrink, and the power of the spacing that it goes with.
+const WITH_SPACING: [(&str, i32); 3] =
+    [("body.stiffness.bend", 2), ("body.contact.stiffness", 2), ("optimise.learning_rate", 1)];
+
 /// What random bodies vary, and how far they are trained.
 pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise."];
 
@@ -213,8 +217,22 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let ignored = |path: &str| {
         CLUSTER.iter().chain(but).any(|b| path == *b || (b.ends_with('.') && path.starts_with(b)))
     };
+    let spacing = |trial: &Trial| trial.setting.get("body.spacing").and_then(Value::as_f64);
+    let first = trials.first().and_then(|trial| spacing(trial));
+    // as it would be at the first trial's spacing, where spacings are not told apart
+    let value = |trial: &Trial, path: &str, value: &Value| -> Value {
+        let power = WITH_SPACING.iter().find(|(p, _)| ignored("body.spacing") && path == *p);
+        let (Some((_, power)), Some(own), Some(first), Some(number)) =
+            (power, spacing(trial), first, value.as_f64())
+        else {
+            return value.clone();
+        };
+        let scaled = number * (first / own).powi(*power);
+        if own == first { value.clone() } else { Value::from((scaled * 1e9).round() / 1e9) }
+    };
     let key = |trial: &Trial| -> Key {
-        trial.setting.iter().filter(|(p, _)| !ignored(p)).map(|(p, v)| (p.clone(), v.clone())).collect()
+        let told = trial.setting.iter().filter(|(path, _)| !ignored(path));
+        told.map(|(path, v)| (path.clone(), value(trial, path, v))).collect()
     };
     let mut found: Vec<(Key, Vec<&'a Trial>)> = Vec::new();
     for trial in trials {
@@ -385,6 +403,17 @@ mod tests {
             labels(COMPLEXITY),
             [("K = 2, M = 1".to_owned(), 2), ("K = 2, M = 2".to_owned(), 1), ("K = 4, M = 1".to_owned(), 1)]
         );
+        let cut = |columns: u64, spacing: f64, bend: f64| {
+            let mut trial = trial(2, columns, 1, 0);
+            let body = json!({"body": {"spacing": spacing, "stiffness": {"bend": bend}}});
+            trial.setting.extend(flatten(&body));
+            trial
+        };
+        let sheet = [cut(5, 30.0, 4.0), cut(10, 15.0, 1.0), cut(12, 12.5, 25.0 / 36.0), cut(12, 12.5, 1.0)];
+        let found = groups(&sheet.iter().collect::<Vec<_>>(), COMPLEXITY);
+        let found: Vec<(&str, usize)> = found.iter().map(|g| (&*g.label, g.trials.len())).collect();
+        let told = |bend: &str| format!("K = 2, M = 1, body.stiffness.bend = {bend}");
+        assert_eq!(found, [(&*told("4.0"), 3), (&*told("5.76"), 1)]);
         let struck = |kind: &str, width: f64, double: Option<f64>| {
             let mut trial = trial(2, 5, 1, 0);
             trial

@@ -72,6 +72,13 @@ pub struct Body {
     /// Units along y; where circular: left out of a spec, equal to `columns` in a trial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<usize>,
+    /// Of a circular body (mm). Given, the lengths of a unit and its limits follow from it, in the proportions that they are
+    /// written in: `spacing` is `diameter / columns`, and `stiffness.bend` goes with its square. Not in a trial.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diameter: Option<f64>,
+    /// Of a planar body along x (mm), likewise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub width: Option<f64>,
     /// Pitch of the units (mm).
     pub spacing: f64,
     /// Length of a ligament at rest (mm).
