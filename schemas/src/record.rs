@@ -158,6 +158,8 @@ pub struct Placed {
     pub runner_up_error: Option<f64>,
     /// λ.
     pub ridge: f64,
+    /// Whether the linear brain saw the energies of the signals, too, which it then read better.
+    pub energies: bool,
 }
 
 /// A finished trial.
@@ -180,6 +182,8 @@ pub struct TrialResult {
     pub solver: String,
     /// Where a search put the sensors, where there was one.
     pub placed: Option<Placed>,
+    /// Where they went from there: the outer step before which they moved, and their units since.
+    pub moves: Vec<(u32, Vec<usize>)>,
 }
 
 /// A network in training.
@@ -228,6 +232,8 @@ pub struct Checkpoint {
     pub protocol: Vec<f64>,
     /// Where it has begun (since version 2).
     pub comparison: Option<Box<Comparison>>,
+    /// Where the sensors have moved: the first outer step there, and their units (since version 2).
+    pub moves: Vec<(u32, Vec<usize>)>,
 }
 
 /// A stored checkpoint that this program cannot go on from.
@@ -267,8 +273,8 @@ impl Checkpoint {
         };
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
-            // It ends before the comparison, of which there is none.
-            Some((1, rest)) => read(&[rest, &[0]].concat()),
+            // It ends before comparison and moves, of which there are none.
+            Some((1, rest)) => read(&[rest, &[0, 0]].concat()),
             Some((version, _)) => Err(CheckpointError::Version(*version)),
             None => Err(damaged(&"it is empty")),
         }
@@ -286,7 +292,7 @@ mod tests {
         0101000000000000e03f0101000000000000f03f00010000000000000040010000003f01010000000000001040010000803e \
         026f6b01000000000000000103c801000000000000e03f01000000000000f03f000100000000000000400102ac0201010000 \
         003f010000803e01000080beac02010000004001c80100000000000020400102030405d804000000000000f03f0000000000 \
-        0000400000000000000840000000000000104000000000000014400000000000001840";
+        0000400000000000000840000000000000104000000000000014400000000000001840 01 c801 02 03 05";
 
     fn bytes(digits: &str) -> Vec<u8> {
         let digits: Vec<u8> = digits.bytes().filter(u8::is_ascii_hexdigit).collect();
@@ -307,6 +313,7 @@ mod tests {
             best: Some((vec![1.5], 12.5, 299)),
             protocol: vec![3.0],
             comparison: None,
+            moves: Vec::new(),
         };
         let network = NetworkEvaluation {
             error_train: Some(1.0),
@@ -355,7 +362,8 @@ mod tests {
             store: 6.0,
         };
         let comparison = Comparison { bodies: vec![body], training: Some(training), counters, seconds };
-        let second = Checkpoint { comparison: Some(Box::new(comparison)), ..first.clone() };
+        let (comparison, moves) = (Some(Box::new(comparison)), vec![(200, vec![3, 5])]);
+        let second = Checkpoint { comparison, moves, ..first.clone() };
         assert_eq!(Checkpoint::from_bytes(&bytes(VERSION_1)), Ok(first));
         assert_eq!(Checkpoint::from_bytes(&bytes(VERSION_2)), Ok(second.clone()));
         assert_eq!(second.to_bytes(), bytes(VERSION_2));

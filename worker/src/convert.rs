@@ -3,7 +3,7 @@
 use metasense_numerics::brain::Adam;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::dynamics;
-use metasense_numerics::nested::{self, Best, Fresh, Problem, State, Waypoint};
+use metasense_numerics::nested::{self, Best, Fresh, Move, Problem, State, Waypoint};
 use metasense_schemas::record::{
     BodyEvaluation, Checkpoint, Comparison, Counters, ImplicitRecord, NetworkEvaluation, Placed, Reading,
     Seconds, StepRecord, Training,
@@ -87,6 +87,7 @@ pub fn placed(placed: metasense_numerics::place::Placed) -> Placed {
         runner_up: runner_up.unwrap_or_default(),
         runner_up_error,
         ridge: placed.ridge,
+        energies: placed.energies,
     }
 }
 
@@ -119,6 +120,7 @@ pub fn checkpoint(state: &State) -> Checkpoint {
         best: state.best.as_ref().map(|best| (best.design.clone(), best.error, best.step)),
         protocol,
         comparison: Some(&state.comparison).filter(|c| !c.bodies.is_empty()).map(comparison).map(Box::new),
+        moves: state.moves.iter().cloned().map(|Move { step, units }| (step, units)).collect(),
     }
 }
 
@@ -143,8 +145,17 @@ fn comparison(comparison: &nested::Comparison) -> Comparison {
 /// If the checkpoint is not of such a trial.
 pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String> {
     let parameters = problem.initial.len();
-    let Checkpoint { step, design, design_moments, weights, weight_moments, best, protocol, comparison } =
-        checkpoint;
+    let Checkpoint {
+        step,
+        design,
+        design_moments,
+        weights,
+        weight_moments,
+        best,
+        protocol,
+        comparison,
+        moves,
+    } = checkpoint;
     let lengths = [design.len(), design_moments.0.len(), design_moments.1.len()];
     // one number beside whole waypoints is the ridge
     let ridge = protocol.get(3).copied().filter(|_| (protocol.len() - 3) % (1 + parameters) == 1);
@@ -171,6 +182,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         trend: (protocol[2] > 0.0).then_some(protocol[2]),
         ridge,
         trail: waypoints.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect(),
+        moves: moves.into_iter().map(|(step, units)| Move { step, units }).collect(),
         comparison: comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default(),
     })
 }
@@ -272,9 +284,17 @@ mod tests {
                 Waypoint { step: 5, design: design.clone() },
                 Waypoint { step: 6, design: design.clone() },
             ],
+            moves: vec![Move { step: 4, units: vec![4] }],
             comparison: nested::Comparison::default(),
         };
-        let bare = State { best: None, trend: None, trail: Vec::new(), weights: Vec::new(), ..full.clone() };
+        let bare = State {
+            best: None,
+            trend: None,
+            trail: Vec::new(),
+            moves: Vec::new(),
+            weights: Vec::new(),
+            ..full.clone()
+        };
         let linear = State { ridge: Some(1e-4), weights: Vec::new(), ..full.clone() };
         let network = nested::NetworkEvaluation {
             error_test: Some(3.0),

@@ -18,6 +18,8 @@ pub struct Looked {
     pub placed: Vec<Placed>,
     /// Each candidate with the first `given` of the M units placed, and the error, best first.
     pub worth: Vec<(usize, f64)>,
+    /// Of D-optimal placements.
+    pub d_optimal: Vec<f64>,
     /// By pivots of the signals' covariance.
     pub pivots: Vec<f64>,
     /// Of random placements: best, median, worst.
@@ -42,7 +44,7 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let trouble = |what: &dyn std::fmt::Display| Failure::NonFinite(what.to_string());
     let nowhere = |_| trouble(&"nowhere_to_sense");
     let all = Candidates::new(&problem, search, design, &pool).map_err(|e| trouble(&e))?;
-    let best = all.clone().thinned(&problem, &pool);
+    let best = all.clone().thinned(&[], &problem, &pool);
     let scores = best.scores(&problem, &pool);
     let found = |method: Method| -> Result<Vec<_>, Failure> {
         let of = |sensors| Search { method, sensors, candidates: best.units.clone(), ..search.clone() };
@@ -51,7 +53,8 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let placed = found(search.method)?;
     let errors =
         |placed: &metasense_numerics::place::Placed| placed.errors.last().copied().unwrap_or(f64::NAN);
-    let pivots = found(Method::Pivots)?.iter().map(errors).collect();
+    let of_method = |method| Ok(found(method)?.iter().map(errors).collect());
+    let (d_optimal, pivots) = (of_method(Method::DOptimal)?, of_method(Method::Pivots)?);
 
     // errors of the first m units of each random placement
     let of_order = |p: u64| -> Option<Vec<f64>> {
@@ -72,5 +75,5 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
 
     let last = &placed[search.sensors - 1];
     let worth = all.worth(&last.units[..given.min(search.sensors)], last.ridge, &problem, &pool);
-    Ok(Looked { worth, pivots, random, placed: placed.into_iter().map(convert::placed).collect() })
+    Ok(Looked { worth, d_optimal, pivots, random, placed: placed.into_iter().map(convert::placed).collect() })
 }

@@ -96,6 +96,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
             rate: trial.optimise.resolved().learning_rate.unwrap_or_default(),
+            again: placed_again(trial)?,
             coarse: coarse.as_ref().map(|coarse| solver("optimise.coarse.method", coarse)).transpose()?,
         },
         evaluation: Evaluation {
@@ -560,18 +561,27 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
     })
 }
 
+/// Whether sensors are placed again on later bodies.
+fn placed_again(trial: &TrialSpec) -> Result<bool, Invalid> {
+    let again = trial.optimise.placement == Some(spec::Placement::Again);
+    let remedy = "is for sensors that sensors.search places: \"greedy\", \"d_optimal\" or \"pivots\"";
+    require(!again || trial.sensors.search.is_some(), "optimise.placement", "again", remedy)?;
+    Ok(again)
+}
+
 /// How the sensors are placed that are not given.
 fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Search>, Invalid> {
     let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
     let method = match search {
         None | Some(spec::Search::Random) => {
-            let remedy = "is for sensors.search = \"greedy\" or \"pivots\"";
+            let remedy = "is for sensors.search = \"greedy\", \"d_optimal\" or \"pivots\"";
             let shown = from.map_or(String::new(), |from| format!("{from:?}").to_lowercase());
             require(from.is_none(), "sensors.from", shown, remedy)?;
             require(spacing.is_none(), "sensors.spacing", spacing.unwrap_or_default(), remedy)?;
             return Ok(None);
         }
         Some(spec::Search::Greedy) => place::Method::Greedy,
+        Some(spec::Search::DOptimal) => place::Method::DOptimal,
         Some(spec::Search::Pivots) => place::Method::Pivots,
     };
     let spacing = spacing.unwrap_or(0.0);

@@ -126,8 +126,15 @@ async fn of_trial(args: &Args) -> Result<(TrialSpec, BTreeMap<String, Vec<f64>>)
     }
     let stored = Reader::asked(&args.source, async |reader| load::stored(reader, &args.trial).await).await?;
     let stored = stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.trial)))?;
-    let [initial, optimised] = stored.designs;
-    Ok((stored.spec, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))
+    let ([initial, optimised], [spec, moved]) = (stored.designs, stored.specs);
+    if moved.sensor_units != spec.sensor_units {
+        return Err(Error::Usage(format!(
+            "trial {}: the sensors of its optimised body have moved to units {:?} (optimise.placement = \"again\"): \
+             give a spec with these in sensors.placements, and --design",
+            args.trial, moved.sensor_units
+        )));
+    }
+    Ok((spec, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))
 }
 
 fn compare(

@@ -100,11 +100,14 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         what: "trial",
         message: e.to_string(),
     };
-    let drawn = |b: usize| drawing(&stored.spec, &stored.designs[b]).map_err(unreadable);
-    let mut spec = stored.spec.clone();
-    spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
-    let replayed =
-        |b: usize| replay(&spec, &stored.designs[b], &stored.weights[b], args.threads).map_err(unreadable);
+    let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]).map_err(unreadable);
+    let specs = stored.specs.clone().map(|mut spec| {
+        spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
+        spec
+    });
+    let replayed = |b: usize| {
+        replay(&specs[b], &stored.designs[b], &stored.weights[b], args.threads).map_err(unreadable)
+    };
     let body = drawn(args.body as usize)?;
     for (name, value, least) in [
         ("ligament-width", args.ligament_width, MEASURES.0),
@@ -119,7 +122,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
     Ok(match args.format {
         Form::Npz => {
             let replays = [replayed(0)?, replayed(1)?];
-            let read = |b: usize| match linear(&spec, &replays[b]) {
+            let read = |b: usize| match linear(&specs[b], &replays[b]) {
                 Ok(brain) => brain,
                 Err(why) => {
                     say!("note: no linear brain reads a body: {why}");

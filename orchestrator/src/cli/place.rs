@@ -10,7 +10,7 @@ use crate::draw::{Drawing, svg};
 use crate::exit::Exit;
 use crate::store::Table;
 
-/// Searches for the units that carry a trial's sensors best: error by their number, beside pivots and random placements
+/// Searches for the units that carry a trial's sensors best: error by their number, beside other searches and random placements
 ///
 /// Errors are a linear brain's on training samples that it has not seen; test set and holdout are not looked at. As in a
 /// sweep with sensors.search, which needs no such call.
@@ -47,6 +47,9 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let said = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
     let found = look(trial, design, args.given, args.threads.into()).map_err(|e| said(&e))?;
     print_rows(&table(&found), args.format)?;
+    if found.placed.iter().any(|placed| placed.energies) {
+        say!("read by a linear brain that sees |signal|² of each unit, too: it reads these forces better");
+    }
     if let Some(out) = &args.out {
         let drawn = metasense_worker::replay::drawing(trial, design).map_err(|e| said(&e))?;
         let (layout, _) = metasense_worker::simulate::body(trial).map_err(|e| said(&e))?;
@@ -78,12 +81,15 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 
 fn table(found: &Looked) -> Table {
     let columns =
-        ["sensors", "units", "error", "next_best", "pivots", "random_best", "random_median", "random_worst"];
+        "sensors units error next_best d_optimal pivots random_best random_median random_worst".split(' ');
     let rows = found.placed.iter().enumerate().map(|(m, placed)| {
         let [best, median, worst] = found.random[m];
         let units = placed.units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
         let named = [json!(m + 1), json!(units), json!(placed.errors[m]), json!(placed.runner_up_error)];
-        named.into_iter().chain([found.pivots[m], best, median, worst].map(|error| json!(error))).collect()
+        named
+            .into_iter()
+            .chain([found.d_optimal[m], found.pivots[m], best, median, worst].map(|error| json!(error)))
+            .collect()
     });
-    Table { columns: columns.map(String::from).to_vec(), rows: rows.collect() }
+    Table { columns: columns.map(String::from).collect(), rows: rows.collect() }
 }

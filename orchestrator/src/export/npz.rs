@@ -19,8 +19,8 @@ pub fn archive(
     replays: &[Replay; 2],
     linear: &[Option<LinearReplay>; 2],
 ) -> Vec<u8> {
-    let (panels, instants) = (stored.spec.panel_units.len(), stored.spec.time.samples);
-    let inputs = 3 * stored.spec.point.sensors;
+    let (panels, instants) = (stored.spec().panel_units.len(), stored.spec().time.samples);
+    let inputs = 3 * stored.spec().point.sensors;
     let samples = replays[0].forces.samples;
     let mut zip = Zip::default();
     for body in Body::ALL {
@@ -40,9 +40,9 @@ pub fn archive(
             zip.array(&format!("linear_b_{name}"), &[panels], &brain.b);
         }
         if !stored.weights[b].is_empty() {
-            let estimates = if stored.spec.brain.kind == BrainKind::Stacked { panels } else { 0 };
+            let estimates = if stored.spec().brain.kind == BrainKind::Stacked { panels } else { 0 };
             for (part, shape, values) in
-                parts(&stored.weights[b], &stored.spec.brain, inputs + estimates, panels)
+                parts(&stored.weights[b], &stored.spec().brain, inputs + estimates, panels)
             {
                 zip.array(&format!("{part}_{name}"), &shape, values);
             }
@@ -56,9 +56,14 @@ pub fn archive(
     zip.array("forces", &[samples, panels, instants + 1], &replay.forces.values);
     zip.array("split", &[samples], &replay.split);
     zip.array("signal_scale", &[inputs], &replay.signal_scale);
+    if replays[1].signal_scale != replay.signal_scale {
+        zip.array("signal_scale_optimised", &[inputs], &replays[1].signal_scale);
+        let units: Vec<u64> = drawings[1].sensors.iter().map(|&unit| unit as u64).collect();
+        zip.array("sensor_units_optimised", &[units.len()], &units);
+    }
     zip.array("force_mean", &[panels], &replay.force_mean);
     zip.array("force_std", &[panels], &replay.force_deviation);
-    zip.file("scene.npy", &text_array(&serde_json::to_string(&stored.spec).expect("a trial is JSON")));
+    zip.file("scene.npy", &text_array(&serde_json::to_string(stored.spec()).expect("a trial is JSON")));
     zip.finish()
 }
 

@@ -11,7 +11,7 @@ use crate::store::Table;
 #[must_use]
 pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
     let (panels, sensors, instants) =
-        (stored.spec.panel_units.len(), stored.spec.point.sensors, stored.spec.time.samples);
+        (stored.spec().panel_units.len(), stored.spec().point.sensors, stored.spec().time.samples);
     let mut columns: Vec<String> = ["sample", "set", "time"].map(String::from).to_vec();
     columns.extend((0..panels).map(|k| format!("force_{k}")));
     for body in Body::ALL {
@@ -26,7 +26,7 @@ pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
     for (sample, kind) in replays[0].split.iter().enumerate() {
         let set = ["train", "test", "holdout"][usize::from(*kind)];
         for n in 1..=instants {
-            let time = n as f64 * stored.spec.time.duration / instants as f64;
+            let time = n as f64 * stored.spec().time.duration / instants as f64;
             let mut row: Vec<Value> = vec![json!(sample), json!(set), json!(time)];
             let forces = &replays[0].forces.values;
             row.extend((0..panels).map(|k| json!(forces[(sample * panels + k) * (instants + 1) + n])));

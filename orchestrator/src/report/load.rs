@@ -313,7 +313,9 @@ fn typical(trials: &[Trial]) -> Option<&Trial> {
 /// Where there is no such trial, or what is stored of it cannot be read.
 pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, StoreError> {
     let quoted = reader.hash_of(hash).await?.replace('\'', "''");
-    let sql = format!("SELECT hash, spec, state, sensor_units FROM v_trial WHERE hash = '{quoted}'");
+    let sql = format!(
+        "SELECT hash, spec, state, sensor_units, sensor_units_optimised FROM v_trial WHERE hash = '{quoted}'"
+    );
     let rows: Rows = reader.query(&sql).await?.into();
     let Some(row) = rows.iter().next() else {
         return Err(StoreError::UnknownTrial { path: reader.path().to_owned(), hash: hash.to_owned() });
@@ -326,11 +328,15 @@ pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, S
         let hash = hash.clone();
         move |e: serde_json::Error| StoreError::Unreadable { hash, what, message: e.to_string() }
     };
-    let mut spec: TrialSpec = serde_json::from_str(row.text("spec")).map_err(unreadable("spec"))?;
-    spec.sensor_units = serde_json::from_str(row.text("sensor_units")).map_err(unreadable("sensor_units"))?;
+    let spec: TrialSpec = serde_json::from_str(row.text("spec")).map_err(unreadable("spec"))?;
+    let heard = |column: &'static str| -> Result<TrialSpec, StoreError> {
+        let sensor_units = serde_json::from_str(row.text(column)).map_err(unreadable(column))?;
+        Ok(TrialSpec { sensor_units, ..spec.clone() })
+    };
+    let specs = [heard("sensor_units")?, heard("sensor_units_optimised")?];
     let mut stored = Stored {
         hash,
-        spec,
+        specs,
         designs: Default::default(),
         weights: Default::default(),
         losses: Default::default(),

@@ -19,8 +19,8 @@ use crate::store::Table;
 pub struct Stored {
     /// Names the trial.
     pub hash: String,
-    /// What it is.
-    pub spec: TrialSpec,
+    /// What it is, by its sensors on either body: on the optimised one they may have moved.
+    pub specs: [TrialSpec; 2],
     /// α.
     pub designs: [Vec<f64>; 2],
     /// Flat weights; empty where none were kept.
@@ -29,14 +29,23 @@ pub struct Stored {
     pub losses: [Vec<f32>; 2],
 }
 
+impl Stored {
+    /// What both bodies share.
+    #[must_use]
+    pub fn spec(&self) -> &TrialSpec {
+        &self.specs[0]
+    }
+}
+
 /// Draws the bodies, four samples, every test sample, the wave.
 ///
 /// # Errors
 /// If the trial cannot be simulated again.
 pub fn figures(stored: &Stored, threads: usize) -> Result<Vec<Figure>, Failure> {
-    let drawings = [drawing(&stored.spec, &stored.designs[0])?, drawing(&stored.spec, &stored.designs[1])?];
+    let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]);
+    let drawings = [drawn(0)?, drawn(1)?];
     let mut figures = Vec::new();
-    let replays = [0, 1].map(|b| replay(&stored.spec, &stored.designs[b], &stored.weights[b], threads));
+    let replays = [0, 1].map(|b| replay(&stored.specs[b], &stored.designs[b], &stored.weights[b], threads));
     let [initial, optimised] = replays;
     let replays = [initial?, optimised?];
     let test: Vec<usize> =
@@ -48,14 +57,14 @@ pub fn figures(stored: &Stored, threads: usize) -> Result<Vec<Figure>, Failure> 
     }
     figures.push(bodies(stored, &drawings));
     let loudest = loudest(&replays[0].forces.values, &test, stored);
-    let motions = [0, 1].map(|b| motion(&stored.spec, &stored.designs[b], loudest, threads));
+    let motions = [0, 1].map(|b| motion(&stored.specs[b], &stored.designs[b], loudest, threads));
     let [initial, optimised] = motions;
     figures.push(waves(stored, &drawings, &[initial?, optimised?], loudest));
     Ok(figures)
 }
 
 fn who(stored: &Stored) -> String {
-    let p = stored.spec.point;
+    let p = stored.spec().point;
     format!(
         "trial {} (K = {}, M = {}, placement {}, seed {})",
         &stored.hash[..stored.hash.len().min(8)],
@@ -68,7 +77,7 @@ fn who(stored: &Stored) -> String {
 
 /// The test sample with the greatest impulse.
 fn loudest(forces: &[f64], test: &[usize], stored: &Stored) -> usize {
-    let size = stored.spec.panel_units.len() * (stored.spec.time.samples + 1);
+    let size = stored.spec().panel_units.len() * (stored.spec().time.samples + 1);
     let impulse = |n: usize| forces[n * size..(n + 1) * size].iter().sum::<f64>();
     test.iter().copied().max_by(|a, b| impulse(*a).total_cmp(&impulse(*b))).unwrap_or(0)
 }
@@ -76,8 +85,8 @@ fn loudest(forces: &[f64], test: &[usize], stored: &Stored) -> usize {
 type Replays = [metasense_worker::replay::Replay; 2];
 
 fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
-    let (panels, instants) = (stored.spec.panel_units.len(), stored.spec.time.samples);
-    let seconds = |n: usize| n as f64 * stored.spec.time.duration / instants as f64;
+    let (panels, instants) = (stored.spec().panel_units.len(), stored.spec().time.samples);
+    let seconds = |n: usize| n as f64 * stored.spec().time.duration / instants as f64;
     let truth = |sample: usize, k: usize, n: usize| {
         replays[0].forces.values[(sample * panels + k) * (instants + 1) + n]
     };
@@ -113,7 +122,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
     };
     let samples: Vec<Strip> = chosen.iter().map(strip).collect();
     let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
-    let (plots, step) = strips(&samples, &names, " N", stored.spec.time.duration);
+    let (plots, step) = strips(&samples, &names, " N", stored.spec().time.duration);
     Figure {
         name: "forces",
         title: "True and predicted forces".into(),

@@ -32,6 +32,9 @@ pub enum Search {
     Random,
     /// What a linear brain reads the initial body's training samples from best: greedily, then by exchange.
     Greedy,
+    /// The same by what signals say of forces, were both Gaussian (Bayesian D-optimality).
+    #[serde(rename = "d_optimal")]
+    DOptimal,
     /// Pivots of the signals' covariance (PySensors' SSPOR), forces unseen.
     Pivots,
 }

@@ -30,10 +30,11 @@ pub use placing::{Candidates, placed};
 pub use problem::{Evaluation, Going, Kind, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
 pub use replay::{LinearReplay, Motion, Replay, motion, replay};
 pub use report::{Control, Counters, Failure, Implicit, Observe, Report, Seconds, Trouble};
-pub use state::{Best, State, Waypoint};
+pub use state::{Best, Move, State, Waypoint};
 pub use unseen::{Records, Unseen, folds, sense};
 
 use evaluation::evaluate;
+use placing::Again;
 use protocol::Session;
 use report::Log;
 use setting::Setting;
@@ -53,6 +54,8 @@ pub struct Optimised {
     pub best_step: u32,
     /// Where a search put the sensors, where there was one.
     pub placed: Option<Placed>,
+    /// Where the sensors went from there; the best body has the last.
+    pub moves: Vec<Move>,
     /// What the solvers came to, and why.
     pub solver: String,
     /// Counts of work of the pilot that tuned them and of the two evaluations.
@@ -72,27 +75,34 @@ pub fn optimise(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
-    let Tuning { asked, problem, placed, reason: solver, counters: pilot } = &Tuning::new(problem, pool)?;
-    let setting = Setting::new(problem, pool)?;
+    let again = Again::new(problem);
+    let tuning = Tuning::new(problem, pool)?;
+    let Tuning { asked, problem, placed, reason: solver, counters: pilot } = &tuning;
+    let first = Setting::new(problem, pool)?;
     let mut castable = Feasible::new(&problem.scene.layout, problem.limits, &problem.kept);
-    let mut session = Session::new(&setting);
-    let mut state = resume.unwrap_or_else(|| State::new(problem, &setting.shape));
+    let mut state = resume.unwrap_or_else(|| State::new(problem, &first.shape));
 
     while state.step < problem.optimise.iterations {
-        let mut log = Log::new(state.step, observer);
-        let before = state.clone();
-        match session.sense(&mut state, &mut log) {
-            Ok(sensed) => {
-                state.remember(&sensed);
-                state.move_body(problem, &sensed.gradient, &mut castable, &mut log);
+        let (later, mut moved) = (tuning.moved(&state.moves, pool)?, false);
+        let other = later.as_ref().map(|later| Setting::new(&later.problem, pool)).transpose()?;
+        let mut session = Session::new(other.as_ref().unwrap_or(&first));
+        while !moved && state.step < problem.optimise.iterations {
+            let mut log = Log::new(state.step, observer);
+            let before = state.clone();
+            match session.sense(&mut state, &mut log) {
+                Ok(sensed) => {
+                    state.remember(&sensed);
+                    state.move_body(problem, &sensed.gradient, &mut castable, &mut log);
+                }
+                Err(trouble) => state = before.taken_back(trouble, &mut log)?,
             }
-            Err(trouble) => state = before.taken_back(trouble, &mut log)?,
-        }
-        state.step += 1;
-        let report = log.report;
-        observer.progress(problem.progress(state.step));
-        if observer.step(&report, &state) == Control::Stop {
-            return Ok(None);
+            state.step += 1;
+            moved = again.as_ref().is_some_and(|again| again.moves(&mut state, asked, &mut log, pool));
+            let report = log.report;
+            observer.progress(problem.progress(state.step));
+            if observer.step(&report, &state) == Control::Stop {
+                return Ok(None);
+            }
         }
     }
 
@@ -100,13 +110,18 @@ pub fn optimise(
         Some(best) => (best.design.clone(), best.step),
         None => (problem.initial.clone(), 0),
     };
+    let later = tuning.moved(&state.moves, pool)?;
+    let other = later.as_ref().map(|later| Setting::new(&later.problem, pool)).transpose()?;
+    let asked = later.as_ref().map_or(asked, |later| &later.asked);
     let mut log = Log::new(state.step, observer);
     (log.report.counters, log.report.seconds) = (state.comparison.counters, state.comparison.seconds);
     let tuned = log.timed(|s| &mut s.simulate, |_| Tuning::of_body(asked, &design, pool));
-    for (turn, (design, solver)) in
-        [(&problem.initial, &problem.solver), (&design, &tuned.solver)].into_iter().enumerate()
-    {
-        if evaluate(&setting, design, solver, turn, &mut state, &mut log).is_none() {
+    let bodies = [
+        (&first, &problem.initial, &problem.solver),
+        (other.as_ref().unwrap_or(&first), &design, &tuned.solver),
+    ];
+    for (turn, (setting, design, solver)) in bodies.into_iter().enumerate() {
+        if evaluate(setting, design, solver, turn, &mut state, &mut log).is_none() {
             return Ok(None);
         }
     }
@@ -115,7 +130,8 @@ pub fn optimise(
     counters.dynamics += tuned.counters;
     let (placed, solver) = (placed.clone(), format!("{solver}. Best body: {}", tuned.plan.reason));
     let [initial, optimised] = <[_; 2]>::try_from(state.comparison.bodies).expect("two turns");
-    Ok(Some(Optimised { initial, optimised, best_step, placed, solver, counters, seconds }))
+    let moves = state.moves;
+    Ok(Some(Optimised { initial, optimised, best_step, placed, moves, solver, counters, seconds }))
 }
 
 /// The comparison at the end for any designs: fresh networks of the same initial weights on each, as far as the observer

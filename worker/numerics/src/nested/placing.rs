@@ -4,8 +4,9 @@
 
 use super::linear::Plain;
 use super::problem::Problem;
-use super::report::{Failure, Trouble};
+use super::report::{Failure, Log, Report, Trouble};
 use super::setting::Setting;
+use super::state::State;
 use super::tuning::Tuning;
 use super::unseen::folds;
 use crate::brain::linear::Sizes;
@@ -14,6 +15,8 @@ use crate::place::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores, Search};
 
 /// Parts of the training samples; each is judged by what the others say.
 const FOLDS: usize = 4;
+/// Candidates, spread over all, by which it is judged whether energies help.
+const JUDGES: usize = 4;
 /// Candidates that are rated alone at a time, where there are too many to be searched.
 const GROUP: usize = 8;
 
@@ -24,6 +27,8 @@ pub struct Candidates {
     pub units: Vec<usize>,
     samples: Plain,
     dealt: Vec<usize>,
+    /// Whether a linear brain reads the forces better that sees the energies of the signals, too.
+    energies: bool,
 }
 
 impl Candidates {
@@ -39,24 +44,43 @@ impl Candidates {
     ) -> Result<Self, Failure> {
         let units = search.candidates.clone();
         let scene = Scene { sensors: units.clone(), ..problem.scene.clone() };
-        let problem = Problem { scene, initial: design.to_vec(), ..problem.clone() };
-        let solver = Tuning::of_body(&problem, design, pool).solver;
-        let problem = Problem { solver, ..problem };
+        let asked = Problem { scene, ..problem.clone() };
+        let solver = |design| Tuning::of_body(&asked, design, pool).solver;
+        let problem = Problem { solver: solver(&asked.initial), ..asked.clone() };
         let setting = Setting::new(&problem, pool)?;
-        let samples = setting.plain(&setting.initial_signals, &setting.train);
+        let signals = if design == problem.initial {
+            setting.initial_signals.clone()
+        } else {
+            let simulation =
+                setting.simulate(design, &setting.train, &solver(design), false, &mut Report::default());
+            simulation.map_err(Failure::Initial)?.signals
+        };
+        let samples = setting.plain(&signals, &setting.train);
         let dealt = folds(problem.seed, setting.train.samples, FOLDS.min(setting.train.samples));
-        Ok(Self { units, samples, dealt })
+        let plain = Self { units, samples, dealt, energies: false };
+        let mut judges: Vec<usize> =
+            (0..JUDGES).map(|j| plain.units[j * (plain.units.len() - 1) / (JUDGES - 1)]).collect();
+        judges.dedup();
+        let mut judges = plain.of(&judges);
+        let mut error = |energies| {
+            judges.energies = energies;
+            judges.scores(&problem, pool).of_all()
+        };
+        let energies = error(true) < error(false);
+        Ok(Self { energies, ..plain })
     }
 
-    /// As many as can be searched: where there are more, the best alone.
+    /// As many as can be searched: where there are more, those that are to stay and the best alone.
     #[must_use]
-    pub fn thinned(self, problem: &Problem, pool: &rayon::ThreadPool) -> Self {
+    pub fn thinned(self, staying: &[usize], problem: &Problem, pool: &rayon::ThreadPool) -> Self {
         if self.units.len() <= CANDIDATES {
             return self;
         }
         let alone = self.worth(&[], FIRST_RIDGE, problem, pool);
         let mut best: Vec<usize> = alone[..CANDIDATES].iter().map(|(unit, _)| *unit).collect();
+        best.extend(staying);
         best.sort_unstable();
+        best.dedup();
         self.of(&best)
     }
 
@@ -90,13 +114,22 @@ impl Candidates {
         let x = rows.flat_map(|row| from.iter().map(|&c| row[c])).collect();
         let sizes = Sizes { channels: from.len(), ..self.samples.sizes };
         let Plain { y, w, .. } = self.samples.clone();
-        Self { units: units.to_vec(), samples: Plain { sizes, x, y, w }, dealt: self.dealt.clone() }
+        let samples = Plain { sizes, x, y, w };
+        Self { units: units.to_vec(), samples, dealt: self.dealt.clone(), energies: self.energies }
     }
 
     /// How well any of them are read.
     pub fn scores<'a>(&self, problem: &'a Problem, pool: &'a rayon::ThreadPool) -> Scores<'a> {
         let Plain { sizes, x, y, w } = &self.samples;
-        Scores::new(&problem.scene.layout, self.units.clone(), *sizes, [x, y, w], &self.dealt, pool)
+        Scores::new(
+            &problem.scene.layout,
+            self.units.clone(),
+            *sizes,
+            [x, y, w],
+            &self.dealt,
+            self.energies,
+            pool,
+        )
     }
 }
 
@@ -106,7 +139,7 @@ impl Candidates {
 /// If the initial body cannot be simulated, or there is no such placement.
 pub fn placed(problem: &Problem, pool: &rayon::ThreadPool) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
-    let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);
+    let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(&[], problem, pool);
     let search = Search { candidates: candidates.units.clone(), ..search.clone() };
     let found = candidates.scores(problem, pool).search(&search);
     let found = found.map_err(|Nowhere| Failure::Initial(Trouble::Nowhere))?;
@@ -114,4 +147,43 @@ pub fn placed(problem: &Problem, pool: &rayon::ThreadPool) -> Result<(Problem, O
     problem.scene.sensors = found.units.clone();
     problem.search = None;
     Ok((problem, Some(found)))
+}
+
+/// Placing sensors again, on bodies that training has changed.
+pub(super) struct Again<'a> {
+    search: &'a Search,
+}
+
+impl<'a> Again<'a> {
+    /// None where sensors stay, or were given.
+    pub(super) fn new(problem: &'a Problem) -> Option<Self> {
+        problem.search.as_ref().filter(|_| problem.optimise.again).map(|search| Self { search })
+    }
+
+    /// Whether it is time for it and the state's sensors move.
+    pub(super) fn moves(
+        &self,
+        state: &mut State,
+        asked: &Problem,
+        log: &mut Log,
+        pool: &rayon::ThreadPool,
+    ) -> bool {
+        if !asked.optimise.places_again(state.step) {
+            return false;
+        }
+        let present = state.moves.last().map_or(&asked.scene.sensors, |last| &last.units).clone();
+        let candidates =
+            log.timed(|s| &mut s.simulate, |_| Candidates::new(asked, self.search, &state.design, pool));
+        // a body that cannot be simulated is the next step's trouble
+        let Ok(candidates) = candidates else { return false };
+        let better = log.timed(
+            |s| &mut s.train,
+            |_| {
+                let some = candidates.thinned(&present, asked, pool);
+                let search = Search { candidates: some.units.clone(), ..self.search.clone() };
+                some.scores(asked, pool).better(&present, &search)
+            },
+        );
+        better.map(|units| state.listen(units)).is_some()
+    }
 }

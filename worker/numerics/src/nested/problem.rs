@@ -90,6 +90,8 @@ pub struct Optimise {
     pub iterations: u32,
     /// Adam's rate on α (mm).
     pub rate: f64,
+    /// Whether sensors that a search placed are placed again on later bodies.
+    pub again: bool,
     /// A cheaper integrator for the steps that move the body far; the accurate one finishes. `joint` and `envelope`.
     pub coarse: Option<Solver>,
 }
@@ -161,6 +163,9 @@ impl Schedule {
 const LOOKS: u32 = 20;
 const APART: u32 = 10;
 
+/// Sensors are placed again after every fifth part of the outer steps, the last two left to the body.
+const PARTS: u32 = 5;
+
 /// The part of the outer steps for which a coarse integrator serves.
 const COARSE: f64 = 0.9;
 
@@ -197,6 +202,12 @@ impl Optimise {
         self.coarse.filter(|_| far).unwrap_or(accurate)
     }
 
+    /// Whether sensors are placed again before this step.
+    pub(super) fn places_again(&self, step: u32) -> bool {
+        let part = self.iterations.div_ceil(PARTS);
+        self.again && step > 0 && step.is_multiple_of(part) && step <= 3 * part
+    }
+
     /// Whether a step looks at the test set: some do, and the last.
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
         step.is_multiple_of((self.iterations / LOOKS).max(APART)) || step + 1 == self.iterations
@@ -206,9 +217,10 @@ impl Optimise {
 impl Problem {
     /// Of the network on the scene's clock, sensors and panels.
     pub fn shape(&self) -> Shape {
+        let sensors = self.search.as_ref().map_or(self.scene.sensors.len(), |search| search.sensors);
         Shape {
             instants: self.scene.instants,
-            inputs: 3 * self.scene.sensors.len(),
+            inputs: 3 * sensors,
             architecture: self.brain.architecture,
             outputs: self.scene.panels.len(),
         }

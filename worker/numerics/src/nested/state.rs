@@ -30,6 +30,8 @@ pub struct State {
     pub trend: Option<f64>,
     /// λ of the linear brain, where the body is trained with one and a step has found it.
     pub ridge: Option<f64>,
+    /// Where the sensors have moved since the beginning.
+    pub moves: Vec<Move>,
     /// The last designs before this one, newest last.
     pub trail: Vec<Waypoint>,
     /// What the comparison at the end has come to.
@@ -45,7 +47,16 @@ pub struct Waypoint {
     pub design: Vec<f64>,
 }
 
-/// The best design so far.
+/// Sensors placed again.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Move {
+    /// The first outer step with them there.
+    pub step: u32,
+    /// Their units.
+    pub units: Vec<usize>,
+}
+
+/// The best design so far, of those with the sensors where they are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Best {
     /// α (mm).
@@ -75,6 +86,7 @@ impl State {
             setbacks: 0,
             trend: None,
             ridge: None,
+            moves: Vec::new(),
             trail: Vec::new(),
             comparison: Comparison::default(),
         }
@@ -144,13 +156,25 @@ impl State {
             None if self.setbacks == 1 => return Err(Failure::Initial(trouble)),
             None => return Err(Failure::Stuck(self.setbacks, trouble)),
         }
-        // A network that died or went to infinity is no start: it gets another first training.
+        // A network that died or went to infinity is no start
         if matches!(trouble, Trouble::Training(_)) {
-            self.weights.clear();
-            self.weight_adam = Adam::new(self.weight_adam.m.len());
-            self.trend = None;
+            self.forget_network();
         }
         Ok(self)
+    }
+
+    /// A network gets another first training.
+    fn forget_network(&mut self) {
+        self.weights.clear();
+        self.weight_adam = Adam::new(self.weight_adam.m.len());
+        self.trend = None;
+    }
+
+    /// The sensors move: what was learnt and judged by other signals goes.
+    pub(super) fn listen(&mut self, units: Vec<usize>) {
+        self.moves.push(Move { step: self.step, units });
+        self.best = None;
+        self.forget_network();
     }
 }
 

@@ -8,6 +8,7 @@ use crate::feasible::Limits;
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 
+mod again;
 mod linear;
 
 /// 4 × 3 units, two panels, one sensor, 0.2 s, 16 samples, a network of width 8.
@@ -56,6 +57,7 @@ fn small(protocol: Protocol) -> Problem {
             protocol,
             iterations: 4,
             rate: 0.1,
+            again: false,
             coarse: Some(Solver { method: Method::Tsit5, tolerance: 1e-3 }),
         },
         evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None },

@@ -1,8 +1,9 @@
 //! Which units carry the sensors: those whose signals a linear brain reads the forces from best.
 //!
 //! An error is that of folds of the training samples (`spectra`). Greedy: the unit that lowers it most joins the chosen
-//! ones, then each gives way to another as long as that lowers it; up to two sensors all sets are tried. Pivots: the unit
-//! whose signals those of the chosen ones explain least (Manohar et al., IEEE Control Systems 38, 63, 2018), forces unseen.
+//! ones, then each gives way to another as long as that lowers it; up to two sensors all sets are tried. D-optimal: the
+//! same by what the signals say of the forces, were all Gaussian. Pivots: the unit whose signals those of the chosen ones
+//! explain least (Manohar et al., IEEE Control Systems 38, 63, 2018), forces unseen.
 
 mod spectra;
 
@@ -17,6 +18,9 @@ use std::ops::{Range, RangeInclusive};
 pub enum Method {
     /// By what a linear brain makes of them.
     Greedy,
+    /// By the mutual information of signals and forces as Gaussian ones: Bayesian D-optimality (Chaloner and Verdinelli,
+    /// Statistical Science 10, 273, 1995).
+    DOptimal,
     /// By the pivots of the signals' covariance.
     Pivots,
 }
@@ -50,6 +54,8 @@ pub struct Placed {
     pub runner_up: Option<Rated>,
     /// λ.
     pub ridge: f64,
+    /// Whether the linear brain saw the energies of the signals, too.
+    pub energies: bool,
 }
 
 /// No placement has so many sensors so far apart, or no λ gives their brain a solution.
@@ -58,6 +64,8 @@ pub struct Nowhere;
 
 /// More candidates are thinned out to those that are best alone: what the exchange goes through grows with their square.
 pub const CANDIDATES: usize = 64;
+/// Sensors that are placed move when that leaves so much of their error.
+const WORTH_IT: f64 = 0.9;
 /// Where the search for λ begins, and how far it goes.
 pub const FIRST_RIDGE: f64 = 1e-4;
 const RIDGES: RangeInclusive<f64> = 1e-10..=1e2;
@@ -68,11 +76,15 @@ pub struct Scores<'a> {
     layout: &'a Layout,
     /// Units by their channels' order.
     units: Vec<usize>,
+    /// Whether each has its energy as a fourth channel.
+    energies: bool,
     pool: &'a rayon::ThreadPool,
 }
 
 impl<'a> Scores<'a> {
-    /// Of signals x (N, T, 3 units) and forces f (N, T, K); sample i has weight w_i and is judged in fold `dealt[i]`.
+    /// Of signals x (N, T, 3 units) and forces f (N, T, K); sample i has weight w_i and is judged in fold `dealt[i]`. With
+    /// `energies` |x|² of each unit, less its mean and in units of its standard deviation, is a signal, too: what blows leave that
+    /// no linear part of the motion tells.
     ///
     /// # Panics
     /// If lengths do not belong to one N.
@@ -82,11 +94,18 @@ impl<'a> Scores<'a> {
         sizes: Sizes,
         [x, f, w]: [&[f64]; 3],
         dealt: &[usize],
+        energies: bool,
         pool: &'a rayon::ThreadPool,
     ) -> Self {
         assert_eq!(sizes.channels, 3 * units.len(), "three channels a unit");
         let folds = dealt.iter().max().map_or(0, |most| most + 1);
-        Self { spectra: Spectra::new(sizes, x, f, w, dealt, folds), layout, units, pool }
+        let spectra = if energies {
+            let sizes = Sizes { channels: 4 * units.len(), ..sizes };
+            Spectra::new(sizes, &with_energies(x, units.len()), f, w, dealt, folds)
+        } else {
+            Spectra::new(sizes, x, f, w, dealt, folds)
+        };
+        Self { spectra, layout, units, energies, pool }
     }
 
     /// Error (%) of a linear brain of these units on samples that it has not seen; infinite where λ gives none.
@@ -99,25 +118,45 @@ impl<'a> Scores<'a> {
 
     /// The same; none where λ gives none.
     fn solved(&self, units: &[usize], ridge: f64) -> Option<f64> {
-        let channels: Vec<usize> = units.iter().flat_map(|&unit| self.channels(unit)).collect();
-        self.spectra.error(&channels, ridge)
+        self.spectra.error(&self.channels_of(units), ridge)
     }
 
-    /// The three of a candidate.
+    fn channels_of(&self, units: &[usize]) -> Vec<usize> {
+        units.iter().flat_map(|&unit| self.channels(unit)).collect()
+    }
+
+    /// Those of a candidate.
     fn channels(&self, unit: usize) -> Range<usize> {
-        let at = 3 * self.units.iter().position(|&u| u == unit).expect("a candidate");
-        at..at + 3
+        let width = 3 + usize::from(self.energies);
+        let at = width * self.units.iter().position(|&u| u == unit).expect("a candidate");
+        at..at + width
     }
 
-    /// Sets and their errors, best first; equal ones as they came.
-    fn rated(&self, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<Rated> {
+    /// What a method wants least of.
+    fn cost(&self, method: Method, units: &[usize], ridge: f64) -> f64 {
+        match method {
+            Method::DOptimal => {
+                let said = self.spectra.information(&self.channels_of(units), ridge);
+                said.map_or(f64::INFINITY, |nats| -nats)
+            }
+            Method::Greedy | Method::Pivots => self.error(units, ridge),
+        }
+    }
+
+    /// Sets and what they cost by a method, best first; equal ones as they came.
+    fn rated(&self, method: Method, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<Rated> {
         let of = |set: Vec<usize>| {
-            let error = self.error(&set, ridge);
-            (set, error)
+            let cost = self.cost(method, &set, ridge);
+            (set, cost)
         };
         let mut rated: Vec<_> = self.pool.install(|| sets.into_par_iter().map(of).collect());
         rated.sort_by(|a: &(_, f64), b| a.1.total_cmp(&b.1));
         rated
+    }
+
+    /// Error (%) of all candidates together, at the λ of least error.
+    pub fn of_all(&self) -> f64 {
+        self.error(&self.units, self.ridge(&self.units, FIRST_RIDGE))
     }
 
     /// The λ of least error for these units, by decades from `start`.
@@ -139,9 +178,21 @@ impl<'a> Scores<'a> {
         spacing: f64,
         ridge: f64,
     ) -> Vec<(usize, f64)> {
+        self.next(Method::Greedy, chosen, candidates, spacing, ridge)
+    }
+
+    /// The same by what a method wants.
+    fn next(
+        &self,
+        method: Method,
+        chosen: &[usize],
+        candidates: &[usize],
+        spacing: f64,
+        ridge: f64,
+    ) -> Vec<(usize, f64)> {
         let sets = self.beside(candidates, chosen, spacing).into_iter().map(|unit| with(chosen, unit));
-        let rated = self.rated(sets.collect(), ridge);
-        rated.into_iter().map(|(set, error)| (set[chosen.len()], error)).collect()
+        let rated = self.rated(method, sets.collect(), ridge);
+        rated.into_iter().map(|(set, cost)| (set[chosen.len()], cost)).collect()
     }
 
     /// Searches.
@@ -150,14 +201,14 @@ impl<'a> Scores<'a> {
     /// If there is no such placement.
     pub fn search(&self, search: &Search) -> Result<Placed, Nowhere> {
         let &Search { method, ref candidates, turn, .. } = search;
-        let alone = self.worth(&[], candidates, search.spacing, FIRST_RIDGE);
+        let alone = self.next(method, &[], candidates, search.spacing, FIRST_RIDGE);
         let first = alone.get(turn).ok_or(Nowhere)?.0;
         let ridge = self.ridge(&[first], FIRST_RIDGE);
         // the unit of a later turn stays; of the first one all may give way
         let kept = usize::from(turn > 0);
         let (chosen, runner_up, ridge) = match method {
             Method::Pivots => (self.pivots(search)?, None, ridge),
-            Method::Greedy => {
+            Method::Greedy | Method::DOptimal => {
                 let (chosen, ridge) = self.grown(first, ridge, search)?;
                 self.exchanged(chosen, kept, ridge, search)
             }
@@ -165,16 +216,27 @@ impl<'a> Scores<'a> {
         let units = self.by_worth(chosen, kept, ridge);
         let errors: Vec<f64> = (1..=units.len()).map(|m| self.error(&units[..m], ridge)).collect();
         match errors.last() {
-            Some(error) if error.is_finite() => Ok(Placed { units, errors, runner_up, ridge }),
+            Some(error) if error.is_finite() => {
+                Ok(Placed { units, errors, runner_up, ridge, energies: self.energies })
+            }
             _ => Err(Nowhere),
         }
     }
 
-    /// From the first unit on, each time the one that lowers the error most, and λ after it.
+    /// The units to which sensors that are placed should move, by exchange; none where that is not worth it.
+    pub fn better(&self, present: &[usize], search: &Search) -> Option<Vec<usize>> {
+        let kept = usize::from(search.turn > 0);
+        let ridge = self.ridge(present, FIRST_RIDGE);
+        let (chosen, _, after) = self.exchanged(present.to_vec(), kept, ridge, search);
+        let gains = self.error(&chosen, after) < WORTH_IT * self.error(present, ridge);
+        gains.then(|| self.by_worth(chosen, kept, after))
+    }
+
+    /// From the first unit on, each time the one that the method wants most, and λ after it.
     fn grown(&self, first: usize, mut ridge: f64, search: &Search) -> Result<(Vec<usize>, f64), Nowhere> {
         let mut chosen = vec![first];
         while chosen.len() < search.sensors {
-            let next = self.worth(&chosen, &search.candidates, search.spacing, ridge);
+            let next = self.next(search.method, &chosen, &search.candidates, search.spacing, ridge);
             chosen.push(next.first().ok_or(Nowhere)?.0);
             ridge = self.ridge(&chosen, ridge);
         }
@@ -190,14 +252,21 @@ impl<'a> Scores<'a> {
         search: &Search,
     ) -> (Vec<usize>, Option<Rated>, f64) {
         loop {
-            let best = self.rated(self.neighbours(&chosen, kept, search), ridge).into_iter().next();
-            let own = self.error(&chosen, ridge);
+            let neighbours = self.neighbours(&chosen, kept, search);
+            let best = self.rated(search.method, neighbours, ridge).into_iter().next();
+            let own = self.cost(search.method, &chosen, ridge);
             match best {
-                Some((set, error)) if error < own => {
+                Some((set, cost)) if cost < own => {
                     ridge = self.ridge(&set, ridge);
                     chosen = set;
                 }
-                other => return (chosen, other, ridge),
+                other => {
+                    let read = |(set, _): Rated| {
+                        let error = self.error(&set, ridge);
+                        (set, error)
+                    };
+                    return (chosen, other.map(read), ridge);
+                }
             }
         }
     }
@@ -234,7 +303,7 @@ impl<'a> Scores<'a> {
 
     /// Pivots of the covariance by units: again and again the one whose channels have most left.
     fn pivots(&self, search: &Search) -> Result<Vec<usize>, Nowhere> {
-        let n = 3 * self.units.len();
+        let n = self.channels_of(&self.units).len();
         let mut left = self.spectra.covariance();
         let mut chosen = Vec::new();
         for turn in 0..search.sensors {
@@ -256,6 +325,23 @@ impl<'a> Scores<'a> {
         }
         Ok(chosen)
     }
+}
+
+/// Signals (N, T, 3 units), each unit's three followed by |x|², its mean 0 and its variance 1 (unless it is constant).
+fn with_energies(x: &[f64], units: usize) -> Vec<f64> {
+    let mut out: Vec<f64> =
+        x.chunks_exact(3).flat_map(|x| [x[0], x[1], x[2], x.iter().map(|x| x * x).sum::<f64>()]).collect();
+    for unit in 0..units {
+        let energy = || (4 * unit + 3..out.len()).step_by(4 * units);
+        let count = energy().len() as f64;
+        let mean = energy().map(|i| out[i]).sum::<f64>() / count;
+        let variance = energy().map(|i| (out[i] - mean).powi(2)).sum::<f64>() / count;
+        let scale = if variance > 0.0 { variance.sqrt().recip() } else { 1.0 };
+        for i in (4 * unit + 3..out.len()).step_by(4 * units) {
+            out[i] = scale * (out[i] - mean);
+        }
+    }
+    out
 }
 
 fn with(chosen: &[usize], unit: usize) -> Vec<usize> {

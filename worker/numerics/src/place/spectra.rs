@@ -16,15 +16,15 @@ const UNREAD: f64 = 1e-4;
 
 /// Gram matrices of samples, by frequency and fold, then of all folds.
 ///
-/// For real and imaginary parts x = p + iq: A = Σ p pᵀ + q qᵀ, S = Σ q pᵀ − p qᵀ; with a force f = r + is:
-/// U = Σ p r + q s, V = Σ p s − q r. W = a + ib solves [[A, S], [−S, A]] (a, b) = (U, V).
+/// For z = (x, f) with real and imaginary parts p + iq: A = Σ p pᵀ + q qᵀ, S = Σ q pᵀ − p qᵀ. W = a + ib of signals x
+/// and forces f solves [[A, S], [−S, A]]ₓₓ (a, b) = (A, −S)ₓ𝒻.
 #[derive(Debug, Clone)]
 pub(super) struct Spectra {
     sizes: Sizes,
     folds: usize,
     /// Of each frequency: 1/(2T), twice that where −b is another one.
     shares: Vec<f64>,
-    /// (frequency, fold; folds + 1) of A, S (C, C), U, V (C, K).
+    /// (frequency, fold; folds + 1) of A, S (C + K, C + K).
     grams: Vec<Gram>,
     /// Weighted power of the forces by fold, the sum last.
     power: Vec<f64>,
@@ -36,10 +36,6 @@ pub(super) struct Spectra {
 struct Gram {
     a: Vec<f64>,
     s: Vec<f64>,
-    u: Vec<f64>,
-    v: Vec<f64>,
-    /// Σ |f|².
-    f: f64,
 }
 
 impl Spectra {
@@ -76,13 +72,16 @@ impl Spectra {
         let mut grams = Vec::with_capacity(shares.len() * (folds + 1));
         for b in 0..shares.len() {
             let of = |samples: &Vec<usize>| {
-                let pick = |values: &[f64], width: usize| -> Vec<f64> {
-                    let bins = values.len() / w.len() / width;
-                    samples.iter().flat_map(|i| &values[(i * bins + b) * width..][..width]).copied().collect()
+                let row = |part: usize, i: usize| {
+                    let pick = |values: &'_ [f64], width: usize| {
+                        let bins = values.len() / w.len() / width;
+                        values[(i * bins + b) * width..][..width].to_vec()
+                    };
+                    [pick(&x[part], channels), pick(&f[part], outputs)].concat()
                 };
-                let [p, q] = x.each_ref().map(|x| pick(x, channels));
-                let [r, s] = f.each_ref().map(|f| pick(f, outputs));
-                Gram::new([&p, &q], [&r, &s], channels, outputs)
+                let [p, q] =
+                    [0, 1].map(|part| samples.iter().flat_map(|&i| row(part, i)).collect::<Vec<_>>());
+                Gram::new([&p, &q], channels + outputs)
             };
             let parts: Vec<Gram> = own.iter().map(of).collect();
             let sum = parts[1..].iter().fold(parts[0].clone(), Gram::plus);
@@ -95,7 +94,8 @@ impl Spectra {
     /// Error (%) of these channels' linear brain, the mean of samples that the others' weights read; none where λ is too
     /// small for a factor.
     pub(super) fn error(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
-        let (channels, outputs, n) = (self.sizes.channels, self.sizes.outputs, 2 * chosen.len());
+        let (outputs, n) = (self.sizes.outputs, 2 * chosen.len());
+        let forces = self.forces();
         let (mut lower, mut own, mut right) = (vec![0.0; n * n], vec![0.0; n * n], vec![0.0; n * outputs]);
         let mut judged = vec![0.0; n * outputs];
         let mut error = self.left_out;
@@ -103,29 +103,63 @@ impl Spectra {
             let (all, parts) = grams.split_last().expect("of all folds");
             for (part, power) in parts.iter().zip(&self.power) {
                 let scale = (self.power[self.folds] - power).recip();
-                part.cut(chosen, channels, &mut own);
-                all.cut(chosen, channels, &mut lower);
+                part.cut(chosen, &mut own);
+                all.cut(chosen, &mut lower);
                 lower.iter_mut().zip(&own).for_each(|(m, own)| *m = scale * (*m - own));
                 lower.iter_mut().step_by(n + 1).for_each(|d| *d += ridge);
-                part.cut_right(chosen, channels, &mut judged);
-                all.cut_right(chosen, channels, &mut right);
+                part.cut_right(chosen, &forces, &mut judged);
+                all.cut_right(chosen, &forces, &mut right);
                 right.iter_mut().zip(&judged).for_each(|(r, judged)| *r = scale * (*r - judged));
                 factor(&mut lower, n).ok()?;
                 let mut weights = matrix_mut(&mut right, n, outputs);
                 let lower = matrix(&lower, n, n);
                 solve_lower_triangular_in_place(lower, weights.as_mut(), Par::Seq);
                 solve_upper_triangular_in_place(lower.transpose(), weights, Par::Seq);
-                error += share * (part.f + quadratic(&own, &right, &judged));
+                error += share * (part.power(&forces) + quadratic(&own, &right, &judged));
             }
         }
         error.is_finite().then(|| 100.0 * error / self.power[self.folds])
     }
 
+    /// What these channels say of the forces, were both Gaussian and λ their noise (nats a sample): Σ_b ½ ln det of either
+    /// over that of both together; none where λ is too small for a factor.
+    pub(super) fn information(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
+        let scale = self.power[self.folds].recip();
+        let log_determinant = |gram: &Gram, channels: &[usize]| {
+            let n = 2 * channels.len();
+            let mut lower = vec![0.0; n * n];
+            gram.cut(channels, &mut lower);
+            lower.iter_mut().for_each(|x| *x *= scale);
+            lower.iter_mut().step_by(n + 1).for_each(|d| *d += ridge);
+            factor(&mut lower, n).ok()?;
+            Some(lower.iter().step_by(n + 1).map(|d| d.ln()).sum::<f64>())
+        };
+        let forces = self.forces();
+        let both = [chosen, &forces].concat();
+        let of = |(grams, share): (&[Gram], &f64)| {
+            let gram = &grams[self.folds];
+            let parts = log_determinant(gram, chosen)? + log_determinant(gram, &forces)?;
+            // det L is the root; [[A, S], [−S, A]] has that of A − iS squared; padded samples have every frequency twice
+            Some(0.5 * share * self.sizes.instants as f64 * (parts - log_determinant(gram, &both)?))
+        };
+        let sum: Option<f64> = self.grams.chunks_exact(self.folds + 1).zip(&self.shares).map(of).sum();
+        sum.filter(|sum| sum.is_finite())
+    }
+
+    /// The forces' own channels, after the signals'.
+    fn forces(&self) -> Vec<usize> {
+        let Sizes { channels, outputs, .. } = self.sizes;
+        (channels..channels + outputs).collect()
+    }
+
     /// Σ_t x xᵀ (C, C), column-major: what pivots by signals alone look at.
     pub(super) fn covariance(&self) -> Vec<f64> {
-        let mut sum = vec![0.0; self.sizes.channels * self.sizes.channels];
+        let Sizes { channels, outputs, .. } = self.sizes;
+        let mut sum = vec![0.0; channels * channels];
         for (grams, share) in self.grams.chunks_exact(self.folds + 1).zip(&self.shares) {
-            sum.iter_mut().zip(&grams[self.folds].a).for_each(|(sum, a)| *sum += share * a);
+            let columns = grams[self.folds].a.chunks_exact(channels + outputs);
+            let a = columns.take(channels).flat_map(|column| &column[..channels]);
+            sum.iter_mut().zip(a).for_each(|(sum, a)| *sum += share * a);
         }
         sum
     }
@@ -143,48 +177,48 @@ fn quadratic(gram: &[f64], weights: &[f64], right: &[f64]) -> f64 {
 }
 
 impl Gram {
-    /// Of real and imaginary parts of signals (n, C) and forces (n, K).
-    fn new([p, q]: [&[f64]; 2], [r, s]: [&[f64]; 2], channels: usize, outputs: usize) -> Self {
-        let samples = p.len() / channels;
-        let product = |terms: [(&[f64], &[f64], f64); 2], columns: usize| {
-            let mut sum = vec![0.0; channels * columns];
+    /// Of real and imaginary parts (n, width).
+    fn new([p, q]: [&[f64]; 2], width: usize) -> Self {
+        let samples = p.len() / width;
+        let product = |terms: [(&[f64], &[f64], f64); 2]| {
+            let mut sum = vec![0.0; width * width];
             for (left, right, sign) in terms {
                 matmul(
-                    matrix_mut(&mut sum, channels, columns),
+                    matrix_mut(&mut sum, width, width),
                     Accum::Add,
-                    matrix(left, channels, samples),
-                    matrix(right, columns, samples).transpose(),
+                    matrix(left, width, samples),
+                    matrix(right, width, samples).transpose(),
                     sign,
                     Par::Seq,
                 );
             }
             sum
         };
-        Self {
-            a: product([(p, p, 1.0), (q, q, 1.0)], channels),
-            s: product([(q, p, 1.0), (p, q, -1.0)], channels),
-            u: product([(p, r, 1.0), (q, s, 1.0)], outputs),
-            v: product([(p, s, 1.0), (q, r, -1.0)], outputs),
-            f: r.iter().chain(s).map(|f| f * f).sum(),
-        }
+        Self { a: product([(p, p, 1.0), (q, q, 1.0)]), s: product([(q, p, 1.0), (p, q, -1.0)]) }
+    }
+
+    fn width(&self) -> usize {
+        self.a.len().isqrt()
     }
 
     fn plus(mut self, other: &Self) -> Self {
         let add = |to: &mut [f64], from: &[f64]| to.iter_mut().zip(from).for_each(|(a, b)| *a += b);
         add(&mut self.a, &other.a);
         add(&mut self.s, &other.s);
-        add(&mut self.u, &other.u);
-        add(&mut self.v, &other.v);
-        self.f += other.f;
         self
     }
 
+    /// Σ |z|² of these channels.
+    fn power(&self, chosen: &[usize]) -> f64 {
+        chosen.iter().map(|c| self.a[c * (self.width() + 1)]).sum()
+    }
+
     /// [[A, S], [−S, A]] of these channels.
-    fn cut(&self, chosen: &[usize], channels: usize, matrix: &mut [f64]) {
-        let (c, n) = (chosen.len(), 2 * chosen.len());
+    fn cut(&self, chosen: &[usize], matrix: &mut [f64]) {
+        let (c, n, width) = (chosen.len(), 2 * chosen.len(), self.width());
         for (j, &y) in chosen.iter().enumerate() {
             for (i, &x) in chosen.iter().enumerate() {
-                let (a, s) = (self.a[y * channels + x], self.s[y * channels + x]);
+                let (a, s) = (self.a[y * width + x], self.s[y * width + x]);
                 matrix[j * n + i] = a;
                 matrix[j * n + c + i] = -s;
                 matrix[(c + j) * n + i] = s;
@@ -193,13 +227,12 @@ impl Gram {
         }
     }
 
-    /// (U, V) of these channels.
-    fn cut_right(&self, chosen: &[usize], channels: usize, right: &mut [f64]) {
-        let c = chosen.len();
-        let columns = self.u.chunks_exact(channels).zip(self.v.chunks_exact(channels));
-        for (to, (u, v)) in right.chunks_exact_mut(2 * c).zip(columns) {
+    /// (A, −S) of these rows and columns.
+    fn cut_right(&self, chosen: &[usize], columns: &[usize], right: &mut [f64]) {
+        let (c, width) = (chosen.len(), self.width());
+        for (to, y) in right.chunks_exact_mut(2 * c).zip(columns) {
             for (i, &x) in chosen.iter().enumerate() {
-                (to[i], to[c + i]) = (u[x], v[x]);
+                (to[i], to[c + i]) = (self.a[y * width + x], -self.s[y * width + x]);
             }
         }
     }

@@ -61,6 +61,21 @@ fn errors_are_those_of_least_squares_over_lags() {
     assert!((found / (100.0 * wrong / all) - 1.0).abs() < 1e-10, "{found} {}", 100.0 * wrong / all);
 }
 
+/// One sensor hears one force with noise, both white: ½ T ln(1 + signal/noise), as far as so many samples can say.
+#[test]
+fn information_is_shannons() {
+    let (instants, samples, noise) = (16, 4000, 0.5);
+    let sizes = Sizes { instants, channels: 1, outputs: 1 };
+    let f = draw(6, samples * instants);
+    let x: Vec<f64> = f.iter().zip(draw(7, samples * instants)).map(|(f, n)| f + noise * n).collect();
+    let w = vec![1.0; samples];
+    let dealt: Vec<usize> = (0..samples).map(|i| i % 2).collect();
+    let spectra = Spectra::new(sizes, &x, &f, &w, &dealt, 2);
+    let expected = 0.5 * instants as f64 * (1.0 + 1.0 / (noise * noise)).ln();
+    let found = spectra.information(&[0], 1e-12).unwrap();
+    assert!((found / expected - 1.0).abs() < 0.02, "{found} {expected}");
+}
+
 const UNITS: [usize; 6] = [2, 3, 5, 7, 8, 9];
 const INSTANTS: usize = 12;
 const SAMPLES: usize = 40;
@@ -89,7 +104,7 @@ fn searched(method: Method, sensors: usize, turn: usize, spacing: f64) -> Result
     let dealt: Vec<usize> = (0..SAMPLES).map(|i| i % 4).collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
     let sizes = Sizes { instants: INSTANTS, channels: 18, outputs: 2 };
-    let scores = Scores::new(&layout, UNITS.to_vec(), sizes, [&x, &f, &w], &dealt, &pool);
+    let scores = Scores::new(&layout, UNITS.to_vec(), sizes, [&x, &f, &w], &dealt, false, &pool);
     let search = Search { method, candidates: UNITS.to_vec(), sensors, turn, spacing };
     let placed = scores.search(&search)?;
     if method == Method::Greedy && turn == 0 {
@@ -112,6 +127,22 @@ fn searched(method: Method, sensors: usize, turn: usize, spacing: f64) -> Result
     Ok(placed)
 }
 
+/// Of forces that only the energy of a signal tells, a brain that sees energies reads most, another nothing.
+#[test]
+fn energies_tell_what_no_linear_part_does() {
+    let (instants, samples) = (8, 60);
+    let layout = Layout::planar(2, 2, 10.0, 1.5);
+    let x: Vec<f64> = draw(8, samples * instants * 3);
+    let f: Vec<f64> = x.chunks_exact(3).map(|x| x.iter().map(|x| x * x).sum::<f64>() - 3.0).collect();
+    let dealt: Vec<usize> = (0..samples).map(|i| i % 4).collect();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let sizes = Sizes { instants, channels: 3, outputs: 1 };
+    let [blind, seeing] = [false, true].map(|energies| {
+        Scores::new(&layout, vec![2], sizes, [&x, &f, &vec![1.0; samples]], &dealt, energies, &pool).of_all()
+    });
+    assert!(blind > 90.0 && seeing < 5.0, "{blind} {seeing}");
+}
+
 /// The search finds the two units that carry the forces, by whatever number of sensors; pivots see the loud ones alone.
 #[test]
 fn the_units_that_carry_the_forces_are_found() {
@@ -122,6 +153,9 @@ fn the_units_that_carry_the_forces_are_found() {
     assert!(two.runner_up.as_ref().is_some_and(|next| next.1 > two.errors[1]), "{two:?}");
     let three = searched(Method::Greedy, 3, 0, 0.0).unwrap();
     assert!(three.units.contains(&5) && three.units.contains(&8), "{three:?}");
+    let mut informed = searched(Method::DOptimal, 2, 0, 0.0).unwrap().units;
+    informed.sort_unstable();
+    assert_eq!(informed, units);
     let loud = searched(Method::Pivots, 2, 0, 0.0).unwrap();
     assert!(loud.units.iter().all(|unit| [2, 7, 9].contains(unit)) && loud.errors[1] > 80.0, "{loud:?}");
 }
