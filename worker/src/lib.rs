@@ -10,6 +10,7 @@ pub mod evaluate;
 pub mod files;
 pub mod identify;
 pub mod measured;
+pub mod modes;
 pub mod noop;
 pub mod place;
 pub mod problem;

@@ -13,6 +13,7 @@ mod identify;
 mod live;
 mod log;
 mod merge;
+mod modes;
 mod place;
 mod project;
 mod query;
@@ -77,6 +78,7 @@ enum Command {
     Analyse(analyse::Args),
     Report(report::Args),
     Place(place::Args),
+    Modes(modes::Args),
     Project(project::Args),
     Draw(draw::Args),
     Export(export::Args),
@@ -113,6 +115,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
         Command::Place(args) => place::execute(&args),
+        Command::Modes(args) => modes::execute(&args),
         Command::Project(args) => project::execute(&args),
         Command::Draw(args) => draw::execute(&args),
         Command::Schema(args) => schema::execute(&args),

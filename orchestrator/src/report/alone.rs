@@ -19,7 +19,7 @@ pub fn standalone(plot: &str, legend: &[(&str, String)]) -> Option<String> {
         return None;
     }
     let start = plot.find("<svg")?;
-    let svg = &plot[start..plot.find("</svg>")? + "</svg>".len()];
+    let svg = &plot[start..plot.rfind("</svg>")? + "</svg>".len()];
     let of = |name: &str| Some(svg.split_once(&format!(" {name}=\""))?.1.split_once('"')?.0);
     let sides: Vec<f64> = of("viewBox")?.split_whitespace().filter_map(|x| x.parse().ok()).collect();
     let [_, _, width, height] = sides[..] else { return None };

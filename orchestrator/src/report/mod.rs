@@ -7,6 +7,7 @@ pub mod brains;
 pub mod figures;
 pub mod fit;
 pub mod load;
+pub mod modes;
 pub mod plot;
 pub mod records;
 pub mod samples;

@@ -9,6 +9,7 @@ use serde_json::json;
 
 use super::body::{self, Frame, marks, points};
 use super::figures::{BODIES, Figure, legend};
+use super::modes;
 use super::plot::number;
 use super::strips::{Curve, Errors, Strip, dots, representative, strips};
 use crate::analysis::Body;
@@ -56,6 +57,8 @@ pub fn figures(stored: &Stored, threads: usize) -> Result<Vec<Figure>, Failure> 
         figures.push(every_sample(stored, &replays, &test));
     }
     figures.push(bodies(stored, &drawings));
+    // a body that floats has none
+    figures.extend(modes::figure(stored, &drawings, &who(stored)).ok());
     let loudest = loudest(&replays[0].forces.values, &test, stored);
     let motions = [0, 1].map(|b| motion(&stored.specs[b], &stored.designs[b], loudest, threads));
     let [initial, optimised] = motions;

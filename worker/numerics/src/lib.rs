@@ -7,6 +7,7 @@ pub mod brain;
 pub mod dynamics;
 pub mod feasible;
 pub mod identify;
+pub mod modes;
 pub mod nested;
 pub mod place;
 pub mod random;

@@ -1,8 +1,7 @@
 //! Which integrator and how many steps: from the scene's own highest frequency and the accuracy asked.
 
-use super::ligaments::{Shape, product};
 use super::model::Model;
-use super::vector::{Array, Vector};
+use super::rest::hessian_at_rest;
 use super::{Method, Plan, Scene, Solver};
 
 /// Highest angular frequency of small motions about rest (rad/s), undamped: the largest eigenvalue of M^-½ H M^-½ by
@@ -13,7 +12,8 @@ pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
     let n = root.len();
     let apply = |y: &[f64]| -> Vec<f64> {
         let w: Vec<f64> = y.iter().zip(&root).map(|(y, r)| y * r).collect();
-        hessian_at_rest(&model, scene, &w).iter().zip(&root).map(|(h, r)| h * r).collect()
+        let [curved, ..] = hessian_at_rest(&model, scene, &[w]);
+        curved.iter().zip(&root).map(|(h, r)| h * r).collect()
     };
     let norm = |y: &[f64]| y.iter().map(|y| y * y).sum::<f64>().sqrt();
     // Any start that no symmetry of the lattice leaves without a part in the highest mode
@@ -48,25 +48,6 @@ pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
         _ => 0.0,
     });
     tridiagonal.symmetric_eigenvalues().max().max(0.0).sqrt()
-}
-
-/// Product of the Hessian of the energy at rest with w.
-fn hessian_at_rest(model: &Model, scene: &Scene, w: &[f64]) -> Vec<f64> {
-    let zero = Array::splat(0.0);
-    let units = model.units();
-    let direction: Vec<[Array; 3]> = w.as_chunks::<3>().0.iter().map(|w| w.map(Array::splat)).collect();
-    let x = vec![[zero; 3]; units];
-    let (mut turn, mut h) = (vec![[zero; 2]; units], x.clone());
-    let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; units], vec![[zero; 2]; model.ligaments]);
-    let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => product::<Array, false, false, false, false>,
-        (false, true) => product::<Array, false, true, false, false>,
-        (true, false) => product::<Array, true, false, false, false>,
-        (true, true) => product::<Array, true, true, false, false>,
-    };
-    let shape = Shape { arms: &mut arms, voids: &mut voids, stiffness: &mut [zero; 4] };
-    kernel(model, &x, &direction, &mut turn, &mut [], &mut h, shape);
-    h.as_flattened().iter().map(|h| h.array()[0]).collect()
 }
 
 /// Error of the signals, relative, against w = ω h/stages, ω the highest frequency: factor · wᵖ.

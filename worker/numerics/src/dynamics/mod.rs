@@ -13,6 +13,7 @@ mod energy;
 mod ligaments;
 mod model;
 mod push_forward;
+mod rest;
 mod splitting;
 mod system;
 mod trigonometry;
@@ -26,6 +27,7 @@ pub use choose::{choose, highest_frequency};
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
 pub use model::damping;
 pub use push_forward::push_forward;
+pub use rest::Rest;
 pub use tune::{Tuned, signal_error, tune};
 
 /// Stiffnesses of a ligament.

@@ -1,0 +1,90 @@
+//! `modes`: how a body rings at rest, and what its panels do there.
+
+use std::path::PathBuf;
+
+use metasense_worker::modes::{Response, responses, slowest};
+use serde_json::{Value, json};
+
+use super::{Error, Format, print_rows, read_plan, trial_and_design, write};
+use crate::exit::Exit;
+use crate::report::{modes as pictures, standalone};
+use crate::store::Table;
+
+/// Eigenmodes of a trial's body at rest: frequencies, damping ratios, shapes; or how a panel's force moves a unit there
+///
+/// Small motions only: under a sweep's stimuli bodies move strongly nonlinearly (`v_trial` says how much the linear model leaves
+/// out). Frequencies are |s|/2π of exp(s t), damping ratios −Re s/|s|, with all of the damping, which no mode shares evenly. A mode of
+/// damping ratio 1 does not ring.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML)
+    spec: PathBuf,
+    /// The trial, by its hash or the beginning of it [default: the first]
+    #[arg(long)]
+    hash: Option<String>,
+    /// The design (.npy or .csv) [default: the trial's initial one]
+    #[arg(long, value_name = "FILE")]
+    design: Option<PathBuf>,
+    /// How many modes, from the slowest on
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    count: u16,
+    /// Instead of the modes: acceleration (mm/s²) and angular velocity (rad/s) of this unit to 1 N on each panel, amplitudes and
+    /// phases (degrees), at 200 frequencies up to the last of these modes
+    #[arg(long, value_name = "UNIT")]
+    response: Option<usize>,
+    /// Draws the modes' shapes, or the responses
+    #[arg(long, value_name = "FILE.svg")]
+    out: Option<PathBuf>,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// Frequencies of responses.
+const FREQUENCIES: usize = 200;
+
+pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    let first = plan.trials.first().map_or(String::new(), |trial| trial.hash.clone());
+    let hash = args.hash.as_ref().unwrap_or(&first);
+    let (trial, design) = &trial_and_design(&plan, &args.spec, hash, args.design.as_deref())?;
+    let said = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
+    let modes = slowest(trial, design, args.count.into()).map_err(|e| said(&e))?;
+    let (table, picture, legend) = match args.response {
+        None => {
+            let rows = modes.iter().enumerate().map(|(n, mode)| pictures::row(n, mode)).collect();
+            let drawn = pictures::shapes(trial, design, &modes).map_err(|e| said(&e))?;
+            (Table::new(&pictures::COLUMNS, rows), drawn, vec![("speed", "motion of a unit".to_owned())])
+        }
+        Some(unit) => {
+            let last = modes.last().map_or(0.0, metasense_worker::modes::Mode::frequency);
+            let frequencies: Vec<f64> =
+                (1..=FREQUENCIES).map(|i| last * i as f64 / FREQUENCIES as f64).collect();
+            let found = responses(trial, design, unit, &frequencies)
+                .map_err(|e| Error::Usage(format!("--response {unit}: {e}")))?;
+            let (drawn, legend) = pictures::responses(unit, &frequencies, &found);
+            (table(&frequencies, &found), drawn, legend)
+        }
+    };
+    print_rows(&table, args.format)?;
+    if let Some(out) = &args.out {
+        write(out, standalone(&picture, &legend).expect("it stands still"))?;
+        say!("written {}", out.display());
+    }
+    Ok(Exit::Done)
+}
+
+/// A row a frequency and panel.
+fn table(frequencies: &[f64], found: &[Vec<Response>]) -> Table {
+    let columns = ["frequency", "panel", "a_x", "a_x_phase", "a_y", "a_y_phase", "omega", "omega_phase"];
+    let row = |hertz: f64, k: usize, response: &Response| -> Vec<Value> {
+        let parts = response.iter().flat_map(|c| [json!(c.norm()), json!(c.arg().to_degrees())]);
+        [json!(hertz), json!(k)].into_iter().chain(parts).collect()
+    };
+    let rows = frequencies.iter().zip(found);
+    Table::new(
+        &columns,
+        rows.flat_map(|(f, of)| of.iter().enumerate().map(|(k, r)| row(*f, k, r)).collect::<Vec<_>>())
+            .collect(),
+    )
+}

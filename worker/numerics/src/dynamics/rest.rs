@@ -1,0 +1,72 @@
+//! The body's linearisation at rest: M s̈ + C ṡ + K s = f, K the Hessian of the energy there.
+
+use super::Scene;
+use super::ligaments::{Shape, product};
+use super::model::Model;
+use super::vector::{Array, LANES, Vector};
+
+/// Masses, damping and stiffness of the units that move. Unknown 3i + d is displacement d = u, v, θ of the i-th of them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rest {
+    /// The units that move, in order.
+    pub free: Vec<usize>,
+    /// Diagonal of M: m, m, J of each (Mg, Mg, Mg·mm²).
+    pub mass: Vec<f64>,
+    /// Diagonal of C (N·s/mm, N·s/mm, N·mm·s).
+    pub damping: Vec<f64>,
+    /// (row, column, value) of K by columns, both triangles, without zeros.
+    pub stiffness: Vec<(usize, usize, f64)>,
+}
+
+impl Rest {
+    /// Of a scene with a design.
+    ///
+    /// # Panics
+    /// If the design's length is not that of the scene's layout.
+    pub fn new(scene: &Scene, design: &[f64]) -> Self {
+        assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
+        let model = Model::new(scene, design);
+        let free = model.free.clone();
+        let unknowns: Vec<usize> = free.iter().flat_map(|u| 3 * u..3 * u + 3).collect();
+        let mut stiffness = Vec::new();
+        for (block, columns) in unknowns.chunks(LANES).enumerate() {
+            let unit = |&column: &usize| {
+                let mut w = vec![0.0; 3 * model.units()];
+                w[column] = 1.0;
+                w
+            };
+            let directions: Vec<Vec<f64>> = columns.iter().map(unit).collect();
+            let products = hessian_at_rest(&model, scene, &directions);
+            for (j, product) in products[..columns.len()].iter().enumerate() {
+                let rows = unknowns.iter().enumerate().filter(|(_, u)| product[**u] != 0.0);
+                stiffness.extend(rows.map(|(i, u)| (i, LANES * block + j, product[*u])));
+            }
+        }
+        Self {
+            mass: unknowns.iter().map(|u| model.inverse_mass[u / 3][u % 3].recip()).collect(),
+            damping: unknowns.iter().map(|u| model.damping[u % 3]).collect(),
+            free,
+            stiffness,
+        }
+    }
+}
+
+/// Products of the Hessian of the energy at rest with up to eight w, one a lane.
+pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [Vec<f64>; LANES] {
+    let zero = Array::splat(0.0);
+    let units = model.units();
+    let lanes = |i: usize| Array::new(std::array::from_fn(|lane| w.get(lane).map_or(0.0, |w| w[i])));
+    let direction: Vec<[Array; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
+    let x = vec![[zero; 3]; units];
+    let (mut turn, mut h) = (vec![[zero; 2]; units], x.clone());
+    let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; units], vec![[zero; 2]; model.ligaments]);
+    let kernel = match (scene.linearised, scene.contact.is_some()) {
+        (false, false) => product::<Array, false, false, false, false>,
+        (false, true) => product::<Array, false, true, false, false>,
+        (true, false) => product::<Array, true, false, false, false>,
+        (true, true) => product::<Array, true, true, false, false>,
+    };
+    let shape = Shape { arms: &mut arms, voids: &mut voids, stiffness: &mut [zero; 4] };
+    kernel(model, &x, &direction, &mut turn, &mut [], &mut h, shape);
+    std::array::from_fn(|lane| h.as_flattened().iter().map(|h| h.array()[lane]).collect())
+}

@@ -1,0 +1,231 @@
+use super::*;
+use crate::body::Layout;
+use crate::dynamics::{Forces, Frame, Method, Panel, Plan, Stiffness, highest_frequency, run};
+use nalgebra::DMatrix;
+use std::f64::consts::PI;
+
+fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
+    let top = layout.units() - 1;
+    Scene {
+        layout,
+        density: 1e-8,
+        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        damping_ratio: 0.02,
+        contact: None,
+        linearised: false,
+        clamped,
+        panels: vec![
+            Panel { unit: top, direction: [0.6, -0.8] },
+            Panel { unit: top - 2, direction: [0.0, -1.0] },
+        ],
+        sensors: vec![4, top],
+        frame: Frame::World,
+        duration: 0.1,
+        instants: 20,
+    }
+}
+
+/// A 3 × 3 lattice with the initial design, shaken.
+fn small() -> (Scene, Vec<f64>) {
+    let layout = Layout::planar(3, 3, 15.0, 2.25);
+    let scene = scene(layout, vec![0, 1, 2]);
+    let mut design = scene.layout.initial_design(0.4363);
+    design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
+    (scene, design)
+}
+
+fn found(scene: &Scene, design: &[f64], count: usize) -> (Rest, Vec<Mode>) {
+    let rest = Rest::new(scene, design);
+    let modes = modes(&rest, scene.layout.units(), count).unwrap();
+    (rest, modes)
+}
+
+/// xᵀ D y of the units that move, D diagonal.
+fn product(rest: &Rest, x: &[[c64; 3]], diagonal: &[f64], y: &[[c64; 3]]) -> c64 {
+    let at = |i: usize| x[rest.free[i / 3]][i % 3] * y[rest.free[i / 3]][i % 3] * diagonal[i];
+    (0..diagonal.len()).map(at).sum()
+}
+
+/// Upright squares in a column, held at one end, move up and down as masses on springs: ω = 2√(k_l/m) sin((2j − 1)π/(4n + 2)),
+/// s² + (c/m) s + ω² = 0; with this much damping the slowest do not ring.
+#[test]
+fn a_column_of_squares_has_the_modes_of_a_chain() {
+    let n = 6;
+    let column = Scene {
+        damping_ratio: 0.6,
+        panels: Vec::new(),
+        sensors: Vec::new(),
+        ..scene(Layout::planar(1, n + 1, 15.0, 2.25), vec![0])
+    };
+    let design = column.layout.initial_design(0.0);
+    let (rest, modes) = found(&column, &design, 6 * n);
+    let (m, c) = (rest.mass[0], rest.damping[0]);
+    let mut ringing = [0, 0];
+    for j in 1..=n {
+        let omega = 2.0 * (3.0 / m).sqrt() * ((2 * j - 1) as f64 * PI / (4 * n + 2) as f64).sin();
+        let half = 0.5 * c / m;
+        let under = omega * omega - half * half;
+        let roots = match under > 0.0 {
+            true => vec![c64::new(-half, under.sqrt())],
+            false => [-1.0, 1.0].map(|sign| c64::new(-half + sign * (-under).sqrt(), 0.0)).to_vec(),
+        };
+        ringing[usize::from(under > 0.0)] += 1;
+        for root in roots {
+            let off = modes.iter().map(|mode| (mode.s - root).norm()).fold(f64::INFINITY, f64::min);
+            assert!(
+                off < 1e-9 * root.norm(),
+                "{j}: {root} is {off} from any of {:?}",
+                modes.iter().map(|m| m.s).collect::<Vec<_>>()
+            );
+        }
+    }
+    assert!(ringing[0] > 0 && ringing[1] > 0, "{ringing:?}");
+}
+
+/// (s² M + s C + K) x = 0, and of two modes (s + s′) xᵀMx′ + xᵀCx′ = 0.
+#[test]
+fn modes_solve_the_damped_equation_and_are_orthogonal_in_its_sense() {
+    let (scene, design) = small();
+    let (rest, modes) = found(&scene, &design, 18);
+    assert_eq!(modes.len(), 18);
+    let (mut worst, mut across) = (0.0f64, 0.0f64);
+    for (i, Mode { s, shape }) in modes.iter().enumerate() {
+        let x = |i: usize| shape[rest.free[i / 3]][i % 3];
+        let mut left: Vec<c64> =
+            (0..18).map(|i| (s * s * rest.mass[i] + s * rest.damping[i]) * x(i)).collect();
+        let size = left.iter().map(|l| l.norm()).fold(0.0, f64::max);
+        rest.stiffness.iter().for_each(|&(i, j, k)| left[i] += k * x(j));
+        worst = left.iter().map(|l| l.norm() / size).fold(worst, f64::max);
+        assert!((product(&rest, shape, &rest.mass, shape) - 1.0).norm() < 1e-12);
+        for other in &modes[..i] {
+            for conjugate in [false, true] {
+                let y: Vec<[c64; 3]> =
+                    other.shape.iter().map(|y| if conjugate { y.map(|y| y.conj()) } else { *y }).collect();
+                let both = *s + if conjugate { other.s.conj() } else { other.s };
+                let [mass, damping] = [&rest.mass, &rest.damping].map(|d| product(&rest, shape, d, &y));
+                across = across.max((both * mass + damping).norm() / s.norm());
+            }
+        }
+    }
+    assert!(worst < 1e-8 && across < 1e-8, "{worst:e} {across:e}");
+}
+
+/// A square body held at its corners has each mode that is no symmetry's own twice: all of them are found, as a dense solver
+/// finds them without damping, and the highest is that by which steps are chosen.
+#[test]
+fn modes_that_come_twice_are_found_twice() {
+    let layout = Layout::planar(5, 5, 15.0, 2.25);
+    let square = Scene { damping_ratio: 0.0, ..scene(layout, vec![0, 4, 20, 24]) };
+    let design = square.layout.initial_design(0.0);
+    let rest = Rest::new(&square, &design);
+    let n = rest.mass.len();
+    let mut dense = DMatrix::zeros(n, n);
+    rest.stiffness.iter().for_each(|&(i, j, k)| dense[(i, j)] = k / (rest.mass[i] * rest.mass[j]).sqrt());
+    let mut known: Vec<f64> = dense.symmetric_eigenvalues().iter().map(|l| l.sqrt() / TAU).collect();
+    known.sort_by(f64::total_cmp);
+    let twice = known.windows(2).filter(|f| f[1] / f[0] < 1.0 + 1e-9).count();
+    assert!(twice > 5, "{twice} of {known:?}");
+    for count in [10, 30, n] {
+        let (_, modes) = found(&square, &design, count);
+        let frequencies: Vec<f64> = modes.iter().map(Mode::frequency).collect();
+        assert_eq!(modes.len(), count);
+        let off = frequencies.iter().zip(&known).map(|(f, k)| (f / k - 1.0).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-7, "{count}: {off:e}, {frequencies:?} {known:?}");
+    }
+    let highest = highest_frequency(&square, &design) / TAU;
+    assert!((highest / known[n - 1] - 1.0).abs() < 1e-3, "{highest} {}", known[n - 1]);
+}
+
+/// Weights b of q̇ = s q + b f: xᵀf over 2s xᵀMx + xᵀCx.
+fn weights(scene: &Scene, rest: &Rest, mode: &Mode) -> Vec<c64> {
+    let below = 2.0 * mode.s + product(rest, &mode.shape, &rest.damping, &mode.shape);
+    let push = |p: &Panel| mode.shape[p.unit][0] * p.direction[0] + mode.shape[p.unit][1] * p.direction[1];
+    scene.panels.iter().map(|p| push(p) / below).collect()
+}
+
+/// x(ω) = Σ b/(iω − s) x over all modes and their conjugates.
+#[test]
+fn responses_are_the_sum_over_all_modes() {
+    let (scene, design) = small();
+    let (rest, modes) = found(&scene, &design, 18);
+    let frequencies = [0.5, 40.0, 333.0];
+    let direct = responses(&scene, &rest, &scene.sensors, &frequencies);
+    for (direct, hertz) in direct.iter().zip(frequencies) {
+        let iw = c64::new(0.0, TAU * hertz);
+        for (k, of_panel) in direct.iter().enumerate() {
+            for (read, &unit) in of_panel.iter().zip(&scene.sensors) {
+                for d in 0..3 {
+                    let part = |m: &Mode| {
+                        let b = weights(&scene, &rest, m)[k] * m.shape[unit][d];
+                        b / (iw - m.s) + b.conj() / (iw - m.s.conj())
+                    };
+                    let moved: c64 = modes.iter().map(part).sum();
+                    let sum = if d < 2 { iw * iw } else { iw } * moved;
+                    let size = read[0].norm().max(read[1].norm());
+                    let size = if d < 2 { size } else { read[2].norm() };
+                    assert!(
+                        (read[d] - sum).norm() < 1e-7 * size,
+                        "{hertz} Hz, {k}, {unit}, {d}: {} {sum}",
+                        read[d]
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// A simulation under forces of some µN (its odd part: what is quadratic falls out) against the exact sum over all modes,
+/// forces linear between instants: signals agree to 1e-7.
+#[test]
+fn small_motions_of_a_simulation_are_those_of_the_modes() {
+    let (scene, design) = small();
+    let (rest, modes) = found(&scene, &design, 18);
+    let force = |k: usize, n: usize| 1e-5 * (0.4 * n as f64 + k as f64).sin().powi(3) * (n as f64 / 20.0);
+    let sides = [1.0, -1.0].into_iter().flat_map(|sign| (0..2).map(move |k| (sign, k)));
+    let values = sides.flat_map(|(sign, k)| (0..=20).map(move |n| sign * force(k, n))).collect();
+    let forces = Forces { samples: 2, panels: 2, instants: 20, values };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let plan = Plan { method: Method::Nystrom6, tolerance: 0.0, steps: 24, reason: String::new() };
+    let simulated = run(&scene, &design, &forces, &plan, false, &pool).signals;
+    let h = scene.duration / 20.0;
+    let mut q = vec![c64::ZERO; modes.len()];
+    let (mut off, mut size) = ([0.0f64; 2], [0.0f64; 2]);
+    for n in 1..=20 {
+        for (mode, q) in modes.iter().zip(&mut q) {
+            let s = mode.s;
+            let grown = (s * h).exp();
+            // ∫ exp(s(h − t)) (1, t/h) dt
+            let [flat, ramp] = [(grown - 1.0) / s, (grown - 1.0 - s * h) / (s * s * h)];
+            *q *= grown;
+            for (k, b) in weights(&scene, &rest, mode).into_iter().enumerate() {
+                *q += b * (flat * force(k, n - 1) + ramp * (force(k, n) - force(k, n - 1)));
+            }
+        }
+        // M a = f − C v − K x
+        let of = |i: usize, power: i32| -> f64 {
+            modes
+                .iter()
+                .zip(&q)
+                .map(|(m, q)| 2.0 * (m.s.powi(power) * m.shape[rest.free[i / 3]][i % 3] * q).re)
+                .sum()
+        };
+        let mut net: Vec<f64> = (0..18).map(|i| -rest.damping[i] * of(i, 1)).collect();
+        rest.stiffness.iter().for_each(|&(i, j, k)| net[i] -= k * of(j, 0));
+        let place = |unit: usize| rest.free.iter().position(|u| *u == unit).unwrap();
+        for (k, panel) in scene.panels.iter().enumerate() {
+            (0..2).for_each(|d| net[3 * place(panel.unit) + d] += panel.direction[d] * force(k, n));
+        }
+        for (m, &unit) in scene.sensors.iter().enumerate() {
+            let i = 3 * place(unit);
+            let exact = [net[i] / rest.mass[i], net[i + 1] / rest.mass[i + 1], of(i + 2, 1)];
+            for (c, exact) in exact.into_iter().enumerate() {
+                let [up, down] = [0, 120].map(|sample| simulated[sample + (n - 1) * 6 + 3 * m + c]);
+                let read = 0.5 * (up - down);
+                off[c / 2] += (read - exact).powi(2);
+                size[c / 2] += exact * exact;
+            }
+        }
+    }
+    let relative = [0, 1].map(|i| (off[i] / size[i]).sqrt());
+    assert!(relative.iter().all(|r| *r < 1e-7), "{relative:?}");
+}

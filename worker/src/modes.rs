@@ -1,0 +1,51 @@
+//! Eigenmodes of a trial's body at rest, and how its panels move its units there.
+
+use metasense_numerics::dynamics::Rest;
+use metasense_numerics::modes;
+pub use metasense_numerics::modes::{Mode, Response};
+use metasense_schemas::spec::TrialSpec;
+
+use crate::problem::problem;
+use crate::replay::check;
+use crate::run::Failure;
+
+/// The `count` slowest modes of a body; fewer where it has fewer.
+///
+/// # Errors
+/// If the spec stands for no trial, the design is of another length, or nothing holds the body.
+pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    check(design, problem.initial.len())?;
+    let scene = &problem.scene;
+    let loose =
+        || Failure::Rejected("body.clamp = []: nothing holds the body, whose modes are then none".to_owned());
+    if scene.clamped.is_empty() {
+        return Err(loose());
+    }
+    modes::modes(&Rest::new(scene, design), scene.layout.units(), count).map_err(|modes::Loose| loose())
+}
+
+/// Of a unit to each panel at these frequencies (Hz): (frequencies, panels).
+///
+/// # Errors
+/// If the spec stands for no trial, the design is of another length, or there is no such unit.
+pub fn responses(
+    trial: &TrialSpec,
+    design: &[f64],
+    unit: usize,
+    frequencies: &[f64],
+) -> Result<Vec<Vec<Response>>, Failure> {
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    check(design, problem.initial.len())?;
+    let (scene, units) = (&problem.scene, problem.scene.layout.units());
+    if unit >= units || scene.clamped.contains(&unit) {
+        let why = if unit >= units {
+            format!("the body has units 0 … {}", units - 1)
+        } else {
+            "it is held".to_owned()
+        };
+        return Err(Failure::Rejected(format!("unit {unit}: {why}")));
+    }
+    let found = modes::responses(scene, &Rest::new(scene, design), &[unit], frequencies);
+    Ok(found.into_iter().map(|panels| panels.into_iter().flatten().collect()).collect())
+}
