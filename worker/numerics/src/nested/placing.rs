@@ -44,7 +44,7 @@ impl Candidates {
     ) -> Result<Self, Failure> {
         let units = search.candidates.clone();
         let scene = Scene { sensors: units.clone(), ..problem.scene.clone() };
-        let asked = Problem { scene, ..problem.clone() };
+        let asked = Problem { scene, search: None, ..problem.clone() };
         let solver = |design| Tuning::of_body(&asked, design, pool).solver;
         let problem = Problem { solver: solver(&asked.initial), ..asked.clone() };
         let setting = Setting::new(&problem, pool)?;
