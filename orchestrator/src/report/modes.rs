@@ -83,9 +83,9 @@ pub fn figure(stored: &Stored, drawings: &[Drawing; 2], who: &str) -> Result<Fig
     let frame = Frame::around(&[&drawings[0], &drawings[1]]);
     let (mut plots, mut rows) = (Vec::new(), Vec::new());
     for body in Body::ALL {
-        let modes = slowest(&stored.spec, &stored.designs[body as usize], SHOWN)?;
+        let modes = slowest(&stored.specs[body as usize], &stored.designs[body as usize], SHOWN)?;
         for (n, mode) in modes.iter().enumerate() {
-            let label = format!("{}, {}", body.name(), title(n, mode));
+            let label = format!("{} {}", body.name(), title(n, mode));
             let drawn = shape(&drawings[body as usize], &frame, mode, &label);
             plots.push(format!("<h3>{}</h3>{drawn}", escape(&label)));
             rows.push([vec![json!(body.name())], row(n, mode)].concat());
