@@ -184,6 +184,9 @@ pub struct TrialResult {
     pub placed: Option<Placed>,
     /// Where they went from there: the outer step before which they moved, and their units since.
     pub moves: Vec<(u32, Vec<usize>)>,
+    /// The part of the initial and of the best body's accelerations and angular velocities that their linearisation at rest
+    /// does not give (%).
+    pub nonlinear: [Option<[f64; 2]>; 2],
 }
 
 /// A network in training.

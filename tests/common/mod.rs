@@ -115,8 +115,8 @@ impl Bench {
 /// All that a result is, but for times.
 #[allow(dead_code, reason = "each test file uses its share")]
 const RESULTS: &[&str] = &[
-    "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step
-       FROM v_trial ORDER BY hash",
+    "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step,
+       nonlinear_acceleration_initial, nonlinear_rotation_optimised FROM v_trial ORDER BY hash",
     "SELECT hash, step, loss_test, loss_train, gradient_norm, step_length, outcome FROM v_step ORDER BY hash, step",
     "SELECT hash, name, shape, hex(bytes) FROM v_artifact ORDER BY hash, name",
 ];

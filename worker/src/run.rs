@@ -77,6 +77,7 @@ fn result(optimised: Optimised) -> TrialResult {
         simd: simd::name().into(),
         solver: optimised.solver,
         placed: optimised.placed.map(convert::placed),
+        nonlinear: optimised.nonlinear,
         moves: optimised.moves.into_iter().map(|to| (to.step, to.units)).collect(),
     }
 }

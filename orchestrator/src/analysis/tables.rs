@@ -41,6 +41,8 @@ pub enum Question {
     Placed,
     /// Random bodies (body.design = { random = SEED }) against the initial and the optimised one
     Random,
+    /// What a linear model is worth: the part of the signals that the body's linearisation at rest does not give
+    Nonlinear,
     /// Error against the number of design parameters N
     Sizes,
     /// The law L = a (N/N0)^(-b) + c
@@ -55,7 +57,7 @@ pub enum Question {
 
 impl Question {
     /// All of them, in the order in which they are answered.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Paired,
         Self::Brains,
         Self::Iterations,
@@ -66,6 +68,7 @@ impl Question {
         Self::Placements,
         Self::Placed,
         Self::Random,
+        Self::Nonlinear,
         Self::Sizes,
         Self::Complexity,
         Self::TimeTo,
@@ -100,6 +103,9 @@ impl Question {
             }
             Self::Random => {
                 "Error (%, geometric mean) of random bodies beside the initial and the optimised one, and over theirs"
+            }
+            Self::Nonlinear => {
+                "Part of the signals (%, mean over channels of squares) that the body's linearisation at rest does not give"
             }
             Self::Sizes => "Error (%, geometric mean) against the number of design parameters N",
             Self::Complexity => "Scaling law: error = a (N/N0)^(-b) + c (%, 95 % intervals)",
@@ -137,6 +143,7 @@ impl Question {
             Self::Placements => placements_table(&trials),
             Self::Placed => placed_table(&trials),
             Self::Random => random_table(&trials),
+            Self::Nonlinear => nonlinear_table(&trials),
             Self::Sizes => sizes_table(&trials),
             Self::Complexity => complexity_table(&trials),
             Self::TimeTo => time_table(&trials),
@@ -517,6 +524,28 @@ fn placed_table(trials: &[&Trial]) -> Table {
         "over",
     ];
     Table::new(&columns, rows)
+}
+
+fn nonlinear_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for (group, body) in groups(trials, &[]).iter().flat_map(|group| Body::ALL.map(|body| (group, body))) {
+        for (kind, name) in ["acceleration", "rotation"].into_iter().enumerate() {
+            let shares = nonlinear(&group.trials, body, kind);
+            let end = |pick: fn(f64, f64) -> f64| json!(shares.iter().copied().reduce(pick));
+            if !shares.is_empty() {
+                let mean = shares.iter().sum::<f64>() / shares.len() as f64;
+                let names = [&group.label, body.name(), name].map(|name| json!(name));
+                let found = [json!(shares.len()), json!(mean), end(f64::min), end(f64::max)];
+                rows.push(names.into_iter().chain(found).collect());
+            }
+        }
+    }
+    Table::new(&["setting", "body", "signals", "trials", "nonlinear", "least", "most"], rows)
+}
+
+/// Of a body's accelerations (kind 0) or angular velocities (1), of the trials that say it.
+pub(crate) fn nonlinear(trials: &[&Trial], body: Body, kind: usize) -> Vec<f64> {
+    trials.iter().filter_map(|t| t.nonlinear[body as usize][kind]).collect()
 }
 
 fn sizes_table(trials: &[&Trial]) -> Table {

@@ -9,7 +9,7 @@ use crate::analysis::paired::Ratio;
 use crate::analysis::placed::{Placed, placed};
 use crate::analysis::random::random;
 use crate::analysis::sensors::fewer;
-use crate::analysis::tables::verdict_text;
+use crate::analysis::tables::{nonlinear, verdict_text};
 use crate::analysis::{Body, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::plan::counted;
 
@@ -60,9 +60,27 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
         said.extend(sensors(group, terms));
     }
     said.extend(placed(&refs).iter().filter_map(placing));
+    said.extend(linear_model(&refs));
     let all: Vec<&Trial> = trials.iter().collect();
     said.extend(groups(&all, DESIGN).iter().filter_map(random_bodies));
     said
+}
+
+/// What the bodies' linearisation is worth.
+fn linear_model(trials: &[&Trial]) -> Option<Answer> {
+    let mean = |body, kind| {
+        let shares = nonlinear(trials, body, kind);
+        (!shares.is_empty()).then(|| number(shares.iter().sum::<f64>() / shares.len() as f64))
+    };
+    let [initial, optimised] = Body::ALL.map(|body| Some([mean(body, 0)?, mean(body, 1)?]));
+    let ([a, w], [b, v]) = (initial?, optimised?);
+    Some((
+        None,
+        format!(
+            "A linear model of the body at rest leaves {a} % of the initial body's accelerations and {w} % of its angular \
+             velocities unsaid (mean over trials), of the optimised body's {b} % and {v} %."
+        ),
+    ))
 }
 
 fn interval(ratio: &Ratio) -> String {

@@ -69,7 +69,9 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     let rows: Rows = reader
         .query(
             "SELECT hash, spec, panels, sensors, placement, seed, units, design_parameters, error_initial,
-               error_optimised, holdout_error_initial, holdout_error_optimised, seconds_evaluation
+               error_optimised, holdout_error_initial, holdout_error_optimised, seconds_evaluation,
+               nonlinear_acceleration_initial, nonlinear_rotation_initial, nonlinear_acceleration_optimised,
+               nonlinear_rotation_optimised
              FROM v_trial WHERE state = 'done' ORDER BY panels, design_parameters, sensors, placement, seed, hash",
         )
         .await?
@@ -93,6 +95,10 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
                 [row.number("error_initial"), row.number("holdout_error_initial")],
                 [row.number("error_optimised"), row.number("holdout_error_optimised")],
             ],
+            nonlinear: Body::ALL.map(|body| {
+                ["acceleration", "rotation"]
+                    .map(|kind| row.number(&format!("nonlinear_{kind}_{}", body.name())))
+            }),
             seconds: vec![("evaluate", row.number("seconds_evaluation").unwrap_or(0.0))],
             hash,
             ..Trial::default()

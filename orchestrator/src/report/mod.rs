@@ -117,6 +117,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
         Question::Placements,
         Question::Placed,
         Question::Random,
+        Question::Nonlinear,
         Question::Complexity,
         Question::TimeTo,
         Question::Seconds,

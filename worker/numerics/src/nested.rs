@@ -12,6 +12,7 @@ mod downhill;
 mod evaluation;
 mod implicit;
 mod linear;
+mod linearity;
 mod placing;
 mod problem;
 mod protocol;
@@ -26,6 +27,7 @@ pub use chip::{Disturbance, Size};
 pub use downhill::{Downhill, downhill};
 pub use evaluation::{BodyEvaluation, Comparison, Fresh, NetworkEvaluation};
 pub use linear::{Decoder, READINGS_MAX, Reading, Ridge, fits};
+pub use linearity::Nonlinear;
 pub use placing::{Candidates, placed};
 pub use problem::{Evaluation, Going, Kind, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
 pub use replay::{LinearReplay, Motion, Replay, motion, replay};
@@ -34,6 +36,7 @@ pub use state::{Best, Move, State, Waypoint};
 pub use unseen::{Records, Unseen, folds, sense};
 
 use evaluation::evaluate;
+use linearity::nonlinear;
 use placing::Again;
 use protocol::Session;
 use report::Log;
@@ -56,6 +59,8 @@ pub struct Optimised {
     pub placed: Option<Placed>,
     /// Where the sensors went from there; the best body has the last.
     pub moves: Vec<Move>,
+    /// The part of both bodies' signals that their linearisation at rest does not give.
+    pub nonlinear: [Option<Nonlinear>; 2],
     /// What the solvers came to, and why.
     pub solver: String,
     /// Counts of work of the pilot that tuned them and of the two evaluations.
@@ -120,18 +125,21 @@ pub fn optimise(
         (&first, &problem.initial, &problem.solver),
         (other.as_ref().unwrap_or(&first), &design, &tuned.solver),
     ];
-    for (turn, (setting, design, solver)) in bodies.into_iter().enumerate() {
+    for (turn, &(setting, design, solver)) in bodies.iter().enumerate() {
         if evaluate(setting, design, solver, turn, &mut state, &mut log).is_none() {
             return Ok(None);
         }
     }
+    let nonlinear = bodies.map(|(setting, design, solver)| {
+        log.timed(|s| &mut s.simulate, |report| nonlinear(setting, design, solver, report))
+    });
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += *pilot;
     counters.dynamics += tuned.counters;
     let (placed, solver) = (placed.clone(), format!("{solver}. Best body: {}", tuned.plan.reason));
     let [initial, optimised] = <[_; 2]>::try_from(state.comparison.bodies).expect("two turns");
     let moves = state.moves;
-    Ok(Some(Optimised { initial, optimised, best_step, placed, moves, solver, counters, seconds }))
+    Ok(Some(Optimised { initial, optimised, best_step, placed, moves, nonlinear, solver, counters, seconds }))
 }
 
 /// The comparison at the end for any designs: fresh networks of the same initial weights on each, as far as the observer

@@ -9,6 +9,7 @@ use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 
 mod again;
+mod known;
 mod linear;
 
 /// 4 × 3 units, two panels, one sensor, 0.2 s, 16 samples, a network of width 8.

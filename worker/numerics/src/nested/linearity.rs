@@ -1,0 +1,47 @@
+//! What a linear model of a body is worth: the part of its signals that its linearisation at rest does not give.
+//!
+//! ```text
+//! 100 · mean over channels of Σ (s(f) − s_lin(f))² / Σ s(f)²,   s_lin(f) = s(ε f)/ε
+//! ```
+//! Both by the same integrator with the same steps; what is not linear in s_lin is of the order of ε.
+
+use super::report::Report;
+use super::setting::Setting;
+use crate::dynamics::{Forces, Outcome, Simulation, Solver, signal_error, simulate};
+use crate::random::Purpose;
+
+/// ε: errors of 1e-5 in s_lin, which rounding stays a thousand times below.
+const SMALL: f64 = 1e-5;
+/// Samples that are looked at: three blocks of lanes.
+const SAMPLES: usize = 24;
+
+/// Of the accelerations, and of the angular velocities (%).
+pub type Nonlinear = [f64; 2];
+
+/// Of a body under the first samples of the holdout, without what chips add; none where one does not end well.
+pub(super) fn nonlinear(
+    setting: &Setting,
+    design: &[f64],
+    solver: &Solver,
+    report: &mut Report,
+) -> Option<Nonlinear> {
+    let (problem, scene) = (setting.problem, &setting.problem.scene);
+    let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout.min(SAMPLES));
+    let scaled =
+        |by: f64| -> Forces { Forces { values: forces.values.iter().map(|f| by * f).collect(), ..forces } };
+    let [full, small] =
+        [1.0, SMALL].map(|by| simulate(scene, design, &scaled(by), solver, false, setting.pool));
+    [&full, &small].iter().for_each(|run| report.counters.dynamics += run.counters);
+    let well = |run: &Simulation| run.outcomes.iter().all(|o| *o == Outcome::Ok);
+    let channels = 3 * scene.sensors.len();
+    let of = |turn: bool| {
+        let pick = |run: &Simulation, by: f64| -> Vec<f64> {
+            let kind = |c: usize| (c % channels % 3 == 2) == turn;
+            run.signals.iter().enumerate().filter(|(c, _)| kind(*c)).map(|(_, s)| by * s).collect()
+        };
+        let of_kind = if turn { channels / 3 } else { channels / 3 * 2 };
+        100.0 * signal_error(&pick(&small, SMALL.recip()), &pick(&full, 1.0), of_kind).powi(2)
+    };
+    let found = (channels > 0 && well(&full) && well(&small)).then(|| [of(false), of(true)]);
+    found.filter(|found| found.iter().all(|share| share.is_finite()))
+}
