@@ -52,12 +52,6 @@ impl Trial {
     pub fn comparison_cost(&self) -> f64 {
         cost::seconds(&self.spec, self.units).comparison
     }
-
-    /// Seconds that it may be silent on one core, by the estimate: signs of life come between simulations and trainings.
-    #[must_use]
-    pub fn longest_silence(&self) -> f64 {
-        cost::seconds(&self.spec, self.units).piece
-    }
 }
 
 /// A spec file, read, and the trials it stands for.

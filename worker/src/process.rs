@@ -7,8 +7,10 @@
 use std::io::Read;
 use std::os::unix::fs::MetadataExt;
 use std::panic::AssertUnwindSafe;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use metasense_numerics::pulse;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{
@@ -27,9 +29,13 @@ pub const OTHER_BUILD: i32 = 64;
 pub const NO_LINK: i32 = 65;
 /// Exit code of a worker whose orchestrator was gone before it came up.
 pub const ORPHAN: i32 = 66;
+/// Exit code of a worker that finds no room in shared memory.
+pub const NO_ROOM: i32 = 67;
 
 /// Shortest time between two beats.
 const BEAT: Duration = Duration::from_millis(50);
+/// Time between two looks at what the maths has done, where it does not return for long.
+const PULSE: Duration = Duration::from_millis(500);
 
 /// Names this build: version, and the identity of the executable that runs.
 pub fn build() -> String {
@@ -68,7 +74,7 @@ pub fn run(start: &str) -> i32 {
         Ok(()) => 0,
         Err(error) => {
             complain(format_args!("worker: {error}"));
-            NO_LINK
+            if error.step == MAKING_ROOM { NO_ROOM } else { NO_LINK }
         }
     }
 }
@@ -132,6 +138,7 @@ impl Worker {
     /// Sends and wakes the orchestrator. Waits while its buffer is full: if it never reads again, this process ends too.
     fn send(&self, message: &ToOrchestrator) -> Result<(), LinkError> {
         let bytes = wire::encode(message);
+        make_room(bytes.len())?;
         let mut pause = Duration::from_micros(50);
         while !wire::send(&self.up, &bytes)? {
             std::thread::sleep(pause);
@@ -166,8 +173,11 @@ impl Worker {
         checkpoint: Option<Checkpoint>,
         threads: usize,
     ) -> Result<(), LinkError> {
-        let mut reporter = Reporter { worker: self, lease, beat: 0, beaten: None, stop: false, broken: None };
-        let ended = std::panic::catch_unwind(AssertUnwindSafe(|| match work {
+        let beats =
+            Beats { sender: &self.beats, lease, sent: AtomicU64::new(0), fraction: AtomicU64::new(0) };
+        let mut reporter =
+            Reporter { worker: self, lease, beats: &beats, beaten: None, stop: false, broken: None };
+        let perform = || match work {
             Work::Trial(json) => match serde_json::from_str::<TrialSpec>(json) {
                 Ok(trial) => run::run_trial(&trial, checkpoint, threads, &mut reporter),
                 Err(error) => Err(Failure::Rejected(error.to_string())),
@@ -180,7 +190,20 @@ impl Worker {
                     &mut reporter,
                 )
             }
-        }));
+        };
+        let done = AtomicBool::new(false);
+        let ended = std::thread::scope(|scope| {
+            let beats = std::thread::Builder::new()
+                .stack_size(64 << 10)
+                .spawn_scoped(scope, || beats.while_work_is_done(&done));
+            let ended = std::panic::catch_unwind(AssertUnwindSafe(perform));
+            done.store(true, Ordering::Release);
+            // Without the thread there are fewer beats.
+            if let Ok(beats) = beats {
+                beats.thread().unpark();
+            }
+            ended
+        });
         if let Some(error) = reporter.broken {
             return Err(error);
         }
@@ -220,14 +243,7 @@ impl Worker {
 
     /// Loans a chunk, writes the arrays into it, and sends it; waits while the orchestrator holds all it may hold.
     fn send_arrays(&self, arrays: &Arrays) -> Result<(), LinkError> {
-        // Writing to a full shared memory would be the end of this process.
-        let needed = arrays.len() as u64;
-        if let Some(free) = free_space(std::path::Path::new(wire::SHARED_MEMORY))
-            && free < needed
-        {
-            let cause = format!("{} MiB free, {} MiB needed", free >> 20, needed >> 20);
-            return Err(LinkError { step: "making room for an array", cause });
-        }
+        make_room(arrays.len())?;
         let mut pause = Duration::from_micros(50);
         let mut chunk = loop {
             match self.arrays.loan_slice_uninit(arrays.len()) {
@@ -258,6 +274,26 @@ fn name_process(name: &str) {
     }
 }
 
+/// What a `LinkError` says it tried where shared memory is full.
+pub const MAKING_ROOM: &str = "making room";
+
+/// Whether so many bytes fit into shared memory: writing to a full one would be the end of this process.
+///
+/// # Errors
+/// If they do not, or hardly.
+pub fn make_room(bytes: usize) -> Result<(), LinkError> {
+    const SPARE: u64 = 256 << 10;
+    let needed = bytes as u64 + SPARE;
+    match free_space(std::path::Path::new(wire::SHARED_MEMORY)) {
+        Some(free) if free < needed => {
+            let cause =
+                format!("{} KiB free in {}, {} KiB needed", free >> 10, wire::SHARED_MEMORY, needed >> 10);
+            Err(LinkError { step: MAKING_ROOM, cause })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Free bytes of a file system, for this user.
 pub fn free_space(path: &std::path::Path) -> Option<u64> {
     let path = std::ffi::CString::new(path.as_os_str().as_encoded_bytes()).ok()?;
@@ -269,11 +305,42 @@ pub fn free_space(path: &std::path::Path) -> Option<u64> {
     (code == 0).then(|| stat.f_bavail * stat.f_frsize)
 }
 
+/// The heartbeat of an attempt.
+struct Beats<'a> {
+    sender: &'a BeatSender,
+    lease: Lease,
+    sent: AtomicU64,
+    /// Bits of the part that is done.
+    fraction: AtomicU64,
+}
+
+impl Beats<'_> {
+    fn send(&self) {
+        let beat = 1 + self.sent.fetch_add(1, Ordering::Relaxed);
+        let fraction = f64::from_bits(self.fraction.load(Ordering::Relaxed));
+        let Lease { trial, attempt } = self.lease;
+        // A beat may be lost.
+        let _ = self.sender.send_copy(Progress { trial, attempt, fraction, beat });
+    }
+
+    /// Beats as long as the maths comes further, until `done`.
+    fn while_work_is_done(&self, done: &AtomicBool) {
+        let mut seen = pulse::count();
+        while !done.load(Ordering::Acquire) {
+            std::thread::park_timeout(PULSE);
+            let before = std::mem::replace(&mut seen, pulse::count());
+            if seen != before {
+                self.send();
+            }
+        }
+    }
+}
+
 /// What a trial sees of the outside.
 struct Reporter<'a> {
     worker: &'a Worker,
     lease: Lease,
-    beat: u64,
+    beats: &'a Beats<'a>,
     beaten: Option<Instant>,
     stop: bool,
     broken: Option<LinkError>,
@@ -305,10 +372,8 @@ impl Observe for Reporter<'_> {
     fn progress(&mut self, fraction: f64) -> Control {
         if self.beaten.is_none_or(|at| at.elapsed() >= BEAT) {
             self.beaten = Some(Instant::now());
-            self.beat += 1;
-            let Lease { trial, attempt } = self.lease;
-            // A beat may be lost.
-            let _ = self.worker.beats.send_copy(Progress { trial, attempt, fraction, beat: self.beat });
+            self.beats.fraction.store(fraction.to_bits(), Ordering::Relaxed);
+            self.beats.send();
             self.listen();
         }
         self.wanted()

@@ -13,7 +13,7 @@ use super::simd::Simd;
 use super::{Error, Format, log, print_rows, read_plan};
 use crate::analysis::brains::brains;
 use crate::analysis::data::{self, flatten};
-use crate::cluster::home::{Home, SUBMITTED_SPEC, end_in_time};
+use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Deal, Shard};
 use crate::engine::{self, Again, Options, Signals};
@@ -78,12 +78,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let copy_every = seconds("copy-every", args.copy_every)?;
     let stop_after = args.stop_after.map(|s| seconds("stop-after", s)).transpose()?;
     let mut signals = Signals::new()?;
-    if args.copy_to.is_some() {
-        end_in_time(stop_after).map_err(|source| Error::Io {
-            doing: "waiting for",
-            path: PathBuf::from("signals"),
-            source,
-        })?;
+    if let Some(time) = stop_after {
+        end_after(time);
     }
     let mut plan = read_plan(&args.spec)?;
     let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
@@ -153,7 +149,7 @@ async fn run(
         say!("stopped before any trial was begun; the same command begins");
         return Ok(Outcome::Interrupted);
     };
-    let options = options(&plan.spec.run, args, &open);
+    let options = options(&plan.spec.run, args);
     let planned = RunPlan {
         sweep: (&plan.spec.name, &plan.source.text),
         shard: args.shard.map_or((1, 1), |shard| (shard.index(), shard.count())),
@@ -209,11 +205,11 @@ async fn end(db: &Path, plan: &Plan, format: Format, outcome: Outcome) -> Result
 }
 
 /// The command line goes before the spec, the spec before what the machine suggests.
-fn options(run: &Run, args: &Args, trials: &[&Trial]) -> Options {
+fn options(run: &Run, args: &Args) -> Options {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = args.threads.map(usize::from).or(run.threads).unwrap_or(1).max(1);
     let workers = args.workers.map(usize::from).or(run.workers).unwrap_or((cores / threads).max(1));
-    let patience = run.no_progress.unwrap_or_else(|| patience(trials));
+    let patience = run.no_progress.unwrap_or(PATIENCE);
     let millis = |seconds: f64| (1000.0 * seconds) as u64;
     Options {
         settings: Settings {
@@ -232,11 +228,9 @@ fn options(run: &Run, args: &Args, trials: &[&Trial]) -> Options {
     }
 }
 
-/// Longest silence of a worker (s) where the spec names none: an estimate is good to a factor of two.
-fn patience(trials: &[&Trial]) -> f64 {
-    let silences = trials.iter().map(|trial| trial.longest_silence()).filter(|s| s.is_finite());
-    600.0 + 2.0 * silences.fold(0.0, f64::max)
-}
+/// Longest silence of a worker (s) where the spec names none: what comes without a beat takes seconds, minutes on a machine
+/// that is short of cores.
+const PATIENCE: f64 = 600.0;
 
 /// The final table; returns how many trials have failed.
 async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, Error> {
@@ -297,25 +291,3 @@ const STATE: usize = 13;
 const BRAINS: std::ops::Range<usize> = 5..7;
 /// Column of how sensors were placed, which is shown where it is not all at random.
 const PLACED: usize = 7;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// On every committed spec: a hang is seen within ten minutes and the longest training, not within a trial.
-    #[test]
-    fn a_hang_is_not_waited_out_for_a_whole_trial() {
-        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/sweeps");
-        for entry in std::fs::read_dir(folder).unwrap().flatten() {
-            let plan = read_plan(&entry.path()).unwrap();
-            let trials: Vec<&Trial> = plan.trials.iter().collect();
-            let (costliest, patience) =
-                (trials.iter().map(|t| t.cost).fold(0.0, f64::max), patience(&trials));
-            assert!(
-                (600.0..1500.0).contains(&patience) && patience < 600.0 + 0.5 * costliest,
-                "{:?}: {patience} s, the costliest trial {costliest} s",
-                entry.file_name()
-            );
-        }
-    }
-}

@@ -12,14 +12,9 @@ use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use tokio::signal::unix::{SignalKind, signal};
-
 use super::Shard;
 use super::merge::{self, MergeError};
 use crate::store::StoreError;
-
-/// How long steps in progress may go on after SIGTERM. Slurm kills 30 s after it (`KillWait`).
-const GRACE: Duration = Duration::from_secs(20);
 
 /// Between two tries to hand in for the last time.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -216,26 +211,13 @@ pub fn host() -> String {
     name.trim().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect()
 }
 
-/// Sees to it that a run ends in time: after SIGTERM, or `after`, steps in progress have some seconds to end; then it is
-/// asked again, and ends at once.
-///
-/// # Errors
-/// If signals cannot be waited for.
-pub fn end_in_time(after: Option<Duration>) -> io::Result<()> {
-    let mut terminate = signal(SignalKind::terminate())?;
-    // SAFETY: sends a signal to this process, which handles it.
-    let ask = || unsafe { libc::kill(libc::getpid(), libc::SIGTERM) };
+/// Asks this process to end, as SIGTERM does, when so much time has passed: for a scheduler that gives no notice.
+pub fn end_after(time: Duration) {
     tokio::spawn(async move {
-        tokio::select! {
-            _ = terminate.recv() => {}
-            () = tokio::time::sleep(after.unwrap_or(Duration::MAX)) => drop(ask()),
-        }
-        loop {
-            tokio::time::sleep(GRACE).await;
-            ask();
-        }
+        tokio::time::sleep(time).await;
+        // SAFETY: sends a signal to this process, which handles it.
+        unsafe { libc::kill(libc::getpid(), libc::SIGTERM) };
     });
-    Ok(())
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use super::Deal;
 use super::shard::ranges;
 use crate::plan::Trial;
 
-/// SIGTERM comes so long before the time limit (s): steps in progress have 20 s to end, the copy has the rest.
+/// SIGTERM comes so long before the time limit (s): the run ends within two seconds, the copy has the rest.
 pub const NOTICE: u64 = 60;
 /// Most shards that are planned; more have to be asked for. Slurm's `MaxArraySize` is 1001 where nobody has changed it.
 const MOST_PLANNED: u32 = 1000;

@@ -63,8 +63,6 @@ pub(super) struct Seconds {
     pub steps: f64,
     /// Of the comparison at the end.
     pub comparison: f64,
-    /// Of what takes longest in one piece: a simulation with its gradient, the training of a network, a factor.
-    pub piece: f64,
 }
 
 pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
@@ -96,7 +94,6 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
         Protocol::Joint => 0.5 * differentiate + going * 4.0 * batch / train_samples.max(1.0),
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
-    let training = if network { train * long.max(1.0) } else { 0.0 };
     let trainings = if network { trial.evaluation.seeds as f64 * (1.0 + long) } else { 0.0 };
     // as much as fits
     let readings = match 3 * trial.point.sensors * trial.time.samples <= READINGS_MAX {
@@ -105,8 +102,7 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
     };
     let comparison =
         2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train + readings);
-    let piece = (simulate * (1.0 + REVERSE)).max(training).max(readings);
-    Seconds { steps: optimise.steps() as f64 * step, comparison, piece }
+    Seconds { steps: optimise.steps() as f64 * step, comparison }
 }
 
 /// Seconds that trials take on so many workers of so many threads: the work shared out, but no less than the longest.

@@ -10,6 +10,7 @@ pub mod identify;
 pub mod modes;
 pub mod nested;
 pub mod place;
+pub mod pulse;
 pub mod random;
 pub mod simd;
 pub mod stimuli;

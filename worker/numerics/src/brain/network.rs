@@ -134,6 +134,7 @@ impl<F: Real> Workspace<F> {
                 let thread = rayon::current_thread_index().unwrap_or(0);
                 let mut scratch = scratch[thread].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                 slot.loss = 0.0;
+                crate::pulse::beat();
                 task(kernels, packed, &mut scratch, slot, i * CHUNK..batch.len().min((i + 1) * CHUNK));
             });
         });

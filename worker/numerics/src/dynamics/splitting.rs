@@ -219,6 +219,7 @@ pub fn forward<V: Vector>(
     let mut balance = Balance::new(scene, model, &force);
     system.acceleration(&x, &v, &force, &mut g, &mut margin);
     for interval in 0..instants {
+        crate::pulse::beat();
         let mut part = 0;
         kick(&mut v, first, &g);
         for step in 0..substeps {
@@ -323,6 +324,7 @@ pub fn reverse<V: Vector>(
     let mut evaluations = 1;
 
     for interval in (0..instants).rev() {
+        crate::pulse::beat();
         let mut step = substeps;
         for part in (0..parts).rev() {
             // The checkpoint: the state after the last kick of a step

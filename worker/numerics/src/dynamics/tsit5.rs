@@ -250,6 +250,7 @@ pub fn forward<V: Vector>(
             lane.tau = 0.0;
             lane.count = 0;
             lane.interval += 1;
+            crate::pulse::beat();
             if lane.interval == instants {
                 if let Some(tape) = &mut slot.tape {
                     tape.steps.shrink_to_fit();

@@ -71,6 +71,7 @@ impl Spectra {
             (0..folds).map(|fold| (0..w.len()).filter(|&i| dealt[i] == fold).collect()).collect();
         let mut grams = Vec::with_capacity(shares.len() * (folds + 1));
         for b in 0..shares.len() {
+            crate::pulse::beat();
             let of = |samples: &Vec<usize>| {
                 let row = |part: usize, i: usize| {
                     let pick = |values: &'_ [f64], width: usize| {
@@ -94,6 +95,7 @@ impl Spectra {
     /// Error (%) of these channels' linear brain, the mean of samples that the others' weights read; none where λ is too
     /// small for a factor.
     pub(super) fn error(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
+        crate::pulse::beat();
         let (outputs, n) = (self.sizes.outputs, 2 * chosen.len());
         let forces = self.forces();
         let (mut lower, mut own, mut right) = (vec![0.0; n * n], vec![0.0; n * n], vec![0.0; n * outputs]);

@@ -98,6 +98,7 @@ impl Moments {
             Par::Seq,
         );
         let f = matrix(&f, columns, samples);
+        crate::pulse::beat();
         matmul(matrix_mut(&mut self.cross, rows, columns), Accum::Add, x, f.transpose(), 1.0, Par::Seq);
     }
 

@@ -59,6 +59,7 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
     let mut order: Vec<usize> = (0..sweeps.len()).collect();
 
     for interval in (0..instants).rev() {
+        crate::pulse::beat();
         let count = |s: usize, kink: usize| sweeps[s].tape.counts[interval * kinks + kink] as usize;
         let total = |s: usize| (0..kinks).map(|kink| count(s, kink)).sum::<usize>();
         order.sort_by_key(|&s| (total(s), s));
