@@ -73,7 +73,7 @@ fn number(bench: &Bench, db: &str, sql: &str) -> u64 {
 #[test]
 fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     let bench = Bench::new();
-    bench.file("long.toml", &long("[1]", 15_000));
+    bench.file("long.toml", &long("[1]", 20_000));
     bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
     let saved = || number(&bench, "s.sqlite", "SELECT length(bytes) FROM checkpoint WHERE step = 4");
     let more_than = |size| {
@@ -83,7 +83,10 @@ fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     let mut before = 0;
     for signal in [libc::SIGINT, libc::SIGTERM] {
         let mut run = Run::start(&bench, "s.sqlite");
-        before = more_than(more_than(before));
+        if before == 0 {
+            before = more_than(0);
+        }
+        before = more_than(before);
         std::thread::sleep(Duration::from_millis(100 + 200 * u64::from(signal == libc::SIGTERM)));
         let (code, took) = run.stop(signal);
         println!("ended {took:?} after signal {signal}, {} bytes saved", saved());
@@ -95,6 +98,33 @@ fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     assert_eq!(results(&bench, "s.sqlite"), results(&bench, "whole.sqlite"));
     let attempts = rows(&bench.path("s.sqlite"), "SELECT state, reason, steps FROM attempt ORDER BY number");
     assert_eq!(attempts, [r#"["failed","stopped",4]"#, r#"["failed","stopped",0]"#, r#"["done",null,0]"#]);
+    // Set-up, and all that was done in vain, count as well.
+    let seconds = rows(
+        &bench.path("s.sqlite"),
+        "SELECT (SELECT min(cpu_seconds) FROM attempt) > 0.05,
+           abs(t.seconds - (SELECT sum(cpu_seconds) FROM attempt)) < 1e-9,
+           t.seconds > (SELECT sum(seconds) FROM v_step) + t.seconds_evaluation FROM v_trial t",
+    );
+    assert_eq!(seconds, ["[1,1,1]"]);
+}
+
+/// A training that lasts for longer than any silence may is seen to go on, and a hang in the middle of it is seen.
+#[test]
+fn a_long_training_is_no_silence_and_a_hang_within_it_is_one() {
+    let bench = Bench::new();
+    let text = long("[1]", 0).replace("long_iterations = 0", "").replace("batch = 4", "protocol = \"paper\"");
+    let text = text.replace("iterations = 10\n", "iterations = 10000000\n");
+    bench.file("long.toml", &text.replace("[sweep]", "[run]\nno_progress = 3.0\nretries = 1\n[sweep]"));
+    let mut run = Run::start(&bench, "s.sqlite");
+    let worker = || children(run.0.id()).first().copied();
+    eventually(Duration::from_secs(60), worker).expect("a worker is started");
+    std::thread::sleep(Duration::from_secs(8));
+    let attempts = || rows(&bench.path("s.sqlite"), "SELECT state, reason FROM attempt ORDER BY number");
+    assert_eq!(attempts(), [r#"["running",null]"#]);
+    kill(worker().unwrap(), libc::SIGSTOP);
+    let hung = || attempts().contains(&r#"["failed","no_progress"]"#.to_owned()).then_some(());
+    assert!(eventually(Duration::from_secs(6), hung).is_some(), "{:?}", attempts());
+    assert_eq!(run.stop(libc::SIGINT).0, Some(4));
 }
 
 /// An outer step that takes longer than anybody waits is given up; it is done again by the next run.
@@ -117,7 +147,7 @@ fn a_stop_on_request_does_not_wait_for_a_long_step() {
 }
 
 /// Six kills (`KILLS=N` for more, `KILL_SEED=N` for the same) of a worker, the run, or both, at random moments until the
-/// sweep is done: most of them when something more has been saved, so that it comes to an end.
+/// sweep is done: every other when something more has been saved, so that it comes to an end.
 #[test]
 fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() {
     let bench = Bench::new();
@@ -138,7 +168,7 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
             let mut run = Run::start(&bench, &db);
             loop {
                 let (before, began) = (come(), Instant::now());
-                let patience = if roll.below(4) == 0 { roll.below(1500) } else { 60_000 };
+                let patience = if roll.below(2) == 0 { roll.below(1500) } else { 60_000 };
                 while come() == before && began.elapsed() < Duration::from_millis(patience) {
                     if let Some(status) = run.0.try_wait().unwrap() {
                         break 'runs status;
@@ -169,6 +199,8 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
         };
         assert_eq!(ended.code(), Some(0), "after {kills} kills");
         assert_eq!(results(&bench, &db), expected, "after {kills} kills");
+        let counted = "SELECT count(*) FROM attempt WHERE state = 'failed' AND cpu_seconds > 0";
+        assert!(number(&bench, &db, counted) > 0, "nothing of what was killed is counted");
     }
     println!("{kills} kills in {sweeps} sweeps, {within} of them within a comparison");
 }

@@ -159,6 +159,31 @@ fn what_ends_an_attempt_stands_in_the_database_by_name() {
     }
 }
 
+/// Results that do not fit into what is left of shared memory, of which the run has one of its own here.
+#[test]
+fn a_full_shared_memory_is_a_reason_of_its_own() {
+    // SAFETY: a plain question.
+    if unsafe { libc::geteuid() } != 0
+        || !Command::new("unshare").args(["-m", "true"]).status().is_ok_and(|s| s.success())
+    {
+        eprintln!("not run: only root can have a shared memory of its own");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("s.sqlite");
+    let arguments = "--trials 1 --workers 1 --retries 1 --array 6000000";
+    let command = format!(
+        "mount -t tmpfs -o size=40m tmpfs {SHARED_MEMORY} && exec {} bench engine --db {} {arguments}",
+        env!("CARGO_BIN_EXE_metasense"),
+        db.display()
+    );
+    let ended = Command::new("unshare").args(["-m", "bash", "-c", &command]).output().unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{}", String::from_utf8_lossy(&ended.stderr));
+    assert_eq!(rows(&db, "SELECT reason FROM attempt"), vec![r#"["shared_memory_full"]"#; 2]);
+    let said = rows(&db, "SELECT text FROM log");
+    assert!(said.iter().any(|line| line.contains("making room failed")), "{said:?}");
+}
+
 /// A death is seen, and its worker replaced, in less than a second.
 #[test]
 fn a_dead_worker_is_replaced_within_a_second() {

@@ -209,6 +209,25 @@ fn hopeless_trials_are_given_up_on_request_and_go_on_without_it() {
     assert_eq!(results(&bench, "pruned.sqlite"), results(&bench, "whole.sqlite"));
 }
 
+/// A linear brain that needs more memory than its worker may have: the trial has failed for that, at the first attempt.
+#[test]
+fn memory_that_is_not_to_be_had_is_a_reason_of_its_own() {
+    let bench = Bench::new();
+    let text = TINY.replace("sensors = [1, 2]", "sensors = [4]").replace("samples = 20", "samples = 250");
+    bench.file("tiny.toml", &text.replace("[sweep]", "[run]\nmemory = 120\n[sweep]"));
+    let run = bench.metasense(&["run", "tiny.toml", "--db", "t.sqlite"]);
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(1), "{said}");
+    assert!(said.contains("out_of_memory"), "{said}");
+    let attempts = "SELECT attempt, reason FROM v_attempt";
+    assert_eq!(
+        bench.output(&["query", "t.sqlite", attempts, "--format", "csv"]),
+        "attempt,reason\n1,out_of_memory\n"
+    );
+    let log = std::fs::read_to_string(bench.path("t.log")).unwrap();
+    assert!(log.contains("raise `memory` in [run]"), "{log}");
+}
+
 /// One trial in the foreground comes to the errors that the same trial has in a run.
 #[test]
 fn a_trial_in_the_foreground_is_the_trial_of_the_run() {

@@ -13,6 +13,7 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0006.sql"),
     include_str!("../migrations/0007.sql"),
     include_str!("../migrations/0008.sql"),
+    include_str!("../migrations/0009.sql"),
 ];
 
 /// The stable views, and what a row of each is.
@@ -37,7 +38,8 @@ pub const VIEWS: &[(&str, &str)] = &[
     ("v_run", "a call of `run`: which shard, where, what was estimated (s) and what came of it"),
     (
         "v_attempt",
-        "an attempt at a trial, how it ended and why (stopped: by Ctrl-C; the trial goes on), its seconds by the wall clock, \
+        "an attempt at a trial, how it ended and why (stopped: by Ctrl-C; the trial goes on), its seconds by the wall clock \
+         and the CPU's, \
          and by what code and where it was made",
     ),
     (

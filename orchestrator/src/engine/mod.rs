@@ -7,6 +7,7 @@ mod begin;
 mod clock;
 mod forecast;
 mod signals;
+mod spent;
 mod watch;
 mod writer;
 
@@ -25,6 +26,7 @@ pub use signals::Signals;
 pub use watch::{Silent, View, Watch};
 
 use clock::Clock;
+use spent::Ledger;
 
 use crate::fleet::{Fleet, Heard};
 use crate::link::{Line, Runtime, RuntimeError, Word};
@@ -140,6 +142,8 @@ pub async fn run(
         leases: HashMap::new(),
         said: Vec::new(),
         details: HashMap::new(),
+        spent: Ledger::new(),
+        due: Vec::new(),
         stale: 0,
         store_error: None,
         last_words: String::new(),
@@ -187,6 +191,8 @@ struct Link {
     /// Not to be started any more.
     cancelled: bool,
     ended: Option<(Reason, Instant)>,
+    /// Why we have ended it, where its process does not know.
+    why: Option<Reason>,
     closed: bool,
 }
 
@@ -215,6 +221,9 @@ struct Engine<'a> {
     said: Vec<(Lease, Level, String)>,
     /// What went wrong with attempts, in words; until they end.
     details: HashMap<Lease, String>,
+    spent: Ledger,
+    /// Attempts whose CPU seconds are to be recorded.
+    due: Vec<Lease>,
     stale: usize,
     store_error: Option<StoreError>,
     last_words: String,
@@ -243,18 +252,22 @@ impl Engine<'_> {
     async fn act(&mut self, action: Action<Record>, events: &mut Events) {
         match action {
             Action::Spawn(worker) => {
-                let line = Line::open(self.runtime.domain(worker), worker, self.words.clone());
+                let line = self.runtime.room(1).map_err(|full| full.to_string()).and_then(|()| {
+                    Line::open(self.runtime.domain(worker), worker, self.words.clone())
+                        .map_err(|error| error.to_string())
+                });
                 match line {
                     Ok(line) => {
-                        let link =
-                            Link { line, started: false, cancelled: false, ended: None, closed: false };
+                        let (started, cancelled, closed) = (false, false, false);
+                        let link = Link { line, started, cancelled, ended: None, why: None, closed };
                         self.links.insert(worker, link);
                     }
-                    Err(error) => self.misfire(worker, error.to_string(), events),
+                    Err(error) => self.misfire(worker, error, events),
                 }
             }
             Action::Assign(worker, lease) => {
                 self.leases.insert(worker, lease);
+                self.spent.begin(lease, worker, &self.fleet);
                 self.record(Write::Begin(lease)).await;
                 self.view.assigned(lease.trial, self.began.elapsed());
                 let known =
@@ -269,6 +282,7 @@ impl Engine<'_> {
                 self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
                 self.view.stepped(lease.trial, self.began.elapsed());
                 self.watch.step(self.trials[lease.trial as usize], &record);
+                self.record_spent(lease).await;
                 self.record(Write::Step(lease, record, checkpoint)).await;
             }
             Action::RecordResult(lease, Record::Result(result, arrays)) => {
@@ -276,10 +290,13 @@ impl Engine<'_> {
                 self.details.remove(&lease);
                 self.view.finished(lease.trial, self.began.elapsed());
                 self.results.insert(lease.trial, TrialResult::clone(&result));
+                self.record_spent(lease).await;
+                self.spent.end(lease);
                 self.record(Write::Result(lease, result, arrays)).await;
             }
             Action::RecordCheckpoint(lease, Record::Checkpoint(checkpoint)) => {
                 self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
+                self.record_spent(lease).await;
                 self.record(Write::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordStep(..) | Action::RecordCheckpoint(..) | Action::RecordResult(..) => {
@@ -303,6 +320,8 @@ impl Engine<'_> {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled);
                     self.record(Write::Log(lease, level, format!("{reason}{detail}"))).await;
                 }
+                self.record_spent(lease).await;
+                self.spent.end(lease);
                 self.record(Write::Failure(lease, reason, settled)).await;
             }
             Action::AskStop(worker) => {
@@ -352,6 +371,15 @@ impl Engine<'_> {
         for (lease, level, text) in std::mem::take(&mut self.said) {
             self.record(Write::Log(lease, level, text)).await;
         }
+        for lease in std::mem::take(&mut self.due) {
+            self.record_spent(lease).await;
+        }
+    }
+
+    async fn record_spent(&mut self, lease: Lease) {
+        if let Some(seconds) = self.spent.more(lease, &self.fleet) {
+            self.record(Write::Spent(lease, seconds)).await;
+        }
     }
 
     fn send_job(&mut self, worker: WorkerId, lease: Lease, checkpoint: Option<Checkpoint>) {
@@ -363,7 +391,7 @@ impl Engine<'_> {
             threads: self.options.threads,
             hash: trial.hash.clone(),
         };
-        let Some(link) = self.links.get(&worker) else { return };
+        let Some(link) = self.links.get_mut(&worker) else { return };
         match link.line.send(&job) {
             Ok(true) => {}
             Ok(false) => {
@@ -372,6 +400,8 @@ impl Engine<'_> {
             }
             Err(error) => {
                 tracing::error!(%worker, %error, "a job could not be sent; the worker is ended");
+                link.why = (error.step == process::MAKING_ROOM).then_some(Reason::SharedMemoryFull);
+                self.details.insert(lease, error.to_string());
                 self.fleet.kill(worker);
             }
         }
@@ -506,7 +536,7 @@ impl Engine<'_> {
     fn lost(&mut self, worker: WorkerId, events: &mut Events) {
         let Some(link) = self.links.get(&worker) else { return };
         let reason = match link.ended {
-            Some((reason, at)) if link.closed || at.elapsed() > LINK_GRACE => reason,
+            Some((reason, at)) if link.closed || at.elapsed() > LINK_GRACE => link.why.unwrap_or(reason),
             None if link.closed && !link.started => Reason::WorkerExited(-1),
             _ => return,
         };
@@ -564,6 +594,7 @@ impl Engine<'_> {
         let late: Vec<_> =
             self.links.iter().filter(|(_, link)| link.ended.is_some()).map(|(id, _)| *id).collect();
         late.into_iter().for_each(|worker| self.lost(worker, events));
+        self.due.extend(self.spent.tick(&self.fleet));
         self.view.busy = self.state.busy();
         self.view.elapsed = self.began.elapsed();
         self.watch.tick(&self.view);

@@ -28,6 +28,8 @@ pub enum Write {
     Result(Lease, Box<TrialResult>, Option<Arrays>),
     /// An attempt has come to nothing.
     Failure(Lease, Reason, bool),
+    /// CPU seconds of an attempt so far.
+    Spent(Lease, f64),
     /// What is said of an attempt.
     Log(Lease, Level, String),
     /// A checkpoint is wanted for a worker.
@@ -126,6 +128,7 @@ async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Resu
                 }
                 written.push(Written::Recorded(*lease, Mark::Failure));
             }
+            Write::Spent(lease, seconds) => store.spend(hash(lease), lease.attempt, *seconds).await?,
             Write::Log(lease, level, text) => {
                 store.log(hash(lease), lease.attempt, *level, text).await?;
             }

@@ -12,6 +12,7 @@ use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
 use metasense_schemas::wire::Start;
+use metasense_worker::process;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, ChildStderr, ChildStdin, Command};
 use tokio::sync::mpsc::Sender;
@@ -100,6 +101,11 @@ impl Fleet {
         self.processes.remove(&worker);
     }
 
+    /// CPU seconds that the process of a worker has used so far, of all threads.
+    pub fn cpu_seconds(&self, worker: WorkerId) -> Option<f64> {
+        processes::cpu_seconds(self.pid(worker)?)
+    }
+
     /// Process id of a worker that has not been forgotten.
     pub fn pid(&self, worker: WorkerId) -> Option<u32> {
         self.processes.get(&worker).map(|process| process.pid)
@@ -109,7 +115,7 @@ impl Fleet {
 async fn watch(
     worker: WorkerId,
     mut child: Child,
-    lines: JoinHandle<()>,
+    lines: JoinHandle<bool>,
     mut killed: oneshot::Receiver<()>,
     heard: Sender<(WorkerId, Heard)>,
 ) {
@@ -120,27 +126,34 @@ async fn watch(
             child.wait().await
         }
     };
-    let _ = timeout(LINES_GRACE, lines).await;
-    let _ = heard.send((worker, Heard::End(reason(status)))).await;
+    let out_of_memory = matches!(timeout(LINES_GRACE, lines).await, Ok(Ok(true)));
+    let _ = heard.send((worker, Heard::End(reason(status, out_of_memory)))).await;
 }
 
-fn reason(status: std::io::Result<ExitStatus>) -> Reason {
-    match status {
-        Ok(status) => match status.signal() {
-            Some(signal) => Reason::WorkerKilled(signal),
-            None => Reason::WorkerExited(status.code().unwrap_or(-1)),
-        },
-        Err(_) => Reason::WorkerExited(-1),
+fn reason(status: std::io::Result<ExitStatus>, out_of_memory: bool) -> Reason {
+    let (signal, code) = status.map_or((None, None), |status| (status.signal(), status.code()));
+    match (signal, code) {
+        (Some(libc::SIGABRT), _) if out_of_memory => Reason::OutOfMemory,
+        // A page of shared memory that is not to be had.
+        (Some(libc::SIGBUS), _) | (_, Some(process::NO_ROOM)) => Reason::SharedMemoryFull,
+        (Some(signal), _) => Reason::WorkerKilled(signal),
+        (None, code) => Reason::WorkerExited(code.unwrap_or(-1)),
     }
 }
 
-/// What a worker writes to its standard error goes to the log, and to whoever listens.
-async fn pass_on(worker: WorkerId, errors: ChildStderr, heard: Sender<(WorkerId, Heard)>) {
+/// What the standard library says before it aborts as there is no memory.
+const OUT_OF_MEMORY: &str = "memory allocation of ";
+
+/// What a worker writes to its standard error goes to the log, and to whoever listens. Whether it ran out of memory.
+async fn pass_on(worker: WorkerId, errors: ChildStderr, heard: Sender<(WorkerId, Heard)>) -> bool {
+    let mut out_of_memory = false;
     let mut lines = BufReader::new(errors).lines();
     while let Ok(Some(line)) = lines.next_line().await {
         tracing::warn!(%worker, "worker says: {line}");
+        out_of_memory |= line.starts_with(OUT_OF_MEMORY);
         if heard.send((worker, Heard::Line(line))).await.is_err() {
-            return;
+            break;
         }
     }
+    out_of_memory
 }

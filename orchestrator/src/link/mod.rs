@@ -13,6 +13,7 @@ use metasense_schemas::wire::{
     self, BeatReceiver, End, LinkError, MessageReceiver, MessageSender, Progress, Sample, Services, Sleeper,
     ToOrchestrator, ToWorker, Waker,
 };
+use metasense_worker::process::make_room;
 use tokio::sync::mpsc::Sender;
 
 pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY, SPACE_PER_WORKER, remove_stale};
@@ -76,12 +77,14 @@ impl Line {
     /// Sends; never waits. False: the worker does not read.
     ///
     /// # Errors
-    /// If there is no memory for it.
+    /// If there is no room in shared memory for it.
     pub fn send(&self, message: &ToWorker) -> Result<bool, LinkError> {
         match &*self.shared.ports.lock().unwrap_or_else(PoisonError::into_inner) {
             None => Ok(false),
             Some(ports) => {
-                let sent = wire::send(&ports.down, &wire::encode(message))?;
+                let bytes = wire::encode(message);
+                make_room(bytes.len())?;
+                let sent = wire::send(&ports.down, &bytes)?;
                 // A wake-up that fails is made good by the worker's own polling.
                 let _ = ports.wake_worker.notify();
                 Ok(sent)

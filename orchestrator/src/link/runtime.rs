@@ -83,12 +83,7 @@ impl Runtime {
         if removed > 0 {
             tracing::warn!(removed, "removed what runs that are gone had left in {SHARED_MEMORY}");
         }
-        let needed = u64::from(workers) * SPACE_PER_WORKER;
-        if let Some(free) = free_space(&shared)
-            && free < needed
-        {
-            return Err(RuntimeError::Full { free_mib: free >> 20, needed_mib: needed >> 20, workers });
-        }
+        room(&shared, workers)?;
         let mut seed = u64::from(std::process::id()) << 32
             | u64::from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().subsec_nanos());
         loop {
@@ -110,6 +105,14 @@ impl Runtime {
         }
     }
 
+    /// Whether there is room for so many workers more.
+    ///
+    /// # Errors
+    /// If there is not.
+    pub fn room(&self, workers: u32) -> Result<(), RuntimeError> {
+        room(&self.shared, workers)
+    }
+
     /// The domain of a worker; made by whoever creates its services.
     pub fn domain(&self, worker: WorkerId) -> Domain {
         Domain {
@@ -117,6 +120,16 @@ impl Runtime {
             root: self.shared.join(&self.name).join(worker.to_string()),
             prefix: format!("{}_{worker}_", self.name),
         }
+    }
+}
+
+fn room(shared: &Path, workers: u32) -> Result<(), RuntimeError> {
+    let needed = u64::from(workers) * SPACE_PER_WORKER;
+    match free_space(shared) {
+        Some(free) if free < needed => {
+            Err(RuntimeError::Full { free_mib: free >> 20, needed_mib: needed >> 20, workers })
+        }
+        _ => Ok(()),
     }
 }
 

@@ -11,6 +11,10 @@ pub enum Reason {
     WorkerKilled(i32),
     /// The worker ended by itself, with this exit code.
     WorkerExited(i32),
+    /// The worker could not have the memory that it asked for: `[run] memory`, or the machine's.
+    OutOfMemory,
+    /// There was no room in shared memory for what the worker had to say, or was to be told.
+    SharedMemoryFull,
     /// No sign of life for longer than `[run] no_progress`.
     NoProgress,
     /// Longer than `[run] time_limit`.
@@ -37,6 +41,8 @@ impl fmt::Display for Reason {
         match self {
             Self::WorkerKilled(signal) => write!(f, "worker_killed({signal})"),
             Self::WorkerExited(code) => write!(f, "worker_exited({code})"),
+            Self::OutOfMemory => f.write_str("out_of_memory"),
+            Self::SharedMemoryFull => f.write_str("shared_memory_full"),
             Self::NoProgress => f.write_str("no_progress"),
             Self::TimeLimit => f.write_str("time_limit"),
             Self::NonFinite => f.write_str("non_finite"),
@@ -70,6 +76,13 @@ impl Reason {
             Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::Panicked => {
                 "this is a bug: see `metasense trial SPEC --hash HASH`, and report it with what it says"
             }
+            Self::OutOfMemory => {
+                "raise `memory` in [run], or take fewer threads, samples or sensors, then run with --retry-failed"
+            }
+            Self::SharedMemoryFull => {
+                "make room in /dev/shm, enlarge it (`mount -o remount,size=1G /dev/shm`, `docker run --shm-size 1g`), or \
+                 take fewer workers, then run with --retry-failed"
+            }
             Self::NoProgress => "raise `no_progress` in [run], then run with --retry-failed",
             Self::TimeLimit => "raise `time_limit` in [run], then run with --retry-failed",
             Self::NonFinite | Self::Numerical => {
@@ -83,6 +96,13 @@ impl Reason {
 
     /// Whether another attempt may end otherwise: what happened to the process, not to the trial.
     pub fn is_retried(self) -> bool {
-        matches!(self, Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::NoProgress | Self::Stopped)
+        matches!(
+            self,
+            Self::WorkerKilled(_)
+                | Self::WorkerExited(_)
+                | Self::SharedMemoryFull
+                | Self::NoProgress
+                | Self::Stopped
+        )
     }
 }

@@ -38,7 +38,7 @@ impl Reader {
             "SELECT codes, count(*) FROM
                (SELECT group_concat(code, ' ') AS codes FROM
                  (SELECT trial_id, coalesce(code, 'unknown') AS code FROM attempt
-                  WHERE NOT redone AND (steps > 0 OR state = 'done') GROUP BY 1, 2 ORDER BY 1, min(number))
+                  WHERE NOT redone AND (steps > 0 OR saves > 0 OR state = 'done') GROUP BY 1, 2 ORDER BY 1, min(number))
                 GROUP BY trial_id)
              GROUP BY 1 ORDER BY 2 DESC, 1",
         )

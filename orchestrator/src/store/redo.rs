@@ -8,7 +8,7 @@ use super::{Store, StoreError};
 const OTHERS: &str =
     "CREATE TEMP TABLE other AS SELECT t.id FROM trial t JOIN sweep_trial x ON x.trial_id = t.id
     WHERE x.sweep_id = ?1 AND t.state <> 'failed' AND EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = t.id
-      AND NOT a.redone AND (a.steps > 0 OR a.state = 'done') AND a.code IS NOT ?2)";
+      AND NOT a.redone AND (a.steps > 0 OR a.saves > 0 OR a.state = 'done') AND a.code IS NOT ?2)";
 
 /// Tables of what attempts leave.
 const LEFT: &str = "SELECT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'

@@ -135,7 +135,7 @@ impl Store {
         let doing = "recording a step in";
         let id = self.id(hash)?;
         let own = self.own_transaction(doing).await?;
-        let current = match self.touch(id, attempt, 1).await {
+        let current = match self.touch(id, attempt, 1, 0).await {
             Ok(true) => self.insert_step(id, attempt, step, checkpoint).await.map(|()| true),
             other => other,
         };
@@ -143,6 +143,24 @@ impl Store {
             true => Ok(()),
             false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
         }
+    }
+
+    /// Notes the CPU seconds that the current attempt has taken so far.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn spend(&mut self, hash: &str, attempt: u32, seconds: f64) -> Result<(), StoreError> {
+        let id = self.id(hash)?;
+        sqlx::query(
+            "UPDATE attempt SET cpu_seconds = ? WHERE trial_id = ? AND number = ? AND state = 'running'",
+        )
+        .bind(seconds)
+        .bind(id)
+        .bind(attempt)
+        .execute(&mut self.connection)
+        .await
+        .map(|_| ())
+        .map_err(|source| StoreError::sql(&self.path, "recording the seconds of an attempt in", source))
     }
 
     /// Records a checkpoint within the comparison at the end.
@@ -158,7 +176,7 @@ impl Store {
         let doing = "recording a checkpoint in";
         let id = self.id(hash)?;
         let own = self.own_transaction(doing).await?;
-        let current = match self.touch(id, attempt, 0).await {
+        let current = match self.touch(id, attempt, 0, 1).await {
             Ok(true) => self.insert_checkpoint(id, checkpoint).await.map(|()| true),
             other => other,
         };
@@ -168,12 +186,14 @@ impl Store {
         }
     }
 
-    /// Counts steps of the current attempt; false where it is not the current one.
-    async fn touch(&mut self, id: i64, attempt: u32, steps: i64) -> sqlx::Result<bool> {
+    /// Counts steps of the current attempt, and savings of its comparison; false where it is not the current one.
+    async fn touch(&mut self, id: i64, attempt: u32, steps: i64, saves: i64) -> sqlx::Result<bool> {
         let done = sqlx::query(
-            "UPDATE attempt SET steps = steps + ? WHERE trial_id = ? AND number = ? AND state = 'running'",
+            "UPDATE attempt SET steps = steps + ?, saves = saves + ?
+             WHERE trial_id = ? AND number = ? AND state = 'running'",
         )
         .bind(steps)
+        .bind(saves)
         .bind(id)
         .bind(attempt)
         .execute(&mut self.connection)
