@@ -28,4 +28,3 @@ fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
         assert!(second[kind] < 0.1 && (1.0..300.0).contains(&whole[kind]), "{whole:?} {second:?}");
     }
 }
-

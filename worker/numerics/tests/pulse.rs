@@ -1,0 +1,72 @@
+//! What takes long gives signs of life on the way. A test binary of its own: the count is the whole process's.
+
+use metasense_numerics::body::Layout;
+use metasense_numerics::brain::linear::{Fit, Lags, Moments, Order, Sizes};
+use metasense_numerics::brain::{Adam, Architecture, Data, Shape, Workspace, train};
+use metasense_numerics::dynamics::{
+    Forces, Frame, Method, Panel, Scene, Solver, Stiffness, pull_back, simulate,
+};
+use metasense_numerics::pulse;
+
+/// How much the count grows.
+fn beats<T>(work: impl FnOnce() -> T) -> (T, u64) {
+    let before = pulse::count();
+    let found = work();
+    (found, pulse::count() - before)
+}
+
+/// At least one for each interval of eight samples, forwards and backwards, for each iteration, moment and factor.
+#[test]
+fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
+    let (samples, instants) = (20, 30);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    let layout = Layout::planar(3, 3, 15.0, 2.25);
+    let scene = Scene {
+        density: 1e-8,
+        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        damping_ratio: 0.02,
+        contact: None,
+        linearised: false,
+        clamped: vec![0, 1, 2],
+        panels: vec![Panel { unit: 7, direction: [0.0, -1.0] }],
+        sensors: vec![4],
+        frame: Frame::World,
+        duration: 0.1,
+        instants,
+        layout,
+    };
+    let design = scene.layout.initial_design(0.4363);
+    let push = |n: usize| 0.2 * (0.3 * n as f64).sin();
+    let values = (0..samples * (instants + 1)).map(push).collect();
+    let forces = Forces { samples, panels: 1, instants, values };
+    let mut signals = Vec::new();
+    for method in [Method::Tsit5, Method::Nystrom4] {
+        let solver = Solver { method, tolerance: 1e-4 };
+        let (simulation, forwards) = beats(|| simulate(&scene, &design, &forces, &solver, true, &pool));
+        let which: Vec<usize> = (0..samples).collect();
+        let cotangent = vec![1.0; simulation.signals.len()];
+        let (_, backwards) =
+            beats(|| pull_back(&scene, &design, &forces, &simulation, &which, &cotangent, &pool));
+        let least = (instants * samples.div_ceil(8)) as u64;
+        // Tsit5 sweeps several blocks of eight in one
+        assert!(forwards >= least && backwards >= instants as u64, "{method:?}: {forwards}, {backwards}");
+        signals = simulation.signals;
+    }
+
+    let shape = Shape { instants, inputs: 3, outputs: 1, architecture: Architecture::paper(8) };
+    let x: Vec<f32> = signals.iter().map(|x| 1e-4 * *x as f32).collect();
+    let y: Vec<f32> = (0..samples * instants).map(|n| push(n) as f32).collect();
+    let data = Data::new(shape, &x, &y);
+    let (mut weights, mut losses) = (vec![0.1f32; shape.weights()], Vec::new());
+    let (mut adam, mut ws) = (Adam::new(weights.len()), Workspace::new(shape));
+    let (_, iterations) =
+        beats(|| train(&mut weights, &mut adam, data.all(), &|_| 1e-3, 12, &mut losses, &mut ws, &pool));
+    assert!(losses.len() == 12 && iterations >= 12, "{iterations} beats in {} iterations", losses.len());
+
+    let sizes = Sizes { instants, channels: 3, outputs: 1 };
+    let mut moments = Moments::new(sizes);
+    let y: Vec<f64> = y.iter().map(|y| f64::from(*y)).collect();
+    let (_, taken_in) = beats(|| moments.add(&signals, &y, &vec![1.0; samples]));
+    let (fit, factored) = beats(|| Fit::new(&moments, Lags::whole(instants), 1e-3, Order::Ascending));
+    assert!(fit.is_ok() && taken_in > 0 && factored > 0, "{taken_in}, {factored}");
+}
