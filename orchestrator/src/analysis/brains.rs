@@ -2,6 +2,9 @@
 //!
 //! Every trial is read by its own brain and, whatever that is, by linear ones of several memories (`v_reading`).
 
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+
 use super::data::{Trial, geometric_mean};
 use super::paired::Ratio;
 use super::{Body, Cluster, Set};
@@ -63,11 +66,31 @@ pub fn brains(trial: &Trial) -> [String; 2] {
     }
 }
 
+/// [`brains`] of each trial; those that share a setting are looked at once.
+#[must_use]
+pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
+    let mut known: HashMap<*const BTreeMap<String, Value>, [String; 2]> = HashMap::new();
+    let mut of = |trial: &&Trial| {
+        let own = trial
+            .setting
+            .own()
+            .keys()
+            .any(|path| path.starts_with("brain.") || path.starts_with("optimise."));
+        match own {
+            true => brains(trial),
+            false => {
+                known.entry(Arc::as_ptr(trial.setting.shared())).or_insert_with(|| brains(trial)).clone()
+            }
+        }
+    };
+    trials.iter().map(&mut of).collect()
+}
+
 /// The brain as the trial's spec has it.
 fn of_spec(trial: &Trial) -> Brain {
-    let keys = trial
-        .setting
-        .iter()
+    let leaves = trial.setting.leaves();
+    let keys = leaves
+        .into_iter()
         .filter_map(|(path, value)| Some((path.strip_prefix("brain.")?.to_owned(), value.clone())));
     serde_json::from_value(Value::Object(keys.collect())).unwrap_or_default()
 }
@@ -114,16 +137,19 @@ fn network(trial: &Trial) -> String {
 /// What trials that differ in brains, placement and seed alone say: their own brains first, then the linear ones.
 #[must_use]
 pub fn reads(trials: &[&Trial]) -> Vec<Read> {
+    let of_trials = of_each(trials);
     let mut kinds: Vec<[String; 2]> = Vec::new();
-    for kind in trials.iter().map(|t| brains(t)) {
-        if !kinds.contains(&kind) {
-            kinds.push(kind);
+    for kind in &of_trials {
+        if !kinds.contains(kind) {
+            kinds.push(kind.clone());
         }
     }
+    let having = |of: &dyn Fn(&[String; 2]) -> bool| -> Vec<&&Trial> {
+        trials.iter().zip(&of_trials).filter(|(_, kind)| of(kind)).map(|(trial, _)| trial).collect()
+    };
     let mut found = Vec::new();
     for [by, trained_with] in &kinds {
-        let alike: Vec<&&Trial> =
-            trials.iter().filter(|t| brains(t) == [by.clone(), trained_with.clone()]).collect();
+        let alike = having(&|kind| kind[0] == *by && kind[1] == *trained_with);
         let errors = |t: &&&Trial| (t.cluster, Body::ALL.map(|body| t.error(body, Set::Holdout)));
         let memory = alike.first().map_or([0.0; 2], |t| memory(t));
         found.extend(read(trained_with, by, (memory, false, true), alike.iter().map(errors)));
@@ -134,11 +160,11 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
     for trained_with in with {
         // trials that differ in their reader alone have one body, and one reading of it
         let mut alike: Vec<&&Trial> = Vec::new();
-        for trial in trials.iter().filter(|t| brains(t)[1] == *trained_with) {
-            let same = |t: &&&Trial| {
-                t.cluster == trial.cluster && t.sensors == trial.sensors && t.readings == trial.readings
-            };
-            if !alike.iter().any(same) {
+        let mut read_so: HashMap<(Cluster, u64), Vec<&&Trial>> = HashMap::new();
+        for trial in having(&|kind| kind[1] == *trained_with) {
+            let known = read_so.entry((trial.cluster, trial.sensors)).or_default();
+            if !known.iter().any(|t| t.readings == trial.readings) {
+                known.push(trial);
                 alike.push(trial);
             }
         }

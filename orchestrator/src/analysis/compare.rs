@@ -3,7 +3,7 @@
 //! What has one value in all of the first database and another in all of the second is what is compared; trials that agree
 //! in everything else are a pair, with equal placement and seed. A pair's ratio is of the first's value to the second's.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use serde_json::{Value, json};
 
@@ -32,7 +32,7 @@ impl<'a> Comparison<'a> {
     #[must_use]
     pub fn new(first: &'a [Trial], second: &'a [Trial]) -> Self {
         let paths: BTreeSet<&str> =
-            first.iter().chain(second).flat_map(|t| t.setting.keys().map(String::as_str)).collect();
+            first.iter().chain(second).flat_map(|t| t.setting.leaves().into_keys()).collect();
         // the one value that all have, or lack
         let sole = |trials: &'a [Trial], path: &str| -> Option<Option<&'a Value>> {
             let value = trials.first()?.setting.get(path);
@@ -44,8 +44,8 @@ impl<'a> Comparison<'a> {
             .filter(|(path, [a, b])| a != b && !ALWAYS.contains(path))
             .collect();
         let key = |t: &'a Trial| -> Vec<(&'a str, String)> {
-            let rest = t.setting.iter().filter(|(path, _)| !differs.contains_key(path.as_str()));
-            rest.map(|(path, value)| (path.as_str(), value.to_string())).collect()
+            let rest = t.setting.leaves().into_iter().filter(|(path, _)| !differs.contains_key(path));
+            rest.map(|(path, value)| (path, value.to_string())).collect()
         };
         let partners: BTreeMap<Vec<(&str, String)>, &Trial> = second.iter().map(|t| (key(t), t)).collect();
         let pairs: Vec<[&Trial; 2]> =
@@ -79,7 +79,9 @@ impl<'a> Comparison<'a> {
     }
 
     fn ratio(&self, group: &Group, of: &dyn Fn(&Trial) -> Option<f64>) -> Option<Ratio> {
-        let partner = |t: &Trial| Some(self.pairs.iter().find(|p| std::ptr::eq(p[0], t))?[1]);
+        let partners: HashMap<*const Trial, &Trial> =
+            self.pairs.iter().map(|p| (p[0] as *const _, p[1])).collect();
+        let partner = |t: &Trial| partners.get(&(t as *const _)).copied();
         ratio_of(&group.trials, |t| Some([of(t)?, of(partner(t)?)?]))
     }
 }
@@ -135,7 +137,11 @@ mod tests {
         assert_eq!(Comparison::new(&first, &second).pairs.len(), 0);
         second = database("cnn", 1.5, &[1, 2]);
         for (seed, trials) in [(1, &mut first), (2, &mut second)] {
-            trials.iter_mut().for_each(|t| drop(t.setting.insert("point.seed".into(), json!(seed))));
+            for trial in &mut *trials {
+                let leaves =
+                    trial.setting.leaves().into_iter().map(|(path, value)| (path.to_owned(), value.clone()));
+                trial.setting = leaves.chain([("point.seed".to_owned(), json!(seed))]).collect();
+            }
         }
         assert_eq!(Comparison::new(&first, &second).pairs.len(), 0);
         second.clear();

@@ -4,7 +4,7 @@
 use super::data::RANDOM;
 use super::data::{Set, Trial};
 use super::elbow::gains;
-use super::paired::{Progress, error_ratio, iterations};
+use super::paired::{Progress, error_ratio, iteration_ratio, iterations};
 use super::random::random;
 use super::records::{Judged, mean_interval, mean_ratio};
 use super::resample::{Draw, LEAST_UNITS};
@@ -62,9 +62,9 @@ fn campaign(draw: &mut Draw, placements: u64, seeds: u64, heavy: bool) -> Vec<Tr
             let ratio = 2.0 * (effect + 0.1 * noise(draw, heavy)).exp();
             // equal loss at 1/ratio of the iterations
             let curve = |factor: f64| vec![(1, 1.0), ((1e6 / factor) as u32, 0.1)];
-            let error_curves = [vec![curve(1.0)], vec![curve(ratio)]];
+            let iterations = [vec![], Vec::from_iter(iteration_ratio(&curve(1.0), &curve(ratio)))];
             let errors = [[None, Some(10.0 * ratio)], [None, Some(10.0)]];
-            trials.push(Trial { cluster, sensors, errors, error_curves, ..Trial::default() });
+            trials.push(Trial { cluster, sensors, errors, iterations, ..Trial::default() });
         }
     }
     trials

@@ -1,8 +1,9 @@
 //! Finished trials as the analysis sees them, and the groups within which they are compared.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use super::brains::{Reading, brains};
+use super::setting::Setting;
 use serde_json::Value;
 
 /// Initial or optimised body.
@@ -52,7 +53,7 @@ impl Set {
 }
 
 /// What trials share that are compared with one another, and what is independent of what: sensors and stimuli.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Cluster {
     /// Sensor placement.
     pub placement: u64,
@@ -79,8 +80,8 @@ pub type CurvePoint = (u32, f64);
 pub struct Trial {
     /// Its name.
     pub hash: String,
-    /// Everything that it is, by path (`body.columns`), as the spec says it.
-    pub setting: BTreeMap<String, Value>,
+    /// Everything that it is.
+    pub setting: Setting,
     /// K.
     pub panels: u64,
     /// M.
@@ -100,13 +101,16 @@ pub struct Trial {
     /// The part of the accelerations and of the angular velocities (%) that a body's linearisation at rest does not give,
     /// `[initial, optimised][acceleration, rotation]`; none in trials of versions before 6.
     pub nonlinear: [[Option<f64>; 2]; 2],
-    /// Training loss against iteration (from 1), by body, then network.
+    /// Training loss against iteration (from 1), by body, then network; thinned, as all curves.
     pub curves: [Vec<Vec<CurvePoint>>; 2],
-    /// Holdout error (%) against iteration likewise, thinned; none in trials of versions before 3.
+    /// Holdout error (%) against iteration likewise; none in trials of versions before 3.
     pub error_curves: [Vec<Vec<CurvePoint>>; 2],
     /// Training loss of long training.
     pub long_curves: [Vec<Vec<CurvePoint>>; 2],
-    /// Seconds and best test error so far (%), step by step.
+    /// Iterations on the initial over those on the optimised body to equal training loss and to equal holdout error, by
+    /// network, from the whole curves.
+    pub iterations: [Vec<f64>; 2],
+    /// Seconds and best test error so far (%), at the steps that make it better and at the last one.
     pub history: Vec<(f64, f64)>,
     /// Seconds by part of the outer loop, and of the evaluation.
     pub seconds: Vec<(&'static str, f64)>,
@@ -142,25 +146,6 @@ impl Trial {
     pub fn protocol(&self) -> &str {
         self.setting.get("optimise.protocol").and_then(Value::as_str).unwrap_or("unknown")
     }
-}
-
-/// A JSON object's leaves by path.
-#[must_use]
-pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
-    fn walk(path: &str, value: &Value, leaves: &mut BTreeMap<String, Value>) {
-        match value {
-            Value::Object(map) => {
-                for (key, value) in map {
-                    let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-                    walk(&path, value, leaves);
-                }
-            }
-            other => drop(leaves.insert(path.to_owned(), other.clone())),
-        }
-    }
-    let mut leaves = BTreeMap::new();
-    walk("", value, &mut leaves);
-    leaves
 }
 
 /// Trials that agree in everything but what a question varies.
@@ -233,17 +218,29 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
         let scaled = number * (first / own).powi(*power);
         if own == first { value.clone() } else { Value::from((scaled * 1e9).round() / 1e9) }
     };
-    let key = |trial: &Trial| -> Key {
-        let told = trial.setting.iter().filter(|(path, _)| !ignored(path));
-        told.map(|(path, v)| (path.clone(), value(trial, path, v))).collect()
+    let told = |trial: &Trial, leaves: &BTreeMap<String, Value>| -> String {
+        let told = leaves.iter().filter(|(path, _)| !ignored(path));
+        told.map(|(path, v)| format!("{path} = {}\n", value(trial, path, v))).collect()
     };
+    let key = |trial: &Trial| -> Key {
+        let leaves = trial.setting.leaves().into_iter().filter(|(path, _)| !ignored(path));
+        leaves.map(|(path, v)| (path.to_owned(), value(trial, path, v))).collect()
+    };
+    // What trials share is told once.
+    let mut shared: HashMap<*const BTreeMap<String, Value>, usize> = HashMap::new();
+    let mut texts: HashMap<String, usize> = HashMap::new();
+    let mut places: HashMap<(usize, String), usize> = HashMap::new();
     let mut found: Vec<(Key, Vec<&'a Trial>)> = Vec::new();
     for trial in trials {
-        let key = key(trial);
-        match found.iter_mut().find(|(k, _)| *k == key) {
-            Some((_, members)) => members.push(trial),
-            None => found.push((key, vec![trial])),
-        }
+        let common = *shared.entry(std::sync::Arc::as_ptr(trial.setting.shared())).or_insert_with(|| {
+            let count = texts.len();
+            *texts.entry(told(trial, trial.setting.shared())).or_insert(count)
+        });
+        let place = *places.entry((common, told(trial, trial.setting.own()))).or_insert_with(|| {
+            found.push((key(trial), Vec::new()));
+            found.len() - 1
+        });
+        found[place].1.push(trial);
     }
     let keys: Vec<&Key> = found.iter().map(|(k, _)| k).collect();
     let labels: Vec<String> = keys.iter().map(|k| label(k, &keys)).collect();
@@ -329,6 +326,49 @@ pub fn places(observations: &[Observation]) -> Vec<f64> {
     places
 }
 
+/// Errors along an axis, ready to be weighed by cluster many times over.
+#[derive(Debug, Clone)]
+pub struct Grid {
+    /// The places of the axis, in order.
+    pub places: Vec<f64>,
+    /// Cluster, place and ln e of every observation, by number.
+    pub points: Vec<(usize, usize, f64)>,
+}
+
+impl Grid {
+    /// Of observations whose clusters are among these, which are sorted.
+    ///
+    /// # Panics
+    /// If one is not.
+    #[must_use]
+    pub fn new(observations: &[Observation], clusters: &[Cluster]) -> Self {
+        let places = places(observations);
+        let point = |o: &Observation| {
+            let cluster = clusters.binary_search(&o.cluster).expect("a cluster of the observations");
+            let place = places.binary_search_by(|p| p.total_cmp(&o.at)).expect("a place of the observations");
+            (cluster, place, o.error.ln())
+        };
+        Self { points: observations.iter().map(point).collect(), places }
+    }
+
+    /// Geometric mean of the error at every place, by weights of clusters; `None` where nothing weighs.
+    #[must_use]
+    pub fn means(&self, weights: &[f64]) -> Vec<Option<f64>> {
+        let mut sums = vec![[0.0; 2]; self.places.len()];
+        for &(cluster, place, log) in &self.points {
+            sums[place][0] += weights[cluster] * log;
+            sums[place][1] += weights[cluster];
+        }
+        sums.into_iter().map(|[sum, n]| (n > 0.0).then(|| (sum / n).exp())).collect()
+    }
+}
+
+/// The clusters of observations, each once, in order.
+#[must_use]
+pub fn clusters<'a>(observations: impl IntoIterator<Item = &'a Observation>) -> Vec<Cluster> {
+    observations.into_iter().map(|o| o.cluster).collect::<BTreeSet<_>>().into_iter().collect()
+}
+
 /// Errors at one place of an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Level {
@@ -371,13 +411,21 @@ pub fn geometric_mean(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::setting::flatten;
     use serde_json::json;
+
+    /// A trial with more settings.
+    fn with(trial: Trial, more: &Value) -> Trial {
+        let leaves = trial.setting.leaves().into_iter().map(|(path, value)| (path.to_owned(), value.clone()));
+        let setting = leaves.chain(flatten(more)).collect();
+        Trial { setting, ..trial }
+    }
 
     fn trial(panels: u64, columns: u64, sensors: u64, placement: u64) -> Trial {
         let spec = json!({"body": {"columns": columns, "rows": 4}, "point": {"panels": panels, "sensors": sensors,
             "placement": placement, "seed": 1}, "sensor_units": [placement]});
         Trial {
-            setting: flatten(&spec),
+            setting: flatten(&spec).into_iter().collect(),
             panels,
             sensors,
             cluster: Cluster { placement, seed: 1 },
@@ -407,10 +455,7 @@ mod tests {
             [("K = 2, M = 1".to_owned(), 2), ("K = 2, M = 2".to_owned(), 1), ("K = 4, M = 1".to_owned(), 1)]
         );
         let cut = |columns: u64, spacing: f64, bend: f64| {
-            let mut trial = trial(2, columns, 1, 0);
-            let body = json!({"body": {"spacing": spacing, "stiffness": {"bend": bend}}});
-            trial.setting.extend(flatten(&body));
-            trial
+            with(trial(2, columns, 1, 0), &json!({"body": {"spacing": spacing, "stiffness": {"bend": bend}}}))
         };
         let sheet = [cut(5, 30.0, 4.0), cut(10, 15.0, 1.0), cut(12, 12.5, 25.0 / 36.0), cut(12, 12.5, 1.0)];
         let found = groups(&sheet.iter().collect::<Vec<_>>(), COMPLEXITY);
@@ -418,11 +463,8 @@ mod tests {
         let told = |bend: &str| format!("K = 2, M = 1, body.stiffness.bend = {bend}");
         assert_eq!(found, [(&*told("4.0"), 3), (&*told("5.76"), 1)]);
         let struck = |kind: &str, width: f64, double: Option<f64>| {
-            let mut trial = trial(2, 5, 1, 0);
-            trial
-                .setting
-                .extend(flatten(&json!({"stimuli": {"kind": kind, "width": [width], "double": double}})));
-            trial
+            let stimuli = json!({"stimuli": {"kind": kind, "width": [width], "double": double}});
+            with(trial(2, 5, 1, 0), &stimuli)
         };
         let kinds = [struck("bell", 0.1, None), struck("irregular", 0.02, Some(0.1))];
         let labels = |trials: &[Trial]| -> Vec<String> {

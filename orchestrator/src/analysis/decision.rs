@@ -6,8 +6,8 @@
 //! e(M) the geometric mean of the error (%). Votes are shares of the bootstrap's replicates over placements and seeds;
 //! what is left when the largest M is dropped says whether the answer hangs on how far M was tried.
 
-use super::data::places;
-use super::{Cluster, Observation, Resampling};
+use super::data::{Grid, clusters};
+use super::{Observation, Resampling};
 
 /// What a decision weighs.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
@@ -67,21 +67,17 @@ type Means = [(f64, f64)];
 /// Decides on M; `None` of fewer than two.
 #[must_use]
 pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
-    let at = places(observations);
+    let clusters = clusters(observations);
+    let grid = Grid::new(observations, &clusters);
+    let at = &grid.places;
     if at.len() < 2 {
         return None;
     }
-    let clusters: Vec<Cluster> = observations.iter().map(|o| o.cluster).collect();
     let units = Resampling::new(&clusters);
     let means = |weights: &[f64]| -> Vec<(f64, f64)> {
-        let mean = |m: &f64| {
-            let here = observations.iter().zip(weights).filter(|(o, w)| o.at == *m && **w > 0.0);
-            let [sum, n] = here.fold([0.0; 2], |[s, n], (o, w)| [s + w * o.error.ln(), n + w]);
-            (n > 0.0).then(|| (*m, (sum / n).exp()))
-        };
-        at.iter().filter_map(mean).collect()
+        at.iter().zip(grid.means(weights)).filter_map(|(m, mean)| Some((*m, mean?))).collect()
     };
-    let all = means(&vec![1.0; observations.len()]);
+    let all = means(&vec![1.0; clusters.len()]);
     let replicates = units.replicates(|weights| Some(means(&weights)));
     let decision = |rule: &dyn Fn(&Means) -> f64| {
         let chosen: Vec<f64> = replicates.iter().map(|means| rule(means)).collect();
@@ -109,6 +105,7 @@ pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::Cluster;
 
     fn curve(errors: &[f64], placements: u64) -> Vec<Observation> {
         let of = |placement: u64| {

@@ -7,8 +7,8 @@
 //! an elbow where the stick beats the straight line by BIC, falls before m and falls at most half as fast after it.
 //! Kneedle (Satopää et al. 2011) and the chord's farthest point stand beside it. Votes by bootstrap.
 
-use super::data::{Level, levels, places};
-use super::{Cluster, Interval, Observation, Resampling};
+use super::data::{Grid, Level, clusters, levels};
+use super::{Interval, Observation, Resampling};
 
 /// Values of M below which no elbow is sought: a stick has three parameters and a place.
 pub const LEAST_VALUES: usize = 4;
@@ -78,15 +78,17 @@ pub struct TooFew(pub usize);
 /// # Errors
 /// Where there are fewer than four values of M.
 pub fn elbow(observations: &[Observation]) -> Result<Elbow, TooFew> {
-    let at = places(observations);
+    let clusters = clusters(observations);
+    let grid = Grid::new(observations, &clusters);
+    let at = &grid.places;
     if at.len() < LEAST_VALUES {
         return Err(TooFew(at.len()));
     }
     let levels = levels(observations);
-    let clusters: Vec<Cluster> = observations.iter().map(|o| o.cluster).collect();
     let resampling = Resampling::new(&clusters);
-    let curve = Curve::new(observations);
-    let broken_stick = curve.broken_stick(&vec![1.0; observations.len()]);
+    let curve = Curve::new(&grid, clusters.len());
+    let even = vec![1.0; clusters.len()];
+    let broken_stick = curve.broken_stick(&even);
     let replicates = resampling.replicates(|weights| Some(curve.broken_stick(&weights)));
     let share = |place: Option<f64>| {
         replicates.iter().filter(|r| **r == place).count() as f64 / replicates.len().max(1) as f64
@@ -102,9 +104,8 @@ pub fn elbow(observations: &[Observation]) -> Result<Elbow, TooFew> {
     };
     let largest = at[at.len() - 1];
     let without_largest = (at.len() > LEAST_VALUES).then(|| {
-        curve.broken_stick(
-            &observations.iter().map(|o| f64::from(u8::from(o.at < largest))).collect::<Vec<_>>(),
-        )
+        let rest: Vec<Observation> = observations.iter().filter(|o| o.at < largest).copied().collect();
+        Curve::new(&Grid::new(&rest, &clusters), clusters.len()).broken_stick(&even)
     });
     Ok(Elbow {
         broken_stick,
@@ -131,6 +132,29 @@ struct Normal {
 }
 
 impl Normal {
+    /// Of rows (a, b, y), each column less its mean.
+    fn centred(rows: impl Iterator<Item = [f64; 3]> + Clone) -> Self {
+        let [n, a, b, y] =
+            rows.clone().fold([0.0; 4], |[n, a, b, y], r| [n + 1.0, a + r[0], b + r[1], y + r[2]]);
+        let mut sums = Self::default();
+        for row in rows {
+            let [a, b, y] = [row[0] - a / n, row[1] - b / n, row[2] - y / n];
+            sums = sums.plus(1.0, &Self { aa: a * a, ab: a * b, bb: b * b, ay: a * y, by: b * y, yy: y * y });
+        }
+        sums
+    }
+
+    fn plus(self, w: f64, other: &Self) -> Self {
+        Self {
+            aa: self.aa + w * other.aa,
+            ab: self.ab + w * other.ab,
+            bb: self.bb + w * other.bb,
+            ay: self.ay + w * other.ay,
+            by: self.by + w * other.by,
+            yy: self.yy + w * other.yy,
+        }
+    }
+
     /// Slopes and residual sum of squares; the second column may be absent (all zero).
     fn solve(&self) -> ([f64; 2], f64) {
         let determinant = self.aa * self.bb - self.ab * self.ab;
@@ -149,63 +173,66 @@ impl Normal {
     }
 }
 
-/// What the fit needs of the observations: cluster, M and ln e of each.
+/// The normal equations of every fit, cluster by cluster, so that weights of clusters need no look at the observations.
 struct Curve {
-    clusters: usize,
-    points: Vec<(usize, f64, f64)>,
+    places: Vec<f64>,
+    clusters: Vec<ByCluster>,
+}
+
+/// A cluster's part of them, each column centred within it.
+struct ByCluster {
+    observations: f64,
+    /// Which places it has.
+    has: Vec<bool>,
+    /// Of ln e on M.
+    line: Normal,
+    /// On min(M, m) and max(M − m, 0), by the number of m.
+    sticks: Vec<Normal>,
 }
 
 impl Curve {
-    fn new(observations: &[Observation]) -> Self {
-        let mut clusters: Vec<Cluster> = observations.iter().map(|o| o.cluster).collect();
-        clusters.sort_unstable();
-        clusters.dedup();
-        let find = |c: &Cluster| clusters.binary_search(c).expect("collected above");
-        let points = observations.iter().map(|o| (find(&o.cluster), o.at, o.error.ln())).collect();
-        Self { clusters: clusters.len(), points }
+    fn new(grid: &Grid, clusters: usize) -> Self {
+        let mut points = vec![Vec::new(); clusters];
+        grid.points.iter().for_each(|&(cluster, place, y)| points[cluster].push((place, y)));
+        let places = &grid.places;
+        let of = |points: &Vec<(usize, f64)>| ByCluster {
+            observations: points.len() as f64,
+            has: (0..places.len()).map(|place| points.iter().any(|p| p.0 == place)).collect(),
+            line: Normal::centred(points.iter().map(|&(place, y)| [places[place], 0.0, y])),
+            sticks: places
+                .iter()
+                .map(|m| {
+                    let stick = |at: f64| [at.min(*m), (at - m).max(0.0)];
+                    Normal::centred(points.iter().map(|&(place, y)| {
+                        let [a, b] = stick(places[place]);
+                        [a, b, y]
+                    }))
+                })
+                .collect(),
+        };
+        Self { places: places.clone(), clusters: points.iter().map(of).collect() }
     }
 
-    /// Weighted normal equations of ln e on two columns, each centred within its cluster.
-    fn normal(&self, weights: &[f64], columns: impl Fn(f64) -> [f64; 2]) -> Normal {
-        let mut means = vec![[0.0; 4]; self.clusters];
-        for (&(cluster, at, y), &w) in self.points.iter().zip(weights) {
-            let [a, b] = columns(at);
-            for (m, v) in means[cluster].iter_mut().zip([1.0, a, b, y]) {
-                *m += w * v;
-            }
-        }
-        let mut sums = Normal::default();
-        for (&(cluster, at, y), &w) in self.points.iter().zip(weights).filter(|(_, w)| **w > 0.0) {
-            let [n, a, b, mean] = means[cluster];
-            let [ca, cb] = columns(at);
-            let (a, b, y) = (ca - a / n, cb - b / n, y - mean / n);
-            sums.aa += w * a * a;
-            sums.ab += w * a * b;
-            sums.bb += w * b * b;
-            sums.ay += w * a * y;
-            sums.by += w * b * y;
-            sums.yy += w * y * y;
-        }
-        sums
+    fn sum(&self, weights: &[f64], of: impl Fn(&ByCluster) -> &Normal) -> Normal {
+        let weighed = self.clusters.iter().zip(weights).filter(|(_, w)| **w > 0.0);
+        weighed.fold(Normal::default(), |sum, (cluster, w)| sum.plus(*w, of(cluster)))
     }
 
-    /// The broken stick's elbow, if there is one.
+    /// The broken stick's elbow by weights of clusters, if there is one.
     fn broken_stick(&self, weights: &[f64]) -> Option<f64> {
-        let mut at: Vec<f64> =
-            self.points.iter().zip(weights).filter(|(_, w)| **w > 0.0).map(|(p, _)| p.1).collect();
-        at.sort_by(f64::total_cmp);
-        at.dedup();
+        let drawn = |place: &usize| self.clusters.iter().zip(weights).any(|(c, w)| *w > 0.0 && c.has[*place]);
+        let at: Vec<usize> = (0..self.places.len()).filter(drawn).collect();
         if at.len() < LEAST_VALUES {
             return None;
         }
-        let n: f64 = weights.iter().sum();
-        let line = self.normal(weights, |m| [m, 0.0]);
+        let n: f64 = self.clusters.iter().zip(weights).map(|(cluster, w)| w * cluster.observations).sum();
+        let line = self.sum(weights, |cluster| &cluster.line);
         let (_, line_residual) = line.solve();
         let mut best: Option<(f64, [f64; 2], f64)> = None;
         for &place in &at[1..at.len() - 1] {
-            let (slopes, residual) = self.normal(weights, |m| [m.min(place), (m - place).max(0.0)]).solve();
+            let (slopes, residual) = self.sum(weights, |cluster| &cluster.sticks[place]).solve();
             if best.is_none_or(|(_, _, least)| residual < least) {
-                best = Some((place, slopes, residual));
+                best = Some((self.places[place], slopes, residual));
             }
         }
         let (place, [before, after], residual) = best?;
@@ -264,34 +291,34 @@ fn chord(levels: &[Level]) -> Option<f64> {
 
 /// What each further sensor brings.
 pub(super) fn gains(observations: &[Observation]) -> Vec<Gain> {
-    let clusters: Vec<Cluster> = observations.iter().map(|o| o.cluster).collect();
-    let resampling = Resampling::new(&clusters);
-    places(observations).windows(2).map(|w| gain(observations, w[0], w[1], &resampling)).collect()
-}
-
-fn gain(observations: &[Observation], from: f64, to: f64, resampling: &Resampling) -> Gain {
-    let mean = |weights: &[f64]| {
-        let (mut sum, mut n) = (0.0, 0.0);
-        for (i, o) in observations.iter().enumerate().filter(|(_, o)| o.at == from) {
-            let after = observations.iter().find(|p| p.at == to && p.cluster == o.cluster);
-            if let Some(after) = after {
-                sum += weights[i] * (o.error / after.error).ln();
-                n += weights[i];
-            }
-        }
-        (n > 0.0).then_some(sum / n)
-    };
-    Gain {
-        from,
-        to,
-        ratio: mean(&vec![1.0; observations.len()]).map_or(f64::NAN, f64::exp),
-        interval: resampling.interval(|weights| mean(weights)).map(|i| i.map(f64::exp)),
+    let clusters = clusters(observations);
+    let (grid, resampling) = (Grid::new(observations, &clusters), Resampling::new(&clusters));
+    let mut cells = vec![vec![None; grid.places.len()]; clusters.len()];
+    for &(cluster, place, log) in &grid.points {
+        cells[cluster][place].get_or_insert(log);
     }
+    let gain = |from: usize| {
+        let pair = |cell: &Vec<Option<f64>>| Some(cell[from]? - cell[from + 1]?);
+        let logs: Vec<Option<f64>> = cells.iter().map(pair).collect();
+        let mean = |weights: &[f64]| {
+            let both = logs.iter().zip(weights).filter_map(|(log, w)| Some((w * (*log)?, w)));
+            let [sum, n] = both.fold([0.0; 2], |[sum, n], (log, w)| [sum + log, n + w]);
+            (n > 0.0).then_some(sum / n)
+        };
+        Gain {
+            from: grid.places[from],
+            to: grid.places[from + 1],
+            ratio: mean(&vec![1.0; clusters.len()]).map_or(f64::NAN, f64::exp),
+            interval: resampling.interval(mean).map(|i| i.map(f64::exp)),
+        }
+    };
+    (0..grid.places.len().saturating_sub(1)).map(gain).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::Cluster;
     use crate::analysis::resample::Draw;
 
     /// Observations of a curve at M = 1…6 for five placements and two seeds, each with a level of its own and noise.

@@ -20,6 +20,7 @@ pub mod resample;
 pub mod run_time;
 pub mod scaling;
 pub mod sensors;
+pub mod setting;
 pub mod tables;
 
 pub use data::{Body, Cluster, Group, Observation, Set, Trial};

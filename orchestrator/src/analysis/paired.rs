@@ -29,22 +29,34 @@ impl Ratio {
     /// The geometric mean of positive ratios with its interval over placements and seeds; `None` of no ratios.
     #[must_use]
     pub fn of(ratios: &[(Cluster, f64)]) -> Option<Self> {
-        let (clusters, ratios): (Vec<Cluster>, Vec<f64>) = ratios.iter().copied().unzip();
-        Self::over(&Resampling::new(&clusters), &ratios)
+        // By cluster, whose trials are drawn and left out together: how many, and the sum of their logarithms.
+        let mut sums: BTreeMap<Cluster, [f64; 2]> = BTreeMap::new();
+        for (cluster, ratio) in ratios {
+            let sum = sums.entry(*cluster).or_default();
+            *sum = [sum[0] + 1.0, sum[1] + ratio.ln()];
+        }
+        let (clusters, sums): (Vec<Cluster>, Vec<[f64; 2]>) = sums.into_iter().unzip();
+        Self::weighed(&Resampling::new(&clusters), &sums, ratios.iter().filter(|(_, r)| *r > 1.0).count())
     }
 
     /// The same over other units.
     #[must_use]
     pub fn over(units: &Resampling, ratios: &[f64]) -> Option<Self> {
-        let logs: Vec<f64> = ratios.iter().map(|r| r.ln()).collect();
+        let logs: Vec<[f64; 2]> = ratios.iter().map(|r| [1.0, r.ln()]).collect();
+        Self::weighed(units, &logs, ratios.iter().filter(|r| **r > 1.0).count())
+    }
+
+    /// Of sums of logarithms with their counts, one a weight.
+    fn weighed(units: &Resampling, sums: &[[f64; 2]], above_one: usize) -> Option<Self> {
         let mean = |weights: &[f64]| {
-            let sum: f64 = weights.iter().zip(&logs).map(|(w, l)| w * l).sum();
-            Some(sum / weights.iter().sum::<f64>()).filter(|mean| mean.is_finite())
+            let both =
+                weights.iter().zip(sums).fold([0.0; 2], |[n, sum], (w, s)| [n + w * s[0], sum + w * s[1]]);
+            Some(both[1] / both[0]).filter(|mean| mean.is_finite())
         };
         Some(Self {
-            trials: logs.len(),
-            above_one: logs.iter().filter(|l| **l > 0.0).count(),
-            ratio: mean(&vec![1.0; logs.len()])?.exp(),
+            trials: sums.iter().map(|s| s[0]).sum::<f64>() as usize,
+            above_one,
+            ratio: mean(&vec![1.0; sums.len()])?.exp(),
             interval: units.interval(mean).map(|i| i.map(f64::exp)),
             over: units.over(),
         })
@@ -90,15 +102,6 @@ impl Progress {
             Self::Error => "holdout error",
         }
     }
-
-    /// The trial's curves, by body, then network.
-    #[must_use]
-    pub fn curves(self, trial: &Trial) -> &[Vec<Vec<CurvePoint>>; 2] {
-        match self {
-            Self::Loss => &trial.curves,
-            Self::Error => &trial.error_curves,
-        }
-    }
 }
 
 /// The first iteration at which a curve is no more than `target`.
@@ -122,10 +125,8 @@ pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
     let ratios: Vec<(Cluster, f64)> = trials
         .iter()
         .filter_map(|t| {
-            let [initial, optimised] = by.curves(t);
-            let networks: Vec<f64> =
-                initial.iter().zip(optimised).filter_map(|(i, o)| iteration_ratio(i, o)).collect();
-            (!networks.is_empty()).then(|| (t.cluster, super::data::geometric_mean(&networks)))
+            let networks = &t.iterations[by as usize];
+            (!networks.is_empty()).then(|| (t.cluster, super::data::geometric_mean(networks)))
         })
         .collect();
     Ratio::of(&ratios)

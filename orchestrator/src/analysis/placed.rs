@@ -107,7 +107,7 @@ impl Placed<'_> {
 mod tests {
     use super::*;
     use crate::analysis::Cluster;
-    use crate::analysis::data::flatten;
+    use crate::analysis::setting::flatten;
     use serde_json::json;
 
     /// Random 40/m, trained 20/m; placed 16/m, trained 4/m, at four seeds with factors that ratios do not see.
@@ -128,7 +128,7 @@ mod tests {
                         (true, _) => [99.0, 99.0],
                     };
                     trials.push(Trial {
-                        setting: flatten(&spec),
+                        setting: flatten(&spec).into_iter().collect(),
                         panels: 4,
                         sensors: m,
                         cluster: Cluster { placement, seed },

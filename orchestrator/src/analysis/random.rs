@@ -3,6 +3,10 @@
 //! A trial whose body starts from `{ random = SEED }` gives a random body's error with its `initial`; it is compared with
 //! the trials of rotated squares that share its sensors and stimuli. What is drawn is the body, as well as placement and seed.
 
+use std::collections::HashMap;
+
+use serde_json::Value;
+
 use super::data::{RANDOM, Trial, geometric_mean};
 use super::paired::Ratio;
 use super::resample::{PLACEMENTS, SEEDS};
@@ -39,12 +43,11 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
     let of =
         |trials: &[&Trial], body| -> Vec<f64> { trials.iter().filter_map(|t| t.error(body, set)).collect() };
     // the mean where several ways of training share sensors and stimuli
+    let mut sharing: HashMap<_, Vec<&Trial>> = HashMap::new();
+    others.iter().for_each(|o| sharing.entry((o.cluster, o.sensors)).or_default().push(o));
     let alike = |trial: &Trial, body: Body| {
-        let same: Vec<f64> = others
-            .iter()
-            .filter(|o| o.cluster == trial.cluster && o.sensors == trial.sensors)
-            .filter_map(|o| o.error(body, set))
-            .collect();
+        let sharing = sharing.get(&(trial.cluster, trial.sensors));
+        let same: Vec<f64> = sharing.into_iter().flatten().filter_map(|o| o.error(body, set)).collect();
         (!same.is_empty()).then(|| geometric_mean(&same))
     };
     let ratios = Body::ALL.map(|body| {
@@ -52,7 +55,7 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
         let (trials, ratios): (Vec<&Trial>, Vec<f64>) = random.iter().filter_map(ratio).unzip();
         let of = |unit: fn(&Trial) -> u64| trials.iter().map(|t| unit(t)).collect();
         let units = Resampling::of([
-            (["body", "bodies"], of(|t| t.setting[RANDOM].as_u64().unwrap_or_default())),
+            (["body", "bodies"], of(|t| t.setting.get(RANDOM).and_then(Value::as_u64).unwrap_or_default())),
             (PLACEMENTS, of(|t| t.cluster.placement)),
             (SEEDS, of(|t| t.cluster.seed)),
         ]);

@@ -8,6 +8,8 @@
 //! ```
 //! (Cameron, Gelbach and Miller 2011), with Student's t at Satterthwaite's degrees of freedom. Votes are by bootstrap.
 
+use std::collections::BTreeMap;
+
 use super::Cluster;
 use metasense_worker::student;
 
@@ -161,15 +163,17 @@ impl Resampling {
         for chosen in 1usize..1 << drawn.len() {
             let kinds: Vec<&&Kind> =
                 (0..drawn.len()).filter(|i| chosen >> i & 1 == 1).map(|i| &drawn[i]).collect();
-            let unit = |trial: usize| -> Vec<usize> { kinds.iter().map(|k| k.of_trial[trial]).collect() };
-            let of_trial: Vec<Vec<usize>> = (0..self.trials).map(unit).collect();
-            let mut units = of_trial.clone();
-            units.sort_unstable();
-            units.dedup();
-            let mut without = |unit: &Vec<usize>| {
-                statistic(&of_trial.iter().map(|u| f64::from(u8::from(u != unit))).collect::<Vec<f64>>())
+            let unit = |trial: usize| kinds.iter().fold(0, |unit, k| unit * k.count + k.of_trial[trial]);
+            let mut members: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+            (0..self.trials).for_each(|trial| members.entry(unit(trial)).or_default().push(trial));
+            let mut weights = vec![1.0; self.trials];
+            let mut without = |members: &Vec<usize>| {
+                members.iter().for_each(|&trial| weights[trial] = 0.0);
+                let found = statistic(&weights);
+                members.iter().for_each(|&trial| weights[trial] = 1.0);
+                found
             };
-            let left_out = units.iter().map(&mut without).collect::<Option<Vec<T>>>()?;
+            let left_out = members.values().map(&mut without).collect::<Option<Vec<T>>>()?;
             parts.push((kinds.len(), left_out));
         }
         Some(Jackknife { whole, fewest, parts })

@@ -152,7 +152,7 @@ fn order_statistics(runs: &[(f64, bool)]) -> Option<[Option<f64>; 2]> {
 /// The best error at some seconds; `None` before the first step's end.
 #[must_use]
 pub fn best_at(history: &[Reached], seconds: f64) -> Option<f64> {
-    history.iter().take_while(|(s, _)| *s <= seconds).last().map(|(_, best)| *best)
+    history[..history.partition_point(|(s, _)| *s <= seconds)].last().map(|(_, best)| *best)
 }
 
 /// Geometric mean over runs of the best error so far at `count` times, spaced evenly in ln s from when all runs have a

@@ -8,7 +8,9 @@
 //! Pereyra 1973), and (b, c/a) by a grid and a shrinking pattern search. An exponent whose interval touches the ends of
 //! the search, or spans more than a factor of five, is not identifiable. The largest N is predicted from the others.
 
-use super::data::{geometric_mean, places};
+use std::collections::BTreeMap;
+
+use super::data::{Grid, clusters, geometric_mean, places};
 use super::resample::{Jackknife, quantile};
 use super::{Cluster, Interval, Observation, Resampling};
 
@@ -110,11 +112,12 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
     }
     let observations = &pulled_in(observations)[..];
     let reference = geometric_mean(&at);
-    let all = vec![1.0; observations.len()];
-    let (law, squares) = fit(observations, &all, reference, None).expect("as many values of N as it takes");
-    let clusters: Vec<Cluster> = observations.iter().map(|o| o.cluster).collect();
+    let clusters = clusters(observations);
+    let sums = Sums::new(&Grid::new(observations, &clusters));
+    let all = vec![1.0; clusters.len()];
+    let (law, squares) = fit(&sums, &all, reference, None).expect("as many values of N as it takes");
     let units = Resampling::new(&clusters);
-    let laws = units.jackknife(|weights| Some(fit(observations, weights, reference, Some(&law))?.0));
+    let laws = units.jackknife(|weights| Some(fit(&sums, weights, reference, Some(&law))?.0));
     let of = |pick: fn(&Law) -> f64| laws.as_ref().and_then(|laws| laws.interval(pick));
     let freedom = observations.len().saturating_sub(3).max(1);
     let mut scaling = Scaling {
@@ -122,7 +125,7 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
         scale: of(|l| l.scale.ln()).map(|i| i.map(f64::exp)),
         exponent: of(|l| l.exponent.ln()).map(|i| i.map(f64::exp)),
         floor: of(|l| l.floor).map(|i| i.map(|c| c.max(0.0))),
-        held_out: held_out(observations, &units, &law),
+        held_out: held_out(observations, &clusters, &units, &law),
         over: units.over(),
         residual: (squares / freedom as f64).sqrt(),
         not_identifiable: None,
@@ -138,7 +141,10 @@ fn pulled_in(observations: &[Observation]) -> Vec<Observation> {
         values.sort_by(f64::total_cmp);
         quantile(&values, 0.5)
     };
-    let middle = |at: f64| median(observations.iter().filter(|o| o.at == at).map(|o| o.error.ln()).collect());
+    let places = places(observations);
+    let at = |at: f64| median(observations.iter().filter(|o| o.at == at).map(|o| o.error.ln()).collect());
+    let middles: Vec<f64> = places.iter().map(|place| at(*place)).collect();
+    let middle = |at: f64| middles[places.partition_point(|place| *place < at)];
     let off: Vec<f64> = observations.iter().map(|o| o.error.ln() - middle(o.at)).collect();
     // of a normal distribution 0.6745 deviations
     let most = FARTHEST * median(off.iter().map(|x| x.abs()).collect()) / 0.6745;
@@ -149,18 +155,22 @@ fn pulled_in(observations: &[Observation]) -> Vec<Observation> {
     observations.iter().zip(&off).map(pull).collect()
 }
 
-fn held_out(observations: &[Observation], units: &Resampling, all: &Law) -> Option<HeldOut> {
+fn held_out(
+    observations: &[Observation],
+    clusters: &[Cluster],
+    units: &Resampling,
+    all: &Law,
+) -> Option<HeldOut> {
     let most = *places(observations).last()?;
-    let smaller = |weights: &[f64]| -> Vec<f64> {
-        observations.iter().zip(weights).map(|(o, w)| if o.at < most { *w } else { 0.0 }).collect()
-    };
+    let (here, smaller): (Vec<Observation>, Vec<Observation>) =
+        observations.iter().partition(|o| o.at == most);
+    let [here, smaller] = [here, smaller].map(|part| Grid::new(&part, clusters));
+    let smaller = Sums::new(&smaller);
     let logs = |weights: &[f64]| {
-        let law = fit(observations, &smaller(weights), all.reference, Some(all))?.0;
-        let here = observations.iter().zip(weights).filter(|(o, _)| o.at == most);
-        let [sum, n] = here.fold([0.0; 2], |[s, n], (o, w)| [s + w * o.error.ln(), n + w]);
-        (n > 0.0).then(|| [law.at(most).ln(), sum / n])
+        let law = fit(&smaller, weights, all.reference, Some(all))?.0;
+        Some([law.at(most).ln(), here.means(weights)[0]?.ln()])
     };
-    let [predicted, observed] = logs(&vec![1.0; observations.len()])?.map(f64::exp);
+    let [predicted, observed] = logs(&vec![1.0; clusters.len()])?.map(f64::exp);
     let interval = units.jackknife(logs).and_then(|j| j.interval(|[p, o]| p - o));
     Some(HeldOut { at: most, predicted, observed, interval: interval.map(|i| i.map(f64::exp)) })
 }
@@ -183,6 +193,27 @@ fn doubt(found: &Scaling, observations: &[Observation]) -> Option<String> {
         .then(|| format!("the exponent's interval spans a factor of {:.1}", interval.high / interval.low))
 }
 
+/// Sums over the trials of each cluster and N: how many, ln L and its square, less the mean of all.
+struct Sums {
+    mean: f64,
+    places: Vec<f64>,
+    cells: Vec<(usize, usize, [f64; 3])>,
+}
+
+impl Sums {
+    fn new(grid: &Grid) -> Self {
+        let mean = grid.points.iter().map(|p| p.2).sum::<f64>() / grid.points.len().max(1) as f64;
+        let mut cells: BTreeMap<(usize, usize), [f64; 3]> = BTreeMap::new();
+        for &(cluster, place, log) in &grid.points {
+            let y = log - mean;
+            let sum = cells.entry((cluster, place)).or_default();
+            *sum = [sum[0] + 1.0, sum[1] + y, sum[2] + y * y];
+        }
+        let cells = cells.into_iter().map(|((cluster, place), sum)| (cluster, place, sum)).collect();
+        Self { mean, places: grid.places.clone(), cells }
+    }
+}
+
 /// Mean ln L and weight at each N: the fit needs no more.
 struct Point {
     x: f64,
@@ -190,26 +221,20 @@ struct Point {
     weight: f64,
 }
 
-/// The law of weighted trials and its sum of squares; `None` of fewer than four N.
-fn fit(
-    observations: &[Observation],
-    weights: &[f64],
-    reference: f64,
-    start: Option<&Law>,
-) -> Option<(Law, f64)> {
+/// The law of trials weighted by cluster and its sum of squares; `None` of fewer than four N.
+fn fit(sums: &Sums, weights: &[f64], reference: f64, start: Option<&Law>) -> Option<(Law, f64)> {
+    let mut totals = vec![[0.0; 3]; sums.places.len()];
+    for &(cluster, place, sum) in &sums.cells {
+        let w = weights[cluster];
+        totals[place].iter_mut().zip(sum).for_each(|(total, part)| *total += w * part);
+    }
     let mut scatter = 0.0;
-    let points: Vec<Point> = places(observations)
-        .into_iter()
-        .filter_map(|at| {
-            let here = || observations.iter().zip(weights).filter(move |(o, _)| o.at == at);
-            let weight: f64 = here().map(|(_, w)| w).sum();
-            let y = here().map(|(o, w)| w * o.error.ln()).sum::<f64>() / weight;
-            if weight > 0.0 {
-                scatter += here().map(|(o, w)| w * (o.error.ln() - y).powi(2)).sum::<f64>();
-            }
-            (weight > 0.0).then_some(Point { x: at / reference, y, weight })
-        })
-        .collect();
+    let mut points: Vec<Point> = Vec::with_capacity(totals.len());
+    for (at, [weight, y, squares]) in sums.places.iter().zip(totals).filter(|(_, total)| total[0] > 0.0) {
+        let y = y / weight;
+        scatter += (squares - weight * y * y).max(0.0);
+        points.push(Point { x: at / reference, y: sums.mean + y, weight });
+    }
     if points.len() < LEAST_VALUES {
         return None;
     }

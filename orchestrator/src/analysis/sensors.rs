@@ -1,7 +1,7 @@
 //! How few sensors the optimised body needs to beat the initial one with the most.
 
-use super::data::{geometric_mean, places};
-use super::{Cluster, Observation, Resampling};
+use super::data::{Grid, clusters, geometric_mean};
+use super::{Observation, Resampling};
 
 /// The smallest M that suffices.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,24 +23,18 @@ pub struct Fewer {
 /// Compares the two bodies' curves of error against M; `None` without errors of both.
 #[must_use]
 pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer> {
-    let most = *places(initial).last()?;
-    let find = |weigh: &dyn Fn(&Observation) -> f64| -> Option<(f64, Option<(f64, f64)>)> {
-        let bar = mean_at(initial, most, weigh)?;
-        let first = places(optimised)
-            .into_iter()
-            .filter_map(|m| mean_at(optimised, m, weigh).map(|e| (m, e)))
-            .find(|&(_, e)| e < bar);
+    let clusters = clusters(initial.iter().chain(optimised));
+    let [initial, optimised] = [initial, optimised].map(|observations| Grid::new(observations, &clusters));
+    let most = *initial.places.last()?;
+    let find = |weights: &[f64]| -> Option<(f64, Option<(f64, f64)>)> {
+        let bar = (*initial.means(weights).last()?)?;
+        let means = optimised.places.iter().zip(optimised.means(weights));
+        let first = means.filter_map(|(m, mean)| Some((*m, mean?))).find(|&(_, e)| e < bar);
         Some((bar, first))
     };
-    let (initial_error, first) = find(&|_| 1.0)?;
-    let clusters: Vec<Cluster> = initial.iter().chain(optimised).map(|o| o.cluster).collect();
+    let (initial_error, first) = find(&vec![1.0; clusters.len()])?;
     let units = Resampling::new(&clusters);
-    let replicates = units.replicates(|weights| {
-        let weigh = |o: &Observation| {
-            clusters.iter().zip(&weights).find(|(c, _)| **c == o.cluster).map_or(0.0, |(_, w)| *w)
-        };
-        find(&weigh).map(|(_, first)| first.map(|(m, _)| m))
-    });
+    let replicates = units.replicates(|weights| find(&weights).map(|(_, first)| first.map(|(m, _)| m)));
     let share = first.filter(|_| !replicates.is_empty()).map(|(m, _)| {
         replicates.iter().filter(|r| r.is_some_and(|r| r <= m)).count() as f64 / replicates.len() as f64
     });
@@ -52,16 +46,6 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer
         share,
         over: units.over(),
     })
-}
-
-fn mean_at(observations: &[Observation], at: f64, weigh: &dyn Fn(&Observation) -> f64) -> Option<f64> {
-    let (mut sum, mut n) = (0.0, 0.0);
-    for o in observations.iter().filter(|o| o.at == at) {
-        let w = weigh(o);
-        sum += w * o.error.ln();
-        n += w;
-    }
-    (n > 0.0).then(|| (sum / n).exp())
 }
 
 /// Spread of the error over placements, at equal M and seed.
@@ -106,6 +90,7 @@ pub fn spread(observations: &[Observation]) -> Option<Spread> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::Cluster;
 
     fn curve(errors: &[f64], scatter: f64) -> Vec<Observation> {
         (0..4u64)

@@ -49,7 +49,7 @@ use metasense_worker::design::DesignError;
 use metasense_worker::measured::MeasuredError;
 use metasense_worker::simulate::body;
 
-pub use rows::{Format, print_rows, write_rows};
+pub use rows::{Format, RowWriter, print_rows, standard_output, write_rows};
 
 /// Trains bodies of flexible metamaterial together with the neural networks that read them, many variants at a time.
 ///

@@ -1,10 +1,11 @@
 //! `query`: SQL to a database, read-only.
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use metasense_schemas::database::VIEWS;
 
-use super::{Error, Format, print_rows, write_rows};
+use super::{Error, Format, RowWriter, print_rows, standard_output};
 use crate::exit::Exit;
 use crate::store::{Reader, Table};
 
@@ -32,19 +33,53 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let table = Reader::asked(&args.db, async |reader| match &args.sql {
-        Some(sql) => reader.query(sql).await.map_err(Error::from),
-        None => views(reader, args.format).await,
+    let Args { db, sql, format, out, .. } = args;
+    Reader::asked(&db, async |reader| {
+        let Some(sql) = &sql else {
+            return Ok(print_rows(&views(reader, format).await?, format)?);
+        };
+        let columns = reader.columns(sql).await?;
+        match out {
+            None => answer(reader, sql, &columns, standard_output(format)?, format).await,
+            Some(path) => {
+                let failed = |source| Error::Io { doing: "writing", path: path.clone(), source };
+                let file = std::fs::File::create(&path).map_err(failed)?;
+                let written = answer(reader, sql, &columns, file, format).await;
+                written.map_err(|e| if let Error::Output(source) = e { failed(source) } else { e })
+            }
+        }
     })
     .await?;
-    match args.out {
-        None => print_rows(&table, args.format)?,
-        Some(path) => {
-            let written = std::fs::File::create(&path).and_then(|file| write_rows(&table, args.format, file));
-            written.map_err(|source| Error::Io { doing: "writing", path, source })?;
-        }
-    }
     Ok(Exit::Done)
+}
+
+/// Rows that a table to read holds.
+const MOST_ROWS: usize = 10_000;
+
+/// Passes the rows on as they come.
+async fn answer(
+    reader: &mut Reader,
+    sql: &str,
+    columns: &[String],
+    out: impl Write,
+    format: Format,
+) -> Result<(), Error> {
+    let mut writer = RowWriter::new(out, format, columns)?;
+    let mut count = 0usize;
+    reader
+        .each(sql, |row| {
+            count += 1;
+            match format == Format::Table && count > MOST_ROWS {
+                true => Ok(()),
+                false => Ok::<_, Error>(writer.row(row.values())?),
+            }
+        })
+        .await?;
+    writer.end()?;
+    if format == Format::Table && count > MOST_ROWS {
+        say!("… and {} more rows: --format csv, json or parquet has all", count - MOST_ROWS);
+    }
+    Ok(())
 }
 
 /// The views; as a table to read, with their texts in lines.

@@ -1,12 +1,12 @@
 //! Rows as a table to read, as CSV, JSON or Parquet.
 
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, BufWriter, IsTerminal, Write};
 
 use clap::ValueEnum;
 use comfy_table::{CellAlignment, ContentArrangement, Table as Grid, presets};
 use serde_json::{Map, Value};
 
-use crate::export::table::parquet;
+use crate::export::table::{parquet, plain};
 use crate::store::Table;
 
 /// The form in which rows are printed.
@@ -28,39 +28,97 @@ pub enum Format {
 /// # Errors
 /// Where standard output is closed or full, or a terminal that Parquet's bytes would upset.
 pub fn print_rows(table: &Table, format: Format) -> io::Result<()> {
-    let out = io::stdout().lock();
+    write_rows(table, format, standard_output(format)?)
+}
+
+/// Standard output for rows.
+///
+/// # Errors
+/// Where it is a terminal that Parquet's bytes would upset.
+pub fn standard_output(format: Format) -> io::Result<io::Stdout> {
+    let out = io::stdout();
     if format == Format::Parquet && out.is_terminal() {
         return Err(io::Error::other("Parquet is not for a terminal: send it to a file"));
     }
-    write_rows(table, format, out)
+    Ok(out)
 }
 
 /// Writes rows.
 ///
 /// # Errors
 /// Where `out` takes no more.
-pub fn write_rows(table: &Table, format: Format, mut out: impl Write) -> io::Result<()> {
-    match format {
-        Format::Table => writeln!(out, "{}", grid(table)),
-        Format::Csv => {
-            let mut csv = csv::Writer::from_writer(out);
-            csv.write_record(&table.columns).map_err(io_error)?;
-            for row in &table.rows {
-                csv.write_record(row.iter().map(plain)).map_err(io_error)?;
+pub fn write_rows(table: &Table, format: Format, out: impl Write) -> io::Result<()> {
+    let mut rows = RowWriter::new(out, format, &table.columns)?;
+    table.rows.iter().try_for_each(|row| rows.row(row.clone()))?;
+    rows.end()
+}
+
+/// Writes rows as they come; kept until the end are those of a table to read, whose columns are as wide as their widest
+/// cell, and of Parquet, where a column's type is that of its widest value.
+pub struct RowWriter<W: Write>(Form<W>);
+
+enum Form<W: Write> {
+    Kept(W, Format, Table),
+    Csv(Box<csv::Writer<W>>),
+    Json(BufWriter<W>, Vec<String>, bool),
+}
+
+impl<W: Write> RowWriter<W> {
+    /// Of these columns.
+    ///
+    /// # Errors
+    /// Where `out` takes nothing.
+    pub fn new(out: W, format: Format, columns: &[String]) -> io::Result<Self> {
+        Ok(Self(match format {
+            Format::Table | Format::Parquet => {
+                Form::Kept(out, format, Table { columns: columns.to_vec(), rows: Vec::new() })
             }
-            csv.flush()
-        }
-        Format::Json => {
-            writeln!(out, "[")?;
-            for (i, row) in table.rows.iter().enumerate() {
-                let object: Map<String, Value> =
-                    table.columns.iter().cloned().zip(row.iter().cloned()).collect();
-                let comma = if i + 1 < table.rows.len() { "," } else { "" };
-                writeln!(out, "  {}{comma}", Value::Object(object))?;
+            Format::Csv => {
+                let mut csv = csv::Writer::from_writer(out);
+                csv.write_record(columns).map_err(io_error)?;
+                Form::Csv(Box::new(csv))
             }
-            writeln!(out, "]")
+            Format::Json => {
+                let mut out = BufWriter::new(out);
+                write!(out, "[")?;
+                Form::Json(out, columns.to_vec(), true)
+            }
+        }))
+    }
+
+    /// Adds a row.
+    ///
+    /// # Errors
+    /// Where no more is taken.
+    pub fn row(&mut self, row: Vec<Value>) -> io::Result<()> {
+        match &mut self.0 {
+            Form::Kept(.., table) => {
+                table.rows.push(row);
+                Ok(())
+            }
+            Form::Csv(csv) => csv.write_record(row.iter().map(plain)).map_err(io_error),
+            Form::Json(out, columns, first) => {
+                let object: Map<String, Value> = columns.iter().cloned().zip(row).collect();
+                let comma = if std::mem::take(first) { "" } else { "," };
+                write!(out, "{comma}\n  {}", Value::Object(object))
+            }
         }
-        Format::Parquet => out.write_all(&parquet(table)),
+    }
+
+    /// After the last row.
+    ///
+    /// # Errors
+    /// Where no more is taken.
+    pub fn end(self) -> io::Result<()> {
+        match self.0 {
+            Form::Kept(mut out, Format::Parquet, table) => out.write_all(&parquet(&table)),
+            Form::Kept(mut out, _, table) => writeln!(out, "{}", grid(&table)),
+            Form::Csv(mut csv) => csv.flush(),
+            Form::Json(mut out, ..) => {
+                writeln!(out, "\n]")?;
+                out.flush()
+            }
+        }
     }
 }
 
@@ -84,14 +142,6 @@ fn grid(table: &Table) -> Grid {
         }
     }
     grid
-}
-
-fn plain(value: &Value) -> String {
-    match value {
-        Value::Null => String::new(),
-        Value::String(text) => text.clone(),
-        other => other.to_string(),
-    }
 }
 
 /// Floats to four significant digits, the rest as it is.

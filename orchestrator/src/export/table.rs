@@ -8,15 +8,20 @@ use serde_json::Value;
 
 use crate::store::Table;
 
-/// A header line, then a line a row; numbers in full, NULL empty.
+/// A value as CSV has it: in full, nothing for NULL.
 #[must_use]
-pub fn csv(table: &Table) -> String {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    let plain = |value: &Value| match value {
+pub fn plain(value: &Value) -> String {
+    match value {
         Value::Null => String::new(),
         Value::String(text) => text.clone(),
         other => other.to_string(),
-    };
+    }
+}
+
+/// A header line, then a line a row.
+#[must_use]
+pub fn csv(table: &Table) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(&table.columns).expect("writing to memory");
     for row in &table.rows {
         writer.write_record(row.iter().map(plain)).expect("rows as long as the header");

@@ -2,7 +2,7 @@
 
 use super::figures::distinct;
 use super::plot::number;
-use crate::analysis::brains::brains;
+use crate::analysis::brains::of_each;
 use crate::analysis::data::{DESIGN, Group, SENSORS, geometric_mean, groups, observations};
 use crate::analysis::decision::{Decision, Decisions, decide};
 use crate::analysis::paired::Ratio;
@@ -24,7 +24,8 @@ const SURE: f64 = 0.95;
 pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let mut said = Vec::new();
-    let mut kinds: Vec<[String; 2]> = refs.iter().map(|t| brains(t)).collect();
+    let of_trials = of_each(&refs);
+    let mut kinds = of_trials.clone();
     kinds.sort();
     kinds.dedup();
     for (kind, (set, what)) in kinds.iter().flat_map(|kind| {
@@ -33,7 +34,8 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
             (kind, (Set::Test, "the test set that steered the body")),
         ]
     }) {
-        let refs: Vec<&Trial> = refs.iter().filter(|t| brains(t) == *kind).copied().collect();
+        let own = refs.iter().zip(&of_trials).filter(|(_, of)| *of == kind);
+        let refs: Vec<&Trial> = own.map(|(trial, _)| *trial).collect();
         let who = match (&kind[0], &kind[1]) {
             _ if kinds.len() == 1 => String::new(),
             (by, with) if by == with => format!("Trained with and read by {by}: "),

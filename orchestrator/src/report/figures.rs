@@ -43,6 +43,9 @@ pub fn legend(entries: &[(&'static str, &str)]) -> Vec<(&'static str, String)> {
     entries.iter().map(|(class, text)| (*class, (*text).to_owned())).collect()
 }
 
+/// At most so many trials of a setting have a line of their own; the data hold these.
+const MOST_LINES: usize = 200;
+
 /// At most so many plots of a kind; the data hold all.
 const MOST_PLOTS: usize = 6;
 
@@ -476,9 +479,12 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
     let mut plots = Vec::new();
     let mut rows = Vec::new();
+    let mut sparsest = 1;
     for (i, group) in groups(&refs, &[TRAINING, SENSORS, COMPLEXITY].concat()).iter().enumerate() {
         let points: Vec<(f64, f64)> = group.trials.iter().flat_map(|t| t.history.iter().copied()).collect();
-        rows.extend(group.trials.iter().flat_map(|t| {
+        let every = group.trials.len().div_ceil(MOST_LINES);
+        sparsest = sparsest.max(every);
+        rows.extend(group.trials.iter().step_by(every).flat_map(|t| {
             t.history.iter().map(|p| vec![json!(t.hash), json!(t.protocol()), json!(p.0), json!(p.1)])
         }));
         if i >= MOST_PLOTS {
@@ -489,7 +495,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
             Axis::new("CPU seconds of the outer loop", Scale::Log, points.iter().map(|p| p.0)),
             Axis::new("best test error so far (%)", Scale::Log, points.iter().map(|p| p.1)),
         );
-        for trial in &group.trials {
+        for trial in group.trials.iter().step_by(every) {
             plot.line("thin", steps(&trial.history));
         }
         let ways = groups(&group.trials, &[SENSORS, COMPLEXITY].concat());
@@ -511,10 +517,12 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     (!plots.is_empty()).then(|| Figure {
         name: "run_time",
         title: "What did the error cost in time?".into(),
-        caption: "Best test error so far of the brains inside the outer loop, against the CPU seconds that the \
-                  trial's steps took (evaluation excluded). Thin: each trial; thick: geometric mean of each way of training; the \
-                  front is what no trial beats in both."
-            .into(),
+        caption: format!(
+            "Best test error so far of the brains inside the outer loop, against the CPU seconds that the \
+             trial's steps took (evaluation excluded). Thin: each trial{}; thick: geometric mean of each way of training; the \
+             front is what no trial beats in both.",
+            if sparsest > 1 { format!(", of the many at most {MOST_LINES} a setting") } else { String::new() }
+        ),
         legend: legend(&[("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),
         plots,
         small: false,

@@ -1,6 +1,6 @@
 //! Finished trials out of a database, as the analysis takes them.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use metasense_schemas::spec::TrialSpec;
 use serde_json::Value;
@@ -8,9 +8,11 @@ use serde_json::Value;
 use super::samples::Stored;
 use super::{Story, Sweep};
 use crate::analysis::brains::Reading;
-use crate::analysis::data::{CurvePoint, flatten};
+use crate::analysis::data::CurvePoint;
+use crate::analysis::paired::{Progress, iteration_ratio};
+use crate::analysis::setting::Settings;
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
-use crate::store::{Reader, StoreError, Table};
+use crate::store::{Reader, Row, StoreError, npy_values};
 
 /// Parts of an outer step's time, as the columns of `v_step` and in words.
 const PARTS: [(&str, &str); 6] = [
@@ -22,178 +24,251 @@ const PARTS: [(&str, &str); 6] = [
     ("seconds_store", "store"),
 ];
 
-/// Values of a table by column name.
-pub(super) struct Rows {
-    columns: HashMap<String, usize>,
-    rows: Vec<Vec<Value>>,
+/// Iterations at which curves are kept, so that those of many trials fit into memory: some fifty a decade.
+fn thinned(curve: &[CurvePoint]) -> Vec<CurvePoint> {
+    let mut next = 0.0;
+    let mut kept: Vec<CurvePoint> = Vec::new();
+    for (i, point) in curve.iter().enumerate() {
+        if f64::from(point.0) >= next || i + 1 == curve.len() {
+            kept.push(*point);
+            while next <= f64::from(point.0) {
+                next = (1.047 * next).max(next + 1.0);
+            }
+        }
+    }
+    kept.shrink_to_fit();
+    kept
 }
 
-impl From<Table> for Rows {
-    fn from(table: Table) -> Self {
-        let columns = table.columns.into_iter().enumerate().map(|(i, c)| (c, i)).collect();
-        Self { columns, rows: table.rows }
-    }
-}
-
-impl Rows {
-    pub(super) fn iter(&self) -> impl Iterator<Item = Row<'_>> {
-        self.rows.iter().map(|row| Row { columns: &self.columns, row })
-    }
-}
-
-pub(super) struct Row<'a> {
-    columns: &'a HashMap<String, usize>,
-    row: &'a [Value],
-}
-
-impl Row<'_> {
-    pub(super) fn value(&self, column: &str) -> &Value {
-        &self.row[self.columns[column]]
-    }
-    pub(super) fn text(&self, column: &str) -> &str {
-        self.value(column).as_str().unwrap_or_default()
-    }
-    pub(super) fn number(&self, column: &str) -> Option<f64> {
-        self.value(column).as_f64()
-    }
-    pub(super) fn count(&self, column: &str) -> u64 {
-        self.value(column).as_u64().unwrap_or_default()
-    }
-}
-
-/// Reads every trial that is done, in the order in which the trials were planned.
+/// Reads every trial that is done, in the order in which the trials were planned. Rows are taken as they come; what a
+/// trial keeps of its steps and curves is what the analysis asks of them.
 ///
 /// # Errors
 /// Where the database cannot be read, or holds what this program cannot.
 pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreError> {
-    let rows: Rows = reader
-        .query(
-            "SELECT hash, spec, panels, sensors, placement, seed, units, design_parameters, error_initial,
+    let (mut trials, mut places) = (Vec::new(), HashMap::new());
+    let mut settings = Settings::default();
+    reader
+        .each(
+            "SELECT id, hash, spec, panels, sensors, placement, seed, units, design_parameters, error_initial,
                error_optimised, holdout_error_initial, holdout_error_optimised, seconds_evaluation,
-               nonlinear_acceleration_initial, nonlinear_rotation_initial, nonlinear_acceleration_optimised,
-               nonlinear_rotation_optimised
-             FROM v_trial WHERE state = 'done' ORDER BY panels, design_parameters, sensors, placement, seed, hash",
+               result->>'$.nonlinear[0][0]' AS nonlinear_acceleration_initial,
+               result->>'$.nonlinear[0][1]' AS nonlinear_rotation_initial,
+               result->>'$.nonlinear[1][0]' AS nonlinear_acceleration_optimised,
+               result->>'$.nonlinear[1][1]' AS nonlinear_rotation_optimised
+             FROM trial WHERE state = 'done' ORDER BY panels, design_parameters, sensors, placement, seed, hash",
+            |row| {
+                let hash = row.text("hash").to_owned();
+                let spec: Value = serde_json::from_str(row.text("spec")).map_err(|e| StoreError::Unreadable {
+                    hash: hash.clone(),
+                    what: "spec",
+                    message: e.to_string(),
+                })?;
+                places.insert(row.count("id"), trials.len());
+                trials.push(Trial {
+                    setting: settings.of(&spec),
+                    panels: row.count("panels"),
+                    sensors: row.count("sensors"),
+                    cluster: Cluster { placement: row.count("placement"), seed: row.count("seed") },
+                    units: row.count("units"),
+                    design_parameters: row.count("design_parameters"),
+                    errors: [
+                        [row.number("error_initial"), row.number("holdout_error_initial")],
+                        [row.number("error_optimised"), row.number("holdout_error_optimised")],
+                    ],
+                    nonlinear: Body::ALL.map(|body| {
+                        ["acceleration", "rotation"]
+                            .map(|kind| row.number(&format!("nonlinear_{kind}_{}", body.name())))
+                    }),
+                    seconds: vec![("evaluate", row.number("seconds_evaluation").unwrap_or(0.0))],
+                    hash,
+                    ..Trial::default()
+                });
+                Ok::<_, StoreError>(())
+            },
         )
-        .await?
-        .into();
-    let mut trials = Vec::new();
-    for row in rows.iter() {
-        let hash = row.text("hash").to_owned();
-        let spec: Value = serde_json::from_str(row.text("spec")).map_err(|e| StoreError::Unreadable {
-            hash: hash.clone(),
-            what: "spec",
-            message: e.to_string(),
-        })?;
-        trials.push(Trial {
-            setting: flatten(&spec),
-            panels: row.count("panels"),
-            sensors: row.count("sensors"),
-            cluster: Cluster { placement: row.count("placement"), seed: row.count("seed") },
-            units: row.count("units"),
-            design_parameters: row.count("design_parameters"),
-            errors: [
-                [row.number("error_initial"), row.number("holdout_error_initial")],
-                [row.number("error_optimised"), row.number("holdout_error_optimised")],
-            ],
-            nonlinear: Body::ALL.map(|body| {
-                ["acceleration", "rotation"]
-                    .map(|kind| row.number(&format!("nonlinear_{kind}_{}", body.name())))
-            }),
-            seconds: vec![("evaluate", row.number("seconds_evaluation").unwrap_or(0.0))],
-            hash,
-            ..Trial::default()
-        });
-    }
-    let places: HashMap<String, usize> =
-        trials.iter().enumerate().map(|(i, t)| (t.hash.clone(), i)).collect();
-    add_histories(reader, &mut trials, &places).await?;
-    add_curves(reader, &mut trials, &places, "losses_", |t| &mut t.curves).await?;
-    add_curves(reader, &mut trials, &places, "long_losses_", |t| &mut t.long_curves).await?;
-    add_error_curves(reader, &mut trials, &places).await?;
-    add_long_errors(reader, &mut trials, &places).await?;
-    add_readings(reader, &mut trials, &places).await?;
+        .await?;
+    let mut loader = Loader { reader, trials: &mut trials, places: &places };
+    loader.histories().await?;
+    loader.seconds().await?;
+    loader.losses("losses_", |t| &mut t.curves, true).await?;
+    loader.losses("long_losses_", |t| &mut t.long_curves, false).await?;
+    loader.error_curves().await?;
+    loader.long_errors().await?;
+    loader.readings().await?;
     Ok(trials)
 }
 
-async fn add_readings(
-    reader: &mut Reader,
-    trials: &mut [Trial],
-    places: &HashMap<String, usize>,
-) -> Result<(), StoreError> {
-    let rows: Rows = reader
-        .query(
-            "SELECT hash, body, before, after, whole, error_test, error_holdout FROM v_reading
-             ORDER BY hash, whole DESC, before, after, body",
-        )
-        .await?
-        .into();
-    for row in rows.iter() {
-        let (Some(&i), Some(body)) = (places.get(row.text("hash")), body_named(row.text("body"))) else {
-            continue;
-        };
-        let memory = ["before", "after"].map(|column| row.number(column).unwrap_or(0.0));
-        let readings = &mut trials[i].readings;
-        if readings.last().is_none_or(|last| last.memory != memory) {
-            let whole = row.count("whole") == 1;
-            readings.push(Reading { memory, whole, ..Reading::default() });
-        }
-        let last = readings.len() - 1;
-        readings[last].errors[body as usize] = [row.number("error_test"), row.number("error_holdout")];
-    }
-    Ok(())
+/// Adds to trials that are there, by their numbers in the database.
+struct Loader<'a> {
+    reader: &'a mut Reader,
+    trials: &'a mut [Trial],
+    places: &'a HashMap<u64, usize>,
 }
 
-async fn add_histories(
-    reader: &mut Reader,
-    trials: &mut [Trial],
-    places: &HashMap<String, usize>,
-) -> Result<(), StoreError> {
-    let rows: Rows = reader
-        .query("SELECT hash, seconds, best_error_test FROM v_error_time ORDER BY hash, step")
-        .await?
-        .into();
-    for row in rows.iter() {
-        if let (Some(&i), Some(seconds), Some(error)) =
-            (places.get(row.text("hash")), row.number("seconds"), row.number("best_error_test"))
-        {
-            trials[i].history.push((seconds, error));
-        }
+impl Loader<'_> {
+    async fn each(
+        &mut self,
+        sql: &str,
+        mut add: impl FnMut(&mut Trial, &Row<'_>) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let (trials, places) = (&mut *self.trials, self.places);
+        self.reader
+            .each(sql, |row| match places.get(&row.count("trial_id")) {
+                Some(&place) => add(&mut trials[place], row),
+                None => Ok(()),
+            })
+            .await
     }
-    let sums = PARTS.map(|(column, _)| format!("sum({column}) AS {column}")).join(", ");
-    let rows: Rows = reader.query(&format!("SELECT hash, {sums} FROM v_step GROUP BY hash")).await?.into();
-    for row in rows.iter() {
-        if let Some(&i) = places.get(row.text("hash")) {
-            let evaluate = trials[i].seconds.pop();
-            trials[i].seconds =
-                PARTS.iter().map(|(column, part)| (*part, row.number(column).unwrap_or(0.0))).collect();
-            trials[i].seconds.extend(evaluate);
-        }
-    }
-    Ok(())
-}
 
-/// Whole curves where they are kept.
-async fn add_curves(
-    reader: &mut Reader,
-    trials: &mut [Trial],
-    places: &HashMap<String, usize>,
-    prefix: &str,
-    curves: fn(&mut Trial) -> &mut [Vec<Vec<CurvePoint>>; 2],
-) -> Result<(), StoreError> {
-    for artifact in reader.artifacts(&format!("{prefix}%")).await? {
-        let Some(&i) = places.get(&artifact.hash) else { continue };
-        let name = artifact.name.trim_start_matches(prefix);
-        let Some((body, network)) =
-            name.rsplit_once('_').and_then(|(b, n)| Some((b, n.parse::<usize>().ok()?)))
-        else {
-            continue;
-        };
-        let Some(body) = body_named(body) else { continue };
-        let curve: Vec<CurvePoint> =
-            artifact.values::<f32>()?.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
-        *of_network(&mut curves(&mut trials[i])[body as usize], network) = curve;
+    /// Steps that make the best error better, and the last one.
+    async fn histories(&mut self) -> Result<(), StoreError> {
+        let [sum, in_order] =
+            [PARTS.map(|(column, _)| column).join(" + "), "PARTITION BY trial_id ORDER BY step".to_owned()];
+        let sql = format!(
+            "SELECT trial_id, seconds, best FROM
+               (SELECT *, lag(best) OVER o AS before, lead(step) OVER o AS after FROM
+                 (SELECT trial_id, step, sum({sum}) OVER w AS seconds, min(error_test) OVER w AS best FROM step
+                  WINDOW w AS ({in_order} ROWS UNBOUNDED PRECEDING))
+                WINDOW o AS ({in_order}))
+             WHERE best < before OR before IS NULL OR after IS NULL"
+        );
+        self.each(&sql, |trial, row| {
+            if let (Some(seconds), Some(best)) = (row.number("seconds"), row.number("best")) {
+                trial.history.push((seconds, best));
+            }
+            Ok(())
+        })
+        .await
     }
-    Ok(())
+
+    async fn seconds(&mut self) -> Result<(), StoreError> {
+        let sums = PARTS.map(|(column, _)| format!("sum({column}) AS {column}")).join(", ");
+        self.each(&format!("SELECT trial_id, {sums} FROM step GROUP BY trial_id"), |trial, row| {
+            let parts = PARTS.iter().map(|(column, part)| (*part, row.number(column).unwrap_or(0.0)));
+            trial.seconds.splice(0..0, parts);
+            Ok(())
+        })
+        .await
+    }
+
+    /// Training losses, from the whole curves where they are kept; `compared`: bodies' networks of one seed with each other.
+    async fn losses(
+        &mut self,
+        prefix: &str,
+        curves: fn(&mut Trial) -> &mut [Vec<Vec<CurvePoint>>; 2],
+        compared: bool,
+    ) -> Result<(), StoreError> {
+        let sql = format!(
+            "SELECT trial_id, name, bytes FROM artifact
+             WHERE name BETWEEN '{prefix}' AND '{prefix}~' ORDER BY trial_id, name"
+        );
+        // Initial bodies' come before optimised ones'.
+        let mut waiting: BTreeMap<usize, Vec<CurvePoint>> = BTreeMap::new();
+        let mut of = String::new();
+        self.each(&sql, |trial, row| {
+            if of != trial.hash {
+                waiting.clear();
+                of.clone_from(&trial.hash);
+            }
+            let name = row.text("name").trim_start_matches(prefix);
+            let numbered =
+                name.rsplit_once('_').and_then(|(b, n)| Some((body_named(b)?, n.parse::<usize>().ok()?)));
+            let Some((body, network)) = numbered else { return Ok(()) };
+            let losses = npy_values::<f32>(row.bytes("bytes")).map_err(|e| StoreError::Unreadable {
+                hash: trial.hash.clone(),
+                what: "array",
+                message: format!("{}: {e}", row.text("name")),
+            })?;
+            let curve: Vec<CurvePoint> =
+                losses.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
+            *of_network(&mut curves(trial)[body as usize], network) = thinned(&curve);
+            match body {
+                Body::Initial => drop(waiting.insert(network, curve)),
+                Body::Optimised if compared => {
+                    let ratio = waiting.get(&network).and_then(|initial| iteration_ratio(initial, &curve));
+                    trial.iterations[Progress::Loss as usize].extend(ratio);
+                }
+                Body::Optimised => {}
+            }
+            Ok(())
+        })
+        .await
+    }
+
+    /// Errors on the way of ordinary training: a row a network, as one a point takes far longer.
+    async fn error_curves(&mut self) -> Result<(), StoreError> {
+        let sql = "SELECT trial_id, body, network, group_concat(iteration || ' ' || printf('%!.17g', error_holdout), ' ') AS points
+             FROM curve WHERE error_holdout IS NOT NULL GROUP BY trial_id, body, network";
+        let mut initial: Vec<Vec<CurvePoint>> = Vec::new();
+        let mut of = String::new();
+        self.each(sql, |trial, row| {
+            if of != trial.hash {
+                initial.clear();
+                of.clone_from(&trial.hash);
+            }
+            let (Some(body), network) = (body_named(row.text("body")), row.count("network")) else {
+                return Ok(());
+            };
+            let ordinary = trial.setting.get("evaluation.seeds").and_then(Value::as_u64).unwrap_or_default();
+            if network >= ordinary {
+                return Ok(());
+            }
+            let mut words = row.text("points").split(' ');
+            let mut curve: Vec<CurvePoint> = Vec::new();
+            while let (Some(n), Some(error)) = (words.next(), words.next()) {
+                curve.extend(n.parse().ok().zip(error.parse().ok()));
+            }
+            curve.sort_unstable_by_key(|point| point.0);
+            let network = network as usize;
+            *of_network(&mut trial.error_curves[body as usize], network) = thinned(&curve);
+            match body {
+                Body::Initial => *of_network(&mut initial, network) = curve,
+                Body::Optimised => {
+                    let ratio = initial.get(network).and_then(|initial| iteration_ratio(initial, &curve));
+                    trial.iterations[Progress::Error as usize].extend(ratio);
+                }
+            }
+            Ok(())
+        })
+        .await
+    }
+
+    /// Means over the networks that were trained long: those after the evaluation's ordinary ones.
+    async fn long_errors(&mut self) -> Result<(), StoreError> {
+        let sql = "SELECT n.trial_id, n.body, avg(n.error_test) AS test, avg(n.error_holdout) AS holdout
+             FROM network n JOIN trial t ON t.id = n.trial_id
+             WHERE n.network >= t.spec->>'$.evaluation.seeds' AND t.spec->>'$.evaluation.long_iterations' > 0
+             GROUP BY n.trial_id, n.body";
+        self.each(sql, |trial, row| {
+            if let Some(body) = body_named(row.text("body")) {
+                trial.long_errors[body as usize] = [row.number("test"), row.number("holdout")];
+            }
+            Ok(())
+        })
+        .await
+    }
+
+    async fn readings(&mut self) -> Result<(), StoreError> {
+        let sql = "SELECT r.trial_id, r.body, r.whole, r.error_test, r.error_holdout,
+               r.before * (t.spec->>'$.time.duration') / (t.spec->>'$.time.samples') AS before,
+               r.after * (t.spec->>'$.time.duration') / (t.spec->>'$.time.samples') AS after
+             FROM reading r JOIN trial t ON t.id = r.trial_id
+             ORDER BY r.trial_id, r.whole DESC, r.before, r.after, r.body";
+        self.each(sql, |trial, row| {
+            let Some(body) = body_named(row.text("body")) else { return Ok(()) };
+            let memory = ["before", "after"].map(|column| row.number(column).unwrap_or(0.0));
+            if trial.readings.last().is_none_or(|last| last.memory != memory) {
+                let whole = row.count("whole") == 1;
+                trial.readings.push(Reading { memory, whole, ..Reading::default() });
+            }
+            let last = trial.readings.len() - 1;
+            trial.readings[last].errors[body as usize] =
+                [row.number("error_test"), row.number("error_holdout")];
+            Ok(())
+        })
+        .await
+    }
 }
 
 fn body_named(name: &str) -> Option<Body> {
@@ -207,67 +282,21 @@ fn of_network(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<Cur
     &mut curves[network]
 }
 
-/// Errors on the way of ordinary training.
-async fn add_error_curves(
-    reader: &mut Reader,
-    trials: &mut [Trial],
-    places: &HashMap<String, usize>,
-) -> Result<(), StoreError> {
-    let rows: Rows = reader
-        .query(
-            "SELECT c.hash, c.body, c.network, c.iteration, c.error_holdout
-             FROM v_curve c JOIN v_trial t USING (hash)
-             WHERE c.error_holdout IS NOT NULL AND c.network < t.spec->>'$.evaluation.seeds'
-             ORDER BY c.hash, c.body, c.network, c.iteration",
-        )
-        .await?
-        .into();
-    for row in rows.iter() {
-        let numbers = ["network", "iteration", "error_holdout"].map(|column| row.number(column));
-        if let (Some(&i), Some(body), [Some(network), Some(iteration), Some(error)]) =
-            (places.get(row.text("hash")), body_named(row.text("body")), numbers)
-        {
-            let curves = &mut trials[i].error_curves[body as usize];
-            of_network(curves, network as usize).push((iteration as u32, error));
-        }
-    }
-    Ok(())
-}
-
-/// Means over the networks that were trained long: those after the evaluation's ordinary ones.
-async fn add_long_errors(
-    reader: &mut Reader,
-    trials: &mut [Trial],
-    places: &HashMap<String, usize>,
-) -> Result<(), StoreError> {
-    let rows: Rows = reader
-        .query(
-            "SELECT n.hash, n.body, avg(n.error_test) AS test, avg(n.error_holdout) AS holdout
-             FROM v_network n JOIN v_trial t USING (hash)
-             WHERE n.network >= t.spec->>'$.evaluation.seeds' AND t.spec->>'$.evaluation.long_iterations' > 0
-             GROUP BY n.hash, n.body",
-        )
-        .await?
-        .into();
-    for row in rows.iter() {
-        let body = body_named(row.text("body"));
-        if let (Some(&i), Some(body)) = (places.get(row.text("hash")), body) {
-            trials[i].long_errors[body as usize] = [row.number("test"), row.number("holdout")];
-        }
-    }
-    Ok(())
-}
-
 /// Reads all that a report tells; `trial` names the one to be replayed (the beginning of its hash is enough).
 ///
 /// # Errors
 /// Where the database cannot be read, or does not hold the trial whole.
 pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Result<Story, StoreError> {
     let trials = finished_trials(reader).await?;
-    let sweeps: Rows = reader
-        .query("SELECT name, text, version, created_at FROM sweep ORDER BY created_at, name")
-        .await?
-        .into();
+    let mut sweeps = Vec::new();
+    reader
+        .each("SELECT name, text, version, created_at FROM sweep ORDER BY created_at, name", |row| {
+            let text = |column| row.text(column).to_owned();
+            let [name, text, version, created_at] = ["name", "text", "version", "created_at"].map(text);
+            sweeps.push(Sweep { name, text, version, created_at });
+            Ok::<_, StoreError>(())
+        })
+        .await?;
     let settled = reader
         .query(
             "SELECT hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,
@@ -283,23 +312,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
         Some(hash) => stored(reader, &hash).await?,
         None => None,
     };
-    let text = |row: &Row, column| row.text(column).to_owned();
-    Ok(Story {
-        sweeps: sweeps
-            .iter()
-            .map(|r| Sweep {
-                name: text(&r, "name"),
-                text: text(&r, "text"),
-                version: text(&r, "version"),
-                created_at: text(&r, "created_at"),
-            })
-            .collect(),
-        settled,
-        trials,
-        made: reader.made().await?,
-        stored,
-        terms,
-    })
+    Ok(Story { sweeps, settled, trials, made: reader.made().await?, stored, terms })
 }
 
 /// The trial whose ratio of holdout errors is nearest to the mean of all; none that began as a random body.
@@ -319,27 +332,31 @@ fn typical(trials: &[Trial]) -> Option<&Trial> {
 /// Where there is no such trial, or what is stored of it cannot be read.
 pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, StoreError> {
     let quoted = reader.hash_of(hash).await?.replace('\'', "''");
-    let sql = format!(
-        "SELECT hash, spec, state, sensor_units, sensor_units_optimised FROM v_trial WHERE hash = '{quoted}'"
-    );
-    let rows: Rows = reader.query(&sql).await?.into();
-    let Some(row) = rows.iter().next() else {
+    let columns = ["hash", "state", "spec", "sensor_units", "sensor_units_optimised"];
+    let sql = format!("SELECT {} FROM v_trial WHERE hash = '{quoted}'", columns.join(", "));
+    let mut found = None;
+    reader
+        .each(&sql, |row| {
+            found = Some(columns.map(|column| row.text(column).to_owned()));
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+    let Some([hash, state, spec, units, units_optimised]) = found else {
         return Err(StoreError::UnknownTrial { path: reader.path().to_owned(), hash: hash.to_owned() });
     };
-    if row.text("state") != "done" {
+    if state != "done" {
         return Ok(None);
     }
-    let hash = row.text("hash").to_owned();
     let unreadable = |what| {
         let hash = hash.clone();
         move |e: serde_json::Error| StoreError::Unreadable { hash, what, message: e.to_string() }
     };
-    let spec: TrialSpec = serde_json::from_str(row.text("spec")).map_err(unreadable("spec"))?;
-    let heard = |column: &'static str| -> Result<TrialSpec, StoreError> {
-        let sensor_units = serde_json::from_str(row.text(column)).map_err(unreadable(column))?;
+    let spec: TrialSpec = serde_json::from_str(&spec).map_err(unreadable("spec"))?;
+    let heard = |units: &str| -> Result<TrialSpec, StoreError> {
+        let sensor_units = serde_json::from_str(units).map_err(unreadable("sensor_units"))?;
         Ok(TrialSpec { sensor_units, ..spec.clone() })
     };
-    let specs = [heard("sensor_units")?, heard("sensor_units_optimised")?];
+    let specs = [heard(&units)?, heard(&units_optimised)?];
     let mut stored = Stored {
         hash,
         specs,

@@ -138,7 +138,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
     let _ = write!(
         content,
         "<h2>Trials</h2>{}{}",
-        table_html(&story.settled),
+        table_html(&story.settled) + &beyond(&story.settled),
         download("trials", &story.settled)
     );
     content.push_str(&provenance(story));
@@ -257,6 +257,17 @@ fn rounded(value: f64) -> f64 {
     format!("{value:.6e}").parse().unwrap_or(value)
 }
 
+/// Rows of a table that the page shows; its data hold all.
+const MOST_ROWS: usize = 1000;
+
+/// How many rows a table has beyond those.
+fn beyond(table: &Table) -> String {
+    match table.rows.len().checked_sub(MOST_ROWS) {
+        None | Some(0) => String::new(),
+        Some(more) => format!("<p class=\"quiet\">… and {more} more, in the data.</p>"),
+    }
+}
+
 fn table_html(table: &Table) -> String {
     let text: Vec<bool> =
         (0..table.columns.len()).map(|i| table.rows.iter().any(|r| r[i].is_string())).collect();
@@ -267,7 +278,7 @@ fn table_html(table: &Table) -> String {
     }
     html.push_str("</tr></thead><tbody>");
     let state = table.columns.iter().position(|c| c == "state");
-    for row in &table.rows {
+    for row in table.rows.iter().take(MOST_ROWS) {
         let failed = state.is_some_and(|i| row[i] == "failed");
         html.push_str(if failed { "<tr class=\"failed\">" } else { "<tr>" });
         for (value, text) in row.iter().zip(&text) {

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use serde_json::Value;
 
 use super::{Reader, StoreError};
-use crate::analysis::data::flatten;
+use crate::analysis::setting::flatten;
 use crate::provenance::Made;
 
 /// The trial of a database that differs least from another.

@@ -326,22 +326,6 @@ impl Reader {
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
         Ok(rows.into_iter().map(|(hash, name, bytes)| Artifact { hash, name, bytes }).collect())
     }
-
-    /// The stored arrays whose names are LIKE a pattern (`losses_%`), by trial and name.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
-    pub async fn artifacts(&mut self, pattern: &str) -> Result<Vec<Artifact>, StoreError> {
-        let rows: Vec<(String, String, Vec<u8>)> = sqlx::query_as(
-            "SELECT t.hash, a.name, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id
-             WHERE a.name LIKE ? ORDER BY t.hash, a.name",
-        )
-        .bind(pattern)
-        .fetch_all(&mut self.connection)
-        .await
-        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        Ok(rows.into_iter().map(|(hash, name, bytes)| Artifact { hash, name, bytes }).collect())
-    }
 }
 
 /// What SQLite says of a statement that a person has put.

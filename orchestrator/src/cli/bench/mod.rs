@@ -1,5 +1,6 @@
 //! `bench`: how fast, in rows that can be compared over the years.
 
+mod answers;
 mod brain;
 mod dynamics;
 mod engine;
@@ -35,6 +36,7 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum What {
+    Answers(answers::Args),
     Brain(brain::Args),
     Dynamics(dynamics::Args),
     Engine(engine::Args),
@@ -48,6 +50,7 @@ enum What {
 pub async fn execute(args: Args) -> Result<Exit, Error> {
     args.simd.choose()?;
     match args.what {
+        What::Answers(args) => answers::execute(args).await,
         What::Brain(args) => brain::execute(&args),
         What::Dynamics(args) => dynamics::execute(&args),
         What::Engine(args) => engine::execute(args).await,

@@ -1,0 +1,113 @@
+//! Everything that a trial is, by path. Trials of a sweep share most of it, and hold it once.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+
+use serde_json::Value;
+
+/// Values by path (`body.columns`), as the spec says them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Setting {
+    shared: Arc<BTreeMap<String, Value>>,
+    own: BTreeMap<String, Value>,
+}
+
+/// What differs from trial to trial in most sweeps.
+const OWN: &[&str] =
+    &["point.panels", "point.sensors", "point.placement", "point.seed", "sensor_units", "panel_units"];
+
+impl Setting {
+    /// The value at a path.
+    #[must_use]
+    pub fn get(&self, path: &str) -> Option<&Value> {
+        self.own.get(path).or_else(|| self.shared.get(path))
+    }
+
+    /// Whether there is one.
+    #[must_use]
+    pub fn contains_key(&self, path: &str) -> bool {
+        self.get(path).is_some()
+    }
+
+    /// All of them, by path.
+    #[must_use]
+    pub fn leaves(&self) -> BTreeMap<&str, &Value> {
+        self.shared.iter().chain(&self.own).map(|(path, value)| (path.as_str(), value)).collect()
+    }
+
+    /// What it may share with others: equal, if the very same.
+    pub(super) fn shared(&self) -> &Arc<BTreeMap<String, Value>> {
+        &self.shared
+    }
+
+    /// What it has for itself.
+    pub(super) fn own(&self) -> &BTreeMap<String, Value> {
+        &self.own
+    }
+}
+
+/// All of it its own.
+impl FromIterator<(String, Value)> for Setting {
+    fn from_iter<I: IntoIterator<Item = (String, Value)>>(leaves: I) -> Self {
+        Self { shared: Arc::default(), own: leaves.into_iter().collect() }
+    }
+}
+
+/// Keeps what settings share.
+#[derive(Debug, Default)]
+pub struct Settings {
+    known: HashMap<String, Arc<BTreeMap<String, Value>>>,
+}
+
+impl Settings {
+    /// The setting of a trial, from its spec.
+    pub fn of(&mut self, spec: &Value) -> Setting {
+        let (own, shared): (BTreeMap<_, _>, BTreeMap<_, _>) =
+            flatten(spec).into_iter().partition(|(path, _)| OWN.contains(&path.as_str()));
+        let name = serde_json::to_string(&shared).expect("values are JSON");
+        Setting { shared: Arc::clone(self.known.entry(name).or_insert_with(|| Arc::new(shared))), own }
+    }
+}
+
+/// A JSON object's leaves by path.
+#[must_use]
+pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
+    fn walk(path: &str, value: &Value, leaves: &mut BTreeMap<String, Value>) {
+        match value {
+            Value::Object(map) => {
+                for (key, value) in map {
+                    let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                    walk(&path, value, leaves);
+                }
+            }
+            other => drop(leaves.insert(path.to_owned(), other.clone())),
+        }
+    }
+    let mut leaves = BTreeMap::new();
+    walk("", value, &mut leaves);
+    leaves
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn trials_that_differ_in_their_point_share_the_rest() {
+        let mut settings = Settings::default();
+        let mut of = |seed: u64, columns: u64| {
+            settings.of(&json!({"body": {"columns": columns}, "point": {"seed": seed}}))
+        };
+        let [a, b, c] = [of(1, 6), of(2, 6), of(2, 8)];
+        assert!(Arc::ptr_eq(&a.shared, &b.shared) && !Arc::ptr_eq(&b.shared, &c.shared));
+        assert_eq!(
+            (b.get("point.seed"), b.get("body.columns"), b.get("x")),
+            (Some(&json!(2)), Some(&json!(6)), None)
+        );
+        assert_eq!(
+            c.leaves().into_iter().collect::<Vec<_>>(),
+            [("body.columns", &json!(8)), ("point.seed", &json!(2))]
+        );
+    }
+}

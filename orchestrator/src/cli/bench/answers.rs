@@ -1,0 +1,165 @@
+//! `bench answers`: what `status`, `query`, `analyse` and `report` cost on a large database.
+//!
+//! It decides how many trials one database can be asked about. Its trials are made up, planned from a real spec: five M in
+//! twenty placements at ten seeds are a thousand, of one size after another.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
+
+use super::super::Error;
+use crate::exit::Exit;
+use crate::plan::Plan;
+use crate::store::{Store, StoreError, npy_bytes};
+
+/// Seconds and peak memory of what is asked of databases with many trials.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Trials of each database, in thousands.
+    #[arg(long, value_delimiter = ',', default_value = "1,10")]
+    thousands: Vec<usize>,
+    /// Outer steps of a trial.
+    #[arg(long, default_value_t = 100)]
+    steps: u32,
+    /// Iterations of a brain, and points of its losses.
+    #[arg(long, default_value_t = 500)]
+    iterations: u32,
+    /// Where the databases are made, and removed again.
+    #[arg(long, default_value = "results", value_name = "DIR")]
+    folder: PathBuf,
+}
+
+pub async fn execute(args: Args) -> Result<Exit, Error> {
+    let folder = args.folder.join(format!("bench-answers-{}", std::process::id()));
+    let measured = measure(&args, &folder).await;
+    let _ = std::fs::remove_dir_all(&folder);
+    measured
+}
+
+async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
+    for &thousands in &args.thousands {
+        let db = folder.join(format!("{thousands}.sqlite"));
+        make(&db, thousands, args).await?;
+        let page = db.with_extension("html");
+        let (db, page) = (db.to_string_lossy(), page.to_string_lossy());
+        for what in [
+            &["status", &*db][..],
+            &["query", &*db, "SELECT * FROM v_trial", "--format", "csv"],
+            &["query", &*db, "SELECT * FROM v_step", "--format", "csv"],
+            &["analyse", &*db],
+            &["report", &*db, "--out", &*page],
+        ] {
+            let (seconds, mib) = asked(what)?;
+            let row = json!({
+                "bench": "answers", "trials": 1000 * thousands, "steps": args.steps, "iterations": args.iterations,
+                "asked": what.iter().filter(|word| **word != db && **word != page).copied().collect::<Vec<_>>().join(" "),
+                "seconds": seconds, "peak_mib": mib, "version": env!("CARGO_PKG_VERSION"),
+            });
+            print_line!("{row}")?;
+        }
+    }
+    Ok(Exit::Done)
+}
+
+/// Seconds by the wall clock, and the most memory (MiB) that the process had.
+fn asked(arguments: &[&str]) -> Result<(f64, f64), Error> {
+    let failed = |source| Error::Io { doing: "asking by", path: arguments.join(" ").into(), source };
+    let began = Instant::now();
+    let (null, quiet) = (Stdio::null(), Stdio::null());
+    let mut command = Command::new("/proc/self/exe");
+    let mut child = command.args(arguments).stdout(null).stderr(quiet).spawn().map_err(failed)?;
+    let (status, mut most) = (format!("/proc/{}/status", child.id()), 0.0f64);
+    loop {
+        let line = std::fs::read_to_string(&status).unwrap_or_default();
+        let peak = line
+            .lines()
+            .find_map(|line| line.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse().ok());
+        most = most.max(peak.unwrap_or(0.0));
+        match child.try_wait().map_err(failed)? {
+            Some(ended) if ended.success() => return Ok((began.elapsed().as_secs_f64(), most / 1024.0)),
+            Some(ended) => return Err(failed(std::io::Error::other(ended.to_string()))),
+            None => std::thread::sleep(Duration::from_millis(5)),
+        }
+    }
+}
+
+/// A database whose trials are done; errors fall with M and by training, by laws of their own.
+async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
+    let lengths: Vec<String> =
+        (0..thousands).map(|i| format!("{:.4}", 2.0 + 0.5 * i as f64 / thousands as f64)).collect();
+    let Args { steps, iterations, .. } = args;
+    let text = format!(
+        "name = \"bench-answers\"\n[body]\ncolumns = 8\nrows = 6\nspacing = 15.0\nligament_length = 2.25\ndensity = 1e-8\n\
+         stiffness = {{ stretch = 3.0, shear = 0.5, bend = 1.0 }}\n[stimuli]\nkind = \"bell\"\n[brain]\niterations = {iterations}\n\
+         [optimise]\niterations = {steps}\n[sweep]\npanels = [4]\nsensors = [1, 2, 3, 4, 5]\nplacements = 20\n\
+         seeds = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\n\"body.ligament_length\" = [{}]\n",
+        lengths.join(", ")
+    );
+    let plan = Plan::new(file, text)?;
+    let mut store = Store::open(file).await?;
+    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
+    store.close().await?;
+    let at = |source| Error::Store(StoreError::sql(file, "making", source));
+    let options = SqliteConnectOptions::new().filename(file).pragma("synchronous", "OFF");
+    let mut db = options.disable_statement_logging().connect().await.map_err(at)?;
+    let count = |n: u32| {
+        format!("WITH RECURSIVE n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i + 1 < {n})")
+    };
+    // noise of a trial, ± 10 %
+    let noise = "(1.0 + 0.2 * ((t.id * 7919) % 101) / 101.0 - 0.1)";
+    let sql = [
+        "PRAGMA journal_mode = DELETE; BEGIN".to_owned(),
+        format!(
+            "UPDATE trial AS t SET state = 'done', error_initial = 40.0 / (1 + 0.3 * sensors) * {noise},
+               error_optimised = 40.0 / (1 + 2.0 * min(sensors, 2) + 0.1 * sensors) * {noise}, best_step = {steps} - 1,
+               seconds_evaluation = 3.0, simd = 'avx2', solver = 'nystrom6', result = '{{}}',
+               finished_at = '2026-01-01T00:00:00.000Z'"
+        ),
+        "UPDATE trial SET holdout_error_initial = 1.05 * error_initial, holdout_error_optimised = 1.05 * error_optimised,
+           train_error_initial = error_initial, train_error_optimised = error_optimised"
+            .to_owned(),
+        format!(
+            "INSERT INTO attempt (trial_id, number, state, steps, version, started_at, ended_at, code)
+             SELECT id, 1, 'done', {steps}, '0', '2026-01-01T00:00:00.000Z', '2026-01-01T00:00:00.000Z', 'made up' FROM trial"
+        ),
+        format!(
+            "{} INSERT INTO step SELECT t.id, n.i, 1, 1.0, 1.0, t.error_optimised * (1 + 4.0 / (1 + n.i)) * {noise}, 1.0, 1.0, 1.0,
+               'projected', 0.1, NULL, NULL, NULL, NULL, 'ok', 64, 1000000, 100000, 1000, 10, 0, 20,
+               0.3, 0.2, 0.4, 0.0, 0.01, 0.001, '2026-01-01T00:00:00.000Z' FROM trial t CROSS JOIN n",
+            count(*steps)
+        ),
+        format!(
+            "INSERT INTO network SELECT t.id, value, 0, 10.0, 10.0, 10.0, {iterations}, 'ok'
+             FROM trial t, json_each('[\"initial\", \"optimised\"]')"
+        ),
+        format!(
+            "{} INSERT INTO curve SELECT t.id, value, 0, n.i + 1, 0.5, t.error_initial * (1 + 9.0 / (1 + n.i)) * {noise}
+             FROM trial t CROSS JOIN json_each('[\"initial\", \"optimised\"]') CROSS JOIN n",
+            count((*iterations).min(200))
+        ),
+        format!(
+            "{} INSERT INTO reading SELECT t.id, value, n.i, n.i, n.i = 5, 1e-3, 10.0, t.error_initial, t.error_initial
+             FROM trial t CROSS JOIN json_each('[\"initial\", \"optimised\"]') CROSS JOIN n",
+            count(6)
+        ),
+    ]
+    .join(";\n");
+    // Our own text and numbers only.
+    db.execute(AssertSqlSafe(sql)).await.map_err(at)?;
+    let losses: Vec<f32> = (0..*iterations).map(|n| 0.5 * (1.0 + n as f32).powf(-0.6)).collect();
+    sqlx::query(
+        "INSERT INTO artifact SELECT t.id, 'losses_' || value || '_0', ?1, ?2
+         FROM trial t, json_each('[\"initial\", \"optimised\"]')",
+    )
+    .bind(format!("[{iterations}]"))
+    .bind(npy_bytes(&[losses.len()], &losses))
+    .execute(&mut db)
+    .await
+    .map_err(at)?;
+    db.execute("COMMIT").await.map_err(at)?;
+    db.close().await.map_err(at)
+}
