@@ -3,6 +3,8 @@
 //! Without `hq` in PATH (a program of one file, from its releases or `cargo build --bin hq`) it says so and passes.
 
 mod common;
+#[path = "support/skip.rs"]
+mod skip;
 
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -19,7 +21,7 @@ impl Site {
     fn new() -> Option<Self> {
         let there = Command::new("hq").arg("--version").stdout(Stdio::null()).status();
         if !there.is_ok_and(|status| status.success()) {
-            eprintln!("HyperQueue is skipped: there is no hq in PATH");
+            skip::skipped("shards on HyperQueue", "there is no hq in PATH");
             return None;
         }
         let bench = Bench::new();

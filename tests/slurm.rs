@@ -2,6 +2,8 @@
 //!
 //! Without Slurm (Debian: slurm-wlm and munge) or root it says so and passes.
 
+#[path = "support/skip.rs"]
+mod skip;
 #[path = "support/slurm.rs"]
 mod support;
 
@@ -35,7 +37,7 @@ struct Site {
 impl Site {
     fn new(test: &str) -> Option<Self> {
         if let Some(why) = missing() {
-            eprintln!("{test} is skipped: {why}");
+            skip::skipped(test, &why);
             return None;
         }
         let folder = tempfile::Builder::new().prefix("sl").tempdir_in("/tmp").unwrap();

@@ -49,6 +49,12 @@ fn seen(pid: u32) -> Option<Seen> {
     Some(Seen { pid, worker, name, state, ticks })
 }
 
+/// CPU time of a process so far (s); `None` once it is gone.
+#[must_use]
+pub fn cpu_seconds(pid: u32) -> Option<f64> {
+    stat(pid).map(|stat| stat.ticks as f64 / 100.0)
+}
+
 struct Stat {
     name: String,
     state: char,

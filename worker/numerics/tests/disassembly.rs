@@ -4,6 +4,9 @@
 //! closure in `#[inline(always)]` code is not such code: intrinsics in it are called, with operands in memory.
 #![cfg(target_arch = "x86_64")]
 
+#[path = "../../../tests/support/skip.rs"]
+mod skip;
+
 use metasense_numerics::brain::Workspace;
 use metasense_numerics::dynamics::{pull_back, repeat_kernel, run};
 use std::collections::BTreeMap;
@@ -36,8 +39,7 @@ fn no_kernel_calls_an_intrinsic() {
         .arg(std::env::current_exe().expect("this binary"))
         .output()
     else {
-        eprintln!("no_kernel_calls_an_intrinsic is skipped: there is no objdump (Debian: binutils)");
-        return;
+        return skip::skipped("no_kernel_calls_an_intrinsic", "there is no objdump (Debian: binutils)");
     };
     assert!(listing.status.success(), "{}", String::from_utf8_lossy(&listing.stderr));
     let listing = String::from_utf8_lossy(&listing.stdout);

@@ -13,6 +13,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
 
 use super::super::Error;
 use crate::exit::Exit;
+use crate::fleet;
 use crate::plan::Plan;
 use crate::store::{Store, StoreError, npy_bytes};
 
@@ -53,11 +54,11 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
             &["analyse", &*db],
             &["report", &*db, "--out", &*page],
         ] {
-            let (seconds, mib) = asked(what)?;
+            let (seconds, cpu, mib) = asked(what)?;
             let row = json!({
                 "bench": "answers", "trials": 1000 * thousands, "steps": args.steps, "iterations": args.iterations,
                 "asked": what.iter().filter(|word| **word != db && **word != page).copied().collect::<Vec<_>>().join(" "),
-                "seconds": seconds, "peak_mib": mib, "version": env!("CARGO_PKG_VERSION"),
+                "seconds": seconds, "cpu_seconds": cpu, "peak_mib": mib, "version": env!("CARGO_PKG_VERSION"),
             });
             print_line!("{row}")?;
         }
@@ -65,22 +66,23 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Seconds by the wall clock, and the most memory (MiB) that the process had.
-fn asked(arguments: &[&str]) -> Result<(f64, f64), Error> {
+/// Seconds by the wall clock, CPU seconds, and the most memory (MiB) that the process had.
+fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
     let failed = |source| Error::Io { doing: "asking by", path: arguments.join(" ").into(), source };
     let began = Instant::now();
     let (null, quiet) = (Stdio::null(), Stdio::null());
     let mut command = Command::new("/proc/self/exe");
     let mut child = command.args(arguments).stdout(null).stderr(quiet).spawn().map_err(failed)?;
-    let (status, mut most) = (format!("/proc/{}/status", child.id()), 0.0f64);
+    let (status, mut cpu, mut most) = (format!("/proc/{}/status", child.id()), 0.0, 0.0f64);
     loop {
         let line = std::fs::read_to_string(&status).unwrap_or_default();
         let peak = line
             .lines()
             .find_map(|line| line.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse().ok());
+        cpu = fleet::cpu_seconds(child.id()).unwrap_or(cpu).max(cpu);
         most = most.max(peak.unwrap_or(0.0));
         match child.try_wait().map_err(failed)? {
-            Some(ended) if ended.success() => return Ok((began.elapsed().as_secs_f64(), most / 1024.0)),
+            Some(ended) if ended.success() => return Ok((began.elapsed().as_secs_f64(), cpu, most / 1024.0)),
             Some(ended) => return Err(failed(std::io::Error::other(ended.to_string()))),
             None => std::thread::sleep(Duration::from_millis(5)),
         }
