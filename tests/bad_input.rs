@@ -60,6 +60,26 @@ const EDITS: &[(&str, &str, &str)] = &[
         "s.toml:4: body.diameter = 90: is a circular body's; a planar one has body.width",
     ),
     ("columns = 6", "columns = 6\nwidth = 0.0", "s.toml:4: body.width = 0: must be a number above 0"),
+    (
+        "[sweep]",
+        "[optimise]\ntie = [0, 2]\n[sweep]",
+        "s.toml:14: optimise.tie = [0, 2]: must be two numbers from 1 to 1000",
+    ),
+    (
+        "[sweep]",
+        "[optimise]\nfrozen = [99]\n[sweep]",
+        "s.toml:14: optimise.frozen = 99: the layout's units are 0 to 35",
+    ),
+    (
+        "[sweep]",
+        "[optimise]\nprotocol = \"cmaes\"\nbatch = 4\n[sweep]",
+        "s.toml:15: optimise.batch = 4: means nothing to this optimise.protocol, only to envelope and joint",
+    ),
+    (
+        "[sweep]",
+        "[optimise]\nprotocol = \"random\"\ngradient = \"direct\"\n[sweep]",
+        "s.toml:15: optimise.gradient = direct: means nothing to this optimise.protocol, only to paper",
+    ),
     ("density = 1e-8", "density = 0.0", "s.toml:7: body.density = 0: "),
     ("density = 1e-8", "density = 1e-8\ndamping_ratio = -0.1", "s.toml:8: body.damping_ratio = -0.1: "),
     ("density = 1e-8", "density = 1e-8\ninitial_angle = 60.0", "s.toml:8: body.initial_angle = 60: "),

@@ -47,6 +47,10 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     assert_eq!(brain("width = 24\nkernels = [9, 9, 9, 1]\ndilations = [1, 4, 16, 1]"), long);
     assert_ne!(long[1], plain[1]);
     assert_ne!(brain("preset = \"long\"\ncausal = true")[1], long[1]);
+    let optimise = |keys: &str| hashes(&(SPEC.to_owned() + "[optimise]\n" + keys));
+    assert_eq!(optimise("tie = [1, 1]\nfrozen = []"), plain);
+    assert_eq!(optimise("frozen = [7, 8]"), optimise("frozen = [8, 7]"));
+    assert_ne!(optimise("tie = [2, 1]")[1], plain[1]);
     assert_ne!(hashes(&SPEC.replace("bend = 1.0", "bend = 1.5"))[1], plain[1]);
     assert_eq!(
         hashes(&SPEC.replace("[1, 2]", "[2, 3]"))[1],
@@ -112,8 +116,8 @@ fn committed_specs_keep_their_hashes() {
     fig4c cdb6e7edaff7021e
     fig4c-linear 5fa3b04b28e4246e
     fig4c-two-core e225fb8a1fb52555
-    fig5 184bdd14b2c9681f
-    fig5-two-core c3d23b49672a8297
+    fig5 @fig5
+    fig5-two-core @fig5t
     placed-two-core 50e5d8b49b04bb0d
     quickstart c5fc1d861fdbe216
     random-two-core 2f5dde1678f3c2fa

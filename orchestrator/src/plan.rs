@@ -264,7 +264,7 @@ fn add_points(
                 placements,
                 excluded,
                 units: layout.units(),
-                design_parameters: layout.design_len(),
+                design_parameters: problem::design_parameters(&template, &layout).map_err(located)?,
                 brain_parameters: cost::brain_parameters(&template),
                 cost: {
                     let seconds = cost::seconds(&template, layout.units());

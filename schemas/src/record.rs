@@ -237,6 +237,8 @@ pub struct Checkpoint {
     pub comparison: Option<Box<Comparison>>,
     /// Where the sensors have moved: the first outer step there, and their units (since version 2).
     pub moves: Vec<(u32, Vec<usize>)>,
+    /// Fitness of the candidates of a search without gradient so far (since version 3).
+    pub found: Vec<f64>,
 }
 
 /// A stored checkpoint that this program cannot go on from.
@@ -252,7 +254,7 @@ pub enum CheckpointError {
 
 impl Checkpoint {
     /// Of what [`Checkpoint::to_bytes`] writes.
-    pub const VERSION: u8 = 2;
+    pub const VERSION: u8 = 3;
 
     /// As it is stored.
     ///
@@ -276,8 +278,9 @@ impl Checkpoint {
         };
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
-            // It ends before comparison and moves, of which there are none.
-            Some((1, rest)) => read(&[rest, &[0, 0]].concat()),
+            // They end before what came later, of which there is nothing.
+            Some((2, rest)) => read(&[rest, &[0]].concat()),
+            Some((1, rest)) => read(&[rest, &[0, 0, 0]].concat()),
             Some((version, _)) => Err(CheckpointError::Version(*version)),
             None => Err(damaged(&"it is empty")),
         }
@@ -317,6 +320,7 @@ mod tests {
             protocol: vec![3.0],
             comparison: None,
             moves: Vec::new(),
+            found: Vec::new(),
         };
         let network = NetworkEvaluation {
             error_train: Some(1.0),
@@ -369,7 +373,10 @@ mod tests {
         let second = Checkpoint { comparison, moves, ..first.clone() };
         assert_eq!(Checkpoint::from_bytes(&bytes(VERSION_1)), Ok(first));
         assert_eq!(Checkpoint::from_bytes(&bytes(VERSION_2)), Ok(second.clone()));
-        assert_eq!(second.to_bytes(), bytes(VERSION_2));
+        let third = Checkpoint { found: vec![12.5, f64::INFINITY], ..second };
+        let version_3 = VERSION_2.replacen("02", "03", 1) + "02 0000000000002940 000000000000f07f";
+        assert_eq!(Checkpoint::from_bytes(&bytes(&version_3)), Ok(third.clone()));
+        assert_eq!(third.to_bytes(), bytes(&version_3));
         assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
         for stored in [VERSION_1, VERSION_2].map(bytes) {
             for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {

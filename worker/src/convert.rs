@@ -121,6 +121,7 @@ pub fn checkpoint(state: &State) -> Checkpoint {
         protocol,
         comparison: Some(&state.comparison).filter(|c| !c.bodies.is_empty()).map(comparison).map(Box::new),
         moves: state.moves.iter().cloned().map(|Move { step, units }| (step, units)).collect(),
+        found: state.found.clone(),
     }
 }
 
@@ -155,6 +156,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         protocol,
         comparison,
         moves,
+        found,
     } = checkpoint;
     let lengths = [design.len(), design_moments.0.len(), design_moments.1.len()];
     // one number beside whole waypoints is the ridge
@@ -184,6 +186,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         trail: waypoints.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect(),
         moves: moves.into_iter().map(|(step, units)| Move { step, units }).collect(),
         comparison: comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default(),
+        found,
     })
 }
 
@@ -286,6 +289,7 @@ mod tests {
             ],
             moves: vec![Move { step: 4, units: vec![4] }],
             comparison: nested::Comparison::default(),
+            found: Vec::new(),
         };
         let bare = State {
             best: None,
@@ -330,7 +334,8 @@ mod tests {
             ..full.clone()
         };
         let wrong = Fresh { weights: few(3), ..fresh.clone() };
-        for original in [full.clone(), bare, linear, compared(None), compared(Some(fresh))] {
+        let search = State { found: vec![12.5, f64::INFINITY], ..bare.clone() };
+        for original in [full.clone(), bare, linear, search, compared(None), compared(Some(fresh))] {
             let read = Checkpoint::from_bytes(&checkpoint(&original).to_bytes()).unwrap();
             let other = Checkpoint { design: vec![0.5; 3], ..read.clone() };
             assert!(state(other, &problem).is_err());

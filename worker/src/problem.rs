@@ -5,7 +5,7 @@
 
 use std::fmt::Display;
 
-use metasense_numerics::body::Layout;
+use metasense_numerics::body::{Freedom, Layout};
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Policy, Shape};
 use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
@@ -75,9 +75,11 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let initial = initial_design(&trial.body, &layout, limits)?;
     castable(&trial.body, &layout, limits, &initial)?;
     let scene = scene(trial, layout)?;
-    let (steps, coarse) = (trial.optimise.steps(), trial.optimise.resolved().coarse);
+    let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     Ok(Problem {
         kept: kept(&trial.feasible, &trial.panel_units, &scene.clamped),
+        frozen: frozen(&trial.optimise, &scene.layout)?,
+        tie: tie(&trial.optimise)?,
         initial,
         solver: solver("solver.method", &trial.solver)?,
         limits,
@@ -95,7 +97,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             protocol: protocol(&trial.optimise)?,
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
-            rate: trial.optimise.resolved().learning_rate.unwrap_or_default(),
+            rate: trial.optimise.clone().resolved().learning_rate.unwrap_or_default(),
             again: placed_again(trial)?,
             coarse: coarse.as_ref().map(|coarse| solver("optimise.coarse.method", coarse)).transpose()?,
         },
@@ -188,7 +190,7 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     }
     at_least("brain.iterations", trial.brain.iterations, 1)?;
     positive("brain.learning_rate", trial.brain.learning_rate)?;
-    positive("optimise.learning_rate", trial.optimise.resolved().learning_rate.unwrap_or_default())?;
+    positive("optimise.learning_rate", trial.optimise.clone().resolved().learning_rate.unwrap_or_default())?;
     at_least("evaluation.seeds", trial.evaluation.seeds, 1)?;
     at_least("evaluation.long_iterations", trial.evaluation.long_iterations.unwrap_or(1), 1)?;
     at_most("evaluation.seeds", trial.evaluation.seeds, 1000)
@@ -286,12 +288,12 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         unread(
             "optimise.brain_iterations",
             brain_iterations.map(|n| n.to_string()),
-            "warm, envelope and joint",
+            "warm, envelope, joint, random and cmaes",
         )?;
         unread(
             "optimise.brain_learning_rate",
             brain_learning_rate.map(|r| r.to_string()),
-            "warm, envelope and joint",
+            "warm, envelope, joint, random and cmaes",
         )?;
     } else {
         let name =
@@ -304,11 +306,11 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         unread("optimise.curvature", curvature.map(|c| format!("{c:?}").to_lowercase()), reader)?;
         unread("optimise.damping", damping.map(|d| d.to_string()), reader)?;
     }
-    if paper || protocol == spec::Protocol::Warm {
+    if !matches!(protocol, spec::Protocol::Envelope | spec::Protocol::Joint) {
         unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
         unread("optimise.coarse", coarse.map(|solver| format!("{solver:?}")), "envelope and joint")?;
     }
-    let resolved = optimise.resolved();
+    let resolved = optimise.clone().resolved();
     // what a protocol does not read stays open, and does not matter
     let going = Going {
         batch: resolved.batch.unwrap_or(1),
@@ -326,7 +328,36 @@ fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         spec::Protocol::Warm => Protocol::Warm(going),
         spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),
+        spec::Protocol::Random => Protocol::Random(going),
+        spec::Protocol::Cmaes => Protocol::Cmaes(going),
     })
+}
+
+fn tie(optimise: &spec::Optimise) -> Result<[usize; 2], Invalid> {
+    let tie = optimise.tie.unwrap_or([1, 1]);
+    let shown = format!("{tie:?}");
+    require(
+        tie.iter().all(|n| (1..=1000).contains(n)),
+        "optimise.tie",
+        shown,
+        "must be two numbers from 1 to 1000",
+    )?;
+    Ok(tie)
+}
+
+fn frozen(optimise: &spec::Optimise, layout: &Layout) -> Result<Vec<usize>, Invalid> {
+    check_units("optimise.frozen", optimise.frozen.as_deref().unwrap_or_default(), layout, &[])
+}
+
+/// How many numbers the outer loop moves: those of α, or of z where shifts are tied or frozen.
+///
+/// # Errors
+/// Where `optimise.tie` or `optimise.frozen` make no sense, or leave nothing to move.
+pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, Invalid> {
+    let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
+    let parameters = Freedom::new(layout, tie, &frozen).parameters();
+    require(parameters > 0, "optimise.frozen", format!("{frozen:?}"), "must leave a unit's shape free")?;
+    Ok(parameters)
 }
 
 fn kind(kind: spec::BrainKind) -> Kind {
@@ -566,6 +597,9 @@ fn placed_again(trial: &TrialSpec) -> Result<bool, Invalid> {
     let again = trial.optimise.placement == Some(spec::Placement::Again);
     let remedy = "is for sensors that sensors.search places: \"greedy\", \"d_optimal\" or \"pivots\"";
     require(!again || trial.sensors.search.is_some(), "optimise.placement", "again", remedy)?;
+    let search = matches!(trial.optimise.protocol, spec::Protocol::Random | spec::Protocol::Cmaes);
+    let remedy = "is for bodies that a gradient moves: candidates are compared by the same sensors";
+    require(!(again && search), "optimise.placement", "again", remedy)?;
     Ok(again)
 }
 

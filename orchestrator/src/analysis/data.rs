@@ -183,6 +183,9 @@ pub const COMPLEXITY: &[&str] = &[
     "feasible.ligament_clearance",
 ];
 
+/// What the freedom of a body's design varies at one size.
+pub const FREEDOM: &[&str] = &["optimise.tie", "optimise.frozen"];
+
 /// What a body of a given size brings along where its units shrink, and the power of the spacing that it goes with.
 const WITH_SPACING: [(&str, i32); 3] =
     [("body.stiffness.bend", 2), ("body.contact.stiffness", 2), ("optimise.learning_rate", 1)];

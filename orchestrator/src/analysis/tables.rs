@@ -6,7 +6,8 @@ use serde_json::{Value, json};
 
 use super::brains::reads;
 use super::data::{
-    BRAINS, COMPLEXITY, DESIGN, Group, SENSORS, TRAINING, geometric_mean, groups, levels, observations,
+    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, SENSORS, TRAINING, geometric_mean, groups, levels,
+    observations,
 };
 use super::decision::{Decision, decide};
 use super::paired::{self, Ratio};
@@ -548,9 +549,14 @@ pub(crate) fn nonlinear(trials: &[&Trial], body: Body, kind: usize) -> Vec<f64> 
     trials.iter().filter_map(|t| t.nonlinear[body as usize][kind]).collect()
 }
 
+/// Trials that differ in size, and trials of one size that differ in freedom.
+fn by_parameters<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+    [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(trials, but)).collect()
+}
+
 fn sizes_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
-    each_curve(&with_curves(groups(trials, COMPLEXITY), |t| t.design_parameters), |group, body, set| {
+    each_curve(&with_curves(by_parameters(trials), |t| t.design_parameters), |group, body, set| {
         for level in levels(&observations(&group.trials, body, set, |t| t.design_parameters)) {
             rows.push(vec![
                 json!(group.label),
@@ -569,7 +575,7 @@ fn sizes_table(trials: &[&Trial]) -> Table {
 
 fn complexity_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
-    each_curve(&with_curves(groups(trials, COMPLEXITY), |t| t.design_parameters), |group, body, set| {
+    each_curve(&with_curves(by_parameters(trials), |t| t.design_parameters), |group, body, set| {
         let points = observations(&group.trials, body, set, |t| t.design_parameters);
         let mut row = vec![json!(group.label), json!(body.name()), json!(set.name())];
         match scaling(&points) {

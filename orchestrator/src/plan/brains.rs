@@ -25,7 +25,7 @@ fn has_linear(kind: BrainKind) -> bool {
 pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
     let ([reader, trainer], none) = (kinds(spec), Brain::default());
     let (mut brain, mut optimise, mut evaluation) =
-        (spec.brain.clone().resolved(), spec.optimise, spec.evaluation);
+        (spec.brain.clone().resolved(), spec.optimise.clone(), spec.evaluation);
     if reader == BrainKind::Linear && trainer == BrainKind::Linear {
         brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };
     }
@@ -46,6 +46,11 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
         (optimise.brain_iterations, optimise.brain_learning_rate) = (None, None);
         (optimise.curvature, optimise.damping) = (None, None);
     }
+    optimise.tie = optimise.tie.filter(|tie| *tie != [1, 1]);
+    optimise.frozen = optimise.frozen.filter(|units| !units.is_empty()).map(|mut units| {
+        units.sort_unstable();
+        units
+    });
     (brain, optimise.resolved(), evaluation)
 }
 

@@ -79,7 +79,7 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
     let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;
     let forward = weights * train_samples * trial.time.samples as f64 / BRAIN_RATE;
     let train = trial.brain.iterations as f64 * ITERATION * forward;
-    let optimise = trial.optimise.resolved();
+    let optimise = trial.optimise.clone().resolved();
     let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
     let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
     let differentiate = batch * one_sample * (1.0 + REVERSE);
@@ -88,6 +88,8 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
         Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
         Protocol::Joint if optimise.linear() => 0.5 * differentiate + solve,
+        Protocol::Random | Protocol::Cmaes if optimise.linear() => simulate + solve,
+        Protocol::Random | Protocol::Cmaes => simulate + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
         Protocol::Warm | Protocol::Envelope => simulate + differentiate + going,
         // on four batches, by the coarse integrator mostly

@@ -5,7 +5,7 @@ use serde_json::json;
 use super::plot::{Axis, Plot, Scale, number};
 use crate::analysis::brains::brains;
 use crate::analysis::data::{
-    COMPLEXITY, CurvePoint, DESIGN, Group, SENSORS, TRAINING, groups, levels, observations, places,
+    COMPLEXITY, CurvePoint, DESIGN, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
 };
 use crate::analysis::placed::{Level, placed};
 use crate::analysis::random::random;
@@ -396,7 +396,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let mut plots = Vec::new();
     let mut laws: Vec<(String, String)> = Vec::new();
-    let drawn = groups(&refs, COMPLEXITY);
+    let drawn: Vec<Group> = [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(&refs, but)).collect();
     for group in drawn.iter().filter(|g| distinct(g, |t| t.design_parameters) > 1).take(MOST_PLOTS) {
         let curves =
             Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.design_parameters)));

@@ -161,6 +161,10 @@ pub enum Protocol {
     Envelope,
     /// Body and network are stepped together on fresh samples, drawn each step.
     Joint,
+    /// No gradient: each step reads a random body about the initial one. The network goes on from one to the next.
+    Random,
+    /// No gradient: each step reads a candidate of CMA-ES.
+    Cmaes,
 }
 
 /// Whether sensors move with the body.
@@ -196,7 +200,7 @@ pub enum Curvature {
 }
 
 /// The outer loop over the body's design. What is left out gets the default of its protocol.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Optimise {
     /// The brain that the body is trained with, where it is not the one that reads it.
@@ -207,10 +211,12 @@ pub struct Optimise {
     /// Whether sensors that `sensors.search` has placed are placed again on later bodies. By default `"fixed"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placement: Option<Placement>,
-    /// Outer steps. By default 350, for the other protocols and with a linear brain 100.
+    /// Outer steps. By default 350, for the other protocols and with a linear brain 100; of a search 80 and 30, which take
+    /// as long as `"joint"` does.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Adam's rate on α (mm). By default 0.2, with a linear brain 0.3; for the other protocols 0.1.
+    /// Adam's rate on α (mm). By default 0.2, with a linear brain 0.3; for the other protocols 0.1. Of a search
+    /// the standard deviation of its first candidates, 1.0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
     /// Terms of the gradient; for `protocol = "paper"` alone. By default `"implicit"`.
@@ -236,13 +242,27 @@ pub struct Optimise {
     /// `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,
+    /// `[p, q]`: the nodes of p × q cells are shifted together, horizontal and vertical ones apart. By default `[1, 1]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tie: Option<[usize; 2]>,
+    /// Units whose design stays. By default none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frozen: Option<Vec<usize>>,
 }
+
+/// Candidates that a search reads in some of the CPU time that `"joint"` takes, by a linear brain and by the network; and
+/// their standard deviation (mm).
+const SEARCH_LINEAR: usize = 30;
+const SEARCH: usize = 80;
+const SEARCH_SPREAD: f64 = 1.0;
 
 impl Optimise {
     /// With the defaults of the protocol in place: only what the protocol does not read stays open.
     #[must_use]
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
+            Protocol::Random | Protocol::Cmaes if self.linear() => (SEARCH_LINEAR, SEARCH_SPREAD),
+            Protocol::Random | Protocol::Cmaes => (SEARCH, SEARCH_SPREAD),
             Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
             Protocol::Joint if self.linear() => (100, 0.3),
             Protocol::Joint => (350, 0.2),
@@ -257,7 +277,7 @@ impl Optimise {
             self.brain_learning_rate.get_or_insert(1e-3);
         }
         match self.protocol {
-            Protocol::Paper | Protocol::Warm => {}
+            Protocol::Paper | Protocol::Warm | Protocol::Random | Protocol::Cmaes => {}
             Protocol::Envelope => {
                 self.batch.get_or_insert(64);
             }
@@ -278,7 +298,7 @@ impl Optimise {
     /// Outer steps.
     #[must_use]
     pub fn steps(&self) -> usize {
-        self.resolved().iterations.unwrap_or_default()
+        self.clone().resolved().iterations.unwrap_or_default()
     }
 }
 
@@ -297,6 +317,8 @@ impl Default for Optimise {
             brain_iterations: None,
             brain_learning_rate: None,
             coarse: None,
+            tie: None,
+            frozen: None,
         }
     }
 }

@@ -5,7 +5,7 @@
 //! g = dL/dα at (α, β*)                  α ← Π(α − Adam(g)),  Π: nearest castable design
 //! ```
 //! How far β is trained and which loss moves the body is the [`Protocol`]'s matter; the rest is the same for all.
-//! Afterwards the initial and the best body meet fresh networks, on the holdout too, which nothing else touches.
+//! Searches without a gradient stand beside them as baselines. Afterwards the initial and the best body meet fresh networks, on the holdout too, which nothing else touches.
 
 mod chip;
 mod downhill;
@@ -18,6 +18,7 @@ mod problem;
 mod protocol;
 mod replay;
 mod report;
+mod search;
 mod setting;
 mod state;
 mod tuning;
@@ -40,10 +41,10 @@ use linearity::nonlinear;
 use placing::Again;
 use protocol::Session;
 use report::Log;
+use search::Search;
 use setting::Setting;
 use tuning::Tuning;
 
-use crate::feasible::Feasible;
 use crate::place::Placed;
 
 /// What a nested optimisation found.
@@ -84,8 +85,9 @@ pub fn optimise(
     let tuning = Tuning::new(problem, pool)?;
     let Tuning { asked, problem, placed, reason: solver, counters: pilot } = &tuning;
     let first = Setting::new(problem, pool)?;
-    let mut castable = Feasible::new(&problem.scene.layout, problem.limits, &problem.kept);
+    let (mut castable, freedom) = (problem.castable(), problem.freedom());
     let mut state = resume.unwrap_or_else(|| State::new(problem, &first.shape));
+    let mut search = Search::new(problem, &state.found);
 
     while state.step < problem.optimise.iterations {
         let (later, mut moved) = (tuning.moved(&state.moves, pool)?, false);
@@ -94,12 +96,13 @@ pub fn optimise(
         while !moved && state.step < problem.optimise.iterations {
             let mut log = Log::new(state.step, observer);
             let before = state.clone();
-            match session.sense(&mut state, &mut log) {
-                Ok(sensed) => {
+            match (session.sense(&mut state, &mut log), &mut search) {
+                (sensed, Some(search)) => search.step(sensed, &mut state, &mut castable, &mut log)?,
+                (Ok(sensed), None) => {
                     state.remember(&sensed);
-                    state.move_body(problem, &sensed.gradient, &mut castable, &mut log);
+                    state.move_body(problem, &freedom, &sensed.gradient, &mut castable, &mut log);
                 }
-                Err(trouble) => state = before.taken_back(trouble, &mut log)?,
+                (Err(trouble), None) => state = before.taken_back(trouble, &mut log)?,
             }
             state.step += 1;
             moved = again.as_ref().is_some_and(|again| again.moves(&mut state, asked, &mut log, pool));

@@ -27,6 +27,8 @@ pub enum Purpose {
     Design = 8,
     /// Noise and bias of sensors; counters: the sample's history, channel.
     Chip = 9,
+    /// Candidates of a search without gradient; counters: candidate, nothing.
+    Search = 10,
 }
 
 /// A stream of random numbers, addressed by its key.

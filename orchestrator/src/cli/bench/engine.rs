@@ -186,7 +186,7 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
         sensors: sweep.sensors.clone(),
         stimuli: sweep.stimuli.clone().resolved(),
         brain: sweep.brain.clone(),
-        optimise: sweep.optimise,
+        optimise: sweep.optimise.clone(),
         evaluation: sweep.evaluation,
         feasible: sweep.feasible,
         point: metasense_schemas::spec::Point { panels: 1, sensors: 1, placement: order as usize, seed: 1 },

@@ -98,7 +98,7 @@ fn with_protocol(spec: &TrialSpec, name: &str) -> Result<TrialSpec, Error> {
     let protocol: Protocol = serde_json::from_value(json!(name))
         .map_err(|_| Error::Usage(format!("--protocols {name}: must be paper, warm, envelope or joint")))?;
     let optimise = match spec.optimise.protocol == protocol {
-        true => spec.optimise,
+        true => spec.optimise.clone(),
         false => Optimise { protocol, ..Optimise::default() }.resolved(),
     };
     Ok(TrialSpec { optimise, ..spec.clone() })

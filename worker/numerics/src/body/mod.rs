@@ -2,8 +2,10 @@
 //!
 //! A layout says who is joined to whom; the design α moves node groups; geometry follows from both.
 
+mod freedom;
 mod geometry;
 mod layout;
 
+pub use freedom::Freedom;
 pub use geometry::{Geometry, void_angles_vjp};
 pub use layout::{End, Layout, Ligament};

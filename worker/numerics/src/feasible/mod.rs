@@ -18,7 +18,7 @@ mod tests;
 pub use exact::{Kind, Violation};
 pub use project::{Active, Projection, Stage, Status};
 
-use crate::body::Layout;
+use crate::body::{Freedom, Layout};
 
 /// The limits of a castable design (rad, mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,6 +62,8 @@ pub struct Feasible {
     program: program::Program,
     /// Per group: held at its previous shift.
     fixed: Vec<bool>,
+    /// Per group the first of those that move with it, where some do.
+    leader: Option<Vec<usize>>,
 }
 
 impl Feasible {
@@ -74,7 +76,22 @@ impl Feasible {
             }
         }
         let rows = rows::Rows::new(layout, limits);
-        Self { layout: layout.clone(), limits, rows, program: program::Program::default(), fixed }
+        Self {
+            layout: layout.clone(),
+            limits,
+            rows,
+            program: program::Program::default(),
+            fixed,
+            leader: None,
+        }
+    }
+
+    /// The same designs where shifts move together: targets and previous designs are to be of one and the same initial
+    /// design and [`Freedom`], so are the answers, but for rounding.
+    #[must_use]
+    pub fn tied(mut self, freedom: &Freedom) -> Self {
+        self.leader = freedom.is_tied().then(|| freedom.leaders().to_vec());
+        self
     }
 
     /// Every constraint that `design` breaks, unit by unit; empty: it can be cast. Independent of the projection.

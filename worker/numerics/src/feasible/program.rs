@@ -19,6 +19,8 @@ pub(super) struct Ask<'a> {
     pub weights: &'a [f64],
     /// Per group: held where it is.
     pub fixed: &'a [bool],
+    /// Per group the first of those that move with it, of equal weights and wishes; none: each moves alone.
+    pub leader: Option<&'a [usize]>,
     /// τ.
     pub proximal: f64,
     /// ρ; none: every row is hard.
@@ -107,6 +109,15 @@ impl Program {
         if rows.is_empty() {
             return Some(Solved { step, multipliers: Vec::new(), slacks: Vec::new() });
         }
+        let tied: Vec<Row> = match ask.leader {
+            Some(leader) => rows.iter().map(|row| row.tied(leader, ask.fixed)).collect(),
+            None => rows.iter().map(|row| **row).collect(),
+        };
+        let rows = &tied;
+        let mut members = vec![1.0; ask.fixed.len()];
+        for (group, &leader) in ask.leader.into_iter().flatten().enumerate().filter(|(g, l)| g != *l) {
+            members[leader] += members[group];
+        }
         // Local numbers for the groups that rows touch, in order of group.
         let mut local = vec![usize::MAX; ask.fixed.len()];
         for &(g, _) in rows.iter().flat_map(|r| r.terms()) {
@@ -158,8 +169,9 @@ impl Program {
         let mut right: Vec<f64> = rows.iter().map(|r| r.value - ask.margin).collect();
         right.resize(m, 0.0);
         let coordinate = |i: usize| 2 * groups[i / 2] + i % 2;
-        let weight = |i: usize| ask.weights[coordinate(i)];
-        let mut diagonal: Vec<f64> = (0..free).map(|i| weight(i) + ask.proximal).collect();
+        let weight = |i: usize| members[groups[i / 2]] * ask.weights[coordinate(i)];
+        let proximal = |i: usize| members[groups[i / 2]] * ask.proximal;
+        let mut diagonal: Vec<f64> = (0..free).map(|i| weight(i) + proximal(i)).collect();
         let mut linear: Vec<f64> = (0..free).map(|i| -weight(i) * ask.wish[coordinate(i)]).collect();
         // A little curvature keeps the slacks' block regular.
         diagonal.resize(n, 1e-6);
@@ -194,6 +206,9 @@ impl Program {
             SolverStatus::Solved | SolverStatus::AlmostSolved if solution.x.iter().all(|x| x.is_finite()) => {
                 for i in 0..free {
                     step[coordinate(i)] = solution.x[i];
+                }
+                for (group, &leader) in ask.leader.into_iter().flatten().enumerate() {
+                    step.copy_within(2 * leader..2 * leader + 2, 2 * group);
                 }
                 let (multipliers, slacks) =
                     (solution.z[..rows.len()].to_vec(), solution.s[..rows.len()].to_vec());

@@ -113,7 +113,7 @@ const STRIDE: f64 = 1.0;
 /// Edges that are tried the other way round, and how far their ends must be from their target together (mm).
 const TURNS: usize = 6;
 const FAR_EDGE: f64 = 3.0;
-/// Bodies of more units take the first answer: a second try costs too much.
+/// Bodies of more units take the first answer: a second try costs too much. So do those whose edges do not turn alone.
 const LARGE: usize = 100;
 
 /// Where a projection wants to go, in its metric.
@@ -206,6 +206,7 @@ impl Feasible {
                 wish: &wish,
                 weights: &aim.weights,
                 fixed: &self.fixed,
+                leader: self.leader.as_deref(),
                 proximal: 0.0,
                 penalty: None,
                 margin: MARGIN,
@@ -233,7 +234,7 @@ impl Feasible {
     /// way round to the left and to the right end in different places. Turns the edges that are kept farthest from
     /// their target by ±90° and goes on from there.
     fn turn_edges(&mut self, aim: &Aim<'_>, mut best: Vec<f64>) -> Vec<f64> {
-        if self.layout.units() > LARGE {
+        if self.layout.units() > LARGE || self.leader.is_some() {
             return best;
         }
         let off =
@@ -296,6 +297,7 @@ impl Feasible {
                 wish: &wish,
                 weights: &aim.weights,
                 fixed: &self.fixed,
+                leader: self.leader.as_deref(),
                 proximal,
                 penalty: Some(PENALTY),
                 margin: MARGIN,

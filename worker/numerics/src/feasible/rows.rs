@@ -56,6 +56,21 @@ impl Row {
         &self.terms[..self.count]
     }
 
+    /// The same where groups move together that have one leader, and some not at all.
+    pub fn tied(&self, leader: &[usize], fixed: &[bool]) -> Self {
+        let mut tied = Self { count: 0, ..*self };
+        for &(group, gradient) in self.terms().iter().filter(|t| !fixed[t.0 as usize]) {
+            let leader = leader[group as usize] as u32;
+            let at = tied.terms().iter().position(|t| t.0 == leader).unwrap_or(tied.count);
+            if at == tied.count {
+                tied.terms[at] = (leader, [0.0; 2]);
+                tied.count += 1;
+            }
+            (0..2).for_each(|c| tied.terms[at].1[c] += gradient[c]);
+        }
+        tied
+    }
+
     /// The linearised value after a step.
     pub fn after(&self, step: &[f64]) -> f64 {
         let gain = |&(g, d): &(u32, Point)| d[0] * step[2 * g as usize] + d[1] * step[2 * g as usize + 1];

@@ -2,9 +2,10 @@
 
 use super::chip::{Chip, Disturbance};
 use super::linear::Decoder;
+use crate::body::Freedom;
 use crate::brain::{Architecture, Policy, Shape};
 use crate::dynamics::{Forces, Scene, Solver};
-use crate::feasible::Limits;
+use crate::feasible::{Feasible, Limits};
 use crate::place::Search;
 use crate::random::Purpose;
 use crate::stimuli::{Deal, Source, bells, irregular, targets};
@@ -35,6 +36,10 @@ pub struct Problem {
     pub limits: Limits,
     /// Units whose nodes stay where the initial design has them.
     pub kept: Vec<usize>,
+    /// Units whose nodes stay there and count for nothing in a gradient's length.
+    pub frozen: Vec<usize>,
+    /// Cells along x and y of a block whose nodes are shifted together; `[1, 1]`: each by itself.
+    pub tie: [usize; 2],
     /// Where the forces come from.
     pub stimuli: Stimuli,
     /// What the sensors' chips add to the signals, where they do.
@@ -88,7 +93,7 @@ pub struct Optimise {
     pub protocol: Protocol,
     /// Outer steps.
     pub iterations: u32,
-    /// Adam's rate on α (mm).
+    /// Adam's rate on α (mm); of a search the standard deviation of its first candidates.
     pub rate: f64,
     /// Whether sensors that a search placed are placed again on later bodies.
     pub again: bool,
@@ -107,6 +112,10 @@ pub enum Protocol {
     Envelope(Going),
     /// The network goes on; the loss on samples drawn for the step alone moves the body.
     Joint(Going),
+    /// No gradient: candidates drawn about the initial body; the network goes on from one to the next.
+    Random(Going),
+    /// Likewise, drawn by CMA-ES.
+    Cmaes(Going),
 }
 
 /// A network that goes on from body to body.
@@ -215,6 +224,20 @@ impl Optimise {
 }
 
 impl Problem {
+    /// Which shifts of a design move, and which together.
+    pub fn freedom(&self) -> Freedom {
+        let whole = self.tie == [1, 1] && self.frozen.is_empty();
+        // what is kept alone has always counted in a gradient's length
+        let still = if whole { Vec::new() } else { [&self.frozen[..], &self.kept].concat() };
+        Freedom::new(&self.scene.layout, self.tie, &still)
+    }
+
+    /// The designs that can be cast and had.
+    pub(super) fn castable(&self) -> Feasible {
+        let still = [&self.frozen[..], &self.kept].concat();
+        Feasible::new(&self.scene.layout, self.limits, &still).tied(&self.freedom())
+    }
+
     /// Of the network on the scene's clock, sensors and panels.
     pub fn shape(&self) -> Shape {
         let sensors = self.search.as_ref().map_or(self.scene.sensors.len(), |search| search.sensors);
@@ -299,7 +322,7 @@ impl Problem {
     fn step_share(&self) -> f64 {
         match self.optimise.protocol {
             Protocol::Paper(_) => 1.0,
-            Protocol::Warm(_) | Protocol::Envelope(_) => 0.1,
+            Protocol::Warm(_) | Protocol::Envelope(_) | Protocol::Random(_) | Protocol::Cmaes(_) => 0.1,
             Protocol::Joint(_) => 0.05,
         }
     }

@@ -3,6 +3,7 @@
 mod joint;
 mod linear;
 mod paper;
+mod search;
 mod warm;
 
 use super::evaluation::fresh_weights;
@@ -17,7 +18,7 @@ use crate::stimuli::select;
 
 /// What a protocol finds out about the state's design.
 pub(super) struct Sensed {
-    /// dL/dα.
+    /// dL/dα; empty of a search without gradient.
     pub(super) gradient: Vec<f64>,
     /// Training loss after training (normalised).
     pub(super) loss_train: f64,
@@ -51,12 +52,16 @@ impl<'a> Session<'a> {
     /// Simulates the state's design, trains the brain on it, and differentiates.
     pub(super) fn sense(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
         let optimise = &self.setting.problem.optimise;
+        if let Protocol::Random(going) | Protocol::Cmaes(going) = optimise.protocol {
+            return self.read(state, going, log);
+        }
         if optimise.brain == Kind::Linear {
             return match optimise.protocol {
                 Protocol::Paper(terms) => self.linear_paper(state, terms, log),
                 Protocol::Warm(_) => self.linear_paper(state, Terms::Direct, log),
                 Protocol::Envelope(going) => self.linear_envelope(state, going, log),
                 Protocol::Joint(going) => self.linear_joint(state, going, log),
+                Protocol::Random(_) | Protocol::Cmaes(_) => unreachable!("read above"),
             };
         }
         match optimise.protocol {
@@ -64,6 +69,7 @@ impl<'a> Session<'a> {
             Protocol::Warm(going) => self.warm(state, going, log),
             Protocol::Envelope(going) => self.envelope(state, going, log),
             Protocol::Joint(going) => self.joint(state, going, log),
+            Protocol::Random(_) | Protocol::Cmaes(_) => unreachable!("read above"),
         }
     }
 

@@ -4,6 +4,7 @@ use super::evaluation::Comparison;
 use super::problem::Problem;
 use super::protocol::Sensed;
 use super::report::{Failure, Log, Trouble};
+use crate::body::Freedom;
 use crate::brain::{Adam, Shape, TrainOutcome};
 use crate::feasible::Feasible;
 
@@ -36,6 +37,8 @@ pub struct State {
     pub trail: Vec<Waypoint>,
     /// What the comparison at the end has come to.
     pub comparison: Comparison,
+    /// Fitness of the candidates of a search so far, in their order.
+    pub found: Vec<f64>,
 }
 
 /// A design that a loop has passed.
@@ -89,6 +92,7 @@ impl State {
             moves: Vec::new(),
             trail: Vec::new(),
             comparison: Comparison::default(),
+            found: Vec::new(),
         }
     }
 
@@ -116,32 +120,33 @@ impl State {
         }
     }
 
-    /// α ← Π(α − Adam(g)), Π in the metric of Adam's own scaling.
+    /// α ← Π(α − Adam(g)), Π in the metric of Adam's own scaling; where shifts move together, z for α.
     pub(super) fn move_body(
         &mut self,
         problem: &Problem,
+        freedom: &Freedom,
         gradient: &[f64],
         castable: &mut Feasible,
         log: &mut Log,
     ) {
         let rate = problem.optimise.rate_of(self.step) * self.caution;
         let mut target = self.design.clone();
+        let gradient = freedom.vjp(gradient);
         let length = norm(gradient.iter().copied());
         let (beta, unit) = problem.optimise.scaling();
         let scale = if unit && length > 0.0 { length.recip() } else { 1.0 };
         let scaled: Vec<f64> = gradient.iter().map(|g| scale * g).collect();
-        self.design_adam.step_with(&mut target, &scaled, rate, beta);
+        self.design_adam.step_with(&mut target, &freedom.spread(&scaled), rate, beta);
         let metric = metric(&self.design_adam);
         let projection =
             log.timed(|s| &mut s.project, |_| castable.project(&self.design, &target, metric.as_deref()));
+        let design = freedom.snap(&problem.initial, projection.design);
         log.report.counters.projection_iterations += projection.iterations;
         log.report.gradient_norm = Some(length);
-        log.report.step_length =
-            Some(norm(projection.design.iter().zip(&self.design).map(|(new, old)| new - old)));
+        log.report.step_length = Some(norm(design.iter().zip(&self.design).map(|(new, old)| new - old)));
         log.report.projection = Some(projection.status);
         log.report.projection_distance = Some(projection.distance);
-        let passed =
-            Waypoint { step: self.step, design: std::mem::replace(&mut self.design, projection.design) };
+        let passed = Waypoint { step: self.step, design: std::mem::replace(&mut self.design, design) };
         self.trail.push(passed);
         self.trail.drain(..self.trail.len().saturating_sub(problem.optimise.trail()));
     }
@@ -185,6 +190,6 @@ fn metric(adam: &Adam<f64>) -> Option<Vec<f64>> {
     (mean > 0.0).then(|| scale.iter().map(|s| (s / mean).max(METRIC_FLOOR)).collect())
 }
 
-fn norm(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn norm(values: impl Iterator<Item = f64>) -> f64 {
     values.map(|x| x * x).sum::<f64>().sqrt()
 }

@@ -4,7 +4,7 @@ use crate::body::Layout;
 use crate::brain::linear::Lags;
 use crate::brain::{self, Architecture, TrainOutcome, Workspace};
 use crate::dynamics::{Frame, Method, Panel, Scene, Solver, Stiffness};
-use crate::feasible::Limits;
+use crate::feasible::{Feasible, Limits};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 
@@ -36,6 +36,8 @@ fn small(protocol: Protocol) -> Problem {
         solver: Solver { method: Method::Tsit5, tolerance: 1e-4 },
         limits: Limits::default(),
         kept: vec![],
+        frozen: vec![],
+        tie: [1, 1],
         stimuli: Stimuli {
             source: Source::Bell(Bell {
                 amplitude: [0.15, 0.5],
@@ -67,11 +69,13 @@ fn small(protocol: Protocol) -> Problem {
 }
 
 const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
-const PROTOCOLS: [Protocol; 4] = [
+const PROTOCOLS: [Protocol; 6] = [
     Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)),
     Protocol::Warm(GOING),
     Protocol::Envelope(GOING),
     Protocol::Joint(GOING),
+    Protocol::Random(GOING),
+    Protocol::Cmaes(GOING),
 ];
 
 fn pool(threads: usize) -> rayon::ThreadPool {
@@ -139,8 +143,10 @@ fn errors_on_the_way_are_those_of_a_training_that_ends_there() {
 /// Stopped after each step and resumed from the state of that step, on another number of threads: the same bits.
 #[test]
 fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
-    for protocol in PROTOCOLS {
-        let problem = small(protocol);
+    let tied = |problem: Problem| Problem { tie: [2, 2], frozen: vec![6], ..problem };
+    let problems = PROTOCOLS.map(|protocol| [small(protocol), tied(small(protocol))]);
+    for problem in problems.into_iter().flatten() {
+        let protocol = problem.optimise.protocol;
         let mut whole = Keeper::default();
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
         assert_eq!(whole.reports.len(), 4, "{protocol:?}");
@@ -289,21 +295,79 @@ fn kept_units_keep_their_shape() {
     assert_ne!(before[5], after[5]);
 }
 
+/// Every design of a tied loop is α₀ + P z and can be cast, whatever moves it and however far; frozen units and those that
+/// the limits keep stay, others move.
+#[test]
+fn tied_shifts_stay_tied_and_castable() {
+    for protocol in PROTOCOLS {
+        let mut problem = Problem { tie: [2, 1], frozen: vec![6], kept: vec![9], ..small(protocol) };
+        let search = matches!(protocol, Protocol::Random(_) | Protocol::Cmaes(_));
+        (problem.optimise.rate, problem.optimise.iterations) = (if search { 5.0 } else { 2.0 }, 6);
+        let mut keeper = Keeper::default();
+        optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
+        let (freedom, layout) = (problem.freedom(), &problem.scene.layout);
+        let limits = Feasible::new(layout, problem.limits, &[]);
+        let mut projected = 0;
+        for (state, report) in keeper.states.iter().zip(&keeper.reports) {
+            let design = &state.design;
+            assert_eq!(&freedom.snap(&problem.initial, design.clone()), design, "{protocol:?}");
+            assert_eq!(limits.violations(design), [], "{protocol:?}, step {}", state.step);
+            let moved =
+                |unit: usize| layout.vertices(design)[unit] != layout.vertices(&problem.initial)[unit];
+            assert!(!moved(6) && !moved(9), "{protocol:?}");
+            projected += usize::from(report.projection == Some(crate::feasible::Status::Projected));
+        }
+        let statuses: Vec<_> = keeper.reports.iter().map(|r| (r.projection, r.projection_distance)).collect();
+        assert!(projected > 0 && keeper.states[5].design != problem.initial, "{protocol:?} {statuses:?}");
+    }
+}
+
+/// A search reads the initial body and then its candidates, and the best of all is the one that is kept.
+#[test]
+fn a_search_keeps_the_best_of_its_candidates() {
+    for protocol in [Protocol::Random(GOING), Protocol::Cmaes(GOING)] {
+        let mut problem = small(protocol);
+        (problem.optimise.iterations, problem.optimise.brain, problem.reader) =
+            (25, Kind::Linear, Kind::Linear);
+        problem.optimise.rate = 1.0;
+        let mut keeper = Keeper::default();
+        let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
+        let errors: Vec<f64> = keeper.reports.iter().map(|r| r.error_test.unwrap()).collect();
+        let least = errors.iter().copied().fold(f64::INFINITY, f64::min);
+        let at = errors.iter().position(|e| *e == least).unwrap();
+        assert_eq!(found.best_step as usize, at, "{errors:?}");
+        assert!(at > 0 && least < errors[0], "{errors:?}");
+        let last = keeper.states.last().unwrap();
+        assert_eq!(last.best.as_ref().unwrap().design, keeper.states[at - 1].design);
+        assert_eq!(last.found.len(), 24, "the first step reads the initial body");
+        let worse = last.found.iter().zip(&errors[1..]).all(|(fitness, error)| fitness >= error);
+        assert!(worse, "{:?} {errors:?}", last.found);
+    }
+}
+
 #[test]
 fn the_direct_term_is_the_derivative_of_the_test_loss_at_fixed_weights() {
-    check_the_direct_term(None);
+    check_the_direct_term(None, small(Protocol::Paper(Terms::Direct)));
+}
+
+/// The same along z where shifts move together and some do not move.
+#[test]
+fn the_direct_term_holds_where_shifts_are_tied() {
+    let plain = small(Protocol::Paper(Terms::Direct));
+    check_the_direct_term(None, Problem { tie: [2, 2], frozen: vec![6], ..plain });
 }
 
 /// The same through sensors that are late, noisy and biased.
 #[test]
 fn the_direct_term_holds_through_disturbed_sensors() {
     let (noise, bias) = (Size::Relative(0.05), Size::Physical([10.0, 0.1]));
-    check_the_direct_term(Some(Disturbance { noise, bias, delay: 0.0123 }));
+    let disturbance = Disturbance { noise, bias, delay: 0.0123 };
+    check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
 }
 
 /// L_test(α + εδ) at fixed weights, in N², against the gradient: a central difference along a random direction.
-fn check_the_direct_term(disturbance: Option<Disturbance>) {
-    let mut problem = Problem { disturbance, ..small(Protocol::Paper(Terms::Direct)) };
+fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
+    let mut problem = Problem { disturbance, ..problem };
     problem.solver.tolerance = 1e-10;
     let pool = pool(2);
     let setting = Setting::new(&problem, &pool).unwrap();
@@ -323,8 +387,11 @@ fn check_the_direct_term(disturbance: Option<Disturbance>) {
         setting.pull_back(&problem.initial, &setting.test, &simulation, &inputs, &mut log).unwrap();
 
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
-    let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();
-    let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+    let freedom = problem.freedom();
+    let mut z = vec![0.0; gradient.len()];
+    freedom.coordinates().into_iter().for_each(|i| z[i] = stream.normal());
+    let slope: f64 = freedom.vjp(&gradient).iter().zip(&z).map(|(g, d)| g * d).sum();
+    let direction = freedom.spread(&z);
     let mut at = |step: f64| {
         let design: Vec<f64> = problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d).collect();
         loss(&design).0

@@ -122,7 +122,7 @@ impl Session<'_> {
     }
 
     /// λ of these training samples: the state's, looked for anew every `RIDGE_EVERY` steps.
-    fn ridge_of(&self, state: &mut State, samples: &Plain) -> Result<f64, Trouble> {
+    pub(super) fn ridge_of(&self, state: &mut State, samples: &Plain) -> Result<f64, Trouble> {
         match state.ridge {
             Some(ridge) if !state.step.is_multiple_of(RIDGE_EVERY) => Ok(ridge),
             last => Ok(*state.ridge.insert(self.setting.ridge(samples, last)?)),

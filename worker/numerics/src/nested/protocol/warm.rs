@@ -4,6 +4,7 @@ use super::super::problem::Going;
 use super::super::report::{Log, Trouble};
 use super::super::state::State;
 use super::{Sensed, Session};
+use crate::brain::Batch;
 
 /// `warm` trains until the loss is within this factor of its trend …
 const NEED: f64 = 1.05;
@@ -18,13 +19,7 @@ impl Session<'_> {
         let sets = [(&setting.train, false), (&setting.test, true)];
         let [train, test] = setting.simulate_both(&state.design, sets, solver, log)?;
         let data = setting.data(&train.signals, &setting.train);
-        let mut loss_train = f64::INFINITY;
-        for _ in 0..ROUNDS_MAX {
-            loss_train = self.go_on(state, data.all(), going, log)?;
-            if state.trend.is_none_or(|trend| loss_train < NEED * trend) {
-                break;
-            }
-        }
+        let loss_train = self.go_on_by_need(state, data.all(), going, log)?;
         state.check_trend(loss_train)?;
 
         let data = setting.physical_data(&test.signals, &setting.test);
@@ -34,6 +29,24 @@ impl Session<'_> {
         log.report.error_test = error_test;
         log.report.loss_test = Some(loss_test);
         Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// Rounds of iterations until the loss is in line with its trend; the loss after them.
+    pub(super) fn go_on_by_need(
+        &mut self,
+        state: &mut State,
+        batch: Batch<f32>,
+        going: Going,
+        log: &mut Log,
+    ) -> Result<f64, Trouble> {
+        let mut loss = f64::INFINITY;
+        for _ in 0..ROUNDS_MAX {
+            loss = self.go_on(state, batch, going, log)?;
+            if state.trend.is_none_or(|trend| loss < NEED * trend) {
+                break;
+            }
+        }
+        Ok(loss)
     }
 
     /// The training loss at its minimum over β moves with α as at fixed β: no implicit term. From a subset of samples.

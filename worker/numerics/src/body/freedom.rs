@@ -1,0 +1,126 @@
+//! Which shifts of a design move, and which move together.
+//!
+//! ```text
+//! α = α₀ + P z      dL/dz = Pᵀ dL/dα      P: a column a block of node groups and axis, entries 0 and 1
+//! ```
+//! A block holds the groups of p × q cells with one direction of ligament; frozen groups have rows of zeros. Designs and
+//! gradients keep the length of α: a block's number stands at its first group, its leader, and is spread to the others.
+
+use super::Layout;
+use std::collections::BTreeMap;
+
+/// P.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Freedom {
+    /// Of each group the first one of its block; its own number where it moves alone.
+    leader: Vec<usize>,
+    frozen: Vec<bool>,
+}
+
+impl Freedom {
+    /// Blocks of p × q cells in which groups move together, but for those of the units named, which do not move.
+    ///
+    /// # Panics
+    /// If p or q is 0.
+    pub fn new(layout: &Layout, [p, q]: [usize; 2], frozen_units: &[usize]) -> Self {
+        let mut frozen = vec![false; layout.group_count];
+        frozen_units.iter().flat_map(|&unit| layout.groups[unit]).for_each(|group| frozen[group] = true);
+        let mut first: BTreeMap<(bool, [i32; 2]), usize> = BTreeMap::new();
+        let leader = layout.group_cells.iter().enumerate().map(|(group, &(vertical, [i, j]))| {
+            let block = (vertical, [i.div_euclid(p as i32), j.div_euclid(q as i32)]);
+            if frozen[group] { group } else { *first.entry(block).or_insert(group) }
+        });
+        Self { leader: leader.collect(), frozen }
+    }
+
+    /// Whether every shift moves alone.
+    pub fn is_whole(&self) -> bool {
+        !self.is_tied() && !self.frozen.contains(&true)
+    }
+
+    /// Whether some move together.
+    pub fn is_tied(&self) -> bool {
+        self.leader.iter().enumerate().any(|(group, &leader)| leader != group)
+    }
+
+    /// Of each group the first one of its block.
+    pub(crate) fn leaders(&self) -> &[usize] {
+        &self.leader
+    }
+
+    /// Length of z.
+    pub fn parameters(&self) -> usize {
+        2 * (0..self.leader.len()).filter(|&group| self.leads(group)).count()
+    }
+
+    fn leads(&self, group: usize) -> bool {
+        self.leader[group] == group && !self.frozen[group]
+    }
+
+    /// Coordinates of α at which z stands.
+    pub(crate) fn coordinates(&self) -> Vec<usize> {
+        (0..2 * self.leader.len()).filter(|i| self.leads(i / 2)).collect()
+    }
+
+    /// Pᵀ of a gradient in α: at the leaders, zero elsewhere.
+    pub fn vjp(&self, gradient: &[f64]) -> Vec<f64> {
+        let mut reduced = vec![0.0; gradient.len()];
+        for (i, g) in gradient.iter().enumerate().filter(|(i, _)| !self.frozen[i / 2]) {
+            reduced[2 * self.leader[i / 2] + i % 2] += g;
+        }
+        reduced
+    }
+
+    /// P of what stands at the leaders.
+    pub fn spread(&self, z: &[f64]) -> Vec<f64> {
+        let at = |i: usize| if self.frozen[i / 2] { 0.0 } else { z[2 * self.leader[i / 2] + i % 2] };
+        (0..z.len()).map(at).collect()
+    }
+
+    /// The design α₀ + P z that has the leaders of `design` where they are.
+    pub fn snap(&self, initial: &[f64], design: Vec<f64>) -> Vec<f64> {
+        if self.is_whole() {
+            return design;
+        }
+        let at = |i: usize| match (self.frozen[i / 2], 2 * self.leader[i / 2] + i % 2) {
+            (true, _) => initial[i],
+            (false, leader) if leader == i => design[i],
+            (false, leader) => initial[i] + (design[leader] - initial[leader]),
+        };
+        (0..design.len()).map(at).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, Stream};
+
+    /// ⟨w, P z⟩ = ⟨Pᵀ w, z⟩, and z has as many numbers as there are blocks that move: of 4 × 3 units in pairs along x 3 · 3
+    /// of the horizontal groups, 2 · 4 of the vertical ones.
+    #[test]
+    fn what_is_pulled_back_is_the_transpose_of_what_is_spread() {
+        let layout = Layout::planar(4, 3, 15.0, 2.25);
+        let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
+        for (tie, frozen, parameters) in [
+            ([1, 1], &[][..], layout.design_len()),
+            ([2, 1], &[], 2 * (3 * 3 + 2 * 4)),
+            ([9, 9], &[], 4),
+            ([1, 1], &[5], layout.design_len() - 8),
+            ([9, 9], &[5], 4),
+        ] {
+            let freedom = Freedom::new(&layout, tie, frozen);
+            assert_eq!(freedom.parameters(), parameters, "{tie:?} {frozen:?}");
+            let mut draw = || -> Vec<f64> { (0..layout.design_len()).map(|_| stream.normal()).collect() };
+            let (w, initial, mut z) = (draw(), draw(), vec![0.0; layout.design_len()]);
+            freedom.coordinates().into_iter().zip(draw()).for_each(|(i, x)| z[i] = x);
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let pairs = [dot(&w, &freedom.spread(&z)), dot(&freedom.vjp(&w), &z)];
+            assert!((pairs[0] - pairs[1]).abs() < 1e-12 && pairs[0] != 0.0, "{tie:?} {pairs:?}");
+            let moved: Vec<f64> = initial.iter().zip(freedom.spread(&z)).map(|(a, b)| a + b).collect();
+            let snapped = freedom.snap(&initial, moved.clone());
+            let off = snapped.iter().zip(&moved).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(off < 1e-15 * 10.0, "{tie:?}: {off}");
+        }
+    }
+}

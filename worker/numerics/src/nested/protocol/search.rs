@@ -1,0 +1,45 @@
+//! What a candidate of a search without gradient is worth: its test error, read by the trial's brain on its training set.
+
+use super::super::linear::fit;
+use super::super::problem::{Going, Kind};
+use super::super::report::{Log, Trouble};
+use super::super::state::State;
+use super::{Sensed, Session};
+use crate::brain::TrainOutcome;
+
+impl Session<'_> {
+    /// A linear brain is solved for; the network goes on from candidate to candidate, by as many iterations as its loss
+    /// needs.
+    pub(super) fn read(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
+        let (setting, design) = (self.setting, &state.design.clone());
+        let linear = setting.problem.optimise.brain == Kind::Linear;
+        if !linear {
+            self.first_training(state, going, log)?;
+        }
+        let sets = [(&setting.train, false), (&setting.test, false)];
+        let [train, test] = setting.simulate_both(design, sets, &setting.problem.solver, log)?;
+        let (loss_train, error_test) = if linear {
+            let samples = setting.plain(&train.signals, &setting.train);
+            let unseen = setting.plain(&test.signals, &setting.test);
+            let lags = setting.problem.decoder.lags;
+            let linear = log.timed(
+                |s| &mut s.train,
+                |_| Ok(fit(&samples.moments(), lags, self.ridge_of(state, &samples)?)?.linear()),
+            )?;
+            log.report.error_train = samples.error(&linear.predict(&samples.x));
+            let loss = log.report.error_train.map_or(f64::NAN, |error| 0.01 * error);
+            log.report.loss_train = Some(loss);
+            (loss, unseen.error(&linear.predict(&unseen.x)))
+        } else {
+            let data = setting.data(&train.signals, &setting.train);
+            let loss = self.go_on_by_need(state, data.all(), going, log)?;
+            let data = setting.data(&test.signals, &setting.test);
+            (loss, setting.error(&state.weights, &data, &setting.test, &mut self.workspace))
+        };
+        log.report.error_test = error_test;
+        match loss_train.is_finite() {
+            true => Ok(Sensed { gradient: Vec::new(), loss_train, error_test }),
+            false => Err(Trouble::Training(TrainOutcome::NonFinite)),
+        }
+    }
+}
