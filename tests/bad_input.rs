@@ -80,6 +80,32 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[optimise]\nprotocol = \"random\"\ngradient = \"direct\"\n[sweep]",
         "s.toml:15: optimise.gradient = direct: means nothing to this optimise.protocol, only to paper",
     ),
+    (
+        "[sweep]",
+        "[until]\npaired = 0.2\nconfidence = 1.5\n[sweep]",
+        "s.toml:15: until.confidence = 1.5: must lie in [0.5, 1)",
+    ),
+    ("[sweep]", "[until]\nconfidence = 0.9\n[sweep]", "s.toml:13: until: needs a question: paired, within,"),
+    (
+        "[sweep]",
+        "[until]\npared = 0.2\n[sweep]",
+        "s.toml:14: until.pared = 0.2: unknown key; the nearest known one is",
+    ),
+    (
+        "[sweep]",
+        "[until]\npaired = 0.2\n[sweep]",
+        "s.toml:14: until.paired = 0.2: needs one point, and four placements or seeds of each",
+    ),
+    (
+        "[sweep]",
+        "[until]\nelbow = true\nat_most = { seeds = 6 }\n[sweep]",
+        "s.toml:14: until.elbow = true: needs four numbers of sensors, and four placements or seeds",
+    ),
+    (
+        "[sweep]",
+        "[run]\nprune = { grace = 2 }\n[until]\nfewer = true\nat_most = { seeds = 6 }\n[sweep]",
+        "s.toml:14: run.prune: gives up trials that [until] would count",
+    ),
     ("density = 1e-8", "density = 0.0", "s.toml:7: body.density = 0: "),
     ("density = 1e-8", "density = 1e-8\ndamping_ratio = -0.1", "s.toml:8: body.damping_ratio = -0.1: "),
     ("density = 1e-8", "density = 1e-8\ninitial_angle = 60.0", "s.toml:8: body.initial_angle = 60: "),

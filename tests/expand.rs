@@ -113,11 +113,12 @@ fn committed_specs_keep_their_hashes() {
     fig4b 688de3edf8cea134
     fig4b-linear 02bbf75fb7dfcc2f
     fig4b-two-core f4fb8128c06f91f4
+    fig4b-until 5c27bafd6113b2e3
     fig4c cdb6e7edaff7021e
     fig4c-linear 5fa3b04b28e4246e
     fig4c-two-core e225fb8a1fb52555
-    fig5 @fig5
-    fig5-two-core @fig5t
+    fig5 a3ec099760be45bd
+    fig5-two-core 6e8feb7c74983963
     placed-two-core 50e5d8b49b04bb0d
     quickstart c5fc1d861fdbe216
     random-two-core 2f5dde1678f3c2fa

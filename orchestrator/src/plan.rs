@@ -9,6 +9,7 @@ mod axes;
 mod brains;
 pub mod cost;
 mod size;
+mod until;
 
 use std::collections::HashSet;
 use std::error::Error as _;
@@ -23,6 +24,7 @@ use metasense_worker::problem::{self, Invalid};
 use metasense_worker::records;
 
 use axes::Combination;
+pub use until::Found;
 
 /// More trials than this are taken for a mistake.
 const MOST_TRIALS: usize = 1_000_000;
@@ -72,7 +74,7 @@ impl Plan {
     /// At the first key that is unknown, or whose value no trial can have.
     pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
         let source = Source::new(file, text)?;
-        let spec = source.parse()?;
+        let spec = until::grid(source.parse()?, &source)?;
         check_sweep(&spec, &source)?;
         let combinations = axes::combinations(&spec, &source)?;
         brains::refuse_unread(combinations.iter().map(|combination| &combination.spec), &source)?;
@@ -84,6 +86,7 @@ impl Plan {
         if trials.is_empty() {
             return Err(source.error("sweep.exclude", "leaves no trial"));
         }
+        until::check(spec.until.as_ref(), &trials, &source)?;
         Ok(Self { source, spec, trials })
     }
 

@@ -23,4 +23,4 @@ pub mod simulate;
 pub mod verify;
 
 pub use metasense_numerics::brain::milestones;
-pub use metasense_numerics::student::student;
+pub use metasense_numerics::student::{chance_above, student, student_above};

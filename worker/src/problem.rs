@@ -5,21 +5,24 @@
 
 use std::fmt::Display;
 
-use metasense_numerics::body::{Freedom, Layout};
+use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
-use metasense_numerics::brain::{Architecture, LAYERS_MAX, Policy, Shape};
+use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::nested::{
-    Decoder, Evaluation, Going, Kind, Optimise, Problem, Protocol, Ridge, Schedule, Terms, Training, fits,
+    Decoder, Evaluation, Kind, Optimise, Problem, Ridge, Schedule, Training, fits,
 };
 use metasense_numerics::place::{self, Search};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
 
+mod optimise;
 mod stimuli;
 
 pub use metasense_numerics::nested::READINGS_MAX;
 
+pub use optimise::design_parameters;
+use optimise::{frozen, protocol, tie};
 use stimuli::{disturbance, stimuli};
 
 /// A value that no trial can be made of.
@@ -264,102 +267,6 @@ fn solver(key: &str, solver: &spec::Solver) -> Result<Solver, Invalid> {
 /// Of a linear brain's system: 3 GB and a minute a step.
 const UNKNOWNS_MAX: usize = 20_000;
 
-fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
-    let &spec::Optimise {
-        protocol,
-        gradient,
-        curvature,
-        damping,
-        batch,
-        brain_iterations,
-        brain_learning_rate,
-        coarse,
-        ..
-    } = optimise;
-    // a key that a protocol does not read is refused: it would make trials differ that are the same
-    let unread = |key: &str, given: Option<String>, readers: &str| match given {
-        Some(value) => {
-            Err(invalid(key, value, format!("means nothing to this optimise.protocol, only to {readers}")))
-        }
-        None => Ok(()),
-    };
-    let paper = protocol == spec::Protocol::Paper;
-    if paper {
-        unread(
-            "optimise.brain_iterations",
-            brain_iterations.map(|n| n.to_string()),
-            "warm, envelope, joint, random and cmaes",
-        )?;
-        unread(
-            "optimise.brain_learning_rate",
-            brain_learning_rate.map(|r| r.to_string()),
-            "warm, envelope, joint, random and cmaes",
-        )?;
-    } else {
-        let name =
-            gradient.map(|terms| if terms == spec::GradientTerms::Direct { "direct" } else { "implicit" });
-        unread("optimise.gradient", name.map(String::from), "paper")?;
-    }
-    let implicit = paper && gradient != Some(spec::GradientTerms::Direct);
-    if !implicit {
-        let reader = "paper with optimise.gradient = \"implicit\"";
-        unread("optimise.curvature", curvature.map(|c| format!("{c:?}").to_lowercase()), reader)?;
-        unread("optimise.damping", damping.map(|d| d.to_string()), reader)?;
-    }
-    if !matches!(protocol, spec::Protocol::Envelope | spec::Protocol::Joint) {
-        unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
-        unread("optimise.coarse", coarse.map(|solver| format!("{solver:?}")), "envelope and joint")?;
-    }
-    let resolved = optimise.clone().resolved();
-    // what a protocol does not read stays open, and does not matter
-    let going = Going {
-        batch: resolved.batch.unwrap_or(1),
-        brain_iterations: resolved.brain_iterations.unwrap_or(1),
-        brain_rate: resolved.brain_learning_rate.unwrap_or(1.0),
-    };
-    at_least("optimise.batch", going.batch, 1)?;
-    at_least("optimise.brain_iterations", going.brain_iterations, 1)?;
-    positive("optimise.brain_learning_rate", going.brain_rate)?;
-    Ok(match protocol {
-        spec::Protocol::Paper => Protocol::Paper(match gradient {
-            None | Some(spec::GradientTerms::Implicit) => Terms::Implicit(policy(curvature, damping)?),
-            Some(spec::GradientTerms::Direct) => Terms::Direct,
-        }),
-        spec::Protocol::Warm => Protocol::Warm(going),
-        spec::Protocol::Envelope => Protocol::Envelope(going),
-        spec::Protocol::Joint => Protocol::Joint(going),
-        spec::Protocol::Random => Protocol::Random(going),
-        spec::Protocol::Cmaes => Protocol::Cmaes(going),
-    })
-}
-
-fn tie(optimise: &spec::Optimise) -> Result<[usize; 2], Invalid> {
-    let tie = optimise.tie.unwrap_or([1, 1]);
-    let shown = format!("{tie:?}");
-    require(
-        tie.iter().all(|n| (1..=1000).contains(n)),
-        "optimise.tie",
-        shown,
-        "must be two numbers from 1 to 1000",
-    )?;
-    Ok(tie)
-}
-
-fn frozen(optimise: &spec::Optimise, layout: &Layout) -> Result<Vec<usize>, Invalid> {
-    check_units("optimise.frozen", optimise.frozen.as_deref().unwrap_or_default(), layout, &[])
-}
-
-/// How many numbers the outer loop moves: those of α, or of z where shifts are tied or frozen.
-///
-/// # Errors
-/// Where `optimise.tie` or `optimise.frozen` make no sense, or leave nothing to move.
-pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, Invalid> {
-    let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
-    let parameters = Freedom::new(layout, tie, &frozen).parameters();
-    require(parameters > 0, "optimise.frozen", format!("{frozen:?}"), "must leave a unit's shape free")?;
-    Ok(parameters)
-}
-
 fn kind(kind: spec::BrainKind) -> Kind {
     match kind {
         spec::BrainKind::Cnn => Kind::Network,
@@ -419,27 +326,6 @@ pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     );
     let shown = trial.brain.memory.map_or(String::new(), |memory| format!("{memory:?}"));
     require(unknowns <= UNKNOWNS_MAX, "brain.memory", shown, &remedy)
-}
-
-/// What stands for the Hessian's inverse.
-fn policy(curvature: Option<spec::Curvature>, damping: Option<f64>) -> Result<Policy, Invalid> {
-    let lambda = damping.unwrap_or(0.0);
-    let shown = damping.map_or(String::new(), |lambda| lambda.to_string());
-    let least = "must be a number above 0 where optimise.curvature is \"damped\"";
-    not_negative("optimise.damping", lambda)?;
-    match curvature.unwrap_or(spec::Curvature::Truncate) {
-        spec::Curvature::Truncate => require(
-            damping.is_none(),
-            "optimise.damping",
-            shown,
-            "means nothing to optimise.curvature = \"truncate\", only to damped and gauss_newton",
-        )
-        .map(|()| Policy::Truncate),
-        spec::Curvature::Damped => {
-            require(lambda > 0.0, "optimise.damping", shown, least).map(|()| Policy::Damped(lambda))
-        }
-        spec::Curvature::GaussNewton => Ok(Policy::GaussNewton(lambda)),
-    }
 }
 
 /// Units that keep their initial shape.

@@ -57,7 +57,8 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let rows = plan.trials.iter().map(|trial| row(trial, &axes)).collect();
     print_rows(&Table { columns, rows }, args.format)?;
     let total: f64 = plan.trials.iter().map(|t| t.cost).sum();
-    say!("{}, about {} on one core", counted(plan.trials.len(), "trial"), super::duration(total));
+    let most = if plan.spec.until.is_some() { "at most " } else { "" };
+    say!("{most}{}, about {} on one core", counted(plan.trials.len(), "trial"), super::duration(total));
     Ok(Exit::Done)
 }
 

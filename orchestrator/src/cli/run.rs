@@ -83,6 +83,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         end_after(time);
     }
     let mut plan = read_plan(&args.spec)?;
+    if args.shard.is_some() {
+        not_in_shards(&plan)?;
+    }
     let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
         if let Some(shard) = args.shard {
             Deal::new(&plan.trials, shard.count()).restrict(shard, &mut plan);
@@ -116,6 +119,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(exit)
 }
 
+/// Questions want all results in one place.
+pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
+    match plan.spec.until {
+        None => Ok(()),
+        Some(_) => Err(plan.source.error("until", "wants all results in one place: no shards").into()),
+    }
+}
+
 /// The spec that a folder's shards were submitted with is the one they run.
 fn check_submitted(folder: &Path, plan: &Plan) -> Result<(), Error> {
     let submitted = folder.join(SUBMITTED_SPEC);
@@ -144,11 +155,61 @@ async fn run(
         failed: args.retry_failed,
         other_code: args.redo_other_code,
     };
+    let outcome = match plan.spec.until {
+        None => round(&mut store, plan, &plan.trials, again, args, log, signals).await,
+        Some(_) => rounds(&mut store, plan, again, args, log, signals).await,
+    };
+    // Closed in any case, and let go of when all is written.
+    let closed = store.close().await;
+    let outcome = outcome?;
+    closed?;
+    Ok(outcome.unwrap_or(Outcome::Complete))
+}
+
+/// Runs what the sweep's questions want, looks at them, and so on, until they want nothing more.
+async fn rounds(
+    store: &mut Store,
+    plan: &Plan,
+    mut again: Again,
+    args: &Args,
+    log: &Path,
+    signals: &mut Signals,
+) -> Result<Option<Outcome>, Error> {
+    let workers = options(&plan.spec.run, args, &[]).settings.workers;
+    let mut said = Vec::new();
+    loop {
+        let (decision, wanted) = plan.decide(&store.found().await?, workers).expect("it has questions");
+        for line in decision.standings.iter().map(ToString::to_string) {
+            if !said.contains(&line) {
+                say!("{line}");
+                said.push(line);
+            }
+        }
+        match round(store, plan, &wanted, again, args, log, signals).await? {
+            Some(Outcome::Complete) => again = Again::default(),
+            None if !decision.is_settled() => {
+                say!("questions are left open: the most that [until] allows has been run");
+                return Ok(None);
+            }
+            ended => return Ok(ended),
+        }
+    }
+}
+
+/// Runs those of some trials that are open; `None` where there are none.
+async fn round(
+    store: &mut Store,
+    plan: &Plan,
+    trials: &[Trial],
+    again: Again,
+    args: &Args,
+    log: &Path,
+    signals: &mut Signals,
+) -> Result<Option<Outcome>, Error> {
     let sweep = (&plan.spec, &*plan.source.text);
-    let Some(open) = engine::begin(&mut store, sweep, &plan.trials, again, signals).await? else {
-        store.close().await?;
+    let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
         say!("stopped before any trial was begun; the same command begins");
-        return Ok(Outcome::Interrupted);
+        return Ok(Some(Outcome::Interrupted));
     };
     let options = options(&plan.spec.run, args);
     let planned = RunPlan {
@@ -164,24 +225,21 @@ async fn run(
             let run = store.begin_run(&planned).await?;
             store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
         }
-        store.close().await?;
-        say!("nothing left to do: {} settled", counted(plan.trials.len(), "trial"));
-        return Ok(Outcome::Complete);
+        say!("nothing left to do: {} settled", counted(trials.len(), "trial"));
+        return Ok(None);
     }
     log::start(log)?;
     let run = store.begin_run(&planned).await?;
-    let mut live = Live::new(open.len(), plan.trials.len() - open.len(), options.settings.workers);
+    let mut live = Live::new(open.len(), trials.len() - open.len(), options.settings.workers);
     let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
-    let ended = engine::run(&mut store, &open, &work, &options, signals, &mut live).await;
-    // Closed in any case, and let go of when all is written.
+    let ended = engine::run(store, &open, &work, &options, signals, &mut live).await;
     let noted = match &ended {
         Ok(summary) => store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await,
         Err(_) => Ok(()),
     };
-    let closed = store.close().await;
     let summary = ended?;
-    noted.and(closed)?;
-    Ok(summary.outcome)
+    noted?;
+    Ok(Some(summary.outcome))
 }
 
 /// As the database has it.

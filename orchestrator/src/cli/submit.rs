@@ -51,6 +51,7 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.spec)?;
+    super::run::not_in_shards(&plan)?;
     if args.partition.is_some() && args.scheduler == Scheduler::Hq {
         return Err(Error::Usage("--partition: HyperQueue has none; leave it out".into()));
     }

@@ -8,6 +8,7 @@ mod prune;
 mod reason;
 #[cfg(test)]
 mod simulation;
+pub mod until;
 
 use std::collections::BTreeSet;
 

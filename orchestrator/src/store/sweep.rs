@@ -5,7 +5,7 @@ use sqlx::Connection;
 
 use super::write::VERSION;
 use super::{Store, StoreError};
-use crate::plan::Trial;
+use crate::plan::{Found, Trial};
 use crate::scheduler::PRUNED;
 
 /// Trials that are to be run again.
@@ -108,6 +108,27 @@ impl Store {
             .fetch_all(&mut self.connection)
             .await
             .map_err(|source| StoreError::sql(&self.path, "reading", source))
+    }
+
+    /// What these trials have come to.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn found(&mut self) -> Result<Vec<Found>, StoreError> {
+        type Row = (String, Option<f64>, Option<f64>, Option<f64>);
+        let rows: Vec<Row> = sqlx::query_as(
+            "SELECT hash, holdout_error_initial, holdout_error_optimised, seconds FROM v_trial
+             WHERE state IN ('done', 'failed')",
+        )
+        .fetch_all(&mut self.connection)
+        .await
+        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+        let found = |(hash, initial, optimised, seconds): Row| Found {
+            hash,
+            errors: [initial, optimised],
+            seconds: seconds.unwrap_or(0.0),
+        };
+        Ok(rows.into_iter().map(found).collect())
     }
 }
 

@@ -43,6 +43,7 @@ impl KnownKeys {
             p.contains('.')
                 && !p.starts_with("sweep.")
                 && !p.starts_with("run.")
+                && !p.starts_with("until.")
                 && *p != "sensors.placements"
         })
     }

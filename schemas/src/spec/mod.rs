@@ -10,6 +10,7 @@ mod sensors;
 mod solver;
 mod stimuli;
 mod trial;
+mod until;
 
 pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
@@ -22,6 +23,7 @@ pub use sensors::{Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{Augment, ForceUnit, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger};
 pub use trial::{Point, TrialSpec};
+pub use until::{AtMost, Until};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -59,6 +61,9 @@ pub struct SweepSpec {
     pub feasible: Feasible,
     /// The axes of the sweep.
     pub sweep: Sweep,
+    /// Questions that end the sweep when they are settled; by default none, and all of it is run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until: Option<Until>,
     /// Limits of the run itself; no part of what a trial is.
     #[serde(default)]
     pub run: Run,

@@ -14,9 +14,65 @@ pub fn student(freedom: usize) -> f64 {
         + (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / (384.0 * n.powi(3))
 }
 
+/// The chance that Student's t lies above a number.
+///
+/// Finite sums for whole degrees of freedom (Abramowitz and Stegun 26.7.3 and 4), θ = atan(t/√ν).
+///
+/// # Panics
+/// If there is no degree of freedom.
+#[must_use]
+pub fn chance_above(freedom: usize, t: f64) -> f64 {
+    assert!(freedom > 0, "no degree of freedom");
+    let odd = freedom % 2 == 1;
+    let theta = (t / (freedom as f64).sqrt()).atan();
+    let (sine, cosine) = theta.sin_cos();
+    let (mut term, mut sum) = if odd { (cosine, 0.0) } else { (1.0, 0.0) };
+    for n in (if odd { 1 } else { 0 }..freedom - 1).step_by(2) {
+        sum += term;
+        term *= cosine * cosine * (n + 1) as f64 / (n + 2) as f64;
+    }
+    let within = if odd { (theta + sine * sum) / std::f64::consts::FRAC_PI_2 } else { sine * sum };
+    0.5 * (1.0 - within)
+}
+
+/// The number that Student's t lies above with this chance, by bisection.
+///
+/// # Panics
+/// If there is no degree of freedom, or the chance is not one below a half.
+#[must_use]
+pub fn student_above(freedom: usize, chance: f64) -> f64 {
+    assert!(chance > 0.0 && chance < 0.5, "{chance}");
+    let root = (freedom as f64).sqrt();
+    let (mut low, mut high) = (0.0, std::f64::consts::FRAC_PI_2);
+    for _ in 0..60 {
+        let middle: f64 = 0.5 * (low + high);
+        if chance_above(freedom, root * middle.tan()) > chance { low = middle } else { high = middle }
+    }
+    low.tan() * root
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Values of printed tables, one-sided.
+    #[test]
+    fn quantiles_of_any_chance() {
+        for (freedom, chance, value) in [
+            (1, 0.025, 12.7062),
+            (2, 0.005, 9.9248),
+            (3, 0.001, 10.2145),
+            (4, 0.0005, 8.6103),
+            (7, 0.05, 1.8946),
+            (8, 0.25, 0.7064),
+            (11, 0.0005, 4.4370),
+            (30, 0.025, 2.0423),
+        ] {
+            let found = student_above(freedom, chance);
+            assert!((found - value).abs() < 1e-4, "{freedom}, {chance}: {found}, not {value}");
+            assert!((chance_above(freedom, found) / chance - 1.0).abs() < 1e-9, "{freedom}, {chance}");
+        }
+    }
 
     /// Values of a printed table.
     #[test]

@@ -1,0 +1,270 @@
+//! When a sweep's questions are settled, and which of its trials come next: pure, fed with stored results alone.
+//!
+//! Units of inference come in the order of the plan: placements with all their seeds, or seeds with all their placements,
+//! whichever the grid has more of. After the fourth unit and each further one a question is looked at by bounds of Student's
+//! t, of contrasts of ln e a unit. Looks are paid for by group-sequential spending (`looks.rs`): a grid is a few units and its
+//! last one known, so that a confidence sequence, which is valid for ever, would ask for more of them.
+
+mod ask;
+#[cfg(test)]
+mod campaigns;
+mod looks;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fmt;
+
+use metasense_schemas::spec::Until;
+
+use crate::analysis::data::{COMPLEXITY, SENSORS, groups, places};
+use crate::analysis::resample::LEAST_UNITS;
+use crate::analysis::{Body, Cluster, Observation, Set, Trial};
+
+use ask::Curves;
+pub use ask::{Answer, Question};
+use looks::Looks;
+
+/// A question to a setting of the sweep.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Standing {
+    /// What is asked.
+    pub question: Question,
+    /// Of what: K, body, brain.
+    pub setting: String,
+    /// Units that have a result, and units of the grid.
+    pub units: [usize; 2],
+    /// What they are.
+    pub of: &'static str,
+    /// The answer, once there is one, and the units that it took.
+    pub answer: Option<(Answer, usize)>,
+}
+
+impl fmt::Display for Standing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { question, setting, units: [known, grid], of, answer } = self;
+        write!(f, "{question} ({setting}), ")?;
+        match answer {
+            Some((answer, units)) => write!(f, "settled by {units} of {grid} {of}: {answer}"),
+            None => write!(f, "open after {known} of {grid} {of}"),
+        }
+    }
+}
+
+/// What comes next.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Decision {
+    /// Where every question stands.
+    pub standings: Vec<Standing>,
+    /// Trials that are wanted, by their place in the plan, settled ones among them.
+    pub wanted: Vec<usize>,
+}
+
+impl Decision {
+    /// Whether every question has its answer.
+    #[must_use]
+    pub fn is_settled(&self) -> bool {
+        self.standings.iter().all(|standing| standing.answer.is_some())
+    }
+}
+
+/// Of a question and a setting, the trials unit by unit.
+struct Asked {
+    question: Question,
+    setting: String,
+    of: &'static str,
+    /// M, or the number of design parameters.
+    places: Vec<f64>,
+    /// Places of the trials in the plan, with their place on the axis.
+    units: Vec<Vec<(usize, f64)>>,
+}
+
+/// The questions, each to every setting that it makes sense of. `trials` are the plan's, with or without results.
+fn asked(until: &Until, trials: &[Trial]) -> Vec<Asked> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let numbers: HashMap<*const Trial, usize> =
+        trials.iter().enumerate().map(|(i, trial)| (std::ptr::from_ref(trial), i)).collect();
+    let mut found = Vec::new();
+    for question in Question::all(until) {
+        let (but, at): (_, fn(&Trial) -> u64) = match question {
+            Question::Complexity => (COMPLEXITY, |t| t.design_parameters),
+            _ => (SENSORS, |t| t.sensors),
+        };
+        for group in groups(&refs, but) {
+            let (units, of) = by_unit(&group.trials);
+            let with_place =
+                |trial: &&Trial| (numbers[&std::ptr::from_ref::<Trial>(*trial)], at(trial) as f64);
+            let units: Vec<Vec<(usize, f64)>> =
+                units.iter().map(|unit| unit.iter().map(with_place).collect()).collect();
+            let on_axis =
+                |(_, at): &(usize, f64)| Observation { at: *at, cluster: Cluster::default(), error: 1.0 };
+            let places = places(&units.iter().flatten().map(on_axis).collect::<Vec<_>>());
+            if places.len() >= question.least_places() && units.len() >= LEAST_UNITS {
+                found.push(Asked { question, setting: group.label, of, places, units });
+            }
+        }
+    }
+    found
+}
+
+/// Trials by placement or by seed, whichever there are more of, in the order of the plan.
+fn by_unit<'a>(trials: &[&'a Trial]) -> (Vec<Vec<&'a Trial>>, &'static str) {
+    let of = |pick: fn(&Cluster) -> u64| {
+        let mut found: Vec<(u64, Vec<&Trial>)> = Vec::new();
+        for trial in trials {
+            let value = pick(&trial.cluster);
+            match found.iter_mut().find(|(known, _)| *known == value) {
+                Some((_, unit)) => unit.push(trial),
+                None => found.push((value, vec![trial])),
+            }
+        }
+        found.into_iter().map(|(_, unit)| unit).collect::<Vec<_>>()
+    };
+    let (placements, seeds) = (of(|c| c.placement), of(|c| c.seed));
+    if seeds.len() > placements.len() { (seeds, "seeds") } else { (placements, "placements") }
+}
+
+/// The first question that no setting of the plan can answer.
+#[must_use]
+pub fn unanswerable(until: &Until, trials: &[Trial]) -> Option<Question> {
+    let found = asked(until, trials);
+    Question::all(until).into_iter().find(|question| found.iter().all(|a| a.question != *question))
+}
+
+/// Where the questions stand by what is `settled` (done, or failed for good) of the plan's trials, and what is wanted: of
+/// every open question the units before the first one that is not settled, and so many `ahead`.
+#[must_use]
+pub fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> Decision {
+    let alpha = 1.0 - until.confidence;
+    let mut looks: BTreeMap<usize, Looks> = BTreeMap::new();
+    let (mut standings, mut wanted) = (Vec::new(), BTreeSet::new());
+    for asked in asked(until, trials) {
+        let passed =
+            asked.units.iter().take_while(|unit| unit.iter().all(|(trial, _)| settled[*trial])).count();
+        let grid = asked.units.len();
+        let curve = |unit: &Vec<(usize, f64)>| curve(unit, &asked.places, trials);
+        let curves: Vec<Option<Vec<f64>>> = asked.units[..passed].iter().map(curve).collect();
+        let looks = looks.entry(grid).or_insert_with(|| Looks::new(grid));
+        let answer = settle(asked.question, &curves, &asked.places, alpha, looks);
+        let needed = match &answer {
+            Some((_, units)) => *units,
+            None => (passed + ahead.max(1)).max(LEAST_UNITS).min(grid),
+        };
+        wanted.extend(asked.units[..needed].iter().flatten().map(|(trial, _)| *trial));
+        let units = [curves.iter().flatten().count(), grid];
+        let Asked { question, setting, of, .. } = asked;
+        standings.push(Standing { question, setting, units, of, answer });
+    }
+    Decision { standings, wanted: wanted.into_iter().collect() }
+}
+
+/// ln e of a unit on the optimised body by place, then on the initial one, means over what is nested in it; `None` where a
+/// trial has none.
+fn curve(unit: &[(usize, f64)], places: &[f64], trials: &[Trial]) -> Option<Vec<f64>> {
+    let mean = |body: Body, place: f64| -> Option<f64> {
+        let here = unit.iter().filter(|(_, at)| *at == place);
+        let logs: Option<Vec<f64>> =
+            here.map(|(trial, _)| trials[*trial].error(body, Set::Holdout).map(f64::ln)).collect();
+        let logs = logs.filter(|logs| !logs.is_empty())?;
+        Some(logs.iter().sum::<f64>() / logs.len() as f64)
+    };
+    let bodies = [Body::Optimised, Body::Initial];
+    bodies
+        .into_iter()
+        .flat_map(|body| places.iter().map(move |place| (body, *place)))
+        .map(|(b, p)| mean(b, p))
+        .collect()
+}
+
+/// The first answer that a look at the units so far has, wrong with at most this chance, and how many units it took. Units
+/// without a curve are passed over.
+fn settle(
+    question: Question,
+    curves: &[Option<Vec<f64>>],
+    places: &[f64],
+    chance: f64,
+    looks: &mut Looks,
+) -> Option<(Answer, usize)> {
+    let mut known = Vec::new();
+    for (passed, curve) in (1..).zip(curves) {
+        let Some(curve) = curve else { continue };
+        known.push(&curve[..]);
+        if known.len() >= LEAST_UNITS {
+            let look = Curves { places, units: &known, passed };
+            if let Some(answer) = question.answer(&look, chance, looks) {
+                return Some((answer, passed));
+            }
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::data::flatten;
+    use serde_json::json;
+
+    /// M = 1 … 4 in twelve placements at one seed, in the plan's order; the optimised body's error is that of its M, and a
+    /// placement's own part is small.
+    fn plan() -> Vec<Trial> {
+        let of = |(placement, m): (u64, u64)| {
+            let own = 1.0 + 0.03 * (placement as f64).sin() + 0.01 * ((7 * placement + m) as f64).cos();
+            let error = own * [8.0, 4.0, 2.0, 2.0][m as usize - 1];
+            let spec = json!({"point": {"panels": 4, "sensors": m, "placement": placement, "seed": 1}});
+            Trial {
+                setting: flatten(&spec),
+                panels: 4,
+                sensors: m,
+                cluster: Cluster { placement, seed: 1 },
+                errors: [[None, Some(3.0 * error)], [None, Some(error)]],
+                ..Trial::default()
+            }
+        };
+        (0..12).flat_map(|placement| (1..=4).map(move |m| (placement, m))).map(of).collect()
+    }
+
+    fn until() -> Until {
+        Until { paired: Some(0.3), within: Some(0.1), fewer: true, ..Until::default() }
+    }
+
+    /// Whatever else is settled, in whatever order it came: the same answers by the same units; a gap is not looked past,
+    /// and a unit with a failure is passed over.
+    #[test]
+    fn decisions_hang_on_leading_results_alone() {
+        let trials = plan();
+        let begin = decide(&until(), &trials, &[false; 48], 1);
+        assert_eq!(begin.wanted, (0..16).collect::<Vec<_>>(), "four placements");
+        assert!(!begin.is_settled());
+        let known = |units: usize| -> Vec<bool> { (0..48).map(|i| i < 4 * units).collect() };
+        let whole = decide(&until(), &trials, &known(12), 1);
+        assert!(whole.is_settled(), "{whole:?}");
+        let took: Vec<usize> = whole.standings.iter().map(|s| s.answer.unwrap().1).collect();
+        let most = *took.iter().max().unwrap();
+        assert!(most < 12 && whole.wanted == (0..4 * most).collect::<Vec<_>>(), "{whole:?}");
+        assert_eq!(whole.standings[1].answer.unwrap().0, Answer::Sensors(Some(3.0)));
+        for units in 4..12 {
+            let part = decide(&until(), &trials, &known(units), 1);
+            for (part, whole) in part.standings.iter().zip(&whole.standings) {
+                let due = whole.answer.filter(|(_, took)| *took <= units);
+                assert_eq!(part.answer, due, "{units} units");
+            }
+        }
+        // the third placement lacks a trial; then it has failed
+        let mut gap = known(12);
+        gap[9] = false;
+        assert!(decide(&until(), &trials, &gap, 1).standings.iter().all(|s| s.answer.is_none()));
+        let mut failed = trials.clone();
+        failed[9].errors = Default::default();
+        let passed_over = decide(&until(), &failed, &known(12), 1);
+        assert!(passed_over.standings.iter().all(|s| s.answer.unwrap().1 > 4), "{passed_over:?}");
+    }
+
+    /// Three workers and one trial a unit: three units at a time.
+    #[test]
+    fn as_many_units_are_wanted_as_keep_workers_busy() {
+        let trials: Vec<Trial> = plan().into_iter().filter(|t| t.sensors == 1).collect();
+        let until = Until { paired: Some(1e-9), ..Until::default() };
+        let settled: Vec<bool> = (0..12).map(|i| i < 5).collect();
+        assert_eq!(decide(&until, &trials, &settled, 3).wanted, (0..8).collect::<Vec<_>>());
+        assert_eq!(decide(&until, &trials, &[true; 12], 3).wanted.len(), 12);
+    }
+}

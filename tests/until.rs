@@ -1,0 +1,73 @@
+//! A sweep with questions ends when they are settled, and what it decides is what is stored.
+
+mod common;
+
+use common::{Bench, TINY};
+
+/// The sweep of two trials in eight placements.
+fn spec(until: &str) -> String {
+    TINY.to_owned() + "\n[until]\nat_most = { placements = 8 }\n" + until
+}
+
+fn trials(bench: &Bench) -> String {
+    bench.output(&[
+        "query",
+        "results/tiny.sqlite",
+        "SELECT hash, state, holdout_error_optimised FROM v_trial ORDER BY hash",
+        "--format",
+        "csv",
+    ])
+}
+
+/// A ratio to any width is settled by the four placements that an interval needs; a width that none has takes all eight, on
+/// top of the four, and says so. Called again, nothing is left to do; one worker ends at the trials of two.
+#[test]
+fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
+    let bench = Bench::new();
+    bench.file("s.toml", &spec("paired = 1e6\n"));
+    let said = |args: &[&str]| {
+        let out = bench.metasense(args);
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        String::from_utf8(out.stderr).unwrap()
+    };
+    let first = said(&["run", "s.toml", "--workers", "2"]);
+    assert!(first.contains("paired to 1000000 (K = 2), settled by 4 of 8 placements: "), "{first}");
+    let four = trials(&bench);
+    assert_eq!(four.lines().count(), 1 + 2 * 4, "{four}");
+    let again = said(&["run", "s.toml"]);
+    assert!(
+        again.contains("settled by 4 of 8") && again.contains("nothing left to do: 8 trials settled"),
+        "{again}"
+    );
+    assert_eq!(trials(&bench), four);
+
+    bench.file("s.toml", &spec("paired = 1e-9\n"));
+    let all = said(&["run", "s.toml", "--workers", "1"]);
+    assert!(all.contains("open after 8 of 8 placements") && all.contains("questions are left open"), "{all}");
+    assert_eq!(trials(&bench).lines().count(), 1 + 2 * 8);
+
+    let other = Bench::new();
+    other.file("s.toml", &spec("paired = 1e6\n"));
+    assert!(other.metasense(&["run", "s.toml", "--workers", "1"]).status.success());
+    assert_eq!(trials(&other), four);
+}
+
+/// Beyond the CPU hours that it may take nothing is begun; questions want all results in one place.
+#[test]
+fn hours_and_shards_are_kept_to() {
+    let bench = Bench::new();
+    bench.file(
+        "s.toml",
+        &(TINY.to_owned() + "[until]\npaired = 1e-9\nat_most = { seeds = 8, hours = 1e-9 }\n"),
+    );
+    let out = bench.metasense(&["run", "s.toml", "--workers", "1"]);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(said.contains("open after 4 of 8 seeds") && said.contains("questions are left open"), "{said}");
+    assert_eq!(trials(&bench).lines().count(), 1 + 2 * 4);
+    let shard = bench.metasense(&["run", "s.toml", "--shard", "1/2"]);
+    let said = String::from_utf8(shard.stderr).unwrap();
+    assert!(
+        shard.status.code() == Some(2) && said.contains("until: wants all results in one place"),
+        "{said}"
+    );
+}
