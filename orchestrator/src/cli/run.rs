@@ -175,7 +175,7 @@ async fn rounds(
     log: &Path,
     signals: &mut Signals,
 ) -> Result<Option<Outcome>, Error> {
-    let workers = options(&plan.spec.run, args, &[]).settings.workers;
+    let workers = options(&plan.spec.run, args).settings.workers;
     let mut said = Vec::new();
     loop {
         let (decision, wanted) = plan.decide(&store.found().await?, workers).expect("it has questions");
