@@ -2,6 +2,7 @@
 
 pub mod arrays;
 pub mod bench;
+pub mod bound;
 pub mod clock;
 pub mod convert;
 pub mod course;

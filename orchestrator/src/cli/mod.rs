@@ -5,6 +5,7 @@ mod say;
 
 mod analyse;
 mod bench;
+mod bound;
 mod draw;
 mod evaluate;
 mod expand;
@@ -79,6 +80,7 @@ enum Command {
     Report(report::Args),
     Place(place::Args),
     Modes(modes::Args),
+    Bound(bound::Args),
     Project(project::Args),
     Draw(draw::Args),
     Export(export::Args),
@@ -116,6 +118,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Analyse(args) => block_on(analyse::execute(args)),
         Command::Place(args) => place::execute(&args),
         Command::Modes(args) => modes::execute(&args),
+        Command::Bound(args) => block_on(bound::execute(args)),
         Command::Project(args) => project::execute(&args),
         Command::Draw(args) => draw::execute(&args),
         Command::Schema(args) => schema::execute(&args),

@@ -7,6 +7,7 @@
 //! How far β is trained and which loss moves the body is the [`Protocol`]'s matter; the rest is the same for all.
 //! Searches without a gradient stand beside them as baselines. Afterwards the initial and the best body meet fresh networks, on the holdout too, which nothing else touches.
 
+mod bounding;
 mod chip;
 mod downhill;
 mod evaluation;
@@ -24,6 +25,7 @@ mod state;
 mod tuning;
 mod unseen;
 
+pub use bounding::{Bound, bound};
 pub use chip::{Disturbance, Size};
 pub use downhill::{Downhill, downhill};
 pub use evaluation::{BodyEvaluation, Comparison, Fresh, NetworkEvaluation};

@@ -7,6 +7,8 @@
 //! the unknowns, Ω a high frequency: eigenvalues of least |s| by Krylov–Schur on its inverse, K by a sparse Cholesky factor.
 //! Responses take a sparse LU factor a frequency. All three are faer's.
 
+pub mod bound;
+
 use crate::dynamics::{Rest, Scene};
 pub use faer::c64;
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};

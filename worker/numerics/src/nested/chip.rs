@@ -45,8 +45,8 @@ impl Size {
 pub(super) struct Chip {
     seed: u64,
     /// A channel (3M).
-    noise: Vec<f64>,
-    bias: Vec<f64>,
+    pub(super) noise: Vec<f64>,
+    pub(super) bias: Vec<f64>,
     /// In instants.
     delay: f64,
 }
@@ -86,7 +86,7 @@ impl Chip {
     }
 
     /// a(t_n − delay) of a sample's signals (T, 3M).
-    fn late(&self, sample: &mut [f64]) {
+    pub(super) fn late(&self, sample: &mut [f64]) {
         let (whole, part) = self.parts();
         let channels = self.noise.len();
         if self.delay == 0.0 {

@@ -21,7 +21,7 @@ pub(super) struct Setting<'a> {
     pub(super) train: Forces,
     pub(super) test: Forces,
     pub(super) scales: Scales,
-    chip: Option<Chip>,
+    pub(super) chip: Option<Chip>,
     /// The initial body's training signals, from which the scales come (N, T, 3M).
     pub(super) initial_signals: Vec<f64>,
 }

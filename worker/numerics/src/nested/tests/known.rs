@@ -1,6 +1,9 @@
-//! What a linear model of a body is worth.
+//! What a linear model of a body is worth, and what its signals can tell at most.
 
 use super::*;
+use crate::dynamics::{Forces, simulate};
+use crate::stimuli::{select, split, targets};
+use nalgebra::{DMatrix, DVector};
 
 /// The small problem with forces of so many times the usual amplitude.
 fn with_amplitude(times: f64) -> Problem {
@@ -27,4 +30,74 @@ fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
         assert!((ratio - 4.0).abs() < 0.1, "{kind}: {first:?} {second:?}");
         assert!(second[kind] < 0.1 && (1.0..300.0).contains(&whole[kind]), "{whole:?} {second:?}");
     }
+}
+
+/// Under some µN a body is linear: the bound is what the best decoder that is linear in the signals has on the training samples,
+/// by normal equations over simulated signals and by drawn noise.
+#[test]
+fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
+    let disturbance = Disturbance { noise: Size::Relative(0.2), bias: Size::Relative(0.3), delay: 0.0075 };
+    let problem = Problem { disturbance: Some(disturbance), ..with_amplitude(1e-5) };
+    let found = bound(&problem, &problem.initial, 4, &pool(2)).unwrap().unwrap();
+
+    let all = problem.forces(Purpose::Stimulus, 0, 16);
+    let train = select(&all, &split(problem.seed, 16, 4).0);
+    let f = targets(&train, 40, false);
+    let clean = simulate(&problem.scene, &problem.initial, &train, &problem.solver, false, &pool(1)).signals;
+    let (n, t) = (train.samples, 40);
+    let rms: Vec<f64> = (0..3)
+        .map(|c| (clean[c..].iter().step_by(3).map(|s| s * s).sum::<f64>() / (n * t) as f64).sqrt())
+        .collect();
+    // an instant and a half late
+    let late = DMatrix::from_fn(n, 3 * t, |i, at| {
+        let read = |back: usize| at.checked_sub(3 * back).map_or(0.0, |at| clean[i * 3 * t + at]);
+        0.5 * (read(1) + read(2))
+    });
+    let f = DMatrix::from_row_slice(n, 2 * t, &f);
+    let w: Vec<f64> = (0..n).map(|i| f.row(i).norm_squared().recip()).collect();
+    let total: f64 = w.iter().sum();
+    let centred = |x: &DMatrix<f64>| {
+        let mean: DVector<f64> = x.transpose() * DVector::from_iterator(n, w.iter().map(|w| w / total));
+        let centred = DMatrix::from_fn(n, x.ncols(), |i, j| (w[i] / total).sqrt() * (x[(i, j)] - mean[j]));
+        (centred, mean)
+    };
+    let ((fc, f_mean), (sc, s_mean)) = (centred(&f), centred(&late));
+    let noise = DMatrix::from_fn(3 * t, 3 * t, |a, b| match (a == b, a % 3 == b % 3) {
+        (true, _) => rms[a % 3].powi(2) * (0.04 + 0.09),
+        (_, true) => rms[a % 3].powi(2) * 0.09,
+        _ => 0.0,
+    });
+    let cross = sc.transpose() * &fc;
+    let decoder = (sc.transpose() * &sc + noise).cholesky().unwrap().solve(&cross);
+    let left = (fc.transpose() * &fc).trace() - decoder.dot(&cross);
+    let least = 100.0 * total / n as f64 * left;
+    assert!((found.mean / least - 1.0).abs() < 1e-3, "{} {least}", found.mean);
+    assert!(found.mean < 0.9 * found.deaf && found.mean > 0.1, "{found:?}");
+
+    let mut stream = Stream::new(Purpose::Chip, 5, [7, 7]);
+    let (draws, mut sum) = (400, 0.0);
+    for _ in 0..draws {
+        let mut heard = late.clone();
+        for i in 0..n {
+            for c in 0..3 {
+                let bias = 0.3 * stream.normal();
+                (0..t).for_each(|k| heard[(i, 3 * k + c)] += rms[c] * (bias + 0.2 * stream.normal()));
+            }
+            let said = decoder.transpose() * (heard.row(i).transpose() - &s_mean) + &f_mean;
+            sum += 100.0 * w[i] * (said - f.row(i).transpose()).norm_squared();
+        }
+    }
+    let drawn = sum / (draws * n) as f64;
+    assert!((drawn / found.mean - 1.0).abs() < 0.03, "{drawn} {}", found.mean);
+
+    // a linear body answers every sample alike
+    let unseen = problem.forces(Purpose::Holdout, 0, 4);
+    let power = |unseen: &Forces| -> Vec<f64> {
+        targets(unseen, 40, false).chunks_exact(80).map(|f| f.iter().map(|f| f * f).sum()).collect()
+    };
+    let left: Vec<f64> =
+        power(&unseen).iter().zip(&found.samples).map(|(p, error)| p * error.unwrap()).collect();
+    assert!(left.iter().all(|l| (l / left[0] - 1.0).abs() < 1e-4), "{left:?}");
+    let silent = Problem { disturbance: None, ..problem };
+    assert_eq!(bound(&silent, &silent.initial, 4, &pool(1)).unwrap(), None);
 }

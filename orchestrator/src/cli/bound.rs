@@ -1,0 +1,155 @@
+//! `bound`: what a body's sensors can tell at most, beside what brains make of them.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::bound::{Bound, bound};
+use serde_json::{Value, json};
+
+use super::{Error, Format, print_rows, read_plan, trial_and_design};
+use crate::exit::Exit;
+use crate::plan::Plan;
+use crate::report::load::stored;
+use crate::store::{Reader, Table};
+
+/// The error that no decoder can beat, to first order, given the noise of a trial's sensors; beside it, what brains achieve
+///
+/// Around each of the first samples of the holdout the body is taken as linear, and the forces as normal with mean and covariance of
+/// the training samples: then least error is that of the posterior given the signals. A decoder that knows more of the stimuli than
+/// these (that only one panel is struck, say) may be better; what a brain has more error than this, a better brain may take away,
+/// and what the bound is, only the body, its sensors' places and their noise.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The spec file (TOML)
+    spec: PathBuf,
+    /// The trial, by its hash or the beginning of it [default: the first]
+    #[arg(long)]
+    hash: Option<String>,
+    /// The design (.npy or .csv) [default: the trial's initial one]
+    #[arg(long, value_name = "FILE", conflicts_with = "db")]
+    design: Option<PathBuf>,
+    /// How many samples of the holdout
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    samples: u16,
+    /// White noise of every reading, as a part of each channel's RMS on the initial body [default: the spec's sensors.noise]
+    #[arg(long, value_name = "σ", value_parser = above_zero)]
+    noise: Option<f64>,
+    /// A database that has finished the trial, or others that differ from it in their brains alone: bounds of their initial and their
+    /// optimised bodies, and the holdout errors of all brains that have read them
+    #[arg(long, value_name = "FILE")]
+    db: Option<PathBuf>,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+fn above_zero(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
+    if value > 0.0 && value.is_finite() { Ok(value) } else { Err("must be above 0".into()) }
+}
+
+const COLUMNS: [&str; 5] = ["body", "trained_with", "read_by", "sample", "error"];
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let plan = read_plan(&args.spec)?;
+    let first = plan.trials.first().map_or(String::new(), |trial| trial.hash.clone());
+    let hash = args.hash.as_ref().unwrap_or(&first);
+    let of = |trial: &TrialSpec, design: &[f64]| {
+        bound(trial, design, args.samples.into(), args.noise, args.threads.into())
+            .map_err(|e| Error::Usage(format!("{}: {e}", args.spec.display())))
+    };
+    let rows = match &args.db {
+        None => {
+            let (trial, design) = trial_and_design(&plan, &args.spec, hash, args.design.as_deref())?;
+            let body = if args.design.is_some() { "given" } else { "initial" };
+            bounds([json!(body), Value::Null], &of(&trial, &design)?)
+        }
+        Some(db) => achieved(db, &args.spec, &plan, hash, of).await?,
+    };
+    print_rows(&Table::new(&COLUMNS, rows), args.format)?;
+    Ok(Exit::Done)
+}
+
+/// A row a sample, then the mean, then what is known without signals.
+fn bounds(body: [Value; 2], found: &Bound) -> Vec<Vec<Value>> {
+    let row = |by: &str, sample: Value, error: Value| {
+        body.iter().cloned().chain([json!(by), sample, error]).collect::<Vec<_>>()
+    };
+    let samples = found.samples.iter().enumerate();
+    let mut rows: Vec<_> = samples.map(|(i, error)| row("bound", json!(i), json!(error))).collect();
+    rows.push(row("bound", json!("mean"), json!(found.mean)));
+    rows.push(row("no signal", json!("mean"), json!(found.deaf)));
+    rows
+}
+
+/// What trials of a database that agree in all but their brains have achieved, under the bounds of their bodies.
+async fn achieved(
+    db: &Path,
+    spec: &Path,
+    plan: &Plan,
+    hash: &str,
+    of: impl Fn(&TrialSpec, &[f64]) -> Result<Bound, Error>,
+) -> Result<Vec<Vec<Value>>, Error> {
+    let scene = scene(&json!(super::trial::find(plan, hash, spec)?.spec));
+    let trials = Reader::asked(db, async |reader| -> Result<_, Error> {
+        let sql =
+            "SELECT hash, spec, brain, trained_with, holdout_error_initial, linear_holdout_error_initial,
+                     holdout_error_optimised, linear_holdout_error_optimised
+                   FROM v_trial WHERE state = 'done' ORDER BY trained_with, brain, hash";
+        let mut found = Vec::new();
+        for row in reader.query(sql).await?.rows {
+            let text = |i: usize| row[i].as_str().unwrap_or_default().to_owned();
+            let own: Value = serde_json::from_str(&text(1)).unwrap_or_default();
+            if self::scene(&own) == scene
+                && let Some(stored) = stored(reader, &text(0)).await?
+            {
+                found.push((stored, [text(2), text(3)], row[4..].to_vec()));
+            }
+        }
+        Ok(found)
+    })
+    .await?;
+    if trials.is_empty() {
+        let (db, hash) = (db.display(), &hash[..hash.len().min(8)]);
+        return Err(Error::Usage(format!(
+            "--db {db}: it has finished no trial with the scene of {hash}; `metasense status {db}` says what it holds"
+        )));
+    }
+    // bodies as bits: equal ones are looked at once
+    let mut bodies: BTreeMap<(usize, Vec<u64>), Vec<Vec<Value>>> = BTreeMap::new();
+    for (stored, [brain, trained_with], errors) in &trials {
+        for (b, name) in ["initial", "optimised"].into_iter().enumerate() {
+            let design = &stored.designs[b];
+            let with = if b == 0 { Value::Null } else { json!(trained_with) };
+            let head = [json!(name), with];
+            let key = (b, design.iter().map(|x| x.to_bits()).collect());
+            if !bodies.contains_key(&key) {
+                bodies.insert(key.clone(), bounds(head.clone(), &of(&stored.specs[b], design)?));
+            }
+            let rows = bodies.get_mut(&key).expect("just put there");
+            for (by, error) in
+                [(brain.as_str(), &errors[2 * b]), ("linear, whole sample", &errors[2 * b + 1])]
+            {
+                let row: Vec<Value> =
+                    head.iter().cloned().chain([json!(by), json!("mean"), error.clone()]).collect();
+                if !error.is_null() && !rows.contains(&row) {
+                    rows.push(row);
+                }
+            }
+        }
+    }
+    Ok(bodies.into_values().flatten().collect())
+}
+
+/// A trial's spec without what its brains are.
+fn scene(spec: &Value) -> Value {
+    let mut scene = spec.clone();
+    if let Some(keys) = scene.as_object_mut() {
+        keys.retain(|key, _| !["brain", "optimise", "evaluation", "feasible"].contains(&key.as_str()));
+    }
+    scene
+}

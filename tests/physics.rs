@@ -1,0 +1,85 @@
+//! What a researcher asks of a body before any training: how it rings, what a linear model is worth, what could be known.
+
+mod common;
+
+use common::{Bench, TINY};
+use serde_json::Value;
+
+fn json(text: &str) -> Vec<Value> {
+    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
+}
+
+fn refused(bench: &Bench, args: &[&str], expected: &str) {
+    let output = bench.metasense(args);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains(expected), "{args:?}: {said}");
+}
+
+/// Modes come slowest first, are drawn, and a unit's response is greatest near one; what cannot be is refused by name.
+#[test]
+fn a_body_rings() {
+    let bench = Bench::new();
+    bench.file("s.toml", TINY);
+    let modes =
+        json(&bench.output(&["modes", "s.toml", "--count", "5", "--out", "m.svg", "--format", "json"]));
+    let of = |key: &str| modes.iter().map(|mode| mode[key].as_f64().unwrap()).collect::<Vec<_>>();
+    assert!(modes.len() == 5 && of("frequency").is_sorted() && of("frequency")[0] > 5.0, "{modes:?}");
+    assert!(of("damping_ratio").iter().all(|ratio| (0.005..0.5).contains(ratio)), "{modes:?}");
+    let svg = std::fs::read_to_string(bench.path("m.svg")).unwrap();
+    assert_eq!(svg.matches("<polygon class=\"unit\"").count(), 5 * 16);
+    let asked = ["modes", "s.toml", "--count", "5", "--response", "9", "--out", "r.svg", "--format", "json"];
+    let responses = json(&bench.output(&asked));
+    assert_eq!(responses.len(), 2 * 200);
+    let first = responses.iter().filter(|row| row["panel"] == 0);
+    let size = |row: &Value| row["a_x"].as_f64().unwrap().hypot(row["a_y"].as_f64().unwrap());
+    let most = first.max_by(|a, b| size(a).total_cmp(&size(b))).unwrap()["frequency"].as_f64().unwrap();
+    assert!(of("frequency").iter().any(|f| (f / most - 1.0).abs() < 0.1), "{most} {modes:?}");
+    assert!(std::fs::read_to_string(bench.path("r.svg")).unwrap().contains("panel 1"));
+
+    refused(&bench, &["modes", "s.toml", "--response", "16"], "--response 16: ");
+    refused(&bench, &["modes", "s.toml", "--response", "0"], "unit 0: it is held");
+    refused(&bench, &["modes", "s.toml", "--hash", "zz"], "--hash zz: ");
+    bench.file("loose.toml", &TINY.replacen("[time]", "clamp = []\n[time]", 1));
+    refused(&bench, &["modes", "loose.toml"], "body.clamp = []: ");
+}
+
+/// Every trial says what a linear model leaves of its signals; bounds of its two bodies stand beside what brains have achieved, and
+/// are below it.
+#[test]
+fn a_finished_trial_stands_beside_its_bounds() {
+    let bench = Bench::new();
+    let spec = TINY
+        .replace("sensors = [1, 2]", "sensors = [1]")
+        .replace("[brain]\n", "[sensors]\nnoise = 0.1\n[brain]\nkind = \"linear\"\n");
+    bench.file("s.toml", &spec);
+    bench.output(&["run", "s.toml", "--workers", "1"]);
+    let sql = "SELECT nonlinear_acceleration_initial AS a, nonlinear_rotation_optimised AS b FROM v_trial";
+    let shares = json(&bench.output(&["query", "results/tiny.sqlite", sql, "--format", "json"]));
+    let share = |key: &str| shares[0][key].as_f64().unwrap();
+    assert!(["a", "b"].iter().all(|key| (0.1..500.0).contains(&share(key))), "{shares:?}");
+    let asked = ["analyse", "results/tiny.sqlite", "--question", "nonlinear", "--format", "json"];
+    let answer = json(&bench.output(&asked));
+    assert!(answer.len() == 4 && answer[0]["nonlinear"].as_f64() == Some(share("a")), "{answer:?}");
+
+    let own = ["bound", "s.toml", "--samples", "2", "--format", "json"];
+    let alone = json(&bench.output(&own));
+    let beside = json(&bench.output(&[&own[..], &["--db", "results/tiny.sqlite"]].concat()));
+    let find = |rows: &[Value], body: &str, by: &str| {
+        let row = rows.iter().find(|row| {
+            row["body"] == body && row["read_by"].as_str().unwrap().starts_with(by) && row["sample"] == "mean"
+        });
+        row.unwrap_or_else(|| panic!("{body} by {by}: {rows:?}"))["error"].as_f64().unwrap()
+    };
+    assert_eq!(find(&alone, "initial", "bound"), find(&beside, "initial", "bound"));
+    for body in ["initial", "optimised"] {
+        let [bound, linear, deaf] = ["bound", "linear", "no signal"].map(|by| find(&beside, body, by));
+        assert!(0.0 < bound && bound < linear && bound < deaf && deaf < 120.0, "{beside:?}");
+    }
+    let quieter = json(&bench.output(&[&own[..], &["--noise", "0.01"]].concat()));
+    assert!(find(&quieter, "initial", "bound") < find(&alone, "initial", "bound"));
+
+    bench.file("silent.toml", TINY);
+    refused(&bench, &["bound", "silent.toml"], "sensors.noise");
+    refused(&bench, &["bound", "silent.toml", "--db", "results/tiny.sqlite"], "no trial with the scene");
+    refused(&bench, &["bound", "s.toml", "--noise", "0"], "must be above 0");
+}

@@ -1,0 +1,139 @@
+//! What signals can tell of the forces at most, to first order: the posterior of a sample's forces given its signals.
+//!
+//! ```text
+//! f = μ + D z, z ~ N(0, 1)      s(f + D δz) = s(f) + J D δz + noise, N(0, R)
+//! posterior of z: N(·, Q),  Q = (1 + (J D)ᵀ R⁻¹ J D)⁻¹      Σ E(f̂ − f)² = tr(D Q Dᵀ)
+//! ```
+//! D holds the principal directions of the stimuli, R white noise and a constant a channel. J D is by differences to both sides,
+//! all in lanes, the steps held.
+
+use crate::dynamics::{Forces, Outcome, Plan, Scene, run};
+use nalgebra::{DMatrix, SymmetricEigen};
+
+/// What is known of forces before any signal.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prior {
+    /// D, each a history of all panels on the forces' clock (N).
+    pub directions: Forces,
+    /// Σ over targets of each direction squared (N²): the variance that lies along it.
+    pub variance: Vec<f64>,
+    /// The variance along all others (N²), which are taken as known.
+    pub rest: f64,
+}
+
+/// The part of the variance that directions may leave out.
+const LEFT_OUT: f64 = 1e-6;
+
+impl Prior {
+    /// Of samples with weights w_i: mean and covariance are Σ w (·)/Σ w. `targets` are what is asked for of histories, (N, ·).
+    ///
+    /// # Panics
+    /// If there are not as many weights as samples.
+    pub fn new(forces: &Forces, weights: &[f64], targets: impl Fn(&Forces) -> Vec<f64>) -> Self {
+        let (n, total) = (forces.samples, weights.iter().sum::<f64>());
+        assert_eq!(weights.len(), n, "weights");
+        let rows = DMatrix::from_row_slice(n, forces.values.len() / n.max(1), &forces.values);
+        let mut mean = rows.row(0) * 0.0;
+        weights.iter().enumerate().for_each(|(i, w)| mean += rows.row(i) * (w / total));
+        let deviation = |i: usize, j: usize| (weights[i] / total).sqrt() * (rows[(i, j)] - mean[j]);
+        let factor = DMatrix::from_fn(n, rows.ncols(), deviation);
+        let as_forces = |rows: &DMatrix<f64>| Forces {
+            samples: rows.nrows(),
+            values: rows.transpose().as_slice().to_vec(),
+            ..*forces
+        };
+        let seen = targets(&as_forces(&factor));
+        let seen = DMatrix::from_row_slice(n, seen.len() / n.max(1), &seen);
+        let SymmetricEigen { eigenvectors, eigenvalues } = SymmetricEigen::new(&seen * seen.transpose());
+        let mut order: Vec<usize> = (0..n).collect();
+        order.sort_by(|a, b| eigenvalues[*b].total_cmp(&eigenvalues[*a]));
+        let all: f64 = eigenvalues.sum();
+        let mut rest = all;
+        let kept = order.iter().take_while(|j| {
+            let needed = rest > LEFT_OUT * all;
+            rest -= if needed { eigenvalues[**j] } else { 0.0 };
+            needed
+        });
+        let kept: Vec<usize> = kept.copied().collect();
+        let directions = DMatrix::from_fn(kept.len(), n, |k, i| eigenvectors[(i, kept[k])]) * &factor;
+        Self {
+            directions: as_forces(&directions),
+            variance: kept.iter().map(|j| eigenvalues[*j]).collect(),
+            rest: rest.max(0.0),
+        }
+    }
+}
+
+/// Noise of the readings of each channel: standard deviation of each reading, and of a constant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Noise {
+    /// White, above 0.
+    pub white: Vec<f64>,
+    /// A constant a sample.
+    pub bias: Vec<f64>,
+}
+
+/// The largest force of a difference along a direction (N), beside stimuli of some tenths.
+const STEP: f64 = 1e-4;
+
+/// J D of one sample, (r, T · 3M), by equal steps as planned; or how a simulation ended.
+///
+/// # Errors
+/// If one does not end well.
+pub fn along(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    sample: usize,
+    prior: &Prior,
+    plan: &Plan,
+    pool: &rayon::ThreadPool,
+) -> Result<Vec<f64>, Outcome> {
+    let own = forces.sample(sample);
+    let steps: Vec<f64> = (0..prior.directions.samples)
+        .map(|k| {
+            STEP / prior.directions.sample(k).iter().fold(f64::MIN_POSITIVE, |most, d| most.max(d.abs()))
+        })
+        .collect();
+    let mut both = Forces { samples: 2 * steps.len(), values: Vec::new(), ..*forces };
+    for (k, step) in steps.iter().enumerate() {
+        for sign in [1.0, -1.0] {
+            both.values.extend(own.iter().zip(prior.directions.sample(k)).map(|(f, d)| f + sign * step * d));
+        }
+    }
+    let found = run(scene, design, &both, plan, false, pool);
+    match found.outcomes.iter().find(|outcome| **outcome != Outcome::Ok) {
+        Some(outcome) => Err(*outcome),
+        None => {
+            let one = found.signals.len() / both.samples.max(1);
+            let pairs = found.signals.chunks_exact(2 * one).zip(&steps);
+            Ok(pairs
+                .flat_map(|(pair, h)| (0..one).map(move |i| (pair[i] - pair[one + i]) / (2.0 * h)))
+                .collect())
+        }
+    }
+}
+
+/// tr(D Q Dᵀ) over targets (N²) where signals change by `along`, (r, T · 3M), along the prior's directions.
+///
+/// # Panics
+/// If lengths do not fit.
+pub fn posterior_variance(prior: &Prior, along: &[f64], noise: &Noise) -> f64 {
+    let (r, channels) = (prior.variance.len(), noise.white.len());
+    if r == 0 {
+        return 0.0;
+    }
+    let readings = along.len() / r;
+    let instants = readings / channels;
+    let rows = DMatrix::from_row_slice(r, readings, along);
+    let white = DMatrix::from_fn(r, readings, |k, i| rows[(k, i)] / noise.white[i % channels]);
+    let mut information = DMatrix::identity(r, r) + &white * white.transpose();
+    for c in 0..channels {
+        // R⁻¹ = (1 − b² 11ᵀ/(σ² + T b²))/σ²
+        let (square, bias) = (noise.white[c].powi(2), noise.bias[c].powi(2));
+        let sums = DMatrix::from_fn(r, 1, |k, _| (0..instants).map(|n| white[(k, n * channels + c)]).sum());
+        information -= (bias / (square + instants as f64 * bias)) * &sums * sums.transpose();
+    }
+    let known = information.cholesky().expect("positive definite").inverse();
+    prior.variance.iter().enumerate().map(|(k, variance)| variance * known[(k, k)]).sum()
+}
