@@ -8,10 +8,10 @@ use std::process::Command;
 
 fn main() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    // Only what changes the answers: a commit builds this package anew, and none that it depends on.
-    for path in
-        source::PROGRAM.map(|path| root.join(path)).into_iter().chain(source::moves_with_commits(&root))
-    {
+    // A release is built anew after a commit, this package alone; a debug build learns of it with the next change of sources.
+    let release = std::env::var("PROFILE").is_ok_and(|profile| profile == "release");
+    let commits = if release { source::moves_with_commits(&root) } else { Vec::new() };
+    for path in source::PROGRAM.map(|path| root.join(path)).into_iter().chain(commits) {
         println!("cargo:rerun-if-changed={}", path.display());
     }
     let digest = source::digest(&root).unwrap_or_else(|e| panic!("reading the sources: {e}"));
