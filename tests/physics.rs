@@ -50,7 +50,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
     let bench = Bench::new();
     let spec = TINY
         .replace("sensors = [1, 2]", "sensors = [1]")
-        .replace("[brain]\n", "[sensors]\nnoise = 0.1\n[brain]\nkind = \"linear\"\n");
+        .replace("[brain]\niterations = 10\n", "[sensors]\nnoise = 0.1\n[brain]\nkind = \"linear\"\n");
     bench.file("s.toml", &spec);
     bench.output(&["run", "s.toml", "--workers", "1"]);
     let sql = "SELECT nonlinear_acceleration_initial AS a, nonlinear_rotation_optimised AS b FROM v_trial";
