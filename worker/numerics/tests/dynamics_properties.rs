@@ -93,6 +93,84 @@ fn every_width_computes_the_same() {
     assert!(apart.iter().all(|(_, _, off)| *off < 1e-9), "{apart:?}");
 }
 
+/// Coarse steps are carried out in f32: signals and gradient are those of the same steps in f64 but for its rounding, by
+/// every instruction set.
+#[test]
+fn coarse_steps_in_single_precision_are_those_in_double() {
+    let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 };
+    let base = small_scene();
+    let mut apart = Vec::new();
+    for scene in [
+        base.clone(),
+        Scene { linearised: true, ..base.clone() },
+        Scene { frame: Frame::Body, contact: Some(contact), ..base },
+    ] {
+        let (design, forces) = (shaken(&scene), pushes(&scene, 19, 0.4));
+        let samples: Vec<usize> = (0..forces.samples).collect();
+        for (method, _, steps) in EQUAL_STEPS {
+            for width in Width::ALL.into_iter().filter(|w| *w <= Width::detect()) {
+                let at = |tolerance, steps| {
+                    let plan = Plan { tolerance, ..plan(method, steps) };
+                    let run = run_at(width, &scene, &design, &forces, &plan, true, &pool(1));
+                    assert_eq!(run.outcomes, [Outcome::Ok; 19]);
+                    let design =
+                        pull_back(&scene, &design, &forces, &run, &samples, &run.signals, &pool(1)).design;
+                    (run.signals, design)
+                };
+                let (single, double) = (at(0.03, steps), at(0.0, steps));
+                apart.push([relative(&single.0, &double.0), relative(&single.1, &double.1)]);
+            }
+        }
+    }
+    assert!(apart.iter().flatten().all(|off| (1e-9..3e-4).contains(off)), "{apart:?}");
+}
+
+/// Before its force a sample says nothing at all, and what it says then, and its gradient, are its own alone: whoever shares
+/// its lanes, and however early they begin.
+#[test]
+fn samples_begin_with_their_forces() {
+    for frame in [Frame::World, Frame::Body] {
+        let scene = Scene { frame, ..small_scene() };
+        let (design, mut forces) = (shaken(&scene), pushes(&scene, 21, 0.4));
+        let (instants, width) = (scene.instants, 3 * scene.sensors.len());
+        // The last one has no force at all.
+        let onset = |i: usize| (7 * i) % (instants + 1);
+        for i in 0..forces.samples {
+            let begin = if i + 1 == forces.samples { instants + 1 } else { onset(i) };
+            for k in 0..forces.panels {
+                let history = &mut forces.values[(i * forces.panels + k) * (instants + 1)..][..instants + 1];
+                history
+                    .iter_mut()
+                    .enumerate()
+                    .for_each(|(n, f)| *f = if n <= begin { 0.0 } else { *f + 0.1 });
+            }
+        }
+        for (tolerance, method, steps) in [(0.0, Method::Nystrom4, 24), (0.03, Method::Nystrom4, 24)] {
+            let plan = Plan { tolerance, ..plan(method, steps) };
+            let all = run(&scene, &design, &forces, &plan, true, &pool(2));
+            let samples: Vec<usize> = (0..forces.samples).collect();
+            let of = |forces: &Forces, run: &_, samples: &[usize], cotangent: &[f64]| {
+                pull_back(&scene, &design, forces, run, samples, cotangent, &pool(1)).design
+            };
+            let together = of(&forces, &all, &samples, &all.signals);
+            let mut sum = vec![0.0; together.len()];
+            for i in samples {
+                let own = Forces { samples: 1, values: forces.sample(i).to_vec(), ..forces };
+                let alone = run(&scene, &design, &own, &plan, true, &pool(1));
+                let signals = &all.signals[i * instants * width..][..instants * width];
+                assert_eq!(signals, alone.signals, "sample {i}");
+                let still = if i + 1 == forces.samples { instants } else { onset(i) };
+                assert!(signals[..still * width].iter().all(|a| *a == 0.0), "sample {i}");
+                assert_eq!(signals.iter().all(|a| *a == 0.0), still >= instants, "sample {i}");
+                let gradient = of(&own, &alone, &[0], &alone.signals);
+                sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
+            }
+            let off = relative(&together, &sum);
+            assert!(off < 1e-12 && norm(&sum) > 0.0, "{frame:?} {tolerance}: {off:e}");
+        }
+    }
+}
+
 /// Lanczos' estimate against the reference scene's highest mode, 664 Hz.
 #[test]
 fn the_highest_frequency_is_that_of_the_model() {

@@ -182,7 +182,9 @@ impl Subject {
             Method::Tsit5 => 0,
             _ => self.steps(method, at),
         };
-        Plan { method, tolerance: at, steps, reason: String::new() }
+        // Of equal steps, in f64 whatever they are
+        let tolerance = if steps == 0 { at } else { 0.0 };
+        Plan { method, tolerance, steps, reason: String::new() }
     }
 }
 
@@ -215,7 +217,7 @@ pub fn work_precision(
         let n = samples as f64;
         let point = Point {
             scene: kind.name(),
-            method: plan.method.name(),
+            method: if plan.single() && !auto { "nystrom4_f32" } else { plan.method.name() },
             setting,
             auto,
             evaluations: run.counters.force_evaluations as f64 / n,
@@ -237,10 +239,15 @@ pub fn work_precision(
             measure(&plan, format!("{} steps", plan.steps), false);
         }
     }
-    for tolerance in [1e-2, 1e-3, 1e-4] {
+    for &at in ladder(kind, Method::Nystrom4) {
+        let plan = Plan { tolerance: 1.0, ..subject.plan(Method::Nystrom4, at) };
+        measure(&plan, format!("{} steps in f32", plan.steps), false);
+    }
+    for tolerance in [3e-2, 1e-2, 1e-3, 1e-4] {
         let solver = Solver { method: Method::Auto, tolerance };
         let plan = tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool).plan;
-        let setting = format!("auto {tolerance:.0e}: {} steps", plan.steps);
+        let precision = if plan.single() { " in f32" } else { "" };
+        let setting = format!("auto {tolerance:.0e}: {} steps{precision}", plan.steps);
         measure(&plan, setting, true);
     }
     points
@@ -270,13 +277,13 @@ pub struct Lap {
 /// Evaluations by which kernels are timed: some hundredths of a second.
 const KERNELS: usize = 10_000;
 
-/// Tsit5 at 1e-6 of its own error norm, as the peer runs, and the default, each on one thread and on `threads`, and the default on one thread
-/// with narrower instruction sets; least of `repeat` runs.
+/// Tsit5 at 1e-6 of its own error norm, as the peer runs, the default and the default of coarse steps, each on one thread
+/// and on `threads`, the last two on one thread with narrower instruction sets, too; least of `repeat` runs.
 #[must_use]
 pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Lap> {
     let mut subject = Subject::new(reference(), samples, instants);
     let mut laps = Vec::new();
-    for (method, tolerance) in [(Method::Tsit5, 1e-6), (Method::Auto, 1e-3)] {
+    for (method, tolerance) in [(Method::Tsit5, 1e-6), (Method::Auto, 1e-3), (Method::Auto, 3e-2)] {
         // The pilot of a trial comes once, before its hundreds of simulations.
         let solver = Solver { method, tolerance };
         let plan = match method {
@@ -305,8 +312,15 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
                     (run.counters.force_evaluations * subject.scene.layout.ligaments.len() as u64) as f64;
                 cycles = f64::min(cycles, frequency * there.cpu / work);
                 for (second, least) in [false, true].into_iter().zip(&mut kernels) {
-                    let (count, time) =
-                        timed(|| repeat_kernel(width, &subject.scene, &subject.design, KERNELS, second));
+                    let (count, time) = timed(|| {
+                        repeat_kernel(
+                            (width, plan.single()),
+                            &subject.scene,
+                            &subject.design,
+                            KERNELS,
+                            second,
+                        )
+                    });
                     *least = f64::min(*least, frequency * time.cpu / count as f64);
                 }
                 let sum = Time { wall: there.wall + back.wall, cpu: there.cpu + back.cpu };
@@ -370,7 +384,7 @@ mod tests {
     #[test]
     fn the_race_runs() {
         let laps = race(2, 4, 2, 1);
-        assert_eq!(laps.len(), 3 + widths().count(), "{laps:?}");
+        assert_eq!(laps.len(), 4 + 2 * widths().count(), "{laps:?}");
         for lap in laps {
             let figures = [lap.forward.cpu, lap.both.cpu, lap.forward.wall, lap.both.wall, lap.cycles];
             let figures = figures.into_iter().chain(lap.kernels).collect::<Vec<f64>>();

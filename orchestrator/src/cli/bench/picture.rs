@@ -20,7 +20,7 @@ pub(super) const SCENES: [(&str, &str); 4] = [
     ("stretch10000", "k_stretch × 10 000"),
 ];
 /// Integrators.
-pub(super) const METHODS: [&str; 4] = ["tsit5", "leapfrog", "nystrom4", "nystrom6"];
+pub(super) const METHODS: [&str; 5] = ["tsit5", "leapfrog", "nystrom4", "nystrom6", "nystrom4_f32"];
 
 /// One measured run.
 #[derive(Debug, Clone, PartialEq)]
@@ -152,8 +152,8 @@ fn panel(title: &str, [cost, what]: [&str; 2], marks: &[&Mark], row: usize) -> S
 
 const STYLE: &str = "<style>text{font:11px sans-serif;fill:#333}.tick{font-size:9.5px}.title{font-weight:bold}.page{fill:#fff}\
     .grid{stroke:#e4e4e4;fill:none}.axis{stroke:#333;fill:none}.line{fill:none;stroke-width:1.8}\
-    .line.c0{stroke:#777}.line.c1{stroke:#a80}.line.c2{stroke:#48a}.line.c3{stroke:#c44}\
-    .dot.c0{fill:#777}.dot.c1{fill:#a80}.dot.c2{fill:#48a}.dot.c3{fill:#c44}\
+    .line.c0{stroke:#777}.line.c1{stroke:#a80}.line.c2{stroke:#48a}.line.c3{stroke:#c44}.line.c4{stroke:#3a6}\
+    .dot.c0{fill:#777}.dot.c1{fill:#a80}.dot.c2{fill:#48a}.dot.c3{fill:#c44}.dot.c4{fill:#3a6}\
     .auto{fill:none;stroke:#111;stroke-width:1.6}</style>";
 
 #[cfg(test)]

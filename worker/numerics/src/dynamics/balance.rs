@@ -9,7 +9,7 @@ use super::Scene;
 use super::energy::contact_energy;
 use super::model::Model;
 use super::system::Unit;
-use super::vector::{Vector, pair};
+use super::vector::Vector;
 
 /// By how much kinetic energy may exceed the most work done so far: twice is what a leapfrog's energy swings by at ωh = 1.4.
 const LEEWAY: f64 = 4.0;
@@ -38,7 +38,8 @@ impl<'a, V: Vector> Balance<'a, V> {
             |c| model.bars.iter().flat_map(|bar| bar.voids).map(|psi| contact_energy(c, psi)).sum();
         let work = V::splat(model.contact.map_or(0.0, touching));
         let length = model.bars.first().map_or(1.0, |bar| bar.length);
-        let floor = f64::EPSILON * model.stiffness.stretch * length * length;
+        let epsilon = if V::SINGLE { f64::from(f32::EPSILON) } else { f64::EPSILON };
+        let floor = epsilon * model.stiffness.stretch * length * length;
         Self { scene, mass: mass.collect(), before, work, most: work, floor }
     }
 
@@ -46,7 +47,7 @@ impl<'a, V: Vector> Balance<'a, V> {
     #[inline(always)]
     pub fn add(&mut self, x: &[Unit<V>], force: &[V]) {
         for ((panel, before), f) in self.scene.panels.iter().zip(&mut self.before).zip(force) {
-            let [p, q]: [V; 2] = pair(panel.direction);
+            let [p, q] = panel.direction.map(V::splat);
             let at = p.mul_add(x[panel.unit][0], q * x[panel.unit][1]);
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];

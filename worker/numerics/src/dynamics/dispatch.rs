@@ -1,11 +1,11 @@
 //! Entry points of each instruction set, and the division of samples among lanes and threads.
 
 use super::ligaments::{Shape, Turn, gradient, product};
-use super::model::{Model, ModelCotangent};
+use super::model::{Bar, Model, ModelCotangent};
 use super::splitting::{self, Scheme};
 use super::system::{Kernels, Second, System, Unit};
 use super::tsit5::{self, Queue, Slot, Sweep, take};
-use super::vector::{Array, LANES, Vector};
+use super::vector::{Array, SingleArray, Vector};
 use super::{Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
 use crate::simd::Width;
 use rayon::prelude::*;
@@ -15,14 +15,15 @@ type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &Queue<'_, '_>) 
 type Reverse =
     unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], bool) -> (ModelCotangent, Counters);
 
-/// Lanes' full of samples that a reverse sweep of Tsit5 has at most, to make up blocks from.
+/// Vectors of samples that a reverse sweep of Tsit5 has at most, to make up blocks from.
 const BLOCKS: usize = 5;
 
-/// The code of one instruction set.
+/// The code of one instruction set and precision.
 struct Machine {
     forward: Forward,
     reverse: Reverse,
     repeat: unsafe fn(&Scene, &Model, usize, bool),
+    lanes: usize,
 }
 
 macro_rules! machine {
@@ -30,28 +31,32 @@ macro_rules! machine {
         mod $module {
             use super::*;
 
+            type Bars<'a> = &'a [Bar<<$vector as Vector>::Scalar>];
+
             $(#[target_feature(enable = $feature)])?
             unsafe fn first<const LINEAR: bool, const CONTACT: bool>(
                 model: &Model,
+                bars: Bars<'_>,
                 x: &[Unit<$vector>],
-                turn: &mut [Turn<$vector>],
+                turn: &[Turn<$vector>],
                 g: &mut [Unit<$vector>],
                 margin: &mut $vector,
             ) {
-                gradient::<$vector, LINEAR, CONTACT, false>(model, x, turn, g, margin, &mut []);
+                gradient::<$vector, LINEAR, CONTACT, false>(model, bars, x, turn, g, margin, &mut []);
             }
 
             $(#[target_feature(enable = $feature)])?
             unsafe fn second<const LINEAR: bool, const CONTACT: bool, const GRADIENT: bool, const PARAMETERS: bool>(
                 model: &Model,
+                bars: Bars<'_>,
                 x: &[Unit<$vector>],
                 w: &[Unit<$vector>],
-                turn: &mut [Turn<$vector>],
+                turn: &[Turn<$vector>],
                 g: &mut [Unit<$vector>],
                 h: &mut [Unit<$vector>],
                 shape: Shape<'_, $vector>,
             ) {
-                product::<$vector, LINEAR, CONTACT, GRADIENT, PARAMETERS>(model, x, w, turn, g, h, shape);
+                product::<$vector, LINEAR, CONTACT, GRADIENT, PARAMETERS>(model, bars, x, w, turn, g, h, shape);
             }
 
             fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {
@@ -83,11 +88,11 @@ macro_rules! machine {
                 let damped = scheme.is_none();
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), damped, false);
                 let Some(scheme) = scheme else {
-                    return tsit5::forward(system, forces, plan.tolerance, queue);
+                    return if <$vector>::SINGLE { unreachable!("{plan:?}") } else { tsit5::forward(system, forces, plan.tolerance, queue) };
                 };
                 let mut counters = Counters::default();
                 loop {
-                    let slots = take(queue, LANES);
+                    let slots = take(queue, <$vector>::LANES);
                     if slots.is_empty() {
                         return counters;
                     }
@@ -109,6 +114,7 @@ macro_rules! machine {
                 let kernels = kernels(scene, parameters);
                 let mut system = System::<$vector>::new(scene, model, kernels, scheme.is_none(), parameters);
                 let counters = match scheme {
+                    None if <$vector>::SINGLE => unreachable!("{plan:?}"),
                     None => tsit5::reverse(&mut system, forces, sweeps),
                     Some(scheme) => splitting::reverse(&mut system, &scheme, plan.steps, parts, forces, sweeps),
                 };
@@ -134,29 +140,35 @@ macro_rules! machine {
                 std::hint::black_box(&out);
             }
 
-            pub const MACHINE: Machine = Machine { forward, reverse, repeat };
+            pub const MACHINE: Machine = Machine { forward, reverse, repeat, lanes: <$vector as Vector>::LANES };
         }
     };
 }
 
 machine!(baseline, Array);
+machine!(single_baseline, SingleArray);
 #[cfg(target_arch = "x86_64")]
 machine!(avx2, super::super::vector::Avx2, "avx2,fma");
 #[cfg(target_arch = "x86_64")]
+machine!(single_avx2, super::super::vector::SingleAvx2, "avx2,fma");
+#[cfg(target_arch = "x86_64")]
 machine!(avx512, super::super::vector::Avx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+#[cfg(target_arch = "x86_64")]
+machine!(single_avx512, super::super::vector::SingleAvx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 /// # Panics
 /// If the machine lacks `width`.
-fn machine(width: Width) -> Machine {
+fn machine(width: Width, single: bool) -> Machine {
     width.check();
     #[cfg(target_arch = "x86_64")]
-    match width {
-        Width::Avx512 => return avx512::MACHINE,
-        Width::Avx2 => return avx2::MACHINE,
-        Width::Baseline => {}
+    match (width, single) {
+        (Width::Avx512, false) => return avx512::MACHINE,
+        (Width::Avx512, true) => return single_avx512::MACHINE,
+        (Width::Avx2, false) => return avx2::MACHINE,
+        (Width::Avx2, true) => return single_avx2::MACHINE,
+        (Width::Baseline, _) => {}
     }
-    let _ = width;
-    baseline::MACHINE
+    if single { single_baseline::MACHINE } else { baseline::MACHINE }
 }
 
 /// The splitting scheme of a method, if it is one.
@@ -170,11 +182,18 @@ pub fn scheme(method: Method) -> Option<Scheme> {
 }
 
 /// `super::repeat_kernel` with the code of `width`, which the machine must have.
-pub fn repeat_kernel(width: Width, scene: &Scene, design: &[f64], times: usize, second: bool) -> u64 {
+pub fn repeat_kernel(
+    (width, single): (Width, bool),
+    scene: &Scene,
+    design: &[f64],
+    times: usize,
+    second: bool,
+) -> u64 {
     let model = Model::new(scene, design).moving();
+    let machine = machine(width, single);
     // SAFETY: `machine` has checked that this machine has `width`.
-    unsafe { (machine(width).repeat)(scene, &model, times, second) };
-    (times * LANES * model.bars.len()) as u64
+    unsafe { (machine.repeat)(scene, &model, times, second) };
+    (times * machine.lanes * model.bars.len()) as u64
 }
 
 /// `super::run` with the code of `width`, which the machine must have.
@@ -188,7 +207,7 @@ pub fn simulate(
     pool: &rayon::ThreadPool,
 ) -> Simulation {
     let model = Model::new(scene, design).moving();
-    let machine = machine(width);
+    let machine = machine(width, plan.single());
     let plan = &Plan { steps: plan.steps.next_multiple_of(forces.kinks(scene)), ..plan.clone() };
     let n = forces.samples;
     let len = scene.instants * 3 * scene.sensors.len();
@@ -215,9 +234,13 @@ pub fn simulate(
         rest = others;
         slots.push(Slot { signals, outcome, tape, index });
     }
+    let adaptive = plan.method.stages().is_none();
+    if !adaptive {
+        // Lanes that begin together wait together.
+        slots.sort_by_key(|s| forces.onset(scene, forces.sample(s.index)));
+    }
     let mut total = integrate(&machine, scene, &model, forces, plan, parts, &mut slots, pool);
     // Equal steps that one sample's motion or contact is too quick for are halved for it alone, and again.
-    let adaptive = plan.method.stages().is_none();
     for refined in [2, 4, 8] {
         let mut failed: Vec<Slot<'_>> = Vec::new();
         for slot in &mut slots {
@@ -263,7 +286,7 @@ fn integrate(
     slots: &mut [Slot<'_>],
     pool: &rayon::ThreadPool,
 ) -> Counters {
-    let tasks = pool.current_num_threads().min(slots.len().div_ceil(LANES));
+    let tasks = pool.current_num_threads().min(slots.len().div_ceil(machine.lanes));
     let queue = Mutex::new(slots);
     let counters: Vec<Counters> = pool.install(|| {
         (0..tasks)
@@ -289,8 +312,8 @@ pub fn pull_back(
     pool: &rayon::ThreadPool,
 ) -> Gradient {
     let model = Model::new(scene, design).moving();
-    let machine = machine(simulation.width);
     let plan = &simulation.plan;
+    let machine = machine(simulation.width, plan.single());
     let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
     let len = scene.instants * 3 * scene.sensors.len();
     let sweeps: Vec<Sweep<'_>> = samples
@@ -308,8 +331,11 @@ pub fn pull_back(
     for refined in [1, 2, 4, 8] {
         let finer = Plan { steps: plan.steps * refined, ..plan.clone() };
         let mut group: Vec<&Sweep<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
-        group.sort_by_key(|s| s.tape.counts.iter().sum::<u32>());
-        let lanes: Vec<&[&Sweep<'_>]> = group.chunks(LANES).collect();
+        group.sort_by_key(|s| match plan.method {
+            Method::Tsit5 => s.tape.counts.iter().sum::<u32>() as usize,
+            _ => forces.onset(scene, s.history),
+        });
+        let lanes: Vec<&[&Sweep<'_>]> = group.chunks(machine.lanes).collect();
         // Tsit5 makes up its own blocks, of samples that take about as many steps; but threads want work, too, of as
         // much each: every task gets of all lengths.
         let tasks = match plan.method {
@@ -318,7 +344,7 @@ pub fn pull_back(
         };
         let dealt: Vec<&Sweep<'_>> =
             (0..tasks).flat_map(|t| lanes[t..].iter().step_by(tasks).copied().flatten().copied()).collect();
-        let end = |t: usize| (lanes.len() * t / tasks * LANES).min(dealt.len());
+        let end = |t: usize| (lanes.len() * t / tasks * machine.lanes).min(dealt.len());
         blocks.extend((0..tasks).map(|t| {
             (finer.clone(), dealt[end(t)..end(t + 1)].iter().map(|s| **s).collect::<Vec<Sweep<'_>>>())
         }));

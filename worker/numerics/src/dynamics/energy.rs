@@ -1,6 +1,6 @@
 //! Energy of one state, its gradient and its derivative in the design: for checks and reports, not for time steps.
 
-use super::ligaments::gradient;
+use super::ligaments::{gradient, turns};
 use super::model::{Model, ModelCotangent};
 use super::vector::{Array, Vector};
 use super::{Contact, Scene};
@@ -80,8 +80,9 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
         (true, false) => gradient::<Array, true, false, true>,
         (true, true) => gradient::<Array, true, true, true>,
     };
-    kernel(&model, &x, &mut turn, &mut g, &mut { zero }, &mut kept);
-    let first = |v: Array| v.array()[0];
+    turns(&x, &mut turn);
+    kernel(&model, &model.bars, &x, &turn, &mut g, &mut { zero }, &mut kept);
+    let first = |v: Array| v.lane(0);
     for (bar, [force, voids]) in model.bars.iter().zip(kept) {
         let [gx, gy] = force.map(first);
         // (R − I)ᵀ ∂U/∂node at b, its negative at a

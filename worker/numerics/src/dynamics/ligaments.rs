@@ -69,29 +69,28 @@ struct Swing<V> {
     strains: [V; 3],
 }
 
-/// Overwrites `g` by ∂U/∂s at `x`. Allocates nothing.
+/// Adds ∂U/∂s at `x`, of which `turn` holds the turns, to `g`. Allocates nothing.
 ///
 /// With `CONTACT` lowers `margin` to the least ψ − ψ_min, with `KEEP` overwrites `kept`, one entry a ligament, by the force
 /// on its end at b and ∂U/∂ψ. A ligament of length zero gives NaN.
 #[inline(always)]
 pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: bool>(
     model: &Model,
+    bars: &[Bar<V::Scalar>],
     x: &[[V; 3]],
-    turn: &mut [Turn<V>],
+    turn: &[Turn<V>],
     g: &mut [[V; 3]],
     margin: &mut V,
     kept: &mut [[[V; 2]; 2]],
 ) {
     let units = model.units();
     assert!(x.len() == units && turn.len() == units && g.len() == units, "one entry per unit");
-    g.fill([V::splat(0.0); 3]);
-    turns(x, turn);
-    if model.bars.is_empty() {
+    if bars.is_empty() {
         return;
     }
-    let mut ahead = Ahead::new::<LINEAR>(model, x, turn);
-    for (q, bar) in model.bars.iter().enumerate() {
-        let (at, gamma) = ahead.next::<LINEAR>(q, model, x, turn);
+    let mut ahead = Ahead::new::<LINEAR>(bars, x, turn);
+    for (q, bar) in bars.iter().enumerate() {
+        let (at, gamma) = ahead.next::<LINEAR>(q, bars, x, turn);
         let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, gamma, margin);
         pull.add_to(g, bar);
         if KEEP {
@@ -100,7 +99,8 @@ pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: 
     }
 }
 
-/// Overwrites `h` by the derivative of ∂U/∂s along `w` and, with `GRADIENT`, `g` by ∂U/∂s itself. Allocates nothing.
+/// Takes the derivative of ∂U/∂s along `w` from `h`, what forces of cotangent `w` pass on to states, and with `GRADIENT`
+/// adds ∂U/∂s itself to `g`. Allocates nothing.
 ///
 /// Adds to `shape` the derivatives along `w` of ∂U/∂r and of ∂U/∂ψ at rest and, with `PARAMETERS`, ∂²U/∂s∂k·w:
 /// Σ strain · (strain's derivative along w).
@@ -113,9 +113,10 @@ pub fn product<
     const PARAMETERS: bool,
 >(
     model: &Model,
+    bars: &[Bar<V::Scalar>],
     x: &[[V; 3]],
     w: &[[V; 3]],
-    turn: &mut [Turn<V>],
+    turn: &[Turn<V>],
     g: &mut [[V; 3]],
     h: &mut [[V; 3]],
     shape: Shape<'_, V>,
@@ -124,18 +125,13 @@ pub fn product<
     assert!(x.len() == units && turn.len() == units && h.len() == units, "one entry per unit");
     assert!(w.len() == units && shape.arms.len() == units, "one entry per unit");
     let zero = V::splat(0.0);
-    if GRADIENT {
-        g.fill([zero; 3]);
-    }
-    h.fill([zero; 3]);
-    turns(x, turn);
-    if model.bars.is_empty() {
+    if bars.is_empty() {
         return;
     }
-    let mut ahead = Ahead::new::<LINEAR>(model, x, turn);
-    for (q, bar) in model.bars.iter().enumerate() {
-        let (at, gamma) = ahead.next::<LINEAR>(q, model, x, turn);
-        let &Bar { a, b, .. } = bar;
+    let mut ahead = Ahead::new::<LINEAR>(bars, x, turn);
+    for (q, bar) in bars.iter().enumerate() {
+        let (at, gamma) = ahead.next::<LINEAR>(q, bars, x, turn);
+        let &Bar::<V::Scalar> { a, b, .. } = bar;
         let turns = [turn[a], turn[b]];
         let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, gamma, &mut { zero });
         if GRADIENT {
@@ -144,9 +140,9 @@ pub fn product<
         let swing = pull.along::<LINEAR, CONTACT>(model, bar, [w[a], w[b]]);
         let [fx, fy] = swing.force;
         let [hx, hy, ht] = h[a];
-        h[a] = [hx - fx, hy - fy, ht + swing.moments[0]];
+        h[a] = [hx + fx, hy + fy, ht - swing.moments[0]];
         let [hx, hy, ht] = h[b];
-        h[b] = [hx + fx, hy + fy, ht + swing.moments[1]];
+        h[b] = [hx - fx, hy - fy, ht - swing.moments[1]];
         // (R − I)ᵀ ∂U/∂node at b, its negative at a; a turn of R by ω is one of the force by −ω
         let [gx, gy] = pull.force;
         let [s, c1] = turns[1];
@@ -185,7 +181,7 @@ pub fn product<
 
 /// Overwrites `turn`.
 #[inline(always)]
-fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
+pub fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
     for (turn, x) in turn.iter_mut().zip(x) {
         *turn = sin_cos1(x[2]);
     }
@@ -193,7 +189,7 @@ fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
 
 /// Where a ligament is.
 #[inline(always)]
-fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>]) -> Place<V> {
+fn place<V: Vector, const LINEAR: bool>(bar: &Bar<V::Scalar>, x: &[[V; 3]], turn: &[Turn<V>]) -> Place<V> {
     let (xa, xb, zero) = (x[bar.a], x[bar.b], V::splat(0.0));
     let (ra, rb) = (pair(bar.arm_a), pair(bar.arm_b));
 
@@ -210,7 +206,7 @@ fn place<V: Vector, const LINEAR: bool>(bar: &Bar, x: &[[V; 3]], turn: &[Turn<V>
         relative: xb[2] - xa[2],
     };
     if !LINEAR {
-        let (e, length) = (pair(bar.e), V::splat(bar.length));
+        let (e, length) = (pair(bar.e), V::of(bar.length));
         let (dx, dy) = (length.mul_add(e[0], du[0]), length.mul_add(e[1], du[1]));
         let square = dx.mul_add(dx, dy * dy);
         at.d = [dx, dy];
@@ -245,9 +241,9 @@ struct Ahead<V> {
 
 impl<V: Vector> Ahead<V> {
     #[inline(always)]
-    fn new<const LINEAR: bool>(model: &Model, x: &[[V; 3]], turn: &[Turn<V>]) -> Self {
-        let first = place::<V, LINEAR>(&model.bars[0], x, turn);
-        let far = place::<V, LINEAR>(&model.bars[1.min(model.bars.len() - 1)], x, turn);
+    fn new<const LINEAR: bool>(bars: &[Bar<V::Scalar>], x: &[[V; 3]], turn: &[Turn<V>]) -> Self {
+        let first = place::<V, LINEAR>(&bars[0], x, turn);
+        let far = place::<V, LINEAR>(&bars[1.min(bars.len() - 1)], x, turn);
         Self { near: (first, shear_angle::<V, LINEAR>(&first)), far }
     }
 
@@ -256,12 +252,12 @@ impl<V: Vector> Ahead<V> {
     fn next<const LINEAR: bool>(
         &mut self,
         q: usize,
-        model: &Model,
+        bars: &[Bar<V::Scalar>],
         x: &[[V; 3]],
         turn: &[Turn<V>],
     ) -> (Place<V>, V) {
         let (at, next) = (self.near, self.far);
-        if let Some(bar) = model.bars.get(q + 2) {
+        if let Some(bar) = bars.get(q + 2) {
             self.far = place::<V, LINEAR>(bar, x, turn);
         }
         self.near = (next, shear_angle::<V, LINEAR>(&next));
@@ -273,7 +269,7 @@ impl<V: Vector> Ahead<V> {
 #[inline(always)]
 fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
-    bar: &Bar,
+    bar: &Bar<V::Scalar>,
     at: Place<V>,
     gamma: V,
     margin: &mut V,
@@ -298,16 +294,16 @@ fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     } else {
         let [dx, dy] = at.d;
         of.inverse_square = at.inverse * at.inverse;
-        of.stretch = V::splat(bar.tension).mul_sub_from(at.inverse, V::splat(k.stretch));
-        let twist = V::splat(bar.twist) * gamma;
+        of.stretch = V::of(bar.tension).mul_sub_from(at.inverse, V::splat(k.stretch));
+        let twist = V::of(bar.twist) * gamma;
         of.side = twist * of.inverse_square;
         of.force = [of.side.mul_sub_from(dy, of.stretch * dx), of.side.mul_add(dx, of.stretch * dy)];
         shear = V::splat(0.5) * twist;
-        of.strains = [at.size - V::splat(length), V::splat(length) * gamma, relative];
+        of.strains = [at.size - V::of(length), V::of(length) * gamma, relative];
     }
     if CONTACT && let Some(contact) = model.contact {
         // ψ₁ falls and ψ₂ rises with θ_b − θ_a
-        let psi = [V::splat(bar.voids[0]) - relative, V::splat(bar.voids[1]) + relative];
+        let psi = [V::of(bar.voids[0]) - relative, V::of(bar.voids[1]) + relative];
         for (s, sign) in [(0, -1.0), (1, 1.0)] {
             *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
             if psi[s].any_less(V::splat(contact.cutoff_angle)) {
@@ -322,8 +318,14 @@ fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
 
 /// Force, moment and strains of linear measures: linear in displacement, mean and difference of rotations.
 #[inline(always)]
-fn linear<V: Vector>(model: &Model, bar: &Bar, du: [V; 2], mean: V, relative: V) -> ([V; 2], V, [V; 3]) {
-    let (k, e, length) = (model.stiffness, pair(bar.e), V::splat(bar.length));
+fn linear<V: Vector>(
+    model: &Model,
+    bar: &Bar<V::Scalar>,
+    du: [V; 2],
+    mean: V,
+    relative: V,
+) -> ([V; 2], V, [V; 3]) {
+    let (k, e, length) = (model.stiffness, pair(bar.e), V::of(bar.length));
     let stretched = du[0].mul_add(e[0], du[1] * e[1]);
     let slid = du[0].mul_sub_from(e[1], du[1] * e[0]) - length * mean;
     let (stretch, slide) = (V::splat(k.stretch) * stretched, V::splat(k.shear) * slid);
@@ -334,7 +336,7 @@ fn linear<V: Vector>(model: &Model, bar: &Bar, du: [V; 2], mean: V, relative: V)
 impl<V: Vector> Pull<V> {
     /// Adds ∂U/∂s of both units.
     #[inline(always)]
-    fn add_to(&self, g: &mut [[V; 3]], bar: &Bar) {
+    fn add_to(&self, g: &mut [[V; 3]], bar: &Bar<V::Scalar>) {
         let [fx, fy] = self.force;
         let ([la, lb], [ma, mb]) = (self.place.levers, self.moments);
         let [x, y, t] = g[bar.a];
@@ -351,7 +353,7 @@ impl<V: Vector> Pull<V> {
     fn along<const LINEAR: bool, const CONTACT: bool>(
         &self,
         model: &Model,
-        bar: &Bar,
+        bar: &Bar<V::Scalar>,
         [wa, wb]: [[V; 3]; 2],
     ) -> Swing<V> {
         let (k, length, zero) = (model.stiffness, bar.length, V::splat(0.0));
@@ -366,15 +368,15 @@ impl<V: Vector> Pull<V> {
             let rho = dx.mul_add(p, dy * q) * self.inverse_square;
             let swing = dy.mul_sub_from(p, dx * q) * self.inverse_square;
             let gamma = swing - mean;
-            let twist = V::splat(bar.twist) * gamma;
-            let stretch = V::splat(bar.tension) * inverse * rho;
+            let twist = V::of(bar.twist) * gamma;
+            let stretch = V::of(bar.tension) * inverse * rho;
             let side = (self.side + self.side).mul_sub_from(rho, self.inverse_square * twist);
             force = [
                 side.mul_sub_from(dy, stretch.mul_add(dx, self.side.mul_sub_from(q, self.stretch * p))),
                 side.mul_add(dx, stretch.mul_add(dy, self.side.mul_add(p, self.stretch * q))),
             ];
             shear = V::splat(0.5) * twist;
-            strains = [rho * size, V::splat(length) * gamma, relative];
+            strains = [rho * size, V::of(length) * gamma, relative];
         }
         let mut bend = V::splat(k.bend) * relative;
         let mut voids = [zero; 2];

@@ -3,7 +3,7 @@
 //! ```text
 //! M s̈ = −∂U/∂s − C ṡ + f(t),   s = (u, v, θ) of every unit, clamped ones held, at rest at t = 0
 //! ```
-//! Samples are integrated eight at a time, one a lane; a sample's result does not depend on the others, on the number
+//! Samples are integrated eight at a time or more, one a lane; a sample's result does not depend on the others, on the number
 //! of threads or on which samples are asked for. Gradients are those of the discrete method.
 
 mod balance;
@@ -179,12 +179,23 @@ pub enum Method {
 pub struct Plan {
     /// Never `Auto`.
     pub method: Method,
-    /// Tsit5: tolerance of its error norm.
+    /// Tsit5: tolerance of its error norm. Else the error by the method's law, on which the precision depends.
     pub tolerance: f64,
     /// Equal steps an interval; 0 where steps are adaptive. A sample that fails with them is tried again with more.
     pub steps: usize,
     /// Why, in words.
     pub reason: String,
+}
+
+/// Law's errors from which on steps are coarse enough for f32, whose rounding makes some 1e-3 of signals and of dα (with
+/// contact 5e-3): a pilot measures it with the rest.
+const SINGLE: f64 = 3e-3;
+
+impl Plan {
+    /// Whether it is carried out in f32 lanes, twice as many as of f64: as its steps are no better.
+    pub fn single(&self) -> bool {
+        self.method.stages().is_some() && self.tolerance >= SINGLE
+    }
 }
 
 /// Force histories (N, K, R+1), f_k at t_n = n·duration/R, n = 0…R, linear in between.
@@ -214,6 +225,13 @@ impl Forces {
     pub fn sample(&self, i: usize) -> &[f64] {
         let len = self.panels * (self.instants + 1);
         &self.values[i * len..][..len]
+    }
+
+    /// The interval of the scene in which a history, (K, R+1), begins to act; T where it never does.
+    pub(crate) fn onset(&self, scene: &Scene, history: &[f64]) -> usize {
+        let acts = |panel: &[f64]| panel.iter().position(|f| *f != 0.0);
+        let first = history.chunks(self.instants + 1).filter_map(acts).min();
+        first.map_or(scene.instants, |n| n.saturating_sub(1) / self.kinks(scene))
     }
 }
 
@@ -466,13 +484,19 @@ fn reverse(
     dispatch::pull_back(scene, design, forces, simulation, samples, cotangent, parameters, pool)
 }
 
-/// Evaluates the forces, or with `second` their derivatives along a direction, so many times on eight lanes of one state,
-/// to be timed; returns ligaments times lanes times `times`, without ligaments between held units, which none evaluates.
+/// Evaluates the forces, or with `second` their derivatives along a direction, so many times on all lanes of one state, of
+/// f32 if `single`, to be timed; returns ligaments times lanes times `times`, without ligaments between held units, which none evaluates.
 ///
 /// # Panics
 /// If the machine lacks `width`.
-pub fn repeat_kernel(width: Width, scene: &Scene, design: &[f64], times: usize, second: bool) -> u64 {
-    dispatch::repeat_kernel(width, scene, design, times, second)
+pub fn repeat_kernel(
+    (width, single): (Width, bool),
+    scene: &Scene,
+    design: &[f64],
+    times: usize,
+    second: bool,
+) -> u64 {
+    dispatch::repeat_kernel((width, single), scene, design, times, second)
 }
 
 fn check(scene: &Scene, design: &[f64], forces: &Forces) {

@@ -1,12 +1,13 @@
 //! A scene with a design, in the form that the kernels read.
 
+use super::vector::Scalar;
 use super::{Contact, Parameters, Scene, Stiffness};
 use crate::body::{Geometry, Layout, void_angles_vjp};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// A ligament with what the kernel needs of its ends.
 #[derive(Debug, Clone, Copy)]
-pub struct Bar {
+pub struct Bar<S = f64> {
     /// Its place among the layout's ligaments.
     pub index: usize,
     /// Units at the ends.
@@ -18,19 +19,40 @@ pub struct Bar {
     /// Likewise.
     pub node_b: usize,
     /// Arms from the centroids to the ends (mm).
-    pub arm_a: [f64; 2],
+    pub arm_a: [S; 2],
     /// Likewise.
-    pub arm_b: [f64; 2],
+    pub arm_b: [S; 2],
     /// Unit vector along the reference.
-    pub e: [f64; 2],
+    pub e: [S; 2],
     /// l₀ (mm).
-    pub length: f64,
+    pub length: S,
     /// k_l l₀ (N).
-    pub tension: f64,
+    pub tension: S,
     /// k_s l₀² (N·mm).
-    pub twist: f64,
+    pub twist: S,
     /// Void angles at rest, on the branch [−π/2, 3π/2).
-    pub voids: [f64; 2],
+    pub voids: [S; 2],
+}
+
+impl Bar {
+    /// Rounded to a kernel's scalar.
+    pub fn rounded<S: Scalar>(&self) -> Bar<S> {
+        let Self { index, a, b, node_a, node_b, arm_a, arm_b, e, length, tension, twist, voids } = *self;
+        Bar {
+            index,
+            a,
+            b,
+            node_a,
+            node_b,
+            arm_a: arm_a.map(S::from_f64),
+            arm_b: arm_b.map(S::from_f64),
+            e: e.map(S::from_f64),
+            length: S::from_f64(length),
+            tension: S::from_f64(tension),
+            twist: S::from_f64(twist),
+            voids: voids.map(S::from_f64),
+        }
+    }
 }
 
 /// A scene with a design.
@@ -111,6 +133,12 @@ impl Model {
         let least = self.contact.map_or(f64::NEG_INFINITY, |c| c.min_angle);
         self.bars.retain(|b| moves(b.a) || moves(b.b) || b.voids.iter().any(|psi| *psi < least));
         self
+    }
+
+    /// Whether contact may act at rest.
+    pub fn touches(&self) -> bool {
+        let cutoff = self.contact.map_or(f64::NEG_INFINITY, |c| c.cutoff_angle);
+        self.bars.iter().any(|b| b.voids.iter().any(|psi| *psi < cutoff))
     }
 
     /// From the first to the last unit that moves.

@@ -55,10 +55,12 @@ impl Rest {
 pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [Vec<f64>; LANES] {
     let zero = Array::splat(0.0);
     let units = model.units();
-    let lanes = |i: usize| Array::new(std::array::from_fn(|lane| w.get(lane).map_or(0.0, |w| w[i])));
+    let lanes = |i: usize| {
+        Array::gather(&std::array::from_fn::<f64, LANES, _>(|lane| w.get(lane).map_or(0.0, |w| w[i])))
+    };
     let direction: Vec<[Array; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
     let x = vec![[zero; 3]; units];
-    let (mut turn, mut h) = (vec![[zero; 2]; units], x.clone());
+    let (turn, mut h) = (vec![[zero; 2]; units], x.clone());
     let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; units], vec![[zero; 2]; model.ligaments]);
     let kernel = match (scene.linearised, scene.contact.is_some()) {
         (false, false) => product::<Array, false, false, false, false>,
@@ -67,6 +69,6 @@ pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [
         (true, true) => product::<Array, true, true, false, false>,
     };
     let shape = Shape { arms: &mut arms, voids: &mut voids, stiffness: &mut [zero; 4] };
-    kernel(model, &x, &direction, &mut turn, &mut [], &mut h, shape);
-    std::array::from_fn(|lane| h.as_flattened().iter().map(|h| h.array()[lane]).collect())
+    kernel(model, &model.bars, &x, &direction, &turn, &mut [], &mut h, shape);
+    std::array::from_fn(|lane| h.as_flattened().iter().map(|h| -h.lane(lane)).collect())
 }

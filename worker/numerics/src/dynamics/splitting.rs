@@ -12,9 +12,11 @@
 //! its evaluations of second derivatives yield on the way.
 
 use super::balance::Balance;
-use super::system::{Ramp, System, Unit, add_into, load_lanes, read_lane, store_lane};
+use super::model::Model;
+use super::system::{Cotangent, Ramp, System, Unit, load_lanes, read_lane, store_lane};
+use super::trigonometry::sin_cos1;
 use super::tsit5::{Slot, Sweep};
-use super::vector::Vector;
+use super::vector::{MOST, Scalar, Vector};
 use super::{Counters, Forces, Frame, Outcome, Scene};
 
 /// Coefficients of one step, first half; both lists are symmetric.
@@ -76,15 +78,17 @@ impl Scheme {
 
 /// e and (1 − e)/γ of a drift over τ, and the derivatives of both in γ.
 #[derive(Clone, Copy)]
-pub struct Drift {
+pub struct Drift<S = f64> {
     /// e.
-    pub keep: f64,
+    pub keep: S,
+    /// 1/e.
+    pub restore: S,
     /// (1 − e)/γ.
-    pub reach: f64,
+    pub reach: S,
     /// de/dγ.
-    pub keep_slope: f64,
+    pub keep_slope: S,
     /// d((1 − e)/γ)/dγ.
-    pub reach_slope: f64,
+    pub reach_slope: S,
 }
 
 impl Drift {
@@ -105,7 +109,21 @@ impl Drift {
         } else {
             (-(-z).exp_m1() / z, (z * keep + (-z).exp_m1()) / (z * z))
         };
-        Self { keep, reach: tau * reach, keep_slope: -tau * keep, reach_slope: tau * tau * slope }
+        Self {
+            keep,
+            restore: z.exp(),
+            reach: tau * reach,
+            keep_slope: -tau * keep,
+            reach_slope: tau * tau * slope,
+        }
+    }
+
+    /// Rounded to a vector's scalar.
+    fn rounded<S: Scalar>(self) -> Drift<S> {
+        let Self { keep, restore, reach, keep_slope, reach_slope } = self;
+        let [keep, restore, reach, keep_slope, reach_slope] =
+            [keep, restore, reach, keep_slope, reach_slope].map(S::from_f64);
+        Drift { keep, restore, reach, keep_slope, reach_slope }
     }
 }
 
@@ -123,20 +141,20 @@ fn segment_end(k: usize, segments: usize, substeps: usize) -> usize {
 }
 
 /// A scheme made ready for one model and step.
-struct Ready {
+struct Ready<S> {
     kicks: Vec<f64>,
     /// Drift by drift, one entry a unit and degree of freedom.
-    drifts: Vec<Vec<[Drift; 3]>>,
+    drifts: Vec<Vec<[Drift<S>; 3]>>,
     /// Where in the step each force is taken, as a part of it: after each drift.
     clock: Vec<f64>,
-    gamma: Vec<[f64; 3]>,
+    gamma: Vec<[S; 3]>,
 }
 
-impl Ready {
+impl<S: Scalar> Ready<S> {
     fn new(scheme: &Scheme, model: &super::model::Model, h: f64) -> Self {
         let gamma: Vec<[f64; 3]> =
             model.inverse_mass.iter().map(|m| std::array::from_fn(|d| m[d] * model.damping[d])).collect();
-        let drift = |a: &f64| gamma.iter().map(|g| g.map(|g| Drift::new(g, a * h))).collect();
+        let drift = |a: &f64| gamma.iter().map(|g| g.map(|g| Drift::new(g, a * h).rounded())).collect();
         let clock = scheme.drifts.iter().scan(0.0, |t, a| {
             *t += a;
             Some(*t)
@@ -145,14 +163,14 @@ impl Ready {
             kicks: scheme.kicks.iter().map(|b| b * h).collect(),
             drifts: scheme.drifts.iter().map(drift).collect(),
             clock: clock.collect(),
-            gamma,
+            gamma: gamma.iter().map(|g| g.map(S::from_f64)).collect(),
         }
     }
 }
 
 /// What both directions start from.
-struct Course<'a, V> {
-    ready: Ready,
+struct Course<'a, V: Vector> {
+    ready: Ready<V::Scalar>,
     stages: usize,
     /// The kicks at either end of a step.
     first: f64,
@@ -185,15 +203,76 @@ impl<'a, V: Vector> Course<'a, V> {
     }
 }
 
-#[inline(always)]
-fn kick<V: Vector>(v: &mut [Unit<V>], b: f64, g: &[Unit<V>]) {
-    let b = V::splat(b);
-    for (v, g) in v.as_flattened_mut().iter_mut().zip(g.as_flattened()) {
-        *v = b.mul_add(*g, *v);
+/// The samples of a block by when each begins to move.
+struct Begin {
+    /// The interval of each lane; one without a sample never does.
+    lanes: [usize; MOST],
+    /// Of the earliest.
+    first: usize,
+}
+
+impl Begin {
+    fn new(scene: &Scene, model: &Model, forces: &Forces, histories: &[&[f64]]) -> Self {
+        let mut lanes = [scene.instants; MOST];
+        let touches = model.touches();
+        for (lane, history) in lanes.iter_mut().zip(histories) {
+            *lane = if touches { 0 } else { forces.onset(scene, history) };
+        }
+        Self { lanes, first: lanes.into_iter().min().unwrap_or(scene.instants) }
+    }
+
+    /// 1 in lanes that move in an interval; the others are held at rest, whatever forces rounding makes there.
+    #[inline(always)]
+    fn awake<V: Vector>(&self, interval: usize) -> V {
+        V::gather(&self.lanes.map(|begin| f64::from(u8::from(begin <= interval))))
     }
 }
 
-/// Integrates up to eight samples with `substeps` steps an interval, checkpoints after each of `parts` parts. `system` has no damping of its own.
+impl<V: Vector> System<'_, V> {
+    /// v += b G, G = −M⁻¹ g.
+    #[inline(always)]
+    fn kick(&self, b: V, g: &[Unit<V>], v: &mut [Unit<V>]) {
+        let moving = self.model.moving_range();
+        let of_moving = v[moving.clone()].iter_mut().zip(&g[moving.clone()]).zip(&self.inverse_mass[moving]);
+        for ((v, g), inverse) in of_moving {
+            for d in 0..3 {
+                v[d] = b.mul_sub_from(V::of(inverse[d]) * g[d], v[d]);
+            }
+        }
+    }
+
+    /// That kick, a drift, and all that the next evaluation asks for, in one pass.
+    #[inline(always)]
+    fn advance(
+        &mut self,
+        b: V,
+        drifts: &[[Drift<V::Scalar>; 3]],
+        x: &mut [Unit<V>],
+        v: &mut [Unit<V>],
+        g: &mut [Unit<V>],
+    ) {
+        let moving = self.model.moving_range();
+        let n = moving.len();
+        let (x, v, g) =
+            (&mut x[moving.clone()][..n], &mut v[moving.clone()][..n], &mut g[moving.clone()][..n]);
+        let (drifts, turn) = (&drifts[moving.clone()][..n], &mut self.turn[moving.clone()][..n]);
+        let inverse = &self.inverse_mass[moving][..n];
+        for u in 0..n {
+            for d in 0..3 {
+                let kicked = b.mul_sub_from(V::of(inverse[u][d]) * g[u][d], v[u][d]);
+                x[u][d] = V::of(drifts[u][d].reach).mul_add(kicked, x[u][d]);
+                v[u][d] = V::of(drifts[u][d].keep) * kicked;
+                g[u][d] = V::ZERO;
+            }
+            turn[u] = sin_cos1(x[u][2]);
+        }
+    }
+}
+
+/// Integrates up to a vector of samples with `substeps` steps an interval, checkpoints after each of `parts` parts. `system`
+/// has no damping of its own.
+///
+/// Begins with the first force of any of them: until its own a lane is at rest.
 #[inline(always)]
 pub fn forward<V: Vector>(
     system: &mut System<'_, V>,
@@ -208,40 +287,36 @@ pub fn forward<V: Vector>(
     let free = &model.free;
     let width = 3 * scene.sensors.len();
     let instants = scene.instants;
-    let zero = V::splat(0.0);
-    let histories = slots.iter().map(|s| forces.sample(s.index)).collect();
+    let histories: Vec<&[f64]> = slots.iter().map(|s| forces.sample(s.index)).collect();
+    let begin = Begin::new(scene, model, forces, &histories);
     let Course { ready, stages, first, last, mut ramp, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
-    let (mut x, mut v, mut g) = (system.zeros(), system.zeros(), system.zeros());
+    let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
     let mut margin = V::splat(1.0);
+    if begin.first == instants {
+        return Counters::default();
+    }
 
-    ramp.at(0, 0.0, &mut force);
+    ramp.at(begin.first * substeps, 0.0, &mut force);
     let mut balance = Balance::new(scene, model, &force);
-    system.acceleration(&x, &v, &force, &mut g, &mut margin);
-    for interval in 0..instants {
+    system.prepare(&x, &mut g);
+    system.add_pull(&x, &force, &mut g, &mut margin);
+    for interval in begin.first..instants {
         crate::pulse::beat();
+        let awake: V = begin.awake(interval);
         let mut part = 0;
-        kick(&mut v, first, &g);
+        let mut b = first;
         for step in 0..substeps {
-            let boundary = step + 1 == segment_end(part, parts, substeps);
             for j in 0..stages {
-                for ((x, v), drift) in x.iter_mut().zip(&mut v).zip(&ready.drifts[j]) {
-                    for d in 0..3 {
-                        x[d] = V::splat(drift[d].reach).mul_add(v[d], x[d]);
-                        v[d] = V::splat(drift[d].keep) * v[d];
-                    }
-                }
+                system.advance(awake * V::splat(b), &ready.drifts[j], &mut x, &mut v, &mut g);
                 ramp.at(interval * substeps + step, ready.clock[j], &mut force);
                 balance.add(&x, &force);
-                system.acceleration(&x, &v, &force, &mut g, &mut margin);
-                let b = match j + 1 == stages {
-                    true if boundary => last,
-                    true => last + first,
-                    false => ready.kicks[j + 1],
-                };
-                kick(&mut v, b, &g);
+                system.add_pull(&x, &force, &mut g, &mut margin);
+                b = if j + 1 == stages { last + first } else { ready.kicks[j + 1] };
             }
-            if boundary {
+            if step + 1 == segment_end(part, parts, substeps) {
+                system.kick(awake * V::splat(last), &g, &mut v);
+                b = first;
                 for (l, slot) in slots.iter_mut().enumerate() {
                     if let Some(tape) = &mut slot.tape {
                         let len = 6 * free.len();
@@ -255,33 +330,29 @@ pub fn forward<V: Vector>(
                     }
                 }
                 part += 1;
-                if part < parts {
-                    kick(&mut v, first, &g);
-                }
             }
         }
         // a = G − γ v at the instant
-        let margins = margin.array();
-        let mut a = g.clone();
-        for ((a, v), gamma) in a.iter_mut().zip(&v).zip(&ready.gamma) {
+        for &u in &scene.sensors {
             for d in 0..3 {
-                a[d] = V::splat(gamma[d]).mul_sub_from(v[d], a[d]);
+                let pull = V::of(system.inverse_mass[u][d]) * g[u][d];
+                a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(v[u][d], -pull);
             }
         }
-        let mut size = zero;
+        let mut size = V::ZERO;
         for (x, v) in x.as_flattened().iter().zip(v.as_flattened()) {
             size = size + x.abs() + v.abs();
         }
-        let excess = balance.excess(&v).array();
+        let excess = balance.excess(&v);
         for (l, slot) in slots.iter_mut().enumerate() {
-            if *slot.outcome != Outcome::Ok {
+            if *slot.outcome != Outcome::Ok || interval < begin.lanes[l] {
                 continue;
             }
-            if margins[l] < 0.0 {
+            if margin.lane(l) < 0.0 {
                 *slot.outcome = Outcome::ForbiddenContact;
-            } else if !size.array()[l].is_finite() {
+            } else if !size.lane(l).is_finite() {
                 *slot.outcome = Outcome::NonFinite;
-            } else if excess[l] > 0.0 {
+            } else if excess.lane(l) > 0.0 {
                 *slot.outcome = Outcome::Unstable;
             } else {
                 read_lane(scene, &x, &v, &a, l, &mut slot.signals[interval * width..][..width]);
@@ -292,11 +363,66 @@ pub fn forward<V: Vector>(
         }
     }
     let lanes = slots.len() as u64;
-    let steps = (instants * substeps) as u64;
+    let steps = ((instants - begin.first) * substeps) as u64;
     Counters { force_evaluations: lanes * (1 + steps * stages as u64), steps: lanes * steps, rejected: 0 }
 }
 
-/// Sweeps up to eight samples backwards, adding to the cotangents of `system`, which has no damping of its own.
+/// The cotangents of a block's states, and what its next evaluation weighs.
+struct Bars<V> {
+    x: Vec<Unit<V>>,
+    v: Vec<Unit<V>>,
+    /// Of the forces.
+    w: Vec<Unit<V>>,
+}
+
+impl<V: Vector> System<'_, V> {
+    /// Undoes `advance`: the kick b by the evaluation just done, then the drift before it; passes their cotangents back and
+    /// makes the next evaluation, that of the kick `next`, ready. One pass.
+    #[inline(always)]
+    fn retreat(
+        &mut self,
+        b: V,
+        (drifts, gamma): (&[[Drift<V::Scalar>; 3]], &[[V::Scalar; 3]]),
+        next: V,
+        (x, v, g): (&mut [Unit<V>], &mut [Unit<V>], &mut [Unit<V>]),
+        bars: &mut Bars<V>,
+    ) {
+        let moving = self.model.moving_range();
+        let n = moving.len();
+        let (x, v, g) =
+            (&mut x[moving.clone()][..n], &mut v[moving.clone()][..n], &mut g[moving.clone()][..n]);
+        let Bars { x: bar_x, v: bar_v, w } = bars;
+        let (bar_x, bar_v, w) =
+            (&bar_x[moving.clone()][..n], &mut bar_v[moving.clone()][..n], &mut w[moving.clone()][..n]);
+        let (drifts, gamma) = (&drifts[moving.clone()][..n], &gamma[moving.clone()][..n]);
+        let (turn, mass) =
+            (&mut self.turn[moving.clone()][..n], &mut self.cotangent.mass[moving.clone()][..n]);
+        let inverse = &self.inverse_mass[moving][..n];
+        let mut damping = self.cotangent.damping;
+        for u in 0..n {
+            for d in 0..3 {
+                let (drift, inverse) = (&drifts[u][d], inverse[u][d]);
+                let pull = V::of(inverse) * g[u][d];
+                let before = V::of(drift.restore) * b.mul_add(pull, v[u][d]);
+                x[u][d] = V::of(drift.reach).mul_sub_from(before, x[u][d]);
+                v[u][d] = before;
+                g[u][d] = V::ZERO;
+                let (to_x, to_v) = (bar_x[u][d], bar_v[u][d]);
+                let slope = V::of(drift.reach_slope).mul_add(to_x, V::of(drift.keep_slope) * to_v);
+                // Cotangent of γ = C/m
+                let rate = V::of(inverse) * (slope * before);
+                damping[d] = damping[d] + rate;
+                mass[u][d] = V::of(gamma[u][d]).mul_sub_from(rate, w[u][d].mul_add(pull, mass[u][d]));
+                bar_v[u][d] = V::of(drift.reach).mul_add(to_x, V::of(drift.keep) * to_v);
+                w[u][d] = V::of(inverse) * (next * bar_v[u][d]);
+            }
+            turn[u] = sin_cos1(x[u][2]);
+        }
+        self.cotangent.damping = damping;
+    }
+}
+
+/// Sweeps up to a vector of samples backwards, adding to the cotangents of `system`, which has no damping of its own.
 #[inline(always)]
 pub fn reverse<V: Vector>(
     system: &mut System<'_, V>,
@@ -309,22 +435,27 @@ pub fn reverse<V: Vector>(
     let scene = system.scene;
     let model = system.model;
     let free = &model.free;
+    let moving = model.moving_range();
     let width = 3 * scene.sensors.len();
     let instants = scene.instants;
     let zero = V::splat(0.0);
-    let histories = sweeps.iter().map(|s| s.history).collect();
+    let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
+    let begin = Begin::new(scene, model, forces, &histories);
     let Course { ready, stages, first, last, mut ramp, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
     let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
-    let (mut bar_x, mut bar_v, mut bar_g) = (system.zeros(), system.zeros(), system.zeros());
-    let (mut bar_a, mut to_x, mut to_v) = (system.zeros(), system.zeros(), system.zeros());
-    let mut bar_gamma = system.zeros();
+    let mut bars = Bars { x: system.zeros(), v: system.zeros(), w: system.zeros() };
+    let mut bar_a = system.zeros();
     let mut bar = vec![zero; width];
     let mut margin = zero;
     let mut evaluations = 1;
+    if begin.first == instants {
+        return Counters::default();
+    }
 
-    for interval in (0..instants).rev() {
+    for interval in (begin.first..instants).rev() {
         crate::pulse::beat();
+        let awake: V = begin.awake(interval);
         let mut step = substeps;
         for part in (0..parts).rev() {
             // The checkpoint: the state after the last kick of a step
@@ -335,71 +466,77 @@ pub fn reverse<V: Vector>(
             load_lanes(free, &states, &mut x, &mut v);
             ramp.at(interval * substeps + step - 1, 1.0, &mut force);
             let instant = part + 1 == parts;
-            let next = if instant && interval + 1 == instants { 0.0 } else { first };
-            for (bar_g, bar_v) in bar_g.as_flattened_mut().iter_mut().zip(bar_v.as_flattened()) {
-                *bar_g = V::splat(next) * *bar_v;
+            let follows: V = match instant {
+                true if interval + 1 == instants => zero,
+                true => begin.awake::<V>(interval + 1) * V::splat(first),
+                false => awake * V::splat(first),
+            };
+            for (w, v) in bars.w.as_flattened_mut().iter_mut().zip(bars.v.as_flattened()) {
+                *w = follows * *v;
             }
             if instant {
                 for (k, b) in bar.iter_mut().enumerate() {
-                    let at = |l: usize| sweeps.get(l).map_or(0.0, |s| s.cotangent[interval * width + k]);
-                    *b = V::new(std::array::from_fn(at));
+                    *b = zero;
+                    for (l, sweep) in sweeps.iter().enumerate().filter(|(l, _)| begin.lanes[*l] <= interval) {
+                        b.set_lane(l, sweep.cotangent[interval * width + k]);
+                    }
                 }
                 if scene.frame == Frame::Body {
                     system.acceleration(&x, &v, &force, &mut g, &mut margin);
                     evaluations += 1;
                     for u in 0..x.len() {
                         for d in 0..3 {
-                            a[u][d] = V::splat(ready.gamma[u][d]).mul_sub_from(v[u][d], g[u][d]);
+                            a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(v[u][d], g[u][d]);
                         }
                     }
                 }
                 bar_a.fill([zero; 3]);
-                system.read_vjp(&x, &a, &bar, &mut bar_x, &mut bar_v, &mut bar_a);
-                for u in 0..x.len() {
+                system.read_vjp(&x, &a, &bar, &mut bars.x, &mut bars.v, &mut bar_a);
+                // a = G − γ v
+                for u in moving.clone() {
                     for d in 0..3 {
-                        let bar_a = bar_a[u][d];
-                        bar_g[u][d] = bar_g[u][d] + bar_a;
-                        bar_v[u][d] = V::splat(ready.gamma[u][d]).mul_sub_from(bar_a, bar_v[u][d]);
-                        bar_gamma[u][d] = bar_a.mul_sub_from(v[u][d], bar_gamma[u][d]);
+                        let (bar_a, gamma) = (bar_a[u][d], V::of(ready.gamma[u][d]));
+                        bars.w[u][d] = bars.w[u][d] + bar_a;
+                        bars.v[u][d] = gamma.mul_sub_from(bar_a, bars.v[u][d]);
+                        let rate = V::of(system.inverse_mass[u][d]) * (bar_a * v[u][d]);
+                        let Cotangent { mass, damping, .. } = &mut system.cotangent;
+                        mass[u][d] = gamma.mul_add(rate, mass[u][d]);
+                        damping[d] = damping[d] - rate;
                     }
                 }
             }
-            kick(&mut bar_g, last, &bar_v);
-            system.acceleration_vjp(&x, &v, &force, &bar_g, &mut to_x, &mut to_v, &mut g);
-            add_into(&mut bar_x, &to_x);
-            kick(&mut v, -last, &g);
+            let mut b = awake * V::splat(last);
+            for u in moving.clone() {
+                for d in 0..3 {
+                    let kicked = b.mul_add(bars.v[u][d], bars.w[u][d]);
+                    bars.w[u][d] = V::of(system.inverse_mass[u][d]) * kicked;
+                }
+            }
+            system.prepare(&x, &mut g);
+            system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
             evaluations += 1;
 
-            let begin = if part == 0 { 0 } else { segment_end(part - 1, parts, substeps) };
-            while step > begin {
+            let begins = if part == 0 { 0 } else { segment_end(part - 1, parts, substeps) };
+            while step > begins {
                 step -= 1;
                 for j in (0..stages).rev() {
-                    for u in 0..x.len() {
-                        for d in 0..3 {
-                            let drift = ready.drifts[j][u][d];
-                            let before = V::splat(1.0 / drift.keep) * v[u][d];
-                            x[u][d] = V::splat(drift.reach).mul_sub_from(before, x[u][d]);
-                            v[u][d] = before;
-                            let slope = V::splat(drift.keep_slope) * bar_v[u][d];
-                            let slope = V::splat(drift.reach_slope).mul_add(bar_x[u][d], slope);
-                            bar_gamma[u][d] = slope.mul_add(before, bar_gamma[u][d]);
-                            bar_v[u][d] = V::splat(drift.reach)
-                                .mul_add(bar_x[u][d], V::splat(drift.keep) * bar_v[u][d]);
-                        }
-                    }
+                    let kick = if j == 0 { last + first } else { ready.kicks[j] };
+                    let next = awake * V::splat(kick);
+                    system.retreat(
+                        b,
+                        (&ready.drifts[j], &ready.gamma),
+                        next,
+                        (&mut x, &mut v, &mut g),
+                        &mut bars,
+                    );
                     // The first kick of a segment belongs to the checkpoint before it.
-                    if j == 0 && step == begin {
+                    if j == 0 && step == begins {
                         continue;
                     }
-                    let b = if j == 0 { last + first } else { ready.kicks[j] };
+                    b = next;
                     let clock = if j == 0 { 0.0 } else { ready.clock[j - 1] };
                     ramp.at(interval * substeps + step, clock, &mut force);
-                    for (bar_g, bar_v) in bar_g.as_flattened_mut().iter_mut().zip(bar_v.as_flattened()) {
-                        *bar_g = V::splat(b) * *bar_v;
-                    }
-                    system.acceleration_vjp(&x, &v, &force, &bar_g, &mut to_x, &mut to_v, &mut g);
-                    add_into(&mut bar_x, &to_x);
-                    kick(&mut v, -b, &g);
+                    system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
                     evaluations += 1;
                 }
             }
@@ -407,17 +544,26 @@ pub fn reverse<V: Vector>(
     }
     // The first kick, from rest
     x.fill([zero; 3]);
-    v.fill([zero; 3]);
-    ramp.at(0, 0.0, &mut force);
-    for (bar_g, bar_v) in bar_g.as_flattened_mut().iter_mut().zip(bar_v.as_flattened()) {
-        *bar_g = V::splat(first) * *bar_v;
+    ramp.at(begin.first * substeps, 0.0, &mut force);
+    let b = begin.awake::<V>(begin.first) * V::splat(first);
+    for u in moving.clone() {
+        for d in 0..3 {
+            bars.w[u][d] = V::of(system.inverse_mass[u][d]) * (b * bars.v[u][d]);
+        }
     }
-    system.acceleration_vjp(&x, &v, &force, &bar_g, &mut to_x, &mut to_v, &mut g);
-    system.add_rate_cotangent(&bar_gamma);
+    system.prepare(&x, &mut g);
+    system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
+    for u in moving {
+        for d in 0..3 {
+            let pull = V::of(system.inverse_mass[u][d]) * g[u][d];
+            let mass = &mut system.cotangent.mass[u][d];
+            *mass = bars.w[u][d].mul_add(pull, *mass);
+        }
+    }
     let lanes = sweeps.len() as u64;
     Counters {
         force_evaluations: lanes * evaluations,
-        steps: lanes * (instants * substeps) as u64,
+        steps: lanes * ((instants - begin.first) * substeps) as u64,
         rejected: 0,
     }
 }

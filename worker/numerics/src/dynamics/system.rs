@@ -1,23 +1,32 @@
 //! The equations of motion in lanes: accelerations, their transpose, and the sensors, for every integrator.
 
-use super::ligaments::{Shape, Turn};
-use super::model::{Model, ModelCotangent};
-use super::vector::{LANES, Vector};
+use super::ligaments::{Shape, Turn, turns};
+use super::model::{Bar, Model, ModelCotangent};
+use super::vector::{MOST, Scalar, Vector};
 use super::{Forces, Frame, Scene};
 
 /// (u, v, θ), or what belongs to it, of one unit, in lanes.
 pub type Unit<V> = [V; 3];
 
-/// (model, x, scratch, ∂U/∂s, margin): lowers the margin to the least ψ − ψ_min.
-pub type First<V> = unsafe fn(&Model, &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>], &mut V);
+/// (model, its ligaments, x, turns, where to add ∂U/∂s, margin): lowers the margin to the least ψ − ψ_min.
+pub type First<V> =
+    unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Unit<V>], &[Turn<V>], &mut [Unit<V>], &mut V);
 
-/// (model, x, w, scratch, ∂U/∂s or nothing, its derivative along w, and where to add that of arms, void angles and
-/// stiffnesses).
-pub type Second<V> =
-    unsafe fn(&Model, &[Unit<V>], &[Unit<V>], &mut [Turn<V>], &mut [Unit<V>], &mut [Unit<V>], Shape<'_, V>);
+/// (model, its ligaments, x, w, turns, where to add ∂U/∂s or nothing, where to take its derivative along w from, and where to add that of
+/// arms, void angles and stiffnesses).
+pub type Second<V> = unsafe fn(
+    &Model,
+    &[Bar<<V as Vector>::Scalar>],
+    &[Unit<V>],
+    &[Unit<V>],
+    &[Turn<V>],
+    &mut [Unit<V>],
+    &mut [Unit<V>],
+    Shape<'_, V>,
+);
 
 /// The kernels of one instruction set, for one kind of scene.
-pub struct Kernels<V> {
+pub struct Kernels<V: Vector> {
     /// Gradient of the energy.
     pub gradient: First<V>,
     /// Gradient and second derivatives along a direction.
@@ -30,15 +39,15 @@ pub struct Kernels<V> {
 pub struct Cotangent<V> {
     arms: Vec<[[V; 2]; 4]>,
     voids: Vec<[V; 2]>,
-    mass: Vec<Unit<V>>,
+    pub(super) mass: Vec<Unit<V>>,
     stiffness: [V; 4],
-    damping: [V; 3],
+    pub(super) damping: [V; 3],
 }
 
 /// What makes cotangents of accelerations into weights of the forces' derivatives.
-pub struct Weigh<'a, V> {
+pub struct Weigh<'a, V: Vector> {
     /// 1/(m, m, J).
-    pub inverse_mass: &'a [[f64; 3]],
+    pub inverse_mass: &'a [[V::Scalar; 3]],
     /// C.
     pub damping: [f64; 3],
     /// Cotangent of (m, m, J).
@@ -46,7 +55,7 @@ pub struct Weigh<'a, V> {
 }
 
 /// A model with scratch, for one block of lanes.
-pub struct System<'a, V> {
+pub struct System<'a, V: Vector> {
     /// The scene.
     pub scene: &'a Scene,
     /// With its design.
@@ -56,11 +65,12 @@ pub struct System<'a, V> {
     pub damping: [f64; 3],
     /// Whether `damping` is the model's and its cotangent asked for.
     pub damping_asked: bool,
-    inverse_mass: Vec<[f64; 3]>,
-    turn: Vec<Turn<V>>,
+    bars: Vec<Bar<V::Scalar>>,
+    pub(super) inverse_mass: Vec<[V::Scalar; 3]>,
+    pub(super) turn: Vec<Turn<V>>,
     h: Vec<Unit<V>>,
     w: Vec<Unit<V>>,
-    cotangent: Cotangent<V>,
+    pub(super) cotangent: Cotangent<V>,
 }
 
 impl<'a, V: Vector> System<'a, V> {
@@ -82,7 +92,8 @@ impl<'a, V: Vector> System<'a, V> {
             kernels,
             damping: if damped { model.damping } else { [0.0; 3] },
             damping_asked: damped && parameters,
-            inverse_mass: model.inverse_mass.clone(),
+            bars: model.bars.iter().map(Bar::rounded).collect(),
+            inverse_mass: model.inverse_mass.iter().map(|m| m.map(Scalar::from_f64)).collect(),
             turn: vec![[zero; 2]; n],
             h: vec![[zero; 3]; n],
             w: vec![[zero; 3]; n],
@@ -112,26 +123,62 @@ impl<'a, V: Vector> System<'a, V> {
         a: &mut [Unit<V>],
         margin: &mut V,
     ) {
-        // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
-        unsafe { (self.kernels.gradient)(self.model, x, &mut self.turn, a, margin) };
-        self.finish(v, force, a);
+        self.prepare(x, a);
+        self.add_pull(x, force, a, margin);
+        self.finish(v, a);
     }
 
     /// Overwrites `g` by ∂U/∂s.
     #[inline(always)]
     pub fn gradient(&mut self, x: &[Unit<V>], g: &mut [Unit<V>]) {
-        // SAFETY: as in `acceleration`.
-        unsafe { (self.kernels.gradient)(self.model, x, &mut self.turn, g, &mut { V::splat(0.0) }) };
+        self.prepare(x, g);
+        self.add_pull(x, &[], g, &mut { V::splat(0.0) });
     }
 
-    /// Turns a gradient of the energy into accelerations.
+    /// What the kernels ask for at `x`: its turns, and `g` cleared.
     #[inline(always)]
-    fn finish(&self, v: &[Unit<V>], force: &[V], a: &mut [Unit<V>]) {
+    pub fn prepare(&mut self, x: &[Unit<V>], g: &mut [Unit<V>]) {
+        g.fill([V::splat(0.0); 3]);
+        turns(x, &mut self.turn);
+    }
+
+    /// Adds ∂U/∂s − f at `x`, the one prepared, to `g` and lowers `margin` to the least ψ − ψ_min.
+    #[inline(always)]
+    pub fn add_pull(&mut self, x: &[Unit<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
+        // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
+        unsafe { (self.kernels.gradient)(self.model, &self.bars, x, &self.turn, g, margin) };
+        self.push(force, g);
+    }
+
+    /// The same, and transpose: adds what forces of cotangent `w` pass on to `bar_x` and to the model's cotangents.
+    #[inline(always)]
+    pub fn add_pull_vjp(
+        &mut self,
+        x: &[Unit<V>],
+        force: &[V],
+        w: &[Unit<V>],
+        g: &mut [Unit<V>],
+        bar_x: &mut [Unit<V>],
+    ) {
+        let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
+        let shape = Shape { arms, voids, stiffness };
+        // SAFETY: as in `add_pull`.
+        unsafe { (self.kernels.second)(self.model, &self.bars, x, w, &self.turn, g, bar_x, shape) };
+        self.push(force, g);
+    }
+
+    #[inline(always)]
+    fn push(&self, force: &[V], g: &mut [Unit<V>]) {
         for (panel, &f) in self.scene.panels.iter().zip(force) {
             for d in 0..2 {
-                a[panel.unit][d] = a[panel.unit][d] - V::splat(panel.direction[d]) * f;
+                g[panel.unit][d] = g[panel.unit][d] - V::splat(panel.direction[d]) * f;
             }
         }
+    }
+
+    /// Turns ∂U/∂s − f into accelerations.
+    #[inline(always)]
+    fn finish(&self, v: &[Unit<V>], a: &mut [Unit<V>]) {
         let moving = self.model.moving_range();
         a[..moving.start].fill([V::splat(0.0); 3]);
         a[moving.end..].fill([V::splat(0.0); 3]);
@@ -139,7 +186,7 @@ impl<'a, V: Vector> System<'a, V> {
         for ((a, v), inverse) in of_moving {
             for d in 0..3 {
                 let net = V::splat(self.damping[d]).mul_add(v[d], a[d]);
-                a[d] = -(V::splat(inverse[d]) * net);
+                a[d] = -(V::of(inverse[d]) * net);
             }
         }
     }
@@ -159,19 +206,20 @@ impl<'a, V: Vector> System<'a, V> {
     ) {
         for ((w, bar), inverse) in self.w.iter_mut().zip(bar_a).zip(&self.inverse_mass) {
             for d in 0..3 {
-                w[d] = V::splat(inverse[d]) * bar[d];
+                w[d] = V::of(inverse[d]) * bar[d];
             }
         }
-        let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
-        let shape = Shape { arms, voids, stiffness };
-        // SAFETY: as in `acceleration`.
-        unsafe { (self.kernels.second)(self.model, x, &self.w, &mut self.turn, a, &mut self.h, shape) };
-        self.finish(v, force, a);
+        self.prepare(x, a);
+        let (mut h, w) = (std::mem::take(&mut self.h), std::mem::take(&mut self.w));
+        h.fill([V::splat(0.0); 3]);
+        self.add_pull_vjp(x, force, &w, a, &mut h);
+        (self.h, self.w) = (h, w);
+        self.finish(v, a);
         let zero = V::splat(0.0);
         for u in 0..self.model.units() {
             for d in 0..3 {
                 let w = self.w[u][d];
-                bar_x[u][d] = zero - self.h[u][d];
+                bar_x[u][d] = self.h[u][d];
                 bar_v[u][d] = zero - V::splat(self.damping[d]) * w;
                 self.cotangent.mass[u][d] = w.mul_sub_from(a[u][d], self.cotangent.mass[u][d]);
             }
@@ -189,13 +237,14 @@ impl<'a, V: Vector> System<'a, V> {
         Weigh { inverse_mass, damping: *damping, mass: &mut cotangent.mass }
     }
 
-    /// Overwrites `curved` by ∂²U w at x and adds to the model's cotangents but those of masses and damping.
+    /// Overwrites `curved` by −∂²U w at x and adds to the model's cotangents but those of masses and damping.
     #[inline(always)]
     pub fn product(&mut self, x: &[Unit<V>], w: &[Unit<V>], curved: &mut [Unit<V>]) {
+        self.prepare(x, curved);
         let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
         let shape = Shape { arms, voids, stiffness };
-        // SAFETY: as in `acceleration`.
-        unsafe { (self.kernels.product)(self.model, x, w, &mut self.turn, &mut [], curved, shape) };
+        // SAFETY: as in `add_pull`.
+        unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, &mut [], curved, shape) };
     }
 
     /// Adds to the cotangent of C, of forces of weights `w` at velocities `v`.
@@ -216,7 +265,7 @@ impl<'a, V: Vector> System<'a, V> {
         bar_a: &mut [Unit<V>],
     ) {
         // A held unit reads zeros; sweeps keep no cotangents of its state.
-        let moves = |u: usize| self.inverse_mass[u] != [0.0; 3];
+        let moves = |u: usize| self.model.inverse_mass[u] != [0.0; 3];
         for (m, &u) in self.scene.sensors.iter().enumerate().filter(|(_, u)| moves(**u)) {
             let (p, q, o) = (bar[3 * m], bar[3 * m + 1], bar[3 * m + 2]);
             bar_v[u][2] = bar_v[u][2] + o;
@@ -229,19 +278,6 @@ impl<'a, V: Vector> System<'a, V> {
             }
             bar_a[u][0] = bar_a[u][0] + bx;
             bar_a[u][1] = bar_a[u][1] + by;
-        }
-    }
-
-    /// Adds the cotangent of γ = C/m to those of m and C.
-    #[inline(always)]
-    pub fn add_rate_cotangent(&mut self, bar: &[Unit<V>]) {
-        let Cotangent { mass, damping, .. } = &mut self.cotangent;
-        for ((mass, bar), inverse) in mass.iter_mut().zip(bar).zip(&self.inverse_mass) {
-            for d in 0..3 {
-                let gamma = inverse[d] * self.model.damping[d];
-                mass[d] = mass[d] + V::splat(-gamma * inverse[d]) * bar[d];
-                damping[d] = V::splat(inverse[d]).mul_add(bar[d], damping[d]);
-            }
         }
     }
 
@@ -267,7 +303,8 @@ impl<'a, V: Vector> System<'a, V> {
 
 /// The sum of the lanes, in order; clears them.
 fn total<V: Vector>(lanes: &mut V) -> f64 {
-    std::mem::replace(lanes, V::ZERO).array().iter().sum()
+    let lanes = std::mem::replace(lanes, V::ZERO);
+    lanes.lanes().iter().map(|x| x.to_f64()).sum()
 }
 
 #[inline(always)]
@@ -282,8 +319,13 @@ fn damping_cotangent<V: Vector>(damping: &mut [V; 3], w: &[Unit<V>], v: &[Unit<V
 /// (cos, sin) by the standard library: once a sensor and instant.
 #[inline(always)]
 pub fn cos_sin<V: Vector>(theta: V) -> (V, V) {
-    let theta = theta.array();
-    (V::new(theta.map(f64::cos)), V::new(theta.map(f64::sin)))
+    let (mut c, mut s) = (V::ZERO, V::ZERO);
+    for lane in 0..V::LANES {
+        let (sin, cos) = theta.lane(lane).sin_cos();
+        c.set_lane(lane, cos);
+        s.set_lane(lane, sin);
+    }
+    (c, s)
 }
 
 /// The readings of one lane at an instant, into (3M).
@@ -297,12 +339,12 @@ pub fn read_lane<V: Vector>(
     out: &mut [f64],
 ) {
     for (&u, out) in scene.sensors.iter().zip(out.chunks_exact_mut(3)) {
-        let (ax, ay) = (a[u][0].array()[lane], a[u][1].array()[lane]);
+        let (ax, ay) = (a[u][0].lane(lane), a[u][1].lane(lane));
         let (s, c) = match scene.frame {
             Frame::World => (0.0, 1.0),
-            Frame::Body => x[u][2].array()[lane].sin_cos(),
+            Frame::Body => x[u][2].lane(lane).sin_cos(),
         };
-        out.copy_from_slice(&[c * ax + s * ay, c * ay - s * ax, v[u][2].array()[lane]]);
+        out.copy_from_slice(&[c * ax + s * ay, c * ay - s * ax, v[u][2].lane(lane)]);
     }
 }
 
@@ -311,8 +353,8 @@ pub fn read_lane<V: Vector>(
 pub fn store_lane<V: Vector>(free: &[usize], x: &[Unit<V>], v: &[Unit<V>], lane: usize, out: &mut [f64]) {
     for (&u, out) in free.iter().zip(out.chunks_exact_mut(6)) {
         for d in 0..3 {
-            out[d] = x[u][d].array()[lane];
-            out[3 + d] = v[u][d].array()[lane];
+            out[d] = x[u][d].lane(lane);
+            out[3 + d] = v[u][d].lane(lane);
         }
     }
 }
@@ -321,19 +363,19 @@ pub fn store_lane<V: Vector>(free: &[usize], x: &[Unit<V>], v: &[Unit<V>], lane:
 #[inline(always)]
 pub fn load_lanes<V: Vector>(
     free: &[usize],
-    states: &[Option<&[f64]>; LANES],
+    states: &[Option<&[f64]>; MOST],
     x: &mut [Unit<V>],
     v: &mut [Unit<V>],
 ) {
     for (i, &u) in free.iter().enumerate() {
         for d in 0..3 {
-            let (mut place, mut speed) = ([0.0; LANES], [0.0; LANES]);
-            for lane in 0..LANES {
+            (x[u][d], v[u][d]) = (V::ZERO, V::ZERO);
+            for lane in 0..V::LANES {
                 if let Some(state) = states[lane] {
-                    (place[lane], speed[lane]) = (state[6 * i + d], state[6 * i + 3 + d]);
+                    x[u][d].set_lane(lane, state[6 * i + d]);
+                    v[u][d].set_lane(lane, state[6 * i + 3 + d]);
                 }
             }
-            (x[u][d], v[u][d]) = (V::new(place), V::new(speed));
         }
     }
 }
@@ -377,13 +419,14 @@ impl<'a, V: Vector> Ramp<'a, V> {
         self.kink = Some(kink);
         let Self { forces, histories, .. } = self;
         for k in 0..forces.panels {
-            let (mut start, mut end) = ([0.0; LANES], [0.0; LANES]);
+            let (mut start, mut end) = (V::ZERO, V::ZERO);
             for (l, history) in histories.iter().enumerate() {
                 let f = &history[k * (forces.instants + 1) + kink..][..2];
-                (start[l], end[l]) = (f[0], f[1]);
+                start.set_lane(l, f[0]);
+                end.set_lane(l, f[1]);
             }
-            self.start[k] = V::new(start);
-            self.rise[k] = V::new(end) - V::new(start);
+            self.start[k] = start;
+            self.rise[k] = end - start;
         }
     }
 }

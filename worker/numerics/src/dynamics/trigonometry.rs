@@ -1,7 +1,7 @@
 //! Trigonometry in lanes, by polynomials on the range that bodies move in; a lane outside it takes the standard
 //! library's function, so that a result never depends on the other lanes.
 
-use super::vector::{LANES, Vector};
+use super::vector::{Scalar, Vector};
 use std::f64::consts::TAU;
 
 /// |angle| up to which `sin_cos1` is polynomial, with the coefficients of Sun's fdlibm (k_sin.c, k_cos.c): below 2⁻⁵⁸.
@@ -11,10 +11,12 @@ const HALF_TANGENT_LIMIT: f64 = 0.25;
 /// |mean| up to which an angle of that range less `mean` is within (−π, π].
 const MEAN_LIMIT: f64 = 2.5;
 
+/// Coefficients from the highest power on; in f32 without the first `spare`, which are below its rounding.
 #[inline(always)]
-fn horner<V: Vector, const N: usize>(z: V, coefficients: [f64; N]) -> V {
-    let mut p = V::splat(coefficients[0]);
-    for k in 1..N {
+fn horner<V: Vector, const N: usize>(z: V, coefficients: [f64; N], spare: usize) -> V {
+    let first = if V::SINGLE { spare } else { 0 };
+    let mut p = V::splat(coefficients[first]);
+    for k in first + 1..N {
         p = p.mul_add(z, V::splat(coefficients[k]));
     }
     p
@@ -34,6 +36,7 @@ pub fn sin_cos1<V: Vector>(x: V) -> [V; 2] {
             0.008_333_333_333_322_49,
             -0.166_666_666_666_666_32,
         ],
+        2,
     );
     let cos = horner(
         z,
@@ -46,22 +49,34 @@ pub fn sin_cos1<V: Vector>(x: V) -> [V; 2] {
             0.041_666_666_666_666_6,
             -0.5,
         ],
+        2,
     );
     let near = [(sin * z).mul_add(x, x), cos * z];
-    if x.all_within(TURN_LIMIT) { near } else { far_sin_cos1(x.array(), [near[0].array(), near[1].array()]) }
+    if x.all_within(TURN_LIMIT) {
+        return near;
+    }
+    let mut all = near;
+    far_sin_cos1(&x, &mut all);
+    all
 }
 
 #[cold]
 #[inline(never)]
-fn far_sin_cos1<V: Vector>(x: [f64; LANES], [mut sin, mut cos1]: [[f64; LANES]; 2]) -> [V; 2] {
-    for i in 0..LANES {
+fn far_sin_cos1<V: Vector>(x: &V, [sin, cos1]: &mut [V; 2]) {
+    for i in 0..V::LANES {
+        let x = x.lane(i);
         // A NaN goes this way too.
-        if x[i].abs() <= TURN_LIMIT {
+        if x.abs() <= limit::<V>(TURN_LIMIT) {
             continue;
         }
-        (sin[i], cos1[i]) = (x[i].sin(), -2.0 * (0.5 * x[i]).sin().powi(2));
+        sin.set_lane(i, x.sin());
+        cos1.set_lane(i, -2.0 * (0.5 * x).sin().powi(2));
     }
-    [V::new(sin), V::new(cos1)]
+}
+
+/// As lanes compare with it.
+fn limit<V: Vector>(limit: f64) -> f64 {
+    V::Scalar::from_f64(limit).to_f64()
 }
 
 /// The angle of the vector (x, y) less `mean`, in (−π, π], given the tangent t = y/(|(x, y)| + x) of half the angle.
@@ -71,7 +86,9 @@ pub fn angle<V: Vector>(t: V, [x, y]: [V; 2], mean: V) -> V {
     if t.all_within(HALF_TANGENT_LIMIT) && mean.all_within(MEAN_LIMIT) {
         near
     } else {
-        far_angle([x.array(), y.array()], t.array(), mean.array(), near.array())
+        let mut all = near;
+        far_angle([&x, &y], &t, &mean, &mut all);
+        all
     }
 }
 
@@ -92,6 +109,11 @@ fn half_arctangent_series<V: Vector>(z: V) -> V {
         0.091_978_112_630_262_11,
     ];
     let z2 = z * z;
+    if V::SINGLE {
+        // The next is below rounding
+        let high = z2.mul_add(line(z, [C[4], C[5]]), line(z, [C[2], C[3]]));
+        return z2.mul_add(high, line(z, [C[0], C[1]]));
+    }
     let z4 = z2 * z2;
     let high = z4.mul_add(V::splat(C[8]), z2.mul_add(line(z, [C[6], C[7]]), line(z, [C[4], C[5]])));
     z4.mul_add(high, z2.mul_add(line(z, [C[2], C[3]]), line(z, [C[0], C[1]])))
@@ -105,48 +127,50 @@ fn line<V: Vector>(z: V, c: [f64; 2]) -> V {
 
 #[cold]
 #[inline(never)]
-fn far_angle<V: Vector>(
-    [x, y]: [[f64; LANES]; 2],
-    t: [f64; LANES],
-    mean: [f64; LANES],
-    near: [f64; LANES],
-) -> V {
-    V::new(std::array::from_fn(|i| {
-        if t[i].abs() <= HALF_TANGENT_LIMIT && mean[i].abs() <= MEAN_LIMIT {
-            return near[i];
+fn far_angle<V: Vector>([x, y]: [&V; 2], t: &V, mean: &V, angle: &mut V) {
+    for i in 0..V::LANES {
+        if t.lane(i).abs() <= HALF_TANGENT_LIMIT && mean.lane(i).abs() <= MEAN_LIMIT {
+            continue;
         }
-        let gamma = y[i].atan2(x[i]) - mean[i];
-        gamma - TAU * (gamma / TAU).round()
-    }))
+        let gamma = y.lane(i).atan2(x.lane(i)) - mean.lane(i);
+        angle.set_lane(i, gamma - TAU * (gamma / TAU).round());
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::vector::Array;
+    use super::super::vector::{Array, LANES, SingleArray};
     use super::*;
 
     /// Angles and turns from none to many times round, each lane by itself: polynomials and the standard library agree.
-    #[test]
-    fn near_and_far_lanes_are_the_standard_librarys() {
+    fn worst<V: Vector>() -> [f64; 2] {
         let mut worst = [0.0f64; 2];
         for k in 0..4000 {
             let of = |l: usize| 1e-3 * f64::from(k) * [1e-3, 0.1, 0.3, 1.0, -1.0, -0.3, 2.9, -2.9][l];
+            let rounded = |l: usize| V::Scalar::from_f64(of(l)).to_f64();
             let (delta, mean): ([f64; LANES], [f64; LANES]) =
-                (std::array::from_fn(of), std::array::from_fn(|l| of((3 * l + 1) % LANES)));
+                (std::array::from_fn(of), std::array::from_fn(|l| rounded((3 * l + 1) % LANES)));
             let seen = [delta.map(|d| 2.0 * d.cos()), delta.map(|d| 2.0 * d.sin())];
-            let [x, y] = seen.map(Array::new);
-            let t = y.over(Array::splat(2.0) + x);
-            let gamma = angle(t, [x, y], Array::new(mean)).array();
-            let [s, c1] = sin_cos1(Array::new(mean)).map(Array::array);
+            let [x, y] = seen.map(|lanes| V::gather(&lanes));
+            let t = y.over(V::splat(2.0) + x);
+            let gamma = angle(t, [x, y], V::gather(&mean));
+            let [s, c1] = sin_cos1(V::gather(&mean));
             for l in 0..LANES {
                 let turned = delta[l] - mean[l];
-                assert!(gamma[l].abs() <= 3.15, "{k} {l}: {}", gamma[l]);
+                assert!(gamma.lane(l).abs() <= 3.15, "{k} {l}: {}", gamma.lane(l));
                 // Half a turn is one way or the other.
-                worst[0] = worst[0].max((0.5 * (gamma[l] - turned)).sin().abs());
-                worst[1] = worst[1].max((s[l] - mean[l].sin()).abs());
-                worst[1] = worst[1].max((c1[l] + 2.0 * (0.5 * mean[l]).sin().powi(2)).abs());
+                worst[0] = worst[0].max((0.5 * (gamma.lane(l) - turned)).sin().abs());
+                worst[1] = worst[1].max((s.lane(l) - mean[l].sin()).abs());
+                worst[1] = worst[1].max((c1.lane(l) + 2.0 * (0.5 * mean[l]).sin().powi(2)).abs());
             }
         }
-        assert!(worst[0] < 1e-14 && worst[1] < 3e-16, "{worst:?}");
+        worst
+    }
+
+    #[test]
+    fn near_and_far_lanes_are_the_standard_librarys() {
+        let (double, single) = (worst::<Array>(), worst::<SingleArray>());
+        assert!(double[0] < 1e-14 && double[1] < 3e-16, "{double:?}");
+        assert!(single[0] < 2e-6 && single[1] < 2e-7, "{single:?}");
     }
 }

@@ -149,7 +149,7 @@ pub fn forward<V: Vector>(
                 None => reach.clear(l),
             }
         }
-        let (h, tau, lands) = (V::new(h), V::new(tau), V::new(lands));
+        let (h, tau, lands) = (V::gather(&h), V::gather(&tau), V::gather(&lands));
         let (mut margin, mut square) = (one, zero);
         for i in 1..7 {
             if i < 6 {
@@ -167,8 +167,6 @@ pub fn forward<V: Vector>(
 
         // Error relative to the tolerance, a lane
         let square = landed(square, &within, &a);
-        let square = square.array();
-        let margins = margin.array();
         let mut accepted = [0.0; LANES];
         for l in 0..LANES {
             let lane = &mut lanes[l];
@@ -176,8 +174,8 @@ pub fn forward<V: Vector>(
                 accepted[l] = 1.0;
                 continue;
             };
-            let forbidden = margins[l] < 0.0;
-            let error = (square[l] * scale).sqrt();
+            let forbidden = margin.lane(l) < 0.0;
+            let error = (square.lane(l) * scale).sqrt();
             counters.force_evaluations += 6;
             lane.attempts += 1;
             if error <= 1.0 && !forbidden {
@@ -213,7 +211,7 @@ pub fn forward<V: Vector>(
             std::mem::swap(&mut v, &mut vs);
             a.swap(0, 6);
         } else {
-            let accept = V::new(accepted);
+            let accept = V::gather(&accepted);
             let (start, end) = a.split_at_mut(6);
             for u in within.clone() {
                 for d in 0..3 {
@@ -265,9 +263,7 @@ pub fn forward<V: Vector>(
 
 fn clear_lane<V: Vector>(x: &mut [Unit<V>], lane: usize) {
     for v in x.as_flattened_mut() {
-        let mut array = v.array();
-        array[lane] = 0.0;
-        *v = V::new(array);
+        v.set_lane(lane, 0.0);
     }
 }
 
@@ -275,9 +271,7 @@ fn clear_lane<V: Vector>(x: &mut [Unit<V>], lane: usize) {
 fn copy_lane<V: Vector>(a: &mut [Vec<Unit<V>>; 7], lane: usize) {
     let [to, from, ..] = a;
     for (to, from) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
-        let mut array = to.array();
-        array[lane] = from.array()[lane];
-        *to = V::new(array);
+        to.set_lane(lane, from.lane(lane));
     }
 }
 
@@ -322,7 +316,7 @@ impl Reach {
     #[inline(always)]
     fn at<V: Vector>(&self, w: V, force: &mut [V]) {
         for (f, [start, end]) in force.iter_mut().zip(&self.ends) {
-            *f = (V::splat(1.0) - w) * V::new(*start) + w * V::new(*end);
+            *f = (V::splat(1.0) - w) * V::gather(start) + w * V::gather(end);
         }
     }
 }

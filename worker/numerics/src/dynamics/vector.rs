@@ -1,4 +1,4 @@
-//! Eight f64 lanes, one sample each, as one AVX-512 register, two AVX2 registers or an array.
+//! Lanes, one sample each: eight f64, or as many f32 as a register of the instruction set holds.
 //!
 //! Everything is inlined into entry points that enable the instruction set, so an operation is one instruction or two.
 //! A closure would not be, for it does not take on their instruction set: none computes with vectors (`tests/disassembly.rs`).
@@ -6,21 +6,59 @@
 
 use std::ops::{Add, Mul, Neg, Sub};
 
-/// Lanes of a vector: samples integrated together.
+/// Lanes of a vector of f64: samples integrated together.
 pub const LANES: usize = 8;
+/// Lanes of the widest vector.
+pub const MOST: usize = 16;
 
-/// Eight f64 lanes.
+/// What a lane holds.
+pub trait Scalar: Copy + Send + Sync + PartialOrd + 'static {
+    /// The nearest value.
+    fn from_f64(x: f64) -> Self;
+    /// Exact.
+    fn to_f64(self) -> f64;
+}
+
+impl Scalar for f64 {
+    #[inline(always)]
+    fn from_f64(x: f64) -> Self {
+        x
+    }
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        self
+    }
+}
+
+impl Scalar for f32 {
+    #[inline(always)]
+    fn from_f64(x: f64) -> Self {
+        x as Self
+    }
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+/// Some lanes.
 pub trait Vector:
     Copy + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
 {
+    /// Of one lane.
+    type Scalar: Scalar;
+    /// How many.
+    const LANES: usize;
     /// 0 in all lanes.
     const ZERO: Self;
+    /// Whether lanes hold f32.
+    const SINGLE: bool = size_of::<Self::Scalar>() == 4;
     /// The same number in all lanes.
-    fn splat(x: f64) -> Self;
-    /// From an array.
-    fn new(lanes: [f64; LANES]) -> Self;
-    /// To an array.
-    fn array(self) -> [f64; LANES];
+    fn of(x: Self::Scalar) -> Self;
+    /// Lane by lane.
+    fn lanes(&self) -> &[Self::Scalar];
+    /// Likewise.
+    fn lanes_mut(&mut self) -> &mut [Self::Scalar];
     /// self·a + b.
     fn mul_add(self, a: Self, b: Self) -> Self;
     /// b − self·a.
@@ -39,38 +77,63 @@ pub trait Vector:
     fn any_less(self, b: Self) -> bool;
     /// Whether |self| ≤ limit in every lane (false where NaN).
     fn all_within(self, limit: f64) -> bool;
+
+    /// The same number in all lanes: for constants, which are rounded where they are compiled.
+    #[inline(always)]
+    fn splat(x: f64) -> Self {
+        Self::of(Self::Scalar::from_f64(x))
+    }
+    /// One lane.
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> f64 {
+        self.lanes()[lane].to_f64()
+    }
+    /// Overwrites one lane.
+    #[inline(always)]
+    fn set_lane(&mut self, lane: usize, x: f64) {
+        self.lanes_mut()[lane] = Self::Scalar::from_f64(x);
+    }
+    /// From what each lane is to hold.
+    #[inline(always)]
+    fn gather(from: &[f64]) -> Self {
+        let mut all = Self::ZERO;
+        for (lane, x) in all.lanes_mut().iter_mut().zip(from) {
+            *lane = Self::Scalar::from_f64(*x);
+        }
+        all
+    }
 }
 
 /// Either number in all lanes of a vector of its own.
 #[inline(always)]
-pub fn pair<V: Vector>([x, y]: [f64; 2]) -> [V; 2] {
-    [V::splat(x), V::splat(y)]
+pub fn pair<V: Vector>([x, y]: [V::Scalar; 2]) -> [V; 2] {
+    [V::of(x), V::of(y)]
 }
 
 macro_rules! operators {
-    ($t:ty) => {
-        impl Add for $t {
+    ([$($generic:tt)*] $t:ty) => {
+        impl<$($generic)*> Add for $t {
             type Output = Self;
             #[inline(always)]
             fn add(self, o: Self) -> Self {
                 self.plus(o)
             }
         }
-        impl Sub for $t {
+        impl<$($generic)*> Sub for $t {
             type Output = Self;
             #[inline(always)]
             fn sub(self, o: Self) -> Self {
                 self.minus(o)
             }
         }
-        impl Mul for $t {
+        impl<$($generic)*> Mul for $t {
             type Output = Self;
             #[inline(always)]
             fn mul(self, o: Self) -> Self {
                 self.times(o)
             }
         }
-        impl Neg for $t {
+        impl<$($generic)*> Neg for $t {
             type Output = Self;
             #[inline(always)]
             fn neg(self) -> Self {
@@ -81,9 +144,92 @@ macro_rules! operators {
 }
 
 /// An array: what every machine has.
-#[derive(Clone, Copy)]
-#[repr(align(64))]
-pub struct Array([f64; LANES]);
+macro_rules! plain {
+    ($name:ident, $scalar:ty) => {
+        /// Eight lanes as an array.
+        #[derive(Clone, Copy)]
+        #[repr(align(64))]
+        pub struct $name([$scalar; LANES]);
+
+        impl $name {
+            #[inline(always)]
+            fn plus(self, o: Self) -> Self {
+                lanes!(i: self.0[i] + o.0[i])
+            }
+            #[inline(always)]
+            fn minus(self, o: Self) -> Self {
+                lanes!(i: self.0[i] - o.0[i])
+            }
+            #[inline(always)]
+            fn times(self, o: Self) -> Self {
+                lanes!(i: self.0[i] * o.0[i])
+            }
+        }
+        operators!([] $name);
+
+        impl Vector for $name {
+            type Scalar = $scalar;
+            const LANES: usize = LANES;
+            const ZERO: Self = Self([0.0; LANES]);
+            #[inline(always)]
+            fn of(x: $scalar) -> Self {
+                Self([x; LANES])
+            }
+            #[inline(always)]
+            fn lanes(&self) -> &[$scalar] {
+                &self.0
+            }
+            #[inline(always)]
+            fn lanes_mut(&mut self) -> &mut [$scalar] {
+                &mut self.0
+            }
+            #[inline(always)]
+            fn mul_add(self, a: Self, b: Self) -> Self {
+                self.times(a).plus(b)
+            }
+            #[inline(always)]
+            fn mul_sub_from(self, a: Self, b: Self) -> Self {
+                b.minus(self.times(a))
+            }
+            #[inline(always)]
+            fn over(self, a: Self) -> Self {
+                lanes!(i: self.0[i] / a.0[i])
+            }
+            #[inline(always)]
+            fn rsqrt(self) -> Self {
+                lanes!(i: 1.0 / self.0[i].sqrt())
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                lanes!(i: self.0[i].abs())
+            }
+            #[inline(always)]
+            fn max(self, other: Self) -> Self {
+                lanes!(i: if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] })
+            }
+            #[inline(always)]
+            fn where_less(self, a: Self, b: Self, other: Self) -> Self {
+                lanes!(i: if a.0[i] < b.0[i] { self.0[i] } else { other.0[i] })
+            }
+            #[inline(always)]
+            fn any_less(self, b: Self) -> bool {
+                let mut any = false;
+                for i in 0..LANES {
+                    any |= self.0[i] < b.0[i];
+                }
+                any
+            }
+            #[inline(always)]
+            fn all_within(self, limit: f64) -> bool {
+                let mut all = true;
+                for i in 0..LANES {
+                    all &= self.0[i].abs() <= limit as $scalar;
+                }
+                all
+            }
+        }
+    };
+}
 
 /// An array by the value of each lane.
 macro_rules! lanes {
@@ -96,258 +242,251 @@ macro_rules! lanes {
     }};
 }
 
-impl Array {
-    #[inline(always)]
-    fn plus(self, o: Self) -> Self {
-        lanes!(i: self.0[i] + o.0[i])
-    }
-    #[inline(always)]
-    fn minus(self, o: Self) -> Self {
-        lanes!(i: self.0[i] - o.0[i])
-    }
-    #[inline(always)]
-    fn times(self, o: Self) -> Self {
-        lanes!(i: self.0[i] * o.0[i])
-    }
-}
-operators!(Array);
-
-impl Vector for Array {
-    const ZERO: Self = Self([0.0; LANES]);
-    #[inline(always)]
-    fn splat(x: f64) -> Self {
-        Self([x; LANES])
-    }
-    #[inline(always)]
-    fn new(lanes: [f64; LANES]) -> Self {
-        Self(lanes)
-    }
-    #[inline(always)]
-    fn array(self) -> [f64; LANES] {
-        self.0
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self, b: Self) -> Self {
-        self.times(a).plus(b)
-    }
-    #[inline(always)]
-    fn mul_sub_from(self, a: Self, b: Self) -> Self {
-        b.minus(self.times(a))
-    }
-    #[inline(always)]
-    fn over(self, a: Self) -> Self {
-        lanes!(i: self.0[i] / a.0[i])
-    }
-    #[inline(always)]
-    fn rsqrt(self) -> Self {
-        lanes!(i: 1.0 / self.0[i].sqrt())
-    }
-    #[inline(always)]
-    fn abs(self) -> Self {
-        lanes!(i: self.0[i].abs())
-    }
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        lanes!(i: if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] })
-    }
-    #[inline(always)]
-    fn where_less(self, a: Self, b: Self, other: Self) -> Self {
-        lanes!(i: if a.0[i] < b.0[i] { self.0[i] } else { other.0[i] })
-    }
-    #[inline(always)]
-    fn any_less(self, b: Self) -> bool {
-        let mut any = false;
-        for i in 0..LANES {
-            any |= self.0[i] < b.0[i];
-        }
-        any
-    }
-    #[inline(always)]
-    fn all_within(self, limit: f64) -> bool {
-        let mut all = true;
-        for i in 0..LANES {
-            all &= self.0[i].abs() <= limit;
-        }
-        all
-    }
-}
+plain!(Array, f64);
+plain!(SingleArray, f32);
 
 #[cfg(target_arch = "x86_64")]
-pub use x86::{Avx2, Avx512};
+pub use x86::{Avx2, Avx512, SingleAvx2, SingleAvx512};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     // SAFETY (this module): values of these types are made only inside the entry points of `dispatch`, which run only
-    // where `Width::detect` has seen the instructions; the intrinsics touch no memory but their own arrays.
+    // where `Width::detect` has seen the instructions; the intrinsics touch no memory, and slices are of the value itself.
     #![expect(clippy::undocumented_unsafe_blocks, reason = "one argument for all, above")]
-    use super::{Add, LANES, Mul, Neg, Sub, Vector};
+    use super::{Add, Mul, Neg, Sub, Vector};
     use std::arch::x86_64::*;
-    use std::mem::transmute;
+    use std::slice::{from_raw_parts, from_raw_parts_mut};
 
-    /// One 512-bit register.
-    #[derive(Clone, Copy)]
-    #[repr(transparent)]
-    pub struct Avx512(__m512d);
+    /// A register of one instruction set and scalar.
+    macro_rules! register {
+        ($name:ident: $register:ty, $scalar:ty, $lanes:literal;
+         $set:ident, $add:ident, $sub:ident, $mul:ident, $fmadd:ident, $fnmadd:ident, $div:ident, $max:ident;
+         abs($a:ident): $abs:expr, rsqrt($r:ident): $rsqrt:expr,
+         less($x:ident, $y:ident): $less:expr, blend($mask:ident, $yes:ident, $no:ident): $blend:expr,
+         within($z:ident, $most:ident): $within:expr, any($m:ident): $any:expr) => {
+            /// One register.
+            #[derive(Clone, Copy)]
+            #[repr(transparent)]
+            pub struct $name($register);
 
-    impl Avx512 {
-        #[inline(always)]
-        fn plus(self, o: Self) -> Self {
-            Self(unsafe { _mm512_add_pd(self.0, o.0) })
-        }
-        #[inline(always)]
-        fn minus(self, o: Self) -> Self {
-            Self(unsafe { _mm512_sub_pd(self.0, o.0) })
-        }
-        #[inline(always)]
-        fn times(self, o: Self) -> Self {
-            Self(unsafe { _mm512_mul_pd(self.0, o.0) })
-        }
+            impl $name {
+                #[inline(always)]
+                fn plus(self, o: Self) -> Self {
+                    Self(unsafe { $add(self.0, o.0) })
+                }
+                #[inline(always)]
+                fn minus(self, o: Self) -> Self {
+                    Self(unsafe { $sub(self.0, o.0) })
+                }
+                #[inline(always)]
+                fn times(self, o: Self) -> Self {
+                    Self(unsafe { $mul(self.0, o.0) })
+                }
+            }
+            operators!([] $name);
+
+            impl Vector for $name {
+                type Scalar = $scalar;
+                const LANES: usize = $lanes;
+                const ZERO: Self = Self(unsafe { std::mem::transmute::<[$scalar; $lanes], $register>([0.0; $lanes]) });
+                #[inline(always)]
+                fn of(x: $scalar) -> Self {
+                    Self(unsafe { $set(x) })
+                }
+                #[inline(always)]
+                fn lanes(&self) -> &[$scalar] {
+                    unsafe { from_raw_parts((&raw const self.0).cast(), $lanes) }
+                }
+                #[inline(always)]
+                fn lanes_mut(&mut self) -> &mut [$scalar] {
+                    unsafe { from_raw_parts_mut((&raw mut self.0).cast(), $lanes) }
+                }
+                #[inline(always)]
+                fn mul_add(self, a: Self, b: Self) -> Self {
+                    Self(unsafe { $fmadd(self.0, a.0, b.0) })
+                }
+                #[inline(always)]
+                fn mul_sub_from(self, a: Self, b: Self) -> Self {
+                    Self(unsafe { $fnmadd(self.0, a.0, b.0) })
+                }
+                #[inline(always)]
+                fn over(self, a: Self) -> Self {
+                    Self(unsafe { $div(self.0, a.0) })
+                }
+                #[inline(always)]
+                fn rsqrt(self) -> Self {
+                    let $r = self;
+                    $rsqrt
+                }
+                #[inline(always)]
+                fn abs(self) -> Self {
+                    let $a = self.0;
+                    Self(unsafe { $abs })
+                }
+                #[inline(always)]
+                fn max(self, other: Self) -> Self {
+                    Self(unsafe { $max(self.0, other.0) })
+                }
+                #[inline(always)]
+                fn where_less(self, a: Self, b: Self, other: Self) -> Self {
+                    let ($x, $y, $yes, $no) = (a.0, b.0, self.0, other.0);
+                    Self(unsafe {
+                        let $mask = $less;
+                        $blend
+                    })
+                }
+                #[inline(always)]
+                fn any_less(self, b: Self) -> bool {
+                    let ($x, $y) = (self.0, b.0);
+                    unsafe {
+                        let $m = $less;
+                        $any
+                    }
+                }
+                #[inline(always)]
+                fn all_within(self, limit: f64) -> bool {
+                    let $z = self.abs().0;
+                    unsafe {
+                        let $most = $set(limit as $scalar);
+                        $within
+                    }
+                }
+            }
+        };
     }
-    operators!(Avx512);
 
-    impl Vector for Avx512 {
-        const ZERO: Self = Self(unsafe { transmute::<[f64; LANES], __m512d>([0.0; LANES]) });
-        #[inline(always)]
-        fn splat(x: f64) -> Self {
-            Self(unsafe { _mm512_set1_pd(x) })
-        }
-        #[inline(always)]
-        fn new(lanes: [f64; LANES]) -> Self {
-            Self(unsafe { transmute::<[f64; LANES], __m512d>(lanes) })
-        }
-        #[inline(always)]
-        fn array(self) -> [f64; LANES] {
-            unsafe { transmute(self.0) }
-        }
-        #[inline(always)]
-        fn mul_add(self, a: Self, b: Self) -> Self {
-            Self(unsafe { _mm512_fmadd_pd(self.0, a.0, b.0) })
-        }
-        #[inline(always)]
-        fn mul_sub_from(self, a: Self, b: Self) -> Self {
-            Self(unsafe { _mm512_fnmadd_pd(self.0, a.0, b.0) })
-        }
-        #[inline(always)]
-        fn over(self, a: Self) -> Self {
-            Self(unsafe { _mm512_div_pd(self.0, a.0) })
-        }
-        #[inline(always)]
-        fn rsqrt(self) -> Self {
+    register!(Avx512: __m512d, f64, 8;
+        _mm512_set1_pd, _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd,
+        _mm512_div_pd, _mm512_max_pd;
+        abs(a): _mm512_abs_pd(a),
+        rsqrt(x): {
             // 14 bits, then a step of fourth order: e is below 2⁻¹³, and 35/128 e⁴ below an ulp's third
-            let y = Self(unsafe { _mm512_rsqrt14_pd(self.0) });
-            let e = self.times(y).mul_sub_from(y, Self::splat(1.0));
+            let y = Self(unsafe { _mm512_rsqrt14_pd(x.0) });
+            let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
             let p = e.mul_add(Self::splat(0.3125), Self::splat(0.375)).mul_add(e, Self::splat(0.5));
             y.times(e).mul_add(p, y)
-        }
-        #[inline(always)]
-        fn abs(self) -> Self {
-            Self(unsafe { _mm512_abs_pd(self.0) })
-        }
-        #[inline(always)]
-        fn max(self, other: Self) -> Self {
-            Self(unsafe { _mm512_max_pd(self.0, other.0) })
-        }
-        #[inline(always)]
-        fn where_less(self, a: Self, b: Self, other: Self) -> Self {
-            Self(unsafe { _mm512_mask_blend_pd(_mm512_cmp_pd_mask::<_CMP_LT_OQ>(a.0, b.0), other.0, self.0) })
-        }
-        #[inline(always)]
-        fn any_less(self, b: Self) -> bool {
-            unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, b.0) != 0 }
-        }
-        #[inline(always)]
-        fn all_within(self, limit: f64) -> bool {
-            unsafe { _mm512_cmp_pd_mask::<_CMP_LE_OQ>(self.abs().0, _mm512_set1_pd(limit)) == 0xff }
-        }
-    }
+        },
+        less(x, y): _mm512_cmp_pd_mask::<_CMP_LT_OQ>(x, y),
+        blend(mask, yes, no): _mm512_mask_blend_pd(mask, no, yes),
+        within(x, most): _mm512_cmp_pd_mask::<_CMP_LE_OQ>(x, most) == 0xff,
+        any(mask): mask != 0);
 
-    /// Two 256-bit registers.
+    register!(SingleAvx512: __m512, f32, 16;
+        _mm512_set1_ps, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps,
+        _mm512_div_ps, _mm512_max_ps;
+        abs(a): _mm512_abs_ps(a),
+        rsqrt(x): {
+            // 14 bits, then a step of second order: 3/8 e² is below an ulp's tenth
+            let y = Self(unsafe { _mm512_rsqrt14_ps(x.0) });
+            let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
+            y.times(e).mul_add(Self::splat(0.5), y)
+        },
+        less(x, y): _mm512_cmp_ps_mask::<_CMP_LT_OQ>(x, y),
+        blend(mask, yes, no): _mm512_mask_blend_ps(mask, no, yes),
+        within(x, most): _mm512_cmp_ps_mask::<_CMP_LE_OQ>(x, most) == 0xffff,
+        any(mask): mask != 0);
+
+    register!(Half: __m256d, f64, 4;
+        _mm256_set1_pd, _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_fmadd_pd, _mm256_fnmadd_pd,
+        _mm256_div_pd, _mm256_max_pd;
+        abs(a): _mm256_andnot_pd(_mm256_set1_pd(-0.0), a),
+        rsqrt(x): Self::splat(1.0).over(Self(unsafe { _mm256_sqrt_pd(x.0) })),
+        less(x, y): _mm256_cmp_pd::<_CMP_LT_OQ>(x, y),
+        blend(mask, yes, no): _mm256_blendv_pd(no, yes, mask),
+        within(x, most): _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(x, most)) == 0xf,
+        any(mask): _mm256_movemask_pd(mask) != 0);
+
+    register!(SingleAvx2: __m256, f32, 8;
+        _mm256_set1_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
+        _mm256_div_ps, _mm256_max_ps;
+        abs(a): _mm256_andnot_ps(_mm256_set1_ps(-0.0), a),
+        rsqrt(x): {
+            // Some 11 bits, then a step of third order
+            let y = Self(unsafe { _mm256_rsqrt_ps(x.0) });
+            let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
+            let p = e.mul_add(Self::splat(0.375), Self::splat(0.5));
+            y.times(e).mul_add(p, y)
+        },
+        less(x, y): _mm256_cmp_ps::<_CMP_LT_OQ>(x, y),
+        blend(mask, yes, no): _mm256_blendv_ps(no, yes, mask),
+        within(x, most): _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(x, most)) == 0xff,
+        any(mask): _mm256_movemask_ps(mask) != 0);
+
+    /// Two vectors as one.
     #[derive(Clone, Copy)]
     #[repr(C, align(64))]
-    pub struct Avx2(__m256d, __m256d);
+    pub struct Pair<L>(L, L);
 
-    impl Avx2 {
+    /// Two registers: as many lanes as AVX-512 has, and two chains of operations at once.
+    pub type Avx2 = Pair<Half>;
+
+    impl<L: Vector> Pair<L> {
         #[inline(always)]
         fn plus(self, o: Self) -> Self {
-            unsafe { Self(_mm256_add_pd(self.0, o.0), _mm256_add_pd(self.1, o.1)) }
+            Self(self.0 + o.0, self.1 + o.1)
         }
         #[inline(always)]
         fn minus(self, o: Self) -> Self {
-            unsafe { Self(_mm256_sub_pd(self.0, o.0), _mm256_sub_pd(self.1, o.1)) }
+            Self(self.0 - o.0, self.1 - o.1)
         }
         #[inline(always)]
         fn times(self, o: Self) -> Self {
-            unsafe { Self(_mm256_mul_pd(self.0, o.0), _mm256_mul_pd(self.1, o.1)) }
+            Self(self.0 * o.0, self.1 * o.1)
         }
     }
-    operators!(Avx2);
+    operators!([L: Vector] Pair<L>);
 
-    impl Vector for Avx2 {
-        const ZERO: Self = unsafe { transmute([0.0f64; LANES]) };
+    impl<L: Vector> Vector for Pair<L> {
+        type Scalar = L::Scalar;
+        const LANES: usize = 2 * L::LANES;
+        const ZERO: Self = Self(L::ZERO, L::ZERO);
         #[inline(always)]
-        fn splat(x: f64) -> Self {
-            unsafe { Self(_mm256_set1_pd(x), _mm256_set1_pd(x)) }
+        fn of(x: L::Scalar) -> Self {
+            Self(L::of(x), L::of(x))
         }
         #[inline(always)]
-        fn new(lanes: [f64; LANES]) -> Self {
-            unsafe { transmute(lanes) }
+        fn lanes(&self) -> &[L::Scalar] {
+            unsafe { from_raw_parts((&raw const *self).cast(), Self::LANES) }
         }
         #[inline(always)]
-        fn array(self) -> [f64; LANES] {
-            unsafe { transmute(self) }
+        fn lanes_mut(&mut self) -> &mut [L::Scalar] {
+            unsafe { from_raw_parts_mut((&raw mut *self).cast(), Self::LANES) }
         }
         #[inline(always)]
         fn mul_add(self, a: Self, b: Self) -> Self {
-            unsafe { Self(_mm256_fmadd_pd(self.0, a.0, b.0), _mm256_fmadd_pd(self.1, a.1, b.1)) }
+            Self(self.0.mul_add(a.0, b.0), self.1.mul_add(a.1, b.1))
         }
         #[inline(always)]
         fn mul_sub_from(self, a: Self, b: Self) -> Self {
-            unsafe { Self(_mm256_fnmadd_pd(self.0, a.0, b.0), _mm256_fnmadd_pd(self.1, a.1, b.1)) }
+            Self(self.0.mul_sub_from(a.0, b.0), self.1.mul_sub_from(a.1, b.1))
         }
         #[inline(always)]
         fn over(self, a: Self) -> Self {
-            unsafe { Self(_mm256_div_pd(self.0, a.0), _mm256_div_pd(self.1, a.1)) }
+            Self(self.0.over(a.0), self.1.over(a.1))
         }
         #[inline(always)]
         fn rsqrt(self) -> Self {
-            let root = unsafe { Self(_mm256_sqrt_pd(self.0), _mm256_sqrt_pd(self.1)) };
-            Self::splat(1.0).over(root)
+            Self(self.0.rsqrt(), self.1.rsqrt())
         }
         #[inline(always)]
         fn abs(self) -> Self {
-            let sign = unsafe { _mm256_set1_pd(-0.0) };
-            unsafe { Self(_mm256_andnot_pd(sign, self.0), _mm256_andnot_pd(sign, self.1)) }
+            Self(self.0.abs(), self.1.abs())
         }
         #[inline(always)]
         fn max(self, other: Self) -> Self {
-            unsafe { Self(_mm256_max_pd(self.0, other.0), _mm256_max_pd(self.1, other.1)) }
+            Self(self.0.max(other.0), self.1.max(other.1))
         }
         #[inline(always)]
         fn where_less(self, a: Self, b: Self, other: Self) -> Self {
-            unsafe {
-                Self(
-                    _mm256_blendv_pd(other.0, self.0, _mm256_cmp_pd::<_CMP_LT_OQ>(a.0, b.0)),
-                    _mm256_blendv_pd(other.1, self.1, _mm256_cmp_pd::<_CMP_LT_OQ>(a.1, b.1)),
-                )
-            }
+            Self(self.0.where_less(a.0, b.0, other.0), self.1.where_less(a.1, b.1, other.1))
         }
         #[inline(always)]
         fn any_less(self, b: Self) -> bool {
-            unsafe {
-                let low = _mm256_cmp_pd::<_CMP_LT_OQ>(self.0, b.0);
-                let high = _mm256_cmp_pd::<_CMP_LT_OQ>(self.1, b.1);
-                _mm256_movemask_pd(_mm256_or_pd(low, high)) != 0
-            }
+            self.0.any_less(b.0) | self.1.any_less(b.1)
         }
         #[inline(always)]
         fn all_within(self, limit: f64) -> bool {
-            let a = self.abs();
-            unsafe {
-                let limit = _mm256_set1_pd(limit);
-                let low = _mm256_cmp_pd::<_CMP_LE_OQ>(a.0, limit);
-                let high = _mm256_cmp_pd::<_CMP_LE_OQ>(a.1, limit);
-                _mm256_movemask_pd(_mm256_and_pd(low, high)) == 0xf
-            }
+            self.0.all_within(limit) & self.1.all_within(limit)
         }
     }
 }

@@ -4,7 +4,7 @@
 //! each, of samples whose steps in it are about as many: an idle lane costs as much as a busy one.
 
 use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
-use super::super::vector::{LANES, Vector};
+use super::super::vector::{LANES, MOST, Vector};
 use super::super::{Counters, Forces, Frame};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::{Reach, Sweep, steps};
@@ -46,7 +46,7 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
     let (mut bar_x, mut bar_v) = (system.zeros(), system.zeros());
     let (mut xs, mut vs) = (system.zeros(), system.zeros());
     let (mut w, mut acceleration) = (system.zeros(), system.zeros());
-    // ∂²U w and w of each stage
+    // −∂²U w and w of each stage
     let mut curved: Stages<V> = std::array::from_fn(|_| system.zeros());
     let mut weights: Stages<V> = std::array::from_fn(|_| system.zeros());
     let mut kept: Vec<Step<V>> = Vec::new();
@@ -64,7 +64,7 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
         let total = |s: usize| (0..kinks).map(|kink| count(s, kink)).sum::<usize>();
         order.sort_by_key(|&s| (total(s), s));
         for lanes in order.chunks(LANES) {
-            let state = |n: usize| -> [Option<&[f64]>; LANES] {
+            let state = |n: usize| -> [Option<&[f64]>; MOST] {
                 std::array::from_fn(|l| {
                     let sweep = &sweeps[*lanes.get(l)?];
                     n.checked_sub(1).map(|n| &sweep.tape.states[n * len..][..len])
@@ -77,7 +77,7 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
             load_lanes(free, &state(interval + 1), &mut xs, &mut vs);
             for (k, b) in bar.iter_mut().enumerate() {
                 let at = |l: usize| lanes.get(l).map_or(0.0, |&s| sweeps[s].cotangent[interval * width + k]);
-                *b = V::new(std::array::from_fn(at));
+                *b = V::gather(&std::array::from_fn::<f64, LANES, _>(at));
             }
             let last = (interval + 1) * kinks - 1;
             for l in 0..LANES {
@@ -123,8 +123,8 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                     (sizes[l], tau[l]) = ((delta - place.tau) / parts as f64, place.tau);
                     reach.load(l, forces, sweeps[s].history, place.kink);
                 }
-                step.h = V::new(sizes);
-                let tau = V::new(tau);
+                step.h = V::gather(&sizes);
+                let tau = V::gather(&tau);
                 step.x[0].copy_from_slice(&xs);
                 step.v.copy_from_slice(&vs);
                 for i in 0..6 {

@@ -187,8 +187,7 @@ pub fn landed<V: Vector>(mut square: V, within: &Range<usize>, [_, p, q, .., end
 /// Transpose of a step in the accelerations a of stage i = 0…5: overwrites `w` by M⁻¹ times their cotangent and takes w a
 /// from that of (m, m, J).
 ///
-/// `later` holds ∂²U w and w of later stages; what those pass on to their states is the negative of the first, to their
-/// velocities −C w.
+/// `later` holds −∂²U w and w of later stages; what those pass on to their states is the first, to their velocities −C w.
 #[inline(always)]
 pub fn stage_vjp<V: Vector>(
     i: usize,
@@ -233,11 +232,11 @@ fn nth_stage_vjp<'a, V: Vector, const I: usize>(
             let (mut first, mut second) = (V::splat(0.0), V::splat(A2[6][I]) * bar_x[u][d]);
             for j in I + 1..6 {
                 first = V::splat(A[j][I]).mul_add(weights[j][u][d], first);
-                second = V::splat(A2[j][I]).mul_sub_from(curved[j][u][d], second);
+                second = V::splat(A2[j][I]).mul_add(curved[j][u][d], second);
             }
             let first = V::splat(by.damping[d]).mul_sub_from(first, V::splat(A[6][I]) * bar_v[u][d]);
             let bar = h2.mul_add(second, h * first);
-            w[u][d] = V::splat(inverse[u][d]) * bar;
+            w[u][d] = V::of(inverse[u][d]) * bar;
             mass[u][d] = w[u][d].mul_sub_from(a[u][d], mass[u][d]);
         }
     }
@@ -262,8 +261,8 @@ pub fn step_vjp<'a, V: Vector>(
             let (mut x, mut v) = (bar_x[u][d], h.mul_add(bar_x[u][d], bar_v[u][d]));
             let mut damped = V::splat(0.0);
             for i in 0..6 {
-                v = (h * V::splat(C[i])).mul_sub_from(curved[i][u][d], v);
-                x = x - curved[i][u][d];
+                v = (h * V::splat(C[i])).mul_add(curved[i][u][d], v);
+                x = x + curved[i][u][d];
                 damped = damped + weights[i][u][d];
             }
             (bar_x[u][d], bar_v[u][d]) = (x, V::splat(damping[d]).mul_sub_from(damped, v));
