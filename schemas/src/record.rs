@@ -140,7 +140,7 @@ pub struct BodyEvaluation {
     pub long: Vec<NetworkEvaluation>,
     /// By linear brains, whatever the trial's own is: the whole sample's first.
     pub readings: Vec<Reading>,
-    /// Samples without force, which have no error: train, test, holdout.
+    /// Samples without force, or whose simulation failed, which have no error: train, test, holdout.
     pub zero_samples: [u32; 3],
 }
 
@@ -180,6 +180,8 @@ pub struct TrialResult {
     pub simd: String,
     /// What `solver.method` came to, and why.
     pub solver: String,
+    /// Relative error of the signals that pilots measured, on the initial body and on the best, where they could.
+    pub signal_errors: [Option<f64>; 2],
     /// Where a search put the sensors, where there was one.
     pub placed: Option<Placed>,
     /// Where they went from there: the outer step before which they moved, and their units since.

@@ -76,6 +76,7 @@ fn result(optimised: Optimised) -> TrialResult {
         counters: convert::counters(&optimised.counters),
         simd: simd::name().into(),
         solver: optimised.solver,
+        signal_errors: optimised.signal_errors.map(convert::finite),
         placed: optimised.placed.map(convert::placed),
         nonlinear: optimised.nonlinear,
         moves: optimised.moves.into_iter().map(|to| (to.step, to.units)).collect(),

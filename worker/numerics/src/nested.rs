@@ -66,6 +66,8 @@ pub struct Optimised {
     pub nonlinear: [Option<Nonlinear>; 2],
     /// What the solvers came to, and why.
     pub solver: String,
+    /// Relative error of the signals of the two evaluations' pilots, initial body and best, where measured.
+    pub signal_errors: [Option<f64>; 2],
     /// Counts of work of the pilot that tuned them and of the two evaluations.
     pub counters: Counters,
     /// Seconds of the two evaluations.
@@ -85,7 +87,7 @@ pub fn optimise(
 ) -> Result<Option<Optimised>, Failure> {
     let again = Again::new(problem);
     let tuning = Tuning::new(problem, pool)?;
-    let Tuning { asked, problem, placed, reason: solver, counters: pilot } = &tuning;
+    let Tuning { asked, problem, placed, reason: solver, error, counters: pilot } = &tuning;
     let first = Setting::new(problem, pool)?;
     let (mut castable, freedom) = (problem.castable(), problem.freedom());
     let mut state = resume.unwrap_or_else(|| State::new(problem, &first.shape));
@@ -144,7 +146,19 @@ pub fn optimise(
     let (placed, solver) = (placed.clone(), format!("{solver}. Best body: {}", tuned.plan.reason));
     let [initial, optimised] = <[_; 2]>::try_from(state.comparison.bodies).expect("two turns");
     let moves = state.moves;
-    Ok(Some(Optimised { initial, optimised, best_step, placed, moves, nonlinear, solver, counters, seconds }))
+    let signal_errors = [*error, tuned.error];
+    Ok(Some(Optimised {
+        initial,
+        optimised,
+        best_step,
+        placed,
+        moves,
+        nonlinear,
+        solver,
+        signal_errors,
+        counters,
+        seconds,
+    }))
 }
 
 /// The comparison at the end for any designs: fresh networks of the same initial weights on each, as far as the observer

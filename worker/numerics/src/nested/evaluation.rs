@@ -39,7 +39,7 @@ pub struct BodyEvaluation {
     pub long: Vec<NetworkEvaluation>,
     /// What linear brains make of it, whatever the trial's own brain is: the whole sample's first, then other memories.
     pub readings: Vec<Reading>,
-    /// Samples without force, which have no error: train, test, holdout.
+    /// Samples without force, or whose simulation failed, which have no error: train, test, holdout.
     pub zero_samples: [u32; 3],
 }
 
@@ -102,23 +102,25 @@ pub(super) fn evaluate(
 
     let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
     let counted = log.report.counters;
+    let mut sets = [setting.train.clone(), setting.test.clone(), holdout];
     let signals = log.timed(
         |s| &mut s.simulate,
         |report| -> Result<_, Trouble> {
-            let mut signals =
-                |forces: &Forces| Ok(setting.simulate(design, forces, solver, false, report)?.signals);
-            let train = if design == problem.initial {
-                setting.initial_signals.clone()
-            } else {
-                signals(&setting.train)?
-            };
-            Ok([train, signals(&setting.test)?, signals(&holdout)?])
+            let mut found = [Vec::new(), Vec::new(), Vec::new()];
+            for (set, (found, forces)) in found.iter_mut().zip(&mut sets).enumerate() {
+                *found = if set == 0 && design == problem.initial {
+                    setting.initial_signals.clone()
+                } else {
+                    setting.simulate_most(design, forces, solver, false, report)?.0.signals
+                };
+            }
+            Ok(found)
         },
     );
     if begun.is_some() {
         log.report.counters = counted;
     }
-    let sets = [&setting.train, &setting.test, &holdout];
+    let sets = [&sets[0], &sets[1], &sets[2]];
     let mut body = begun.is_none().then(|| BodyEvaluation { design: design.to_vec(), ..Default::default() });
     let seen = signals.and_then(|signals| {
         log.timed(

@@ -102,24 +102,26 @@ impl<'a> Session<'a> {
 
     /// The test error of the state's network, with the accurate integrator, at the steps where it is due.
     fn look_at_test(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
-        let Some(signals) = self.test_signals(state, log)? else { return Ok(None) };
+        let Some((signals, test)) = self.test_signals(state, log)? else { return Ok(None) };
         let setting = self.setting;
-        let data = setting.data(&signals, &setting.test);
-        log.report.error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace);
+        let data = setting.data(&signals, &test);
+        log.report.error_test = setting.error(&state.weights, &data, &test, &mut self.workspace);
         Ok(log.report.error_test)
     }
 
-    /// The test signals of the state's design, with the accurate integrator, at the steps where they are looked at.
-    fn test_signals(&self, state: &State, log: &mut Log) -> Result<Option<Vec<f64>>, Trouble> {
+    /// The test signals of the state's design and their forces, with the accurate integrator, at the steps where they are
+    /// looked at.
+    fn test_signals(&self, state: &State, log: &mut Log) -> Result<Option<(Vec<f64>, Forces)>, Trouble> {
         let (setting, problem) = (self.setting, self.setting.problem);
         if !problem.optimise.looks_at_test(state.step) {
             return Ok(None);
         }
-        let simulation = log.timed(
+        let mut test = setting.test.clone();
+        let (simulation, _) = log.timed(
             |s| &mut s.simulate,
-            |report| setting.simulate(&state.design, &setting.test, &problem.solver, false, report),
+            |report| setting.simulate_most(&state.design, &mut test, &problem.solver, false, report),
         )?;
-        Ok(Some(simulation.signals))
+        Ok(Some((simulation.signals, test)))
     }
 
     /// Training samples drawn for a step of `envelope`.
@@ -131,7 +133,7 @@ impl<'a> Session<'a> {
         select(&setting.train, &order)
     }
 
-    /// The samples that are drawn for a step of `joint` alone, simulated on a body.
+    /// The samples that are drawn for a step of `joint` alone, simulated on a body; those of the report's step are counted.
     fn fresh(
         &self,
         design: &[f64],
@@ -141,12 +143,15 @@ impl<'a> Session<'a> {
         log: &mut Log,
     ) -> Result<(Forces, Simulation), Trouble> {
         let (setting, problem) = (self.setting, self.setting.problem);
-        let forces = problem.forces(Purpose::Fresh, u64::from(step) * going.batch as u64, going.batch);
+        let mut forces = problem.forces(Purpose::Fresh, u64::from(step) * going.batch as u64, going.batch);
         let solver = problem.optimise.solver_of(step, problem.solver);
-        let simulation = log.timed(
+        let (simulation, failed) = log.timed(
             |s| &mut s.simulate,
-            |report| setting.simulate(design, &forces, &solver, keep_tape, report),
+            |report| setting.simulate_most(design, &mut forces, &solver, keep_tape, report),
         )?;
+        if step == log.report.step {
+            log.report.fresh_samples = going.batch as u64 - u64::from(failed);
+        }
         Ok((forces, simulation))
     }
 

@@ -42,14 +42,22 @@ impl<'a> Setting<'a> {
     pub(super) fn new(problem: &'a Problem, pool: &'a rayon::ThreadPool) -> Result<Self, Failure> {
         let all = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples);
         let (train, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
-        let (train, test) = (select(&all, &train), select(&all, &test));
+        let (mut train, test) = (select(&all, &train), select(&all, &test));
         let shape = problem.shape();
         let simulation = simulate(&problem.scene, &problem.initial, &train, &problem.solver, false, pool);
-        all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+        silence(&mut train, &simulation.outcomes).map_err(Failure::Initial)?;
         let scales = Scales::new(&shape, &simulation.signals, &problem.targets(&train));
         let chip = problem.chip(&scales.channels);
-        let mut setting =
-            Self { problem, pool, shape, train, test, scales, chip, initial_signals: simulation.signals };
+        let mut setting = Self {
+            problem,
+            pool,
+            shape,
+            train,
+            test,
+            scales,
+            chip,
+            initial_signals: simulation.signals,
+        };
         let mut signals = std::mem::take(&mut setting.initial_signals);
         setting.disturb(&mut signals, &setting.train);
         setting.initial_signals = signals;
@@ -77,6 +85,23 @@ impl<'a> Setting<'a> {
         all_well(&simulation.outcomes)?;
         self.disturb(&mut simulation.signals, forces);
         Ok(simulation)
+    }
+
+    /// The same where some samples may fail: from then on `forces` has them without force, and they without signals, as
+    /// all know what to do with. Returns how many.
+    pub(super) fn simulate_most(
+        &self,
+        design: &[f64],
+        forces: &mut Forces,
+        solver: &Solver,
+        keep_tape: bool,
+        report: &mut Report,
+    ) -> Result<(Simulation, u32), Trouble> {
+        let mut simulation = simulate(&self.problem.scene, design, forces, solver, keep_tape, self.pool);
+        report.counters.dynamics += simulation.counters;
+        let failed = silence(forces, &simulation.outcomes)?;
+        self.disturb(&mut simulation.signals, forces);
+        Ok((simulation, failed))
     }
 
     /// Simulates a body under two sets of forces, each with a tape where `true` stands beside it.
@@ -116,7 +141,6 @@ impl<'a> Setting<'a> {
             |_| dynamics::pull_back(scene, design, forces, simulation, &samples, &cotangent, self.pool),
         );
         log.report.counters.dynamics += gradient.counters;
-        all_well(&gradient.outcomes)?;
         if gradient.design.iter().all(|g| g.is_finite()) {
             Ok(gradient.design)
         } else {
@@ -170,6 +194,30 @@ pub(super) fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
     match outcomes.iter().find(|&&outcome| outcome != Outcome::Ok) {
         Some(&outcome) => Err(Trouble::Simulation(outcome)),
         None => Ok(()),
+    }
+}
+
+/// One of so many samples may fail, to the nearest whole.
+const ONE_OF: usize = 32;
+
+/// Takes the forces of the samples that failed away and returns how many they are.
+///
+/// # Errors
+/// If they are more than may be: the name of the first.
+fn silence(forces: &mut Forces, outcomes: &[Outcome]) -> Result<u32, Trouble> {
+    let len = forces.panels * (forces.instants + 1);
+    let mut failed = 0;
+    let mut first = None;
+    for (history, &outcome) in forces.values.chunks_exact_mut(len).zip(outcomes) {
+        if outcome != Outcome::Ok {
+            history.fill(0.0);
+            failed += 1;
+            first.get_or_insert(outcome);
+        }
+    }
+    match first {
+        Some(outcome) if failed > (outcomes.len() + ONE_OF / 2) / ONE_OF => Err(Trouble::Simulation(outcome)),
+        _ => Ok(failed as u32),
     }
 }
 
@@ -235,5 +283,30 @@ impl Scales {
     fn physical(&self, normalised: &[f32]) -> Vec<f64> {
         let panels = self.mean.iter().zip(&self.deviation).cycle();
         normalised.iter().zip(panels).map(|(&y, (mean, deviation))| mean + deviation * f64::from(y)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One of 32 samples may fail, and is then one without force; of a handful none may, of many no more than in proportion.
+    #[test]
+    fn few_samples_may_fail() {
+        let forces =
+            |samples: usize| Forces { samples, panels: 2, instants: 3, values: vec![1.0; samples * 8] };
+        let failing = |samples: usize, failed: usize| -> Vec<Outcome> {
+            (0..samples).map(|i| if i < failed { Outcome::NonFinite } else { Outcome::Ok }).collect()
+        };
+        for (samples, failed, may) in
+            [(32, 1, true), (32, 2, false), (8, 1, false), (30, 1, true), (270, 8, true), (270, 9, false)]
+        {
+            let mut some = forces(samples);
+            let found = silence(&mut some, &failing(samples, failed));
+            let wanted = if may { Ok(failed as u32) } else { Err(Trouble::Simulation(Outcome::NonFinite)) };
+            assert_eq!(found, wanted, "{failed} of {samples}");
+            let silent = some.values.chunks(8).take_while(|f| f.iter().all(|f| *f == 0.0)).count();
+            assert_eq!((silent, some.values.iter().sum::<f64>()), (failed, (8 * (samples - failed)) as f64));
+        }
     }
 }

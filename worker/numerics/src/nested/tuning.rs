@@ -18,6 +18,8 @@ pub(super) struct Tuning {
     pub(super) placed: Option<Placed>,
     /// What they became, and why.
     pub(super) reason: String,
+    /// Relative error of the accurate one's signals, where measured.
+    pub(super) error: Option<f64>,
     /// Work of the pilots.
     pub(super) counters: Counters,
 }
@@ -37,14 +39,14 @@ impl Tuning {
         let pilot = |solver: &_| tune(&problem.scene, &problem.initial, &forces, solver, pool);
         let usual = pilot(&problem.solver);
         let coarse: Option<Tuned> = problem.optimise.coarse.as_ref().map(pilot);
-        let (mut reason, mut counters) = (usual.plan.reason, usual.counters);
+        let (mut reason, mut counters, error) = (usual.plan.reason, usual.counters, usual.error);
         problem.solver = usual.solver;
         if let Some(coarse) = coarse {
             reason = format!("{reason}. Coarse steps: {}", coarse.plan.reason);
             counters += coarse.counters;
             problem.optimise.coarse = Some(coarse.solver);
         }
-        Ok(Self { asked, problem, placed, reason, counters })
+        Ok(Self { asked, problem, placed, reason, error, counters })
     }
 
     /// The same with the sensors where they have moved to; none where they have not.

@@ -38,7 +38,6 @@ impl Session<'_> {
         }
         known.push(step);
         let (forces, simulation) = self.meet(&state.design, step, going, true, log)?;
-        log.report.fresh_samples = going.batch as u64;
 
         let slots = |steps: &[u32]| -> Vec<usize> {
             steps

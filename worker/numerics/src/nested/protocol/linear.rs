@@ -110,7 +110,6 @@ impl Session<'_> {
             });
         }
         let (forces, simulation) = self.fresh(&state.design, step, going, true, log)?;
-        log.report.fresh_samples = going.batch as u64;
         known.push_back((step, self.setting.plain(&simulation.signals, &forces)));
         self.known.0 = known;
 
@@ -183,8 +182,8 @@ impl Session<'_> {
 
     /// The test error of these weights, with the accurate integrator, at the steps where it is due.
     fn linear_test(&self, state: &State, linear: &Linear, log: &mut Log) -> Result<Option<f64>, Trouble> {
-        let Some(signals) = self.test_signals(state, log)? else { return Ok(None) };
-        let samples = self.setting.plain(&signals, &self.setting.test);
+        let Some((signals, test)) = self.test_signals(state, log)? else { return Ok(None) };
+        let samples = self.setting.plain(&signals, &test);
         log.report.error_test = samples.error(&linear.predict(&samples.x));
         Ok(log.report.error_test)
     }
