@@ -165,19 +165,41 @@ impl<'a> Session<'a> {
         rate: &dyn Fn(usize) -> f64,
         log: &mut Log,
     ) -> Result<f64, Trouble> {
+        let done = self.iterate(weights, adam, batch, iterations, rate, log);
+        let loss = self.loss_after(weights, batch, log);
+        done.map(|()| loss)
+    }
+
+    /// Adam on a batch.
+    fn iterate(
+        &mut self,
+        weights: &mut [f32],
+        adam: &mut Adam<f32>,
+        batch: Batch<f32>,
+        iterations: usize,
+        rate: &dyn Fn(usize) -> f64,
+        log: &mut Log,
+    ) -> Result<(), Trouble> {
         let (workspace, pool) = (&mut self.workspace, self.setting.pool);
-        let (outcome, loss) = log.timed(
+        let outcome = log.timed(
             |s| &mut s.train,
             |report| {
                 let mut losses = Vec::new();
                 let outcome =
                     brain::train(weights, adam, batch, rate, iterations, &mut losses, workspace, pool);
                 report.counters.brain_iterations += losses.len() as u64;
-                (outcome, brain::loss(weights, batch, workspace, pool))
+                outcome
             },
         );
+        if outcome == TrainOutcome::Ok { Ok(()) } else { Err(Trouble::Training(outcome)) }
+    }
+
+    /// The training loss after a step's training.
+    fn loss_after(&mut self, weights: &[f32], batch: Batch<f32>, log: &mut Log) -> f64 {
+        let (workspace, pool) = (&mut self.workspace, self.setting.pool);
+        let loss = log.timed(|s| &mut s.train, |_| brain::loss(weights, batch, workspace, pool));
         log.report.loss_train = Some(loss);
-        if outcome == TrainOutcome::Ok { Ok(loss) } else { Err(Trouble::Training(outcome)) }
+        loss
     }
 
     /// Loss and its gradient in the inputs (N, T, 3M).

@@ -10,6 +10,9 @@ use crate::dynamics::{Forces, Simulation};
 /// The network trains on the batches of so many bodies, the present one among them.
 const BATCHES: usize = 4;
 
+/// An iteration takes every so-many-th of these samples, by turns: they are so alike that all of them tell a step hardly more.
+const SLICES: usize = 4;
+
 /// Data of the last bodies' batches, one slot a body; a resumed loop simulates them again.
 #[derive(Default)]
 pub(super) struct Recent {
@@ -46,7 +49,7 @@ impl Session<'_> {
                 .collect()
         };
         let data = self.recent.data.take().expect("filled by meet");
-        let loss = self.go_on(state, data.batch(&slots(&known)), going, log);
+        let loss = self.go_on_by_slices(state, &data, &slots(&known), going, log);
         let (_, cotangent) = self.input_gradient(&state.weights, data.batch(&slots(&[step])), log);
         self.recent.data = Some(data);
         let loss_train = loss?;
@@ -55,6 +58,25 @@ impl Session<'_> {
         let gradient = setting.pull_back(&state.design, &forces, &simulation, &cotangent, log)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// `brain_iterations` more of the state's network; the loss on all `slots` after them.
+    fn go_on_by_slices(
+        &mut self,
+        state: &mut State,
+        data: &Data<f32>,
+        slots: &[usize],
+        going: Going,
+        log: &mut Log,
+    ) -> Result<f64, Trouble> {
+        let slices = SLICES.min(slots.len());
+        let State { step, weights, weight_adam, .. } = state;
+        let first = *step as usize * going.brain_iterations;
+        for i in first..first + going.brain_iterations {
+            let some: Vec<usize> = slots.iter().copied().skip(i % slices).step_by(slices).collect();
+            self.iterate(weights, weight_adam, data.batch(&some), 1, &|_| going.brain_rate, log)?;
+        }
+        Ok(self.loss_after(weights, data.batch(slots), log))
     }
 
     /// Simulates the fresh samples of `step` on its body and keeps their data in that step's slot.
