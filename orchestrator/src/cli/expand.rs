@@ -3,8 +3,10 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
+use metasense_worker::simd::name;
 use serde_json::{Value, json};
 
+use super::simd::Simd;
 use super::{Error, Format, print_rows, read_plan};
 use crate::cluster::{Deal, Shard};
 use crate::exit::Exit;
@@ -22,12 +24,15 @@ pub(super) struct Args {
     /// The folder of the shards, by what is written down there; else as they would be dealt now
     #[arg(long, value_name = "DIR", requires = "shard")]
     folder: Option<PathBuf>,
+    #[command(flatten)]
+    simd: Simd,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+    args.simd.choose()?;
     let mut plan = read_plan(&args.spec)?;
     if let Some(shard) = args.shard {
         let deal = match &args.folder {
@@ -58,7 +63,8 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     print_rows(&Table { columns, rows }, args.format)?;
     let total: f64 = plan.trials.iter().map(|t| t.cost).sum();
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
-    say!("{most}{}, about {} on one core", counted(plan.trials.len(), "trial"), super::duration(total));
+    let (trials, time) = (counted(plan.trials.len(), "trial"), super::duration(total));
+    say!("{most}{trials}, about {time} on one core with {}", name());
     Ok(Exit::Done)
 }
 

@@ -1,17 +1,21 @@
 //! What a trial costs, roughly, before it has run: counts of work times measured seconds.
 //!
-//! One core with AVX-512, as README's rates; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
+//! One core of this machine's instruction set, by README's rates; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
 
 use super::Trial;
-use metasense_schemas::spec::{BrainKind, Network, Protocol, TrialSpec};
+use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
 use metasense_worker::problem::{READINGS_MAX, lags};
+use metasense_worker::simd;
 
-/// Integrator steps a second of motion, of the reference scene at its default tolerance.
-const STEPS_PER_SECOND: f64 = 3100.0;
-/// Seconds a unit and integrator step.
-const SECONDS_PER_UNIT_STEP: f64 = 2.4e-7;
+/// Seconds a unit and force evaluation of equal steps, with all else of a step.
+const SECONDS_PER_UNIT_EVALUATION: f64 = 3.5e-9;
+/// Part of it in f32, and the tolerance from which on steps are coarse enough.
+const SINGLE: f64 = 0.55;
+const COARSE: f64 = 1e-2;
 /// Of the reverse sweep, forward recomputation included, to the simulation.
-const REVERSE: f64 = 2.1;
+const REVERSE: f64 = 1.7;
+/// Time by instruction set, to that of AVX-512.
+const SLOWER: [(&str, f64); 2] = [("avx2", 2.0), ("baseline", 5.0)];
 /// Multiply-adds a second of the brain's kernels.
 const BRAIN_RATE: f64 = 1.1e11;
 /// Of an iteration (forward, backward) and of a Hessian-vector product to a forward pass.
@@ -65,14 +69,37 @@ pub(super) struct Seconds {
     pub comparison: f64,
 }
 
-pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
-    let stimuli = &trial.stimuli;
-    let scale = (trial.solver.tolerance / 1e-6).powf(-0.2);
+/// Force evaluations of one sample's motion, by the diagram of the reference scene (`results/committed/work-precision.svg`).
+fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
+    // In a second at an error of 1e-3, the power by which an error falls with them, and how many a step makes.
+    let (at, power, stages) = match solver.method {
+        Method::Auto | Method::Nystrom6 => (12_000.0, 6.0, 11.0),
+        Method::Nystrom4 => (14_000.0, 4.0, 6.0),
+        Method::Leapfrog => (63_000.0, 2.0, 1.0),
+        // Of the time of some 1.4 others each; steps are a sample's own.
+        Method::Tsit5 | Method::Implicit => (28_000.0, 6.0, 1.0),
+    };
+    let steps = trial.time.duration * at / stages * (solver.tolerance / 1e-3).powf(-1.0 / power);
     // A step ends at every instant, and wherever the forces' own clock has a kink.
-    let instants = trial.time.samples as f64;
-    let kinks = stimuli.force_samples.map_or(1.0, |n| n as f64 / instants);
-    let steps = (trial.time.duration * STEPS_PER_SECOND * scale / instants / kinks).ceil() * kinks * instants;
-    let one_sample = steps * units as f64 * SECONDS_PER_UNIT_STEP;
+    let kinks = trial.stimuli.force_samples.unwrap_or(trial.time.samples) as f64;
+    (steps / kinks).ceil() * kinks * stages
+}
+
+/// On the instruction set that this process uses.
+pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
+    let slower = SLOWER.iter().find(|(name, _)| *name == simd::name()).map_or(1.0, |(_, factor)| *factor);
+    let Seconds { steps, comparison } = seconds_by_avx512(trial, units);
+    Seconds { steps: slower * steps, comparison: slower * comparison }
+}
+
+fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
+    let stimuli = &trial.stimuli;
+    let sample_by = |solver: Solver| {
+        let single = solver.tolerance >= COARSE && solver.method != Method::Tsit5;
+        let seconds = SECONDS_PER_UNIT_EVALUATION * if single { SINGLE } else { 1.0 };
+        evaluations(solver, trial) * units as f64 * seconds
+    };
+    let one_sample = sample_by(trial.solver);
     let simulate = stimuli.samples as f64 * one_sample;
     let network = trial.brain.kind != BrainKind::Linear;
     let weights = network_weights(trial) as f64;
@@ -83,17 +110,21 @@ pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
     let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
     let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
     let differentiate = batch * one_sample * (1.0 + REVERSE);
+    // By the coarse integrator mostly, and now and then the test set by the other
+    let coarse = sample_by(optimise.coarse.unwrap_or(trial.solver));
+    let fresh =
+        batch * (0.9 * coarse + 0.1 * one_sample) * (1.0 + REVERSE) + 0.1 * stimuli.test as f64 * one_sample;
     let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory));
     let step = match optimise.protocol {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
         Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
-        Protocol::Joint if optimise.linear() => 0.5 * differentiate + solve,
+        Protocol::Joint if optimise.linear() => fresh + solve,
         Protocol::Random | Protocol::Cmaes if optimise.linear() => simulate + solve,
         Protocol::Random | Protocol::Cmaes => simulate + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
         Protocol::Warm | Protocol::Envelope => simulate + differentiate + going,
-        // on four batches, by the coarse integrator mostly
-        Protocol::Joint => 0.5 * differentiate + going * 4.0 * batch / train_samples.max(1.0),
+        // each iteration on as many samples as a batch, and the loss of four of them
+        Protocol::Joint => fresh + (going + 4.0 * forward) * batch / train_samples.max(1.0),
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
     let trainings = if network { trial.evaluation.seeds as f64 * (1.0 + long) } else { 0.0 };
