@@ -55,6 +55,9 @@ fn plan(method: Method, steps: usize) -> Plan {
     Plan { method, tolerance: 1e-10, steps, reason: String::new() }
 }
 
+/// Steps so coarse by their law that they go in f32, however many they are.
+const COARSE: f64 = 1e300;
+
 const EQUAL_STEPS: [(Method, f64, usize); 3] =
     [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
 
@@ -111,13 +114,14 @@ fn coarse_steps_in_single_precision_are_those_in_double() {
             for width in Width::ALL.into_iter().filter(|w| *w <= Width::detect()) {
                 let at = |tolerance, steps| {
                     let plan = Plan { tolerance, ..plan(method, steps) };
+                    assert_eq!(plan.single(), tolerance > 0.0);
                     let run = run_at(width, &scene, &design, &forces, &plan, true, &pool(1));
                     assert_eq!(run.outcomes, [Outcome::Ok; 19]);
                     let design =
                         pull_back(&scene, &design, &forces, &run, &samples, &run.signals, &pool(1)).design;
                     (run.signals, design)
                 };
-                let (single, double) = (at(0.03, steps), at(0.0, steps));
+                let (single, double) = (at(COARSE, steps), at(0.0, steps));
                 apart.push([relative(&single.0, &double.0), relative(&single.1, &double.1)]);
             }
         }
@@ -145,7 +149,7 @@ fn samples_begin_with_their_forces() {
                     .for_each(|(n, f)| *f = if n <= begin { 0.0 } else { *f + 0.1 });
             }
         }
-        for (tolerance, method, steps) in [(0.0, Method::Nystrom4, 24), (0.03, Method::Nystrom4, 24)] {
+        for (tolerance, method, steps) in [(0.0, Method::Nystrom4, 24), (COARSE, Method::Nystrom4, 24)] {
             let plan = Plan { tolerance, ..plan(method, steps) };
             let all = run(&scene, &design, &forces, &plan, true, &pool(2));
             let samples: Vec<usize> = (0..forces.samples).collect();
@@ -215,6 +219,21 @@ fn a_pilot_keeps_the_accuracy_asked() {
             assert!(tuned.error.is_some_and(|e| e <= tolerance), "{what}: {:?}; {reason}", tuned.error);
         }
     }
+}
+
+/// What goes in f32: coarse steps of the reference scene, none that are to keep 1e-3, and none where stiff ligaments make more of
+/// rounding than of steps: there a pilot would look for ever finer ones.
+#[test]
+fn stiff_scenes_and_fine_steps_are_no_matter_for_single_precision() {
+    let scene =
+        Scene { layout: Layout::planar(6, 6, 15.0, 2.25), clamped: (0..6).collect(), ..small_scene() };
+    let stiff = Scene { stiffness: Stiffness { stretch: 300.0, ..scene.stiffness }, ..scene.clone() };
+    let design = scene.layout.initial_design(25f64.to_radians());
+    let single = |scene: &Scene, tolerance| {
+        choose(scene, &design, &Solver { method: Method::Auto, tolerance }).single()
+    };
+    assert_eq!([3e-2, 1e-2, 1e-3, 1e-6].map(|t| single(&scene, t)), [true, true, false, false]);
+    assert_eq!([3e-2, 1e-3].map(|t| single(&stiff, t)), [false; 2]);
 }
 
 /// Every channel counts alike: a gyroscope that says nothing is as far off as an accelerometer that does.

@@ -100,7 +100,7 @@ fn draw(marks: &[Mark]) -> String {
             x + 11.0,
             x + 28.0
         );
-        x += 92.0;
+        x += 118.0;
     }
     let _ = write!(
         svg,

@@ -207,8 +207,8 @@ pub fn simulate(
     pool: &rayon::ThreadPool,
 ) -> Simulation {
     let model = Model::new(scene, design).moving();
-    let machine = machine(width, plan.single());
     let plan = &Plan { steps: plan.steps.next_multiple_of(forces.kinks(scene)), ..plan.clone() };
+    let machine = machine(width, plan.single());
     let n = forces.samples;
     let len = scene.instants * 3 * scene.sensors.len();
     let mut signals = vec![0.0; n * len];

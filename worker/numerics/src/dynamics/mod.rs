@@ -187,14 +187,10 @@ pub struct Plan {
     pub reason: String,
 }
 
-/// Law's errors from which on steps are coarse enough for f32, whose rounding makes some 1e-3 of signals and of dα (with
-/// contact 5e-3): a pilot measures it with the rest.
-const SINGLE: f64 = 3e-3;
-
 impl Plan {
-    /// Whether it is carried out in f32 lanes, twice as many as of f64: as its steps are no better.
+    /// Whether it is carried out in f32 lanes, twice as many as of f64: its steps are so coarse that rounding hardly shows.
     pub fn single(&self) -> bool {
-        self.method.stages().is_some() && self.tolerance >= SINGLE
+        choose::single(self)
     }
 }
 
