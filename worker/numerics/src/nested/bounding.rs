@@ -6,6 +6,7 @@
 //! The prior weighs training samples by 1/Σ f², as the mean error does: of a linear body the mean is then the least that any
 //! decoder linear in the signals has on these samples.
 
+use super::linearity::EXACT;
 use super::problem::Problem;
 use super::report::{Failure, Trouble};
 use super::setting::Setting;
@@ -60,7 +61,8 @@ pub fn bound(
     let prior = Prior::new(&setting.train, &known, |forces| problem.targets(forces));
 
     let unseen = problem.forces(Purpose::Holdout, 0, samples.min(problem.stimuli.holdout));
-    let plan = choose(scene, design, &Tuning::of_body(asked, design, pool).solver);
+    let Solver { method, tolerance } = Tuning::of_body(asked, design, pool).solver;
+    let plan = choose(scene, design, &Solver { method, tolerance: tolerance.min(EXACT) });
     let trouble = |outcome| Failure::Initial(Trouble::Simulation(outcome));
     let mut left = Vec::new();
     for sample in 0..unseen.samples {

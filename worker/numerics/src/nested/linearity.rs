@@ -12,6 +12,8 @@ use crate::random::Purpose;
 
 /// ε: errors of 1e-5 in s_lin, which rounding stays a thousand times below.
 const SMALL: f64 = 1e-5;
+/// Tolerance from which on no run is in f32, whose rounding would hide the differences that are asked for.
+pub(super) const EXACT: f64 = 1e-3;
 /// Samples that are looked at: three blocks of lanes.
 const SAMPLES: usize = 24;
 
@@ -26,6 +28,7 @@ pub(super) fn nonlinear(
     report: &mut Report,
 ) -> Option<Nonlinear> {
     let (problem, scene) = (setting.problem, &setting.problem.scene);
+    let solver = &Solver { tolerance: solver.tolerance.min(EXACT), ..*solver };
     let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout.min(SAMPLES));
     let scaled =
         |by: f64| -> Forces { Forces { values: forces.values.iter().map(|f| by * f).collect(), ..forces } };
