@@ -382,9 +382,12 @@ impl<V: Vector> System<'_, V> {
     fn retreat(
         &mut self,
         b: V,
-        (drifts, gamma): (&[[Drift<V::Scalar>; 3]], &[[V::Scalar; 3]]),
+        drifts: &[[Drift<V::Scalar>; 3]],
+        gamma: &[[V::Scalar; 3]],
         next: V,
-        (x, v, g): (&mut [Unit<V>], &mut [Unit<V>], &mut [Unit<V>]),
+        x: &mut [Unit<V>],
+        v: &mut [Unit<V>],
+        g: &mut [Unit<V>],
         bars: &mut Bars<V>,
     ) {
         let moving = self.model.moving_range();
@@ -524,9 +527,12 @@ pub fn reverse<V: Vector>(
                     let next = awake * V::splat(kick);
                     system.retreat(
                         b,
-                        (&ready.drifts[j], &ready.gamma),
+                        &ready.drifts[j],
+                        &ready.gamma,
                         next,
-                        (&mut x, &mut v, &mut g),
+                        &mut x,
+                        &mut v,
+                        &mut g,
                         &mut bars,
                     );
                     // The first kick of a segment belongs to the checkpoint before it.

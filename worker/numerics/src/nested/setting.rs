@@ -48,16 +48,8 @@ impl<'a> Setting<'a> {
         silence(&mut train, &simulation.outcomes).map_err(Failure::Initial)?;
         let scales = Scales::new(&shape, &simulation.signals, &problem.targets(&train));
         let chip = problem.chip(&scales.channels);
-        let mut setting = Self {
-            problem,
-            pool,
-            shape,
-            train,
-            test,
-            scales,
-            chip,
-            initial_signals: simulation.signals,
-        };
+        let mut setting =
+            Self { problem, pool, shape, train, test, scales, chip, initial_signals: simulation.signals };
         let mut signals = std::mem::take(&mut setting.initial_signals);
         setting.disturb(&mut signals, &setting.train);
         setting.initial_signals = signals;
