@@ -35,11 +35,6 @@ pub fn children(parent: u32) -> Vec<u32> {
     pids.filter(|pid| stat(*pid).is_some_and(|stat| stat.parent == parent)).collect()
 }
 
-/// CPU seconds of a process so far, to a hundredth.
-pub(super) fn cpu_seconds(pid: u32) -> Option<f64> {
-    stat(pid).map(|stat| stat.ticks as f64 / 100.0)
-}
-
 fn seen(pid: u32) -> Option<Seen> {
     let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
     let mut words = line.split('\0').skip_while(|word| *word != "worker").skip(1);
@@ -49,7 +44,7 @@ fn seen(pid: u32) -> Option<Seen> {
     Some(Seen { pid, worker, name, state, ticks })
 }
 
-/// CPU time of a process so far (s); `None` once it is gone.
+/// CPU time of a process so far (s), to a hundredth; `None` once it is gone.
 #[must_use]
 pub fn cpu_seconds(pid: u32) -> Option<f64> {
     stat(pid).map(|stat| stat.ticks as f64 / 100.0)

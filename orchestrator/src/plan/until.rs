@@ -4,7 +4,8 @@ use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{SweepSpec, Until};
 
 use super::{Plan, Trial};
-use crate::analysis::data::{self, flatten};
+use crate::analysis::data;
+use crate::analysis::setting::flatten;
 use crate::scheduler::until::{Decision, decide, unanswerable};
 
 /// The spec with the placements and seeds of `until.at_most`.
@@ -70,7 +71,7 @@ fn planned(trial: &Trial) -> data::Trial {
     let point = trial.spec.point;
     data::Trial {
         hash: trial.hash.clone(),
-        setting: flatten(&serde_json::to_value(&trial.spec).expect("a trial is JSON")),
+        setting: flatten(&serde_json::to_value(&trial.spec).expect("a trial is JSON")).into_iter().collect(),
         panels: point.panels as u64,
         sensors: point.sensors as u64,
         cluster: data::Cluster { placement: point.placement as u64, seed: point.seed },

@@ -200,7 +200,7 @@ fn settle(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::data::flatten;
+    use crate::analysis::setting::flatten;
     use serde_json::json;
 
     /// M = 1 … 4 in twelve placements at one seed, in the plan's order; the optimised body's error is that of its M, and a
@@ -213,7 +213,7 @@ mod tests {
             let initial = 3.0 * [8.0, 4.0, 2.0, 2.0][m as usize - 1] * (own + part(5));
             let spec = json!({"point": {"panels": 4, "sensors": m, "placement": placement, "seed": 1}});
             Trial {
-                setting: flatten(&spec),
+                setting: flatten(&spec).into_iter().collect(),
                 panels: 4,
                 sensors: m,
                 cluster: Cluster { placement, seed: 1 },
