@@ -574,7 +574,7 @@ impl Engine<'_> {
                     None
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
-                    self.send_job(worker, lease, checkpoint);
+                    self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
                 }
             }
             Written::Broken(error) => {

@@ -71,7 +71,7 @@ pub enum Written {
     /// It is on disk.
     Recorded(Lease, Mark),
     /// The checkpoint that was wanted; or why the one that is there is of no use.
-    Loaded(WorkerId, Lease, Result<Option<Checkpoint>, String>),
+    Loaded(WorkerId, Lease, Result<Option<Box<Checkpoint>>, String>),
     /// Nothing can be recorded any more.
     Broken(StoreError),
 }
@@ -135,7 +135,7 @@ async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Resu
             Write::Load(worker, lease) => {
                 let checkpoint = match store.checkpoint(hash(lease)).await {
                     Err(StoreError::Unreadable { message, .. }) => Err(message),
-                    other => Ok(other?),
+                    other => Ok(other?.map(Box::new)),
                 };
                 written.push(Written::Loaded(*worker, *lease, checkpoint));
             }

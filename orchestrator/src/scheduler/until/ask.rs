@@ -141,7 +141,7 @@ impl Question {
                 let slope = |unit: &[f64]| unit.iter().zip(&logs).map(|(y, x)| y * (x - middle)).sum();
                 let slope = look.contrast(slope, 0.5 * chance, looks);
                 let told = slope.is_above(0.0) || slope.is_below(0.0);
-                told.then(|| Answer::Falls(slope.mean < 0.0))
+                told.then_some(Answer::Falls(slope.mean < 0.0))
             }
         }
     }

@@ -78,6 +78,11 @@ fn campaigns(
     Outcome { settled: settled / all, wrong: wrong / all, run: run / all / GRID as f64 }
 }
 
+#[expect(clippy::print_stdout, reason = "what README shows")]
+fn told(line: &str) {
+    println!("{line}");
+}
+
 /// Wrong answers stay below one in twenty with looks that are paid for, and do not for naive peeking.
 #[test]
 fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
@@ -149,23 +154,23 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
             Box::new(|answer| answer == Answer::Falls(true)),
         ),
     ];
-    println!(
+    told(&format!(
         "{:34} {:>8} {:>7} {:>9}   {:>14} {:>9}",
         "", "settled", "wrong", "of grid", "naive: wrong", "of grid"
-    );
+    ));
     let (mut paid_for, mut naive_looks) = (Looks::new(GRID), Looks::naive(GRID));
     let (mut worst, mut naive_worst) = (0.0f64, 0.0f64);
     for (name, question, world, is_right) in &cases {
         let [paid, naive] =
             [&mut paid_for, &mut naive_looks].map(|looks| campaigns(*question, world, is_right, looks));
-        println!(
+        told(&format!(
             "{name:34} {:7.1} % {:5.2} % {:7.0} %   {:12.2} % {:7.0} %",
             100.0 * paid.settled,
             100.0 * paid.wrong,
             100.0 * paid.run,
             100.0 * naive.wrong,
             100.0 * naive.run
-        );
+        ));
         (worst, naive_worst) = (worst.max(paid.wrong), naive_worst.max(naive.wrong));
     }
     assert!(worst <= ALPHA && naive_worst > 2.0 * ALPHA, "{worst} {naive_worst}");
