@@ -119,7 +119,7 @@ fn committed_specs_keep_their_hashes() {
     fig4c-two-core e225fb8a1fb52555
     fig5 a3ec099760be45bd
     fig5-two-core 6e8feb7c74983963
-    placed-two-core 46e04c239e2b3973
+    placed-two-core 31e6effe09b79209
     quickstart c5fc1d861fdbe216
     random-two-core 2f5dde1678f3c2fa
     reference bb7bbd223572a489

@@ -107,7 +107,12 @@ impl Bench {
     pub fn output(&self, args: &[&str]) -> String {
         let output = self.metasense(args);
         let errors = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{args:?}: {}\n{errors}", output.status);
+        assert!(
+            output.status.success(),
+            "{args:?}: {}\n{errors}{}",
+            output.status,
+            String::from_utf8_lossy(&output.stdout)
+        );
         String::from_utf8(output.stdout).unwrap()
     }
 }

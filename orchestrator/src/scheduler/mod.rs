@@ -455,6 +455,12 @@ impl State {
         let now = self.now;
         let Some(slot) = self.slot(worker) else { return };
         let (lease, why, misfired) = match slot.work {
+            // whoever ends the run may end its workers, too
+            Work::Busy { lease, .. }
+                if self.stopping != Stopping::No && reason == Reason::WorkerKilled(9) =>
+            {
+                (Some(lease), Reason::Stopped, false)
+            }
             Work::Busy { lease, .. } => (Some(lease), reason, false),
             Work::Ending { lease, why, .. } => (lease, why.unwrap_or(reason), false),
             Work::Starting { .. } => (None, reason, true),

@@ -157,5 +157,6 @@ pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: 
         .expect("a law for every method of equal steps");
     let steps = best.steps(tolerance);
     let reason = best.reason(steps, &format!("by a law for errors of {tolerance:.0e}"));
-    Plan { method: best.law.method, tolerance, steps, reason }
+    // whole steps may be far finer than was asked, where one an interval is
+    best.plan(steps, reason)
 }
