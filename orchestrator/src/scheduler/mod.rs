@@ -453,14 +453,11 @@ impl State {
 
     fn lost<P>(&mut self, worker: WorkerId, reason: Reason, out: &mut Vec<Action<P>>) {
         let now = self.now;
+        // whoever ends the run may end its workers, too
+        let with_the_run = self.stopping != Stopping::No && reason == Reason::WorkerKilled(9);
+        let reason = if with_the_run { Reason::Stopped } else { reason };
         let Some(slot) = self.slot(worker) else { return };
         let (lease, why, misfired) = match slot.work {
-            // whoever ends the run may end its workers, too
-            Work::Busy { lease, .. }
-                if self.stopping != Stopping::No && reason == Reason::WorkerKilled(9) =>
-            {
-                (Some(lease), Reason::Stopped, false)
-            }
             Work::Busy { lease, .. } => (Some(lease), reason, false),
             Work::Ending { lease, why, .. } => (lease, why.unwrap_or(reason), false),
             Work::Starting { .. } => (None, reason, true),
