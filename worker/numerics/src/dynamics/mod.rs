@@ -192,6 +192,13 @@ impl Plan {
     pub fn single(&self) -> bool {
         choose::single(self)
     }
+
+    /// The same in f64 whatever its steps are, for runs whose differences count.
+    #[must_use]
+    pub fn double(self) -> Self {
+        let tolerance = if self.steps > 0 { 0.0 } else { self.tolerance };
+        Self { tolerance, ..self }
+    }
 }
 
 /// Force histories (N, K, R+1), f_k at t_n = n·duration/R, n = 0…R, linear in between.

@@ -182,7 +182,7 @@ impl<'a> Objective<'a> {
     /// Simulates; none where a sample does not reach its end.
     pub fn at(&mut self, parameters: &[f64; 6]) -> Option<Point> {
         let scene = self.with(parameters);
-        let plan = choose(&scene, self.design, &self.solver);
+        let plan = choose(&scene, self.design, &self.solver).double();
         let simulation = run(&scene, self.design, &self.forces, &plan, true, self.pool);
         self.counters += simulation.counters;
         let all = simulation.outcomes.iter().all(|o| *o == Outcome::Ok);
