@@ -401,8 +401,12 @@ pub fn simulate(
     keep_tape: bool,
     pool: &rayon::ThreadPool,
 ) -> Simulation {
-    let plan = choose::choose_under(scene, design, forces.kinks(scene), solver);
-    run(scene, design, forces, &plan, keep_tape, pool)
+    run(scene, design, forces, &planned(scene, design, forces, solver), keep_tape, pool)
+}
+
+/// What [`simulate`] carries out.
+pub fn planned(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver) -> Plan {
+    choose::choose_under(scene, design, forces.kinks(scene), solver)
 }
 
 /// Integrates as `plan` says; its steps are rounded up to a multiple of the forces' kinks in an interval.
