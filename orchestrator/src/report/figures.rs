@@ -217,24 +217,23 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
         let mut plot = Plot::new(&found.label, x, Axis::new("holdout error (%)", Scale::Log, errors));
         for (searched, body, points) in &curves {
             let way = if *searched { "placed" } else { "at random" };
-            plot.line(
-                &format!("{}{}", body.name(), if *searched { "" } else { " thin" }),
-                points.iter().copied(),
-            );
+            let class = format!("{}{}", body.name(), if *searched { "" } else { " thin" });
+            plot.line(&class, points.iter().copied());
             let told = points.iter().map(|&(m, error)| {
                 ((m, error), format!("{} body, M = {m} {way}: {} %", body.name(), number(error)))
             });
-            if *searched { plot.dots(body.name(), told) } else { plot.rings(body.name(), told) }
+            plot.dots(&class, told);
         }
         plots.push(plot.svg());
     }
     (!plots.is_empty()).then(|| Figure {
         name: "placed",
         title: "Place sensors well, or train the body?".into(),
-        caption: "Prediction error on the holdout against the number of sensors: thin lines and rings with sensors at \
-                  random, thick lines and dots where a search puts them, by the training samples alone. Geometric mean \
+        caption:
+            "Prediction error on the holdout against the number of sensors: faint with sensors at random, \
+                  strong where a search puts them, by the training samples alone. Geometric mean \
                   over placements and seeds."
-            .into(),
+                .into(),
         legend: legend(&BODIES),
         plots,
         small: false,
