@@ -40,7 +40,7 @@ pub use unseen::{Records, Unseen, folds, sense};
 
 use evaluation::evaluate;
 use linearity::nonlinear;
-use placing::Again;
+use placing::moves;
 use protocol::Session;
 use report::Log;
 use search::Search;
@@ -85,7 +85,7 @@ pub fn optimise(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
-    let again = Again::new(problem);
+    let again = problem.search.as_ref().filter(|_| problem.optimise.again);
     let tuning = Tuning::new(problem, pool)?;
     let Tuning { asked, problem, placed, reason: solver, error, counters: pilot } = &tuning;
     let first = Setting::new(problem, pool)?;
@@ -109,7 +109,7 @@ pub fn optimise(
                 (Err(trouble), None) => state = before.taken_back(trouble, &mut log)?,
             }
             state.step += 1;
-            moved = again.as_ref().is_some_and(|again| again.moves(&mut state, asked, &mut log, pool));
+            moved = again.is_some_and(|search| moves(search, &mut state, asked, &mut log, pool));
             let report = log.report;
             observer.progress(problem.progress(state.step));
             if observer.step(&report, &state) == Control::Stop {
@@ -145,14 +145,13 @@ pub fn optimise(
     counters.dynamics += tuned.counters;
     let (placed, solver) = (placed.clone(), format!("{solver}. Best body: {}", tuned.plan.reason));
     let [initial, optimised] = <[_; 2]>::try_from(state.comparison.bodies).expect("two turns");
-    let moves = state.moves;
     let signal_errors = [*error, tuned.error];
     Ok(Some(Optimised {
         initial,
         optimised,
         best_step,
         placed,
-        moves,
+        moves: state.moves,
         nonlinear,
         solver,
         signal_errors,

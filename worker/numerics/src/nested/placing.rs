@@ -149,41 +149,28 @@ pub fn placed(problem: &Problem, pool: &rayon::ThreadPool) -> Result<(Problem, O
     Ok((problem, Some(found)))
 }
 
-/// Placing sensors again, on bodies that training has changed.
-pub(super) struct Again<'a> {
-    search: &'a Search,
-}
-
-impl<'a> Again<'a> {
-    /// None where sensors stay, or were given.
-    pub(super) fn new(problem: &'a Problem) -> Option<Self> {
-        problem.search.as_ref().filter(|_| problem.optimise.again).map(|search| Self { search })
+/// Whether it is time to place the sensors again, on a body that training has changed, and the state's move.
+pub(super) fn moves(
+    search: &Search,
+    state: &mut State,
+    asked: &Problem,
+    log: &mut Log,
+    pool: &rayon::ThreadPool,
+) -> bool {
+    if !asked.optimise.places_again(state.step) {
+        return false;
     }
-
-    /// Whether it is time for it and the state's sensors move.
-    pub(super) fn moves(
-        &self,
-        state: &mut State,
-        asked: &Problem,
-        log: &mut Log,
-        pool: &rayon::ThreadPool,
-    ) -> bool {
-        if !asked.optimise.places_again(state.step) {
-            return false;
-        }
-        let present = state.moves.last().map_or(&asked.scene.sensors, |last| &last.units).clone();
-        let candidates =
-            log.timed(|s| &mut s.simulate, |_| Candidates::new(asked, self.search, &state.design, pool));
-        // a body that cannot be simulated is the next step's trouble
-        let Ok(candidates) = candidates else { return false };
-        let better = log.timed(
-            |s| &mut s.train,
-            |_| {
-                let some = candidates.thinned(&present, asked, pool);
-                let search = Search { candidates: some.units.clone(), ..self.search.clone() };
-                some.scores(asked, pool).better(&present, &search)
-            },
-        );
-        better.map(|units| state.listen(units)).is_some()
-    }
+    let present = state.moves.last().map_or(&asked.scene.sensors, |last| &last.units).clone();
+    let candidates = log.timed(|s| &mut s.simulate, |_| Candidates::new(asked, search, &state.design, pool));
+    // a body that cannot be simulated is the next step's trouble
+    let Ok(candidates) = candidates else { return false };
+    let better = log.timed(
+        |s| &mut s.train,
+        |_| {
+            let some = candidates.thinned(&present, asked, pool);
+            let search = Search { candidates: some.units.clone(), ..search.clone() };
+            some.scores(asked, pool).better(&present, &search)
+        },
+    );
+    better.map(|units| state.listen(units)).is_some()
 }

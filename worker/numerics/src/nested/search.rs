@@ -13,7 +13,6 @@ use super::protocol::Sensed;
 use super::report::{Failure, Log, Trouble};
 use super::state::{State, norm};
 use crate::body::Freedom;
-use crate::brain::Adam;
 use crate::feasible::Feasible;
 use crate::random::{Purpose, Stream};
 use evolution::Evolution;
@@ -86,9 +85,7 @@ impl<'a> Search<'a> {
             Err(trouble) => {
                 log.report.trouble = Some(trouble);
                 if matches!(trouble, Trouble::Training(_)) {
-                    state.weights.clear();
-                    state.weight_adam = Adam::new(state.weight_adam.m.len());
-                    state.trend = None;
+                    state.forget_network();
                 }
                 f64::INFINITY
             }

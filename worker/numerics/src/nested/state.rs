@@ -169,7 +169,7 @@ impl State {
     }
 
     /// A network gets another first training.
-    fn forget_network(&mut self) {
+    pub(super) fn forget_network(&mut self) {
         self.weights.clear();
         self.weight_adam = Adam::new(self.weight_adam.m.len());
         self.trend = None;

@@ -76,13 +76,7 @@ impl Session<'_> {
         let some = self.subset(state.step, going);
         let sets = [(&setting.train, false), (&some, true)];
         let [train, subset] = setting.simulate_both(&state.design, sets, solver, log)?;
-        let samples = setting.plain(&train.signals, &setting.train);
-        let lags = setting.problem.decoder.lags;
-        let linear = log.timed(
-            |s| &mut s.train,
-            |_| Ok(fit(&samples.moments(), lags, self.ridge_of(state, &samples)?)?.linear()),
-        )?;
-        log.report.error_train = samples.error(&linear.predict(&samples.x));
+        let linear = self.solved(state, &setting.plain(&train.signals, &setting.train), log)?;
         let moving = setting.plain(&subset.signals, &some);
         let residual = moving.residual(&linear.predict(&moving.x));
         self.linear_step(state, &linear, &some, &subset, &residual, log)
@@ -120,8 +114,24 @@ impl Session<'_> {
         self.linear_step(state, &linear, &forces, &simulation, &newest.residual(&said), log)
     }
 
+    /// Solved on these training samples, whose error the report gets.
+    pub(super) fn solved(
+        &self,
+        state: &mut State,
+        samples: &Plain,
+        log: &mut Log,
+    ) -> Result<Linear, Trouble> {
+        let lags = self.setting.problem.decoder.lags;
+        let linear = log.timed(
+            |s| &mut s.train,
+            |_| Ok(fit(&samples.moments(), lags, self.ridge_of(state, samples)?)?.linear()),
+        )?;
+        log.report.error_train = samples.error(&linear.predict(&samples.x));
+        Ok(linear)
+    }
+
     /// λ of these training samples: the state's, looked for anew every `RIDGE_EVERY` steps.
-    pub(super) fn ridge_of(&self, state: &mut State, samples: &Plain) -> Result<f64, Trouble> {
+    fn ridge_of(&self, state: &mut State, samples: &Plain) -> Result<f64, Trouble> {
         match state.ridge {
             Some(ridge) if !state.step.is_multiple_of(RIDGE_EVERY) => Ok(ridge),
             last => Ok(*state.ridge.insert(self.setting.ridge(samples, last)?)),
@@ -204,6 +214,6 @@ fn through_weights(samples: &Plain, linear: &Linear, said: &[f64], z: &Linear) -
 }
 
 /// An error (%) as a part of 1; what is no number stays none.
-fn part(error: Option<f64>) -> f64 {
+pub(super) fn part(error: Option<f64>) -> f64 {
     error.map_or(f64::NAN, |error| 0.01 * error)
 }

@@ -1,9 +1,9 @@
 //! What a candidate of a search without gradient is worth: its test error, read by the trial's brain on its training set.
 
-use super::super::linear::fit;
 use super::super::problem::{Going, Kind};
 use super::super::report::{Log, Trouble};
 use super::super::state::State;
+use super::linear::part;
 use super::{Sensed, Session};
 use crate::brain::TrainOutcome;
 
@@ -19,15 +19,9 @@ impl Session<'_> {
         let sets = [(&setting.train, false), (&setting.test, false)];
         let [train, test] = setting.simulate_both(design, sets, &setting.problem.solver, log)?;
         let (loss_train, error_test) = if linear {
-            let samples = setting.plain(&train.signals, &setting.train);
+            let linear = self.solved(state, &setting.plain(&train.signals, &setting.train), log)?;
             let unseen = setting.plain(&test.signals, &setting.test);
-            let lags = setting.problem.decoder.lags;
-            let linear = log.timed(
-                |s| &mut s.train,
-                |_| Ok(fit(&samples.moments(), lags, self.ridge_of(state, &samples)?)?.linear()),
-            )?;
-            log.report.error_train = samples.error(&linear.predict(&samples.x));
-            let loss = log.report.error_train.map_or(f64::NAN, |error| 0.01 * error);
+            let loss = part(log.report.error_train);
             log.report.loss_train = Some(loss);
             (loss, unseen.error(&linear.predict(&unseen.x)))
         } else {
