@@ -7,7 +7,7 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::bound::{Bound, bound};
 use serde_json::{Value, json};
 
-use super::{Error, Format, print_rows, read_plan, trial_and_design};
+use super::{Error, Format, or_first, print_rows, read_plan, trial_and_design};
 use crate::exit::Exit;
 use crate::plan::Plan;
 use crate::report::load::stored;
@@ -56,8 +56,7 @@ const COLUMNS: [&str; 5] = ["body", "trained_with", "read_by", "sample", "error"
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.spec)?;
-    let first = plan.trials.first().map_or(String::new(), |trial| trial.hash.clone());
-    let hash = args.hash.as_ref().unwrap_or(&first);
+    let hash = or_first(args.hash.as_deref(), &plan);
     let of = |trial: &TrialSpec, design: &[f64]| {
         bound(trial, design, args.samples.into(), args.noise, args.threads.into())
             .map_err(|e| Error::Usage(format!("{}: {e}", args.spec.display())))

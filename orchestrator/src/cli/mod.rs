@@ -192,6 +192,11 @@ fn make_folder(path: &Path) -> Result<(), Error> {
     })
 }
 
+/// The hash that was given, or that of the first trial.
+fn or_first<'a>(hash: Option<&'a str>, plan: &'a Plan) -> &'a str {
+    hash.unwrap_or_else(|| plan.trials.first().map_or("", |trial| &trial.hash))
+}
+
 /// A trial of a spec, and its design or the one that a file holds.
 fn trial_and_design(
     plan: &Plan,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use metasense_worker::modes::{Response, responses, slowest};
 use serde_json::{Value, json};
 
-use super::{Error, Format, print_rows, read_plan, trial_and_design, write};
+use super::{Error, Format, or_first, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
 use crate::report::{modes as pictures, standalone};
 use crate::store::Table;
@@ -45,8 +45,7 @@ const FREQUENCIES: usize = 200;
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.spec)?;
-    let first = plan.trials.first().map_or(String::new(), |trial| trial.hash.clone());
-    let hash = args.hash.as_ref().unwrap_or(&first);
+    let hash = or_first(args.hash.as_deref(), &plan);
     let (trial, design) = &trial_and_design(&plan, &args.spec, hash, args.design.as_deref())?;
     let said = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
     let modes = slowest(trial, design, args.count.into()).map_err(|e| said(&e))?;

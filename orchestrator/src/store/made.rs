@@ -35,12 +35,7 @@ impl Reader {
         let mut of_code: HashMap<String, Vec<String>> = HashMap::new();
         revisions.into_iter().for_each(|(code, revision)| of_code.entry(code).or_default().push(revision));
         let rows: Vec<(String, i64)> = sqlx::query_as(
-            "SELECT codes, count(*) FROM
-               (SELECT group_concat(code, ' ') AS codes FROM
-                 (SELECT trial_id, coalesce(code, 'unknown') AS code FROM attempt
-                  WHERE NOT redone AND (steps > 0 OR saves > 0 OR state = 'done') GROUP BY 1, 2 ORDER BY 1, min(number))
-                GROUP BY trial_id)
-             GROUP BY 1 ORDER BY 2 DESC, 1",
+            "SELECT code, count(*) FROM v_trial WHERE code IS NOT NULL GROUP BY 1 ORDER BY 2 DESC, 1",
         )
         .fetch_all(&mut self.connection)
         .await

@@ -7,8 +7,7 @@ use super::{Store, StoreError};
 /// Trials of the sweep `?1` of which some work that counts was done by other code than `?2`; those that have failed stay.
 const OTHERS: &str =
     "CREATE TEMP TABLE other AS SELECT t.id FROM trial t JOIN sweep_trial x ON x.trial_id = t.id
-    WHERE x.sweep_id = ?1 AND t.state <> 'failed' AND EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = t.id
-      AND NOT a.redone AND (a.steps > 0 OR a.saves > 0 OR a.state = 'done') AND a.code IS NOT ?2)";
+    JOIN v_trial v ON v.hash = t.hash WHERE x.sweep_id = ?1 AND t.state <> 'failed' AND v.code <> ?2";
 
 /// Tables of what attempts leave.
 const LEFT: &str = "SELECT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'
