@@ -44,7 +44,7 @@ impl<'a> Setting<'a> {
         let (train, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
         let (mut train, test) = (select(&all, &train), select(&all, &test));
         let shape = problem.shape();
-        let simulation = moved(problem, &problem.initial, &train, &problem.solver, false, pool);
+        let simulation = simulated(problem, &problem.initial, &train, &problem.solver, false, pool);
         silence(&mut train, &simulation.outcomes).map_err(Failure::Initial)?;
         let scales = Scales::new(&shape, &simulation.signals, &problem.targets(&train));
         let chip = problem.chip(&scales.channels);
@@ -72,7 +72,7 @@ impl<'a> Setting<'a> {
         keep_tape: bool,
         report: &mut Report,
     ) -> Result<Simulation, Trouble> {
-        let mut simulation = moved(self.problem, design, forces, solver, keep_tape, self.pool);
+        let mut simulation = simulated(self.problem, design, forces, solver, keep_tape, self.pool);
         report.counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
         self.disturb(&mut simulation.signals, forces);
@@ -89,7 +89,7 @@ impl<'a> Setting<'a> {
         keep_tape: bool,
         report: &mut Report,
     ) -> Result<(Simulation, u32), Trouble> {
-        let mut simulation = moved(self.problem, design, forces, solver, keep_tape, self.pool);
+        let mut simulation = simulated(self.problem, design, forces, solver, keep_tape, self.pool);
         report.counters.dynamics += simulation.counters;
         let failed = silence(forces, &simulation.outcomes)?;
         self.disturb(&mut simulation.signals, forces);
@@ -176,7 +176,7 @@ impl<'a> Setting<'a> {
 
 /// Simulates, in f64 where a linear brain trains: it takes f32's rounding for noise of the sensors, and bodies end at half as
 /// much error again (K = 2, M = 1, four seeds).
-fn moved(
+fn simulated(
     problem: &Problem,
     design: &[f64],
     forces: &Forces,
