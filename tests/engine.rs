@@ -362,7 +362,7 @@ fn a_full_disk_ends_the_run_in_order_and_room_lets_it_go_on() {
         env!("CARGO_BIN_EXE_metasense"),
         db.display()
     );
-    let ended = Command::new("bash").args(["-c", &command]).output().unwrap();
+    let ended = Command::new("timeout").args(["-s", "KILL", "60", "bash", "-c", &command]).output().unwrap();
     let said = String::from_utf8_lossy(&ended.stderr);
     assert_eq!(ended.status.code(), Some(3), "{said}");
     assert!(said.contains("database"), "{said}");

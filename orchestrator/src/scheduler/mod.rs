@@ -300,10 +300,7 @@ pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
                 }
             }
         }
-        Event::StoreBroken => {
-            state.stopping = Stopping::Broken;
-            state.unrecorded = 0;
-        }
+        Event::StoreBroken => state.stopping = Stopping::Broken,
         Event::Interrupt => {
             let first = state.stopping == Stopping::No;
             state.stopping = state.stopping.max(if first { Stopping::Asked } else { Stopping::AtOnce });
@@ -513,10 +510,8 @@ impl State {
                 if trial.deaths == 0 { 0 } else { (self.settings.backoff << doublings).min(BACKOFF_MAX) };
             self.delayed.insert((self.now + wait, lease.trial));
         }
-        if self.stopping != Stopping::Broken {
-            self.unrecorded += 1;
-            out.push(Action::RecordFailure { lease, reason, settled });
-        }
+        self.unrecorded += 1;
+        out.push(Action::RecordFailure { lease, reason, settled });
     }
 
     /// Ends workers where the run is to end.
@@ -594,7 +589,9 @@ impl State {
     /// Says so when the run is over.
     fn end<P>(&mut self, out: &mut Vec<Action<P>>) {
         let deserted = self.slots.iter().all(|slot| matches!(slot.work, Work::Empty { .. } | Work::GivenUp));
-        if !deserted || self.unrecorded > 0 {
+        // A broken store records nothing more: also not what a worker said before it went.
+        let recording = self.unrecorded > 0 && self.stopping != Stopping::Broken;
+        if !deserted || recording {
             return;
         }
         let outcome = match self.stopping {

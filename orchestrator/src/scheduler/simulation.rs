@@ -190,6 +190,8 @@ impl World {
                 self.working.remove(worker);
                 gone.is_some_and(|process| process != Process::Gone)
             }
+            // A store that is broken says nothing more.
+            Event::Recorded(..) => self.state.stopping != Stopping::Broken,
             Event::Up(worker) => {
                 let process = self.processes.get_mut(worker).expect("was spawned");
                 let comes_up = *process == Process::Starting;
