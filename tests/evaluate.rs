@@ -204,6 +204,37 @@ fn an_export_is_read_back_as_measured() {
     assert_eq!(value(&csv, "initial,measured", "records"), Some(12.0));
 }
 
+/// Sensors that have moved with the body: its records are those of the units that it ended with.
+#[test]
+fn a_body_is_read_by_the_sensors_that_it_has() {
+    let bench = Bench::new();
+    let searched = "[optimise]\nbrain = \"linear\"\nplacement = \"again\"\nlearning_rate = 1.0\niterations = 15\nbatch = 8\n\
+                    [sensors]\nsearch = \"greedy\"\n[sweep]\nseeds = [2]";
+    bench.file("s.toml", &SPEC.replace("[optimise]\niterations = 2\nbatch = 4\n[sweep]", searched));
+    bench.output(&["run", "s.toml"]);
+    let sql = "SELECT hash, sensor_units, sensor_units_optimised FROM v_trial";
+    let row = bench.output(&["query", "results/s.sqlite", sql, "--format", "csv"]);
+    let row: Vec<&str> = row.lines().nth(1).unwrap().split(',').collect();
+    assert_ne!(row[1], row[2], "nothing has moved");
+    bench.output(&["export", "results/s.sqlite", row[0], "--format", "npz", "--out", "t.npz"]);
+    let text = "[recorded]\nfiles = [\"t.npz\"]\nrate = 200.0\nforce = [\"forces\"]\n[signals]\n\
+                channels = [\"signals_optimised\"]\nstart = 0.005\n";
+    bench.file("optimised.toml", text);
+    let call = [
+        "evaluate",
+        "results/s.sqlite",
+        row[0],
+        "--records",
+        "optimised=optimised.toml",
+        "--brain",
+        "linear",
+    ];
+    let csv = bench.output(&[&call[..], &["--format", "csv"]].concat());
+    let [correlation, difference] =
+        ["correlation", "difference"].map(|c| value(&csv, "optimised,simulated", c).unwrap());
+    assert!(correlation > 0.9999 && difference < 0.2, "{csv}");
+}
+
 /// What cannot be meant is refused with its argument, or file and key, before anything trains.
 #[test]
 fn bad_calls_are_refused() {

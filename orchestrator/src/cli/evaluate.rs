@@ -92,9 +92,9 @@ const FOLDS: usize = 10;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal();
-    let (trial, mut designs) = of_trial(&args).await?;
+    let (specs, mut designs) = of_trial(&args).await?;
     let (layout, initial) =
-        metasense_worker::simulate::body(&trial).map_err(|e| Error::Usage(format!("trial: {e}")))?;
+        metasense_worker::simulate::body(&specs[0]).map_err(|e| Error::Usage(format!("trial: {e}")))?;
     designs.entry("initial".into()).or_insert(initial);
     for (i, (name, _)) in args.records.iter().enumerate() {
         if args.records[..i].iter().any(|(other, _)| other == name) {
@@ -107,9 +107,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         designs.insert(name.clone(), metasense_worker::design::read(file, &layout)?);
     }
-    let read = |(name, file): &(String, PathBuf)| Ok((name.clone(), measured::read(file, &trial)?));
+    let read =
+        |(name, file): &(String, PathBuf)| Ok((name.clone(), measured::read(file, of_body(&specs, name))?));
     let records = args.records.iter().map(read).collect::<Result<Vec<_>, Error>>()?;
-    let comparison = compare(&args, &trial, records, &designs)?;
+    let comparison = compare(&args, &specs, records, &designs)?;
     if let Some(folder) = &args.out {
         write_parts(folder, &comparison)?;
     }
@@ -118,31 +119,31 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
 }
 
-/// The trial, and the designs that are known of it.
-async fn of_trial(args: &Args) -> Result<(TrialSpec, BTreeMap<String, Vec<f64>>), Error> {
+/// The trial's spec for its initial and for its optimised body, whose sensors may have moved, and the designs that are known.
+async fn of_trial(args: &Args) -> Result<([TrialSpec; 2], BTreeMap<String, Vec<f64>>), Error> {
     if args.source.extension().is_some_and(|e| e == "toml") {
         let plan = read_plan(&args.source)?;
-        return Ok((find(&plan, &args.trial, &args.source)?.spec.clone(), BTreeMap::new()));
+        let spec = &find(&plan, &args.trial, &args.source)?.spec;
+        return Ok(([spec.clone(), spec.clone()], BTreeMap::new()));
     }
     let stored = Reader::asked(&args.source, async |reader| load::stored(reader, &args.trial).await).await?;
     let stored = stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.trial)))?;
-    let ([initial, optimised], [spec, moved]) = (stored.designs, stored.specs);
-    if moved.sensor_units != spec.sensor_units {
-        return Err(Error::Usage(format!(
-            "trial {}: the sensors of its optimised body have moved to units {:?} (optimise.placement = \"again\"): \
-             give a spec with these in sensors.placements, and --design",
-            args.trial, moved.sensor_units
-        )));
-    }
-    Ok((spec, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))
+    let [initial, optimised] = stored.designs;
+    Ok((stored.specs, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))
+}
+
+/// The spec with the sensors that the body of this name has.
+fn of_body<'a>([initial, optimised]: &'a [TrialSpec; 2], name: &str) -> &'a TrialSpec {
+    if name == "optimised" { optimised } else { initial }
 }
 
 fn compare(
     args: &Args,
-    trial: &TrialSpec,
+    specs: &[TrialSpec; 2],
     records: Vec<(String, Measured)>,
     designs: &BTreeMap<String, Vec<f64>>,
 ) -> Result<Comparison, Error> {
+    let trial = &specs[0];
     let fewest = records.iter().map(|(_, measured)| measured.forces.samples).min().unwrap_or(0);
     let brain = match args.brain {
         None => trial.brain.kind,
@@ -168,10 +169,12 @@ fn compare(
     let progress = Progress::new((records.len() + known) * effort.folds * effort.seeds);
     let threads = usize::from(args.threads);
     let judge = |name: &str, kind: &str, measured: &Measured| -> Result<Evaluated, Error> {
-        evaluate(trial, measured, effort, threads, &|| progress.done(name, kind)).map_err(|e| match e {
-            Failure::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
-            other => Error::Usage(format!("--records {name}: {other}")),
-        })
+        evaluate(of_body(specs, name), measured, effort, threads, &|| progress.done(name, kind)).map_err(
+            |e| match e {
+                Failure::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
+                other => Error::Usage(format!("--records {name}: {other}")),
+            },
+        )
     };
     let paired =
         records.iter().all(|(_, measured)| alike(&measured.forces.values, &records[0].1.forces.values));
@@ -180,7 +183,7 @@ fn compare(
         let by_measured = judge(&name, "measured", &measured)?;
         let model = match designs.get(&name) {
             None => None,
-            Some(design) => match simulated(trial, design, &measured.forces, threads) {
+            Some(design) => match simulated(of_body(specs, &name), design, &measured.forces, threads) {
                 Ok(signals) => {
                     let modelled = Measured { signals, ..measured.clone() };
                     let judged = judge(&name, "simulated", &modelled)?;
