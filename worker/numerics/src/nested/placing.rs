@@ -113,8 +113,7 @@ impl Candidates {
         let rows = self.samples.x.chunks_exact(self.samples.sizes.channels);
         let x = rows.flat_map(|row| from.iter().map(|&c| row[c])).collect();
         let sizes = Sizes { channels: from.len(), ..self.samples.sizes };
-        let Plain { y, w, .. } = self.samples.clone();
-        let samples = Plain { sizes, x, y, w };
+        let samples = Plain { sizes, x, y: self.samples.y.clone(), w: self.samples.w.clone() };
         Self { units: units.to_vec(), samples, dealt: self.dealt.clone(), energies: self.energies }
     }
 

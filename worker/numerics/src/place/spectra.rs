@@ -98,20 +98,24 @@ impl Spectra {
         crate::pulse::beat();
         let (outputs, n) = (self.sizes.outputs, 2 * chosen.len());
         let forces = self.forces();
-        let (mut lower, mut own, mut right) = (vec![0.0; n * n], vec![0.0; n * n], vec![0.0; n * outputs]);
-        let mut judged = vec![0.0; n * outputs];
+        let [mut lower, mut own, mut total] = [(); 3].map(|()| vec![0.0; n * n]);
+        let [mut right, mut judged, mut total_right] = [(); 3].map(|()| vec![0.0; n * outputs]);
         let mut error = self.left_out;
         for (grams, share) in self.grams.chunks_exact(self.folds + 1).zip(&self.shares) {
             let (all, parts) = grams.split_last().expect("of all folds");
+            all.cut(chosen, &mut total);
+            all.cut_right(chosen, &forces, &mut total_right);
             for (part, power) in parts.iter().zip(&self.power) {
                 let scale = (self.power[self.folds] - power).recip();
                 part.cut(chosen, &mut own);
-                all.cut(chosen, &mut lower);
-                lower.iter_mut().zip(&own).for_each(|(m, own)| *m = scale * (*m - own));
+                lower
+                    .iter_mut()
+                    .zip(total.iter().zip(&own))
+                    .for_each(|(m, (all, own))| *m = scale * (all - own));
                 lower.iter_mut().step_by(n + 1).for_each(|d| *d += ridge);
                 part.cut_right(chosen, &forces, &mut judged);
-                all.cut_right(chosen, &forces, &mut right);
-                right.iter_mut().zip(&judged).for_each(|(r, judged)| *r = scale * (*r - judged));
+                let rest = total_right.iter().zip(&judged);
+                right.iter_mut().zip(rest).for_each(|(r, (all, judged))| *r = scale * (all - judged));
                 factor(&mut lower, n).ok()?;
                 let mut weights = matrix_mut(&mut right, n, outputs);
                 let lower = matrix(&lower, n, n);
@@ -219,8 +223,9 @@ impl Gram {
     fn cut(&self, chosen: &[usize], matrix: &mut [f64]) {
         let (c, n, width) = (chosen.len(), 2 * chosen.len(), self.width());
         for (j, &y) in chosen.iter().enumerate() {
+            let [a, s] = [&self.a, &self.s].map(|all| &all[y * width..][..width]);
             for (i, &x) in chosen.iter().enumerate() {
-                let (a, s) = (self.a[y * width + x], self.s[y * width + x]);
+                let (a, s) = (a[x], s[x]);
                 matrix[j * n + i] = a;
                 matrix[j * n + c + i] = -s;
                 matrix[(c + j) * n + i] = s;
