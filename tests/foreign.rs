@@ -92,7 +92,7 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
         }
         let _ = load::story(&mut reader, None, Terms::default()).await;
         for trial in &plan.trials {
-            let _ = load::stored(&mut reader, &trial.hash).await;
+            let _ = reader.stored(&trial.hash).await;
         }
         reader.close().await;
     }

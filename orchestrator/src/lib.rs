@@ -12,6 +12,7 @@ pub mod exit;
 pub mod export;
 pub mod fleet;
 pub mod link;
+pub mod look;
 pub mod plan;
 pub mod provenance;
 pub mod report;

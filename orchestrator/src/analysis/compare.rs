@@ -11,7 +11,7 @@ use super::data::{Group, groups};
 use super::paired::{Ratio, ratio_of};
 use super::tables::ratio_cells;
 use super::{Body, Set, Trial};
-use crate::store::Table;
+use crate::look::Table;
 
 /// What pairs always agree in.
 const ALWAYS: [&str; 2] = ["point.placement", "point.seed"];
@@ -74,8 +74,8 @@ impl<'a> Comparison<'a> {
             let seconds = |t: &Trial| Some(t.seconds.iter().map(|s| s.1).sum::<f64>()).filter(|s| *s > 0.0);
             add("CPU seconds", Value::Null, &seconds);
         }
-        let columns = ["setting", "quantity", "body", "pairs", "second_less", "ratio", "low", "high", "over"];
-        Table::new(&columns, rows)
+        let columns = "setting quantity body pairs second_less ratio low high over";
+        Table::new(columns, rows)
     }
 
     fn ratio(&self, group: &Group, of: &dyn Fn(&Trial) -> Option<f64>) -> Option<Ratio> {

@@ -4,12 +4,11 @@
 //! would differ, not other networks: for that there is the spread over folds and seeds.
 
 use metasense_worker::evaluate::Evaluated;
-use serde_json::json;
 
 use super::data::CurvePoint;
 use super::paired::iteration_ratio;
 use super::{Interval, Resampling};
-use crate::store::Table;
+use crate::look::{Table, row};
 
 /// What fresh networks made of a body's records.
 #[derive(Debug, Clone, PartialEq)]
@@ -194,49 +193,33 @@ fn deviation(values: &[f64]) -> Option<f64> {
 /// A row a body and kind of signals; ratios are to the first body's row of the same kind. `delta` is an instant's length (s).
 #[must_use]
 pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
-    let columns = [
-        "body",
-        "signals",
-        "records",
-        "error_train",
-        "error_test",
-        "test_low",
-        "test_high",
-        "spread_folds",
-        "spread_seeds",
-        "ratio",
-        "ratio_low",
-        "ratio_high",
-        "iterations_ratio",
-        "correlation",
-        "difference",
-        "lag",
-    ];
+    let columns = "body signals records error_train error_test test_low test_high spread_folds \
+        spread_seeds ratio ratio_low ratio_high iterations_ratio correlation difference lag";
     let row = |body: &Judged| {
         let first = judged.iter().find(|other| other.simulated == body.simulated);
         let first = first.filter(|first| first.body != body.body);
         let ratio = first.and_then(|first| mean_ratio(first, body, paired));
         let test = mean_interval(&body.known());
-        vec![
-            json!(body.body),
-            json!(if body.simulated { "simulated" } else { "measured" }),
-            json!(body.errors.len()),
-            json!(body.error_train),
-            json!(body.error()),
-            json!(test.map(|i| i.low)),
-            json!(test.map(|i| i.high)),
-            json!(deviation(&body.by_fold)),
-            json!(deviation(&body.by_seed)),
-            json!(ratio.map(|r| r.ratio)),
-            json!(ratio.and_then(|r| r.interval).map(|i| i.low)),
-            json!(ratio.and_then(|r| r.interval).map(|i| i.high)),
-            json!(first.and_then(|first| iteration_ratio(&first.progress, &body.progress))),
-            json!(body.agreement.map(|a| a.correlation)),
-            json!(body.agreement.map(|a| a.difference)),
-            json!(body.agreement.map(|a| a.lag as f64 * delta)),
+        row![
+            body.body,
+            if body.simulated { "simulated" } else { "measured" },
+            body.errors.len(),
+            body.error_train,
+            body.error(),
+            test.map(|i| i.low),
+            test.map(|i| i.high),
+            deviation(&body.by_fold),
+            deviation(&body.by_seed),
+            ratio.map(|r| r.ratio),
+            ratio.and_then(|r| r.interval).map(|i| i.low),
+            ratio.and_then(|r| r.interval).map(|i| i.high),
+            first.and_then(|first| iteration_ratio(&first.progress, &body.progress)),
+            body.agreement.map(|a| a.correlation),
+            body.agreement.map(|a| a.difference),
+            body.agreement.map(|a| a.lag as f64 * delta)
         ]
     };
-    Table { columns: columns.map(String::from).to_vec(), rows: judged.iter().map(row).collect() }
+    Table::new(columns, judged.iter().map(row))
 }
 
 #[cfg(test)]

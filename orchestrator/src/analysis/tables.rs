@@ -17,7 +17,7 @@ use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
 use super::scaling::scaling;
 use super::sensors::{fewer, spread};
 use super::{Body, Interval, Set, Terms, Trial, Verdict, elbow};
-use crate::store::Table;
+use crate::look::{Table, row};
 
 /// A question to finished trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -174,22 +174,9 @@ fn brains_table(trials: &[&Trial]) -> Table {
             rows.push(cells.chain(ratio_cells(read.ratio)).collect());
         }
     }
-    let columns = [
-        "setting",
-        "trained_with",
-        "read_by",
-        "before",
-        "after",
-        "initial",
-        "optimised",
-        "trials",
-        "improved",
-        "ratio",
-        "low",
-        "high",
-        "over",
-    ];
-    Table::new(&columns, rows)
+    let columns = "setting trained_with read_by before after initial optimised trials improved ratio low \
+        high over";
+    Table::new(columns, rows)
 }
 
 fn paired_table(trials: &[&Trial]) -> Table {
@@ -197,27 +184,24 @@ fn paired_table(trials: &[&Trial]) -> Table {
     for group in groups(trials, &[]) {
         for set in Set::ALL {
             if let Some(ratio) = paired::error_ratio(&group.trials, set) {
-                let mut row = vec![json!(group.label), json!(set.name())];
+                let mut row = row![group.label, set.name()];
                 row.extend(ratio_cells(ratio));
                 rows.push(row);
             }
         }
     }
-    Table::new(&["setting", "set", "trials", "improved", "ratio", "low", "high", "over"], rows)
+    Table::new("setting set trials improved ratio low high over", rows)
 }
 
 fn iterations_table(trials: &[&Trial]) -> Table {
-    let rows = groups(trials, &[])
-        .into_iter()
-        .flat_map(|group| {
-            paired::Progress::ALL.into_iter().filter_map(move |by| {
-                let mut row = vec![json!(group.label), json!(by.name())];
-                row.extend(ratio_cells(paired::iterations(&group.trials, by)?));
-                Some(row)
-            })
+    let rows = groups(trials, &[]).into_iter().flat_map(|group| {
+        paired::Progress::ALL.into_iter().filter_map(move |by| {
+            let mut row = row![group.label, by.name()];
+            row.extend(ratio_cells(paired::iterations(&group.trials, by)?));
+            Some(row)
         })
-        .collect();
-    Table::new(&["setting", "to_equal", "trials", "faster", "ratio", "low", "high", "over"], rows)
+    });
+    Table::new("setting to_equal trials faster ratio low high over", rows)
 }
 
 fn long_table(trials: &[&Trial]) -> Table {
@@ -228,7 +212,7 @@ fn long_table(trials: &[&Trial]) -> Table {
             let of_length = |t: &&&Trial| t.long_iterations() == Some(iterations);
             let trials: Vec<&Trial> = group.trials.iter().filter(of_length).copied().collect();
             if let Some(ratio) = paired::long_ratio(&trials, set) {
-                let mut row = vec![json!(group.label), json!(set.name()), json!(iterations)];
+                let mut row = row![group.label, set.name(), iterations];
                 row.extend(Body::ALL.map(|body| {
                     let errors: Vec<f64> = trials.iter().filter_map(|t| t.long_error(body, set)).collect();
                     json!(geometric_mean(&errors))
@@ -238,20 +222,8 @@ fn long_table(trials: &[&Trial]) -> Table {
             }
         }
     }
-    let columns = [
-        "setting",
-        "set",
-        "iterations",
-        "initial",
-        "optimised",
-        "trials",
-        "improved",
-        "ratio",
-        "low",
-        "high",
-        "over",
-    ];
-    Table::new(&columns, rows)
+    let columns = "setting set iterations initial optimised trials improved ratio low high over";
+    Table::new(columns, rows)
 }
 
 fn random_table(trials: &[&Trial]) -> Table {
@@ -261,7 +233,7 @@ fn random_table(trials: &[&Trial]) -> Table {
             let Some(found) = random(&group.trials, set) else { continue };
             let mean = |errors: &[f64]| json!((!errors.is_empty()).then(|| geometric_mean(errors)));
             let end = |pick: fn(f64, f64) -> f64| json!(found.errors.iter().copied().reduce(pick));
-            let mut row = vec![json!(group.label), json!(set.name()), json!(found.errors.len())];
+            let mut row = row![group.label, set.name(), found.errors.len()];
             row.extend([mean(&found.errors), end(f64::min), end(f64::max), json!(found.deviation())]);
             row.extend([mean(&found.others[0]), mean(&found.others[1]), mean(&found.trained)]);
             let over = found.ratios[1].as_ref().map(|r| r.over.clone());
@@ -277,28 +249,10 @@ fn random_table(trials: &[&Trial]) -> Table {
             rows.push(row);
         }
     }
-    let columns = [
-        "setting",
-        "set",
-        "bodies",
-        "random",
-        "least",
-        "most",
-        "deviation",
-        "initial",
-        "optimised",
-        "random_trained",
-        "worse_than_initial",
-        "over_initial",
-        "over_initial_low",
-        "over_initial_high",
-        "worse_than_optimised",
-        "over_optimised",
-        "over_optimised_low",
-        "over_optimised_high",
-        "over",
-    ];
-    Table::new(&columns, rows)
+    let columns = "setting set bodies random least most deviation initial optimised random_trained \
+        worse_than_initial over_initial over_initial_low over_initial_high worse_than_optimised \
+        over_optimised over_optimised_low over_optimised_high over";
+    Table::new(columns, rows)
 }
 
 /// The groups with a curve: at least two places on the axis; all groups where none has.
@@ -351,24 +305,9 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
             ]);
         }
     });
-    let columns = [
-        "setting",
-        "body",
-        "set",
-        "M",
-        "trials",
-        "error",
-        "least",
-        "most",
-        "elbow_votes",
-        "within_votes",
-        "price_votes",
-        "gain_to_next",
-        "gain_low",
-        "gain_high",
-        "over",
-    ];
-    Table::new(&columns, rows)
+    let columns = "setting body set M trials error least most elbow_votes within_votes price_votes \
+        gain_to_next gain_low gain_high over";
+    Table::new(columns, rows)
 }
 
 fn has_votes(elbow: &super::Elbow) -> bool {
@@ -391,7 +330,7 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
     let mut rows = Vec::new();
     each_curve(&with_curves(groups(trials, SENSORS), |t| t.sensors), |group, body, set| {
         let points = observations(&group.trials, body, set, |t| t.sensors);
-        let mut row = vec![json!(group.label), json!(body.name()), json!(set.name())];
+        let mut row = row![group.label, body.name(), set.name()];
         match elbow(&points) {
             Err(why) => {
                 row.push(json!(why.to_string()));
@@ -412,25 +351,9 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
         row.push(json!(decided.map(|d| d.over)));
         rows.push(row);
     });
-    let columns = [
-        "setting",
-        "body",
-        "set",
-        "verdict",
-        "broken_stick",
-        "votes_for_none",
-        "without_largest",
-        "kneedle",
-        "chord",
-        "within",
-        "within_votes",
-        "within_without_largest",
-        "price",
-        "price_votes",
-        "price_without_largest",
-        "over",
-    ];
-    Table::new(&columns, rows)
+    let columns = "setting body set verdict broken_stick votes_for_none without_largest kneedle chord \
+        within within_votes within_without_largest price price_votes price_without_largest over";
+    Table::new(columns, rows)
 }
 
 /// M, the share of votes for it, and M without the largest.
@@ -448,54 +371,45 @@ fn fewer_table(trials: &[&Trial]) -> Table {
         for set in Set::ALL {
             let of = |body| observations(&group.trials, body, set, |t| t.sensors);
             if let Some(found) = fewer(&of(Body::Initial), &of(Body::Optimised)) {
-                rows.push(vec![
-                    json!(group.label),
-                    json!(set.name()),
-                    json!(found.most as u64),
-                    json!(found.initial_error),
-                    json!(found.fewest.map(|m| m as u64)),
-                    json!(found.optimised_error),
-                    json!(found.share),
-                    json!(found.over),
+                rows.push(row![
+                    group.label,
+                    set.name(),
+                    found.most as u64,
+                    found.initial_error,
+                    found.fewest.map(|m| m as u64),
+                    found.optimised_error,
+                    found.share,
+                    found.over
                 ]);
             }
         }
     }
-    let columns = [
-        "setting",
-        "set",
-        "initial_sensors",
-        "initial_error",
-        "optimised_sensors",
-        "optimised_error",
-        "votes",
-        "over",
-    ];
-    Table::new(&columns, rows)
+    let columns = "setting set initial_sensors initial_error optimised_sensors optimised_error votes over";
+    Table::new(columns, rows)
 }
 
 fn placements_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     each_curve(&groups(trials, &[]), |group, body, set| {
         if let Some(found) = spread(&observations(&group.trials, body, set, |t| t.sensors)) {
-            rows.push(vec![
-                json!(group.label),
-                json!(body.name()),
-                json!(set.name()),
-                json!(found.placements),
-                json!(found.deviation),
-                json!(found.ratio),
+            rows.push(row![
+                group.label,
+                body.name(),
+                set.name(),
+                found.placements,
+                found.deviation,
+                found.ratio
             ]);
         }
     });
-    Table::new(&["setting", "body", "set", "placements", "deviation", "worst_over_best"], rows)
+    Table::new("setting body set placements deviation worst_over_best", rows)
 }
 
 fn placed_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for found in placed(trials) {
         for (set, level) in Set::ALL.into_iter().flat_map(|set| found.levels.iter().map(move |l| (set, l))) {
-            let mut row = vec![json!(found.label), json!(set.name()), json!(level.sensors)];
+            let mut row = row![found.label, set.name(), level.sensors];
             for (searched, body) in [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body))) {
                 row.push(json!(level.error(searched, body, set)));
             }
@@ -508,23 +422,9 @@ fn placed_table(trials: &[&Trial]) -> Table {
             rows.push(row);
         }
     }
-    let columns = [
-        "setting",
-        "set",
-        "M",
-        "random_initial",
-        "random_optimised",
-        "placed_initial",
-        "placed_optimised",
-        "by_placing",
-        "by_placing_low",
-        "by_placing_high",
-        "by_training",
-        "by_training_low",
-        "by_training_high",
-        "over",
-    ];
-    Table::new(&columns, rows)
+    let columns = "setting set M random_initial random_optimised placed_initial placed_optimised \
+        by_placing by_placing_low by_placing_high by_training by_training_low by_training_high over";
+    Table::new(columns, rows)
 }
 
 fn nonlinear_table(trials: &[&Trial]) -> Table {
@@ -541,7 +441,7 @@ fn nonlinear_table(trials: &[&Trial]) -> Table {
             }
         }
     }
-    Table::new(&["setting", "body", "signals", "trials", "nonlinear", "least", "most"], rows)
+    Table::new("setting body signals trials nonlinear least most", rows)
 }
 
 /// Of a body's accelerations (kind 0) or angular velocities (1), of the trials that say it.
@@ -558,26 +458,26 @@ fn sizes_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     each_curve(&with_curves(by_parameters(trials), |t| t.design_parameters), |group, body, set| {
         for level in levels(&observations(&group.trials, body, set, |t| t.design_parameters)) {
-            rows.push(vec![
-                json!(group.label),
-                json!(body.name()),
-                json!(set.name()),
-                json!(level.at as u64),
-                json!(level.trials),
-                json!(level.mean),
-                json!(level.least),
-                json!(level.most),
+            rows.push(row![
+                group.label,
+                body.name(),
+                set.name(),
+                level.at as u64,
+                level.trials,
+                level.mean,
+                level.least,
+                level.most
             ]);
         }
     });
-    Table::new(&["setting", "body", "set", "design_parameters", "trials", "error", "least", "most"], rows)
+    Table::new("setting body set design_parameters trials error least most", rows)
 }
 
 fn complexity_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     each_curve(&with_curves(by_parameters(trials), |t| t.design_parameters), |group, body, set| {
         let points = observations(&group.trials, body, set, |t| t.design_parameters);
-        let mut row = vec![json!(group.label), json!(body.name()), json!(set.name())];
+        let mut row = row![group.label, body.name(), set.name()];
         match scaling(&points) {
             Err(why) => {
                 row.push(json!(why.to_string()));
@@ -599,27 +499,9 @@ fn complexity_table(trials: &[&Trial]) -> Table {
         }
         rows.push(row);
     });
-    let columns = [
-        "setting",
-        "body",
-        "set",
-        "verdict",
-        "a",
-        "N0",
-        "b",
-        "b_low",
-        "b_high",
-        "c",
-        "c_low",
-        "c_high",
-        "held_out_N",
-        "predicted",
-        "observed",
-        "predicted_over_observed_low",
-        "predicted_over_observed_high",
-        "over",
-    ];
-    Table::new(&columns, rows)
+    let columns = "setting body set verdict a N0 b b_low b_high c c_low c_high held_out_N predicted \
+        observed predicted_over_observed_low predicted_over_observed_high over";
+    Table::new(columns, rows)
 }
 
 /// The ways of training within a group, by what sets them apart.
@@ -647,22 +529,22 @@ fn time_table(trials: &[&Trial]) -> Table {
             for way in trainings(&group) {
                 let runs: Vec<Watched> = way.trials.iter().filter_map(|t| Watched::new(t, error)).collect();
                 let found = median_time(&runs);
-                rows.push(vec![
-                    json!(group.label),
-                    json!(way.label),
-                    json!(error),
-                    json!(runs.len()),
-                    json!(runs.iter().filter(|r| r.reached).count()),
-                    json!(found.median),
-                    json!(found.ends[0]),
-                    json!(found.ends[1]),
-                    json!(found.over),
+                rows.push(row![
+                    group.label,
+                    way.label,
+                    error,
+                    runs.len(),
+                    runs.iter().filter(|r| r.reached).count(),
+                    found.median,
+                    found.ends[0],
+                    found.ends[1],
+                    found.over
                 ]);
             }
         }
     }
-    let columns = ["setting", "training", "error", "trials", "reached", "seconds", "low", "high", "over"];
-    Table::new(&columns, rows)
+    let columns = "setting training error trials reached seconds low high over";
+    Table::new(columns, rows)
 }
 
 fn front_table(trials: &[&Trial]) -> Table {
@@ -677,16 +559,10 @@ fn front_table(trials: &[&Trial]) -> Table {
         }
         for i in pareto(&points.iter().map(|p| p.0).collect::<Vec<_>>()) {
             let ((seconds, error), way, trial) = points[i];
-            rows.push(vec![
-                json!(group.label),
-                json!(seconds),
-                json!(error),
-                json!(way.label),
-                json!(trial.hash),
-            ]);
+            rows.push(row![group.label, seconds, error, way.label, trial.hash]);
         }
     }
-    Table::new(&["setting", "seconds", "error", "training", "hash"], rows)
+    Table::new("setting seconds error training hash", rows)
 }
 
 fn seconds_table(trials: &[&Trial]) -> Table {
@@ -696,12 +572,12 @@ fn seconds_table(trials: &[&Trial]) -> Table {
         for way in trainings(&group) {
             let parts = mean_seconds(&way.trials);
             let total: f64 = parts.iter().map(|p| p.1).sum();
-            let mut row = vec![json!(group.label), json!(way.label), json!(total)];
+            let mut row = row![group.label, way.label, total];
             row.extend(parts.iter().map(|p| json!(p.1)));
             columns.truncate(3);
             columns.extend(parts.iter().map(|p| p.0));
             rows.push(row);
         }
     }
-    Table::new(&columns, rows)
+    Table { columns: columns.into_iter().map(str::to_owned).collect(), rows }
 }

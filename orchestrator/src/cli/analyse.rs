@@ -10,7 +10,7 @@ use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
 use crate::provenance;
 use crate::report::load::finished_trials;
-use crate::store::{Reader, Table};
+use crate::store::Reader;
 
 /// Answers what a sweep was run to learn: is the optimised body better, how many sensors are enough, what does
 /// complexity buy, what did the error cost in time
@@ -50,7 +50,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         match args.format {
             Format::Json if questions.len() > 1 => {
                 let name = clap::ValueEnum::to_possible_value(&question).expect("none is hidden");
-                objects.insert(name.get_name().to_owned(), list(table));
+                objects.insert(name.get_name().to_owned(), table.objects());
             }
             Format::Table if all && table.rows.is_empty() => {}
             Format::Table => {
@@ -115,9 +115,4 @@ async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Er
     }
     print_rows(&found.table(), format)?;
     Ok(Exit::Done)
-}
-
-fn list(table: Table) -> Value {
-    let object = |row: Vec<Value>| Value::Object(table.columns.iter().cloned().zip(row).collect());
-    Value::Array(table.rows.into_iter().map(object).collect())
 }

@@ -9,9 +9,9 @@ use serde_json::{Value, json};
 
 use super::{Error, Format, or_first, print_rows, read_plan, trial_and_design};
 use crate::exit::Exit;
+use crate::look::Table;
 use crate::plan::Plan;
-use crate::report::load::stored;
-use crate::store::{Reader, Table};
+use crate::store::Reader;
 
 /// The error that no decoder can beat, to first order, given the noise of a trial's sensors; beside it, what brains achieve
 ///
@@ -52,8 +52,6 @@ fn above_zero(text: &str) -> Result<f64, String> {
     if value > 0.0 && value.is_finite() { Ok(value) } else { Err("must be above 0".into()) }
 }
 
-const COLUMNS: [&str; 5] = ["body", "trained_with", "read_by", "sample", "error"];
-
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.spec)?;
     let hash = or_first(args.hash.as_deref(), &plan);
@@ -69,7 +67,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         Some(db) => achieved(db, &args.spec, &plan, hash, of).await?,
     };
-    print_rows(&Table::new(&COLUMNS, rows), args.format)?;
+    print_rows(&Table::new("body trained_with read_by sample error", rows), args.format)?;
     Ok(Exit::Done)
 }
 
@@ -104,7 +102,7 @@ async fn achieved(
             let text = |i: usize| row[i].as_str().unwrap_or_default().to_owned();
             let own: Value = serde_json::from_str(&text(1)).unwrap_or_default();
             if self::scene(&own) == scene
-                && let Some(stored) = stored(reader, &text(0)).await?
+                && let Some(stored) = reader.stored(&text(0)).await?
             {
                 found.push((stored, [text(2), text(3)], row[4..].to_vec()));
             }

@@ -15,7 +15,6 @@ use super::trial::find;
 use super::{Error, Format, duration, end_on_signal, print_rows, read_plan, write};
 use crate::exit::Exit;
 use crate::export::npz::Zip;
-use crate::report::load;
 use crate::report::records::{Body, Comparison};
 use crate::store::Reader;
 
@@ -126,7 +125,7 @@ async fn of_trial(args: &Args) -> Result<([TrialSpec; 2], BTreeMap<String, Vec<f
         let spec = &find(&plan, &args.trial, &args.source)?.spec;
         return Ok(([spec.clone(), spec.clone()], BTreeMap::new()));
     }
-    let stored = Reader::asked(&args.source, async |reader| load::stored(reader, &args.trial).await).await?;
+    let stored = Reader::asked(&args.source, async |reader| reader.stored(&args.trial).await).await?;
     let stored = stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.trial)))?;
     let [initial, optimised] = stored.designs;
     Ok((stored.specs, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))
@@ -226,7 +225,7 @@ fn write_parts(folder: &Path, comparison: &Comparison) -> Result<(), Error> {
     let figures = comparison.figures();
     write_figures(folder, &figures)?;
     write(&folder.join("index.html"), comparison.html(&figures))?;
-    write(&folder.join("table.csv"), crate::report::csv(&comparison.table()))?;
+    write(&folder.join("table.csv"), comparison.table().shortened().csv())?;
     write(&folder.join("records.npz"), archive(comparison))
 }
 

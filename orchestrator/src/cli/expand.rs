@@ -4,14 +4,14 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use metasense_worker::simd::name;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::simd::Simd;
 use super::{Error, Format, print_rows, read_plan};
 use crate::cluster::{Deal, Shard};
 use crate::exit::Exit;
+use crate::look::{Table, row};
 use crate::plan::{Trial, counted};
-use crate::store::Table;
 
 /// Shows the trials that a spec stands for, with hash, parameter counts and a cost estimate; starts nothing
 #[derive(Debug, clap::Args)]
@@ -45,22 +45,10 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let linked = sweep.points.iter().flat_map(|point| point.keys()).filter(|key| key.contains('.'));
     let axes: BTreeSet<&String> = sweep.axes.keys().chain(linked).collect();
     let axes: Vec<&String> = axes.into_iter().collect();
-    let named = [
-        "hash",
-        "panels",
-        "sensors",
-        "placement",
-        "seed",
-        "units",
-        "panel_units",
-        "sensor_units",
-        "design_parameters",
-        "brain_parameters",
-        "cost_seconds",
-    ];
-    let columns = named.iter().map(ToString::to_string).chain(axes.iter().map(ToString::to_string)).collect();
-    let rows = plan.trials.iter().map(|trial| row(trial, &axes)).collect();
-    print_rows(&Table { columns, rows }, args.format)?;
+    let named = "hash panels sensors placement seed units panel_units sensor_units design_parameters \
+        brain_parameters cost_seconds";
+    let columns = [named, &axes.iter().map(|axis| axis.as_str()).collect::<Vec<_>>().join(" ")].join(" ");
+    print_rows(&Table::new(&columns, plan.trials.iter().map(|trial| row(trial, &axes))), args.format)?;
     let total: f64 = plan.trials.iter().map(|t| t.cost).sum();
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
     let (trials, time) = (counted(plan.trials.len(), "trial"), super::duration(total));
@@ -72,18 +60,18 @@ fn row(trial: &Trial, axes: &[&String]) -> Vec<Value> {
     let Trial { hash, spec, units, design_parameters, brain_parameters, cost, .. } = trial;
     let point = spec.point;
     let list = |units: &[usize]| units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
-    let mut row = vec![
-        json!(hash),
-        json!(point.panels),
-        json!(point.sensors),
-        json!(point.placement),
-        json!(point.seed),
-        json!(units),
-        json!(list(&spec.panel_units)),
-        json!(list(&spec.sensor_units)),
-        json!(design_parameters),
-        json!(brain_parameters),
-        json!((cost * 10.0).round() / 10.0),
+    let mut row = row![
+        hash,
+        point.panels,
+        point.sensors,
+        point.placement,
+        point.seed,
+        units,
+        list(&spec.panel_units),
+        list(&spec.sensor_units),
+        design_parameters,
+        brain_parameters,
+        (cost * 10.0).round() / 10.0
     ];
     if !axes.is_empty() {
         let spec = serde_json::to_value(spec).expect("a trial is JSON");

@@ -9,9 +9,10 @@ use metasense_worker::run::Failure;
 
 use super::{Error, write};
 use crate::exit::Exit;
-use crate::export::{Mould, Outline, dxf, mould, npz, series, table};
-use crate::report::{body, load, samples::Stored};
-use crate::store::{Reader, StoreError, Table, npy_bytes};
+use crate::export::{Mould, Outline, dxf, mould, npz, series};
+use crate::look::{Format, Table};
+use crate::report::body;
+use crate::store::{Reader, StoreError, Stored, npy_bytes};
 
 /// The form of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -82,8 +83,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             tabular(&rows, args.format, &args.what)?
         }
         None => {
-            let stored =
-                Reader::asked(&args.db, async |reader| load::stored(reader, &args.what).await).await?;
+            let stored = Reader::asked(&args.db, async |reader| reader.stored(&args.what).await).await?;
             let stored =
                 stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.what)))?;
             trial(&stored, &args)?
@@ -169,8 +169,8 @@ const MEASURES: (f64, f64) = (0.01, 1000.0);
 
 fn tabular(rows: &Table, form: Form, what: &str) -> Result<Vec<u8>, Error> {
     match form {
-        Form::Csv => Ok(table::csv(rows).into_bytes()),
-        Form::Parquet => Ok(table::parquet(rows)),
+        Form::Csv => Ok(rows.written(Format::Csv)),
+        Form::Parquet => Ok(rows.written(Format::Parquet)),
         _ => Err(Error::Usage(format!("{what} is a view: --format csv or parquet"))),
     }
 }

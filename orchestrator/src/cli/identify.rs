@@ -11,8 +11,9 @@ use serde_json::{Value, json};
 use super::report::write_figures;
 use super::{Error, Format, duration, end_on_signal, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
-use crate::report::{csv, fit as pictures};
-use crate::store::{Table, npy_bytes};
+use crate::look::{Table, row};
+use crate::report::fit as pictures;
+use crate::store::npy_bytes;
 
 /// Fits stiffnesses, damping and density of a trial's body to measured records, with 95 % intervals
 ///
@@ -91,7 +92,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         let title = format!("{}: parameters from {records} records", plan.spec.name);
         let drawn = pictures::figures(trial, &measured.signals, &fit);
         write_figures(folder, &drawn)?;
-        write(&folder.join("estimates.csv"), csv(&found))?;
+        write(&folder.join("estimates.csv"), found.shortened().csv())?;
         write(&folder.join("index.html"), pictures::page(&title, &found, &said, &drawn))?;
         if !fit.signals[1].is_empty() {
             let shape = [records, trial.time.samples, 3 * trial.sensor_units.len()];
@@ -103,7 +104,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 
 /// A row a parameter.
 fn estimates(fit: &Fit) -> Table {
-    let columns = ["parameter", "unit", "start", "fitted", "lower", "upper", "interval_percent", "outcome"];
+    let columns = "parameter unit start fitted lower upper interval_percent outcome";
     let row = |e: &Estimate| {
         let [lower, upper] = e.interval.map_or([None; 2], |i| i.map(Some));
         let half = e.interval.map(|[low, high]| 50.0 * (high - low) / e.value);
@@ -113,18 +114,9 @@ fn estimates(fit: &Fit) -> Table {
             (Some(_), Outcome::NotIdentifiable) => Outcome::Converged,
             (Some(_), outcome) => outcome,
         };
-        vec![
-            json!(e.parameter.name()),
-            json!(e.parameter.unit()),
-            json!(e.start),
-            json!(value),
-            json!(lower),
-            json!(upper),
-            json!(half),
-            json!(outcome.name()),
-        ]
+        row![e.parameter.name(), e.parameter.unit(), e.start, value, lower, upper, half, outcome.name()]
     };
-    Table { columns: columns.map(String::from).to_vec(), rows: fit.estimates.iter().map(row).collect() }
+    Table::new(columns, fit.estimates.iter().map(row))
 }
 
 /// With as many digits as tell the ends of an interval apart.
@@ -206,15 +198,7 @@ mod tests {
     fn an_interval_can_be_read_from_the_table() {
         let row = |fitted: f64, part: f64| {
             let (low, high) = (fitted * (1.0 - part), fitted * (1.0 + part));
-            vec![
-                json!("p"),
-                json!("u"),
-                json!(1.3 * fitted),
-                json!(fitted),
-                json!(low),
-                json!(high),
-                json!(part),
-            ]
+            row!["p", "u", 1.3 * fitted, fitted, low, high, part]
         };
         let rows = vec![row(3.0, 1e-5), row(1e-8, 1e-3), row(250.0, 0.2)];
         let shown = readable(&Table { columns: Vec::new(), rows }).rows;

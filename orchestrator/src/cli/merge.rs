@@ -2,14 +2,12 @@
 
 use std::path::PathBuf;
 
-use serde_json::json;
-
 use super::{Error, Format, print_rows};
 use crate::cluster::merge::{Kind, Summary, merge};
 use crate::cluster::ranges;
 use crate::exit::Exit;
+use crate::look::{Table, row};
 use crate::plan::counted;
-use crate::store::Table;
 
 /// Merges databases into one: the same rows whatever the order of the files, and however often they are merged
 ///
@@ -53,15 +51,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 fn table(summary: &Summary) -> Table {
-    let columns = ["finding", "trial", "what", "kept", "other"].map(str::to_owned).to_vec();
+    let columns = "finding trial what kept other";
     let row = |f: &crate::cluster::merge::Finding| {
-        vec![
-            json!(f.kind.name()),
-            json!(f.hash),
-            json!(f.what),
-            json!(f.kept.display().to_string()),
-            json!(f.other.display().to_string()),
-        ]
+        row![f.kind.name(), f.hash, f.what, f.kept.display().to_string(), f.other.display().to_string()]
     };
-    Table { columns, rows: summary.findings.iter().map(row).collect() }
+    Table::new(columns, summary.findings.iter().map(row))
 }

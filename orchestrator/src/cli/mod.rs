@@ -19,7 +19,6 @@ mod place;
 mod project;
 mod query;
 mod report;
-mod rows;
 mod run;
 mod schema;
 mod simd;
@@ -50,7 +49,7 @@ use metasense_worker::design::DesignError;
 use metasense_worker::measured::MeasuredError;
 use metasense_worker::simulate::body;
 
-pub use rows::{Format, RowWriter, print_rows, standard_output, write_rows};
+pub use crate::look::{Format, print_rows};
 
 /// Trains bodies of flexible metamaterial together with the neural networks that read them, many variants at a time.
 ///

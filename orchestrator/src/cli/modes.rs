@@ -3,12 +3,11 @@
 use std::path::PathBuf;
 
 use metasense_worker::modes::{Response, responses, slowest};
-use serde_json::{Value, json};
 
 use super::{Error, Format, or_first, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
+use crate::look::{Table, row};
 use crate::report::{modes as pictures, standalone};
-use crate::store::Table;
 
 /// Eigenmodes of a trial's body at rest: frequencies, damping ratios, shapes; or how a panel's force moves a unit there
 ///
@@ -51,9 +50,9 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let modes = slowest(trial, design, args.count.into()).map_err(|e| said(&e))?;
     let (table, picture, legend) = match args.response {
         None => {
-            let rows = modes.iter().enumerate().map(|(n, mode)| pictures::row(n, mode)).collect();
+            let rows = modes.iter().enumerate().map(|(n, mode)| pictures::row(n, mode));
             let drawn = pictures::shapes(trial, design, &modes).map_err(|e| said(&e))?;
-            (Table::new(&pictures::COLUMNS, rows), drawn, vec![("speed", "motion of a unit".to_owned())])
+            (Table::new(pictures::COLUMNS, rows), drawn, vec![("speed", "motion of a unit".to_owned())])
         }
         Some(unit) => {
             let last = modes.last().map_or(0.0, metasense_worker::modes::Mode::frequency);
@@ -75,15 +74,14 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 
 /// A row a frequency and panel.
 fn table(frequencies: &[f64], found: &[Vec<Response>]) -> Table {
-    let columns = ["frequency", "panel", "a_x", "a_x_phase", "a_y", "a_y_phase", "omega", "omega_phase"];
-    let row = |hertz: f64, k: usize, response: &Response| -> Vec<Value> {
-        let parts = response.iter().flat_map(|c| [json!(c.norm()), json!(c.arg().to_degrees())]);
-        [json!(hertz), json!(k)].into_iter().chain(parts).collect()
+    let columns = "frequency panel a_x a_x_phase a_y a_y_phase omega omega_phase";
+    let rows = frequencies
+        .iter()
+        .zip(found)
+        .flat_map(|(hertz, of)| of.iter().enumerate().map(move |of| (hertz, of)));
+    let row = |(hertz, (panel, response)): (&f64, (usize, &Response))| {
+        let parts = response.iter().flat_map(|c| row![c.norm(), c.arg().to_degrees()]);
+        row![hertz, panel].into_iter().chain(parts).collect()
     };
-    let rows = frequencies.iter().zip(found);
-    Table::new(
-        &columns,
-        rows.flat_map(|(f, of)| of.iter().enumerate().map(|(k, r)| row(*f, k, r)).collect::<Vec<_>>())
-            .collect(),
-    )
+    Table::new(columns, rows.map(row))
 }

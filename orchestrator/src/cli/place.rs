@@ -8,7 +8,7 @@ use serde_json::json;
 use super::{Error, Format, print_rows, read_plan, trial_and_design, write};
 use crate::draw::{Drawing, svg};
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::Table;
 
 /// Searches for the units that carry a trial's sensors best: error by their number, beside other searches and random placements
 ///
@@ -80,8 +80,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 }
 
 fn table(found: &Looked) -> Table {
-    let columns =
-        "sensors units error next_best d_optimal pivots random_best random_median random_worst".split(' ');
+    let columns = "sensors units error next_best d_optimal pivots random_best random_median random_worst";
     let rows = found.placed.iter().enumerate().map(|(m, placed)| {
         let [best, median, worst] = found.random[m];
         let units = placed.units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
@@ -91,5 +90,5 @@ fn table(found: &Looked) -> Table {
             .chain([found.d_optimal[m], found.pivots[m], best, median, worst].map(|error| json!(error)))
             .collect()
     });
-    Table { columns: columns.map(String::from).collect(), rows: rows.collect() }
+    Table::new(columns, rows)
 }

@@ -3,11 +3,10 @@
 use std::path::PathBuf;
 
 use metasense_worker::design::{self, Feasible, Projection, Status};
-use serde_json::json;
 
 use super::{Error, Format, print_rows, read_body};
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::{Table, row};
 
 /// Projects a design onto the feasible ones: the nearest that can be cast, or the previous one where none is found
 ///
@@ -90,10 +89,10 @@ fn summary(found: &Projection, previous: &[f64], broken: usize) -> Vec<String> {
 }
 
 fn rows(found: &Projection) -> Table {
-    let columns = ["constraint", "unit", "node", "other_unit", "slack_mm"].map(String::from).to_vec();
+    let columns = "constraint unit node other_unit slack_mm";
     let rows = found.active.iter().map(|a| {
-        let other = if a.units[0] == a.units[1] { json!(null) } else { json!(a.units[1]) };
-        vec![json!(a.kind.name()), json!(a.units[0]), json!(a.node), other, json!(a.slack)]
+        let other = (a.units[0] != a.units[1]).then_some(a.units[1]);
+        row![a.kind.name(), a.units[0], a.node, other, a.slack]
     });
-    Table { columns, rows: rows.collect() }
+    Table::new(columns, rows)
 }

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 
 use metasense_schemas::database::VIEWS;
 
-use super::{Error, Format, RowWriter, print_rows, standard_output};
+use super::{Error, Format, print_rows};
 use crate::exit::Exit;
-use crate::store::{Reader, Table};
+use crate::look::{RowWriter, Table, standard_output};
+use crate::store::Reader;
 
 /// Asks a database in SQL; it cannot be changed this way, and may be asked while a run writes to it
 ///

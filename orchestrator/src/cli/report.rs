@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use super::{Error, make_folder, write};
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
-use crate::report::{Figure, Story, csv, figures, html, load, standalone};
+use crate::report::{Figure, Story, figures, html, load, standalone};
 use crate::store::Reader;
 
 /// Writes what a database's trials teach as one HTML file: question and answer first, then figures with their data
@@ -51,10 +51,10 @@ fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Err
         let table = question.answer(&story.trials, story.terms);
         if !table.rows.is_empty() && question.was_put(&story.trials) {
             let name = question.to_possible_value().expect("none is hidden");
-            write(&folder.join(format!("answer-{}.csv", name.get_name())), csv(&table))?;
+            write(&folder.join(format!("answer-{}.csv", name.get_name())), table.shortened().csv())?;
         }
     }
-    write(&folder.join("trials.csv"), csv(&story.settled))?;
+    write(&folder.join("trials.csv"), story.settled.shortened().csv())?;
     for (sweep, name) in story.sweeps.iter().zip(file_names(story.sweeps.iter().map(|s| s.name.as_str()))) {
         write(&folder.join(format!("{name}.toml")), &sweep.text)?;
     }
@@ -84,7 +84,7 @@ pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error
             let number = if stills.len() > 1 { format!("-{}", i + 1) } else { String::new() };
             write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;
         }
-        write(&folder.join(format!("{}.csv", figure.name)), csv(&figure.data))?;
+        write(&folder.join(format!("{}.csv", figure.name)), figure.data.shortened().csv())?;
     }
     Ok(())
 }

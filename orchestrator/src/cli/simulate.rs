@@ -7,7 +7,8 @@ use serde_json::json;
 
 use super::{Error, Format, make_folder, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
-use crate::store::{Table, npy_bytes};
+use crate::look::{Table, row};
+use crate::store::npy_bytes;
 
 /// Simulates the body of a trial under given forces: signals, motion and energies as NPY arrays, and dα of a cotangent
 ///
@@ -73,9 +74,9 @@ fn table(found: &Simulated, each: bool) -> Table {
     let a_sample = found.force_evaluations / found.outcomes.len() as u64;
     let end = [json!(a_sample), json!(found.solver)];
     if each {
-        let row = |(n, outcome)| [vec![json!(n), json!(outcome)], end.to_vec()].concat();
-        let rows = found.outcomes.iter().enumerate().map(row).collect();
-        return Table::new(&["sample", "outcome", "force_evaluations", "solver"], rows);
+        let row = |(n, outcome)| [row![n, outcome], end.to_vec()].concat();
+        let rows = found.outcomes.iter().enumerate().map(row);
+        return Table::new("sample outcome force_evaluations solver", rows);
     }
     let mut met: Vec<(&str, usize, usize)> = Vec::new();
     for (n, &outcome) in found.outcomes.iter().enumerate() {
@@ -84,11 +85,9 @@ fn table(found: &Simulated, each: bool) -> Table {
             None => met.push((outcome, 1, n)),
         }
     }
-    let row = |(outcome, samples, first)| {
-        [vec![json!(outcome), json!(samples), json!(first)], end.to_vec()].concat()
-    };
-    let columns = ["outcome", "samples", "first_sample", "force_evaluations_a_sample", "solver"];
-    Table::new(&columns, met.into_iter().map(row).collect())
+    let row = |(outcome, samples, first)| [row![outcome, samples, first], end.to_vec()].concat();
+    let columns = "outcome samples first_sample force_evaluations_a_sample solver";
+    Table::new(columns, met.into_iter().map(row))
 }
 
 /// Shape and values of an NPY file of numbers in C order.

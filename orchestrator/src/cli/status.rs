@@ -9,10 +9,11 @@ use super::{Error, Format, print_rows};
 use crate::cluster::queue;
 use crate::cluster::state::{self, State};
 use crate::exit::Exit;
+use crate::look::Table;
 use crate::plan::counted;
 use crate::provenance;
 use crate::scheduler::PRUNED;
-use crate::store::{Reader, Table};
+use crate::store::Reader;
 
 /// Shows what is done, running, pending and failed, and why; also while a run goes on
 #[derive(Debug, clap::Args)]
@@ -131,18 +132,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     };
     let queued = queue::ask(&jobs)?.shards;
     let states = state::states(&folder, last.shards, &queued).await;
-    let columns = [
-        "shard",
-        "state",
-        "trials",
-        "done",
-        "failed",
-        "estimated_seconds",
-        "seconds",
-        "outcome",
-        "ran_on",
-        "handed_in_ago",
-    ];
+    let columns = "shard state trials done failed estimated_seconds seconds outcome ran_on handed_in_ago";
     let row = |s: &State| {
         let trials = |i: usize| json!(s.trials.map(|trials| trials[i]));
         let run = s.run.as_ref();
@@ -160,8 +150,8 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
             json!(s.age.map(f64::round)),
         ]
     };
-    let rows = states.iter().map(row).collect();
-    print_rows(&Table { columns: columns.map(str::to_owned).to_vec(), rows }, format)?;
+    let rows = states.iter().map(row);
+    print_rows(&Table::new(columns, rows), format)?;
     let complete = states.iter().filter(|s| s.state == "complete").count();
     let waiting =
         states.iter().filter(|s| queued.contains_key(&s.shard.index()) && s.state != "complete").count();

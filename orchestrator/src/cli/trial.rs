@@ -10,8 +10,8 @@ use serde_json::json;
 use super::simd::Simd;
 use super::{Error, Format, duration, end_on_signal, print_rows, read_plan};
 use crate::exit::Exit;
+use crate::look::Table;
 use crate::plan::{Plan, Trial};
-use crate::store::Table;
 
 /// Runs one trial in the foreground, without scheduler and database: to reproduce, profile or debug it
 ///

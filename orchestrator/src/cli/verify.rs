@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use metasense_worker::verify::{self, Row};
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::{Error, Format, print_rows};
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::{Table, row};
 
 /// Checks the maths: one row a quantity with its error, tolerance and verdict; exit code 1 if any fails
 ///
@@ -35,8 +35,8 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         Some(folder) => verify::cases(folder, &pool).map_err(|e| Error::Usage(e.to_string()))?,
         None => verify::built_in(&pool),
     };
-    let columns = ["case", "quantity", "error", "tolerance", "pass", "note"].map(String::from).to_vec();
-    print_rows(&Table { columns, rows: rows.iter().map(values).collect() }, args.format)?;
+    let columns = "case quantity error tolerance pass note";
+    print_rows(&Table::new(columns, rows.iter().map(values)), args.format)?;
     let failed = rows.iter().filter(|row| !row.pass).count();
     say!("{} of {} quantities pass", rows.len() - failed, rows.len());
     Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
@@ -44,5 +44,5 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 
 fn values(row: &Row) -> Vec<Value> {
     let Row { case, quantity, error, tolerance, pass, note } = row;
-    vec![json!(case), json!(quantity), json!(error), json!(tolerance), json!(pass), json!(note)]
+    row![case, quantity, error, tolerance, pass, note]
 }

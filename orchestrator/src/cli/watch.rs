@@ -13,7 +13,8 @@ use super::status::newest;
 use super::{Error, Format, duration, print_rows};
 use crate::exit::Exit;
 use crate::fleet::{Seen, workers_of};
-use crate::store::{Reader, Table};
+use crate::look::Table;
+use crate::store::Reader;
 
 /// Watches a run from another terminal: its workers with their trials, steps and errors, rate and time to go
 ///

@@ -6,8 +6,9 @@ use serde_json::{Value, json};
 
 use super::{Error, Format, print_rows, read_plan, status, trial};
 use crate::exit::Exit;
+use crate::look::Table;
 use crate::provenance;
-use crate::store::{Reader, Table};
+use crate::store::Reader;
 
 /// Says why a trial counts as another: the keys by which it differs from the nearest one in the database, and by what
 /// code that was made
@@ -63,6 +64,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     );
     let shown = |value: &Option<Value>| value.as_ref().map_or(Value::Null, |value| json!(value.to_string()));
     let rows = nearest.differs.iter().map(|(key, [there, here])| vec![json!(key), shown(here), shown(there)]);
-    print_rows(&Table::new(&["key", "here", "nearest"], rows.collect()), args.format)?;
+    print_rows(&Table::new("key here nearest", rows), args.format)?;
     Ok(Exit::Done)
 }

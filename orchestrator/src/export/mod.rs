@@ -5,7 +5,6 @@ pub mod mould;
 pub mod npz;
 pub mod outline;
 pub mod series;
-pub mod table;
 
 pub use mould::Mould;
 pub use outline::Outline;

@@ -7,8 +7,7 @@ use metasense_schemas::spec::{Brain, BrainKind, Network};
 use metasense_worker::replay::{Drawing, LinearReplay, Replay};
 
 use crate::analysis::Body;
-use crate::report::samples::Stored;
-use crate::store::npy_bytes;
+use crate::store::{Stored, npy_bytes};
 
 /// The archive. `drawings`, `replays` and, where there are, `linear` are those of the initial and of the
 /// optimised body.

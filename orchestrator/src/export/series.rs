@@ -4,8 +4,8 @@ use metasense_worker::replay::Replay;
 use serde_json::{Value, json};
 
 use crate::analysis::Body;
-use crate::report::samples::Stored;
-use crate::store::Table;
+use crate::look::{Table, row};
+use crate::store::Stored;
 
 /// Forces (N), signals (mm/s², rad/s) and predictions (N) of both bodies. `set` is train, test or holdout; `time` in s.
 #[must_use]
@@ -27,7 +27,7 @@ pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
         let set = ["train", "test", "holdout"][usize::from(*kind)];
         for n in 1..=instants {
             let time = n as f64 * stored.spec().time.duration / instants as f64;
-            let mut row: Vec<Value> = vec![json!(sample), json!(set), json!(time)];
+            let mut row: Vec<Value> = row![sample, set, time];
             let forces = &replays[0].forces.values;
             row.extend((0..panels).map(|k| json!(forces[(sample * panels + k) * (instants + 1) + n])));
             let at = sample * instants + n - 1;

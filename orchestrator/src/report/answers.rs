@@ -1,7 +1,6 @@
 //! The answers in words, the best evidence first.
 
 use super::figures::distinct;
-use super::plot::number;
 use crate::analysis::brains::of_each;
 use crate::analysis::data::{DESIGN, Group, SENSORS, geometric_mean, groups, observations};
 use crate::analysis::decision::{Decision, Decisions, decide};
@@ -11,6 +10,7 @@ use crate::analysis::random::random;
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::{nonlinear, verdict_text};
 use crate::analysis::{Body, Set, Terms, Trial, Verdict, elbow, paired};
+use crate::look::number;
 use crate::plan::counted;
 
 /// An answer, and whether it is good news, or bad; `None`: neither, or undecided.

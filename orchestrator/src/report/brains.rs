@@ -2,10 +2,11 @@
 
 use super::answers::Answer;
 use super::figures::Figure;
-use super::plot::{Axis, Plot, Scale, number};
+use super::plot::{Axis, Plot, Scale};
 use crate::analysis::brains::{Read, reads};
 use crate::analysis::data::{BRAINS, groups};
 use crate::analysis::{Body, Question, Terms, Trial};
+use crate::look::number;
 
 /// At most so many settings are drawn; the data hold all.
 const MOST_SETTINGS: usize = 4;

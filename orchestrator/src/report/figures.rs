@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::plot::{Axis, Plot, Scale, number};
+use super::plot::{Axis, Plot, Scale};
 use crate::analysis::brains::brains;
 use crate::analysis::data::{
     COMPLEXITY, CurvePoint, DESIGN, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
@@ -13,7 +13,7 @@ use crate::analysis::resample::quantile;
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
 use crate::analysis::{Body, Question, Set, Terms, Trial, Verdict, elbow, paired};
-use crate::store::Table;
+use crate::look::{Table, number, row};
 
 /// A figure: plots side by side under one caption.
 #[derive(Debug, Clone)]
@@ -88,35 +88,12 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
         plot.dots(class, dots);
     }
     let random = points.iter().any(|p| p.0.starts_random());
-    let data = Table {
-        columns: [
-            "hash",
-            "panels",
-            "sensors",
-            "placement",
-            "seed",
-            "units",
-            "holdout_error_initial",
-            "holdout_error_optimised",
-        ]
-        .map(String::from)
-        .to_vec(),
-        rows: points
-            .iter()
-            .map(|(t, i, o)| {
-                vec![
-                    json!(t.hash),
-                    json!(t.panels),
-                    json!(t.sensors),
-                    json!(t.cluster.placement),
-                    json!(t.cluster.seed),
-                    json!(t.units),
-                    json!(i),
-                    json!(o),
-                ]
-            })
-            .collect(),
-    };
+    let data = Table::new(
+        "hash panels sensors placement seed units holdout_error_initial holdout_error_optimised",
+        points.iter().map(|(t, i, o)| {
+            row![t.hash, t.panels, t.sensors, t.cluster.placement, t.cluster.seed, t.units, i, o]
+        }),
+    );
     Some(Figure {
         name: "pairs",
         title: "Did the body get better?".into(),
@@ -360,10 +337,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
         legend: legend(&BODIES),
         plots,
         small: false,
-        data: Table::new(
-            &["setting", "quantity", "body", "iteration", "median", "lower_quartile", "upper_quartile"],
-            rows,
-        ),
+        data: Table::new("setting quantity body iteration median lower_quartile upper_quartile", rows),
     })
 }
 
@@ -483,9 +457,13 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         let points: Vec<(f64, f64)> = group.trials.iter().flat_map(|t| t.history.iter().copied()).collect();
         let every = group.trials.len().div_ceil(MOST_LINES);
         sparsest = sparsest.max(every);
-        rows.extend(group.trials.iter().step_by(every).flat_map(|t| {
-            t.history.iter().map(|p| vec![json!(t.hash), json!(t.protocol()), json!(p.0), json!(p.1)])
-        }));
+        rows.extend(
+            group
+                .trials
+                .iter()
+                .step_by(every)
+                .flat_map(|t| t.history.iter().map(|p| row![t.hash, t.protocol(), p.0, p.1])),
+        );
         if i >= MOST_PLOTS {
             continue;
         }
@@ -525,7 +503,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         legend: legend(&[("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),
         plots,
         small: false,
-        data: Table::new(&["hash", "protocol", "seconds", "best_error_test"], rows),
+        data: Table::new("hash protocol seconds best_error_test", rows),
     })
 }
 

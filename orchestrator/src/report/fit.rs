@@ -4,9 +4,9 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::identify::Fit;
 use serde_json::{Value, json};
 
-use super::plot::{Axis, Plot, Scale, number};
+use super::plot::{Axis, Plot, Scale};
 use super::{Figure, figure_html, table_html};
-use crate::store::Table;
+use crate::look::{Table, number, row};
 
 /// A folder's worth of pictures about a fit to `signals` (N, T, 3M).
 #[must_use]
@@ -101,15 +101,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             plot.line("truth", points(&measured));
             plots.push(plot.svg());
             for n in 0..instants {
-                rows.push(vec![
-                    json!(r),
-                    json!(unit),
-                    json!(name),
-                    json!(time(n)),
-                    json!(measured[n]),
-                    json!(started[n]),
-                    json!(fitted[n]),
-                ]);
+                rows.push(row![r, unit, name, time(n), measured[n], started[n], fitted[n]]);
             }
         }
     }
@@ -133,7 +125,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
         ],
         plots,
         small: false,
-        data: Table::new(&["record", "unit", "channel", "seconds", "measured", "start", "fitted"], rows),
+        data: Table::new("record unit channel seconds measured start fitted", rows),
     }
 }
 
@@ -160,12 +152,12 @@ fn course(fit: &Fit) -> Figure {
         plots.push(plot.svg());
     }
     let rows = fit.iterations.iter().enumerate().map(|(n, i)| {
-        let mut row = vec![json!(n + 1), json!(i.window), json!(i.misfit[0]), json!(i.misfit[1])];
+        let mut row = row![n + 1, i.window, i.misfit[0], i.misfit[1]];
         row.extend(fit.estimates.iter().map(|e| json!(i.parameters.array()[e.parameter as usize])));
         row
     });
-    let mut columns = vec!["iteration", "window_seconds", "misfit_acceleration", "misfit_rotation"];
-    columns.extend(fit.estimates.iter().map(|e| e.parameter.name()));
+    let names: String = fit.estimates.iter().map(|e| format!(" {}", e.parameter.name())).collect();
+    let columns = format!("iteration window_seconds misfit_acceleration misfit_rotation{names}");
     Figure {
         name: "convergence",
         title: "How did the fit go?".into(),
@@ -175,6 +167,6 @@ fn course(fit: &Fit) -> Figure {
         legend: vec![("truth", "accelerations".into()), ("front", "rotation rates".into())],
         plots,
         small: false,
-        data: Table::new(&columns, rows.collect()),
+        data: Table::new(&columns, rows),
     }
 }

@@ -2,10 +2,8 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use metasense_schemas::spec::TrialSpec;
 use serde_json::Value;
 
-use super::samples::Stored;
 use super::{Story, Sweep};
 use crate::analysis::brains::Reading;
 use crate::analysis::data::CurvePoint;
@@ -309,7 +307,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
         None => typical(&trials).map(|t| t.hash.clone()),
     };
     let stored = match chosen {
-        Some(hash) => stored(reader, &hash).await?,
+        Some(hash) => reader.stored(&hash).await?,
         None => None,
     };
     Ok(Story { sweeps, settled, trials, made: reader.made().await?, stored, terms })
@@ -324,56 +322,4 @@ fn typical(trials: &[Trial]) -> Option<&Trial> {
     let ratios: Vec<(f64, &Trial)> = trials().filter_map(|t| Some((ratio(t)?, t))).collect();
     let mean = ratios.iter().map(|r| r.0).sum::<f64>() / ratios.len() as f64;
     ratios.iter().min_by(|a, b| (a.0 - mean).abs().total_cmp(&(b.0 - mean).abs())).map(|r| r.1)
-}
-
-/// Designs and weights of a trial; `None` where it is not done.
-///
-/// # Errors
-/// Where there is no such trial, or what is stored of it cannot be read.
-pub async fn stored(reader: &mut Reader, hash: &str) -> Result<Option<Stored>, StoreError> {
-    let quoted = reader.hash_of(hash).await?.replace('\'', "''");
-    let columns = ["hash", "state", "spec", "sensor_units", "sensor_units_optimised"];
-    let sql = format!("SELECT {} FROM v_trial WHERE hash = '{quoted}'", columns.join(", "));
-    let mut found = None;
-    reader
-        .each(&sql, |row| {
-            found = Some(columns.map(|column| row.text(column).to_owned()));
-            Ok::<_, StoreError>(())
-        })
-        .await?;
-    let Some([hash, state, spec, units, units_optimised]) = found else {
-        return Err(StoreError::UnknownTrial { path: reader.path().to_owned(), hash: hash.to_owned() });
-    };
-    if state != "done" {
-        return Ok(None);
-    }
-    let unreadable = |what| {
-        let hash = hash.clone();
-        move |e: serde_json::Error| StoreError::Unreadable { hash, what, message: e.to_string() }
-    };
-    let spec: TrialSpec = serde_json::from_str(&spec).map_err(unreadable("spec"))?;
-    let heard = |units: &str| -> Result<TrialSpec, StoreError> {
-        let sensor_units = serde_json::from_str(units).map_err(unreadable("sensor_units"))?;
-        Ok(TrialSpec { sensor_units, ..spec.clone() })
-    };
-    let specs = [heard(&units)?, heard(&units_optimised)?];
-    let mut stored = Stored {
-        hash,
-        specs,
-        designs: Default::default(),
-        weights: Default::default(),
-        losses: Default::default(),
-    };
-    for body in Body::ALL {
-        for artifact in reader.arrays_of(&stored.hash).await? {
-            if artifact.name == format!("alpha_{}", body.name()) {
-                stored.designs[body as usize] = artifact.values()?;
-            } else if artifact.name == format!("weights_{}_0", body.name()) {
-                stored.weights[body as usize] = artifact.values()?;
-            } else if artifact.name == format!("losses_{}_0", body.name()) {
-                stored.losses[body as usize] = artifact.values()?;
-            }
-        }
-    }
-    Ok(Some(stored))
 }

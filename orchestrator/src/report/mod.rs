@@ -18,12 +18,12 @@ use std::fmt::Write as _;
 pub use alone::standalone;
 use answers::Answer;
 pub use figures::Figure;
-use plot::{escape, number};
-use samples::Stored;
+use plot::escape;
 
 use crate::analysis::{Question, Terms, Trial};
+use crate::look::{Table, number};
 use crate::provenance::{self, Made};
-use crate::store::Table;
+use crate::store::Stored;
 use serde_json::Value;
 
 /// Everything that a report tells.
@@ -221,7 +221,7 @@ fn prose(text: &str) -> String {
 fn download(name: &str, table: &Table) -> String {
     format!(
         "<a download=\"{name}.csv\" href=\"data:text/csv;charset=utf-8,{}\">data (CSV)</a>",
-        percent(&csv(table))
+        percent(&table.shortened().csv())
     )
 }
 
@@ -234,27 +234,6 @@ fn percent(text: &str) -> String {
         }
     }
     out
-}
-
-/// A table as CSV; numbers to seven digits.
-#[must_use]
-pub fn csv(table: &Table) -> String {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    let plain = |value: &Value| match value {
-        Value::Null => String::new(),
-        Value::String(text) => text.clone(),
-        Value::Number(n) if n.is_f64() => format!("{}", n.as_f64().map_or(f64::NAN, rounded)),
-        other => other.to_string(),
-    };
-    let written = writer.write_record(&table.columns).is_ok()
-        && table.rows.iter().all(|row| writer.write_record(row.iter().map(plain)).is_ok());
-    debug_assert!(written, "rows are as long as the header");
-    String::from_utf8(writer.into_inner().unwrap_or_default()).unwrap_or_default()
-}
-
-/// To seven significant digits: what a plot's data need.
-fn rounded(value: f64) -> f64 {
-    format!("{value:.6e}").parse().unwrap_or(value)
 }
 
 /// Rows of a table that the page shows; its data hold all.

@@ -5,14 +5,15 @@ use std::fmt::Write as _;
 use metasense_worker::modes::{Mode, Response, slowest};
 use metasense_worker::replay::{Drawing, drawing};
 use metasense_worker::run::Failure;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::body::{Frame, marks, points};
 use super::figures::{Figure, legend};
-use super::plot::{Axis, Plot, Scale, escape, number};
-use super::samples::{Stored, colour};
+use super::plot::{Axis, Plot, Scale, escape};
+use super::samples::colour;
 use crate::analysis::Body;
-use crate::store::Table;
+use crate::look::{Table, number, row};
+use crate::store::Stored;
 
 /// How far a mode moves the corner that it moves most, by the pitch of the grid.
 const REACH: f64 = 0.4;
@@ -33,17 +34,11 @@ pub fn title(n: usize, mode: &Mode) -> String {
 /// A row a mode.
 #[must_use]
 pub fn row(n: usize, mode: &Mode) -> Vec<Value> {
-    vec![
-        json!(n + 1),
-        json!(mode.frequency()),
-        json!(mode.damping_ratio()),
-        json!(mode.s.im / std::f64::consts::TAU),
-        json!(-1.0 / mode.s.re),
-    ]
+    row![n + 1, mode.frequency(), mode.damping_ratio(), mode.s.im / std::f64::consts::TAU, -1.0 / mode.s.re]
 }
 
 /// Its columns: |s|/2π (Hz), −Re s/|s|, Im s/2π (Hz) and −1/Re s (s).
-pub const COLUMNS: [&str; 5] = ["mode", "frequency", "damping_ratio", "ringing_frequency", "decay_time"];
+pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_time";
 
 /// A mode of a body: units where it takes them, and coloured by how far it moves their centroids.
 #[must_use]
@@ -88,10 +83,9 @@ pub fn figure(stored: &Stored, drawings: &[Drawing; 2], who: &str) -> Result<Fig
             let label = format!("{} {}", body.name(), title(n, mode));
             let drawn = shape(&drawings[body as usize], &frame, mode, &label);
             plots.push(format!("<h3>{}</h3>{drawn}", escape(&label)));
-            rows.push([vec![json!(body.name())], row(n, mode)].concat());
+            rows.push([row![body.name()], row(n, mode)].concat());
         }
     }
-    let columns = [&["body"], &COLUMNS[..]].concat();
     Ok(Figure {
         name: "modes",
         title: "How the bodies ring".into(),
@@ -103,7 +97,7 @@ pub fn figure(stored: &Stored, drawings: &[Drawing; 2], who: &str) -> Result<Fig
         legend: legend(&[("speed", "motion of a unit")]),
         plots,
         small: true,
-        data: Table::new(&columns, rows),
+        data: Table::new(&format!("body {COLUMNS}"), rows),
     })
 }
 

@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use crate::look::number;
+
 /// How an axis runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
@@ -100,23 +102,6 @@ fn log_ticks([low, high]: [f64; 2]) -> Vec<f64> {
         .flat_map(|p| digits.iter().map(move |d| d * 10f64.powi(p)))
         .filter(|t| (low..=high).contains(t))
         .collect()
-}
-
-/// A number for people: three significant digits, no trailing zeros.
-#[must_use]
-pub fn number(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return if value == 0.0 { "0".into() } else { "–".into() };
-    }
-    let power = value.abs().log10().floor() as i32;
-    if !(-3..6).contains(&power) {
-        return format!("{value:.1e}").replace(".0e", "e");
-    }
-    let text = format!("{value:.*}", (2 - power).max(0) as usize);
-    match text.contains('.') {
-        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
-        false => text,
-    }
 }
 
 /// Text that is safe inside HTML and SVG.
@@ -289,12 +274,6 @@ impl Plot {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numbers_have_three_digits_and_no_trailing_zeros() {
-        let texts = [20.0, 0.125, 1234.5, 0.000012, 1e-4, 7.0, 1.5, 0.0, f64::NAN].map(number);
-        assert_eq!(texts, ["20", "0.125", "1234", "1.2e-5", "1e-4", "7", "1.5", "0", "–"]);
-    }
 
     #[test]
     fn ticks_lie_within_the_axis_and_are_few() {

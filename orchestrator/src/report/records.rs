@@ -1,15 +1,14 @@
 //! Bodies judged by measured records: the table in words, figures, and a page of them.
 
 use metasense_worker::evaluate::Evaluated;
-use serde_json::json;
 
 use super::answers::Answer;
 use super::figures::{Figure, legend};
-use super::plot::{Axis, Plot, Scale, escape, number};
+use super::plot::{Axis, Plot, Scale, escape};
 use super::strips::{Curve, Errors, Strip, dots, representative, strips};
 use super::{answer_list, figure_html, page, table_html};
 use crate::analysis::records::{Agreement, Judged, mean_ratio, table};
-use crate::store::Table;
+use crate::look::{Table, number, row};
 
 /// A body's records and what networks make of them.
 #[derive(Debug, Clone)]
@@ -116,23 +115,17 @@ impl Comparison {
     /// Error of every record: a row a body and record.
     #[must_use]
     pub fn records(&self) -> Table {
-        let columns = ["body", "record", "fold", "error", "error_simulated"].map(String::from).to_vec();
+        let columns = "body record fold error error_simulated";
         let judged = &self.judged;
         let mut rows = Vec::new();
         for (body, measured) in self.bodies.iter().zip(judged) {
             let promised = judged.iter().find(|j| j.simulated && j.body == body.name);
             rows.extend(measured.errors.iter().enumerate().map(|(i, error)| {
                 let simulated = promised.and_then(|promised| promised.errors[i]);
-                vec![
-                    json!(body.name),
-                    json!(i),
-                    json!(body.measured.folds[i]),
-                    json!(error),
-                    json!(simulated),
-                ]
+                row![body.name, i, body.measured.folds[i], error, simulated]
             }));
         }
-        Table { columns, rows }
+        Table::new(columns, rows)
     }
 
     /// Forces, errors, networks' progress, signals beside the model's.
@@ -189,16 +182,12 @@ impl Comparison {
                 let predicted = curves(&self.bodies[b].measured.predictions);
                 errors.push(judged[b].errors[record].map_or("–".into(), number));
                 for (k, (truth, predicted)) in truth.iter().zip(&predicted).enumerate() {
-                    rows.extend(truth.iter().zip(predicted).map(|((t, f), (_, p))| {
-                        vec![
-                            json!(self.bodies[b].name),
-                            json!(record),
-                            json!(k),
-                            json!(t),
-                            json!(f),
-                            json!(p),
-                        ]
-                    }));
+                    rows.extend(
+                        truth
+                            .iter()
+                            .zip(predicted)
+                            .map(|((t, f), (_, p))| row![self.bodies[b].name, record, k, t, f, p]),
+                    );
                 }
                 sources.push((format!("fine {}", class(b)), predicted));
             }
@@ -235,7 +224,7 @@ impl Comparison {
             legend: entries,
             plots,
             small: false,
-            data: Table::new(&["body", "record", "panel", "seconds", "force", "predicted"], rows),
+            data: Table::new("body record panel seconds force predicted", rows),
         }
     }
 
@@ -281,10 +270,9 @@ impl Comparison {
         }
         let row = |judged: &Judged, p: &(u32, f64)| {
             let signals = if judged.simulated { "simulated" } else { "measured" };
-            vec![json!(judged.body), json!(signals), json!(p.0), json!(p.1)]
+            row![judged.body, signals, p.0, p.1]
         };
-        let rows =
-            judged.iter().flat_map(|judged| judged.progress.iter().map(move |p| row(judged, p))).collect();
+        let rows = judged.iter().flat_map(|judged| judged.progress.iter().map(move |p| row(judged, p)));
         Figure {
             name: "progress",
             title: "How fast networks learn".into(),
@@ -293,7 +281,7 @@ impl Comparison {
             legend: self.legend(),
             plots: vec![plot.svg()],
             small: false,
-            data: Table::new(&["body", "signals", "iteration", "error"], rows),
+            data: Table::new("body signals iteration error", rows),
         }
     }
 
@@ -317,7 +305,7 @@ impl Comparison {
             for (c, (measured, model)) in measured.iter().zip(&model).enumerate() {
                 rows.extend(measured.iter().zip(model).map(|((t, m), (_, s))| {
                     let [m, s] = [m, s].map(|x| x * factors[c]);
-                    vec![json!(body.name), json!(record), json!(names[c]), json!(t), json!(m), json!(s)]
+                    row![body.name, record, names[c], t, m, s]
                 }));
             }
             let sources = vec![("truth".to_owned(), measured), ("front".to_owned(), model)];
@@ -333,7 +321,7 @@ impl Comparison {
             legend: legend(&[("truth", "measured"), ("front", "model")]),
             plots,
             small: false,
-            data: Table::new(&["body", "record", "channel", "seconds", "measured", "simulated"], rows),
+            data: Table::new("body record channel seconds measured simulated", rows),
         })
     }
 }

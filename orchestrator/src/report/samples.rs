@@ -2,41 +2,16 @@
 
 use std::fmt::Write as _;
 
-use metasense_schemas::spec::TrialSpec;
 use metasense_worker::replay::{Drawing, drawing, motion, replay};
 use metasense_worker::run::Failure;
-use serde_json::json;
 
 use super::body::{self, Frame, marks, points};
 use super::figures::{BODIES, Figure, legend};
 use super::modes;
-use super::plot::number;
 use super::strips::{Curve, Errors, Strip, dots, representative, strips};
 use crate::analysis::Body;
-use crate::store::Table;
-
-/// What is stored of a trial's two bodies: α (mm) and the weights of the first network, `[initial, optimised]`.
-#[derive(Debug, Clone)]
-pub struct Stored {
-    /// Names the trial.
-    pub hash: String,
-    /// What it is, by its sensors on either body: on the optimised one they may have moved.
-    pub specs: [TrialSpec; 2],
-    /// α.
-    pub designs: [Vec<f64>; 2],
-    /// Flat weights; empty where none were kept.
-    pub weights: [Vec<f32>; 2],
-    /// Training loss of the first network after every iteration.
-    pub losses: [Vec<f32>; 2],
-}
-
-impl Stored {
-    /// What both bodies share.
-    #[must_use]
-    pub fn spec(&self) -> &TrialSpec {
-        &self.specs[0]
-    }
-}
+use crate::look::{Table, number, row};
+use crate::store::Stored;
 
 /// Draws the bodies, four samples, every test sample, the wave.
 ///
@@ -111,13 +86,13 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         }
         for k in 0..panels {
             rows.extend((1..=instants).map(|n| {
-                vec![
-                    json!(sample),
-                    json!(k),
-                    json!(seconds(n)),
-                    json!(truth(sample, k, n)),
-                    json!(predicted(0, sample, k, n)),
-                    json!(predicted(1, sample, k, n)),
+                row![
+                    sample,
+                    k,
+                    seconds(n),
+                    truth(sample, k, n),
+                    predicted(0, sample, k, n),
+                    predicted(1, sample, k, n)
                 ]
             }));
         }
@@ -139,7 +114,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         legend: legend(&[("truth", "true force"), BODIES[0], BODIES[1]]),
         plots,
         small: false,
-        data: Table::new(&["sample", "panel", "seconds", "force", "initial", "optimised"], rows),
+        data: Table::new("sample panel seconds force initial optimised", rows),
     }
 }
 
@@ -166,10 +141,7 @@ fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
         legend: legend(&BODIES),
         plots: vec![plot],
         small: false,
-        data: Table::new(
-            &["sample", "error_initial", "error_optimised"],
-            pairs.iter().map(|p| vec![json!(p.0), json!(p.1), json!(p.2)]).collect(),
-        ),
+        data: Table::new("sample error_initial error_optimised", pairs.iter().map(|p| row![p.0, p.1, p.2])),
     }
 }
 
@@ -182,9 +154,7 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
     let mut rows = Vec::new();
     for body in Body::ALL {
         for (unit, corners) in drawings[body as usize].units.iter().enumerate() {
-            rows.extend(corners.iter().enumerate().map(|(node, [x, y])| {
-                vec![json!(body.name()), json!(unit), json!(node), json!(x), json!(y)]
-            }));
+            rows.extend(corners.iter().enumerate().map(|(node, [x, y])| row![body.name(), unit, node, x, y]));
         }
     }
     let held = [0, 1].map(|b: usize| drawings[b].active.len());
@@ -210,7 +180,7 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
         legend: legend(&entries),
         plots: plots.to_vec(),
         small: false,
-        data: Table::new(&["body", "unit", "node", "x", "y"], rows),
+        data: Table::new("body unit node x y", rows),
     }
 }
 
@@ -254,15 +224,7 @@ fn waves(
         for &n in &shots {
             rows.extend((0..units).map(|u| {
                 let [x, y, angle] = motions[b].displacements[n][u];
-                vec![
-                    json!(body.name()),
-                    json!(d.clock[n]),
-                    json!(u),
-                    json!(x),
-                    json!(y),
-                    json!(angle),
-                    json!(speed(b, n, u)),
-                ]
+                row![body.name(), d.clock[n], u, x, y, angle, speed(b, n, u)]
             }));
         }
     }
@@ -280,7 +242,7 @@ fn waves(
         legend: legend(&[("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")]),
         plots,
         small: true,
-        data: Table::new(&["body", "seconds", "unit", "u", "v", "theta", "speed"], rows),
+        data: Table::new("body seconds unit u v theta speed", rows),
     }
 }
 

@@ -1,6 +1,7 @@
 //! Histories of some samples, one above the other, and the error of every sample: what trials and records both show.
 
-use super::plot::{Axis, Plot, Scale, number};
+use super::plot::{Axis, Plot, Scale};
+use crate::look::number;
 
 /// Points of a curve.
 pub type Curve = Vec<(f64, f64)>;

@@ -12,6 +12,7 @@ mod prior;
 mod read;
 mod redo;
 mod runs;
+mod stored;
 mod sweep;
 mod write;
 
@@ -31,8 +32,9 @@ pub use error::StoreError;
 pub use log::Level;
 pub use made::Nearest;
 pub use npy::{npy_bytes, npy_values};
-pub use read::{Artifact, Reader, Row, Table};
+pub use read::{Artifact, Reader, Row};
 pub use runs::{RunKey, RunPlan};
+pub use stored::Stored;
 pub use sweep::Reopen;
 pub use write::Array;
 

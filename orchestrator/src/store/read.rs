@@ -16,6 +16,7 @@ use sqlx::{
 
 use super::error::is_trouble;
 use super::{OPENING, Store, StoreError, check_version, lock, npy_values};
+use crate::look::Table;
 use metasense_schemas::database::MIGRATIONS;
 
 /// A row of an answer, as SQLite holds it.
@@ -60,44 +61,6 @@ pub struct Reader {
     pub(super) connection: SqliteConnection,
     pub(super) path: PathBuf,
     alone: bool,
-}
-
-/// An answer.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Table {
-    /// Names of the columns.
-    pub columns: Vec<String>,
-    /// Rows of as many values; a blob stands as the text `blob of N bytes`.
-    pub rows: Vec<Vec<Value>>,
-}
-
-impl Table {
-    /// Rows under columns of these names.
-    #[must_use]
-    pub fn new(columns: &[&str], rows: Vec<Vec<Value>>) -> Self {
-        Self { columns: columns.iter().map(|c| (*c).to_owned()).collect(), rows }
-    }
-
-    /// What stands under `verdict` in every row, where rows say nothing else but what they are about.
-    #[must_use]
-    pub fn sole_verdict(&self) -> Option<&str> {
-        let at = self.columns.iter().position(|column| column == "verdict")?;
-        let verdict = self.rows.first()?[at].as_str()?;
-        let alone = |row: &Vec<Value>| row[at] == verdict && row[at + 1..].iter().all(Value::is_null);
-        self.rows.iter().all(alone).then_some(verdict)
-    }
-
-    /// Without the columns in which nothing stands.
-    #[must_use]
-    pub fn without_empty_columns(&self) -> Self {
-        let full: Vec<usize> =
-            (0..self.columns.len()).filter(|&i| self.rows.iter().any(|row| !row[i].is_null())).collect();
-        let pick = |row: &Vec<Value>| full.iter().map(|&i| row[i].clone()).collect();
-        Self {
-            columns: full.iter().map(|&i| self.columns[i].clone()).collect(),
-            rows: self.rows.iter().map(pick).collect(),
-        }
-    }
 }
 
 /// A stored array.
@@ -379,23 +342,5 @@ fn value(row: &SqliteRow, i: usize) -> Value {
         "BLOB" => Value::from(format!("blob of {} bytes", row.get_unchecked::<&[u8], _>(i).len())),
         // Not all that SQLite calls text is UTF-8.
         _ => Value::from(String::from_utf8_lossy(row.get_unchecked::<&[u8], _>(i))),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use serde_json::json;
-
-    #[test]
-    fn a_verdict_is_the_only_one_where_no_row_says_more() {
-        let row = |set: &str, verdict: &str, m: Value| vec![json!(set), json!(verdict), m, Value::Null];
-        let table = |rows| Table::new(&["set", "verdict", "kneedle", "chord"], rows);
-        let few = [row("test", "too few", Value::Null), row("holdout", "too few", Value::Null)];
-        assert_eq!(table(few.to_vec()).sole_verdict(), Some("too few"));
-        let found = [few[0].clone(), row("holdout", "at M = 3", json!(3))];
-        assert_eq!(table(found.to_vec()).sole_verdict(), None);
-        assert_eq!(table(found.to_vec()).without_empty_columns().columns, ["set", "verdict", "kneedle"]);
-        assert_eq!(table(Vec::new()).sole_verdict(), None);
     }
 }

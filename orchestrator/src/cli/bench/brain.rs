@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::super::{Error, Format, print_rows};
 use super::append;
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::{Table, row};
 
 /// Time of a training iteration and of second derivatives, share of the multiply-add peak
 #[derive(Debug, clap::Args)]
@@ -41,37 +41,24 @@ pub(in crate::cli) struct Args {
     format: Format,
 }
 
-const COLUMNS: [&str; 13] = [
-    "network",
-    "precision",
-    "simd",
-    "threads",
-    "forward_ms",
-    "iteration_ms",
-    "hessian_ms",
-    "gauss_newton_ms",
-    "hessian_iterations",
-    "gauss_newton_iterations",
-    "gflop",
-    "peak_gflops",
-    "share_of_peak",
-];
+const COLUMNS: &str = "network precision simd threads forward_ms iteration_ms hessian_ms gauss_newton_ms \
+    hessian_iterations gauss_newton_iterations gflop peak_gflops share_of_peak";
 
 fn row(t: &BrainTimes) -> Vec<Value> {
-    vec![
-        json!(t.network),
-        json!(t.precision),
-        json!(t.simd),
-        json!(t.threads),
-        json!(t.forward),
-        json!(t.iteration),
-        json!(t.hessian),
-        json!(t.gauss_newton),
-        json!(t.hessian / t.iteration),
-        json!(t.gauss_newton / t.iteration),
-        json!(t.gflop),
-        json!(t.peak),
-        json!(t.share_of_peak()),
+    row![
+        t.network,
+        t.precision,
+        t.simd,
+        t.threads,
+        t.forward,
+        t.iteration,
+        t.hessian,
+        t.gauss_newton,
+        t.hessian / t.iteration,
+        t.gauss_newton / t.iteration,
+        t.gflop,
+        t.peak,
+        t.share_of_peak()
     ]
 }
 
@@ -84,7 +71,7 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
         repeat: args.repeat,
         threads: args.threads.into(),
     });
-    let table = Table { columns: COLUMNS.map(String::from).to_vec(), rows: rows.iter().map(row).collect() };
+    let table = Table::new(COLUMNS, rows.iter().map(row));
     print_rows(&table, args.format)?;
 
     let head = json!({"bench": "brain", "samples": args.samples, "instants": args.instants,

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::super::{Error, Format, print_rows};
 use super::{append, judgement, picture};
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::{Table, row};
 
 /// Error of the signals and of dα against milliseconds a sample, for every integrator; or the race against a peer
 #[derive(Debug, clap::Args)]
@@ -69,61 +69,40 @@ impl From<SceneName> for BenchScene {
     }
 }
 
-const POINT: [&str; 10] = [
-    "scene",
-    "method",
-    "setting",
-    "auto",
-    "force_evaluations",
-    "forward_ms",
-    "gradient_ms",
-    "signals_error",
-    "gradient_error",
-    "failed",
-];
+const POINT: &str = "scene method setting auto force_evaluations forward_ms gradient_ms signals_error \
+    gradient_error failed";
 
 fn point(p: &Point) -> Vec<Value> {
-    vec![
-        json!(p.scene),
-        json!(p.method),
-        json!(p.setting),
-        json!(p.auto),
-        json!(p.evaluations),
-        json!(p.forward),
-        json!(p.forward + p.reverse),
-        json!(p.signals),
-        json!(p.gradient),
-        json!(p.failed),
+    row![
+        p.scene,
+        p.method,
+        p.setting,
+        p.auto,
+        p.evaluations,
+        p.forward,
+        p.forward + p.reverse,
+        p.signals,
+        p.gradient,
+        p.failed
     ]
 }
 
-const LAP: [&str; 11] = [
-    "solver",
-    "simd",
-    "threads",
-    "samples",
-    "forward_s",
-    "forward_cpu_s",
-    "gradient_s",
-    "gradient_cpu_s",
-    "cycles_a_ligament_and_lane",
-    "kernel_cycles",
-    "dual_kernel_cycles",
-];
+const LAP: &str = "solver simd threads samples forward_s forward_cpu_s gradient_s gradient_cpu_s \
+    cycles_a_ligament_and_lane kernel_cycles dual_kernel_cycles";
 
 fn lap(l: &Lap) -> Vec<Value> {
-    vec![
-        json!(l.solver),
-        json!(l.simd),
-        json!(l.threads),
-        json!(l.samples),
-        json!(l.forward.wall),
-        json!(l.forward.cpu),
-        json!(l.both.wall),
-        json!(l.both.cpu),
-        json!(l.cycles),
-        json!(l.kernels[0]),
-        json!(l.kernels[1]),
+    row![
+        l.solver,
+        l.simd,
+        l.threads,
+        l.samples,
+        l.forward.wall,
+        l.forward.cpu,
+        l.both.wall,
+        l.both.cpu,
+        l.cycles,
+        l.kernels[0],
+        l.kernels[1]
     ]
 }
 
@@ -132,7 +111,7 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     if args.race {
         let samples = args.samples.unwrap_or(300);
         let laps = race(samples.into(), instants.into(), args.threads.into(), args.repeat);
-        let table = Table::new(&LAP, laps.iter().map(lap).collect());
+        let table = Table::new(LAP, laps.iter().map(lap));
         print_rows(&table, args.format)?;
         append(&args.append, &json!({"bench": "race", "instants": instants}), &table)?;
         return Ok(Exit::Done);
@@ -146,10 +125,10 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
         let rows: Vec<Vec<Value>> = points.iter().map(point).collect();
         // Scene by scene: the stiffest takes most of the time, and what is before it should not be lost with it.
         let head = json!({"bench": "dynamics", "samples": samples, "instants": instants});
-        append(&args.append, &head, &Table::new(&POINT, rows.clone()))?;
+        append(&args.append, &head, &Table::new(POINT, rows.clone()))?;
         all.extend(rows);
     }
-    print_rows(&Table::new(&POINT, all), args.format)?;
+    print_rows(&Table::new(POINT, all), args.format)?;
     for line in judgement::lines(&picture::write(&args.append, &args.picture, instants)?) {
         say!("{line}");
     }

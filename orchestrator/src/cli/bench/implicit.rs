@@ -3,16 +3,15 @@
 //! It decides what the implicit term is worth after 20 products, beside the direct term alone, the training loss's
 //! gradient, a random direction and no step at all. A network answers each move from the same trained weights.
 
-use std::fs::OpenOptions;
-use std::io::Write;
 use std::path::PathBuf;
 
 use metasense_worker::course::downhill;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::super::{Error, Format, print_rows, read_plan};
+use super::{append, file_name};
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::{Table, row};
 
 /// Holdout loss after a step against each gradient, network by network
 #[derive(Debug, clap::Args)]
@@ -36,58 +35,38 @@ pub(in crate::cli) struct Args {
     format: Format,
 }
 
-const COLUMNS: [&str; 10] = [
-    "network",
-    "gradient",
-    "step_mm",
-    "train_change_percent",
-    "holdout_change_percent",
-    "cosine_to_direct",
-    "iterations",
-    "residual",
-    "smallest_curvature",
-    "outcome",
-];
+const COLUMNS: &str = "network gradient step_mm train_change_percent holdout_change_percent \
+    cosine_to_direct iterations residual smallest_curvature outcome";
 
 pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.spec)?;
     let spec = &plan.trials.first().ok_or_else(|| Error::Usage("the spec has no trial".into()))?.spec;
-    let mut table = Table { columns: COLUMNS.map(String::from).to_vec(), rows: Vec::new() };
+    let mut table = Table::new(COLUMNS, []);
     for network in 0..args.networks {
         say!("network {} of {}", network + 1, args.networks);
         let steps = downhill(spec, network, args.step, args.iterations, 1)
             .map_err(|failure| Error::Usage(failure.to_string()))?;
         let still = &steps[0];
-        let percent = |now: f64, before: f64| json!(100.0 * (now / before - 1.0));
+        let percent = |now: f64, before: f64| 100.0 * (now / before - 1.0);
         for step in &steps[1..] {
             let solve = step.implicit;
-            table.rows.push(vec![
-                json!(network),
-                json!(step.gradient),
-                json!(args.step),
+            table.rows.push(row![
+                network,
+                step.gradient,
+                args.step,
                 percent(step.loss_train, still.loss_train),
                 percent(step.loss_holdout, still.loss_holdout),
-                json!(step.cosine),
-                json!(solve.map(|s| s.iterations)),
-                json!(solve.map(|s| s.residual)),
-                json!(solve.map(|s| s.smallest_curvature)),
-                json!(solve.map(|s| s.outcome.name())),
+                step.cosine,
+                solve.map(|s| s.iterations),
+                solve.map(|s| s.residual),
+                solve.map(|s| s.smallest_curvature),
+                solve.map(|s| s.outcome.name()),
             ]);
         }
     }
     print_rows(&table, args.format)?;
 
-    let failed = |source| Error::Io { doing: "appending to", path: args.append.clone(), source };
-    if let Some(folder) = args.append.parent() {
-        std::fs::create_dir_all(folder).map_err(failed)?;
-    }
-    let mut file = OpenOptions::new().create(true).append(true).open(&args.append).map_err(failed)?;
-    let name: Value = args.spec.file_name().map_or(Value::Null, |name| json!(name.to_string_lossy()));
-    for values in table.rows {
-        let mut line = json!({"bench": "implicit", "version": env!("CARGO_PKG_VERSION"), "spec": name});
-        let fields = line.as_object_mut().expect("an object");
-        fields.extend(table.columns.iter().cloned().zip(values));
-        writeln!(file, "{line}").map_err(failed)?;
-    }
+    let head = json!({"bench": "implicit", "spec": file_name(&args.spec)});
+    append(&args.append, &head, &table)?;
     Ok(Exit::Done)
 }

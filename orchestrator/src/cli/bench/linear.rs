@@ -10,7 +10,7 @@ use serde_json::json;
 use super::super::{Error, Format, print_rows};
 use super::append;
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::Table;
 
 /// Time to solve for a linear brain on one thread: moments of the samples, normal matrix with its factor, answers, pull-back
 #[derive(Debug, clap::Args)]
@@ -52,17 +52,8 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
         let head = [json!(sensors), json!(memory), json!(found.unknowns)];
         rows.push(head.into_iter().chain(times).chain([json!(found.gflops)]).collect());
     }
-    let columns = [
-        "sensors",
-        "memory",
-        "unknowns",
-        "moments_ms",
-        "solve_ms",
-        "answers_ms",
-        "pull_back_ms",
-        "factor_gflops",
-    ];
-    let table = Table::new(&columns, rows);
+    let columns = "sensors memory unknowns moments_ms solve_ms answers_ms pull_back_ms factor_gflops";
+    let table = Table::new(columns, rows);
     print_rows(&table, args.format)?;
     let head =
         json!({"bench": "linear", "samples": args.samples, "instants": args.instants, "panels": args.panels});

@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use super::Error;
 use super::simd::Simd;
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::Table;
 
 /// Measures.
 #[derive(Debug, clap::Args)]
@@ -78,4 +78,9 @@ fn append(path: &Path, head: &Value, table: &Table) -> Result<(), Error> {
         writeln!(file, "{line}").map_err(failed)?;
     }
     Ok(())
+}
+
+/// The name of a file, for such a head.
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }

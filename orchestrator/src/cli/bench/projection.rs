@@ -7,11 +7,11 @@ use std::time::Instant;
 
 use metasense_worker::design::{Feasible, Layout, Limits, Projection, Purpose, Stage, Status, Stream};
 use rayon::prelude::*;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::super::{Error, Format, print_rows};
 use crate::exit::Exit;
-use crate::store::Table;
+use crate::look::{Table, row};
 
 const SPACING: f64 = 15.0;
 const LIGAMENT: f64 = 2.25;
@@ -51,28 +51,11 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     if let Some(count) = args.random {
         return random(count, args.format);
     }
-    let mut table = Table {
-        columns: [
-            "units",
-            "step_mm",
-            "calls",
-            "median_ms",
-            "p90_ms",
-            "max_ms",
-            "untouched",
-            "sequence",
-            "path",
-            "repair",
-            "kept",
-            "programs",
-            "iterations",
-            "active",
-            "violations",
-        ]
-        .map(String::from)
-        .to_vec(),
-        rows: Vec::new(),
-    };
+    let mut table = Table::new(
+        "units step_mm calls median_ms p90_ms max_ms untouched sequence path repair \
+        kept programs iterations active violations",
+        [],
+    );
     let mut violations = 0;
     for &(columns, rows) in &args.sizes {
         for &step in &args.steps {
@@ -124,22 +107,22 @@ fn measure(columns: usize, rows: usize, step: f64, calls: u64) -> (Vec<Value>, u
     let share = |holds: &dyn Fn(&Projection) -> bool| found.iter().filter(|p| holds(p)).count();
     let stage = |s: Stage| share(&|p| p.status == Status::Projected && p.stage == s);
     let mean = |of: &dyn Fn(&Projection) -> f64| found.iter().map(of).sum::<f64>() / found.len() as f64;
-    let row = vec![
-        json!(format!("{columns} × {rows}")),
-        json!(step),
-        json!(calls),
-        json!(at(0.5)),
-        json!(at(0.9)),
-        json!(at(1.0)),
-        json!(share(&|p| p.status == Status::Untouched)),
-        json!(stage(Stage::Sequence)),
-        json!(stage(Stage::Path)),
-        json!(stage(Stage::Repair)),
-        json!(share(&|p| p.status == Status::Kept)),
-        json!(mean(&|p| p.programs as f64)),
-        json!(mean(&|p| p.iterations as f64)),
-        json!(mean(&|p| p.active.len() as f64)),
-        json!(broken),
+    let row = row![
+        format!("{columns} × {rows}"),
+        step,
+        calls,
+        at(0.5),
+        at(0.9),
+        at(1.0),
+        share(&|p| p.status == Status::Untouched),
+        stage(Stage::Sequence),
+        stage(Stage::Path),
+        stage(Stage::Repair),
+        share(&|p| p.status == Status::Kept),
+        mean(&|p| p.programs as f64),
+        mean(&|p| p.iterations as f64),
+        mean(&|p| p.active.len() as f64),
+        broken
     ];
     (row, broken)
 }
@@ -150,17 +133,17 @@ fn random(count: u64, format: Format) -> Result<Exit, Error> {
     let outcomes: Vec<(Status, usize)> = (0..count).into_par_iter().map(one).collect();
     let of = |status: Status| outcomes.iter().filter(|o| o.0 == status).count();
     let violations: usize = outcomes.iter().map(|o| o.1).sum();
-    let columns = ["projections", "untouched", "projected", "kept", "infeasible", "violations", "seconds"];
-    let row = vec![
-        json!(count),
-        json!(of(Status::Untouched)),
-        json!(of(Status::Projected)),
-        json!(of(Status::Kept)),
-        json!(of(Status::Infeasible)),
-        json!(violations),
-        json!((begin.elapsed().as_secs_f64() * 10.0).round() / 10.0),
+    let columns = "projections untouched projected kept infeasible violations seconds";
+    let row = row![
+        count,
+        of(Status::Untouched),
+        of(Status::Projected),
+        of(Status::Kept),
+        of(Status::Infeasible),
+        violations,
+        (begin.elapsed().as_secs_f64() * 10.0).round() / 10.0
     ];
-    print_rows(&Table { columns: columns.map(String::from).to_vec(), rows: vec![row] }, format)?;
+    print_rows(&Table::new(columns, [row]), format)?;
     Ok(if violations == 0 { Exit::Done } else { Exit::Failed })
 }
 

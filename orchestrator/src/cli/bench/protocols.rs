@@ -4,8 +4,6 @@
 //! evaluations are not counted.
 
 use std::collections::BTreeMap;
-use std::fs::OpenOptions;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::record::BodyEvaluation;
@@ -14,9 +12,10 @@ use metasense_worker::course::{course, evaluate};
 use serde_json::{Value, json};
 
 use super::super::{Error, Format, print_rows, read_plan};
+use super::{append, file_name};
 use crate::exit::Exit;
+use crate::look::{Table, row};
 use crate::report::plot::{Axis, Plot, Scale};
-use crate::store::Table;
 
 /// Holdout error against CPU seconds, a line a protocol
 #[derive(Debug, clap::Args)]
@@ -41,8 +40,7 @@ pub(in crate::cli) struct Args {
     format: Format,
 }
 
-const COLUMNS: [&str; 6] =
-    ["protocol", "cpu_seconds", "step", "fresh_samples", "error_percent", "holdout_error_percent"];
+const COLUMNS: &str = "protocol cpu_seconds step fresh_samples error_percent holdout_error_percent";
 
 pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     if let Some(spec) = &args.spec {
@@ -65,16 +63,9 @@ fn measure(args: &Args, path: &Path) -> Result<(), Error> {
     let trials: Vec<TrialSpec> =
         args.protocols.iter().map(|name| with_protocol(spec, name)).collect::<Result<_, _>>()?;
 
-    let mut table = Table { columns: COLUMNS.map(String::from).to_vec(), rows: Vec::new() };
+    let mut table = Table::new(COLUMNS, []);
     let initial = evaluate(spec, &[initial_design(spec)?], 1).map_err(failed)?;
-    table.rows.push(vec![
-        json!("initial"),
-        json!(0),
-        json!(0),
-        json!(0),
-        json!(test(&initial[0])),
-        json!(holdout(&initial[0])),
-    ]);
+    table.rows.push(row!["initial", 0, 0, 0, test(&initial[0]), holdout(&initial[0])]);
     for (trial, name) in trials.iter().zip(&args.protocols) {
         say!("{name}: {} steps or {} s", trial.optimise.steps(), args.seconds[args.seconds.len() - 1]);
         let milestones = course(trial, &args.seconds, 1).map_err(failed)?;
@@ -86,7 +77,11 @@ fn measure(args: &Args, path: &Path) -> Result<(), Error> {
         }
     }
     print_rows(&table, args.format)?;
-    append(&args.append, &file_name(path), spec, &table)
+    let head = json!({
+        "bench": "protocols", "panels": spec.point.panels, "sensors": spec.point.sensors,
+        "seed": spec.point.seed, "spec": file_name(path),
+    });
+    append(&args.append, &head, &table)
 }
 
 fn failed(failure: metasense_worker::run::Failure) -> Error {
@@ -121,28 +116,6 @@ fn holdout(body: &BodyEvaluation) -> Option<f64> {
 
 fn test(body: &BodyEvaluation) -> Option<f64> {
     mean(body.networks.iter().map(|network| network.error_test))
-}
-
-fn append(path: &Path, name: &str, spec: &TrialSpec, table: &Table) -> Result<(), Error> {
-    let failed = |source| Error::Io { doing: "appending to", path: path.into(), source };
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).map_err(failed)?;
-    }
-    let mut file = OpenOptions::new().create(true).append(true).open(path).map_err(failed)?;
-    for values in &table.rows {
-        let mut line = json!({
-            "bench": "protocols", "version": env!("CARGO_PKG_VERSION"), "panels": spec.point.panels,
-            "sensors": spec.point.sensors, "seed": spec.point.seed, "spec": name,
-        });
-        let fields = line.as_object_mut().expect("an object");
-        fields.extend(table.columns.iter().cloned().zip(values.iter().cloned()));
-        writeln!(file, "{line}").map_err(failed)?;
-    }
-    Ok(())
-}
-
-fn file_name(path: &Path) -> String {
-    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// A plot of JSON lines, one line a protocol, as a file of its own with the little style that it needs.

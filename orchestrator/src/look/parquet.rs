@@ -1,33 +1,10 @@
-//! Rows as CSV and as Parquet.
-//!
-//! Parquet (format 1.0, parquet-format/README.md): one row group, one page a column, values PLAIN and uncompressed,
+//! Rows as Parquet (format 1.0, parquet-format/README.md): one row group, one page a column, values PLAIN and uncompressed,
 //! every column optional. A column of whole numbers is INT64, of numbers DOUBLE, of anything else UTF-8 text. Its
 //! metadata are Thrift's compact protocol.
 
 use serde_json::Value;
 
-use crate::store::Table;
-
-/// A value as CSV has it: in full, nothing for NULL.
-#[must_use]
-pub fn plain(value: &Value) -> String {
-    match value {
-        Value::Null => String::new(),
-        Value::String(text) => text.clone(),
-        other => other.to_string(),
-    }
-}
-
-/// A header line, then a line a row.
-#[must_use]
-pub fn csv(table: &Table) -> String {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(&table.columns).expect("writing to memory");
-    for row in &table.rows {
-        writer.write_record(row.iter().map(plain)).expect("rows as long as the header");
-    }
-    String::from_utf8(writer.into_inner().expect("writing to memory")).expect("texts are UTF-8")
-}
+use super::Table;
 
 /// Physical types.
 #[derive(Clone, Copy, PartialEq)]

@@ -6,8 +6,9 @@ use clap::ValueEnum;
 use comfy_table::{CellAlignment, ContentArrangement, Table as Grid, presets};
 use serde_json::{Map, Value};
 
-use crate::export::table::{parquet, plain};
-use crate::store::Table;
+use super::Table;
+use super::parquet::parquet;
+use super::table::{plain, rounded};
 
 /// The form in which rows are printed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -28,7 +29,7 @@ pub enum Format {
 /// # Errors
 /// Where standard output is closed or full, or a terminal that Parquet's bytes would upset.
 pub fn print_rows(table: &Table, format: Format) -> io::Result<()> {
-    write_rows(table, format, standard_output(format)?)
+    table.write(format, standard_output(format)?)
 }
 
 /// Standard output for rows.
@@ -43,14 +44,26 @@ pub fn standard_output(format: Format) -> io::Result<io::Stdout> {
     Ok(out)
 }
 
-/// Writes rows.
-///
-/// # Errors
-/// Where `out` takes no more.
-pub fn write_rows(table: &Table, format: Format, out: impl Write) -> io::Result<()> {
-    let mut rows = RowWriter::new(out, format, &table.columns)?;
-    table.rows.iter().try_for_each(|row| rows.row(row.clone()))?;
-    rows.end()
+impl Table {
+    fn write(&self, format: Format, out: impl Write) -> io::Result<()> {
+        let mut rows = RowWriter::new(out, format, &self.columns)?;
+        self.rows.iter().try_for_each(|row| rows.row(row.clone()))?;
+        rows.end()
+    }
+
+    /// The rows as a file.
+    #[must_use]
+    pub fn written(&self, format: Format) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        self.write(format, &mut bytes).expect("memory takes all");
+        bytes
+    }
+
+    /// The rows as CSV.
+    #[must_use]
+    pub fn csv(&self) -> String {
+        String::from_utf8(self.written(Format::Csv)).expect("texts are UTF-8")
+    }
 }
 
 /// Writes rows as they come; kept until the end are those of a table to read, whose columns are as wide as their widest
@@ -71,7 +84,7 @@ impl<W: Write> RowWriter<W> {
     pub fn new(out: W, format: Format, columns: &[String]) -> io::Result<Self> {
         Ok(Self(match format {
             Format::Table | Format::Parquet => {
-                Form::Kept(out, format, Table { columns: columns.to_vec(), rows: Vec::new() })
+                Form::Kept(out, format, Table { columns: columns.to_vec(), ..Table::default() })
             }
             Format::Csv => {
                 let mut csv = csv::Writer::from_writer(out);
@@ -144,32 +157,15 @@ fn grid(table: &Table) -> Grid {
     grid
 }
 
-/// Floats to four significant digits, the rest as it is.
-fn rounded(value: &Value) -> String {
-    match value.as_f64().filter(|_| value.is_f64()) {
-        None => plain(value),
-        Some(0.0) => "0".into(),
-        Some(x) if (1e-3..1e6).contains(&x.abs()) => {
-            let decimals = (3 - x.abs().log10().floor() as i32).max(0) as usize;
-            format!("{x:.decimals$}")
-        }
-        Some(x) => format!("{x:.3e}"),
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::row;
     use super::*;
     use serde_json::json;
 
     fn printed(format: Format) -> String {
-        let table = Table {
-            columns: vec!["hash".into(), "error".into()],
-            rows: vec![vec![json!("a,b"), json!(12.345678)], vec![json!("c"), Value::Null]],
-        };
-        let mut out = Vec::new();
-        write_rows(&table, format, &mut out).unwrap();
-        String::from_utf8(out).unwrap()
+        let table = Table::new("hash error", [row!["a,b", 12.345678], row!["c", Value::Null]]);
+        String::from_utf8(table.written(format)).unwrap()
     }
 
     #[test]
@@ -186,7 +182,5 @@ mod tests {
     #[test]
     fn a_table_rounds_to_four_digits() {
         assert!(printed(Format::Table).contains("12.35"), "{}", printed(Format::Table));
-        assert_eq!(rounded(&json!(0.012345)), "0.01235");
-        assert_eq!(rounded(&json!(1e-8)), "1.000e-8");
     }
 }

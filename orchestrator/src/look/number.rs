@@ -1,0 +1,50 @@
+//! Numbers for people.
+
+/// A number with three significant digits and no trailing zeros; `–` where there is none.
+#[must_use]
+pub fn number(value: f64) -> String {
+    match value {
+        0.0 => "0".into(),
+        x if !x.is_finite() => "–".into(),
+        x if !(-3..6).contains(&magnitude(x)) => format!("{x:.1e}").replace(".0e", "e"),
+        x => {
+            let text = digits(x, 3);
+            let bare = text.trim_end_matches('0').trim_end_matches('.');
+            if text.contains('.') { bare.to_owned() } else { text }
+        }
+    }
+}
+
+/// A number with so many significant digits, trailing zeros among them.
+#[must_use]
+pub fn digits(value: f64, count: usize) -> String {
+    match value {
+        0.0 => "0".into(),
+        x if (1e-3..1e6).contains(&x.abs()) => {
+            format!("{x:.*}", (count as i32 - 1 - magnitude(x)).max(0) as usize)
+        }
+        x => format!("{x:.*e}", count - 1),
+    }
+}
+
+/// The power of ten of the first digit.
+fn magnitude(value: f64) -> i32 {
+    value.abs().log10().floor() as i32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_three_digits_and_no_trailing_zeros() {
+        let texts = [20.0, 0.125, 1234.5, 0.000012, 1e-4, 7.0, 1.5, 0.0, f64::NAN].map(number);
+        assert_eq!(texts, ["20", "0.125", "1234", "1.2e-5", "1e-4", "7", "1.5", "0", "–"]);
+    }
+
+    #[test]
+    fn digits_are_as_many_as_asked_for() {
+        let texts = [0.012345, 12.345678, 1e-8, -250.0, 0.0].map(|x| digits(x, 4));
+        assert_eq!(texts, ["0.01235", "12.35", "1.000e-8", "-250.0", "0"]);
+    }
+}

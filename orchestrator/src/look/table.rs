@@ -1,0 +1,107 @@
+//! Rows of values under names.
+
+use serde_json::Value;
+
+use super::digits;
+
+/// An answer.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Table {
+    /// Names of the columns.
+    pub columns: Vec<String>,
+    /// Rows of as many values; a blob stands as the text `blob of N bytes`.
+    pub rows: Vec<Vec<Value>>,
+}
+
+/// A row of a table, from anything that is JSON.
+macro_rules! row {
+    ($($cell:expr),* $(,)?) => { vec![$(serde_json::json!($cell)),*] };
+}
+pub(crate) use row;
+
+impl Table {
+    /// Rows under columns of these names, which blanks part.
+    #[must_use]
+    pub fn new(columns: &str, rows: impl IntoIterator<Item = Vec<Value>>) -> Self {
+        Self {
+            columns: columns.split_whitespace().map(str::to_owned).collect(),
+            rows: rows.into_iter().collect(),
+        }
+    }
+
+    /// What stands under `verdict` in every row, where rows say nothing else but what they are about.
+    #[must_use]
+    pub fn sole_verdict(&self) -> Option<&str> {
+        let at = self.columns.iter().position(|column| column == "verdict")?;
+        let verdict = self.rows.first()?[at].as_str()?;
+        let alone = |row: &Vec<Value>| row[at] == verdict && row[at + 1..].iter().all(Value::is_null);
+        self.rows.iter().all(alone).then_some(verdict)
+    }
+
+    /// Without the columns in which nothing stands.
+    #[must_use]
+    pub fn without_empty_columns(&self) -> Self {
+        let full: Vec<usize> =
+            (0..self.columns.len()).filter(|&i| self.rows.iter().any(|row| !row[i].is_null())).collect();
+        let pick = |row: &Vec<Value>| full.iter().map(|&i| row[i].clone()).collect();
+        Self {
+            columns: full.iter().map(|&i| self.columns[i].clone()).collect(),
+            rows: self.rows.iter().map(pick).collect(),
+        }
+    }
+
+    /// With numbers to seven significant digits: what the data behind a picture need.
+    #[must_use]
+    pub fn shortened(&self) -> Self {
+        let short = |value: &Value| match value.as_f64().filter(|_| value.is_f64()) {
+            Some(x) => format!("{x:.6e}").parse::<f64>().map_or(Value::Null, Value::from),
+            None => value.clone(),
+        };
+        let rows = self.rows.iter().map(|row| row.iter().map(short).collect()).collect();
+        Self { columns: self.columns.clone(), rows }
+    }
+
+    /// The rows as objects.
+    #[must_use]
+    pub fn objects(self) -> Value {
+        let object = |row: Vec<Value>| Value::Object(self.columns.iter().cloned().zip(row).collect());
+        Value::Array(self.rows.into_iter().map(object).collect())
+    }
+}
+
+/// A value in full; nothing for NULL.
+pub(super) fn plain(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+/// A value to read: numbers with a point or an exponent by `shown`, the rest in full.
+pub(super) fn readable(value: &Value, shown: impl Fn(f64) -> String) -> String {
+    value.as_f64().filter(|_| value.is_f64()).map_or_else(|| plain(value), shown)
+}
+
+/// To four significant digits.
+pub(super) fn rounded(value: &Value) -> String {
+    readable(value, |x| digits(x, 4))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_verdict_is_the_only_one_where_no_row_says_more() {
+        let row = |set: &str, verdict: &str, m: Value| vec![json!(set), json!(verdict), m, Value::Null];
+        let table = |rows: Vec<Vec<Value>>| Table::new("set verdict kneedle chord", rows);
+        let few = [row("test", "too few", Value::Null), row("holdout", "too few", Value::Null)];
+        assert_eq!(table(few.to_vec()).sole_verdict(), Some("too few"));
+        let found = [few[0].clone(), row("holdout", "at M = 3", json!(3))];
+        assert_eq!(table(found.to_vec()).sole_verdict(), None);
+        assert_eq!(table(found.to_vec()).without_empty_columns().columns, ["set", "verdict", "kneedle"]);
+        assert_eq!(table(Vec::new()).sole_verdict(), None);
+    }
+}
