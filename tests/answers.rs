@@ -104,8 +104,8 @@ fn how_many_sensors_to_build_hangs_on_their_price() {
     assert!(ok, "{err}");
     let html = std::fs::read_to_string(&page).unwrap();
     for said in [
-        "smallest M within 10&nbsp;% of the best: optimised body 4 (",
-        "least error + 1&nbsp;% × M: optimised body 2 (",
+        "smallest M within 10\u{a0}% of the best: optimised body 4 (",
+        "least error + 1\u{a0}% × M: optimised body 2 (",
     ] {
         assert!(html.contains(said), "the page does not say {said}");
     }

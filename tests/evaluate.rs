@@ -155,7 +155,10 @@ fn the_body_that_is_truly_better_is_found_so() {
     assert!(second < 0.9 * first, "{by_linear}");
 
     let page = std::fs::read_to_string(bench.path("out/index.html")).unwrap();
-    assert!(page.contains("the initial body's error is") && page.matches("<svg").count() == 8, "{page}");
+    assert!(
+        page.contains("the initial body's error is") && page.matches("<svg class=\"plot\"").count() == 8,
+        "{page}"
+    );
     let npz = std::fs::read(bench.path("out/records.npz")).unwrap();
     let text = String::from_utf8_lossy(&npz);
     for held in ["predictions_other.npy", "(12, 40, 2", "simulated_signals_initial.npy", "(2, 12"] {

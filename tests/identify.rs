@@ -141,7 +141,7 @@ fn records_tell_the_material() {
     assert_eq!(one, two);
     assert_true(&estimates(&one), 0.1);
     for (name, start) in [
-        ("index.html", "<!doctype html>"),
+        ("index.html", "<!DOCTYPE html>"),
         ("fit-1.svg", "<svg"),
         ("convergence-2.svg", "<svg"),
         ("fit.csv", "record,unit,channel"),

@@ -26,7 +26,7 @@ fn a_body_rings() {
     assert!(modes.len() == 5 && of("frequency").is_sorted() && of("frequency")[0] > 5.0, "{modes:?}");
     assert!(of("damping_ratio").iter().all(|ratio| (0.005..0.5).contains(ratio)), "{modes:?}");
     let svg = std::fs::read_to_string(bench.path("m.svg")).unwrap();
-    assert_eq!(svg.matches("<polygon class=\"unit\"").count(), 5 * 16);
+    assert_eq!(svg.matches("<polygon class=\"unit s").count(), 5 * 16);
     let asked = ["modes", "s.toml", "--count", "5", "--response", "9", "--out", "r.svg", "--format", "json"];
     let responses = json(&bench.output(&asked));
     assert_eq!(responses.len(), 2 * 200);

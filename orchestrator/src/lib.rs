@@ -6,7 +6,6 @@
 pub mod analysis;
 pub mod cli;
 pub mod cluster;
-pub mod draw;
 pub mod engine;
 pub mod exit;
 pub mod export;

@@ -3,10 +3,12 @@
 use std::path::PathBuf;
 
 use metasense_worker::design::{self, Feasible};
+use metasense_worker::replay::Drawing;
 
 use super::{Error, read_body, write};
-use crate::draw::{Drawing, svg};
 use crate::exit::Exit;
+use crate::look::body::{self, Notes, frame};
+use crate::look::file;
 
 /// Draws a design as SVG, constraints at their limit in orange, broken ones in red; by default the initial body
 #[derive(Debug, clap::Args)]
@@ -50,18 +52,28 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         body.layout.group_count,
         if violations.is_empty() { "feasible" } else { "not feasible" }
     );
-    let text = svg(&Drawing {
-        layout: &body.layout,
-        design: &drawn,
-        clamped: &body.clamped,
-        panels: &body.panels,
-        sensors: &body.sensors,
-        worth: None,
-        // A broken constraint is beyond its limit, not at it.
-        active: &active.iter().copied().filter(|a| a.slack >= 0.0).collect::<Vec<_>>(),
-        violations: &violations,
-        caption: &caption,
-    });
+    let finite = |x: f64| if x.is_finite() { x } else { 0.0 };
+    let units: Vec<[[f64; 2]; 4]> =
+        body.layout.vertices(&drawn).into_iter().map(|corners| corners.map(|c| c.map(finite))).collect();
+    let middle = |corners: &[[f64; 2]; 4]| [0, 1].map(|i| 0.25 * corners.iter().map(|c| c[i]).sum::<f64>());
+    let ligaments = body.layout.ligaments.iter();
+    let drawing = Drawing {
+        centroids: units.iter().map(middle).collect(),
+        ligaments: ligaments.map(|l| [units[l.a.unit][l.a.node], units[l.b.unit][l.b.node]]).collect(),
+        joints: Vec::new(),
+        panels: body.panels,
+        sensors: body.sensors,
+        clamped: body.clamped,
+        // a broken constraint is beyond its limit, not at it
+        active: active.iter().copied().filter(|a| a.slack >= 0.0).collect(),
+        spacing: body.layout.spacing,
+        clock: Vec::new(),
+        units,
+    };
+    let notes = Notes { numbers: true, violations: &violations };
+    let view = frame(&[&drawing]);
+    let picture = body::body(&drawing, view, &caption, notes, |_| body::Unit::default());
+    let text = file(&[picture], 1, 640.0, &body::legend(&drawing, &violations));
     write(&args.out, text)?;
     if let Some(file) = &args.design_out {
         design::write(file, &body.layout, &drawn)?;

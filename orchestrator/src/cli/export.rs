@@ -8,10 +8,11 @@ use metasense_worker::replay::{Drawing, drawing, linear, replay};
 use metasense_worker::run::Failure;
 
 use super::{Error, write};
+use crate::analysis::Body;
 use crate::exit::Exit;
 use crate::export::{Mould, Outline, dxf, mould, npz, series};
-use crate::look::{Format, Table};
-use crate::report::body;
+use crate::look::body::{self, Notes, Unit, frame};
+use crate::look::{Format, Table, file};
 use crate::store::{Reader, StoreError, Stored, npy_bytes};
 
 /// The form of an export.
@@ -140,9 +141,9 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         }
         Form::Svg => {
             let body = Drawing { active: Vec::new(), ..body };
-            let svg =
-                body::svg(&body, &body::Frame::around(&[&body]), "a metamaterial body", |_| String::new());
-            crate::report::standalone(&svg, &[]).expect("an SVG element").into_bytes()
+            let title = format!("{} body of trial {}", Body::ALL[args.body as usize].name(), stored.hash);
+            let drawn = body::body(&body, frame(&[&body]), &title, Notes::default(), |_| Unit::default());
+            file(&[drawn], 1, 640.0, &Vec::new()).into_bytes()
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {

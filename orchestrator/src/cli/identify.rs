@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::report::write_figures;
 use super::{Error, Format, duration, end_on_signal, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
-use crate::look::{Table, row};
+use crate::look::{Table, digits, row};
 use crate::report::fit as pictures;
 use crate::store::npy_bytes;
 
@@ -77,8 +77,9 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         identify(trial, design, &measured, &free, args.threads.into(), &mut watch).map_err(|e| usage(&e))?;
     bar.finish_and_clear();
     let found = estimates(&fit);
+    let shown = readable(&found);
     match args.format {
-        Format::Table => print_rows(&readable(&found), args.format)?,
+        Format::Table => print_rows(&shown, args.format)?,
         _ => print_rows(&found, args.format)?,
     }
     let records = measured.forces.samples;
@@ -93,7 +94,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         let drawn = pictures::figures(trial, &measured.signals, &fit);
         write_figures(folder, &drawn)?;
         write(&folder.join("estimates.csv"), found.shortened().csv())?;
-        write(&folder.join("index.html"), pictures::page(&title, &found, &said, &drawn))?;
+        write(&folder.join("index.html"), pictures::html(&title, &shown, &said, &drawn))?;
         if !fit.signals[1].is_empty() {
             let shape = [records, trial.time.samples, 3 * trial.sensor_units.len()];
             write(&folder.join("signals.npy"), npy_bytes(&shape, &fit.signals[1]))?;
@@ -121,31 +122,25 @@ fn estimates(fit: &Fit) -> Table {
 
 /// With as many digits as tell the ends of an interval apart.
 fn readable(found: &Table) -> Table {
-    let row = |row: &Vec<Value>| {
-        let mut row = row.clone();
-        let [Some(fitted), Some(low), Some(high)] = [3, 4, 5].map(|i| row[i].as_f64()) else { return row };
-        let magnitude = |x: f64| x.abs().max(f64::MIN_POSITIVE).log10().floor() as i32;
-        let digits = (magnitude(fitted) - magnitude(high - low) + 1).clamp(3, 12);
+    let mut shown = found.clone();
+    for row in &mut shown.rows {
+        let [Some(fitted), Some(low), Some(high)] = [3, 4, 5].map(|i| row[i].as_f64()) else { continue };
+        let parts = (fitted.abs() / (high - low)).max(1.0).log10();
+        let count = (parts.ceil() as usize + 2).clamp(4, 13);
         for value in &mut row[2..=5] {
-            let x = value.as_f64().unwrap_or_default();
-            let decimals = (digits - magnitude(fitted)).max(0) as usize;
-            *value = match (1e-3..1e6).contains(&fitted.abs()) {
-                true => json!(format!("{x:.decimals$}")),
-                false => json!(format!("{x:.*e}", digits as usize)),
-            };
+            *value = value.as_f64().map_or(Value::Null, |x| json!(digits(x, count)));
         }
-        row
-    };
-    Table { columns: found.columns.clone(), rows: found.rows.iter().map(row).collect() }
+    }
+    shown
 }
 
 fn correlations(fit: &Fit) -> Table {
-    let names = fit.estimates.iter().map(|e| e.parameter.name().to_owned());
-    let columns = std::iter::once("correlation".to_owned()).chain(names).collect();
+    let names: String = fit.estimates.iter().map(|e| format!(" {}", e.parameter.name())).collect();
+    let columns = format!("correlation{names}");
     let row = |(e, row): (&Estimate, &Vec<f64>)| -> Vec<Value> {
         std::iter::once(json!(e.parameter.name())).chain(row.iter().map(|c| json!(c))).collect()
     };
-    Table { columns, rows: fit.estimates.iter().zip(&fit.correlation).map(row).collect() }
+    Table::new(&columns, fit.estimates.iter().zip(&fit.correlation).map(row))
 }
 
 /// What there is to say beside the estimates, and the lines for a spec.
@@ -171,21 +166,21 @@ fn said(fit: &Fit, records: usize) -> Vec<String> {
         let p = fit.parameters;
         said.push(format!(
             "[body]\ndensity = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\ndamping_ratio = {}",
-            digits(p.density),
-            digits(p.stretch),
-            digits(p.shear),
-            digits(p.bend),
-            digits(p.damping_ratio),
+            exact(p.density),
+            exact(p.stretch),
+            exact(p.shear),
+            exact(p.bend),
+            exact(p.damping_ratio),
         ));
         if fit.estimates.iter().any(|e| e.parameter == Parameter::Contact) {
-            said.push(format!("contact.stiffness = {}", digits(p.contact)));
+            said.push(format!("contact.stiffness = {}", exact(p.contact)));
         }
     }
     said
 }
 
 /// Six significant digits, as TOML reads them.
-fn digits(value: f64) -> String {
+fn exact(value: f64) -> String {
     let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
     if (1e-3..1e6).contains(&rounded) { format!("{rounded:?}") } else { format!("{rounded:e}") }
 }

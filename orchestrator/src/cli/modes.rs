@@ -6,8 +6,8 @@ use metasense_worker::modes::{Response, responses, slowest};
 
 use super::{Error, Format, or_first, print_rows, read_plan, trial_and_design, write};
 use crate::exit::Exit;
-use crate::look::{Table, row};
-use crate::report::{modes as pictures, standalone};
+use crate::look::{Table, file, row};
+use crate::report::modes as pictures;
 
 /// Eigenmodes of a trial's body at rest: frequencies, damping ratios, shapes; or how a panel's force moves a unit there
 ///
@@ -48,11 +48,11 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let (trial, design) = &trial_and_design(&plan, &args.spec, hash, args.design.as_deref())?;
     let said = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
     let modes = slowest(trial, design, args.count.into()).map_err(|e| said(&e))?;
-    let (table, picture, legend) = match args.response {
+    let (table, columns, (drawn, legend)) = match args.response {
         None => {
             let rows = modes.iter().enumerate().map(|(n, mode)| pictures::row(n, mode));
             let drawn = pictures::shapes(trial, design, &modes).map_err(|e| said(&e))?;
-            (Table::new(pictures::COLUMNS, rows), drawn, vec![("speed", "motion of a unit".to_owned())])
+            (Table::new(pictures::COLUMNS, rows), modes.len().clamp(1, 4), drawn)
         }
         Some(unit) => {
             let last = modes.last().map_or(0.0, metasense_worker::modes::Mode::frequency);
@@ -60,13 +60,12 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
                 (1..=FREQUENCIES).map(|i| last * i as f64 / FREQUENCIES as f64).collect();
             let found = responses(trial, design, unit, &frequencies)
                 .map_err(|e| Error::Usage(format!("--response {unit}: {e}")))?;
-            let (drawn, legend) = pictures::responses(unit, &frequencies, &found);
-            (table(&frequencies, &found), drawn, legend)
+            (table(&frequencies, &found), 1, pictures::responses(unit, &frequencies, &found))
         }
     };
     print_rows(&table, args.format)?;
     if let Some(out) = &args.out {
-        write(out, standalone(&picture, &legend).expect("it stands still"))?;
+        write(out, file(&drawn, columns, 160.0 * columns.max(3) as f64, &legend))?;
         say!("written {}", out.display());
     }
     Ok(Exit::Done)

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 
 use metasense_worker::place::{Looked, look};
+use metasense_worker::replay::Drawing;
 use serde_json::json;
 
 use super::{Error, Format, print_rows, read_plan, trial_and_design, write};
-use crate::draw::{Drawing, svg};
 use crate::exit::Exit;
-use crate::look::Table;
+use crate::look::body::{Notes, Unit, body, frame, legend};
+use crate::look::{Table, file, level};
 
 /// Searches for the units that carry a trial's sensors best: error by their number, beside other searches and random placements
 ///
@@ -52,9 +53,10 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     }
     if let Some(out) = &args.out {
         let drawn = metasense_worker::replay::drawing(trial, design).map_err(|e| said(&e))?;
-        let (layout, _) = metasense_worker::simulate::body(trial).map_err(|e| said(&e))?;
+        let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
+        let drawn = Drawing { sensors, active: Vec::new(), ..drawn };
         let caption = format!(
-            "Error with {}: {:.1} % (dark) … {:.1} % (light)",
+            "Error with {}: {:.1} % (strong) … {:.1} % (pale)",
             match args.given {
                 0 => "a sensor there alone".to_owned(),
                 m => format!("a sensor there beside the first {m}"),
@@ -62,17 +64,16 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
             found.worth.first().map_or(0.0, |best| best.1),
             found.worth.last().map_or(0.0, |worst| worst.1),
         );
-        let text = svg(&Drawing {
-            layout: &layout,
-            design,
-            clamped: &drawn.clamped,
-            panels: &drawn.panels,
-            sensors: found.placed.last().map_or(&[], |placed| &placed.units),
-            worth: Some(&found.worth),
-            active: &[],
-            violations: &[],
-            caption: &caption,
-        });
+        // by rank: errors of a few units far from all others would leave those alike
+        let shade = |u: usize| {
+            let rank = found.worth.iter().position(|(unit, _)| *unit == u)?;
+            let part = 1.0 - rank as f64 / (found.worth.len() - 1).max(1) as f64;
+            Some(format!("unit {}", level(part * part)))
+        };
+        let notes = Notes { numbers: true, violations: &[] };
+        let unit = |u| Unit { class: shade(u), ..Unit::default() };
+        let picture = body(&drawn, frame(&[&drawn]), &caption, notes, unit);
+        let text = file(&[picture], 1, 640.0, &legend(&drawn, &[]));
         write(out, text)?;
         say!("written {}", out.display());
     }

@@ -7,7 +7,8 @@ use clap::ValueEnum;
 use super::{Error, make_folder, write};
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
-use crate::report::{Figure, Story, figures, html, load, standalone};
+use crate::look::{Figure, file};
+use crate::report::{Story, figures, html, load};
 use crate::store::Reader;
 
 /// Writes what a database's trials teach as one HTML file: question and answer first, then figures with their data
@@ -75,13 +76,16 @@ fn file_names<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     taken
 }
 
+/// Width of a figure's file (px).
+const WIDTH: f64 = 440.0;
+
 /// Every figure with its data, into a folder that is made where it is missing.
 pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error> {
     make_folder(folder)?;
     for figure in drawn {
-        let stills: Vec<String> = figure.plots.iter().filter_map(|p| standalone(p, &figure.legend)).collect();
-        for (i, svg) in stills.iter().enumerate() {
-            let number = if stills.len() > 1 { format!("-{}", i + 1) } else { String::new() };
+        let files = figure.pictures.iter().map(|p| file(std::slice::from_ref(p), 1, WIDTH, &figure.legend));
+        for (i, svg) in files.enumerate() {
+            let number = if figure.pictures.len() > 1 { format!("-{}", i + 1) } else { String::new() };
             write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;
         }
         write(&folder.join(format!("{}.csv", figure.name)), figure.data.shortened().csv())?;

@@ -1,11 +1,22 @@
-//! One renderer for everything that is looked at: numbers, tables and their writers. It knows nobody else here.
+//! One renderer for everything that is looked at: numbers, tables and their writers, plots, bodies, waves, pages. It knows
+//! nobody else here.
 
+pub mod body;
 mod number;
+mod page;
 mod parquet;
+mod picture;
+mod plot;
+mod style;
 mod table;
+pub mod wave;
 mod write;
 
 pub use number::{digits, number};
+pub use page::{Answer, Figure, answers, page};
+pub use picture::{Legend, Picture, file, legend};
+pub use plot::{Axis, Plot, Scale};
+pub use style::{SERIES, level};
 pub use table::Table;
 pub(crate) use table::row;
 pub use write::{Format, RowWriter, print_rows, standard_output};

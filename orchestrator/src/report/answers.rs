@@ -10,11 +10,8 @@ use crate::analysis::random::random;
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::{nonlinear, verdict_text};
 use crate::analysis::{Body, Set, Terms, Trial, Verdict, elbow, paired};
-use crate::look::number;
+use crate::look::{Answer, number};
 use crate::plan::counted;
-
-/// An answer, and whether it is good news, or bad; `None`: neither, or undecided.
-pub type Answer = (Option<bool>, String);
 
 /// The share of votes from which on an answer is good news.
 const SURE: f64 = 0.95;
@@ -43,7 +40,10 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
         };
         if let Some(r) = paired::error_ratio(&refs, set) {
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
-            said.push((
+            // what steered the body says less than what nothing has seen
+            let figure = if set == Set::Holdout { "" } else { "pairs" };
+            said.push(Answer::new(
+                figure,
                 verdict(&r),
                 format!(
                     "{who}On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
@@ -76,7 +76,8 @@ fn linear_model(trials: &[&Trial]) -> Option<Answer> {
     };
     let [initial, optimised] = Body::ALL.map(|body| Some([mean(body, 0)?, mean(body, 1)?]));
     let ([a, w], [b, v]) = (initial?, optimised?);
-    Some((
+    Some(Answer::new(
+        "modes",
         None,
         format!(
             "A linear model of the body at rest leaves {a} % of the initial body's accelerations and {w} % of its angular \
@@ -115,7 +116,8 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
         trials.iter().filter(|t| t.long_iterations() == Some(iterations)).copied().collect();
     let ratio = paired::long_ratio(&trials, Set::Holdout)?;
     let [initial, optimised] = means(&trials, |t, body| t.long_error(body, Set::Holdout));
-    Some((
+    Some(Answer::new(
+        "losses",
         verdict(&ratio),
         format!(
             "After {iterations} iterations of the brain the initial body's holdout error still is {} times the optimised \
@@ -136,7 +138,8 @@ fn placing(found: &Placed) -> Option<Answer> {
         let of = |error| found.needed(searched, body, set, error).map_or("–".into(), |m| m.to_string());
         [20.0, 10.0, 5.0].map(of).join(", ")
     };
-    Some((
+    Some(Answer::new(
+        "placed",
         verdict(&by_training),
         format!(
             "{}, M = {}: sensors placed by a search instead of at random take the initial body from {} to {} % ({} times \
@@ -185,7 +188,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
         true => format!("{}: both bodies: {initial}.", group.label),
         false => format!("{}: optimised body: {optimised}; initial body: {initial}.", group.label),
     };
-    let mut said = vec![(None, text)];
+    let mut said = vec![Answer::new("sensors", None, text)];
     let [initial, optimised] = Body::ALL.map(|body| decide(&curve(body), terms));
     let price = terms.price.map_or(String::new(), |p| format!("least error + {} % × M", number(p)));
     let within = format!("smallest M within {} % of the best", number(100.0 * terms.within));
@@ -195,7 +198,8 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
     ] {
         let told = |decided: &Option<Decisions>| decided.as_ref().and_then(of).map(decision);
         if let (Some(initial), Some(optimised)) = (told(&initial), told(&optimised)) {
-            said.push((
+            said.push(Answer::new(
+                "sensors",
                 None,
                 format!("{}: {what}: optimised body {optimised}; initial body {initial}.", group.label),
             ));
@@ -219,7 +223,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             Some(_) => f.share.is_some_and(|share| share >= SURE).then_some(true),
             None => Some(false),
         };
-        said.push((verdict, format!("{}: {text}.", group.label)));
+        said.push(Answer::new("", verdict, format!("{}: {text}.", group.label)));
     }
     said
 }
@@ -239,7 +243,8 @@ fn random_bodies(group: &Group) -> Option<Answer> {
     let found = random(&group.trials, Set::Holdout)?;
     let [initial, optimised] = found.ratios;
     let (initial, optimised) = (initial?, optimised?);
-    Some((
+    Some(Answer::new(
+        "random",
         verdict(&optimised),
         format!(
             "{}: {} random bodies have {} times the holdout error of the initial body ({} of {} are worse) and {} times that \

@@ -1,18 +1,15 @@
 //! What the brain decides, drawn and in a sentence.
 
-use super::answers::Answer;
-use super::figures::Figure;
-use super::plot::{Axis, Plot, Scale};
 use crate::analysis::brains::{Read, reads};
 use crate::analysis::data::{BRAINS, groups};
 use crate::analysis::{Body, Question, Terms, Trial};
-use crate::look::number;
+use crate::look::{Answer, Axis, Figure, Plot, Scale, number};
 
 /// At most so many settings are drawn; the data hold all.
 const MOST_SETTINGS: usize = 4;
 
 /// Classes of the optimised bodies' lines, by what trained them.
-const TRAINED: [&str; 3] = ["optimised", "front", "truth"];
+const TRAINED: [&str; 5] = ["optimised", "front", "fourth", "fifth", "truth"];
 
 /// Error against memory, and against the wait after the instant, by linear brains; dots: networks.
 #[must_use]
@@ -23,7 +20,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         .map(|group| (group.label, reads(&group.trials)))
         .filter(|(_, reads)| reads.iter().any(|read| read.whole))
         .collect();
-    let mut plots = Vec::new();
+    let mut pictures = Vec::new();
     let mut with: Vec<&str> =
         drawn.iter().flat_map(|(_, reads)| reads).map(|read| read.trained_with.as_str()).collect();
     with.sort_unstable();
@@ -53,7 +50,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
             memory.dots("initial", [at(Body::Initial)]);
             memory.dots(class, [at(Body::Optimised)]);
         }
-        plots.push(memory.svg());
+        pictures.push(memory.picture());
         // the whole past, and ever more of what comes after
         let x = Axis::new(
             "wait after the instant, whole past before (s)",
@@ -62,11 +59,11 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         );
         let mut delay = Plot::new(label, x, Axis::new("holdout error (%)", Scale::Log, errors(&past)));
         curves(&mut delay, &past, &with, |r| r.memory[1]);
-        plots.push(delay.svg());
+        pictures.push(delay.picture());
     }
     let mut entries = vec![("initial", "initial body".to_owned())];
     entries.extend(with.iter().map(|name| (class(&with, name), format!("body trained with {name}"))));
-    (!plots.is_empty()).then(|| Figure {
+    (!pictures.is_empty()).then(|| Figure {
         name: "brains",
         title: "Body or brain?".into(),
         caption: "Prediction error on the holdout by linear least squares of the forces on the signals around each instant: \
@@ -74,7 +71,8 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
                   Dots are networks, at the memory that their shape has."
             .into(),
         legend: entries,
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Question::Brains.answer(trials, Terms::default()),
     })
@@ -123,7 +121,10 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     groups(&refs, BRAINS)
         .iter()
-        .filter_map(|group| Some((None, sentence(&group.label, &reads(&group.trials))?)))
+        .filter_map(|group| {
+            let text = sentence(&group.label, &reads(&group.trials))?;
+            Some(Answer::new("brains", None, text))
+        })
         .collect()
 }
 

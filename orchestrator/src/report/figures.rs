@@ -2,7 +2,6 @@
 
 use serde_json::json;
 
-use super::plot::{Axis, Plot, Scale};
 use crate::analysis::brains::brains;
 use crate::analysis::data::{
     COMPLEXITY, CurvePoint, DESIGN, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
@@ -13,35 +12,10 @@ use crate::analysis::resample::quantile;
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
 use crate::analysis::{Body, Question, Set, Terms, Trial, Verdict, elbow, paired};
-use crate::look::{Table, number, row};
-
-/// A figure: plots side by side under one caption.
-#[derive(Debug, Clone)]
-pub struct Figure {
-    /// Names its files and its anchor.
-    pub name: &'static str,
-    /// Its heading.
-    pub title: String,
-    /// What was measured, and how to read it.
-    pub caption: String,
-    /// Entries of the legend: class and text.
-    pub legend: Vec<(&'static str, String)>,
-    /// SVG elements.
-    pub plots: Vec<String>,
-    /// Whether the plots are small ones.
-    pub small: bool,
-    /// What is drawn.
-    pub data: Table,
-}
+use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// The usual legend.
 pub const BODIES: [(&str, &str); 2] = [("initial", "initial body"), ("optimised", "optimised body")];
-
-/// Entries of a legend.
-#[must_use]
-pub fn legend(entries: &[(&'static str, &str)]) -> Vec<(&'static str, String)> {
-    entries.iter().map(|(class, text)| (*class, (*text).to_owned())).collect()
-}
 
 /// At most so many trials of a setting have a line of their own; the data hold these.
 const MOST_LINES: usize = 200;
@@ -106,7 +80,8 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
         } else {
             vec![]
         },
-        plots: vec![plot.svg()],
+        pictures: vec![plot.picture()],
+        moving: None,
         small: false,
         data,
     })
@@ -118,7 +93,7 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let drawn: Vec<Group> =
         groups(&refs, SENSORS).into_iter().filter(|g| distinct(g, |t| t.sensors) > 1).collect();
-    let mut plots = Vec::new();
+    let mut pictures = Vec::new();
     for group in drawn.iter().take(MOST_PLOTS) {
         let curves = Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.sensors)));
         let errors = curves.iter().flat_map(|c| c.1.iter().map(|o| o.error));
@@ -156,12 +131,12 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
                 marked += 1;
             }
         }
-        plots.push(plot.svg());
+        pictures.push(plot.picture());
     }
     let left_out = drawn.len().saturating_sub(MOST_PLOTS);
     let rest =
         if left_out > 0 { format!(" {left_out} further settings are in the data.") } else { String::new() };
-    (!plots.is_empty()).then(|| Figure {
+    (!pictures.is_empty()).then(|| Figure {
         name: "sensors",
         title: "How many sensors are enough?".into(),
         caption: format!(
@@ -170,7 +145,8 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
              on ln error, votes by bootstrap over placements and seeds).{rest}"
         ),
         legend: legend(&BODIES),
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Question::Sensors.answer(trials, terms),
     })
@@ -180,7 +156,7 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
 #[must_use]
 pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
-    let mut plots = Vec::new();
+    let mut pictures = Vec::new();
     for found in placed(&refs).iter().filter(|found| found.levels.len() > 1).take(MOST_PLOTS) {
         let curve = |searched, body| {
             let of = |l: &Level| Some((l.sensors as f64, l.error(searched, body, Set::Holdout)?));
@@ -201,9 +177,9 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
             });
             plot.dots(&class, told);
         }
-        plots.push(plot.svg());
+        pictures.push(plot.picture());
     }
-    (!plots.is_empty()).then(|| Figure {
+    (!pictures.is_empty()).then(|| Figure {
         name: "placed",
         title: "Place sensors well, or train the body?".into(),
         caption:
@@ -212,7 +188,8 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
                   over placements and seeds."
                 .into(),
         legend: legend(&BODIES),
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Question::Placed.answer(trials, Terms::default()),
     })
@@ -229,7 +206,7 @@ pub(super) fn distinct(group: &Group, at: fn(&Trial) -> u64) -> usize {
 #[must_use]
 pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
-    let mut plots = Vec::new();
+    let mut pictures = Vec::new();
     for group in groups(&refs, DESIGN) {
         let Some(found) = random(&group.trials, Set::Holdout) else { continue };
         let [initial, optimised] = &found.others;
@@ -248,9 +225,9 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
             });
             plot.dots(class, dots);
         }
-        plots.push(plot.svg());
+        pictures.push(plot.picture());
     }
-    (!plots.is_empty()).then(|| Figure {
+    (!pictures.is_empty()).then(|| Figure {
         name: "random",
         title: "Would any other body have done?".into(),
         caption: "Prediction error on the holdout of random castable bodies, of the initial one and of the optimised one, \
@@ -258,7 +235,8 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
                   random bodies is in the data."
             .into(),
         legend: vec![],
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Question::Random.answer(trials, Terms::default()),
     })
@@ -275,7 +253,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let drawn = |t: &&Trial| !t.starts_random() && t.curves.iter().all(|c| !c.is_empty());
     let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
     let mut rows = Vec::new();
-    let mut plots = Vec::new();
+    let mut pictures = Vec::new();
     type Curves = fn(&Trial) -> &[Vec<Vec<CurvePoint>>; 2];
     let ways: [(&str, &str, Curves); 3] = [
         ("", "training loss (normalised)", |t| &t.curves),
@@ -307,7 +285,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
                     [json!(label), json!(quantity), json!(body.name())].into_iter().chain(numbers).collect()
                 }));
             }
-            plots.push(plot.svg());
+            pictures.push(plot.picture());
         }
     }
     let schedules = paired::schedules(&refs);
@@ -335,7 +313,8 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
             ratios.join(", ")
         ),
         legend: legend(&BODIES),
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Table::new("setting quantity body iteration median lower_quartile upper_quartile", rows),
     })
@@ -367,7 +346,7 @@ fn middle(curves: &[&Vec<CurvePoint>]) -> Vec<(f64, f64, f64, f64)> {
 #[must_use]
 pub fn complexity(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
-    let mut plots = Vec::new();
+    let mut pictures = Vec::new();
     let mut laws: Vec<(String, String)> = Vec::new();
     let drawn: Vec<Group> = [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(&refs, but)).collect();
     for group in drawn.iter().filter(|g| distinct(g, |t| t.design_parameters) > 1).take(MOST_PLOTS) {
@@ -417,9 +396,9 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
                 }),
             );
         }
-        plots.push(plot.svg());
+        pictures.push(plot.picture());
     }
-    (!plots.is_empty()).then(|| Figure {
+    (!pictures.is_empty()).then(|| Figure {
         name: "complexity",
         title: "What does a more complex body buy?".into(),
         caption: format!(
@@ -429,7 +408,8 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
             told(&laws)
         ),
         legend: legend(&BODIES),
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Question::Sizes.answer(trials, Terms::default()),
     })
@@ -450,7 +430,7 @@ fn told(laws: &[(String, String)]) -> String {
 pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     let drawn = |t: &&Trial| !t.starts_random() && !t.history.is_empty();
     let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
-    let mut plots = Vec::new();
+    let mut pictures = Vec::new();
     let mut rows = Vec::new();
     let mut sparsest = 1;
     for (i, group) in groups(&refs, &[TRAINING, SENSORS, COMPLEXITY].concat()).iter().enumerate() {
@@ -472,26 +452,33 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
             Axis::new("CPU seconds of the outer loop", Scale::Log, points.iter().map(|p| p.0)),
             Axis::new("best test error so far (%)", Scale::Log, points.iter().map(|p| p.1)),
         );
+        let ways = groups(&group.trials, &[SENSORS, COMPLEXITY].concat());
+        let told = |way: &Group| {
+            let [_, with] = brains(way.trials[0]);
+            let protocol = Some(way.trials[0].protocol()).filter(|name| *name != "joint").unwrap_or_default();
+            format!("{protocol} {with}").trim().to_owned()
+        };
+        let texts: Vec<String> = ways.iter().filter(|_| ways.len() > 1).map(told).collect();
+        plot = plot.with_room(texts.iter().map(String::as_str));
+        let mut notes = Vec::new();
         for trial in group.trials.iter().step_by(every) {
             plot.line("thin", steps(&trial.history));
         }
-        let ways = groups(&group.trials, &[SENSORS, COMPLEXITY].concat());
         for way in &ways {
             let histories: Vec<&[(f64, f64)]> = way.trials.iter().map(|t| t.history.as_slice()).collect();
             let mean = mean_history(&histories, 60);
-            if let (Some(last), true) = (mean.last().copied(), ways.len() > 1) {
-                let trial = way.trials[0];
-                let [_, with] = brains(trial);
-                let told = if trial.protocol() == "joint" { "" } else { trial.protocol() };
-                plot.note(last, format!("{told} {with}").trim());
-            }
+            notes.extend(mean.last().map(|last| (*last, told(way))));
             plot.line("optimised", mean);
         }
         let front: Vec<(f64, f64)> = pareto(&points).into_iter().map(|i| points[i]).collect();
         plot.line("front", steps(&front));
-        plots.push(plot.svg());
+        // over all lines
+        for (end, text) in notes.iter().filter(|_| ways.len() > 1) {
+            plot.note(*end, text);
+        }
+        pictures.push(plot.picture());
     }
-    (!plots.is_empty()).then(|| Figure {
+    (!pictures.is_empty()).then(|| Figure {
         name: "run_time",
         title: "What did the error cost in time?".into(),
         caption: format!(
@@ -501,7 +488,8 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
             if sparsest > 1 { format!(", of the many at most {MOST_LINES} a setting") } else { String::new() }
         ),
         legend: legend(&[("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Table::new("hash protocol seconds best_error_test", rows),
     })

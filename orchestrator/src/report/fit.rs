@@ -1,12 +1,11 @@
 //! The figures of an identification: records with the fit, and how the fit went.
 
+use maud::html;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::identify::Fit;
-use serde_json::{Value, json};
+use serde_json::json;
 
-use super::plot::{Axis, Plot, Scale};
-use super::{Figure, figure_html, table_html};
-use crate::look::{Table, number, row};
+use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
 /// A folder's worth of pictures about a fit to `signals` (N, T, 3M).
 #[must_use]
@@ -21,25 +20,14 @@ pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
 
 /// The page: what was found, then the figures.
 #[must_use]
-pub fn page(title: &str, found: &Table, notes: &[String], figures: &[Figure]) -> String {
-    let mut content = format!(
-        "<h1>{}</h1><p class=\"question\">Which material gave these records?</p>",
-        super::escape(title)
-    );
-    // With the digits that intervals of a thousandth need
-    let digits = |value: &Value| match value.as_f64() {
-        Some(x) => json!(if (1e-3..1e6).contains(&x.abs()) { format!("{x:.5}") } else { format!("{x:.4e}") }),
-        None => value.clone(),
+pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) -> String {
+    let content = html! {
+        // what a person reads is text: with the digits that intervals need
+        (found.html(Some("estimates")))
+        @for note in notes { pre { (note) } }
+        @for figure in figures { (figure.html(&[])) }
     };
-    let rows = found.rows.iter().map(|row| row.iter().map(digits).collect()).collect();
-    content.push_str(&table_html(&Table { columns: found.columns.clone(), rows }));
-    for note in notes {
-        content.push_str(&format!("<pre>{}</pre>", super::escape(note)));
-    }
-    for figure in figures {
-        content.push_str(&figure_html(figure));
-    }
-    super::page(title, &content)
+    page(title, "Which material gave these records?", &content)
 }
 
 /// The records of least, middle and most misfit: acceleration and rotation rate of the sensor that moves most.
@@ -71,7 +59,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
     order.sort_by(|a, b| misfit(*a).total_cmp(&misfit(*b)));
     let mut chosen = vec![order[0], order[count / 2], order[count - 1]];
     chosen.dedup();
-    let (mut plots, mut rows) = (Vec::new(), Vec::new());
+    let (mut pictures, mut rows) = (Vec::new(), Vec::new());
     for &r in &chosen {
         for &c in &shown {
             let [measured, started, fitted] = [signals, before, after].map(|v| of(v, r, c));
@@ -99,7 +87,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             plot.line("front fine", points(&rest));
             // A thin line on top of a wide one: where they agree, both are seen.
             plot.line("truth", points(&measured));
-            plots.push(plot.svg());
+            pictures.push(plot.picture());
             for n in 0..instants {
                 rows.push(row![r, unit, name, time(n), measured[n], started[n], fitted[n]]);
             }
@@ -123,7 +111,8 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             ("initial", "start".into()),
             ("front", "measured − fitted".into()),
         ],
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Table::new("record unit channel seconds measured start fitted", rows),
     }
@@ -139,7 +128,7 @@ fn course(fit: &Fit) -> Figure {
     for (kind, class) in [(0, "truth"), (1, "front")] {
         off.line(class, steps.iter().zip(&fit.iterations).map(|(n, i)| (*n, i.misfit[kind])));
     }
-    let mut plots = vec![off.svg()];
+    let mut pictures = vec![off.picture()];
     for e in &fit.estimates {
         let way = fit.iterations.iter().map(|i| i.parameters.array()[e.parameter as usize]);
         let unit =
@@ -149,7 +138,7 @@ fn course(fit: &Fit) -> Figure {
         let title = format!("{}: {}", e.parameter.name(), number(e.value));
         let mut plot = Plot::new(&title, axis(), Axis::new(&label, Scale::Log, span)).sized(560.0, 280.0);
         plot.line("optimised", steps.iter().copied().zip(way));
-        plots.push(plot.svg());
+        pictures.push(plot.picture());
     }
     let rows = fit.iterations.iter().enumerate().map(|(n, i)| {
         let mut row = row![n + 1, i.window, i.misfit[0], i.misfit[1]];
@@ -165,7 +154,8 @@ fn course(fit: &Fit) -> Figure {
                   lost, the fit begins again from other values."
             .into(),
         legend: vec![("truth", "accelerations".into()), ("front", "rotation rates".into())],
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Table::new(&columns, rows),
     }

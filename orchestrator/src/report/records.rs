@@ -1,14 +1,11 @@
 //! Bodies judged by measured records: the table in words, figures, and a page of them.
 
+use maud::html;
 use metasense_worker::evaluate::Evaluated;
 
-use super::answers::Answer;
-use super::figures::{Figure, legend};
-use super::plot::{Axis, Plot, Scale, escape};
 use super::strips::{Curve, Errors, Strip, dots, representative, strips};
-use super::{answer_list, figure_html, page, table_html};
 use crate::analysis::records::{Agreement, Judged, mean_ratio, table};
-use crate::look::{Table, number, row};
+use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
 /// A body's records and what networks make of them.
 #[derive(Debug, Clone)]
@@ -39,7 +36,7 @@ pub struct Comparison {
 }
 
 /// Styles of lines and dots, by body.
-const CLASSES: [&str; 3] = ["initial", "optimised", "front"];
+const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth", "fifth"];
 
 fn class(body: usize) -> &'static str {
     CLASSES[body.min(CLASSES.len() - 1)]
@@ -84,7 +81,7 @@ impl Comparison {
             if let Some(promised) = of(&body.name, true) {
                 text += &format!("; the model promises {} %", shown(promised.error()));
             }
-            said.push((None, text + "."));
+            said.push(Answer::new("", None, text + "."));
         }
         for body in self.bodies.iter().skip(1) {
             let ratio = |simulated| {
@@ -107,7 +104,7 @@ impl Comparison {
                 number(found.ratio),
                 body.name
             );
-            said.insert(0, (verdict, text));
+            said.insert(0, Answer::new("", verdict, text));
         }
         said
     }
@@ -139,19 +136,18 @@ impl Comparison {
     /// The page.
     #[must_use]
     pub fn html(&self, figures: &[Figure]) -> String {
-        let title = "metasense: bodies judged by measured records";
-        let mut content = format!(
-            "<h1>{}</h1><p class=\"question\">How well do fresh networks read forces from the signals that the bodies' \
-             sensors really gave?</p>{}</ul>",
-            escape(title),
-            answer_list(&self.answers())
-        );
-        content.extend(figures.iter().map(figure_html));
-        content += &format!("<h2>Table</h2>{}", table_html(&self.table()));
-        page(title, &content)
+        let content = html! {
+            (answers(&self.answers()))
+            @for figure in figures { (figure.html(&[])) }
+            h2 { "Table" }
+            (self.table().html(Some("table")))
+        };
+        let question =
+            "How well do fresh networks read forces from the signals that the bodies' sensors really gave?";
+        page("metasense: bodies judged by measured records", question, &content)
     }
 
-    fn legend(&self) -> Vec<(&'static str, String)> {
+    fn legend(&self) -> Legend {
         self.bodies.iter().enumerate().map(|(b, body)| (class(b), body.name.clone())).collect()
     }
 
@@ -208,7 +204,7 @@ impl Comparison {
                 .collect()
         };
         let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
-        let (plots, step) = strips(&samples, &names, " N", self.duration);
+        let (pictures, step) = strips(&samples, &names, " N", self.duration);
         let mut entries = legend(&[("truth", "true force")]);
         entries.extend(self.legend());
         Figure {
@@ -222,7 +218,8 @@ impl Comparison {
                 number(step)
             ),
             legend: entries,
-            plots,
+            pictures,
+            moving: None,
             small: false,
             data: Table::new("body record panel seconds force predicted", rows),
         }
@@ -252,7 +249,8 @@ impl Comparison {
                 if self.paired { "; the bodies' errors under the same blow are joined" } else { "" }
             ),
             legend: self.legend(),
-            plots: vec![dots("Every record, measured signals", &label, &bodies, self.paired)],
+            moving: None,
+            pictures: vec![dots("Every record, measured signals", &label, &bodies, self.paired)],
             small: false,
             data: self.records(),
         }
@@ -279,7 +277,8 @@ impl Comparison {
             caption: "Error on unseen records against iterations of training, a mean over folds and seeds."
                 .into(),
             legend: self.legend(),
-            plots: vec![plot.svg()],
+            pictures: vec![plot.picture()],
+            moving: None,
             small: false,
             data: Table::new("body signals iteration error", rows),
         }
@@ -290,7 +289,7 @@ impl Comparison {
         let (judged, channels) = (&self.judged, self.shape[2]);
         let names: Vec<String> =
             (0..channels).map(|c| format!("{}{}", ["ax", "ay", "ω"][c % 3], c / 3)).collect();
-        let (mut plots, mut rows) = (Vec::new(), Vec::new());
+        let (mut pictures, mut rows) = (Vec::new(), Vec::new());
         for (b, body) in self.bodies.iter().enumerate() {
             let Some((simulated, _)) = &body.simulated else { continue };
             let typical = representative(&judged[b].errors, 0..judged[b].errors.len());
@@ -310,16 +309,17 @@ impl Comparison {
             }
             let sources = vec![("truth".to_owned(), measured), ("front".to_owned(), model)];
             let strip = Strip { title: format!("{}, record {record}", body.name), sources };
-            plots.extend(strips(&[strip], &names, " RMS", self.duration).0);
+            pictures.extend(strips(&[strip], &names, " RMS", self.duration).0);
         }
-        (!plots.is_empty()).then(|| Figure {
+        (!pictures.is_empty()).then(|| Figure {
             name: "signals",
             title: "Measured and modelled signals".into(),
             caption: "What the sensors said under one record of each body, and what the trial's model of the body says under \
                       the same forces, each channel over its RMS."
                 .into(),
             legend: legend(&[("truth", "measured"), ("front", "model")]),
-            plots,
+            pictures,
+            moving: None,
             small: false,
             data: Table::new("body record channel seconds measured simulated", rows),
         })

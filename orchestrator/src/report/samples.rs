@@ -1,16 +1,15 @@
 //! The figures that need a trial's signals, predictions and motion: one representative trial, replayed.
 
-use std::fmt::Write as _;
-
-use metasense_worker::replay::{Drawing, drawing, motion, replay};
+use metasense_worker::replay::{Drawing, Motion, drawing, motion, replay};
 use metasense_worker::run::Failure;
 
-use super::body::{self, Frame, marks, points};
-use super::figures::{BODIES, Figure, legend};
+use super::figures::BODIES;
 use super::modes;
 use super::strips::{Curve, Errors, Strip, dots, representative, strips};
 use crate::analysis::Body;
-use crate::look::{Table, number, row};
+use crate::look::body::{Notes, Unit, body, frame};
+use crate::look::wave::{animation, snapshot};
+use crate::look::{Figure, Table, legend, number, row};
 use crate::store::Stored;
 
 /// Draws the bodies, four samples, every test sample, the wave.
@@ -100,7 +99,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
     };
     let samples: Vec<Strip> = chosen.iter().map(strip).collect();
     let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
-    let (plots, step) = strips(&samples, &names, " N", stored.spec().time.duration);
+    let (pictures, step) = strips(&samples, &names, " N", stored.spec().time.duration);
     Figure {
         name: "forces",
         title: "True and predicted forces".into(),
@@ -112,7 +111,8 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
             number(step)
         ),
         legend: legend(&[("truth", "true force"), BODIES[0], BODIES[1]]),
-        plots,
+        pictures,
+        moving: None,
         small: false,
         data: Table::new("sample panel seconds force initial optimised", rows),
     }
@@ -139,17 +139,18 @@ fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
             pairs.len()
         ),
         legend: legend(&BODIES),
-        plots: vec![plot],
+        pictures: vec![plot],
+        moving: None,
         small: false,
         data: Table::new("sample error_initial error_optimised", pairs.iter().map(|p| row![p.0, p.1, p.2])),
     }
 }
 
 fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
-    let frame = Frame::around(&[&drawings[0], &drawings[1]]);
-    let plots = Body::ALL.map(|b| {
-        let label = format!("{} body", b.name());
-        format!("<h3>{label}</h3>{}", body::svg(&drawings[b as usize], &frame, &label, |_| String::new()))
+    let frame = frame(&[&drawings[0], &drawings[1]]);
+    let pictures = Body::ALL.map(|b| {
+        let title = format!("{} body", b.name());
+        body(&drawings[b as usize], frame, &title, Notes::default(), |_| Unit::default())
     });
     let mut rows = Vec::new();
     for body in Body::ALL {
@@ -178,19 +179,15 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
             number(moved)
         ),
         legend: legend(&entries),
-        plots: plots.to_vec(),
+        pictures: pictures.to_vec(),
+        moving: None,
         small: false,
         data: Table::new("body unit node x y", rows),
     }
 }
 
 /// Snapshots of speed, and what the animation needs.
-fn waves(
-    stored: &Stored,
-    drawings: &[Drawing; 2],
-    motions: &[metasense_worker::replay::Motion; 2],
-    sample: usize,
-) -> Figure {
+fn waves(stored: &Stored, drawings: &[Drawing; 2], motions: &[Motion; 2], sample: usize) -> Figure {
     let speed = |b: usize, n: usize, u: usize| {
         let [vx, vy, _] = motions[b].velocities[n][u];
         vx.hypot(vy)
@@ -211,15 +208,13 @@ fn waves(
             shots.push(n);
         }
     }
-    let frame = Frame::around(&[&drawings[0], &drawings[1]]);
-    let (mut plots, mut rows) = (Vec::new(), Vec::new());
+    let frame = frame(&[&drawings[0], &drawings[1]]);
+    let (mut pictures, mut rows) = (Vec::new(), Vec::new());
     for body in Body::ALL {
         let (b, d) = (body as usize, &drawings[body as usize]);
         for &n in &shots {
             let label = format!("{}, {} s", body.name(), number(d.clock[n]));
-            let fill = |u: usize| format!(" style=\"{}\"", colour(speed(b, n, u) / most));
-            let moved = displaced(d, &motions[b].displacements[n]);
-            plots.push(format!("<h3>{label}</h3>{}", body::svg(&moved, &frame, &label, fill)));
+            pictures.push(snapshot(d, frame, &motions[b], n, most, &label));
         }
         for &n in &shots {
             rows.extend((0..units).map(|u| {
@@ -229,7 +224,7 @@ fn waves(
         }
     }
     let fastest = (0..instants).max_by(|a, b| mean[*a].total_cmp(&mean[*b])).unwrap_or(0);
-    plots.push(animation(drawings, motions, &frame, most, fastest));
+    let bodies = Body::ALL.map(|body| (body.name(), &drawings[body as usize], &motions[body as usize]));
     Figure {
         name: "waves",
         title: "The wave in the body".into(),
@@ -240,105 +235,9 @@ fn waves(
             who(stored)
         ),
         legend: legend(&[("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")]),
-        plots,
+        pictures,
+        moving: Some(animation(&bodies, frame, most, fastest)),
         small: true,
         data: Table::new("body seconds unit u v theta speed", rows),
     }
-}
-
-pub(super) fn colour(part: f64) -> String {
-    // Speeds of a wave span decades; the root shows the quiet ones too.
-    format!("fill:{MIX}{:.0}{MIXED}", 100.0 * part.clamp(0.0, 1.0).sqrt())
-}
-
-const MIX: &str = "color-mix(in oklab,var(--fast) ";
-const MIXED: &str = "%,var(--slow))";
-
-/// Speeds' colours as numbers (mixed in sRGB), for programs that know no other.
-pub(super) fn mixed(svg: &str, palette: &[(&str, &str)]) -> String {
-    let channels = |name: &str| -> [f64; 3] {
-        let hex = palette.iter().find(|(n, _)| *n == name).expect("a colour of the palette").1;
-        std::array::from_fn(|i| u8::from_str_radix(&hex[2 * i + 1..][..2], 16).expect("#rrggbb").into())
-    };
-    let (slow, fast) = (channels("slow"), channels("fast"));
-    let mut pieces = svg.split(MIX);
-    let mut out = pieces.next().unwrap_or_default().to_owned();
-    for piece in pieces {
-        let (part, rest) = piece.split_once(MIXED).expect("as `colour` writes it");
-        let part = part.parse::<f64>().expect("a percentage") / 100.0;
-        let mix = [0, 1, 2].map(|i| (slow[i] + part * (fast[i] - slow[i])).round() as u8);
-        out += &format!("#{:02x}{:02x}{:02x}{rest}", mix[0], mix[1], mix[2]);
-    }
-    out
-}
-
-fn displaced(drawing: &Drawing, by: &[[f64; 3]]) -> Drawing {
-    let mut moved = drawing.clone();
-    for (unit, (corners, [u, v, angle])) in moved.units.iter_mut().zip(by).enumerate() {
-        let [cx, cy] = drawing.centroids[unit];
-        let (sin, cos) = angle.sin_cos();
-        for corner in corners.iter_mut() {
-            let (x, y) = (corner[0] - cx, corner[1] - cy);
-            *corner = [cx + u + cos * x - sin * y, cy + v + sin * x + cos * y];
-        }
-        moved.centroids[unit] = [cx + u, cy + v];
-    }
-    moved.ligaments.clear();
-    moved.active.clear();
-    moved
-}
-
-/// Two bodies whose units a script moves and colours, at first as at instant `start`; without script they stand still.
-fn animation(
-    drawings: &[Drawing; 2],
-    motions: &[metasense_worker::replay::Motion; 2],
-    frame: &Frame,
-    most: f64,
-    start: usize,
-) -> String {
-    let mut html = String::from("<div class=\"wave\"><div class=\"pair\">");
-    for body in Body::ALL {
-        let (d, m) = (&drawings[body as usize], &motions[body as usize]);
-        let _ = write!(
-            html,
-            "<div><h3>{} body</h3>{}",
-            body.name(),
-            frame.open(&format!("{} body in motion", body.name()))
-        );
-        for (u, corners) in d.units.iter().enumerate() {
-            let [cx, cy] = d.centroids[u];
-            let local: Vec<[f64; 2]> = corners.iter().map(|[x, y]| [x - cx, y - cy]).collect();
-            let _ = write!(
-                html,
-                "<polygon class=\"unit\" data-x=\"{cx:.2}\" data-y=\"{:.2}\" transform=\"translate({cx:.2} {:.2})\" points=\"{}\"/>",
-                -cy,
-                -cy,
-                points(&local)
-            );
-        }
-        // u, v in µm, θ in 0.1 mrad, speed in thousandths of the fastest.
-        let mut numbers = String::new();
-        for (x, v) in m.displacements.iter().zip(&m.velocities) {
-            for (x, v) in x.iter().zip(v) {
-                let speed = 1e3 * v[0].hypot(v[1]) / most;
-                let _ = write!(numbers, "{:.0},{:.0},{:.0},{speed:.0},", 1e3 * x[0], 1e3 * x[1], 1e4 * x[2]);
-            }
-        }
-        let _ = write!(
-            html,
-            "{}</svg><script type=\"text/plain\">{}</script></div>",
-            marks(d),
-            numbers.trim_end_matches(',')
-        );
-    }
-    let _ = write!(
-        html,
-        "</div><div class=\"player\"><button type=\"button\">Play</button><input type=\"range\" min=\"0\" max=\"{}\" value=\"0\" \
-         aria-label=\"time\"><output>0 s</output></div><script>{}</script></div>",
-        drawings[0].clock.len() - 1,
-        include_str!("wave.js")
-            .replace("DURATION", &drawings[0].clock.last().copied().unwrap_or(1.0).to_string())
-            .replace("START", &start.to_string())
-    );
-    html
 }

@@ -1,7 +1,6 @@
 //! Histories of some samples, one above the other, and the error of every sample: what trials and records both show.
 
-use super::plot::{Axis, Plot, Scale};
-use crate::look::number;
+use crate::look::{Axis, Picture, Plot, Scale, number};
 
 /// Points of a curve.
 pub type Curve = Vec<(f64, f64)>;
@@ -18,7 +17,7 @@ pub struct Strip {
 /// A plot a sample. Histories stand one above the other, the first on top, each by the step that is returned above the
 /// next: what the true values need. A tick above each zero has a value in `unit`. The truth, a thin line, is on top.
 #[must_use]
-pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) -> (Vec<String>, f64) {
+pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) -> (Vec<Picture>, f64) {
     let count = names.len();
     let truth = samples.iter().flat_map(|s| s.sources[0].1.iter().flatten());
     let (least, most) = truth.fold((0.0f64, 1e-9f64), |(l, m), point| (l.min(point.1), m.max(point.1)));
@@ -48,7 +47,7 @@ pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) ->
                 plot.line(class, curves[k].iter().map(|(t, value)| (*t, zero(k) + value)));
             }
         }
-        plot.svg()
+        plot.picture()
     };
     (samples.iter().map(draw).collect(), step)
 }
@@ -84,7 +83,7 @@ pub struct Errors<'a> {
 /// A dot a sample and body, samples by error. `joined`: all bodies have the same samples, which stand by the first
 /// body's error with a line through their dots; else each body's stand by its own.
 #[must_use]
-pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> String {
+pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> Picture {
     let ranked = |errors: &[(usize, f64)]| -> Vec<usize> {
         let mut order: Vec<usize> = (0..errors.len()).collect();
         order.sort_by(|a, b| errors[*a].1.total_cmp(&errors[*b].1));
@@ -111,5 +110,5 @@ pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> String
         let dots = errors.iter().enumerate().map(|(i, &(n, error))| ((place(i), error), text(n, error)));
         plot.dots(body.class, dots);
     }
-    plot.svg()
+    plot.picture()
 }

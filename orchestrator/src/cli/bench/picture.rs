@@ -1,16 +1,14 @@
 //! The work-precision diagram: rows of JSON lines as log-log panels, a column a scene, signals above dα.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use serde_json::Value;
 
 use super::super::Error;
-use crate::report::plot::{Axis, Plot, Scale};
+use crate::look::{Axis, Legend, Picture, Plot, SERIES, Scale, file};
 
-/// A panel's size (px), and the room for the legend above all.
-const PANEL: [f64; 2] = [310.0, 270.0];
-const LEGEND: f64 = 34.0;
+/// A panel's size (px).
+const PANEL: [f64; 2] = [310.0, 250.0];
 
 /// Scenes and what a panel calls them.
 pub(super) const SCENES: [(&str, &str); 4] = [
@@ -86,75 +84,42 @@ pub(super) fn write(rows: &Path, picture: &Path, instants: u16) -> Result<Vec<Ma
 
 fn draw(marks: &[Mark]) -> String {
     let scenes: Vec<_> = SCENES.iter().filter(|(name, _)| marks.iter().any(|m| m.scene == *name)).collect();
-    let [width, height] = [PANEL[0] * scenes.len().max(2) as f64, LEGEND + 2.0 * PANEL[1]];
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
-         height=\"{height}\">{STYLE}<rect class=\"page\" width=\"{width}\" height=\"{height}\"/>"
-    );
-    let mut x = 46.0;
-    for (n, name) in METHODS.iter().enumerate() {
-        let _ = write!(
-            svg,
-            "<path class=\"line c{n}\" d=\"M{x} 18h22\"/><circle class=\"dot c{n}\" cx=\"{}\" cy=\"18\" r=\"3.2\"/>\
-             <text x=\"{}\" y=\"22\">{name}</text>",
-            x + 11.0,
-            x + 28.0
-        );
-        x += 118.0;
-    }
-    let _ = write!(
-        svg,
-        "<circle class=\"auto\" cx=\"{x}\" cy=\"18\" r=\"5.5\"/><text x=\"{}\" y=\"22\">auto</text>",
-        x + 11.0
-    );
-    for (column, (scene, title)) in scenes.iter().enumerate() {
+    let panel = |row: usize, (scene, title): &(&str, &str)| {
         let of: Vec<&Mark> = marks.iter().filter(|m| m.scene == *scene).collect();
-        for row in 0..2 {
-            let what = ["relative error of the signals", "relative error of dα"][row];
-            let cost = ["forward (CPU ms a sample)", "forward and gradient (CPU ms a sample)"][row];
-            let panel = panel(title, [cost, what], &of, row);
-            let at = (PANEL[0] * column as f64, LEGEND + PANEL[1] * row as f64);
-            let place =
-                format!("<svg x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" ", at.0, at.1, PANEL[0], PANEL[1]);
-            svg.push_str(&panel.replacen("<svg ", &place, 1));
-        }
-    }
-    svg.push_str("</svg>\n");
-    svg
+        panel(title, &of, row)
+    };
+    let rows = (0..2).flat_map(|row| scenes.iter().map(move |scene| panel(row, scene)));
+    let mut legend: Legend =
+        METHODS.iter().zip(SERIES).map(|(name, class)| (class, (*name).to_owned())).collect();
+    legend.push(("ring", "auto".into()));
+    let columns = scenes.len().max(2);
+    file(&rows.collect::<Vec<_>>(), columns, PANEL[0] * columns as f64, &legend)
 }
 
-fn panel(title: &str, [cost, what]: [&str; 2], marks: &[&Mark], row: usize) -> String {
-    let points = || marks.iter().filter_map(|m| m.points[row]);
-    // Errors above 1 are none
-    let errors = || points().map(|p| p.1.min(1.0)).chain([1e-4, 1.0]);
+fn panel(title: &str, marks: &[&Mark], row: usize) -> Picture {
+    let what = ["relative error of the signals", "relative error of dα"][row];
+    let cost = ["forward (CPU ms a sample)", "forward and gradient (CPU ms a sample)"][row];
+    // errors above 1 are none
+    let points = |m: &Mark| m.points[row].map(|p| (p.0, p.1.min(1.0)));
+    let errors = || marks.iter().filter_map(|m| Some(points(m)?.1)).chain([1e-4, 1.0]);
     let decades = |low: f64| (low.log10().ceil() as i32..=0).map(|p| 10f64.powi(p)).collect::<Vec<f64>>();
-    let least = errors().fold(1.0, f64::min);
-    let x = Axis::new(cost, Scale::Log, points().map(|p| p.0));
-    let y = Axis::new(what, Scale::Log, errors()).with_ticks(decades(least));
+    let x = Axis::new(cost, Scale::Log, marks.iter().filter_map(|m| Some(points(m)?.0)));
+    let y = Axis::new(what, Scale::Log, errors()).with_ticks(decades(errors().fold(1.0, f64::min)));
     let mut plot = Plot::new(title, x, y).sized(PANEL[0], PANEL[1]);
-    let text = |m: &Mark, p: (f64, f64)| format!("{} {}: {:.3} ms, {:.1e}", m.method, m.setting, p.0, p.1);
-    for (n, name) in METHODS.iter().enumerate() {
-        let mut line: Vec<(&Mark, (f64, f64))> = marks
-            .iter()
-            .filter(|m| m.method == *name && !m.auto)
-            .filter_map(|m| Some((*m, m.points[row]?)))
-            .map(|(m, p)| (m, (p.0, p.1.min(1.0))))
-            .collect();
-        line.sort_by(|a, b| a.1.0.total_cmp(&b.1.0));
-        let class = format!("c{n}");
-        plot.line(&class, line.iter().map(|l| l.1));
-        plot.dots(&class, line.iter().map(|(m, p)| (*p, text(m, *p))));
+    let told = |m: &&Mark| {
+        let p = points(m)?;
+        Some((p, format!("{} {}: {:.3} ms, {:.1e}", m.method, m.setting, p.0, p.1)))
+    };
+    for (name, class) in METHODS.iter().zip(SERIES) {
+        let own = marks.iter().filter(|m| m.method == *name && !m.auto);
+        let mut line: Vec<((f64, f64), String)> = own.filter_map(told).collect();
+        line.sort_by(|a, b| a.0.0.total_cmp(&b.0.0));
+        plot.line(class, line.iter().map(|l| l.0));
+        plot.dots(class, line);
     }
-    let auto = marks.iter().filter(|m| m.auto).filter_map(|m| Some((*m, m.points[row]?)));
-    plot.rings("auto", auto.map(|(m, p)| (p, text(m, p))));
-    plot.svg()
+    plot.rings(marks.iter().filter(|m| m.auto).filter_map(told));
+    plot.picture()
 }
-
-const STYLE: &str = "<style>text{font:11px sans-serif;fill:#333}.tick{font-size:9.5px}.title{font-weight:bold}.page{fill:#fff}\
-    .grid{stroke:#e4e4e4;fill:none}.axis{stroke:#333;fill:none}.line{fill:none;stroke-width:1.8}\
-    .line.c0{stroke:#777}.line.c1{stroke:#a80}.line.c2{stroke:#48a}.line.c3{stroke:#c44}.line.c4{stroke:#3a6}\
-    .dot.c0{fill:#777}.dot.c1{fill:#a80}.dot.c2{fill:#48a}.dot.c3{fill:#c44}.dot.c4{fill:#3a6}\
-    .auto{fill:none;stroke:#111;stroke-width:1.6}</style>";
 
 #[cfg(test)]
 mod tests {

@@ -14,8 +14,7 @@ use serde_json::{Value, json};
 use super::super::{Error, Format, print_rows, read_plan};
 use super::{append, file_name};
 use crate::exit::Exit;
-use crate::look::{Table, row};
-use crate::report::plot::{Axis, Plot, Scale};
+use crate::look::{Axis, Plot, SERIES, Scale, Table, file, row};
 
 /// Holdout error against CPU seconds, a line a protocol
 #[derive(Debug, clap::Args)]
@@ -118,7 +117,7 @@ fn test(body: &BodyEvaluation) -> Option<f64> {
     mean(body.networks.iter().map(|network| network.error_test))
 }
 
-/// A plot of JSON lines, one line a protocol, as a file of its own with the little style that it needs.
+/// A plot of JSON lines, one line a protocol, as a file of its own.
 fn draw(rows: &str) -> String {
     let (mut lines, mut initial) = (BTreeMap::<String, Vec<(f64, f64)>>::new(), None);
     for row in rows.lines().filter_map(|row| serde_json::from_str::<Value>(row).ok()) {
@@ -135,25 +134,21 @@ fn draw(rows: &str) -> String {
     let points = || lines.values().flatten().copied();
     let x = Axis::new("CPU seconds of the outer steps", Scale::Log, points().map(|p| p.0));
     let y = Axis::new("holdout error (%)", Scale::Log, points().map(|p| p.1).chain(initial));
-    let mut plot = Plot::new("Holdout error against CPU time", x, y).sized(560.0, 360.0);
+    let names = lines.keys().map(String::as_str);
+    let mut plot = Plot::new("Holdout error against CPU time", x, y).sized(560.0, 344.0).with_room(names);
     if let (Some(error), Some(end)) = (initial, points().map(|p| p.0).reduce(f64::max)) {
         let start = points().map(|p| p.0).fold(end, f64::min);
-        plot.line("grid", [(start, error), (end, error)]);
-        plot.note((end, error), "initial body");
+        plot.line("equal", [(start, error), (end, error)]);
+        plot.note((start, error), "initial body");
     }
-    for (n, (name, points)) in lines.iter().enumerate() {
-        let class = format!("c{}", n % 4);
-        plot.line(&class, points.iter().copied());
-        plot.dots(&class, points.iter().map(|&p| (p, format!("{name}: {:.0} s, {:.1} %", p.0, p.1))));
+    for ((name, points), class) in lines.iter().zip(SERIES.iter().cycle()) {
+        plot.line(class, points.iter().copied());
+        plot.dots(class, points.iter().map(|&p| (p, format!("{name}: {:.0} s, {:.1} %", p.0, p.1))));
         if let Some(&end) = points.last() {
             plot.note(end, name);
         }
     }
-    const STYLE: &str = "<style>text{font:11px sans-serif;fill:#333}.title{font-weight:bold}\
-        .grid{stroke:#ddd;fill:none}.axis{stroke:#333;fill:none}.line{fill:none;stroke-width:2}.line.grid{stroke:#999;stroke-dasharray:4 3}\
-        .line.c0{stroke:#c44}.line.c1{stroke:#48a}.line.c2{stroke:#a80}.line.c3{stroke:#283}\
-        .dot.c0{fill:#c44}.dot.c1{fill:#48a}.dot.c2{fill:#a80}.dot.c3{fill:#283}</style>";
-    plot.svg().replacen('>', &format!(">{STYLE}"), 1)
+    file(&[plot.picture()], 1, 560.0, &Vec::new())
 }
 
 #[cfg(test)]
@@ -169,7 +164,7 @@ mod tests {
         let rows = [row("initial", 0.0, 22.0), row("joint", 100.0, 8.0), row("joint", 50.0, 10.0)];
         let more = [row("paper", 900.0, 15.0), row("joint", 25.0, 12.0), "no row".into()];
         let svg = draw(&[rows.join("\n"), more.join("\n")].join("\n"));
-        assert_eq!(svg.matches("line c").count(), 2, "{svg}");
+        assert_eq!(svg.matches("<path class=\"line").count(), 3, "{svg}");
         let order: Vec<usize> = ["25 s, 12", "50 s, 10", "100 s, 8"]
             .map(|told| svg.find(&format!("joint: {told}")).unwrap())
             .to_vec();

@@ -1,7 +1,7 @@
 (() => {
   const root = document.currentScript.parentElement, duration = DURATION;
   const bodies = [...root.querySelectorAll('svg')].map(svg => ({
-    units: [...svg.querySelectorAll('polygon.unit')].map(e => [e, +e.dataset.x, +e.dataset.y]),
+    units: [...svg.querySelectorAll('polygon.unit')],
     data: Int32Array.from(svg.nextElementSibling.textContent.split(',')),
   }));
   const [button, range, output] = root.querySelectorAll('button, input, output');
@@ -9,10 +9,10 @@
   let at = 0, last = null;
   const show = () => {
     const n = Math.min(Math.floor(at), count - 1);
-    for (const {units, data} of bodies) units.forEach(([e, x, y], u) => {
-      const i = 4 * (n * units.length + u);
-      e.setAttribute('transform', `translate(${x + data[i] / 1e3} ${y - data[i + 1] / 1e3}) rotate(${-data[i + 2] * 0.0057296})`);
-      e.style.fill = `color-mix(in oklab, var(--fast) ${Math.round(100 * Math.sqrt(data[i + 3] / 1e3))}%, var(--slow))`;
+    for (const {units, data} of bodies) units.forEach((e, u) => {
+      const i = 2 * units.length + 4 * (n * units.length + u), [x, y] = data.subarray(2 * u);
+      e.setAttribute('transform', `translate(${data[i] / 1e3} ${-data[i + 1] / 1e3}) rotate(${-data[i + 2] * 0.0057296} ${x / 1e3} ${y / 1e3})`);
+      e.setAttribute('class', `unit s${Math.round(20 * Math.sqrt(data[i + 3] / 1e3))}`);
     });
     range.value = n;
     output.textContent = ((n + 1) * duration / count).toFixed(3) + ' s';

@@ -1,8 +1,9 @@
-//! A small SVG plot: two axes, lines, bands, points. Colours are CSS classes, so that it follows the page's theme.
+//! A plot: two axes, lines, bands, dots. Colours are classes, so that it follows the theme; crates that draw plots write
+//! colours and sizes into their marks.
 
-use std::fmt::Write as _;
+use maud::{Markup, PreEscaped, html};
 
-use crate::look::number;
+use super::{Picture, number};
 
 /// How an axis runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -104,12 +105,6 @@ fn log_ticks([low, high]: [f64; 2]) -> Vec<f64> {
         .collect()
 }
 
-/// Text that is safe inside HTML and SVG.
-#[must_use]
-pub fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 /// A plot in the making.
 #[derive(Debug, Clone)]
 pub struct Plot {
@@ -117,17 +112,21 @@ pub struct Plot {
     x: Axis,
     y: Axis,
     size: [f64; 2],
+    right: f64,
     marks: String,
 }
 
 /// Room for tick labels and axis labels: left, right, top, bottom.
-const MARGIN: [f64; 4] = [52.0, 12.0, 26.0, 40.0];
+const MARGIN: [f64; 4] = [52.0, 12.0, 10.0, 40.0];
+/// About the width of a letter (px).
+const LETTER: f64 = 6.2;
 
 impl Plot {
     /// An empty plot of the usual size.
     #[must_use]
     pub fn new(title: &str, x: Axis, y: Axis) -> Self {
-        Self { title: title.into(), x, y, size: [400.0, 280.0], marks: String::new() }
+        let marks = String::new();
+        Self { title: title.into(), x, y, size: [400.0, 264.0], right: MARGIN[1], marks }
     }
 
     /// Of another size (px).
@@ -137,138 +136,112 @@ impl Plot {
         self
     }
 
+    /// With room on the right for notes at the ends of lines.
+    #[must_use]
+    pub fn with_room<'a>(mut self, notes: impl IntoIterator<Item = &'a str>) -> Self {
+        let longest = notes.into_iter().map(|note| note.chars().count()).max().unwrap_or(0);
+        self.right = MARGIN[1].max(10.0 + LETTER * longest as f64);
+        self
+    }
+
+    /// Where a point lies (px).
     fn at(&self, (x, y): (f64, f64)) -> (f64, f64) {
-        let [left, right, top, bottom] = MARGIN;
-        let [width, height] = self.size;
+        let ([left, _, top, bottom], [width, height]) = (MARGIN, self.size);
         let (px, py) = (self.x.place(x), self.y.place(y));
-        (left + px * (width - left - right), height - bottom - py * (height - top - bottom))
+        (left + px * (width - left - self.right), height - bottom - py * (height - top - bottom))
     }
 
     fn path(&self, points: impl IntoIterator<Item = (f64, f64)>) -> String {
-        let mut path = String::new();
-        for point in points.into_iter().filter(|p| p.0.is_finite() && p.1.is_finite()) {
-            let (x, y) = self.at(point);
-            let _ = write!(path, "{}{x:.1} {y:.1}", if path.is_empty() { "M" } else { "L" });
-        }
-        path
+        let finite = points.into_iter().filter(|p| p.0.is_finite() && p.1.is_finite());
+        let places = finite.map(|point| self.at(point)).enumerate();
+        places.map(|(i, (x, y))| format!("{}{x:.1} {y:.1}", if i == 0 { "M" } else { "L" })).collect()
+    }
+
+    fn add(&mut self, mark: Markup) {
+        self.marks.push_str(&mark.0);
     }
 
     /// A line through points, in the style of a class.
     pub fn line(&mut self, class: &str, points: impl IntoIterator<Item = (f64, f64)>) {
-        let path = self.path(points);
-        let _ = write!(self.marks, "<path class=\"line {class}\" d=\"{path}\"/>");
+        self.add(html! { path class=(format!("line {class}")) d=(self.path(points)) {} });
     }
 
     /// The area between lows and highs: (x, low, high).
     pub fn band(&mut self, class: &str, points: &[(f64, f64, f64)]) {
         let there = points.iter().map(|p| (p.0, p.2));
         let back = points.iter().rev().map(|p| (p.0, p.1));
-        let path = self.path(there.chain(back));
-        let _ = write!(self.marks, "<path class=\"band {class}\" d=\"{path}Z\"/>");
+        self.add(html! { path class=(format!("band {class}")) d=(self.path(there.chain(back)) + "Z") {} });
     }
 
     /// Dots, each with a text that shows when pointed at.
     pub fn dots(&mut self, class: &str, points: impl IntoIterator<Item = ((f64, f64), String)>) {
-        self.circles(&format!("dot {class}"), 3.2, points);
+        self.circles(&format!("dot {class}"), "3.2", points);
     }
 
-    /// Circles around points, each with such a text.
-    pub fn rings(&mut self, class: &str, points: impl IntoIterator<Item = ((f64, f64), String)>) {
-        self.circles(class, 5.5, points);
+    /// Rings around points, each with such a text.
+    pub fn rings(&mut self, points: impl IntoIterator<Item = ((f64, f64), String)>) {
+        self.circles("ring", "5.5", points);
     }
 
-    fn circles(&mut self, class: &str, r: f64, points: impl IntoIterator<Item = ((f64, f64), String)>) {
+    fn circles(&mut self, class: &str, r: &str, points: impl IntoIterator<Item = ((f64, f64), String)>) {
         for (point, text) in points {
             let (x, y) = self.at(point);
-            let _ = write!(
-                self.marks,
-                "<circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{r}\"><title>{}</title></circle>",
-                escape(&text)
-            );
+            self.add(html! {
+                circle class=(class) cx=(format!("{x:.1}")) cy=(format!("{y:.1}")) r=(r) { title { (text) } }
+            });
         }
     }
 
     /// A text beside the right end of a line: behind it where there is room, or else above.
     pub fn note(&mut self, point: (f64, f64), text: &str) {
         let (x, y) = self.at(point);
-        let fits = x + 6.0 + 6.5 * text.chars().count() as f64 <= self.size[0];
+        let fits = x + 6.0 + LETTER * text.chars().count() as f64 <= self.size[0];
         let (x, y, anchor) = if fits { (x + 6.0, y + 4.0, "start") } else { (x, y - 5.0, "end") };
-        let _ = write!(
-            self.marks,
-            "<text class=\"note\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{}</text>",
-            escape(text)
-        );
+        self.add(label("note", [x, y], anchor, text));
     }
 
-    /// A vertical line across the plot with a text at its top, `row` lines down.
+    /// A vertical line across the plot with a text at its right, on top, or else at its left, at the bottom, where curves
+    /// that fall are not; `row` lines from there.
     pub fn vertical(&mut self, class: &str, x: f64, text: &str, row: usize) {
         let [_, _, top, bottom] = MARGIN;
         let px = self.at((x, self.y.range[0])).0;
-        let (low, high) = (self.size[1] - bottom, top);
-        let fits = px + 4.0 + 6.5 * text.chars().count() as f64 <= self.size[0];
-        let (at, anchor) = if fits { (px + 4.0, "start") } else { (px - 4.0, "end") };
-        let _ = write!(
-            self.marks,
-            "<path class=\"mark {class}\" d=\"M{px:.1} {low:.1}L{px:.1} {high:.1}\"/>\
-             <text class=\"note {class}\" x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\">{}</text>",
-            high + 10.0 + 13.0 * row as f64,
-            escape(text)
-        );
+        let fits = px + 4.0 + LETTER * text.chars().count() as f64 <= self.size[0];
+        let (floor, down) = (self.size[1] - bottom, 13.0 * row as f64);
+        let (at, y, anchor) =
+            if fits { (px + 4.0, top + 10.0 + down, "start") } else { (px - 4.0, floor - 6.0 - down, "end") };
+        let line = format!("M{px:.1} {floor:.1}V{top}");
+        self.add(html! { path class=(format!("mark {class}")) d=(line) {} });
+        self.add(label(&format!("note {class}"), [at, y], anchor, text));
     }
 
-    /// The finished SVG element.
+    /// The finished plot.
     #[must_use]
-    pub fn svg(&self) -> String {
-        let [left, right, top, bottom] = MARGIN;
-        let [width, height] = self.size;
-        let mut svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"plot\" viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{}\">",
-            escape(&self.title)
-        );
-        let _ = write!(svg, "<text class=\"title\" x=\"{left}\" y=\"16\">{}</text>", escape(&self.title));
-        for (tick, name) in &self.x.ticks {
-            let x = self.at((*tick, self.y.range[0])).0;
-            let _ = write!(
-                svg,
-                "<path class=\"grid\" d=\"M{x:.1} {top}V{:.1}\"/><text class=\"tick\" x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-                height - bottom,
-                height - bottom + 14.0,
-                escape(name)
-            );
-        }
-        for (tick, name) in &self.y.ticks {
-            let y = self.at((self.x.range[0], *tick)).1;
-            let _ = write!(
-                svg,
-                "<path class=\"grid\" d=\"M{left} {y:.1}H{:.1}\"/><text class=\"tick\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-                width - right,
-                left - 5.0,
-                y + 3.5,
-                escape(name)
-            );
-        }
-        let _ = write!(
-            svg,
-            "<path class=\"axis\" d=\"M{left} {top}V{:.1}H{:.1}\"/>{}",
-            height - bottom,
-            width - right,
-            self.marks
-        );
-        let _ = write!(
-            svg,
-            "<text class=\"label\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-            0.5 * (left + width - right),
-            height - 7.0,
-            escape(&self.x.label)
-        );
-        let middle = 0.5 * (top + height - bottom);
-        let _ = write!(
-            svg,
-            "<text class=\"label\" x=\"11\" y=\"{middle:.1}\" text-anchor=\"middle\" transform=\"rotate(-90 11 {middle:.1})\">{}</text></svg>",
-            escape(&self.y.label)
-        );
-        svg
+    pub fn picture(self) -> Picture {
+        let ([left, _, top, bottom], [width, height]) = (MARGIN, self.size);
+        let (right, floor) = (width - self.right, height - bottom);
+        let middle = 0.5 * (top + floor);
+        let marks = html! {
+            @for (tick, name) in &self.x.ticks {
+                @let x = self.at((*tick, self.y.range[0])).0;
+                path class="grid" d=(format!("M{x:.1} {top}V{floor:.1}")) {}
+                (label("tick", [x, floor + 14.0], "middle", name))
+            }
+            @for (tick, name) in &self.y.ticks {
+                @let y = self.at((self.x.range[0], *tick)).1;
+                path class="grid" d=(format!("M{left} {y:.1}H{right:.1}")) {}
+                (label("tick", [left - 5.0, y + 3.5], "end", name))
+            }
+            path class="axis" d=(format!("M{left} {top}V{floor:.1}H{right:.1}")) {}
+            (PreEscaped(&self.marks))
+            (label("label", [0.5 * (left + right), height - 7.0], "middle", &self.x.label))
+            g transform=(format!("rotate(-90 11 {middle:.1})")) { (label("label", [11.0, middle], "middle", &self.y.label)) }
+        };
+        Picture { title: self.title, class: "plot", view: [0.0, 0.0, width, height], marks }
     }
+}
+
+fn label(class: &str, [x, y]: [f64; 2], anchor: &str, text: &str) -> Markup {
+    html! { text class=(class) x=(format!("{x:.1}")) y=(format!("{y:.1}")) text-anchor=(anchor) { (text) } }
 }
 
 #[cfg(test)]
@@ -292,7 +265,9 @@ mod tests {
 
     #[test]
     fn text_cannot_leave_its_element() {
-        let plot = Plot::new("<a>&\"", Axis::new("", Scale::Linear, []), Axis::new("", Scale::Linear, []));
-        assert!(plot.svg().contains("&lt;a&gt;&amp;&quot;") && !plot.svg().contains("<a>"));
+        let axis = || Axis::new("<b>", Scale::Linear, []);
+        let svg = Plot::new("<a>&\"", axis(), axis()).picture().svg(None).into_string();
+        assert!(svg.contains("&lt;a&gt;&amp;&quot;") && svg.contains("&lt;b&gt;"), "{svg}");
+        assert!(!svg.contains("<a>") && !svg.contains("<b>"), "{svg}");
     }
 }

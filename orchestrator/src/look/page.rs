@@ -1,0 +1,153 @@
+//! Pages: question and answers first, then figures with their data, then tables. No network, no scripts but a wave's.
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::picture::keys;
+use super::style::of_page;
+use super::table::readable;
+use super::{Legend, Picture, Table, number};
+
+/// A figure: pictures side by side under one caption.
+#[derive(Debug, Clone)]
+pub struct Figure {
+    /// Names its files and its anchor.
+    pub name: &'static str,
+    /// Its heading.
+    pub title: String,
+    /// What was measured, and how to read it.
+    pub caption: String,
+    /// What the marks are.
+    pub legend: Legend,
+    /// What is drawn.
+    pub pictures: Vec<Picture>,
+    /// What moves, for pages alone.
+    pub moving: Option<Markup>,
+    /// Whether the pictures are small ones.
+    pub small: bool,
+    /// What is drawn, as numbers.
+    pub data: Table,
+}
+
+/// An answer in words.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answer {
+    /// Whether it is good news, or bad; `None`: neither, or undecided.
+    pub verdict: Option<bool>,
+    /// The words.
+    pub text: String,
+    /// The figure that shows it; empty where it goes before all figures.
+    pub figure: &'static str,
+}
+
+impl Answer {
+    /// An answer.
+    #[must_use]
+    pub fn new(figure: &'static str, verdict: Option<bool>, text: String) -> Self {
+        Self { verdict, text, figure }
+    }
+}
+
+/// A page of its own.
+#[must_use]
+pub fn page(title: &str, question: &str, content: &Markup) -> String {
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (title) }
+                style { (PreEscaped(of_page())) }
+            }
+            body { main { h1 { (title) } p class="question" { (question) } (content) } }
+        }
+    }
+    .into_string()
+}
+
+/// Answers, one below the other.
+#[must_use]
+pub fn answers<'a>(list: impl IntoIterator<Item = &'a Answer>) -> Markup {
+    let class = |verdict| match verdict {
+        Some(true) => "good",
+        Some(false) => "bad",
+        None => "open",
+    };
+    let mut list = list.into_iter().peekable();
+    html! {
+        @if list.peek().is_some() {
+            ul class="answer" { @for answer in list { li class=(class(answer.verdict)) { (prose(&answer.text)) } } }
+        }
+    }
+}
+
+impl Figure {
+    /// The figure on a page, under those of these answers that it shows.
+    #[must_use]
+    pub fn html(&self, said: &[Answer]) -> Markup {
+        html! {
+            h2 id=(self.name) { (self.title) }
+            (answers(said.iter().filter(|answer| answer.figure == self.name)))
+            figure {
+                (keys(&self.legend))
+                div class=(if self.small { "plots small" } else { "plots" }) {
+                    @for picture in &self.pictures { div { h3 { (picture.title) } (picture.svg(None)) } }
+                    @if let Some(moving) = &self.moving { div class="wide" { (moving) } }
+                }
+                figcaption { (prose(&self.caption)) " " (download(self.name, &self.data)) }
+            }
+        }
+    }
+}
+
+/// Text whose units stay on the line of their numbers.
+fn prose(text: &str) -> String {
+    text.replace(" %", "\u{a0}%").replace(" mm", "\u{a0}mm")
+}
+
+/// A link that holds a table as CSV.
+fn download(name: &str, table: &Table) -> Markup {
+    let kept = |byte: u8| byte.is_ascii_alphanumeric() || b"-._,".contains(&byte);
+    let encoded = |byte: u8| if kept(byte) { (byte as char).to_string() } else { format!("%{byte:02X}") };
+    let data: String = table.shortened().csv().bytes().map(encoded).collect();
+    html! { a download=(format!("{name}.csv")) href=(format!("data:text/csv;charset=utf-8,{data}")) { "data (CSV)" } }
+}
+
+/// Rows that a page shows; the data hold all.
+const MOST_ROWS: usize = 1000;
+
+impl Table {
+    /// The table on a page; with a `name`, its data too.
+    #[must_use]
+    pub fn html(&self, name: Option<&str>) -> Markup {
+        let text = |column: usize| self.rows.iter().any(|row| row[column].is_string());
+        let text: Vec<bool> = (0..self.columns.len()).map(text).collect();
+        let class = |text: bool, length: usize| match (text, length > 48) {
+            (true, true) => Some("text wide"),
+            (true, false) => Some("text"),
+            _ => None,
+        };
+        let state = self.columns.iter().position(|column| column == "state");
+        html! {
+            div class="scroll" {
+                table {
+                    thead { tr { @for (column, text) in self.columns.iter().zip(&text) {
+                        th class=[class(*text, 0)] { (column.replace('_', " ")) }
+                    } } }
+                    tbody { @for row in self.rows.iter().take(MOST_ROWS) {
+                        tr class=[state.filter(|i| row[*i] == "failed").map(|_| "failed")] {
+                            @for (value, text) in row.iter().zip(&text) {
+                                @let shown = readable(value, number);
+                                td class=[class(*text, shown.len())] { (shown) }
+                            }
+                        }
+                    } }
+                }
+            }
+            @if self.rows.len() > MOST_ROWS {
+                p class="quiet" { "… and " (self.rows.len() - MOST_ROWS) " more, in the data." }
+            }
+            @if let Some(name) = name { (download(name, self)) }
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! A picture: an SVG element with a title, for pages and for files.
+
+use maud::{Markup, PreEscaped, html};
+
+use super::style::{LEVELS, of_file};
+
+/// Entries of a legend: the class of a mark, and its text.
+pub type Legend = Vec<(&'static str, String)>;
+
+/// Entries of a legend.
+#[must_use]
+pub fn legend(entries: &[(&'static str, &str)]) -> Legend {
+    entries.iter().map(|(class, text)| (*class, (*text).to_owned())).collect()
+}
+
+/// A picture.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    /// Stands above, and says what it is to those who do not see it.
+    pub title: String,
+    /// What kind of a picture it is.
+    pub class: &'static str,
+    /// Left, top, width and height of what is drawn.
+    pub view: [f64; 4],
+    /// SVG elements.
+    pub marks: Markup,
+}
+
+impl Picture {
+    /// The SVG element; within another at `place` (left, top, width, height).
+    #[must_use]
+    pub fn svg(&self, place: Option<[f64; 4]>) -> Markup {
+        let side = |i: usize| place.map(|p| format!("{:.1}", p[i]));
+        let view = self.view.map(|x| format!("{x:.2}")).join(" ");
+        html! {
+            svg class=(self.class) x=[side(0)] y=[side(1)] width=[side(2)] height=[side(3)]
+                viewBox=(view) role="img" aria-label=(self.title) { (self.marks) }
+        }
+    }
+}
+
+/// Height of a line of text, width of a letter (px).
+const LINE: f64 = 17.0;
+const LETTER: f64 = 6.2;
+/// Width and height of a legend's mark (px).
+const MARK: [f64; 2] = [22.0, 10.0];
+
+/// Pictures in rows of so many under their legend, as a file of its own, this wide (px).
+#[must_use]
+pub fn file(pictures: &[Picture], columns: usize, width: f64, legend: &Legend) -> String {
+    let (mut x, mut top) = (width, 0.0);
+    let mut keys = Vec::new();
+    for (class, text) in legend {
+        let needs = MARK[0] + 20.0 + LETTER * text.chars().count() as f64;
+        if x + needs > width {
+            (x, top) = (4.0, top + LINE);
+        }
+        keys.push(html! {
+            g transform=(format!("translate({x:.0} {:.0})", top - LINE + 4.0)) {
+                (mark(class)) text x=(MARK[0] + 6.0) y="9" { (text) }
+            }
+        });
+        x += needs;
+    }
+    let wide = width / columns as f64;
+    let mut cells = Vec::new();
+    for row in pictures.chunks(columns) {
+        let titles: Vec<Vec<String>> =
+            row.iter().map(|p| lines(&p.title, (wide / LETTER) as usize)).collect();
+        let head = LINE * titles.iter().map(Vec::len).max().unwrap_or(0) as f64;
+        let height = |p: &Picture| wide * p.view[3] / p.view[2];
+        for (i, (picture, title)) in row.iter().zip(titles).enumerate() {
+            let left = i as f64 * wide;
+            cells.push(html! {
+                @for (line, text) in title.iter().enumerate() {
+                    text class="title" x=(format!("{:.1}", left + 4.0))
+                        y=(format!("{:.1}", top + LINE * (line + 1) as f64 - 4.0)) { (text) }
+                }
+                (picture.svg(Some([left, top + head, wide, height(picture)])))
+            });
+        }
+        top += head + row.iter().map(height).fold(0.0, f64::max) + 4.0;
+    }
+    let label = pictures.iter().map(|p| p.title.as_str()).collect::<Vec<_>>().join("; ");
+    html! {
+        svg xmlns="http://www.w3.org/2000/svg" viewBox=(format!("0 0 {width:.0} {top:.0}")) role="img" aria-label=(label) {
+            style { (PreEscaped(of_file())) }
+            rect class="page" width="100%" height="100%" {}
+            @for key in keys { (key) }
+            @for cell in cells { (cell) }
+        }
+    }
+    .into_string()
+}
+
+/// A text in lines of at most so many letters, where its words allow; none of an empty one.
+#[must_use]
+pub fn lines(text: &str, most: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= most => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
+
+/// A legend's entries on a page.
+pub(super) fn keys(legend: &Legend) -> Markup {
+    html! {
+        @if !legend.is_empty() {
+            div class="legend" {
+                @for (class, text) in legend {
+                    span {
+                        svg class="key" viewBox=(format!("0 0 {} {}", MARK[0], MARK[1])) aria-hidden="true" { (mark(class)) }
+                        (text)
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A legend's mark, as the pictures have it.
+fn mark(class: &str) -> Markup {
+    html! {
+        @match class.split_once(' ').map_or(class, |(kind, _)| kind) {
+            "speed" => {
+                @for i in 0..=4 {
+                    rect class=(format!("s{}", i * LEVELS / 4)) x=(4.4 * f64::from(i as u8)) y="1" width="4.4" height="8" {}
+                }
+            }
+            "arrow" => { g class="panel" { path d="M0 5H15" {} polygon points="14,1.5 14,8.5 22,5" {} } }
+            "unit" => { rect class=(class) x="4" y="1" width="14" height="8" {} }
+            "dot" => { circle class=(class) cx="11" cy="5" r="4" {} }
+            "ring" => { circle class=(class) cx="11" cy="5" r="4.5" {} }
+            "active" | "wrong" => { path class=(class) d="M0 5H22" {} }
+            _ => { path class=(format!("line {class}")) d="M0 5H22" {} }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(title: &str) -> Picture {
+        let marks = html! { path class="s5" d="M0 0H20" {} };
+        Picture { title: title.into(), class: "body", view: [0.0, 0.0, 20.0, 10.0], marks }
+    }
+
+    /// Title and legend stand above the picture, in as many lines as they need; without them the picture is at the top.
+    #[test]
+    fn title_and_legend_stand_above_the_picture() {
+        let entries = (0..4).map(|i| ("initial", format!("entry {i} & more text"))).collect();
+        let file = file(&[picture("the <body>")], 1, 440.0, &entries);
+        assert!(
+            file.contains(">the &lt;body&gt;</text>") && file.contains("entry 3 &amp; more text"),
+            "{file}"
+        );
+        // a line of title, two of legend
+        assert!(file.contains("x=\"0.0\" y=\"51.0\" width=\"440.0\" height=\"220.0\""), "{file}");
+        assert!(file.contains("viewBox=\"0 0 440 275\"") && !file.contains("var("), "{file}");
+        let bare = super::file(&[picture(""), picture("")], 2, 440.0, &vec![]);
+        assert!(bare.contains("x=\"220.0\" y=\"0.0\" width=\"220.0\""), "{bare}");
+    }
+
+    #[test]
+    fn words_part_lines() {
+        assert_eq!(lines("some words to part", 10), ["some words", "to part"]);
+        assert_eq!(lines("longer than a line", 3), ["longer", "than", "a", "line"]);
+        assert!(lines("", 3).is_empty());
+    }
+}

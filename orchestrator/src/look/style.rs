@@ -1,0 +1,92 @@
+//! Colours and styles: variables for pages, plain values for files, which other programs than browsers read too.
+
+/// Names and values of the colours, light and dark.
+const PALETTE: [(&str, [&str; 2]); 16] = [
+    ("ink", ["#1d2126", "#e8e6e1"]),
+    ("soft", ["#5b626c", "#a3a9b3"]),
+    ("line", ["#d9d5cb", "#3a4049"]),
+    ("page", ["#fbfaf7", "#14161a"]),
+    ("panel", ["#ffffff", "#1b1e24"]),
+    ("initial", ["#66707d", "#9aa5b4"]),
+    ("optimised", ["#c2410c", "#fb8c45"]),
+    ("third", ["#0e7490", "#38bdd3"]),
+    ("fourth", ["#a16207", "#dcb437"]),
+    ("fifth", ["#3f7d20", "#86c95a"]),
+    ("bad", ["#b91c1c", "#f87171"]),
+    ("link", ["#0b63a5", "#7cb8f0"]),
+    ("stone", ["#d8d3c6", "#4a505b"]),
+    ("slow", ["#e7e3d9", "#2b3038"]),
+    ("fast", ["#b3202c", "#ff6b5e"]),
+    ("rule", ["#dcd8cf", "#353a43"]),
+];
+
+/// Classes of lines and dots that are many of a kind; those beyond are thin.
+pub const SERIES: [&str; 5] = ["truth", "optimised", "front", "fourth", "fifth"];
+
+/// Steps of the colours from `slow` to `fast`: classes `s0` to `s20`.
+pub const LEVELS: usize = 20;
+
+/// The class of a part of the most, 0 to 1, by its root: what spans decades shows its quiet end too.
+#[must_use]
+pub fn level(part: f64) -> String {
+    format!("s{:.0}", LEVELS as f64 * part.clamp(0.0, 1.0).sqrt())
+}
+
+const FIGURES: &str = include_str!("figure.css");
+const DARK: &str = "@media screen and (prefers-color-scheme: dark)";
+
+/// The style of a page: both themes, by variables.
+pub(super) fn of_page() -> String {
+    let variables = |theme: usize| -> String {
+        let all = PALETTE.iter().map(|(name, values)| format!("--{name}: {}; ", values[theme]));
+        format!(":root {{ {}}} {}", all.collect::<String>(), levels(theme))
+    };
+    // what has a level is a unit too: the later rule wins
+    let (light, dark) = (variables(0), variables(1));
+    format!("{FIGURES}{light}\n{DARK} {{ {dark} }}\n{}", include_str!("page.css"))
+}
+
+/// The style of a file: both themes, by values.
+pub(super) fn of_file() -> String {
+    let rules = |theme: usize| -> String {
+        let resolve = |css: String, (name, values): &(&str, [&str; 2])| {
+            css.replace(&format!("var(--{name})"), values[theme])
+        };
+        PALETTE.iter().fold(FIGURES.to_owned(), resolve) + &levels(theme)
+    };
+    format!("{}\n{DARK} {{\n{}\n}}", rules(0), rules(1))
+}
+
+/// Rules of the colours from `slow` to `fast`, mixed in sRGB.
+fn levels(theme: usize) -> String {
+    let channels = |name: &str| -> [f64; 3] {
+        let hex = PALETTE.iter().find(|(n, _)| *n == name).expect("a colour of the palette").1[theme];
+        std::array::from_fn(|i| u8::from_str_radix(&hex[2 * i + 1..][..2], 16).expect("#rrggbb").into())
+    };
+    let (slow, fast) = (channels("slow"), channels("fast"));
+    let rule = |i: usize| {
+        let mixed = |c: usize| (slow[c] + i as f64 / LEVELS as f64 * (fast[c] - slow[c])).round() as u8;
+        format!("svg .s{i} {{ fill: #{:02x}{:02x}{:02x}; }} ", mixed(0), mixed(1), mixed(2))
+    };
+    (0..=LEVELS).map(rule).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every variable that a style asks for has a value in either theme.
+    #[test]
+    fn no_colour_is_missing() {
+        let file = of_file();
+        assert!(!file.contains("var("), "{file}");
+        // halfway from #e7e3d9 to #b3202c
+        assert!(file.contains("svg .s10 { fill: #cd8283; }"), "{file}");
+        assert!(file.contains("stroke: #c2410c") && file.contains("stroke: #fb8c45"), "{file}");
+        let page = of_page();
+        for asked in page.split("var(--").skip(1).filter_map(|rest| rest.split(')').next()) {
+            let known = PALETTE.iter().any(|(name, _)| *name == asked);
+            assert!(known || ["c", "x", "y", "t"].contains(&asked), "{asked}");
+        }
+    }
+}
