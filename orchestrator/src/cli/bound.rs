@@ -7,10 +7,11 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::bound::{Bound, bound};
 use serde_json::{Value, json};
 
-use super::{Error, Format, or_first, print_rows, read_plan, trial_and_design};
+use super::one::One;
+use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::look::Table;
-use crate::plan::Plan;
+use crate::plan::Trial;
 use crate::store::Reader;
 
 /// The error that no decoder can beat, to first order, given the noise of a trial's sensors; beside it, what brains achieve
@@ -21,14 +22,8 @@ use crate::store::Reader;
 /// and what the bound is, only the body, its sensors' places and their noise.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML)
-    spec: PathBuf,
-    /// The trial, by its hash or the beginning of it [default: the first]
-    #[arg(long)]
-    hash: Option<String>,
-    /// The design (.npy or .csv) [default: the trial's initial one]
-    #[arg(long, value_name = "FILE", conflicts_with = "db")]
-    design: Option<PathBuf>,
+    #[command(flatten)]
+    one: One,
     /// How many samples of the holdout
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=10_000))]
     samples: u16,
@@ -37,7 +32,7 @@ pub(super) struct Args {
     noise: Option<f64>,
     /// A database that has finished the trial, or others that differ from it in their brains alone: bounds of their initial and their
     /// optimised bodies, and the holdout errors of all brains that have read them
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "design")]
     db: Option<PathBuf>,
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -53,19 +48,17 @@ fn above_zero(text: &str) -> Result<f64, String> {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let plan = read_plan(&args.spec)?;
-    let hash = or_first(args.hash.as_deref(), &plan);
+    let (trial, design) = args.one.read()?;
     let of = |trial: &TrialSpec, design: &[f64]| {
         bound(trial, design, args.samples.into(), args.noise, args.threads.into())
-            .map_err(|e| Error::Usage(format!("{}: {e}", args.spec.display())))
+            .map_err(|e| args.one.refused(e))
     };
     let rows = match &args.db {
         None => {
-            let (trial, design) = trial_and_design(&plan, &args.spec, hash, args.design.as_deref())?;
-            let body = if args.design.is_some() { "given" } else { "initial" };
-            bounds([json!(body), Value::Null], &of(&trial, &design)?)
+            let body = if args.one.design.is_some() { "given" } else { "initial" };
+            bounds([json!(body), Value::Null], &of(&trial.spec, &design)?)
         }
-        Some(db) => achieved(db, &args.spec, &plan, hash, of).await?,
+        Some(db) => achieved(db, &trial, of).await?,
     };
     print_rows(&Table::new("body trained_with read_by sample error", rows), args.format)?;
     Ok(Exit::Done)
@@ -86,12 +79,10 @@ fn bounds(body: [Value; 2], found: &Bound) -> Vec<Vec<Value>> {
 /// What trials of a database that agree in all but their brains have achieved, under the bounds of their bodies.
 async fn achieved(
     db: &Path,
-    spec: &Path,
-    plan: &Plan,
-    hash: &str,
+    trial: &Trial,
     of: impl Fn(&TrialSpec, &[f64]) -> Result<Bound, Error>,
 ) -> Result<Vec<Vec<Value>>, Error> {
-    let scene = scene(&json!(super::trial::find(plan, hash, spec)?.spec));
+    let scene = scene(&json!(trial.spec));
     let trials = Reader::asked(db, async |reader| -> Result<_, Error> {
         let sql =
             "SELECT hash, spec, brain, trained_with, holdout_error_initial, linear_holdout_error_initial,
@@ -111,7 +102,7 @@ async fn achieved(
     })
     .await?;
     if trials.is_empty() {
-        let (db, hash) = (db.display(), &hash[..hash.len().min(8)]);
+        let (db, hash) = (db.display(), &trial.hash[..8]);
         return Err(Error::Usage(format!(
             "--db {db}: it has finished no trial with the scene of {hash}; `metasense status {db}` says what it holds"
         )));

@@ -10,7 +10,7 @@ use crate::exit::Exit;
 use crate::look::body::{self, Notes, frame};
 use crate::look::file;
 
-/// Draws a design as SVG, constraints at their limit in orange, broken ones in red; by default the initial body
+/// Draws a design as SVG, constraints at their limit in amber, broken ones in red; by default the initial body
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The spec file (TOML); without --hash, its first panels and sensors are shown

@@ -8,10 +8,12 @@ use metasense_worker::identify::{Estimate, Fit, Iteration, Outcome, Parameter, i
 use metasense_worker::measured;
 use serde_json::{Value, json};
 
+use super::one::One;
 use super::report::write_figures;
-use super::{Error, Format, duration, end_on_signal, print_rows, read_plan, trial_and_design, write};
+use super::{Error, Format, duration, end_on_signal, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, digits, row};
+use crate::plan::Trial;
 use crate::report::fit as pictures;
 use crate::store::npy_bytes;
 
@@ -21,17 +23,11 @@ use crate::store::npy_bytes;
 /// Exit code 1 if the fit does not converge, or the records do not tell all parameters that were asked for.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML)
-    spec: PathBuf,
-    /// The trial, by its hash or the beginning of it; `metasense expand SPEC` lists them
-    #[arg(long)]
-    hash: String,
+    #[command(flatten)]
+    one: One,
     /// What was measured (TOML, see README)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
-    /// The design of the body that was measured (.npy or .csv); by default the trial's initial one
-    #[arg(long, value_name = "FILE")]
-    design: Option<PathBuf>,
     /// The parameters that are fitted; the others stay at the spec's values
     #[arg(long, value_enum, value_delimiter = ',', default_value = "stretch,shear,bend,damping,density")]
     fit: Vec<Fitted>,
@@ -58,9 +54,7 @@ enum Fitted {
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     end_on_signal();
-    let plan = read_plan(&args.spec)?;
-    let (trial, design) = &trial_and_design(&plan, &args.spec, &args.hash, args.design.as_deref())?;
-    let usage = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
+    let (Trial { spec: trial, .. }, design) = &args.one.read()?;
     let measured = measured::read(&args.records, trial)?;
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();
     let begun = Instant::now();
@@ -73,8 +67,8 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         bar.tick();
         true
     };
-    let fit =
-        identify(trial, design, &measured, &free, args.threads.into(), &mut watch).map_err(|e| usage(&e))?;
+    let fit = identify(trial, design, &measured, &free, args.threads.into(), &mut watch);
+    let fit = fit.map_err(|e| args.one.refused(e))?;
     bar.finish_and_clear();
     let found = estimates(&fit);
     let shown = readable(&found);
@@ -90,7 +84,10 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     }
     say!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
     if let Some(folder) = &args.out {
-        let title = format!("{}: parameters from {records} records", plan.spec.name);
+        let title = format!(
+            "{}: parameters from {records} records",
+            args.one.spec.file_stem().unwrap_or_default().display()
+        );
         let drawn = pictures::figures(trial, &measured.signals, &fit);
         write_figures(folder, &drawn)?;
         write(&folder.join("estimates.csv"), found.shortened().csv())?;

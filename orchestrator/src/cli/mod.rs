@@ -15,6 +15,7 @@ mod live;
 mod log;
 mod merge;
 mod modes;
+mod one;
 mod place;
 mod project;
 mod query;
@@ -44,10 +45,8 @@ use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::{OneBody, Plan};
 use crate::store::StoreError;
 use metasense_schemas::source::SpecError;
-use metasense_schemas::spec::TrialSpec;
 use metasense_worker::design::DesignError;
 use metasense_worker::measured::MeasuredError;
-use metasense_worker::simulate::body;
 
 pub use crate::look::{Format, print_rows};
 
@@ -189,27 +188,6 @@ fn make_folder(path: &Path) -> Result<(), Error> {
         path: path.to_owned(),
         source,
     })
-}
-
-/// The hash that was given, or that of the first trial.
-fn or_first<'a>(hash: Option<&'a str>, plan: &'a Plan) -> &'a str {
-    hash.unwrap_or_else(|| plan.trials.first().map_or("", |trial| &trial.hash))
-}
-
-/// A trial of a spec, and its design or the one that a file holds.
-fn trial_and_design(
-    plan: &Plan,
-    spec: &Path,
-    hash: &str,
-    file: Option<&Path>,
-) -> Result<(TrialSpec, Vec<f64>), Error> {
-    let trial = trial::find(plan, hash, spec)?.spec.clone();
-    let (layout, initial) = body(&trial).map_err(|e| Error::Usage(format!("{}: {e}", spec.display())))?;
-    let design = match file {
-        Some(file) => metasense_worker::design::read(file, &layout)?,
-        None => initial,
-    };
-    Ok((trial, design))
 }
 
 /// Seconds in words, to two parts.

@@ -4,9 +4,11 @@ use std::path::PathBuf;
 
 use metasense_worker::modes::{Response, responses, slowest};
 
-use super::{Error, Format, or_first, print_rows, read_plan, trial_and_design, write};
+use super::one::One;
+use super::{Error, Format, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, file, row};
+use crate::plan::Trial;
 use crate::report::modes as pictures;
 
 /// Eigenmodes of a trial's body at rest: frequencies, damping ratios, shapes; or how a panel's force moves a unit there
@@ -16,14 +18,8 @@ use crate::report::modes as pictures;
 /// damping ratio 1 does not ring.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML)
-    spec: PathBuf,
-    /// The trial, by its hash or the beginning of it [default: the first]
-    #[arg(long)]
-    hash: Option<String>,
-    /// The design (.npy or .csv) [default: the trial's initial one]
-    #[arg(long, value_name = "FILE")]
-    design: Option<PathBuf>,
+    #[command(flatten)]
+    one: One,
     /// How many modes, from the slowest on
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=1000))]
     count: u16,
@@ -43,22 +39,19 @@ pub(super) struct Args {
 const FREQUENCIES: usize = 200;
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let plan = read_plan(&args.spec)?;
-    let hash = or_first(args.hash.as_deref(), &plan);
-    let (trial, design) = &trial_and_design(&plan, &args.spec, hash, args.design.as_deref())?;
-    let said = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
-    let modes = slowest(trial, design, args.count.into()).map_err(|e| said(&e))?;
+    let (Trial { spec, .. }, design) = &args.one.read()?;
+    let modes = slowest(spec, design, args.count.into()).map_err(|e| args.one.refused(e))?;
     let (table, columns, (drawn, legend)) = match args.response {
         None => {
             let rows = modes.iter().enumerate().map(|(n, mode)| pictures::row(n, mode));
-            let drawn = pictures::shapes(trial, design, &modes).map_err(|e| said(&e))?;
+            let drawn = pictures::shapes(spec, design, &modes).map_err(|e| args.one.refused(e))?;
             (Table::new(pictures::COLUMNS, rows), modes.len().clamp(1, 4), drawn)
         }
         Some(unit) => {
             let last = modes.last().map_or(0.0, metasense_worker::modes::Mode::frequency);
             let frequencies: Vec<f64> =
                 (1..=FREQUENCIES).map(|i| last * i as f64 / FREQUENCIES as f64).collect();
-            let found = responses(trial, design, unit, &frequencies)
+            let found = responses(spec, design, unit, &frequencies)
                 .map_err(|e| Error::Usage(format!("--response {unit}: {e}")))?;
             (table(&frequencies, &found), 1, pictures::responses(unit, &frequencies, &found))
         }

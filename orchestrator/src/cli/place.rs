@@ -6,25 +6,21 @@ use metasense_worker::place::{Looked, look};
 use metasense_worker::replay::Drawing;
 use serde_json::json;
 
-use super::{Error, Format, print_rows, read_plan, trial_and_design, write};
+use super::one::One;
+use super::{Error, Format, print_rows, read_plan, write};
 use crate::exit::Exit;
 use crate::look::body::{Notes, Unit, body, frame, legend};
 use crate::look::{Table, file, level};
+use crate::plan::Trial;
 
 /// Searches for the units that carry a trial's sensors best: error by their number, beside other searches and random placements
 ///
 /// Errors are a linear brain's on training samples that it has not seen; test set and holdout are not looked at. As in a
-/// sweep with sensors.search, which needs no such call.
+/// sweep with sensors.search, which needs no such call. Without --hash: of the first trial with the most sensors.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML)
-    spec: PathBuf,
-    /// The trial, by its hash or the beginning of it [default: the first with the most sensors]
-    #[arg(long)]
-    hash: Option<String>,
-    /// The design (.npy or .csv) [default: the trial's initial one]
-    #[arg(long, value_name = "FILE")]
-    design: Option<PathBuf>,
+    #[command(flatten)]
+    one: One,
     /// Draws the body, units coloured by the error with a sensor there, those placed numbered
     #[arg(long, value_name = "FILE.svg")]
     out: Option<PathBuf>,
@@ -40,19 +36,17 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let plan = read_plan(&args.spec)?;
+    let plan = read_plan(&args.one.spec)?;
     let most = plan.trials.iter().rev().max_by_key(|trial| trial.spec.point.sensors);
-    let first = most.map_or(String::new(), |trial| trial.hash.clone());
-    let hash = args.hash.as_ref().unwrap_or(&first);
-    let (trial, design) = &trial_and_design(&plan, &args.spec, hash, args.design.as_deref())?;
-    let said = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
-    let found = look(trial, design, args.given, args.threads.into()).map_err(|e| said(&e))?;
+    let hash = args.one.hash.clone().or(most.map(|trial| trial.hash.clone()));
+    let (Trial { spec, .. }, design) = &One { hash, ..args.one.clone() }.read()?;
+    let found = look(spec, design, args.given, args.threads.into()).map_err(|e| args.one.refused(e))?;
     print_rows(&table(&found), args.format)?;
     if found.placed.iter().any(|placed| placed.energies) {
         say!("read by a linear brain that sees |signal|² of each unit, too: it reads these forces better");
     }
     if let Some(out) = &args.out {
-        let drawn = metasense_worker::replay::drawing(trial, design).map_err(|e| said(&e))?;
+        let drawn = metasense_worker::replay::drawing(spec, design).map_err(|e| args.one.refused(e))?;
         let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
         let drawn = Drawing { sensors, active: Vec::new(), ..drawn };
         let caption = format!(
@@ -70,10 +64,12 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
             let part = 1.0 - rank as f64 / (found.worth.len() - 1).max(1) as f64;
             Some(format!("unit {}", level(part * part)))
         };
+        let mut key = legend(&drawn, &[]);
+        key.push(("speed", "what a sensor there is worth".to_owned()));
         let notes = Notes { numbers: true, violations: &[] };
         let unit = |u| Unit { class: shade(u), ..Unit::default() };
         let picture = body(&drawn, frame(&[&drawn]), &caption, notes, unit);
-        let text = file(&[picture], 1, 640.0, &legend(&drawn, &[]));
+        let text = file(&[picture], 1, 640.0, &key);
         write(out, text)?;
         say!("written {}", out.display());
     }

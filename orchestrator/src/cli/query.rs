@@ -7,7 +7,7 @@ use metasense_schemas::database::VIEWS;
 
 use super::{Error, Format, print_rows};
 use crate::exit::Exit;
-use crate::look::{RowWriter, Table, standard_output};
+use crate::look::{RowWriter, Table, lines, standard_output};
 use crate::store::Reader;
 
 /// Asks a database in SQL; it cannot be changed this way, and may be asked while a run writes to it
@@ -87,7 +87,7 @@ async fn answer(
 async fn views(reader: &mut Reader, format: Format) -> Result<Table, Error> {
     let mut rows = Vec::new();
     let wide = |text: &str, most: usize| match format {
-        Format::Table => in_lines(text, most),
+        Format::Table => lines(text, most).join("\n"),
         _ => text.to_owned(),
     };
     for (view, description) in VIEWS {
@@ -98,21 +98,4 @@ async fn views(reader: &mut Reader, format: Format) -> Result<Table, Error> {
         rows.push(vec![(*view).into(), wide(description, 40).into(), wide(columns, 60).into()]);
     }
     Ok(Table { columns: ["view", "a row is", "columns"].map(String::from).to_vec(), rows })
-}
-
-/// A text in lines of at most `most` characters, where its words allow.
-fn in_lines(text: &str, most: usize) -> String {
-    let mut lines = String::new();
-    let mut length = 0;
-    for word in text.split(' ') {
-        let more = word.chars().count() + 1;
-        if length > 0 {
-            let full = length + more > most;
-            lines.push(if full { '\n' } else { ' ' });
-            length = if full { 0 } else { length };
-        }
-        lines.push_str(word);
-        length += more;
-    }
-    lines
 }

@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 use metasense_worker::simulate::{Simulated, simulate};
 use serde_json::json;
 
-use super::{Error, Format, make_folder, print_rows, read_plan, trial_and_design, write};
+use super::one::One;
+use super::{Error, Format, make_folder, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, row};
+use crate::plan::Trial;
 use crate::store::npy_bytes;
 
 /// Simulates the body of a trial under given forces: signals, motion and energies as NPY arrays, and dα of a cotangent
@@ -16,17 +18,11 @@ use crate::store::npy_bytes;
 /// --cotangent, gradient.npy, in the units and orders of MODEL.md. Exit code 1 if a sample does not reach its end.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML)
-    spec: PathBuf,
-    /// The trial, by its hash or the beginning of it; `metasense expand SPEC` lists them
-    #[arg(long)]
-    hash: String,
+    #[command(flatten)]
+    one: One,
     /// Force histories (N, K, T + 1) in N, as NPY; a clock finer by a whole factor will do, too
     #[arg(long, value_name = "NPY")]
     forces: PathBuf,
-    /// The design (.npy or .csv); by default the trial's initial one
-    #[arg(long, value_name = "FILE")]
-    design: Option<PathBuf>,
     /// Writes dα of Σ cotangent·signals, too; an NPY of the signals' shape
     #[arg(long, value_name = "NPY")]
     cotangent: Option<PathBuf>,
@@ -45,14 +41,12 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let plan = read_plan(&args.spec)?;
-    let (trial, design) = &trial_and_design(&plan, &args.spec, &args.hash, args.design.as_deref())?;
-    let usage = |e: &dyn std::fmt::Display| Error::Usage(format!("{}: {e}", args.spec.display()));
+    let (Trial { spec, .. }, design) = &args.one.read()?;
     let (shape, forces) = array(&args.forces)?;
     let cotangent = args.cotangent.as_deref().map(array).transpose()?;
     let cotangent = cotangent.as_ref().map(|(shape, values)| (&shape[..], &values[..]));
-    let found =
-        simulate(trial, design, (&shape, &forces), cotangent, args.threads.into()).map_err(|e| usage(&e))?;
+    let found = simulate(spec, design, (&shape, &forces), cotangent, args.threads.into());
+    let found = found.map_err(|e| args.one.refused(e))?;
 
     let Simulated { shape: [samples, instants, units, sensors], .. } = found;
     make_folder(&args.out)?;

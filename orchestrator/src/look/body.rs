@@ -131,8 +131,12 @@ fn panels_and_sensors(drawing: &Drawing, numbers: bool) -> Markup {
 /// What a constraint holds, as line or dot: a class for each. `units` with y downward.
 fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, class: [&str; 2], units: &[[Point; 4]]) -> Markup {
     let corners = &units[of[0]];
-    let line = |[x, y]: Point, [s, t]: Point| html! { path class=(class[0]) d=(format!("M{x:.3} {y:.3}L{s:.3} {t:.3}")) {} };
-    let dot = |[x, y]: Point, r: &str| html! { circle class=(class[1]) cx=(format!("{x:.3}")) cy=(format!("{y:.3}")) r=(r) {} };
+    let line = |[x, y]: Point, [s, t]: Point| {
+        html! { path class=(class[0]) d=(format!("M{x:.3} {y:.3}L{s:.3} {t:.3}")) {} }
+    };
+    let dot = |[x, y]: Point, r: &str| {
+        html! { circle class=(class[1]) cx=(format!("{x:.3}")) cy=(format!("{y:.3}")) r=(r) {} }
+    };
     match (kind, node) {
         (Kind::Edge, Some(p)) => line(corners[p], corners[(p + 1) % 4]),
         (Kind::Clearance | Kind::Overlap, _) => {

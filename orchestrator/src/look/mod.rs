@@ -14,7 +14,7 @@ mod write;
 
 pub use number::{digits, number};
 pub use page::{Answer, Figure, answers, page};
-pub use picture::{Legend, Picture, file, legend};
+pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
 pub use style::{SERIES, level};
 pub use table::Table;

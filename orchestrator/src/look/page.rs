@@ -82,6 +82,26 @@ pub fn answers<'a>(list: impl IntoIterator<Item = &'a Answer>) -> Markup {
 }
 
 impl Figure {
+    /// A figure that stands still, its pictures of the usual size.
+    #[must_use]
+    pub fn new(
+        name: &'static str,
+        title: &str,
+        caption: impl Into<String>,
+        legend: Legend,
+        pictures: Vec<Picture>,
+        data: Table,
+    ) -> Self {
+        let (title, caption) = (title.into(), caption.into());
+        Self { name, title, caption, legend, pictures, moving: None, small: false, data }
+    }
+
+    /// With small pictures, and what moves.
+    #[must_use]
+    pub fn small(self, moving: Option<Markup>) -> Self {
+        Self { moving, small: true, ..self }
+    }
+
     /// The figure on a page, under those of these answers that it shows.
     #[must_use]
     pub fn html(&self, said: &[Answer]) -> Markup {

@@ -83,7 +83,8 @@ pub fn file(pictures: &[Picture], columns: usize, width: f64, legend: &Legend) -
     }
     let label = pictures.iter().map(|p| p.title.as_str()).collect::<Vec<_>>().join("; ");
     html! {
-        svg xmlns="http://www.w3.org/2000/svg" viewBox=(format!("0 0 {width:.0} {top:.0}")) role="img" aria-label=(label) {
+        svg xmlns="http://www.w3.org/2000/svg" viewBox=(format!("0 0 {width:.0} {top:.0}"))
+            role="img" aria-label=(label) {
             style { (PreEscaped(of_file())) }
             rect class="page" width="100%" height="100%" {}
             @for key in keys { (key) }

@@ -10,6 +10,11 @@ use super::{Picture, level};
 /// How far a mode moves the corner that it moves most, by the pitch of the grid.
 const REACH: f64 = 0.4;
 
+/// A body without what its motion would tear.
+fn bare(drawing: &Drawing) -> Drawing {
+    Drawing { ligaments: Vec::new(), active: Vec::new(), ..drawing.clone() }
+}
+
 /// A mode of a body: units where it takes them, coloured by how far it moves their centroids.
 #[must_use]
 pub fn mode(drawing: &Drawing, frame: Frame, mode: &Mode, title: &str) -> Picture {
@@ -32,8 +37,7 @@ pub fn mode(drawing: &Drawing, frame: Frame, mode: &Mode, title: &str) -> Pictur
             style: Some(format!("--c:{x:.2}px {y:.2}px;--x:{du:.2}px;--y:{dy:.2}px;--t:{turn:.2}deg")),
         }
     };
-    let bare = Drawing { ligaments: Vec::new(), active: Vec::new(), ..drawing.clone() };
-    Picture { class: "body mode", ..body(&bare, frame, title, Notes::default(), unit) }
+    Picture { class: "body mode", ..body(&bare(drawing), frame, title, Notes::default(), unit) }
 }
 
 /// A body at an instant of a motion, units where they are and coloured by their speed over `most` (mm/s).
@@ -46,7 +50,7 @@ pub fn snapshot(
     most: f64,
     title: &str,
 ) -> Picture {
-    let mut moved = Drawing { ligaments: Vec::new(), active: Vec::new(), ..drawing.clone() };
+    let mut moved = bare(drawing);
     for (unit, [u, v, angle]) in motion.displacements[n].iter().enumerate() {
         let [cx, cy] = drawing.centroids[unit];
         let (sin, cos) = angle.sin_cos();
@@ -80,8 +84,7 @@ pub fn animation(bodies: &[(&str, &Drawing, &Motion)], frame: Frame, most: f64, 
         div class="wave" {
             div class="pair" {
                 @for (name, drawing, motion) in bodies {
-                    @let bare = Drawing { ligaments: Vec::new(), active: Vec::new(), ..(*drawing).clone() };
-                    @let still = body(&bare, frame, &format!("{name} body in motion"), Notes::default(), |_| Unit::default());
+                    @let still = body(&bare(drawing), frame, &format!("{name} body in motion"), Notes::default(), |_| Unit::default());
                     div {
                         h3 { (name) " body" }
                         (still.svg(None))

@@ -63,18 +63,17 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     }
     let mut entries = vec![("initial", "initial body".to_owned())];
     entries.extend(with.iter().map(|name| (class(&with, name), format!("body trained with {name}"))));
-    (!pictures.is_empty()).then(|| Figure {
-        name: "brains",
-        title: "Body or brain?".into(),
-        caption: "Prediction error on the holdout by linear least squares of the forces on the signals around each instant: \
-                  left against how far it looks, each way; right with the whole past, against how long it may wait. \
-                  Dots are networks, at the memory that their shape has."
-            .into(),
-        legend: entries,
-        pictures,
-        moving: None,
-        small: false,
-        data: Question::Brains.answer(trials, Terms::default()),
+    (!pictures.is_empty()).then(|| {
+        Figure::new(
+            "brains",
+            "Body or brain?",
+            "Prediction error on the holdout by linear least squares of the forces on the signals around \
+             each instant: left against how far it looks, each way; right with the whole past, against how \
+             long it may wait. Dots are networks, at the memory that their shape has.",
+            entries,
+            pictures,
+            Question::Brains.answer(trials, Terms::default()),
+        )
     })
 }
 

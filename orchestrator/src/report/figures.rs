@@ -68,23 +68,20 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
             row![t.hash, t.panels, t.sensors, t.cluster.placement, t.cluster.seed, t.units, i, o]
         }),
     );
-    Some(Figure {
-        name: "pairs",
-        title: "Did the body get better?".into(),
-        caption: "Prediction error on the holdout, which neither loop has seen: each dot is a trial, with brains \
-                  trained alike on its initial and on its optimised body. Below the dotted line the optimised body is \
-                  better."
-            .into(),
-        legend: if random {
+    Some(Figure::new(
+        "pairs",
+        "Did the body get better?",
+        "Prediction error on the holdout, which neither loop has seen: each dot is a trial, with \
+             brains trained alike on its initial and on its optimised body. Below the dotted line the \
+             optimised body is better.",
+        if random {
             legend(&[("dot sensor", "from rotated squares"), ("dot front", "from a random body")])
         } else {
             vec![]
         },
-        pictures: vec![plot.picture()],
-        moving: None,
-        small: false,
+        vec![plot.picture()],
         data,
-    })
+    ))
 }
 
 /// Error against M, placements shaded, elbow marked.
@@ -136,19 +133,20 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
     let left_out = drawn.len().saturating_sub(MOST_PLOTS);
     let rest =
         if left_out > 0 { format!(" {left_out} further settings are in the data.") } else { String::new() };
-    (!pictures.is_empty()).then(|| Figure {
-        name: "sensors",
-        title: "How many sensors are enough?".into(),
-        caption: format!(
-            "Prediction error on the holdout against the number of sensors: geometric mean over placements and seeds, \
-             shaded from the best to the worst of them. A dotted line marks the elbow where there is one (broken stick \
-             on ln error, votes by bootstrap over placements and seeds).{rest}"
-        ),
-        legend: legend(&BODIES),
-        pictures,
-        moving: None,
-        small: false,
-        data: Question::Sensors.answer(trials, terms),
+    (!pictures.is_empty()).then(|| {
+        Figure::new(
+            "sensors",
+            "How many sensors are enough?",
+            format!(
+                "Prediction error on the holdout against the number of sensors: geometric mean over \
+             placements and seeds, shaded from the best to the worst of them. A dotted line marks the \
+             elbow where there is one (broken stick on ln error, votes by bootstrap over placements and \
+             seeds).{rest}"
+            ),
+            legend(&BODIES),
+            pictures,
+            Question::Sensors.answer(trials, terms),
+        )
     })
 }
 
@@ -179,19 +177,17 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
         }
         pictures.push(plot.picture());
     }
-    (!pictures.is_empty()).then(|| Figure {
-        name: "placed",
-        title: "Place sensors well, or train the body?".into(),
-        caption:
+    (!pictures.is_empty()).then(|| {
+        Figure::new(
+            "placed",
+            "Place sensors well, or train the body?",
             "Prediction error on the holdout against the number of sensors: faint with sensors at random, \
-                  strong where a search puts them, by the training samples alone. Geometric mean \
-                  over placements and seeds."
-                .into(),
-        legend: legend(&BODIES),
-        pictures,
-        moving: None,
-        small: false,
-        data: Question::Placed.answer(trials, Terms::default()),
+             strong where a search puts them, by the training samples alone. Geometric mean over \
+             placements and seeds.",
+            legend(&BODIES),
+            pictures,
+            Question::Placed.answer(trials, Terms::default()),
+        )
     })
 }
 
@@ -227,18 +223,17 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
         }
         pictures.push(plot.picture());
     }
-    (!pictures.is_empty()).then(|| Figure {
-        name: "random",
-        title: "Would any other body have done?".into(),
-        caption: "Prediction error on the holdout of random castable bodies, of the initial one and of the optimised one, \
-                  with equal sensors, stimuli and training of the network; a dot is a trial. What training made of the \
-                  random bodies is in the data."
-            .into(),
-        legend: vec![],
-        pictures,
-        moving: None,
-        small: false,
-        data: Question::Random.answer(trials, Terms::default()),
+    (!pictures.is_empty()).then(|| {
+        Figure::new(
+            "random",
+            "Would any other body have done?",
+            "Prediction error on the holdout of random castable bodies, of the initial one and of the \
+             optimised one, with equal sensors, stimuli and training of the network; a dot is a trial. \
+             What training made of the random bodies is in the data.",
+            vec![],
+            pictures,
+            Question::Random.answer(trials, Terms::default()),
+        )
     })
 }
 
@@ -303,21 +298,19 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     if ratios.is_empty() {
         return None;
     }
-    Some(Figure {
-        name: "losses",
-        title: "Is the body easier to learn from?".into(),
-        caption: format!(
-            "Fresh networks of one architecture and budget on the initial and on the optimised body: median over trials, the \
-             middle half shaded. To reach what the worse body ends at, the network on the initial body takes so many times \
-             the iterations of that on the optimised one: {}.",
+    Some(Figure::new(
+        "losses",
+        "Is the body easier to learn from?",
+        format!(
+            "Fresh networks of one architecture and budget on the initial and on the optimised body: \
+             median over trials, the middle half shaded. To reach what the worse body ends at, the network \
+             on the initial body takes so many times the iterations of that on the optimised one: {}.",
             ratios.join(", ")
         ),
-        legend: legend(&BODIES),
+        legend(&BODIES),
         pictures,
-        moving: None,
-        small: false,
-        data: Table::new("setting quantity body iteration median lower_quartile upper_quartile", rows),
-    })
+        Table::new("setting quantity body iteration median lower_quartile upper_quartile", rows),
+    ))
 }
 
 /// (iteration, lower quartile, median, upper quartile) at some hundred iterations that all curves have, evenly spaced in
@@ -398,20 +391,20 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
         }
         pictures.push(plot.picture());
     }
-    (!pictures.is_empty()).then(|| Figure {
-        name: "complexity",
-        title: "What does a more complex body buy?".into(),
-        caption: format!(
-            "Prediction error on the holdout against the number of design parameters of the body; task, sensors and \
-             network stay. A dot is a trial; where the law L = a·(N/N₀)^(−b) + c is identified, its fit is drawn with \
-             a 95 % band, elsewhere the means are joined. {}.",
-            told(&laws)
-        ),
-        legend: legend(&BODIES),
-        pictures,
-        moving: None,
-        small: false,
-        data: Question::Sizes.answer(trials, Terms::default()),
+    (!pictures.is_empty()).then(|| {
+        Figure::new(
+            "complexity",
+            "What does a more complex body buy?",
+            format!(
+                "Prediction error on the holdout against the number of design parameters of the body; task, \
+             sensors and network stay. A dot is a trial; where the law L = a·(N/N₀)^(−b) + c is \
+             identified, its fit is drawn with a 95 % band, elsewhere the means are joined. {}.",
+                told(&laws)
+            ),
+            legend(&BODIES),
+            pictures,
+            Question::Sizes.answer(trials, Terms::default()),
+        )
     })
 }
 
@@ -478,21 +471,17 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         }
         pictures.push(plot.picture());
     }
-    (!pictures.is_empty()).then(|| Figure {
-        name: "run_time",
-        title: "What did the error cost in time?".into(),
-        caption: format!(
-            "Best test error so far of the brains inside the outer loop, against the CPU seconds that the \
-             trial's steps took (evaluation excluded). Thin: each trial{}; thick: geometric mean of each way of training; the \
-             front is what no trial beats in both.",
-            if sparsest > 1 { format!(", of the many at most {MOST_LINES} a setting") } else { String::new() }
-        ),
-        legend: legend(&[("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")]),
-        pictures,
-        moving: None,
-        small: false,
-        data: Table::new("hash protocol seconds best_error_test", rows),
-    })
+    let key = [("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")];
+    let of_many = (sparsest > 1).then(|| format!(", of the many at most {MOST_LINES} a setting"));
+    let of_many = of_many.unwrap_or_default();
+    let caption = format!(
+        "Best test error so far of the brains inside the outer loop, against the CPU seconds that the trial's steps \
+         took (evaluation excluded). Thin: each trial{of_many}; thick: geometric mean of each way of training; the \
+         front is what no trial beats in both."
+    );
+    let data = Table::new("hash protocol seconds best_error_test", rows);
+    let title = "What did the error cost in time?";
+    (!pictures.is_empty()).then(|| Figure::new("run_time", title, caption, legend(&key), pictures, data))
 }
 
 /// A history as a staircase.

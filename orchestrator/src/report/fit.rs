@@ -22,8 +22,7 @@ pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
 #[must_use]
 pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) -> String {
     let content = html! {
-        // what a person reads is text: with the digits that intervals need
-        (found.html(Some("estimates")))
+        (found.html(None))
         @for note in notes { pre { (note) } }
         @for figure in figures { (figure.html(&[])) }
     };
@@ -93,29 +92,27 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             }
         }
     }
-    Figure {
-        name: "fit",
-        title: "Do the simulated signals follow the records?".into(),
-        caption: format!(
-            "Records of least, middle and most misfit of {count}: the accelerations and rotation rates that move most. The \
-             start is cut at the frame. All records: {} % of the accelerations' RMS and {} % of the rotation rates' are left, \
-             {} % and {} % at the start.",
+    Figure::new(
+        "fit",
+        "Do the simulated signals follow the records?",
+        format!(
+            "Records of least, middle and most misfit of {count}: the accelerations and rotation rates \
+             that move most. The start is cut at the frame. All records: {} % of the accelerations' RMS \
+             and {} % of the rotation rates' are left, {} % and {} % at the start.",
             number(fit.misfit[1][0]),
             number(fit.misfit[1][1]),
             number(fit.misfit[0][0]),
             number(fit.misfit[0][1]),
         ),
-        legend: vec![
+        vec![
             ("truth", "measured".into()),
             ("optimised", "fitted".into()),
             ("initial", "start".into()),
             ("front", "measured − fitted".into()),
         ],
         pictures,
-        moving: None,
-        small: false,
-        data: Table::new("record unit channel seconds measured start fitted", rows),
-    }
+        Table::new("record unit channel seconds measured start fitted", rows),
+    )
 }
 
 /// Misfit and parameters against iterations.
@@ -147,16 +144,13 @@ fn course(fit: &Fit) -> Figure {
     });
     let names: String = fit.estimates.iter().map(|e| format!(" {}", e.parameter.name())).collect();
     let columns = format!("iteration window_seconds misfit_acceleration misfit_rotation{names}");
-    Figure {
-        name: "convergence",
-        title: "How did the fit go?".into(),
-        caption: "Each record is looked at from its first force on, for a window that grows: misfit within it. Where a window is \
-                  lost, the fit begins again from other values."
-            .into(),
-        legend: vec![("truth", "accelerations".into()), ("front", "rotation rates".into())],
+    Figure::new(
+        "convergence",
+        "How did the fit go?",
+        "Each record is looked at from its first force on, for a window that grows: misfit within it. \
+             Where a window is lost, the fit begins again from other values.",
+        vec![("truth", "accelerations".into()), ("front", "rotation rates".into())],
         pictures,
-        moving: None,
-        small: false,
-        data: Table::new(&columns, rows),
-    }
+        Table::new(&columns, rows),
+    )
 }

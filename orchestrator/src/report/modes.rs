@@ -47,20 +47,19 @@ pub fn figure(stored: &Stored, drawings: &[Drawing; 2], who: &str) -> Result<Fig
             rows.push([row![body.name()], row(n, mode)].concat());
         }
     }
-    Ok(Figure {
-        name: "modes",
-        title: "How the bodies ring".into(),
-        caption: format!(
-            "The slowest modes of small motions about rest of {who}, the initial body's above the optimised one's: \
-             frequency, and damping relative to critical. Units are drawn far out of scale, coloured by how far they move \
-             (by its root from pale to strong)."
+    Ok(Figure::new(
+        "modes",
+        "How the bodies ring",
+        format!(
+            "The slowest modes of small motions about rest of {who}, the initial body's above the \
+             optimised one's: frequency, and damping relative to critical. Units are drawn far out of \
+             scale, coloured by how far they move (by its root from pale to strong)."
         ),
-        legend: legend(&LEGEND),
+        legend(&LEGEND),
         pictures,
-        moving: None,
-        small: true,
-        data: Table::new(&format!("body {COLUMNS}"), rows),
-    })
+        Table::new(&format!("body {COLUMNS}"), rows),
+    )
+    .small(None))
 }
 
 /// Modes of one body, and what their marks are.

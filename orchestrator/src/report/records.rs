@@ -3,7 +3,7 @@
 use maud::html;
 use metasense_worker::evaluate::Evaluated;
 
-use super::strips::{Curve, Errors, Strip, dots, representative, strips};
+use super::strips::{Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::records::{Agreement, Judged, mean_ratio, table};
 use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
@@ -128,8 +128,8 @@ impl Comparison {
     /// Forces, errors, networks' progress, signals beside the model's.
     #[must_use]
     pub fn figures(&self) -> Vec<Figure> {
-        let mut figures = vec![self.forces(), self.errors(), self.progress()];
-        figures.extend(self.signals());
+        let mut figures = vec![self.forces(), self.errors()];
+        figures.extend(self.progress().into_iter().chain(self.signals()));
         figures
     }
 
@@ -151,27 +151,13 @@ impl Comparison {
         self.bodies.iter().enumerate().map(|(b, body)| (class(b), body.name.clone())).collect()
     }
 
-    fn seconds(&self, n: usize) -> f64 {
-        (n + 1) as f64 * self.duration / self.shape[1] as f64
-    }
-
-    /// A sample's histories (T, width), each over its own factor.
-    fn curves(&self, values: &[f64], sample: usize, width: usize, factors: &[f64]) -> Vec<Curve> {
-        let instants = self.shape[1];
-        let sample = &values[sample * instants * width..][..instants * width];
-        let curve = |k: usize| {
-            let values = sample[k..].iter().step_by(width);
-            values.enumerate().map(|(n, x)| (self.seconds(n), x / factors[k])).collect()
-        };
-        (0..width).map(curve).collect()
-    }
-
     /// Four records: of all bodies together where they met the same blows, else four of each.
     fn forces(&self) -> Figure {
         let (panels, judged) = (self.shape[0], &self.judged);
         let mut rows = Vec::new();
         let mut strip = |record: usize, bodies: &[usize]| {
-            let curves = |values: &[f64]| self.curves(values, record, panels, &vec![1.0; panels]);
+            let curves =
+                |values: &[f64]| histories(values, record, [self.shape[1], panels], self.duration, |_| 1.0);
             let truth = curves(&self.bodies[bodies[0]].measured.targets);
             let (mut sources, mut errors) = (vec![("truth".to_owned(), truth.clone())], Vec::new());
             for &b in bodies {
@@ -207,22 +193,20 @@ impl Comparison {
         let (pictures, step) = strips(&samples, &names, " N", self.duration);
         let mut entries = legend(&[("truth", "true force")]);
         entries.extend(self.legend());
-        Figure {
-            name: "forces",
-            title: "True and predicted forces".into(),
-            caption: format!(
-                "Measured forces of four records{}, at the 12th, 37th, 62nd and 87th percentile of the error, and what \
-                 networks that have not seen them make of the measured signals (first seed). A panel's line lies {} N \
-                 above that of the next. The titles give the errors, means over seeds.",
+        Figure::new(
+            "forces",
+            "True and predicted forces",
+            format!(
+                "Measured forces of four records{}, at the 12th, 37th, 62nd and 87th percentile of the error, \
+             and what networks that have not seen them make of the measured signals (first seed). A \
+             panel's line lies {} N above that of the next. The titles give the errors, means over seeds.",
                 if self.paired { " of all bodies" } else { " of each body" },
                 number(step)
             ),
-            legend: entries,
+            entries,
             pictures,
-            moving: None,
-            small: false,
-            data: Table::new("body record panel seconds force predicted", rows),
-        }
+            Table::new("body record panel seconds force predicted", rows),
+        )
     }
 
     fn errors(&self) -> Figure {
@@ -241,22 +225,20 @@ impl Comparison {
             true => format!("records, by the error of {}", self.bodies[0].name),
             false => "records of each body, by their error".to_owned(),
         };
-        Figure {
-            name: "errors",
-            title: "Error of every record".into(),
-            caption: format!(
+        Figure::new(
+            "errors",
+            "Error of every record",
+            format!(
                 "Prediction error of each record by networks that have not seen it, means over seeds{}.",
                 if self.paired { "; the bodies' errors under the same blow are joined" } else { "" }
             ),
-            legend: self.legend(),
-            moving: None,
-            pictures: vec![dots("Every record, measured signals", &label, &bodies, self.paired)],
-            small: false,
-            data: self.records(),
-        }
+            self.legend(),
+            vec![dots("Every record, measured signals", &label, &bodies, self.paired)],
+            self.records(),
+        )
     }
 
-    fn progress(&self) -> Figure {
+    fn progress(&self) -> Option<Figure> {
         let judged = &self.judged;
         let curves = || judged.iter().filter(|judged| !judged.simulated).map(|judged| &judged.progress);
         let points = || curves().flatten();
@@ -271,17 +253,16 @@ impl Comparison {
             row![judged.body, signals, p.0, p.1]
         };
         let rows = judged.iter().flat_map(|judged| judged.progress.iter().map(move |p| row(judged, p)));
-        Figure {
-            name: "progress",
-            title: "How fast networks learn".into(),
-            caption: "Error on unseen records against iterations of training, a mean over folds and seeds."
-                .into(),
-            legend: self.legend(),
-            pictures: vec![plot.picture()],
-            moving: None,
-            small: false,
-            data: Table::new("body signals iteration error", rows),
-        }
+        // what is solved for has no way
+        points().next()?;
+        Some(Figure::new(
+            "progress",
+            "How fast networks learn",
+            "Error on unseen records against iterations of training, a mean over folds and seeds.",
+            self.legend(),
+            vec![plot.picture()],
+            Table::new("body signals iteration error", rows),
+        ))
     }
 
     /// One record of each body whose design is known, beside the model's signals.
@@ -299,8 +280,8 @@ impl Comparison {
                 (values().map(|x| x * x).sum::<f64>() / values().count() as f64).sqrt().max(f64::MIN_POSITIVE)
             };
             let factors: Vec<f64> = (0..channels).map(rms).collect();
-            let [measured, model] =
-                [&body.signals, simulated].map(|values| self.curves(values, record, channels, &factors));
+            let [measured, model] = [&body.signals, simulated]
+                .map(|v| histories(v, record, [self.shape[1], channels], self.duration, |c| factors[c]));
             for (c, (measured, model)) in measured.iter().zip(&model).enumerate() {
                 rows.extend(measured.iter().zip(model).map(|((t, m), (_, s))| {
                     let [m, s] = [m, s].map(|x| x * factors[c]);
@@ -311,17 +292,16 @@ impl Comparison {
             let strip = Strip { title: format!("{}, record {record}", body.name), sources };
             pictures.extend(strips(&[strip], &names, " RMS", self.duration).0);
         }
-        (!pictures.is_empty()).then(|| Figure {
-            name: "signals",
-            title: "Measured and modelled signals".into(),
-            caption: "What the sensors said under one record of each body, and what the trial's model of the body says under \
-                      the same forces, each channel over its RMS."
-                .into(),
-            legend: legend(&[("truth", "measured"), ("front", "model")]),
-            pictures,
-            moving: None,
-            small: false,
-            data: Table::new("body record channel seconds measured simulated", rows),
+        (!pictures.is_empty()).then(|| {
+            Figure::new(
+                "signals",
+                "Measured and modelled signals",
+                "What the sensors said under one record of each body, and what the trial's model of the body \
+             says under the same forces, each channel over its RMS.",
+                legend(&[("truth", "measured"), ("front", "model")]),
+                pictures,
+                Table::new("body record channel seconds measured simulated", rows),
+            )
         })
     }
 }

@@ -5,7 +5,7 @@ use metasense_worker::run::Failure;
 
 use super::figures::BODIES;
 use super::modes;
-use super::strips::{Curve, Errors, Strip, dots, representative, strips};
+use super::strips::{Curve, Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::Body;
 use crate::look::body::{Notes, Unit, body, frame};
 use crate::look::wave::{animation, snapshot};
@@ -63,59 +63,42 @@ type Replays = [metasense_worker::replay::Replay; 2];
 
 fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
     let (panels, instants) = (stored.spec().panel_units.len(), stored.spec().time.samples);
-    let seconds = |n: usize| n as f64 * stored.spec().time.duration / instants as f64;
-    let truth = |sample: usize, k: usize, n: usize| {
-        replays[0].forces.values[(sample * panels + k) * (instants + 1) + n]
-    };
-    let predicted = |b: usize, sample: usize, k: usize, n: usize| {
-        replays[b].predictions[(sample * instants + n - 1) * panels + k]
-    };
+    let duration = stored.spec().time.duration;
     let mut rows = Vec::new();
     let strip = |&sample: &usize| {
         let errors = [0, 1].map(|b| replays[b].errors[sample].map_or("–".into(), number));
-        let by_panel = |curve: &dyn Fn(usize) -> Curve| (0..panels).map(curve).collect::<Vec<Curve>>();
-        let mut sources = vec![(
-            "truth".to_owned(),
-            by_panel(&|k| (0..=instants).map(|n| (seconds(n), truth(sample, k, n))).collect()),
-        )];
-        for b in Body::ALL {
-            let curve =
-                |k| (1..=instants).map(|n| (seconds(n), predicted(b as usize, sample, k, n))).collect();
-            sources.push((b.name().to_owned(), by_panel(&curve)));
+        let forces = &replays[0].forces.values[sample * panels * (instants + 1)..];
+        let force =
+            |k: usize, n: usize| (n as f64 * duration / instants as f64, forces[k * (instants + 1) + n]);
+        let truth: Vec<Curve> = (0..panels).map(|k| (0..=instants).map(|n| force(k, n)).collect()).collect();
+        let [initial, optimised] =
+            [0, 1].map(|b| histories(&replays[b].predictions, sample, [instants, panels], duration, |_| 1.0));
+        for (k, truth) in truth.iter().enumerate() {
+            let told = truth[1..].iter().zip(&initial[k]).zip(&optimised[k]);
+            rows.extend(told.map(|(((t, f), (_, a)), (_, b))| row![sample, k, t, f, a, b]));
         }
-        for k in 0..panels {
-            rows.extend((1..=instants).map(|n| {
-                row![
-                    sample,
-                    k,
-                    seconds(n),
-                    truth(sample, k, n),
-                    predicted(0, sample, k, n),
-                    predicted(1, sample, k, n)
-                ]
-            }));
-        }
+        let names = ["truth", "initial", "optimised"].map(str::to_owned).into_iter();
+        let sources = names.zip([truth, initial, optimised]).collect();
         Strip { title: format!("sample {sample}: {} → {} %", errors[0], errors[1]), sources }
     };
     let samples: Vec<Strip> = chosen.iter().map(strip).collect();
     let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
-    let (pictures, step) = strips(&samples, &names, " N", stored.spec().time.duration);
-    Figure {
-        name: "forces",
-        title: "True and predicted forces".into(),
-        caption: format!(
-            "Force histories of four test samples of {}, at the 12th, 37th, 62nd and 87th percentile of the optimised \
-             body's error, and what the brain of each body (the first network, or the linear one) makes of its sensors' signals. A panel's line lies \
-             {} N above that of the next. The titles give the sample's two errors, over all panels.",
+    let (pictures, step) = strips(&samples, &names, " N", duration);
+    Figure::new(
+        "forces",
+        "True and predicted forces",
+        format!(
+            "Force histories of four test samples of {}, at the 12th, 37th, 62nd and 87th percentile of \
+             the optimised body's error, and what the brain of each body (the first network, or the linear \
+             one) makes of its sensors' signals. A panel's line lies {} N above that of the next. The \
+             titles give the sample's two errors, over all panels.",
             who(stored),
             number(step)
         ),
-        legend: legend(&[("truth", "true force"), BODIES[0], BODIES[1]]),
+        legend(&[("truth", "true force"), BODIES[0], BODIES[1]]),
         pictures,
-        moving: None,
-        small: false,
-        data: Table::new("sample panel seconds force initial optimised", rows),
-    }
+        Table::new("sample panel seconds force initial optimised", rows),
+    )
 }
 
 fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
@@ -129,21 +112,19 @@ fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
     });
     let plot = dots("Every test sample", "test samples, by the initial body's error", &bodies, true);
     let better = pairs.iter().filter(|p| p.2 < p.1).count();
-    Figure {
-        name: "samples",
-        title: "Error of every test sample".into(),
-        caption: format!(
-            "Prediction error of each test sample of {}: open the initial body, filled the optimised one, joined. The \
-             optimised body is better in {better} of {} samples.",
+    Figure::new(
+        "samples",
+        "Error of every test sample",
+        format!(
+            "Prediction error of each test sample of {}: open the initial body, filled the optimised one, \
+             joined. The optimised body is better in {better} of {} samples.",
             who(stored),
             pairs.len()
         ),
-        legend: legend(&BODIES),
-        pictures: vec![plot],
-        moving: None,
-        small: false,
-        data: Table::new("sample error_initial error_optimised", pairs.iter().map(|p| row![p.0, p.1, p.2])),
-    }
+        legend(&BODIES),
+        vec![plot],
+        Table::new("sample error_initial error_optimised", pairs.iter().map(|p| row![p.0, p.1, p.2])),
+    )
 }
 
 fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
@@ -165,25 +146,23 @@ fn bodies(stored: &Stored, drawings: &[Drawing; 2]) -> Figure {
     }
     let moved =
         stored.designs[0].iter().zip(&stored.designs[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    Figure {
-        name: "bodies",
-        title: "The body before and after".into(),
-        caption: format!(
-            "Initial and optimised body of {}: units, ligaments, input panels (arrows: the direction of the blow), \
-             sensors (dots), clamped units in a shade of their own. Constraints of a castable body at their limit: {} and \
-             {}{}. The farthest shift moved {} mm.",
+    Figure::new(
+        "bodies",
+        "The body before and after",
+        format!(
+            "Initial and optimised body of {}: units, ligaments, input panels (arrows: the direction of \
+             the blow), sensors (dots), clamped units in a shade of their own. Constraints of a castable \
+             body at their limit: {} and {}{}. The farthest shift moved {} mm.",
             who(stored),
             held[0],
             held[1],
             if held == [0, 0] { "" } else { ", edges and gaps drawn as lines, angles as dots" },
             number(moved)
         ),
-        legend: legend(&entries),
-        pictures: pictures.to_vec(),
-        moving: None,
-        small: false,
-        data: Table::new("body unit node x y", rows),
-    }
+        legend(&entries),
+        pictures.to_vec(),
+        Table::new("body unit node x y", rows),
+    )
 }
 
 /// Snapshots of speed, and what the animation needs.
@@ -225,19 +204,19 @@ fn waves(stored: &Stored, drawings: &[Drawing; 2], motions: &[Motion; 2], sample
     }
     let fastest = (0..instants).max_by(|a, b| mean[*a].total_cmp(&mean[*b])).unwrap_or(0);
     let bodies = Body::ALL.map(|body| (body.name(), &drawings[body as usize], &motions[body as usize]));
-    Figure {
-        name: "waves",
-        title: "The wave in the body".into(),
-        caption: format!(
-            "Speed of every unit (0 to {} mm/s, by its root from pale to strong) at four instants and as an animation, under test sample \
-             {sample} of {}: the same blows on the initial and on the optimised body, drawn as displaced.",
+    Figure::new(
+        "waves",
+        "The wave in the body",
+        format!(
+            "Speed of every unit (0 to {} mm/s, by its root from pale to strong) at four instants and as \
+             an animation, under test sample {sample} of {}: the same blows on the initial and on the \
+             optimised body, drawn as displaced.",
             number(most),
             who(stored)
         ),
-        legend: legend(&[("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")]),
+        legend(&[("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")]),
         pictures,
-        moving: Some(animation(&bodies, frame, most, fastest)),
-        small: true,
-        data: Table::new("body seconds unit u v theta speed", rows),
-    }
+        Table::new("body seconds unit u v theta speed", rows),
+    )
+    .small(Some(animation(&bodies, frame, most, fastest)))
 }

@@ -5,6 +5,22 @@ use crate::look::{Axis, Picture, Plot, Scale, number};
 /// Points of a curve.
 pub type Curve = Vec<(f64, f64)>;
 
+/// Histories of one of some samples (N, T, width), after each instant of a clock of this duration (s), over their factors.
+#[must_use]
+pub fn histories(
+    values: &[f64],
+    sample: usize,
+    [instants, width]: [usize; 2],
+    duration: f64,
+    factor: impl Fn(usize) -> f64,
+) -> Vec<Curve> {
+    let time = |n: usize| (n + 1) as f64 * duration / instants as f64;
+    let of = &values[sample * instants * width..][..instants * width];
+    let history =
+        |k: usize| of[k..].iter().step_by(width).enumerate().map(|(n, x)| (time(n), x / factor(k))).collect();
+    (0..width).map(history).collect()
+}
+
 /// The histories of a sample.
 #[derive(Debug, Clone)]
 pub struct Strip {
