@@ -1,6 +1,9 @@
 //! Specs that were damaged at random: no panic, and each error names a key or says that the file is no TOML.
 
 mod common;
+#[path = "support/roll.rs"]
+#[allow(dead_code, reason = "each test file uses its share")]
+mod roll;
 
 use common::SPEC;
 use metasense::plan::Plan;
@@ -127,8 +130,14 @@ fn the_undamaged_spec_expands() {
     assert_eq!(Plan::new("f.toml", damaged(&[])).unwrap().trials.len(), 12);
 }
 
+/// A thousand specs, or `SPEC_CASES`.
+fn config() -> ProptestConfig {
+    let cases = roll::number("SPEC_CASES").unwrap_or(1000) as u32;
+    ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(config())]
     #[test]
     fn damaged_specs_expand_or_are_refused_by_key(damages in prop::collection::vec(damage(), 1..4)) {
         let text = damaged(&damages);
