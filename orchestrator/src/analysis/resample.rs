@@ -37,6 +37,12 @@ impl Interval {
     pub fn map(self, f: impl Fn(f64) -> f64) -> Self {
         Self { low: f(self.low), high: f(self.high) }
     }
+
+    /// Of a ratio: whether all of it is above 1, or below; `None` where it may be either.
+    #[must_use]
+    pub fn is_above_one(self) -> Option<bool> {
+        (self.low > 1.0 || self.high < 1.0).then_some(self.low > 1.0)
+    }
 }
 
 /// Linear interpolation between order statistics of sorted values.

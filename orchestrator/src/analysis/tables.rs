@@ -160,18 +160,17 @@ fn ends(interval: Option<Interval>) -> [Value; 2] {
 
 pub(super) fn ratio_cells(ratio: Ratio) -> Vec<Value> {
     let [low, high] = ends(ratio.interval);
-    vec![json!(ratio.trials), json!(ratio.above_one), json!(ratio.ratio), low, high, json!(ratio.over)]
+    row![ratio.trials, ratio.above_one, ratio.ratio, low, high, ratio.over]
 }
 
 fn brains_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for group in groups(trials, BRAINS) {
         for read in reads(&group.trials) {
-            let [before, after] = read.memory.map(|s| json!((1e6 * s).round() / 1e6));
-            let names = [&group.label, &read.trained_with, &read.by].map(|name| json!(name));
-            let errors = read.errors.map(|error| json!(error));
-            let cells = names.into_iter().chain([before, after]).chain(errors);
-            rows.push(cells.chain(ratio_cells(read.ratio)).collect());
+            let [before, after] = read.memory.map(|s| (1e6 * s).round() / 1e6);
+            let [initial, optimised] = read.errors;
+            let names = row![group.label, read.trained_with, read.by, before, after, initial, optimised];
+            rows.push([names, ratio_cells(read.ratio)].concat());
         }
     }
     let columns = "setting trained_with read_by before after initial optimised trials improved ratio low \
@@ -184,9 +183,7 @@ fn paired_table(trials: &[&Trial]) -> Table {
     for group in groups(trials, &[]) {
         for set in Set::ALL {
             if let Some(ratio) = paired::error_ratio(&group.trials, set) {
-                let mut row = row![group.label, set.name()];
-                row.extend(ratio_cells(ratio));
-                rows.push(row);
+                rows.push(row![group.label, set.name(); ratio_cells(ratio)]);
             }
         }
     }
@@ -196,9 +193,7 @@ fn paired_table(trials: &[&Trial]) -> Table {
 fn iterations_table(trials: &[&Trial]) -> Table {
     let rows = groups(trials, &[]).into_iter().flat_map(|group| {
         paired::Progress::ALL.into_iter().filter_map(move |by| {
-            let mut row = row![group.label, by.name()];
-            row.extend(ratio_cells(paired::iterations(&group.trials, by)?));
-            Some(row)
+            Some(row![group.label, by.name(); ratio_cells(paired::iterations(&group.trials, by)?)])
         })
     });
     Table::new("setting to_equal trials faster ratio low high over", rows)
@@ -286,22 +281,22 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
             let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
             let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
             let [low, high] = ends(gain.and_then(|g| g.interval));
-            rows.push(vec![
-                json!(group.label),
-                json!(body.name()),
-                json!(set.name()),
-                json!(level.at as u64),
-                json!(level.trials),
-                json!(level.mean),
-                json!(level.least),
-                json!(level.most),
-                json!(vote.filter(|_| found.is_some_and(has_votes))),
-                json!(decided.as_ref().and_then(|d| d.within.share(level.at))),
-                json!(decided.as_ref().and_then(|d| d.priced.as_ref()?.share(level.at))),
-                json!(gain.map(|g| g.ratio)),
+            rows.push(row![
+                group.label,
+                body.name(),
+                set.name(),
+                level.at as u64,
+                level.trials,
+                level.mean,
+                level.least,
+                level.most,
+                vote.filter(|_| found.is_some_and(has_votes)),
+                decided.as_ref().and_then(|d| d.within.share(level.at)),
+                decided.as_ref().and_then(|d| d.priced.as_ref()?.share(level.at)),
+                gain.map(|g| g.ratio),
                 low,
                 high,
-                json!(decided.as_ref().map(|d| &d.over)),
+                decided.as_ref().map(|d| &d.over)
             ]);
         }
     });

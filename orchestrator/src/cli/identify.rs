@@ -134,9 +134,7 @@ fn readable(found: &Table) -> Table {
 fn correlations(fit: &Fit) -> Table {
     let names: String = fit.estimates.iter().map(|e| format!(" {}", e.parameter.name())).collect();
     let columns = format!("correlation{names}");
-    let row = |(e, row): (&Estimate, &Vec<f64>)| -> Vec<Value> {
-        std::iter::once(json!(e.parameter.name())).chain(row.iter().map(|c| json!(c))).collect()
-    };
+    let row = |(e, row): (&Estimate, &Vec<f64>)| row![e.parameter.name(); row];
     Table::new(&columns, fit.estimates.iter().zip(&fit.correlation).map(row))
 }
 

@@ -4,13 +4,12 @@ use std::path::PathBuf;
 
 use metasense_worker::place::{Looked, look};
 use metasense_worker::replay::Drawing;
-use serde_json::json;
 
 use super::one::One;
 use super::{Error, Format, print_rows, read_plan, write};
 use crate::exit::Exit;
 use crate::look::body::{Notes, Unit, body, frame, legend};
-use crate::look::{Table, file, level};
+use crate::look::{Table, file, level, row};
 use crate::plan::Trial;
 
 /// Searches for the units that carry a trial's sensors best: error by their number, beside other searches and random placements
@@ -81,11 +80,8 @@ fn table(found: &Looked) -> Table {
     let rows = found.placed.iter().enumerate().map(|(m, placed)| {
         let [best, median, worst] = found.random[m];
         let units = placed.units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
-        let named = [json!(m + 1), json!(units), json!(placed.errors[m]), json!(placed.runner_up_error)];
-        named
-            .into_iter()
-            .chain([found.d_optimal[m], found.pivots[m], best, median, worst].map(|error| json!(error)))
-            .collect()
+        let [d_optimal, pivots] = [found.d_optimal[m], found.pivots[m]];
+        row![m + 1, units, placed.errors[m], placed.runner_up_error, d_optimal, pivots, best, median, worst]
     });
     Table::new(columns, rows)
 }

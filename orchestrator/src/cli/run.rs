@@ -317,18 +317,15 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
             row[BRAINS].iter_mut().zip(names).for_each(|(cell, name)| *cell = name.into());
         }
     }
-    if format == Format::Table && table.rows.iter().all(|row| row[STATE] == "done") {
-        table.columns.truncate(STATE);
-        table.rows.iter_mut().for_each(|row| row.truncate(STATE));
-    }
-    if format == Format::Table && table.rows.iter().all(|row| row[PLACED] == "random") {
-        table.columns.remove(PLACED);
-        table.rows.iter_mut().for_each(|row| drop(row.remove(PLACED)));
-    }
-    let paper = |row: &Vec<Value>| row[BRAINS].iter().all(|brain| brain == "cnn");
-    if format == Format::Table && !table.rows.is_empty() && table.rows.iter().all(paper) {
-        table.columns.drain(BRAINS);
-        table.rows.iter_mut().for_each(|row| drop(row.drain(BRAINS)));
+    if format == Format::Table && !table.rows.is_empty() {
+        // from the right: what is left out moves what is behind it
+        let same = |holds: &dyn Fn(&[Value]) -> bool| table.rows.iter().all(|row| holds(row));
+        let left_out = [
+            (STATE..table.columns.len(), same(&|row| row[STATE] == "done")),
+            (PLACED..PLACED + 1, same(&|row| row[PLACED] == "random")),
+            (BRAINS, same(&|row| row[BRAINS].iter().all(|brain| brain == "cnn"))),
+        ];
+        left_out.into_iter().filter(|(_, same)| *same).for_each(|(which, _)| table.drop_columns(which));
     }
     if failures.len() > MOST_ROWS {
         say!("… and {} more failed: metasense status {}", failures.len() - MOST_ROWS, db.display());

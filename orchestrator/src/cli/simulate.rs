@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use metasense_worker::simulate::{Simulated, simulate};
-use serde_json::json;
 
 use super::one::One;
 use super::{Error, Format, make_folder, print_rows, write};
@@ -66,9 +65,9 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 /// What became of the samples: a row each, or a row an outcome, with the first sample that met it.
 fn table(found: &Simulated, each: bool) -> Table {
     let a_sample = found.force_evaluations / found.outcomes.len() as u64;
-    let end = [json!(a_sample), json!(found.solver)];
+    let solver = &found.solver;
     if each {
-        let row = |(n, outcome)| [row![n, outcome], end.to_vec()].concat();
+        let row = |(n, outcome)| row![n, outcome, a_sample, solver];
         let rows = found.outcomes.iter().enumerate().map(row);
         return Table::new("sample outcome force_evaluations solver", rows);
     }
@@ -79,7 +78,7 @@ fn table(found: &Simulated, each: bool) -> Table {
             None => met.push((outcome, 1, n)),
         }
     }
-    let row = |(outcome, samples, first)| [row![outcome, samples, first], end.to_vec()].concat();
+    let row = |(outcome, samples, first)| row![outcome, samples, first, a_sample, solver];
     let columns = "outcome samples first_sample force_evaluations_a_sample solver";
     Table::new(columns, met.into_iter().map(row))
 }

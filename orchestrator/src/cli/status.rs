@@ -3,13 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use serde_json::json;
-
 use super::{Error, Format, print_rows};
 use crate::cluster::queue;
 use crate::cluster::state::{self, State};
 use crate::exit::Exit;
-use crate::look::Table;
+use crate::look::{Table, row};
 use crate::plan::counted;
 use crate::provenance;
 use crate::scheduler::PRUNED;
@@ -134,20 +132,20 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let states = state::states(&folder, last.shards, &queued).await;
     let columns = "shard state trials done failed estimated_seconds seconds outcome ran_on handed_in_ago";
     let row = |s: &State| {
-        let trials = |i: usize| json!(s.trials.map(|trials| trials[i]));
+        let trials = |i: usize| s.trials.map(|trials| trials[i]);
         let run = s.run.as_ref();
         let tenths = |x: f64| (x * 10.0).round() / 10.0;
-        vec![
-            json!(s.shard.index()),
-            json!(s.state),
+        row![
+            s.shard.index(),
+            s.state,
             trials(0),
             trials(1),
             trials(2),
-            json!(run.map(|r| tenths(r.0))),
-            json!(run.and_then(|r| r.1).map(tenths)),
-            json!(run.and_then(|r| r.3.clone())),
-            json!(run.map(|r| r.2.clone())),
-            json!(s.age.map(f64::round)),
+            run.map(|r| tenths(r.0)),
+            run.and_then(|r| r.1).map(tenths),
+            run.and_then(|r| r.3.clone()),
+            run.map(|r| r.2.clone()),
+            s.age.map(f64::round)
         ]
     };
     let rows = states.iter().map(row);

@@ -1,5 +1,7 @@
 //! Rows of values under names.
 
+use std::ops::Range;
+
 use serde_json::Value;
 
 use super::digits;
@@ -13,9 +15,12 @@ pub struct Table {
     pub rows: Vec<Vec<Value>>,
 }
 
-/// A row of a table, from anything that is JSON.
+/// A row of a table, from anything that is JSON; after a semicolon, what holds more of it.
 macro_rules! row {
     ($($cell:expr),* $(,)?) => { vec![$(serde_json::json!($cell)),*] };
+    ($($cell:expr),*; $rest:expr) => {
+        [$(serde_json::json!($cell)),*].into_iter().chain($rest.into_iter().map(|cell| serde_json::json!(cell))).collect::<Vec<_>>()
+    };
 }
 pub(crate) use row;
 
@@ -36,6 +41,12 @@ impl Table {
         let verdict = self.rows.first()?[at].as_str()?;
         let alone = |row: &Vec<Value>| row[at] == verdict && row[at + 1..].iter().all(Value::is_null);
         self.rows.iter().all(alone).then_some(verdict)
+    }
+
+    /// Leaves columns out.
+    pub fn drop_columns(&mut self, which: Range<usize>) {
+        self.columns.drain(which.clone());
+        self.rows.iter_mut().for_each(|row| drop(row.drain(which.clone())));
     }
 
     /// Without the columns in which nothing stands.

@@ -9,7 +9,7 @@ use crate::analysis::placed::{Placed, placed};
 use crate::analysis::random::random;
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::{nonlinear, verdict_text};
-use crate::analysis::{Body, Set, Terms, Trial, Verdict, elbow, paired};
+use crate::analysis::{Body, Interval, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::look::{Answer, number};
 use crate::plan::counted;
 
@@ -86,7 +86,8 @@ fn linear_model(trials: &[&Trial]) -> Option<Answer> {
     ))
 }
 
-fn interval(ratio: &Ratio) -> String {
+/// The interval of a ratio in words.
+pub(super) fn interval(ratio: &Ratio) -> String {
     match ratio.interval {
         Some(i) => format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over),
         None => format!("interval: {}", ratio.over),
@@ -94,11 +95,7 @@ fn interval(ratio: &Ratio) -> String {
 }
 
 fn verdict(ratio: &Ratio) -> Option<bool> {
-    match ratio.interval {
-        Some(i) if i.low > 1.0 => Some(true),
-        Some(i) if i.high < 1.0 => Some(false),
-        _ => None,
-    }
+    ratio.interval.and_then(Interval::is_above_one)
 }
 
 /// Mean errors of both bodies, over the trials that have both.
@@ -223,7 +220,9 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             Some(_) => f.share.is_some_and(|share| share >= SURE).then_some(true),
             None => Some(false),
         };
-        said.push(Answer::new("", verdict, format!("{}: {text}.", group.label)));
+        // what is decided goes first
+        let figure = if verdict.is_some() { "" } else { "sensors" };
+        said.push(Answer::new(figure, verdict, format!("{}: {text}.", group.label)));
     }
     said
 }

@@ -1,7 +1,6 @@
 //! The figures that the analysis alone can draw.
 
-use serde_json::json;
-
+use super::answers::interval;
 use crate::analysis::brains::brains;
 use crate::analysis::data::{
     COMPLEXITY, CurvePoint, DESIGN, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
@@ -275,10 +274,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
             for (body, curve) in &curves {
                 plot.band(body.name(), &curve.iter().map(|p| (p.0, p.1, p.3)).collect::<Vec<_>>());
                 plot.line(body.name(), curve.iter().map(|p| (p.0, p.2)));
-                rows.extend(curve.iter().map(|p| {
-                    let numbers = [p.0, p.2, p.1, p.3].map(|x| json!(x));
-                    [json!(label), json!(quantity), json!(body.name())].into_iter().chain(numbers).collect()
-                }));
+                rows.extend(curve.iter().map(|p| row![label, quantity, body.name(), p.0, p.2, p.1, p.3]));
             }
             pictures.push(plot.picture());
         }
@@ -286,10 +282,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let schedules = paired::schedules(&refs);
     let of = |(rate, trials): &(&str, Vec<&Trial>), by: paired::Progress| {
         let ratio = paired::iterations(trials, by)?;
-        let interval = match ratio.interval {
-            Some(i) => format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over),
-            None => ratio.over,
-        };
+        let interval = interval(&ratio);
         let rate = if schedules.len() > 1 { format!(", {rate} rate") } else { String::new() };
         Some(format!("{} times ({interval}) by {}{rate}", number(ratio.ratio), by.name()))
     };

@@ -3,7 +3,6 @@
 use maud::html;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::identify::Fit;
-use serde_json::json;
 
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
@@ -138,9 +137,8 @@ fn course(fit: &Fit) -> Figure {
         pictures.push(plot.picture());
     }
     let rows = fit.iterations.iter().enumerate().map(|(n, i)| {
-        let mut row = row![n + 1, i.window, i.misfit[0], i.misfit[1]];
-        row.extend(fit.estimates.iter().map(|e| json!(i.parameters.array()[e.parameter as usize])));
-        row
+        let found = fit.estimates.iter().map(|e| i.parameters.array()[e.parameter as usize]);
+        row![n + 1, i.window, i.misfit[0], i.misfit[1]; found]
     });
     let names: String = fit.estimates.iter().map(|e| format!(" {}", e.parameter.name())).collect();
     let columns = format!("iteration window_seconds misfit_acceleration misfit_rotation{names}");

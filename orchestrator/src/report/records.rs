@@ -4,6 +4,7 @@ use maud::html;
 use metasense_worker::evaluate::Evaluated;
 
 use super::strips::{Errors, Strip, dots, histories, representative, strips};
+use crate::analysis::Interval;
 use crate::analysis::records::{Agreement, Judged, mean_ratio, table};
 use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
@@ -88,11 +89,7 @@ impl Comparison {
                 mean_ratio(of(&self.bodies[0].name, simulated)?, of(&body.name, simulated)?, self.paired)
             };
             let Some(found) = ratio(false) else { continue };
-            let verdict = found.interval.and_then(|i| match (i.low > 1.0, i.high < 1.0) {
-                (true, _) => Some(true),
-                (_, true) => Some(false),
-                _ => None,
-            });
+            let verdict = found.interval.and_then(Interval::is_above_one);
             let interval = found.interval.map_or(String::new(), |i| {
                 format!(" (95 % over records: {} to {})", number(i.low), number(i.high))
             });

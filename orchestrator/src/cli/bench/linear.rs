@@ -10,7 +10,7 @@ use serde_json::json;
 use super::super::{Error, Format, print_rows};
 use super::append;
 use crate::exit::Exit;
-use crate::look::Table;
+use crate::look::{Table, row};
 
 /// Time to solve for a linear brain on one thread: moments of the samples, normal matrix with its factor, answers, pull-back
 #[derive(Debug, clap::Args)]
@@ -48,9 +48,9 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
             panels: args.panels.into(),
             memory: memory.min(args.instants - 1).into(),
         });
-        let times = found.milliseconds.map(|ms| json!(ms));
-        let head = [json!(sensors), json!(memory), json!(found.unknowns)];
-        rows.push(head.into_iter().chain(times).chain([json!(found.gflops)]).collect());
+        rows.push(
+            row![sensors, memory, found.unknowns; found.milliseconds.into_iter().chain([found.gflops])],
+        );
     }
     let columns = "sensors memory unknowns moments_ms solve_ms answers_ms pull_back_ms factor_gflops";
     let table = Table::new(columns, rows);

@@ -70,9 +70,7 @@ fn measure(args: &Args, path: &Path) -> Result<(), Error> {
         let milestones = course(trial, &args.seconds, 1).map_err(failed)?;
         let designs: Vec<Vec<f64>> = milestones.iter().map(|m| m.design.clone()).collect();
         for (m, body) in milestones.iter().zip(evaluate(spec, &designs, 1).map_err(failed)?) {
-            let error = holdout(&body);
-            let (seconds, step, fresh) = (json!(m.seconds), json!(m.step), json!(m.fresh_samples));
-            table.rows.push(vec![json!(name), seconds, step, fresh, json!(test(&body)), json!(error)]);
+            table.rows.push(row![name, m.seconds, m.step, m.fresh_samples, test(&body), holdout(&body)]);
         }
     }
     print_rows(&table, args.format)?;
