@@ -56,6 +56,17 @@ impl Trial {
     }
 }
 
+/// Why a hash names no trial.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NotOne {
+    /// Nor does its beginning.
+    #[error("{0}: the spec holds no such trial")]
+    None(String),
+    /// More than one begins so.
+    #[error("{0}: several trials begin so")]
+    Several(String),
+}
+
 /// A spec file, read, and the trials it stands for.
 #[derive(Debug, Clone)]
 pub struct Plan {
@@ -88,6 +99,20 @@ impl Plan {
         }
         until::check(spec.until.as_ref(), &trials, &source)?;
         Ok(Self { source, spec, trials })
+    }
+
+    /// The one trial whose hash begins so; of an empty hash the first.
+    ///
+    /// # Errors
+    /// If none does, or several.
+    pub fn find(&self, hash: &str) -> Result<&Trial, NotOne> {
+        let mut found = self.trials.iter().filter(|trial| trial.hash.starts_with(hash));
+        match (found.next(), found.next()) {
+            (Some(first), _) if hash.is_empty() => Ok(first),
+            (Some(trial), None) => Ok(trial),
+            (Some(_), Some(_)) => Err(NotOne::Several(hash.into())),
+            (None, _) => Err(NotOne::None(hash.into())),
+        }
     }
 
     /// The database where none is named.

@@ -84,15 +84,21 @@ fn result(optimised: Optimised) -> TrialResult {
 }
 
 /// The problem that a spec stands for, on these threads, its sensors in place: searched for where that is to be done.
-pub(crate) fn placed(trial: &TrialSpec, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
+///
+/// # Errors
+/// If the spec stands for no trial, or the search comes to nothing.
+pub fn placed(trial: &TrialSpec, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     let (problem, _) =
         nested::placed(&problem, pool).map_err(|failure| Failure::NonFinite(failure.to_string()))?;
     Ok(problem)
 }
 
-/// Threads for the maths.
-pub(crate) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
+/// Threads for the maths; 0 counts as 1.
+///
+/// # Errors
+/// If the system does not start them.
+pub fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads.max(1))
         .build()

@@ -1,7 +1,11 @@
 //! One body under given forces: signals, motion and, of a cotangent on the signals, the gradient in the design.
 
-use metasense_numerics::dynamics::{self, Forces, Outcome, energy, pull_back, tune};
+use metasense_numerics::dynamics::{
+    self, Forces, Outcome, Scene, Simulation, Solver, Tuned, energy, pull_back, tune,
+};
+use metasense_numerics::nested::Problem;
 use metasense_schemas::spec::TrialSpec;
+use rayon::ThreadPool;
 
 use crate::problem::problem;
 use crate::run::{Failure, placed, pool};
@@ -29,6 +33,83 @@ pub struct Simulated {
     pub force_evaluations: u64,
 }
 
+/// Forces (N, K, R + 1) of an array of this shape, R the scene's T or a multiple of it.
+///
+/// # Errors
+/// If the shape does not fit the scene, or a number is not finite.
+pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces, Failure> {
+    let (panels, instants) = (scene.panels.len(), scene.instants);
+    finite("the forces", &values)?;
+    match *shape {
+        [samples, k, clock]
+            if samples > 0 && k == panels && clock > 1 && (clock - 1).is_multiple_of(instants) =>
+        {
+            Ok(Forces { samples, panels, instants: clock - 1, values })
+        }
+        _ => Err(Failure::Rejected(format!(
+            "the forces have shape {shape:?}; it must be (N, K, T + 1) = (N, {panels}, {}), or a clock finer by a whole factor",
+            instants + 1
+        ))),
+    }
+}
+
+/// Whether `design` is one of the problem's body.
+///
+/// # Errors
+/// If its length is another, or a number is not finite.
+pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
+    let expected = problem.initial.len();
+    if design.len() != expected {
+        let given = design.len();
+        return Err(Failure::Rejected(format!("the design has {given} numbers, the trial {expected}")));
+    }
+    finite("the design", design)
+}
+
+/// Whether the shape of a cotangent is that of the signals.
+///
+/// # Errors
+/// If it is not, or a number is not finite.
+pub fn check_cotangent(
+    scene: &Scene,
+    samples: usize,
+    shape: &[usize],
+    values: &[f64],
+) -> Result<(), Failure> {
+    let expected = [samples, scene.instants, 3 * scene.sensors.len()];
+    if shape != expected {
+        return Err(Failure::Rejected(format!(
+            "the cotangent has shape {shape:?}; it must be {expected:?}, that of the signals"
+        )));
+    }
+    finite("the cotangent", values)
+}
+
+/// Refuses NaN and infinity.
+///
+/// # Errors
+/// Names the first that is not finite, and where it stands.
+pub fn finite(what: &str, values: &[f64]) -> Result<(), Failure> {
+    match values.iter().position(|x| !x.is_finite()) {
+        None => Ok(()),
+        Some(at) => Err(Failure::Rejected(format!("{what} hold {} at flat index {at}", values[at]))),
+    }
+}
+
+/// A simulation at the solver's error, as a trial carries it out: tuned on the first samples, then run.
+pub fn strike(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    solver: &Solver,
+    keep_tape: bool,
+    pool: &ThreadPool,
+) -> (Tuned, Simulation) {
+    let tuned = tune(scene, design, forces, solver, pool);
+    let run = dynamics::simulate(scene, design, forces, &tuned.solver, keep_tape, pool);
+    (tuned, run)
+}
+
 /// Simulates `design` under `forces` (N, K, R + 1), R the trial's T or a multiple of it, at the trial's solver settings.
 ///
 /// # Errors
@@ -40,42 +121,16 @@ pub fn simulate(
     cotangent: Option<(&[usize], &[f64])>,
     threads: usize,
 ) -> Result<Simulated, Failure> {
-    let rejected = |what: String| Failure::Rejected(what);
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     let scene = &problem.scene;
-    if design.len() != problem.initial.len() {
-        let expected = problem.initial.len();
-        return Err(rejected(format!("the design has {} numbers, the trial {expected}", design.len())));
+    check_design(&problem, design)?;
+    let forces = self::forces(scene, forces.0, forces.1.to_vec())?;
+    let (samples, instants, sensors) = (forces.samples, scene.instants, scene.sensors.len());
+    if let Some((shape, values)) = cotangent {
+        check_cotangent(scene, samples, shape, values)?;
     }
-    let (panels, instants) = (scene.panels.len(), scene.instants);
-    let (samples, clock) = match *forces.0 {
-        [n, k, clock] if n > 0 && k == panels && clock > 1 && (clock - 1).is_multiple_of(instants) => {
-            (n, clock - 1)
-        }
-        _ => {
-            return Err(rejected(format!(
-                "the forces have shape {:?}; it must be (N, K, T + 1) = (N, {panels}, {}), or a clock finer by a whole factor",
-                forces.0,
-                instants + 1
-            )));
-        }
-    };
-    let sensors = scene.sensors.len();
-    let expected = [samples, instants, 3 * sensors];
-    if let Some((shape, _)) = cotangent
-        && shape != expected
-    {
-        return Err(rejected(format!(
-            "the cotangent has shape {shape:?}; it must be {expected:?}, that of the signals"
-        )));
-    }
-    if let Some(bad) = design.iter().chain(forces.1).find(|x| !x.is_finite()) {
-        return Err(rejected(format!("{bad} among the numbers of design and forces")));
-    }
-    let forces = Forces { samples, panels, instants: clock, values: forces.1.to_vec() };
-    let tuned = tune(scene, design, &forces, &problem.solver, &pool);
-    let run = dynamics::simulate(scene, design, &forces, &tuned.solver, true, &pool);
+    let (tuned, run) = strike(scene, design, &forces, &problem.solver, true, &pool);
     let mut work = tuned.counters;
     work += run.counters;
     let units = scene.layout.units();

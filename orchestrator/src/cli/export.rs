@@ -4,16 +4,15 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
-use metasense_worker::replay::{Drawing, drawing, linear, replay};
-use metasense_worker::run::Failure;
+use metasense_worker::replay::drawing;
 
 use super::{Error, write};
 use crate::analysis::Body;
 use crate::exit::Exit;
-use crate::export::{Mould, Outline, dxf, mould, npz, series};
-use crate::look::body::{self, Notes, Unit, frame};
-use crate::look::{Format, Table, file};
-use crate::store::{Reader, StoreError, Stored, npy_bytes};
+use crate::export::{Mould, Outline, dxf, mould, npz, replays, series, unreadable};
+use crate::look::body::picture;
+use crate::look::{Format, Table};
+use crate::store::{Reader, Stored, npy_bytes};
 
 /// The form of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -96,20 +95,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
-    let unreadable = |e: Failure| StoreError::Unreadable {
-        hash: stored.hash.clone(),
-        what: "trial",
-        message: e.to_string(),
-    };
-    let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]).map_err(unreadable);
-    let specs = stored.specs.clone().map(|mut spec| {
-        spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
-        spec
-    });
-    let replayed = |b: usize| {
-        replay(&specs[b], &stored.designs[b], &stored.weights[b], args.threads).map_err(unreadable)
-    };
-    let body = drawn(args.body as usize)?;
+    let which = args.body as usize;
+    let body = drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
     for (name, value, least) in [
         ("ligament-width", args.ligament_width, MEASURES.0),
         ("height", args.height, MEASURES.0),
@@ -121,29 +108,17 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         }
     }
     Ok(match args.format {
-        Form::Npz => {
-            let replays = [replayed(0)?, replayed(1)?];
-            let read = |b: usize| match linear(&specs[b], &replays[b]) {
-                Ok(brain) => brain,
-                Err(why) => {
-                    say!("note: no linear brain reads a body: {why}");
-                    None
-                }
-            };
-            npz::archive(stored, &[drawn(0)?, drawn(1)?], &replays, &[read(0), read(1)])
-        }
+        Form::Npz => npz::of_trial(stored, args.threads, &mut |what| say!("note: {what}"))?,
         Form::Csv | Form::Parquet => {
-            tabular(&series::table(stored, &[replayed(0)?, replayed(1)?]), args.format, &stored.hash)?
+            tabular(&series::table(stored, &replays(stored, args.threads)?), args.format, &stored.hash)?
         }
         Form::Npy => {
             let design = &stored.designs[args.body as usize];
             npy_bytes(&[design.len()], design)
         }
         Form::Svg => {
-            let body = Drawing { active: Vec::new(), ..body };
             let title = format!("{} body of trial {}", Body::ALL[args.body as usize].name(), stored.hash);
-            let drawn = body::body(&body, frame(&[&body]), &title, Notes::default(), |_| Unit::default());
-            file(&[drawn], 1, 640.0, &Vec::new()).into_bytes()
+            picture(body, &title).into_bytes()
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {
@@ -161,9 +136,6 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         }
     })
 }
-
-/// Exported signals are at least as good as this.
-const SIGNAL_TOLERANCE: f64 = 1e-4;
 
 /// The least and the largest measure of something cast (mm).
 const MEASURES: (f64, f64) = (0.01, 1000.0);

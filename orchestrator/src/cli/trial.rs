@@ -86,15 +86,10 @@ fn mean(networks: &[NetworkEvaluation], error: ErrorOf) -> Option<f64> {
 
 /// The one trial whose hash begins so.
 pub(super) fn find<'a>(plan: &'a Plan, hash: &str, spec: &Path) -> Result<&'a Trial, Error> {
-    let mut found = plan.trials.iter().filter(|trial| trial.hash.starts_with(hash));
-    let remedy = format!("`metasense expand {}` lists them", spec.display());
-    match (found.next(), found.next()) {
-        (Some(trial), None) => Ok(trial),
-        (Some(_), Some(_)) => Err(Error::Usage(format!("--hash {hash}: several trials begin so; {remedy}"))),
-        (None, _) => {
-            Err(Error::Usage(format!("--hash {hash}: {} holds no such trial; {remedy}", spec.display())))
-        }
-    }
+    plan.find(hash).map_err(|e| {
+        let path = spec.display();
+        Error::Usage(format!("{path}: --hash {e}; `metasense expand {path}` lists them"))
+    })
 }
 
 /// A line a step.

@@ -2,7 +2,6 @@
 
 use std::collections::HashMap;
 use std::io::{IsTerminal, Write};
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -12,7 +11,7 @@ use serde_json::{Value, json};
 use super::status::newest;
 use super::{Error, Format, duration, print_rows};
 use crate::exit::Exit;
-use crate::fleet::{Seen, workers_of};
+use crate::fleet::{Seen, workers_of, writer_of};
 use crate::look::Table;
 use crate::store::Reader;
 
@@ -71,7 +70,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let live = std::io::stdout().is_terminal() && !args.once;
     let mut first: Option<(Instant, f64)> = None;
     let mut before: HashMap<u32, (Instant, u64)> = HashMap::new();
-    if let Some(run) = run_of(&db) {
+    if let Some(run) = writer_of(&db) {
         // The first look at what workers compute needs one before it.
         look(run, &mut before);
         tokio::time::sleep(Duration::from_millis(200)).await;
@@ -81,7 +80,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Ok::<_, Error>((reader.query(WHOLE).await?, reader.query(RUNNING).await?))
         })
         .await?;
-        let run = run_of(&db);
+        let run = writer_of(&db);
         let workers = run.map(|run| look(run, &mut before)).unwrap_or_default();
         let table = by_worker(&running, &workers);
         if live {
@@ -179,12 +178,4 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
         text += &format!("; mean holdout error so far {:.2} -> {:.2} %", number(8), number(9));
     }
     text
-}
-
-/// The process that writes to it. Asked of the kernel: to try the lock would keep a run that begins just then from it.
-fn run_of(db: &Path) -> Option<u32> {
-    let inode = format!(":{} ", db.metadata().ok()?.ino());
-    let locks = std::fs::read_to_string("/proc/locks").ok()?;
-    let held = |line: &&str| line.contains("FLOCK") && line.contains("WRITE") && line.contains(&inode);
-    locks.lines().find(held)?.split_whitespace().nth(4)?.parse().ok()
 }

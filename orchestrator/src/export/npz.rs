@@ -4,10 +4,33 @@
 //! date, so that the same trial gives the same bytes.
 
 use metasense_schemas::spec::{Brain, BrainKind, Network};
-use metasense_worker::replay::{Drawing, LinearReplay, Replay};
+use metasense_worker::replay::{Drawing, LinearReplay, Replay, drawing, linear};
 
+use super::{replays, unreadable};
 use crate::analysis::Body;
-use crate::store::{Stored, npy_bytes};
+use crate::store::{StoreError, Stored, npy_bytes};
+
+/// The archive of a trial, simulated again; `note` hears of a linear brain that is left out.
+///
+/// # Errors
+/// If its bodies cannot be simulated again.
+pub fn of_trial(
+    stored: &Stored,
+    threads: usize,
+    note: &mut dyn FnMut(String),
+) -> Result<Vec<u8>, StoreError> {
+    let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]).map_err(unreadable(stored));
+    let (drawings, replays) = ([drawn(0)?, drawn(1)?], replays(stored, threads)?);
+    let mut read = |b: usize| match linear(&stored.specs[b], &replays[b]) {
+        Ok(brain) => brain,
+        Err(why) => {
+            note(format!("no linear brain reads a body: {why}"));
+            None
+        }
+    };
+    let linear = [read(0), read(1)];
+    Ok(archive(stored, &drawings, &replays, &linear))
+}
 
 /// The archive. `drawings`, `replays` and, where there are, `linear` are those of the initial and of the
 /// optimised body.

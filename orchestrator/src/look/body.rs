@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use metasense_worker::design::{Kind, Violation};
 use metasense_worker::replay::Drawing;
 
-use super::{Legend, Picture};
+use super::{Legend, Picture, file};
 
 type Point = [f64; 2];
 
@@ -80,6 +80,14 @@ pub fn body(
         (panels_and_sensors(drawing, notes.numbers))
     };
     Picture { title: title.into(), class: "body", view, marks }
+}
+
+/// A body as a file of its own, without the constraints that hold it.
+#[must_use]
+pub fn picture(drawing: Drawing, title: &str) -> String {
+    let drawing = Drawing { active: Vec::new(), ..drawing };
+    let drawn = body(&drawing, frame(&[&drawing]), title, Notes::default(), |_| Unit::default());
+    file(&[drawn], 1, 640.0, &Legend::default())
 }
 
 /// What a drawing has, by number.

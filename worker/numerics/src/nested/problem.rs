@@ -8,7 +8,7 @@ use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::place::Search;
 use crate::random::Purpose;
-use crate::stimuli::{Deal, Source, bells, irregular, targets};
+use crate::stimuli::{Deal, Source, bells, irregular, select, split, targets};
 
 /// Which brain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -233,7 +233,7 @@ impl Problem {
     }
 
     /// The designs that can be cast and had.
-    pub(super) fn castable(&self) -> Feasible {
+    pub fn castable(&self) -> Feasible {
         let still = [&self.frozen[..], &self.kept].concat();
         Feasible::new(&self.scene.layout, self.limits, &still).tied(&self.freedom())
     }
@@ -262,8 +262,9 @@ impl Problem {
         self.disturbance.map(|d| Chip::new(&d, self.seed, delta, rms))
     }
 
-    /// `count` force histories of the scene's clock and panels, from number `first` of `purpose`.
-    pub(super) fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
+    /// `count` force histories (N, K, R + 1) of the stimuli's clock, from number `first` of `purpose`: `Stimulus`, of which
+    /// [`Problem::known`] are the trial's, `Holdout` or `Fresh`.
+    pub fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
         let (panels, scene) = (self.scene.panels.len(), &self.scene);
         let (duration, instants) = (scene.duration, self.stimuli.instants);
         let samples = first..first + count as u64;
@@ -278,6 +279,14 @@ impl Problem {
                 records.forces(deal, purpose, first, count, panels, duration)
             }
         }
+    }
+
+    /// Training and test set.
+    pub fn known(&self) -> [Forces; 2] {
+        let Stimuli { samples, test, .. } = self.stimuli;
+        let all = self.forces(Purpose::Stimulus, 0, samples);
+        let (train, test) = split(self.seed, samples, test);
+        [select(&all, &train), select(&all, &test)]
     }
 
     /// What the network is to say of `forces` (N, T, K) in N.

@@ -2,13 +2,13 @@
 //!
 //! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
 
-use super::linear::{Decoder, Plain, Stack, fit, force_scale};
+use super::linear::{Decoder, Stack};
 use super::problem::{Kind, Problem};
 use super::report::Failure;
 use super::setting::{Setting, all_well};
 use super::tuning::Tuning;
-use crate::brain::linear::{Lags, Linear, Sizes};
-use crate::brain::{Data, Workspace};
+use crate::brain::linear::{Lags, Sizes};
+use crate::brain::{Data, Workspace, prediction_error};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
@@ -124,23 +124,21 @@ impl Replay {
     /// # Errors
     /// If no λ has a solution.
     pub fn linear(&self, problem: &Problem, decoder: &Decoder) -> Result<LinearReplay, Failure> {
-        let instants = problem.scene.instants;
-        let sizes =
-            Sizes { instants, channels: self.signal_scale.len(), outputs: problem.scene.panels.len() };
+        let (instants, outputs) = (problem.scene.instants, problem.scene.panels.len());
+        let sizes = Sizes { instants, channels: self.signal_scale.len(), outputs };
         let targets = crate::stimuli::targets(&self.forces, instants, false);
-        let scales = self.signal_scale.iter().cycle();
-        let x: Vec<f64> = self.signals.iter().zip(scales).map(|(a, s)| a / s).collect();
-        let training: Vec<usize> = (0..self.split.len()).filter(|&i| self.split[i] == 0).collect();
-        let force = force_scale(&self.force_mean, &self.force_deviation);
-        let all = Plain::new(sizes, x, &targets, force);
-        let train = all.select(&training);
-        let ridge = decoder.ridge_of(problem.seed, &train, None).map_err(Failure::Initial)?;
-        let fit = fit(&train.moments(), decoder.lags, ridge).map_err(Failure::Initial)?;
-        let Linear { lags, w, b, .. } = fit.linear();
-        let physical = |values: Vec<f64>| values.into_iter().map(|y| force * y).collect::<Vec<f64>>();
-        let said = fit.linear().predict(&all.x);
-        let errors = all.errors(&said);
-        Ok(LinearReplay { lags, ridge, w: physical(w), b: physical(b), predictions: physical(said), errors })
+        let training = |values: &[f64]| -> Vec<f64> {
+            let samples = values.chunks_exact(values.len() / self.split.len()).zip(&self.split);
+            samples.filter(|(_, set)| **set == 0).flat_map(|(sample, _)| sample).copied().collect()
+        };
+        let (signals, forces) = (training(&self.signals), training(&targets));
+        let scale = Some(self.signal_scale.clone());
+        let fitted =
+            decoder.fitted(problem.seed, sizes, &signals, &forces, scale).map_err(Failure::Initial)?;
+        let predictions = fitted.predict(&self.signals);
+        let errors = prediction_error(&targets, &predictions, outputs, instants);
+        let [w, b] = fitted.weights();
+        Ok(LinearReplay { lags: decoder.lags, ridge: fitted.ridge, w, b, predictions, errors })
     }
 }
 

@@ -10,8 +10,6 @@ use super::problem::{Kind, Problem};
 use super::report::{Failure, Log, Report, Trouble};
 use crate::brain::{self, Data, Real, Shape, Workspace};
 use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, planned};
-use crate::random::Purpose;
-use crate::stimuli::{select, split};
 
 /// The fixed part of a trial.
 pub(super) struct Setting<'a> {
@@ -40,9 +38,7 @@ pub(super) struct Scales {
 impl<'a> Setting<'a> {
     /// Draws the forces, simulates the initial body and takes the scales.
     pub(super) fn new(problem: &'a Problem, pool: &'a rayon::ThreadPool) -> Result<Self, Failure> {
-        let all = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples);
-        let (train, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
-        let (mut train, test) = (select(&all, &train), select(&all, &test));
+        let [mut train, test] = problem.known();
         let shape = problem.shape();
         let simulation = simulated(problem, &problem.initial, &train, &problem.solver, false, pool);
         silence(&mut train, &simulation.outcomes).map_err(Failure::Initial)?;
@@ -230,6 +226,11 @@ fn silence(forces: &mut Forces, outcomes: &[Outcome]) -> Result<u32, Trouble> {
 
 impl Scales {
     pub(super) fn new(shape: &Shape, signals: &[f64], targets: &[f64]) -> Self {
+        Self::of([shape.inputs, shape.outputs], signals, targets)
+    }
+
+    /// Of so many channels and panels.
+    pub(super) fn of([inputs, outputs]: [usize; 2], signals: &[f64], targets: &[f64]) -> Self {
         let moments = |values: &[f64], width: usize| -> Vec<(f64, f64)> {
             let count = (values.len() / width) as f64;
             (0..width)
@@ -242,9 +243,9 @@ impl Scales {
         };
         // a channel that never stirs stays as it is
         let above_zero = |x: f64| if x > 0.0 { x } else { 1.0 };
-        let force = moments(targets, shape.outputs);
+        let force = moments(targets, outputs);
         Self {
-            channels: moments(signals, shape.inputs).iter().map(|m| above_zero(m.1.sqrt())).collect(),
+            channels: moments(signals, inputs).iter().map(|m| above_zero(m.1.sqrt())).collect(),
             mean: force.iter().map(|m| m.0).collect(),
             deviation: force.iter().map(|m| above_zero((m.1 - m.0 * m.0).max(0.0).sqrt())).collect(),
         }

@@ -4,12 +4,12 @@
 //! comparison at the end of a trial. Its scales are those of its own training records.
 
 use super::evaluation::Fresh;
-use super::linear::{Decoder, Plain, Stack, fit, force_scale};
+use super::linear::{Decoder, Plain, Stack, force_scale};
 use super::problem::{Problem, Schedule, Training};
 use super::report::{Failure, Trouble};
 use super::setting::{Scales, all_well, mean_error};
 use crate::brain::linear::Sizes;
-use crate::brain::{Shape, TrainOutcome, Workspace};
+use crate::brain::{Shape, TrainOutcome, Workspace, prediction_error};
 use crate::dynamics::{Forces, simulate, tune};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::targets;
@@ -150,19 +150,18 @@ impl Records {
     pub fn unseen_linear(&self, folds: &[usize], fold: usize, decoder: &Decoder, seed: u64) -> Unseen {
         let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|&i| folds[i] == fold);
         let (signals, targets) = self.select(&train);
-        let scales = Scales::new(&self.shape, &signals, &targets);
-        let [known, unseen] = [&train, &test].map(|records| self.plain(&scales, records));
-        let fitted =
-            decoder.ridge_of(seed, &known, None).and_then(|ridge| fit(&known.moments(), decoder.lags, ridge));
-        let linear = match fitted {
-            Ok(fit) => fit.linear(),
-            Err(trouble) => return Unseen::nothing(&unseen.y, test.len(), trouble),
+        let (test_signals, truth) = self.select(&test);
+        let Shape { instants, inputs, outputs, .. } = self.shape;
+        let sizes = Sizes { instants, channels: inputs, outputs };
+        let fitted = match decoder.fitted(seed, sizes, &signals, &targets, None) {
+            Ok(fitted) => fitted,
+            Err(trouble) => return Unseen::nothing(&truth, test.len(), trouble),
         };
-        let (said, force) = (linear.predict(&unseen.x), force_scale(&scales.mean, &scales.deviation));
+        let predictions = fitted.predict(&test_signals);
         Unseen {
-            errors: unseen.errors(&said),
-            predictions: said.into_iter().map(|y| force * y).collect(),
-            error_train: known.error(&linear.predict(&known.x)),
+            errors: prediction_error(&truth, &predictions, outputs, instants),
+            predictions,
+            error_train: fitted.error,
             losses: Vec::new(),
             progress: Vec::new(),
             trouble: None,
