@@ -1,0 +1,40 @@
+"""Bodies of metamaterial as differentiable functions, and what metasense has found, from Python.
+
+    import metasense
+    body = metasense.Body.from_spec("schemas/sweeps/quickstart.toml")
+    forces = body.stimuli("train")                        # (N, K, T + 1) in N
+    simulation = body.simulate(body.alpha, forces)        # .signals (N, T, 3M), .vjp, .jvp
+
+`metasense.jax.signals` and `metasense.torch.signals` are the same as functions that those differentiate through.
+Lengths are in mm, forces in N, times in s, masses in Mg; MODEL.md has the physics and the order of every array.
+"""
+
+from os import PathLike
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metasense._metasense import Body, LinearBrain, Simulation, SimulationError, Table
+from metasense._results import Database, Event, program, run, watch
+
+__all__ = [
+    "Body", "Database", "Event", "LinearBrain", "Simulation", "SimulationError", "Table",
+    "body", "program", "run", "stimuli", "watch",
+]  # fmt: skip
+
+
+def body(*, threads: int = 1, **tables: object) -> Body:
+    """The body of the first trial of a spec given as keywords: its tables by name, as dictionaries.
+
+    Raises ValueError at the first key that is unknown, or whose value no trial can have.
+    """
+    import json
+
+    return Body._from_json(json.dumps({"name": "python", **tables}), threads)
+
+
+def stimuli(
+    spec: str | PathLike[str], set: str, first: int = 0, count: int | None = None, *, hash: str | None = None
+) -> NDArray[np.float64]:
+    """Force histories (N, K, T + 1) (N) of a trial of a spec file, the first by default, as `Body.stimuli` gives them."""
+    return Body.from_spec(spec, hash).stimuli(set, first, count)

@@ -1,0 +1,377 @@
+//! A body: what it is, which designs it can have, and what its sensors feel.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+use metasense::plan::Plan;
+use metasense::look::body::picture;
+use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, Tuned, tune};
+use metasense_numerics::feasible::Feasible;
+use metasense_numerics::nested::Problem;
+use metasense_numerics::random::Purpose;
+use metasense_numerics::stimuli::select;
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::replay::drawing;
+use metasense_worker::run::{placed, pool};
+use metasense_worker::simulate::{check_design, forces, strike};
+use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
+use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::prelude::*;
+use rayon::ThreadPool;
+
+use crate::arrays::{Numbers, numbers, vector};
+use crate::simulation::Simulation;
+use crate::{chain, raised};
+
+/// A body of rigid units joined by ligaments, its panels and its sensors, as a trial has them.
+///
+/// Lengths are in mm, forces in N, times in s, masses in Mg. Methods let go of the interpreter's lock and compute on the
+/// body's own threads, to the same bits on any number of them.
+#[pyclass(frozen, module = "metasense")]
+pub struct Body {
+    pub problem: Arc<Problem>,
+    pub pool: Arc<ThreadPool>,
+    hash: String,
+    trial: TrialSpec,
+    feasible: Mutex<Feasible>,
+    /// The solver that was found once for all calls.
+    tuned: Option<Tuned>,
+}
+
+impl Body {
+    fn of_plan(plan: &Plan, hash: Option<&str>, threads: usize) -> PyResult<Self> {
+        let trial =
+            plan.find(hash.unwrap_or("")).map_err(|e| PyValueError::new_err(format!("hash = {e}")))?;
+        let pool = pool(threads).map_err(|e| raised(&e))?;
+        let problem = placed(&trial.spec, &pool).map_err(|e| raised(&e))?;
+        // where a search has put the sensors
+        let trial_spec = TrialSpec { sensor_units: problem.scene.sensors.clone(), ..trial.spec.clone() };
+        Ok(Self {
+            feasible: Mutex::new(problem.castable()),
+            problem: Arc::new(problem),
+            pool: Arc::new(pool),
+            hash: trial.hash.clone(),
+            trial: trial_spec,
+            tuned: None,
+        })
+    }
+
+    /// α from Python.
+    fn design(&self, what: &str, alpha: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
+        let alpha = vector(what, alpha)?;
+        check_design(&self.problem, &alpha).map_err(|e| raised(&e))?;
+        Ok(alpha)
+    }
+
+    /// The scene with what a call has otherwise.
+    fn scene(&self, material: &Material<'_>, sensors: Option<Vec<usize>>) -> PyResult<Scene> {
+        let mut scene = material.set(&self.problem.scene)?;
+        if let Some(units) = sensors {
+            scene.sensors =
+                metasense_worker::problem::check_units("sensors", &units, &scene.layout, &scene.clamped)
+                    .map_err(|e| PyValueError::new_err(e.to_string()))?;
+        }
+        if scene.sensors.is_empty() {
+            return Err(PyValueError::new_err("sensors = []: must be at least one unit"));
+        }
+        Ok(scene)
+    }
+
+    /// Histories number `first` to `first + count` of a trial's set.
+    fn samples(&self, set: &str, first: usize, count: Option<usize>) -> PyResult<Forces> {
+        let problem = &self.problem;
+        let all = match set {
+            "train" => problem.known()[0].clone(),
+            "test" => problem.known()[1].clone(),
+            "holdout" => problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout),
+            "fresh" => {
+                let count = count
+                    .ok_or_else(|| PyValueError::new_err("count must be given: fresh samples never end"))?;
+                return Ok(problem.forces(Purpose::Fresh, first as u64, count));
+            }
+            _ => {
+                let remedy = "must be \"train\", \"test\", \"holdout\" or \"fresh\"";
+                return Err(PyValueError::new_err(format!("set = {set:?}: {remedy}")));
+            }
+        };
+        let most = all.samples.saturating_sub(first);
+        let count = count.unwrap_or(most);
+        if count > most || first > all.samples {
+            let has = all.samples;
+            return Err(PyValueError::new_err(format!(
+                "first = {first}, count = {count}: the trial has {has} {set} samples"
+            )));
+        }
+        Ok(select(&all, &(first..first + count).collect::<Vec<usize>>()))
+    }
+}
+
+/// The trials of a spec file.
+pub fn read_plan(spec: &Path) -> PyResult<Plan> {
+    let text = std::fs::read_to_string(spec)
+        .map_err(|e| PyOSError::new_err(format!("cannot read {}: {e}", spec.display())))?;
+    Plan::new(spec, text).map_err(|e| PyValueError::new_err(chain(&e)))
+}
+
+/// Material of a call, instead of the body's own.
+struct Material<'py> {
+    stiffness: Option<Bound<'py, PyAny>>,
+    damping_ratio: Option<f64>,
+    density: Option<f64>,
+}
+
+impl Material<'_> {
+    fn set(&self, scene: &Scene) -> PyResult<Scene> {
+        let mut p = Parameters::of(scene);
+        if let Some(given) = &self.stiffness {
+            let given = vector("stiffness", given)?;
+            let [stretch, shear, bend] = given[..] else {
+                let remedy = "must be [stretch, shear, bend] (N/mm, N/mm, N·mm/rad)";
+                return Err(PyValueError::new_err(format!("stiffness = {given:?}: {remedy}")));
+            };
+            (p.stretch, p.shear, p.bend) = (stretch, shear, bend);
+        }
+        p.damping_ratio = self.damping_ratio.unwrap_or(p.damping_ratio);
+        p.density = self.density.unwrap_or(p.density);
+        let above = [("stretch", p.stretch), ("shear", p.shear), ("bend", p.bend), ("density", p.density)];
+        for (key, value) in above {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(PyValueError::new_err(format!("{key} = {value}: must be a number above 0")));
+            }
+        }
+        if !(p.damping_ratio >= 0.0 && p.damping_ratio.is_finite()) {
+            let value = p.damping_ratio;
+            return Err(PyValueError::new_err(format!("damping_ratio = {value}: must be 0 or above")));
+        }
+        Ok(p.set(scene))
+    }
+}
+
+#[pymethods]
+impl Body {
+    /// The body of a trial of a spec file, the first where no hash (or its beginning) is given.
+    #[staticmethod]
+    #[pyo3(signature = (spec, hash=None, *, threads=1))]
+    fn from_spec(py: Python<'_>, spec: PathBuf, hash: Option<&str>, threads: usize) -> PyResult<Self> {
+        py.detach(|| Self::of_plan(&read_plan(&spec)?, hash, threads))
+    }
+
+    /// The body of the first trial of a spec whose tables are the keywords of `metasense.body`, as JSON.
+    #[staticmethod]
+    fn _from_json(py: Python<'_>, json: &str, threads: usize) -> PyResult<Self> {
+        py.detach(|| {
+            let tables: serde_json::Value =
+                serde_json::from_str(json).map_err(|e| PyValueError::new_err(e.to_string()))?;
+            let text = toml::to_string(&tables).map_err(|e| PyValueError::new_err(e.to_string()))?;
+            let plan = Plan::new("(keywords)", text).map_err(|e| PyValueError::new_err(chain(&e)))?;
+            Self::of_plan(&plan, None, threads)
+        })
+    }
+
+    /// The trial's hash.
+    #[getter]
+    fn hash(&self) -> &str {
+        &self.hash
+    }
+
+    /// α of the initial body, a copy.
+    #[getter]
+    fn alpha<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.problem.initial.clone().into_pyarray(py)
+    }
+
+    /// Number of units.
+    #[getter]
+    fn units(&self) -> usize {
+        self.problem.scene.layout.units()
+    }
+
+    /// Units that are struck, one a force.
+    #[getter]
+    fn panels(&self) -> Vec<usize> {
+        self.problem.scene.panels.iter().map(|panel| panel.unit).collect()
+    }
+
+    /// Units that carry sensors.
+    #[getter]
+    fn sensors(&self) -> Vec<usize> {
+        self.problem.scene.sensors.clone()
+    }
+
+    /// Units that are held.
+    #[getter]
+    fn clamped(&self) -> Vec<usize> {
+        self.problem.scene.clamped.clone()
+    }
+
+    /// Length of a sample (s).
+    #[getter]
+    fn duration(&self) -> f64 {
+        self.problem.scene.duration
+    }
+
+    /// T, the instants of signals, at n·duration/T, n = 1…T.
+    #[getter]
+    fn instants(&self) -> usize {
+        self.problem.scene.instants
+    }
+
+    /// Threads that the body computes on.
+    #[getter]
+    fn threads(&self) -> usize {
+        self.pool.current_num_threads()
+    }
+
+    /// [stretch, shear, bend] of a ligament (N/mm, N/mm, N·mm/rad), a copy.
+    #[getter]
+    fn stiffness<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let k = self.problem.scene.stiffness;
+        vec![k.stretch, k.shear, k.bend].into_pyarray(py)
+    }
+
+    /// Damping of each degree of freedom by its critical one.
+    #[getter]
+    fn damping_ratio(&self) -> f64 {
+        self.problem.scene.damping_ratio
+    }
+
+    /// Plane density (Mg/mm²).
+    #[getter]
+    fn density(&self) -> f64 {
+        self.problem.scene.density
+    }
+
+    /// Corners of every unit, (units, 4, 2) (mm), counter-clockwise from the right; of the initial body by default.
+    #[pyo3(signature = (alpha=None))]
+    fn vertices<'py>(
+        &self,
+        py: Python<'py>,
+        alpha: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let alpha = alpha.map(|alpha| self.design("alpha", alpha)).transpose()?;
+        let corners = self.problem.scene.layout.vertices(alpha.as_ref().unwrap_or(&self.problem.initial));
+        let units = corners.len();
+        let flat: Vec<f64> = corners.into_flattened().into_flattened();
+        flat.into_pyarray(py).reshape([units, 4, 2])
+    }
+
+    /// What `alpha` breaks of the limits of a body that can be cast, in words; empty where it can.
+    fn violations(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>) -> PyResult<Vec<String>> {
+        let alpha = self.design("alpha", alpha)?;
+        Ok(py.detach(|| {
+            let feasible = self.feasible.lock().expect("no panic while it was held");
+            feasible.violations(&alpha).iter().map(ToString::to_string).collect()
+        }))
+    }
+
+    /// Whether a body of this design can be cast.
+    fn feasible(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>) -> PyResult<bool> {
+        Ok(self.violations(py, alpha)?.is_empty())
+    }
+
+    /// The design nearest to `alpha` that can be cast; where none is found `previous`, by default the initial body's,
+    /// which must be one.
+    #[pyo3(signature = (alpha, previous=None))]
+    fn project<'py>(
+        &self,
+        py: Python<'py>,
+        alpha: &Bound<'py, PyAny>,
+        previous: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let target = self.design("alpha", alpha)?;
+        let previous = previous.map(|previous| self.design("previous", previous)).transpose()?;
+        let previous = previous.unwrap_or_else(|| self.problem.initial.clone());
+        let found = py.detach(|| {
+            let mut feasible = self.feasible.lock().expect("no panic while it was held");
+            feasible.project(&previous, &target, None)
+        });
+        match found.status.is_feasible() {
+            true => Ok(found.design.into_pyarray(py)),
+            false => Err(PyValueError::new_err(
+                "previous cannot be cast, and nothing near alpha was found that can: see `violations`",
+            )),
+        }
+    }
+
+    /// Force histories (N, K, R + 1) (N) of the trial: "train", "test" and "holdout" are the very samples that it has,
+    /// "fresh" those that its body is trained on, which never end.
+    #[pyo3(signature = (set, first=0, count=None))]
+    fn stimuli<'py>(
+        &self,
+        py: Python<'py>,
+        set: &str,
+        first: usize,
+        count: Option<usize>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let Forces { samples, panels, instants, values } = py.detach(|| self.samples(set, first, count))?;
+        values.into_pyarray(py).reshape([samples, panels, instants + 1])
+    }
+
+    /// The same body with its integrator chosen once, on the first samples of `forces`, as a trial does for all its steps. By
+    /// itself every `simulate` measures anew which integrator keeps the error asked, which costs as much as some ten samples.
+    fn tuned(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>, forces: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let design = self.design("alpha", alpha)?;
+        let Numbers { shape, values } = numbers("forces", forces)?;
+        let problem = Arc::clone(&self.problem);
+        let forces = self::forces(&problem.scene, &shape, values).map_err(|e| raised(&e))?;
+        let tuned = py.detach(|| tune(&problem.scene, &design, &forces, &problem.solver, &self.pool));
+        Ok(Self {
+            pool: Arc::clone(&self.pool),
+            hash: self.hash.clone(),
+            trial: self.trial.clone(),
+            feasible: Mutex::new(problem.castable()),
+            tuned: Some(tuned),
+            problem,
+        })
+    }
+
+    /// Strikes a body of this design with `forces` (N, K, R + 1) (N), R = T or a multiple of it.
+    ///
+    /// `sensors` (units), `stiffness` ([stretch, shear, bend]), `damping_ratio` and `density` replace the body's own.
+    /// With `tape` the simulation can be differentiated; it then holds 48 bytes a free unit, instant and sample.
+    #[pyo3(signature = (alpha, forces, *, sensors=None, stiffness=None, damping_ratio=None, density=None, tape=true))]
+    fn simulate<'py>(
+        &self,
+        py: Python<'py>,
+        alpha: &Bound<'py, PyAny>,
+        forces: &Bound<'py, PyAny>,
+        sensors: Option<Vec<usize>>,
+        stiffness: Option<Bound<'py, PyAny>>,
+        damping_ratio: Option<f64>,
+        density: Option<f64>,
+        tape: bool,
+    ) -> PyResult<Simulation> {
+        let design = self.design("alpha", alpha)?;
+        let Numbers { shape, values } = numbers("forces", forces)?;
+        let scene = self.scene(&Material { stiffness, damping_ratio, density }, sensors)?;
+        let forces = self::forces(&scene, &shape, values).map_err(|e| raised(&e))?;
+        let (tuned, run) = py.detach(|| match &self.tuned {
+            None => strike(&scene, &design, &forces, &self.problem.solver, tape, &self.pool),
+            Some(tuned) => {
+                let run = dynamics::simulate(&scene, &design, &forces, &tuned.solver, tape, &self.pool);
+                (tuned.clone(), run)
+            }
+        });
+        Simulation::new(py, Arc::clone(&self.pool), scene, design, forces, tuned, run)
+    }
+
+    /// The body drawn as SVG, the initial one by default.
+    #[pyo3(signature = (alpha=None))]
+    fn draw(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<String> {
+        let alpha = alpha.map(|alpha| self.design("alpha", alpha)).transpose()?;
+        let alpha = alpha.as_ref().unwrap_or(&self.problem.initial);
+        let drawing = drawing(&self.trial, alpha).map_err(|e| raised(&e))?;
+        Ok(picture(drawing, "a metamaterial body"))
+    }
+
+    fn _repr_svg_(&self) -> PyResult<String> {
+        self.draw(None)
+    }
+
+    fn __repr__(&self) -> String {
+        let scene = &self.problem.scene;
+        let (units, panels, sensors) = (scene.layout.units(), scene.panels.len(), scene.sensors.len());
+        let alpha = self.problem.initial.len();
+        format!("<metasense.Body {}: {units} units, α of {alpha}, K = {panels}, M = {sensors}>", self.hash)
+    }
+}

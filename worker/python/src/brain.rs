@@ -1,0 +1,166 @@
+//! The linear brain of this program on any arrays.
+
+use metasense_numerics::brain::linear::{Lags, Sizes};
+use metasense_numerics::dynamics::Forces;
+use metasense_numerics::nested::{Decoder, Fitted, READINGS_MAX, Ridge, fits};
+use metasense_numerics::stimuli::targets;
+use metasense_worker::simulate::finite;
+use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::arrays::{Numbers, numbers, vector};
+use crate::raised;
+
+/// Least squares of forces on the signals around each instant, exact, with λ on the squared weights.
+///
+/// `memory` is how far it looks back and ahead, (before, after) in instants; by default the whole sample. `ridge` is λ;
+/// by default it is found by folds of the samples, which `seed` deals.
+#[pyclass(module = "metasense")]
+pub struct LinearBrain {
+    memory: Option<[usize; 2]>,
+    ridge: Option<f64>,
+    seed: u64,
+    fitted: Option<Fitted>,
+}
+
+/// An array of samples, (N, T, width).
+fn samples(what: &str, object: &Bound<'_, PyAny>) -> PyResult<([usize; 3], Vec<f64>)> {
+    let Numbers { shape, values } = numbers(what, object)?;
+    finite(what, &values).map_err(|e| raised(&e))?;
+    match shape[..] {
+        [n, t, c] if n * t * c > 0 => Ok(([n, t, c], values)),
+        _ => Err(PyValueError::new_err(format!(
+            "{what} has shape {shape:?}; it must be three numbers above 0"
+        ))),
+    }
+}
+
+impl LinearBrain {
+    fn fitted(&self) -> PyResult<&Fitted> {
+        self.fitted
+            .as_ref()
+            .ok_or_else(|| PyValueError::new_err("the brain has not been fitted: call `fit` first"))
+    }
+
+    /// Samples of the sizes that were fitted.
+    fn known(&self, what: &str, width: usize, object: &Bound<'_, PyAny>) -> PyResult<([usize; 3], Vec<f64>)> {
+        let (shape, values) = samples(what, object)?;
+        let expected = [shape[0], self.fitted()?.sizes().instants, width];
+        match shape == expected {
+            true => Ok((shape, values)),
+            false => {
+                Err(PyValueError::new_err(format!("{what} has shape {shape:?}; it must be {expected:?}")))
+            }
+        }
+    }
+}
+
+#[pymethods]
+impl LinearBrain {
+    #[new]
+    #[pyo3(signature = (memory=None, ridge=None, *, seed=1))]
+    fn new(memory: Option<[usize; 2]>, ridge: Option<f64>, seed: u64) -> PyResult<Self> {
+        match ridge {
+            Some(ridge) if !(ridge >= 0.0 && ridge.is_finite()) => {
+                Err(PyValueError::new_err(format!("ridge = {ridge}: must be 0 or a number above")))
+            }
+            _ => Ok(Self { memory, ridge, seed, fitted: None }),
+        }
+    }
+
+    /// Fits it to signals (N, T, C) under forces (N, K, R + 1) (N), R = T or a multiple of it; returns itself.
+    ///
+    /// Signals are divided by `signal_scale` (C), by default their own RMS; a trial takes that of its initial body's.
+    #[pyo3(signature = (signals, forces, *, signal_scale=None))]
+    fn fit<'py>(
+        mut slf: PyRefMut<'py, Self>,
+        py: Python<'py>,
+        signals: &Bound<'py, PyAny>,
+        forces: &Bound<'py, PyAny>,
+        signal_scale: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<PyRefMut<'py, Self>> {
+        let ([n, instants, channels], signals) = samples("signals", signals)?;
+        let ([records, panels, clock], values) = samples("forces", forces)?;
+        if records != n || clock < 2 || !(clock - 1).is_multiple_of(instants) {
+            return Err(PyValueError::new_err(format!(
+                "forces has shape {:?}; beside {n} samples of {instants} instants it must be ({n}, K, {} + 1), or a \
+                 clock finer by a whole factor",
+                [records, panels, clock],
+                instants
+            )));
+        }
+        if !fits(instants, channels, panels) {
+            let readings = instants.saturating_mul(channels);
+            return Err(PyValueError::new_err(format!(
+                "signals has {readings} readings a sample, T × C; at most {READINGS_MAX}, and 10^8 of them times T × K"
+            )));
+        }
+        let signal_scale = signal_scale.map(|scale| vector("signal_scale", scale)).transpose()?;
+        if let Some(scale) = signal_scale
+            .as_ref()
+            .filter(|scale| scale.len() != channels || !scale.iter().all(|s| *s > 0.0 && s.is_finite()))
+        {
+            return Err(PyValueError::new_err(format!(
+                "signal_scale = {scale:?}: must be {channels} numbers above 0"
+            )));
+        }
+        let [before, after] = slf.memory.unwrap_or([instants - 1; 2]);
+        let decoder = Decoder {
+            lags: Lags { before, after }.within(instants),
+            ridge: slf.ridge.map_or(Ridge::Auto, Ridge::Given),
+        };
+        let seed = slf.seed;
+        let fitted = py.detach(|| {
+            let forces = Forces { samples: n, panels, instants: clock - 1, values };
+            let sizes = Sizes { instants, channels, outputs: panels };
+            decoder.fitted(seed, sizes, &signals, &targets(&forces, instants, false), signal_scale)
+        });
+        let singular = |_| PyRuntimeError::new_err("no ridge gives a solution: the signals tell too little");
+        slf.fitted = Some(fitted.map_err(singular)?);
+        Ok(slf)
+    }
+
+    /// Forces (N, T, K) (N) by signals (N, T, C).
+    fn predict<'py>(
+        &self,
+        py: Python<'py>,
+        signals: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let fitted = self.fitted()?;
+        let ([n, ..], signals) = self.known("signals", fitted.sizes().channels, signals)?;
+        let shape = [n, fitted.sizes().instants, fitted.sizes().outputs];
+        py.detach(|| fitted.predict(&signals)).into_pyarray(py).reshape(shape)
+    }
+
+    /// The derivative of Σ cotangent · predict(signals) in the signals, (N, T, C); cotangent (N, T, K).
+    fn vjp<'py>(
+        &self,
+        py: Python<'py>,
+        cotangent: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let fitted = self.fitted()?;
+        let ([n, ..], cotangent) = self.known("cotangent", fitted.sizes().outputs, cotangent)?;
+        let shape = [n, fitted.sizes().instants, fitted.sizes().channels];
+        py.detach(|| fitted.predict_vjp(&cotangent)).into_pyarray(py).reshape(shape)
+    }
+
+    /// λ that was used.
+    #[getter]
+    fn ridge(&self) -> PyResult<f64> {
+        Ok(self.fitted()?.ridge)
+    }
+
+    /// Mean prediction error (%) on the samples that it was fitted to; None where none has a force.
+    #[getter]
+    fn error(&self) -> PyResult<Option<f64>> {
+        Ok(self.fitted()?.error)
+    }
+
+    /// b (K) (N).
+    #[getter]
+    fn bias<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let [_, b] = self.fitted()?.weights();
+        Ok(b.into_pyarray(py))
+    }
+}

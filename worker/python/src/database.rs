@@ -1,0 +1,134 @@
+//! Results: a database of finished and running trials, read-only.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use metasense::analysis::{Question, Terms};
+use metasense::export::npz;
+use metasense::fleet::writer_of;
+use metasense::report::load::finished_trials;
+use metasense::store::{Reader, StoreError};
+use numpy::{IntoPyArray, PyArray1};
+use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+use crate::arrow::Table;
+use crate::body::read_plan;
+use crate::chain;
+
+/// A database of trials, as `metasense run` makes it; it may be read while a run writes to it.
+#[pyclass(frozen, subclass, module = "metasense")]
+pub struct Database {
+    path: PathBuf,
+}
+
+fn raised(error: &StoreError) -> PyErr {
+    let text = chain(error);
+    if error.is_bad_input() { PyValueError::new_err(text) } else { PyOSError::new_err(text) }
+}
+
+impl Database {
+    /// Asks it, without the interpreter's lock.
+    fn asked<T: Send>(
+        &self,
+        py: Python<'_>,
+        ask: impl AsyncFnOnce(&mut Reader) -> Result<T, StoreError> + Send,
+    ) -> PyResult<T> {
+        py.detach(|| {
+            let runtime = tokio::runtime::Builder::new_current_thread()
+                .enable_all()
+                .build()
+                .map_err(|e| PyOSError::new_err(e.to_string()))?;
+            runtime.block_on(Reader::asked(&self.path, ask)).map_err(|e| raised(&e))
+        })
+    }
+}
+
+#[pymethods]
+impl Database {
+    /// Opens it; one of an older version is upgraded first.
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let database = Self { path };
+        database.asked(py, async |_| Ok(()))?;
+        Ok(database)
+    }
+
+    /// The file.
+    #[getter]
+    fn path(&self) -> PathBuf {
+        self.path.clone()
+    }
+
+    /// The answer to one SQL statement, which cannot change the database; `metasense query --views` lists what to ask.
+    fn query(&self, py: Python<'_>, sql: &str) -> PyResult<Table> {
+        Ok(self.asked(py, async |reader| reader.query(sql).await)?.into())
+    }
+
+    /// All trials, a row each (`v_trial`).
+    fn trials(&self, py: Python<'_>) -> PyResult<Table> {
+        self.query(py, "SELECT * FROM v_trial ORDER BY panels, sensors, units, placement, seed, hash")
+    }
+
+    /// The outer steps of a trial, a row each (`v_step`); of the one whose hash begins so.
+    fn steps(&self, py: Python<'_>, hash: &str) -> PyResult<Table> {
+        let table = self.asked(py, async |reader| {
+            let hash = reader.hash_of(hash).await?;
+            reader.query(&format!("SELECT * FROM v_step WHERE hash = '{hash}' ORDER BY step")).await
+        })?;
+        Ok(table.into())
+    }
+
+    /// α (mm) of the "initial" or "optimised" body of a trial.
+    #[pyo3(signature = (hash, body="optimised"))]
+    fn design<'py>(&self, py: Python<'py>, hash: &str, body: &str) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        if !["initial", "optimised"].contains(&body) {
+            return Err(PyValueError::new_err(format!(
+                "body = {body:?}: must be \"initial\" or \"optimised\""
+            )));
+        }
+        let arrays = self.asked(py, async |reader| {
+            let hash = reader.hash_of(hash).await?;
+            reader.arrays_of(&hash).await
+        })?;
+        let found = arrays.iter().find(|array| array.name == format!("alpha_{body}"));
+        let found = found.ok_or_else(|| PyValueError::new_err(format!("trial {hash} is not done yet")))?;
+        Ok(found.values::<f64>().map_err(|e| raised(&e))?.into_pyarray(py))
+    }
+
+    /// The archive of `metasense export --format npz`.
+    fn _archive<'py>(&self, py: Python<'py>, hash: &str, threads: usize) -> PyResult<Bound<'py, PyBytes>> {
+        let stored = self.asked(py, async |reader| reader.stored(hash).await)?;
+        let stored = stored.ok_or_else(|| PyValueError::new_err(format!("trial {hash} is not done yet")))?;
+        // a brain that cannot be solved for is left out
+        let archive = py.detach(|| npz::of_trial(&stored, threads, &mut |_| ())).map_err(|e| raised(&e))?;
+        Ok(PyBytes::new(py, &archive))
+    }
+
+    /// What the finished trials teach on a question of `metasense analyse`, "elbow" for instance.
+    fn analyse(&self, py: Python<'_>, question: &str) -> PyResult<Table> {
+        let question = Question::from_str(question, false).map_err(|_| {
+            let known = Question::value_variants().iter().filter_map(Question::to_possible_value);
+            let known: Vec<String> = known.map(|value| value.get_name().to_owned()).collect();
+            PyValueError::new_err(format!("question = {question:?}: must be one of {}", known.join(", ")))
+        })?;
+        let trials = self.asked(py, async |reader| finished_trials(reader).await)?;
+        Ok(py.detach(|| question.answer(&trials, Terms::default())).into())
+    }
+
+    /// Whether a run is at work on it.
+    fn is_running(&self) -> bool {
+        writer_of(&self.path).is_some()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<metasense.Database {}>", self.path.display())
+    }
+}
+
+/// The database of a run of this spec that names none.
+#[pyfunction]
+pub fn default_database(spec: PathBuf) -> PyResult<PathBuf> {
+    Ok(read_plan(&spec)?.default_database())
+}

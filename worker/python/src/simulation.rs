@@ -1,0 +1,184 @@
+//! What a struck body did, and its derivatives.
+
+use std::sync::Arc;
+
+use metasense_numerics::dynamics::{
+    self, Forces, Outcome, Parameters, Scene, Tuned, pull_back, pull_back_parameters, push_forward,
+};
+use metasense_worker::simulate::{check_cotangent, finite};
+use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+
+use crate::arrays::{Numbers, numbers, vector};
+use crate::{SimulationError, raised};
+
+/// What a struck body did: its sensors' signals, how each sample ended, and derivatives of the signals.
+#[pyclass(frozen, module = "metasense")]
+pub struct Simulation {
+    pool: Arc<ThreadPool>,
+    scene: Scene,
+    design: Vec<f64>,
+    forces: Forces,
+    run: dynamics::Simulation,
+    solver: String,
+    signals: Py<PyArray3<f64>>,
+}
+
+impl Simulation {
+    pub fn new(
+        py: Python<'_>,
+        pool: Arc<ThreadPool>,
+        scene: Scene,
+        design: Vec<f64>,
+        forces: Forces,
+        tuned: Tuned,
+        mut run: dynamics::Simulation,
+    ) -> PyResult<Self> {
+        let shape = [forces.samples, scene.instants, 3 * scene.sensors.len()];
+        let signals = std::mem::take(&mut run.signals).into_pyarray(py).reshape(shape)?;
+        signals.try_readwrite()?.make_nonwriteable();
+        Ok(Self { pool, scene, design, forces, run, solver: tuned.plan.reason, signals: signals.unbind() })
+    }
+
+    fn taped(&self) -> PyResult<()> {
+        match self.run.tape {
+            Some(_) => Ok(()),
+            None => Err(PyValueError::new_err("tape = False: such a simulation cannot be differentiated")),
+        }
+    }
+}
+
+#[pymethods]
+impl Simulation {
+    /// (a_x, a_y, ω) of each sensor at n = 1…T, (N, T, 3M) (mm/s², rad/s), read-only; zero of samples that failed.
+    #[getter]
+    fn signals(&self, py: Python<'_>) -> Py<PyArray3<f64>> {
+        self.signals.clone_ref(py)
+    }
+
+    /// How each sample ended: "ok" or why it did not reach its end.
+    #[getter]
+    fn outcomes(&self) -> Vec<&'static str> {
+        self.run.outcomes.iter().map(|o| o.name()).collect()
+    }
+
+    /// Which samples reached their end, (N) bool.
+    #[getter]
+    fn ok<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        let ok: Vec<bool> = self.run.outcomes.iter().map(|o| *o == Outcome::Ok).collect();
+        ok.into_pyarray(py)
+    }
+
+    /// The integrator, and why.
+    #[getter]
+    fn solver(&self) -> &str {
+        &self.solver
+    }
+
+    /// Raises `SimulationError` if a sample did not reach its end.
+    fn check(&self, py: Python<'_>) -> PyResult<()> {
+        let outcomes = self.outcomes();
+        let Some(first) = outcomes.iter().position(|o| *o != "ok") else { return Ok(()) };
+        let failed = outcomes.iter().filter(|o| **o != "ok").count();
+        let error = SimulationError::new_err(format!(
+            "{failed} of {} samples did not reach their end; number {first}: {}",
+            outcomes.len(),
+            outcomes[first]
+        ));
+        error.value(py).setattr("outcomes", outcomes)?;
+        Err(error)
+    }
+
+    /// dα (mm⁻¹) of Σ cotangent · signals, cotangent (N, T, 3M); of samples that failed nothing.
+    fn vjp<'py>(
+        &self,
+        py: Python<'py>,
+        cotangent: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        Ok(self.gradient(py, cotangent, false)?.design.into_pyarray(py))
+    }
+
+    /// As `vjp`, and the derivatives in the material: "stiffness" (3) [stretch, shear, bend], "damping_ratio", "density".
+    fn vjp_material<'py>(
+        &self,
+        py: Python<'py>,
+        cotangent: &Bound<'py, PyAny>,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyDict>)> {
+        let found = self.gradient(py, cotangent, true)?;
+        let p = found.parameters.expect("asked for");
+        let material = PyDict::new(py);
+        material.set_item("stiffness", vec![p.stretch, p.shear, p.bend].into_pyarray(py))?;
+        material.set_item("damping_ratio", p.damping_ratio)?;
+        material.set_item("density", p.density)?;
+        Ok((found.design.into_pyarray(py), material))
+    }
+
+    /// Derivative of the signals (N, T, 3M) along `tangent` in α and, where given, along those in the material; its steps
+    /// held. Made to check and to linearise: it takes some hundred times as long as `vjp`. Zero of samples that failed.
+    #[pyo3(signature = (tangent, *, stiffness=None, damping_ratio=0.0, density=0.0))]
+    fn jvp<'py>(
+        &self,
+        py: Python<'py>,
+        tangent: &Bound<'py, PyAny>,
+        stiffness: Option<&Bound<'py, PyAny>>,
+        damping_ratio: f64,
+        density: f64,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        self.taped()?;
+        let tangent = vector("tangent", tangent)?;
+        if tangent.len() != self.design.len() {
+            let (given, expected) = (tangent.len(), self.design.len());
+            return Err(PyValueError::new_err(format!("the tangent has {given} numbers, α {expected}")));
+        }
+        let k = stiffness.map_or(Ok(vec![0.0; 3]), |k| vector("stiffness", k))?;
+        let [stretch, shear, bend] = k[..] else {
+            let remedy = "must be [stretch, shear, bend]";
+            return Err(PyValueError::new_err(format!("stiffness = {k:?}: {remedy}")));
+        };
+        finite("the tangents", &[&tangent[..], &k, &[damping_ratio, density]].concat())
+            .map_err(|e| raised(&e))?;
+        let along = Parameters { stretch, shear, bend, damping_ratio, density, contact: 0.0 };
+        let (instants, channels) = (self.scene.instants, 3 * self.scene.sensors.len());
+        let one = |sample: usize| match self.run.outcomes[sample] {
+            Outcome::Ok => {
+                push_forward(&self.scene, &self.design, &tangent, along, &self.forces, &self.run, sample).1
+            }
+            _ => vec![0.0; instants * channels],
+        };
+        let samples = self.forces.samples;
+        let found: Vec<Vec<f64>> =
+            py.detach(|| self.pool.install(|| (0..samples).into_par_iter().map(one).collect()));
+        found.concat().into_pyarray(py).reshape([samples, instants, channels])
+    }
+
+    fn __repr__(&self) -> String {
+        let failed = self.run.outcomes.iter().filter(|o| **o != Outcome::Ok).count();
+        let (samples, solver) = (self.forces.samples, &self.solver);
+        format!("<metasense.Simulation of {samples} samples, {failed} failed: {solver}>")
+    }
+}
+
+impl Simulation {
+    fn gradient(
+        &self,
+        py: Python<'_>,
+        cotangent: &Bound<'_, PyAny>,
+        material: bool,
+    ) -> PyResult<dynamics::Gradient> {
+        self.taped()?;
+        let Numbers { shape, values } = numbers("cotangent", cotangent)?;
+        check_cotangent(&self.scene, self.forces.samples, &shape, &values).map_err(|e| raised(&e))?;
+        let Self { pool, scene, design, forces, run, .. } = self;
+        let all: Vec<usize> = (0..forces.samples).collect();
+        let reverse = if material { pull_back_parameters } else { pull_back };
+        let found = py.detach(|| reverse(scene, design, forces, run, &all, &values, pool));
+        match found.design.iter().all(|g| g.is_finite()) {
+            true => Ok(found),
+            false => Err(PyRuntimeError::new_err("the gradient is not finite")),
+        }
+    }
+}

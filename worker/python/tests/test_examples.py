@@ -1,0 +1,48 @@
+"""The examples run, and find what they look for."""
+
+import importlib.util
+from pathlib import Path
+
+import metasense
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def losses(text):
+    return [float(line.split()[3].rstrip(",")) for line in text.splitlines()]
+
+
+def test_cotrain(body, spec, capsys):
+    pytest.importorskip("jax")
+    lines = (EXAMPLES / "cotrain.py").read_text().splitlines()
+    assert len(lines) <= 70 and len([line for line in lines if line.strip()]) <= 60
+    alpha, _ = load("cotrain").main(spec, 40)
+    assert body.feasible(alpha) and not np.array_equal(alpha, body.alpha)
+    first, *_, last = losses(capsys.readouterr().out)
+    assert last < 0.9 * first, (first, last)
+
+
+def test_place(body, spec):
+    found = load("place").main(spec, 3)
+    units, errors = zip(*found)
+    assert len(set(units)) == 3 and not set(units) & set(body.clamped)
+    assert errors[2] < errors[0]
+
+
+def test_elbow(spec, tmp_path):
+    pytest.importorskip("matplotlib")
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text(spec.read_text().replace("sensors = [1]", "sensors = [1, 2, 3]").replace("rows = 3", "rows = 4").replace("columns = 3", "columns = 4"))
+    database = metasense.run(sweep, db=tmp_path / "s.sqlite", workers=2, progress=False)
+    answer = load("elbow").main(database.path, tmp_path / "elbow.png")
+    assert (tmp_path / "elbow.png").read_bytes().startswith(b"\x89PNG")
+    assert "verdict" in answer.columns
