@@ -119,7 +119,7 @@ fn committed_specs_keep_their_hashes() {
     fig4c-two-core e225fb8a1fb52555
     fig5 a3ec099760be45bd
     fig5-two-core 6e8feb7c74983963
-    placed-two-core 31e6effe09b79209
+    placed-two-core 6a5121d9e7f59190
     quickstart c5fc1d861fdbe216
     random-two-core 2f5dde1678f3c2fa
     reference bb7bbd223572a489
