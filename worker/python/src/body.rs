@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-use metasense::plan::Plan;
 use metasense::look::body::picture;
+use metasense::plan::Plan;
 use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, Tuned, tune};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::nested::Problem;
