@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::data::{SEARCH, SENSORS, geometric_mean, groups};
 use super::paired::Ratio;
-use super::{Body, Set, Trial};
+use super::{Body, Cluster, Resampling, Set, Trial};
 
 /// Random and searched placements of one setting.
 #[derive(Debug, Clone)]
@@ -94,11 +94,47 @@ impl Level<'_> {
 impl Placed<'_> {
     /// The least M at which an error (%) is reached, by this and every greater M.
     #[must_use]
-    pub fn needed(&self, searched: bool, body: Body, set: Set, error: f64) -> Option<u64> {
-        let missed = |level: &&Level| level.error(searched, body, set).is_none_or(|e| e > error);
-        match self.levels.iter().rposition(|level| missed(&level)) {
-            None => self.levels.first().map(|level| level.sensors),
-            Some(last) => self.levels.get(last + 1).map(|level| level.sensors),
+    pub fn needed(&self, searched: bool, body: Body, set: Set, error: f64) -> Needed {
+        let of = |(level, l): (usize, &Level<'_>)| -> Vec<(usize, Cluster, f64)> {
+            let trials = l.trials[usize::from(searched)].iter();
+            trials.filter_map(|t| Some((level, t.cluster, t.error(body, set)?.ln()))).collect()
+        };
+        let logs: Vec<_> = self.levels.iter().enumerate().flat_map(of).collect();
+        let least = |weights: &[f64]| {
+            let mut sums = vec![(0.0, 0.0); self.levels.len()];
+            for ((level, _, log), w) in logs.iter().zip(weights) {
+                let (sum, all) = &mut sums[*level];
+                (*sum, *all) = (*sum + w * log, *all + w);
+            }
+            let reached = |(sum, all): &&(f64, f64)| *all > 0.0 && sum / all <= error.ln();
+            let from = self.levels.len() - sums.iter().rev().take_while(reached).count();
+            self.levels.get(from).map(|level| level.sensors)
+        };
+        let clusters: Vec<Cluster> = logs.iter().map(|(_, cluster, _)| *cluster).collect();
+        let mut drawn = Resampling::new(&clusters).replicates(|weights| Some(least(&weights)));
+        drawn.sort_by_key(|m| m.unwrap_or(u64::MAX));
+        let at =
+            |part: f64| drawn.get((part * drawn.len().saturating_sub(1) as f64).round() as usize).copied();
+        Needed { sensors: least(&vec![1.0; logs.len()]), range: at(0.025).zip(at(0.975)) }
+    }
+}
+
+/// How many sensors an error takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Needed {
+    /// M; none where no M that was tried reaches it.
+    pub sensors: Option<u64>,
+    /// Between what it lies in 95 % of replicates over placements and seeds; none where there are too few.
+    pub range: Option<(Option<u64>, Option<u64>)>,
+}
+
+impl std::fmt::Display for Needed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let m = |m: Option<u64>| m.map_or("–".into(), |m| m.to_string());
+        f.write_str(&m(self.sensors))?;
+        match self.range {
+            Some((low, high)) if low != high => write!(f, " ({} … {})", m(low), m(high)),
+            _ => Ok(()),
         }
     }
 }
@@ -106,7 +142,6 @@ impl Placed<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::Cluster;
     use crate::analysis::setting::flatten;
     use serde_json::json;
 
@@ -158,9 +193,12 @@ mod tests {
         assert!(training.interval.is_some() && training.over == "4 seeds", "{training:?}");
         // 16 seeds/m <= 10.5 from m = 4 on: 16 · 2.21 / 4 = 8.85; 4 · 2.21 / 1 = 8.85 from the first on
         let needed = |searched, body| found[0].needed(searched, body, Set::Holdout, 10.5);
-        assert_eq!(needed(true, Body::Initial), Some(4));
-        assert_eq!(needed(true, Body::Optimised), Some(1));
-        assert_eq!(needed(false, Body::Initial), None);
+        let [initial, optimised] = Body::ALL.map(|body| needed(true, body));
+        assert_eq!((initial.sensors, optimised.sensors), (Some(4), Some(1)));
+        // errors go with the seed, 1 to 4 times 16/m: one draw needs less, another more than there are
+        let (low, high) = initial.range.unwrap();
+        assert!(low.unwrap() < 4 && high.is_none(), "{initial}");
+        assert_eq!(needed(false, Body::Initial).to_string(), "–");
         // without a search there is no such question
         let random: Vec<&Trial> = refs.iter().filter(|t| search(t).is_none()).copied().collect();
         assert!(placed(&random).is_empty());

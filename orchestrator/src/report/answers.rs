@@ -132,7 +132,7 @@ fn placing(found: &Placed) -> Option<Answer> {
     let [by_placing, by_training] = [level.by_placing(Body::Initial, set)?, level.by_training(set)?];
     let error = |searched, body| level.error(searched, body, set).map(number);
     let needed = |searched, body| {
-        let of = |error| found.needed(searched, body, set, error).map_or("–".into(), |m| m.to_string());
+        let of = |error| found.needed(searched, body, set, error).to_string();
         [20.0, 10.0, 5.0].map(of).join(", ")
     };
     Some(Answer::new(
@@ -140,8 +140,8 @@ fn placing(found: &Placed) -> Option<Answer> {
         verdict(&by_training),
         format!(
             "{}, M = {}: sensors placed by a search instead of at random take the initial body from {} to {} % ({} times \
-             less, {}); training the body beyond that to {} %, {} times less ({}). M needed for 20, 10, 5 %: initial body \
-             {} at random, {} placed; trained {} at random, {} placed.",
+             less, {}); training the body beyond that to {} %, {} times less ({}). M needed for 20, 10, 5 % (95 % \
+             interval): initial body {} at random, {} placed; trained {} at random, {} placed.",
             found.label,
             level.sensors,
             error(false, Body::Initial)?,
