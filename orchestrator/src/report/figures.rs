@@ -438,7 +438,10 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
             Axis::new("CPU seconds of the outer loop", Scale::Log, points.iter().map(|p| p.0)),
             Axis::new("best test error so far (%)", Scale::Log, points.iter().map(|p| p.1)),
         );
-        let ways = groups(&group.trials, &[SENSORS, COMPLEXITY].concat());
+        // who reads the body in the end is nothing to the loop of a body trained with another brain
+        let apart = group.trials.iter().all(|t| t.setting.contains_key("optimise.brain"));
+        let readers: &[&str] = if apart { &["brain."] } else { &[] };
+        let ways = groups(&group.trials, &[SENSORS, COMPLEXITY, readers].concat());
         let told = |way: &Group| {
             let [_, with] = brains(way.trials[0]);
             let protocol = Some(way.trials[0].protocol()).filter(|name| *name != "joint").unwrap_or_default();
