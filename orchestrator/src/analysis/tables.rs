@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::brains::reads;
 use super::data::{
-    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, SENSORS, TRAINING, geometric_mean, groups, levels,
+    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, SENSORS, TRAINING, geometric_mean, groups, levels,
     observations,
 };
 use super::decision::{Decision, decide};
@@ -270,6 +270,20 @@ fn each_curve(groups: &[Group], mut visit: impl FnMut(&Group, Body, Set)) {
     }
 }
 
+/// What a curve is of, and one of its levels.
+fn level_cells(group: &Group, body: Body, set: Set, level: &Level) -> Vec<Value> {
+    row![
+        group.label,
+        body.name(),
+        set.name(),
+        level.at as u64,
+        level.trials,
+        level.mean,
+        level.least,
+        level.most
+    ]
+}
+
 fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
     let mut rows = Vec::new();
     each_curve(&with_curves(groups(trials, SENSORS), |t| t.sensors), |group, body, set| {
@@ -281,15 +295,7 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
             let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
             let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
             let [low, high] = ends(gain.and_then(|g| g.interval));
-            rows.push(row![
-                group.label,
-                body.name(),
-                set.name(),
-                level.at as u64,
-                level.trials,
-                level.mean,
-                level.least,
-                level.most,
+            let further = row![
                 vote.filter(|_| found.is_some_and(has_votes)),
                 decided.as_ref().and_then(|d| d.within.share(level.at)),
                 decided.as_ref().and_then(|d| d.priced.as_ref()?.share(level.at)),
@@ -297,7 +303,8 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
                 low,
                 high,
                 decided.as_ref().map(|d| &d.over)
-            ]);
+            ];
+            rows.push([level_cells(group, body, set, &level), further].concat());
         }
     });
     let columns = "setting body set M trials error least most elbow_votes within_votes price_votes \
@@ -453,16 +460,7 @@ fn sizes_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     each_curve(&with_curves(by_parameters(trials), |t| t.design_parameters), |group, body, set| {
         for level in levels(&observations(&group.trials, body, set, |t| t.design_parameters)) {
-            rows.push(row![
-                group.label,
-                body.name(),
-                set.name(),
-                level.at as u64,
-                level.trials,
-                level.mean,
-                level.least,
-                level.most
-            ]);
+            rows.push(level_cells(group, body, set, &level));
         }
     });
     Table::new("setting body set design_parameters trials error least most", rows)
