@@ -90,6 +90,19 @@ fn linked_values_multiply_with_the_lists() {
     assert_eq!(shown(&some), ["2 1 36 6", "2 1 36 6", "2 1 48 8"]);
 }
 
+/// Only a trial that is not named at all is the first one.
+#[test]
+fn a_hash_that_names_no_one_trial_is_refused() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    for (hash, why) in [("", "several trials begin so"), ("xyz", "the spec holds no such trial")] {
+        let output = bench.metasense(&["modes", "s.toml", "--hash", hash]);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{errors}");
+        assert!(errors.contains(&format!("s.toml: --hash {hash}: {why}")), "{errors}");
+    }
+}
+
 /// The hashes of every committed spec's trials, whatever the spec gains: they name trials in databases that exist.
 #[test]
 fn committed_specs_keep_their_hashes() {

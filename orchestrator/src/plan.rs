@@ -101,14 +101,13 @@ impl Plan {
         Ok(Self { source, spec, trials })
     }
 
-    /// The one trial whose hash begins so; of an empty hash the first.
+    /// The one trial whose hash begins so.
     ///
     /// # Errors
     /// If none does, or several.
     pub fn find(&self, hash: &str) -> Result<&Trial, NotOne> {
         let mut found = self.trials.iter().filter(|trial| trial.hash.starts_with(hash));
         match (found.next(), found.next()) {
-            (Some(first), _) if hash.is_empty() => Ok(first),
             (Some(trial), None) => Ok(trial),
             (Some(_), Some(_)) => Err(NotOne::Several(hash.into())),
             (None, _) => Err(NotOne::None(hash.into())),

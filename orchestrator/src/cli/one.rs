@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use metasense_worker::{design, simulate};
 
 use super::{Error, read_plan, trial};
-use crate::plan::Trial;
+use crate::plan::{Plan, Trial};
 
 /// Which trial, and which design of its body.
 #[derive(Debug, Clone, clap::Args)]
@@ -22,12 +22,16 @@ pub(super) struct One {
 }
 
 impl One {
-    /// The trial and its design.
+    /// The trial, by default the first, and its design.
     pub fn read(&self) -> Result<(Trial, Vec<f64>), Error> {
         let plan = read_plan(&self.spec)?;
-        let first = || plan.trials.first().map_or("", |trial| &trial.hash);
-        let hash = self.hash.as_deref().unwrap_or_else(first);
-        let trial = trial::find(&plan, hash, &self.spec)?.clone();
+        self.of(&plan, &plan.trials[0])
+    }
+
+    /// The trial of the spec's plan, by default this one, and its design.
+    pub fn of(&self, plan: &Plan, default: &Trial) -> Result<(Trial, Vec<f64>), Error> {
+        let hash = self.hash.as_ref().unwrap_or(&default.hash);
+        let trial = trial::find(plan, hash, &self.spec)?.clone();
         let (layout, initial) = simulate::body(&trial.spec).map_err(|e| self.refused(e))?;
         let design = self.design.as_ref().map(|file| design::read(file, &layout)).transpose()?;
         Ok((trial, design.unwrap_or(initial)))

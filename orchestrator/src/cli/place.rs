@@ -37,8 +37,7 @@ pub(super) struct Args {
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let plan = read_plan(&args.one.spec)?;
     let most = plan.trials.iter().rev().max_by_key(|trial| trial.spec.point.sensors);
-    let hash = args.one.hash.clone().or(most.map(|trial| trial.hash.clone()));
-    let (Trial { spec, .. }, design) = &One { hash, ..args.one.clone() }.read()?;
+    let (Trial { spec, .. }, design) = &args.one.of(&plan, most.expect("a plan has a trial"))?;
     let found = look(spec, design, args.given, args.threads.into()).map_err(|e| args.one.refused(e))?;
     print_rows(&table(&found), args.format)?;
     if found.placed.iter().any(|placed| placed.energies) {

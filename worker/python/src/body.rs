@@ -40,8 +40,8 @@ pub struct Body {
 
 impl Body {
     fn of_plan(plan: &Plan, hash: Option<&str>, threads: usize) -> PyResult<Self> {
-        let trial =
-            plan.find(hash.unwrap_or("")).map_err(|e| PyValueError::new_err(format!("hash = {e}")))?;
+        let hash = hash.unwrap_or(&plan.trials[0].hash);
+        let trial = plan.find(hash).map_err(|e| PyValueError::new_err(format!("hash = {e}")))?;
         let pool = pool(threads).map_err(|e| raised(&e))?;
         let problem = placed(&trial.spec, &pool).map_err(|e| raised(&e))?;
         // where a search has put the sensors
@@ -81,8 +81,10 @@ impl Body {
     fn samples(&self, set: &str, first: usize, count: Option<usize>) -> PyResult<Forces> {
         let problem = &self.problem;
         let all = match set {
-            "train" => problem.known()[0].clone(),
-            "test" => problem.known()[1].clone(),
+            "train" | "test" => {
+                let [train, test] = problem.known();
+                if set == "train" { train } else { test }
+            }
             "holdout" => problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout),
             "fresh" => {
                 let count = count
