@@ -11,7 +11,7 @@ use crate::look::{Table, row};
 use crate::plan::counted;
 use crate::provenance;
 use crate::scheduler::PRUNED;
-use crate::store::Reader;
+use crate::store::{Reader, quoted};
 
 /// Shows what is done, running, pending and failed, and why; also while a run goes on
 #[derive(Debug, clap::Args)]
@@ -69,12 +69,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 async fn one(db: &Path, hash: &str, format: Format) -> Result<Exit, Error> {
     let (said, attempts, log, failed) = Reader::asked(db, async |reader| {
         let hash = reader.hash_of(hash).await?;
-        let quoted = hash.replace('\'', "''");
-        let state = format!("SELECT state, reason FROM trial WHERE hash = '{quoted}'");
+        let named = quoted(&hash);
+        let state = format!("SELECT state, reason FROM trial WHERE hash = {named}");
         let state = reader.query(&state).await?.rows.swap_remove(0);
-        let log = format!(
-            "SELECT attempt, at, level, text FROM v_log WHERE hash = '{quoted}' ORDER BY attempt, line"
-        );
+        let log =
+            format!("SELECT attempt, at, level, text FROM v_log WHERE hash = {named} ORDER BY attempt, line");
         let [state, reason] = [0, 1].map(|i| state[i].as_str().unwrap_or_default().to_owned());
         let said = format!("trial {hash}: {state} {reason}");
         let (attempts, log) = (attempts(reader, &hash).await?, reader.query(&log).await?);
@@ -90,8 +89,8 @@ async fn one(db: &Path, hash: &str, format: Format) -> Result<Exit, Error> {
 /// The attempts at a trial, in words.
 pub(super) async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error> {
     let mut lines = Vec::new();
-    let quoted = hash.replace('\'', "''");
-    let sql = format!("SELECT * FROM v_attempt WHERE hash = '{quoted}' ORDER BY attempt");
+    let named = quoted(hash);
+    let sql = format!("SELECT * FROM v_attempt WHERE hash = {named} ORDER BY attempt");
     reader
         .each(&sql, |row| {
             let text = |column| Some(row.text(column)).filter(|text| !text.is_empty());

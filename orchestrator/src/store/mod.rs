@@ -32,7 +32,7 @@ pub use error::StoreError;
 pub use log::Level;
 pub use made::Nearest;
 pub use npy::{npy_bytes, npy_values};
-pub use read::{Artifact, Reader, Row};
+pub use read::{Artifact, Reader, Row, quoted};
 pub use runs::{RunKey, RunPlan};
 pub use stored::Stored;
 pub use sweep::Reopen;

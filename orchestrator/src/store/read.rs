@@ -292,6 +292,12 @@ impl Reader {
 }
 
 /// What SQLite says of a statement that a person has put.
+/// A text as SQL has it: databases from elsewhere may name trials as they like.
+#[must_use]
+pub fn quoted(text: &str) -> String {
+    format!("'{}'", text.replace('\'', "''"))
+}
+
 fn wrong(path: &Path, source: sqlx::Error) -> StoreError {
     match &source {
         sqlx::Error::Database(e) if !is_trouble(&source) => {

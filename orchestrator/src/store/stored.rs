@@ -2,7 +2,7 @@
 
 use metasense_schemas::spec::TrialSpec;
 
-use super::{Reader, StoreError};
+use super::{Reader, StoreError, quoted};
 
 /// What is stored of a trial's two bodies: α (mm) and the weights of the first network, `[initial, optimised]`.
 #[derive(Debug, Clone)]
@@ -33,9 +33,9 @@ impl Reader {
     /// # Errors
     /// Where there is no such trial, or what is stored of it cannot be read.
     pub async fn stored(&mut self, hash: &str) -> Result<Option<Stored>, StoreError> {
-        let quoted = self.hash_of(hash).await?.replace('\'', "''");
+        let named = quoted(&self.hash_of(hash).await?);
         let columns = ["hash", "state", "spec", "sensor_units", "sensor_units_optimised"];
-        let sql = format!("SELECT {} FROM v_trial WHERE hash = '{quoted}'", columns.join(", "));
+        let sql = format!("SELECT {} FROM v_trial WHERE hash = {named}", columns.join(", "));
         let mut found = None;
         self.each(&sql, |row| {
             found = Some(columns.map(|column| row.text(column).to_owned()));

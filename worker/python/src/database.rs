@@ -7,7 +7,7 @@ use metasense::analysis::{Question, Terms};
 use metasense::export::npz;
 use metasense::fleet::writer_of;
 use metasense::report::load::finished_trials;
-use metasense::store::{Reader, StoreError};
+use metasense::store::{Reader, StoreError, quoted};
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
@@ -74,8 +74,8 @@ impl Database {
     /// The outer steps of a trial, a row each (`v_step`); of the one whose hash begins so.
     fn steps(&self, py: Python<'_>, hash: &str) -> PyResult<Table> {
         let table = self.asked(py, async |reader| {
-            let hash = reader.hash_of(hash).await?;
-            reader.query(&format!("SELECT * FROM v_step WHERE hash = '{hash}' ORDER BY step")).await
+            let named = quoted(&reader.hash_of(hash).await?);
+            reader.query(&format!("SELECT * FROM v_step WHERE hash = {named} ORDER BY step")).await
         })?;
         Ok(table.into())
     }
