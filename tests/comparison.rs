@@ -21,7 +21,7 @@ const STOPPED: Duration = Duration::from_secs(3);
 /// Trials whose four steps take less than a second, and their comparison several.
 fn long(sensors: &str, iterations: u32) -> String {
     let text = TINY.replace("[1, 2]", sensors);
-    text.replace("[sweep]", &format!("[evaluation]\nlong_iterations = {iterations}\n[sweep]"))
+    text.replace("[sweep]", &format!("[evaluation]\nseeds = 1\nlong_iterations = {iterations}\n[sweep]"))
 }
 
 /// A run in a process of its own. Dropped, it is killed.

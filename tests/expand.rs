@@ -11,7 +11,8 @@ fn trials_come_breadth_first_with_stable_hashes() {
     let bench = Bench::new();
     let axes = "sensors = [1, 2]\nplacements = 2\n\"body.columns\" = [5, 6]\n\
                 exclude = [{ sensors = 2, \"body.columns\" = 5, placement = 1 }]\n";
-    bench.file("s.toml", &SPEC.replace("sensors = [1, 2]\n", axes));
+    let one_network = format!("{axes}[evaluation]\nseeds = 1\n");
+    bench.file("s.toml", &SPEC.replace("sensors = [1, 2]\n", &one_network));
     let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
     let without_cost = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();

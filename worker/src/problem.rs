@@ -105,7 +105,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             coarse: coarse.as_ref().map(|coarse| solver("optimise.coarse.method", coarse)).transpose()?,
         },
         evaluation: Evaluation {
-            seeds: trial.evaluation.seeds,
+            seeds: trial.evaluation.networks(),
             schedule: match trial.evaluation.schedule {
                 spec::Schedule::Cosine => Schedule::Cosine,
                 spec::Schedule::Constant => Schedule::Constant,
@@ -194,9 +194,9 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     at_least("brain.iterations", trial.brain.iterations, 1)?;
     positive("brain.learning_rate", trial.brain.learning_rate)?;
     positive("optimise.learning_rate", trial.optimise.clone().resolved().learning_rate.unwrap_or_default())?;
-    at_least("evaluation.seeds", trial.evaluation.seeds, 1)?;
+    at_least("evaluation.seeds", trial.evaluation.networks(), 1)?;
     at_least("evaluation.long_iterations", trial.evaluation.long_iterations.unwrap_or(1), 1)?;
-    at_most("evaluation.seeds", trial.evaluation.seeds, 1000)
+    at_most("evaluation.seeds", trial.evaluation.networks(), 1000)
 }
 
 /// The layers of the network.

@@ -161,7 +161,7 @@ fn compare(
     let effort = Effort {
         brain,
         folds: args.folds.map_or(FOLDS.min(fewest).max(2), |n| n as usize),
-        seeds: if linear { 1 } else { args.seeds.map_or(trial.evaluation.seeds, |n| n as usize) },
+        seeds: if linear { 1 } else { args.seeds.map_or(trial.evaluation.networks(), |n| n as usize) },
         iterations: args.iterations.map_or(trial.brain.iterations, |n| n as usize),
     };
     let known = records.iter().filter(|(name, _)| designs.contains_key(name)).count();

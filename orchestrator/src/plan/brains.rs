@@ -25,12 +25,12 @@ fn has_linear(kind: BrainKind) -> bool {
 pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
     let ([reader, trainer], none) = (kinds(spec), Brain::default());
     let (mut brain, mut optimise, mut evaluation) =
-        (spec.brain.clone().resolved(), spec.optimise.clone(), spec.evaluation);
+        (spec.brain.clone().resolved(), spec.optimise.clone(), spec.evaluation.resolved());
     if reader == BrainKind::Linear && trainer == BrainKind::Linear {
         brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };
     }
     if reader == BrainKind::Linear {
-        evaluation = Evaluation::default();
+        evaluation = Evaluation::of_linear();
     }
     if !has_linear(reader) && !has_linear(trainer) {
         (brain.memory, brain.ridge) = (None, None);
@@ -86,7 +86,7 @@ pub(super) fn refuse_unread<'a>(
         ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), "linear"),
         ("brain.iterations", network, &|s| s.brain.iterations != none.iterations, "cnn"),
         ("brain.learning_rate", network, &|s| s.brain.learning_rate != none.learning_rate, "cnn"),
-        ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds != evaluation.seeds, "cnn"),
+        ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds.is_some(), "cnn"),
         ("evaluation.schedule", read_by_network, &|s| s.evaluation.schedule != evaluation.schedule, "cnn"),
         ("evaluation.long_iterations", read_by_network, &|s| s.evaluation.long_iterations.is_some(), "cnn"),
         ("optimise.brain_iterations", trained_by_network, &|s| s.optimise.brain_iterations.is_some(), "cnn"),

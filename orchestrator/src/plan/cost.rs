@@ -127,7 +127,7 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
         Protocol::Joint => fresh + (going + 4.0 * forward) * batch / train_samples.max(1.0),
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
-    let trainings = if network { trial.evaluation.seeds as f64 * (1.0 + long) } else { 0.0 };
+    let trainings = if network { trial.evaluation.networks() as f64 * (1.0 + long) } else { 0.0 };
     // as much as fits
     let readings = match 3 * trial.point.sensors * trial.time.samples <= READINGS_MAX {
         true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)),

@@ -337,8 +337,10 @@ pub enum Schedule {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Evaluation {
-    /// Fresh networks a body.
-    pub seeds: usize,
+    /// Fresh networks a body. By default 3, whose errors differ by tens of per cent of one another; a linear brain, solved for
+    /// once, has 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seeds: Option<usize>,
     /// Rate schedule of their training.
     pub schedule: Schedule,
     /// Iterations of as many further networks, for a long training beside the ordinary one; by default none.
@@ -346,8 +348,31 @@ pub struct Evaluation {
     pub long_iterations: Option<usize>,
 }
 
+/// Fresh networks a body where the spec does not say.
+const NETWORKS: usize = 3;
+
+impl Evaluation {
+    /// Of a body that a network reads, with the default in place.
+    #[must_use]
+    pub fn resolved(self) -> Self {
+        Self { seeds: Some(self.networks()), ..self }
+    }
+
+    /// Of a body that a linear brain reads: it is solved for once.
+    #[must_use]
+    pub fn of_linear() -> Self {
+        Self { seeds: Some(1), ..Self::default() }
+    }
+
+    /// Fresh networks a body.
+    #[must_use]
+    pub fn networks(&self) -> usize {
+        self.seeds.unwrap_or(NETWORKS)
+    }
+}
+
 impl Default for Evaluation {
     fn default() -> Self {
-        Self { seeds: 1, schedule: Schedule::Cosine, long_iterations: None }
+        Self { seeds: None, schedule: Schedule::Cosine, long_iterations: None }
     }
 }
