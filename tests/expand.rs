@@ -108,9 +108,11 @@ fn a_hash_that_names_no_one_trial_is_refused() {
 #[test]
 fn committed_specs_keep_their_hashes() {
     let bench = Bench::new();
-    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/sweeps");
+    let folders =
+        ["sweeps", "claims"].map(|name| format!("{}/../schemas/{name}", env!("CARGO_MANIFEST_DIR")));
     let mut digests = Vec::new();
-    for entry in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+    let entries = folders.iter().flat_map(|folder| std::fs::read_dir(folder).unwrap());
+    for entry in entries.map(|entry| entry.unwrap().path()) {
         let csv = bench.output(&["expand", entry.to_str().unwrap(), "--format", "csv"]);
         let hashes: String = csv.lines().skip(1).map(|line| format!("{}\n", &line[..32])).collect();
         let name = entry.file_stem().unwrap().to_str().unwrap();
@@ -119,6 +121,8 @@ fn committed_specs_keep_their_hashes() {
     digests.sort();
     insta::assert_snapshot!(digests.join("\n"), @r"
     brains-two-core 954804d56823f225
+    disc 05cd48334f7ba6b8
+    eight-forces d02373435aeebd1c
     fig2 e582672de812b89c
     fig2-linear d6b6a3f760e8dca8
     fig2-two-core f2555594714306fb
@@ -133,10 +137,15 @@ fn committed_specs_keep_their_hashes() {
     fig4c-two-core e225fb8a1fb52555
     fig5 a3ec099760be45bd
     fig5-two-core 6e8feb7c74983963
+    four-forces b88aef61917cde6e
+    gradient c39bace70d622cb2
+    long-training b59102c41c14395c
     placed-two-core 6a5121d9e7f59190
     quickstart c5fc1d861fdbe216
+    random 1fc0dbba48090cf1
     random-two-core 2f5dde1678f3c2fa
     reference bb7bbd223572a489
+    two-forces 434eeb4530862f35
     ");
 }
 

@@ -6,6 +6,7 @@
 //! with it every interval and vote, is in [`resample`], and whether intervals cover in its test, `coverage`.
 
 pub mod brains;
+pub mod claims;
 pub mod compare;
 #[cfg(test)]
 mod coverage;

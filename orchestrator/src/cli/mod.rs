@@ -6,6 +6,7 @@ mod say;
 mod analyse;
 mod bench;
 mod bound;
+mod claims;
 mod draw;
 mod evaluate;
 mod expand;
@@ -75,6 +76,7 @@ enum Command {
     Why(why::Args),
     Query(query::Args),
     Analyse(analyse::Args),
+    Claims(claims::Args),
     Report(report::Args),
     Place(place::Args),
     Modes(modes::Args),
@@ -114,6 +116,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Why(args) => block_on(why::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
+        Command::Claims(args) => block_on(claims::execute(args)),
         Command::Place(args) => place::execute(&args),
         Command::Modes(args) => modes::execute(&args),
         Command::Bound(args) => block_on(bound::execute(args)),

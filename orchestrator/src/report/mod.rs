@@ -2,6 +2,7 @@
 
 pub mod answers;
 pub mod brains;
+pub mod claims;
 pub mod figures;
 pub mod fit;
 pub mod load;

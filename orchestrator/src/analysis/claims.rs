@@ -1,0 +1,581 @@
+//! The claims of arXiv:2605.23967, each put to the trials that can tell: what holds, with which brain, and what does not.
+//!
+//! A claim's number is a ratio that is above 1 where it holds: it *holds* where the whole 95 % interval is above 1 and reaches
+//! the paper's number, and holds *in part* where it stays below that; it *fails* where the whole interval is below 1. Claims of
+//! elbows go by votes. Test and holdout are judged alike; what is said in short goes by the holdout.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::brains::brains;
+use super::data::{
+    COMPLEXITY, DESIGN, FREEDOM, Grid, Group, SENSORS, clusters, groups, observations, places,
+};
+use super::paired::{self, Progress, Ratio, error_ratio, long_ratio};
+use super::random::random;
+use super::sensors::{fewer, spread};
+use super::tables::verdict_text;
+use super::{Body, Cluster, Interval, Observation, Resampling, Set, Trial, Verdict, elbow};
+
+/// The share of votes that settles a claim.
+const SURE: f64 = 0.95;
+
+/// How a claim fares.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Rating {
+    /// As the paper has it.
+    Holds,
+    /// In its direction, and by less.
+    InPart,
+    /// The other way round, or elsewhere.
+    Fails,
+    /// The trials do not tell.
+    Open,
+}
+
+impl Rating {
+    /// In words.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Holds => "holds",
+            Self::InPart => "in part",
+            Self::Fails => "fails",
+            Self::Open => "open",
+        }
+    }
+
+    /// Of a ratio that the paper gives, or that it says to be above 1.
+    fn of(ratio: &Ratio, stated: f64) -> Self {
+        match ratio.interval {
+            Some(Interval { low, high }) if low > 1.0 && high >= stated => Self::Holds,
+            Some(Interval { low, .. }) if low > 1.0 => Self::InPart,
+            Some(Interval { high, .. }) if high < 1.0 => Self::Fails,
+            _ => Self::Open,
+        }
+    }
+}
+
+/// What some trials say of a claim.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evidence {
+    /// What sets them apart from others that say something of it: their brain, above all.
+    pub who: String,
+    /// Of which samples, or of what else.
+    pub set: &'static str,
+    /// How many they are.
+    pub trials: usize,
+    /// The claim's ratio, where it is about one.
+    pub found: Option<f64>,
+    /// Its 95 % interval.
+    pub interval: Option<Interval>,
+    /// What there is to say beside it.
+    pub note: String,
+    /// What the interval, or votes, are over.
+    pub over: String,
+    /// What it comes to.
+    pub rating: Rating,
+}
+
+/// A claim of the paper.
+pub struct Claim {
+    /// What it says.
+    pub says: &'static str,
+    /// Where.
+    pub source: &'static str,
+    /// Its number: a factor, 1 where it gives none; of an elbow M.
+    pub stated: f64,
+    /// The spec, of `schemas/claims`, whose trials show it.
+    pub spec: &'static str,
+    find: fn(f64, &[&Trial]) -> Vec<Evidence>,
+}
+
+impl Claim {
+    /// What a database's trials say of it; nothing where it holds none of its scene.
+    #[must_use]
+    pub fn evidence(&self, trials: &[Trial]) -> Vec<Evidence> {
+        (self.find)(self.stated, &trials.iter().collect::<Vec<_>>())
+    }
+}
+
+/// What evidence comes to, by the holdout where there is one: the rating that all of it shares, or who has which.
+#[must_use]
+pub fn summary(evidence: &[Evidence]) -> (String, Option<Rating>) {
+    let of_set = |set: &str| evidence.iter().any(|e| e.set == set);
+    let counts = |e: &&Evidence| e.set != Set::Test.name() || !of_set(Set::Holdout.name());
+    let mut by: BTreeMap<Rating, Vec<&str>> = BTreeMap::new();
+    for e in evidence.iter().filter(counts) {
+        let list = by.entry(e.rating).or_default();
+        if !list.contains(&&*e.who) {
+            list.push(&e.who);
+        }
+    }
+    match &by.iter().collect::<Vec<_>>()[..] {
+        [] => ("not tried".into(), None),
+        [(rating, _)] => (rating.name().into(), Some(**rating)),
+        several => {
+            let each =
+                several.iter().map(|(rating, who)| format!("{} with {}", rating.name(), who.join("; ")));
+            (format!("depends: {}", each.collect::<Vec<_>>().join(" · ")), None)
+        }
+    }
+}
+
+/// All of them, in the paper's order.
+pub const CLAIMS: [Claim; 15] = [
+    Claim {
+        says: "a trained body halves the error (K = 2, M = 1, smooth pulses)",
+        source: "Fig. 2D, 3",
+        stated: 2.0,
+        spec: "two-forces",
+        find: |stated, trials| each_set(&two_forces(trials, "bell"), stated, error_ratio),
+    },
+    Claim {
+        says: "its network needs 2.9 times fewer iterations to the same error",
+        source: "Fig. 2E",
+        stated: 2.9,
+        spec: "two-forces",
+        find: iterations,
+    },
+    Claim {
+        says: "after 10 000 iterations the error is still 5.8 times lower",
+        source: "Fig. S2",
+        stated: 5.8,
+        spec: "long-training",
+        find: |stated, trials| each_set(&two_forces(trials, "bell"), stated, long_ratio),
+    },
+    Claim {
+        says: "under hand-hammered blows a trained body has 5.3 times less error",
+        source: "Fig. 3D, S5",
+        stated: 5.3,
+        spec: "two-forces",
+        find: |stated, trials| each_set(&two_forces(trials, "irregular"), stated, error_ratio),
+    },
+    Claim {
+        says: "training gains more under blows than under smooth pulses",
+        source: "Fig. 3",
+        stated: 1.0,
+        spec: "two-forces",
+        find: blows_more,
+    },
+    Claim {
+        says: "random bodies read worse than the initial one",
+        source: "S4",
+        stated: 1.0,
+        spec: "random",
+        find: |stated, trials| random_bodies(stated, trials, Body::Initial),
+    },
+    Claim {
+        says: "and so worse than the trained one",
+        source: "S4",
+        stated: 1.0,
+        spec: "random",
+        find: |stated, trials| random_bodies(stated, trials, Body::Optimised),
+    },
+    Claim {
+        says: "K = 4: the trained body is better with every number of sensors",
+        source: "Fig. 4B",
+        stated: 1.0,
+        spec: "four-forces",
+        find: |stated, trials| every_number(stated, &of_panels(trials, 4)),
+    },
+    Claim {
+        says: "K = 4: its error has an elbow at M = 2",
+        source: "Fig. 4B",
+        stated: 2.0,
+        spec: "four-forces",
+        find: |stated, trials| elbow_at(stated, &of_panels(trials, 4)),
+    },
+    Claim {
+        says: "K = 4: trained with two sensors it beats the initial one with six",
+        source: "Fig. 4B",
+        stated: 2.0,
+        spec: "four-forces",
+        find: |stated, trials| so_few(stated, &of_panels(trials, 4)),
+    },
+    Claim {
+        says: "K = 4: where sensors are matters less on the trained body",
+        source: "Fig. 4B",
+        stated: 1.0,
+        spec: "four-forces",
+        find: |stated, trials| placements(stated, &of_panels(trials, 4)),
+    },
+    Claim {
+        says: "K = 8: the trained body is better with every number of sensors",
+        source: "Fig. 4C",
+        stated: 1.0,
+        spec: "eight-forces",
+        find: |stated, trials| every_number(stated, &of_panels(trials, 8)),
+    },
+    Claim {
+        says: "K = 8: the elbow is at M = 4",
+        source: "Fig. 4C",
+        stated: 4.0,
+        spec: "eight-forces",
+        find: |stated, trials| elbow_at(stated, &of_panels(trials, 8)),
+    },
+    Claim {
+        says: "a body of more design parameters, trained, has less error",
+        source: "Fig. 5C",
+        stated: 1.0,
+        spec: "disc",
+        find: complexity,
+    },
+    Claim {
+        says: "the gradient needs the implicit term",
+        source: "S2.4",
+        stated: 1.0,
+        spec: "gradient",
+        find: implicit,
+    },
+];
+
+fn text<'a>(trial: &'a Trial, path: &str) -> Option<&'a str> {
+    trial.setting.get(path).and_then(Value::as_str)
+}
+
+/// Whether a trial is of the paper's kind: no noise, no random body, all shifts free.
+fn plain(trial: &Trial) -> bool {
+    let extras = ["sensors.noise", "sensors.bias", "sensors.delay", "sensors.search", "optimise.frozen"];
+    !trial.starts_random() && !extras.iter().any(|path| trial.setting.contains_key(path))
+}
+
+fn tied(trial: &Trial) -> bool {
+    trial.setting.contains_key("optimise.tie")
+}
+
+/// Two forces, one sensor, planar, so struck.
+fn two_forces<'a>(trials: &[&'a Trial], stimuli: &str) -> Vec<&'a Trial> {
+    let fits = |t: &&&Trial| {
+        (t.panels, t.sensors) == (2, 1)
+            && text(t, "stimuli.kind") == Some(stimuli)
+            && text(t, "body.layout") == Some("planar")
+            && plain(t)
+            && !tied(t)
+    };
+    trials.iter().filter(fits).copied().collect()
+}
+
+/// So many smooth pulses on a planar body.
+fn of_panels<'a>(trials: &[&'a Trial], panels: u64) -> Vec<&'a Trial> {
+    let fits = |t: &&&Trial| {
+        t.panels == panels
+            && text(t, "stimuli.kind") == Some("bell")
+            && text(t, "body.layout") == Some("planar")
+            && plain(t)
+            && !tied(t)
+    };
+    trials.iter().filter(fits).copied().collect()
+}
+
+/// What sets a group apart, its brain if nothing does.
+fn who(group: &Group) -> String {
+    let apart = |part: &&str| !part.starts_with("K = ") && !part.starts_with("M = ");
+    let parts: Vec<&str> = group.label.split(", ").filter(apart).collect();
+    match parts.is_empty() {
+        true => brains(group.trials[0])[0].clone(),
+        false => parts.join(", "),
+    }
+}
+
+fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: String) -> Evidence {
+    Evidence {
+        rating: Rating::of(&ratio, stated),
+        who,
+        set,
+        trials: ratio.trials,
+        found: Some(ratio.ratio),
+        interval: ratio.interval,
+        note,
+        over: ratio.over,
+    }
+}
+
+/// A ratio of each group, by either set.
+fn each_set(trials: &[&Trial], stated: f64, ratio: fn(&[&Trial], Set) -> Option<Ratio>) -> Vec<Evidence> {
+    let of = |group: &Group| {
+        let of_set = |set: Set| {
+            Some(of_ratio(who(group), set.name(), ratio(&group.trials, set)?, stated, String::new()))
+        };
+        Set::ALL.into_iter().filter_map(of_set).collect::<Vec<_>>()
+    };
+    groups(trials, &[]).iter().flat_map(of).collect()
+}
+
+fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
+    let of = |group: &Group| {
+        let of_curve = |by: Progress| {
+            let ratio = paired::iterations(&group.trials, by)?;
+            Some(of_ratio(who(group), by.name(), ratio, stated, String::new()))
+        };
+        Progress::ALL.into_iter().filter_map(of_curve).collect::<Vec<_>>()
+    };
+    groups(&two_forces(trials, "bell"), &[]).iter().flat_map(of).collect()
+}
+
+/// Ratios of some trials over those of others, of equal placement and seed; several of a cluster by their geometric mean.
+fn over(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
+    let mean = |of: &[(Cluster, f64)], cluster: Cluster| {
+        let logs: Vec<f64> = of.iter().filter(|(c, _)| *c == cluster).map(|(_, x)| x.ln()).collect();
+        (!logs.is_empty()).then(|| logs.iter().sum::<f64>() / logs.len() as f64)
+    };
+    let mut clusters: Vec<Cluster> = first.iter().map(|(cluster, _)| *cluster).collect();
+    clusters.sort_unstable();
+    clusters.dedup();
+    let ratio = |c: Cluster| Some((c, (mean(first, c)? - mean(second, c)?).exp()));
+    Ratio::of(&clusters.into_iter().filter_map(ratio).collect::<Vec<_>>())
+}
+
+/// A number of each trial that has it, with its placement and seed.
+fn each(trials: &[&Trial], number: impl Fn(&Trial) -> Option<f64>) -> Vec<(Cluster, f64)> {
+    trials.iter().filter_map(|t| Some((t.cluster, number(t)?))).collect()
+}
+
+/// What training makes of the error.
+fn gain(trial: &Trial, set: Set) -> Option<f64> {
+    Some(trial.error(Body::Initial, set)? / trial.error(Body::Optimised, set)?)
+}
+
+fn blows_more(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
+    let both = [two_forces(trials, "irregular"), two_forces(trials, "bell")];
+    let mut found = Vec::new();
+    for group in groups(&both.concat(), &["stimuli."]) {
+        let of_kind = |kind: &str| -> Vec<&Trial> {
+            group.trials.iter().filter(|t| text(t, "stimuli.kind") == Some(kind)).copied().collect()
+        };
+        let [blows, pulses] = ["irregular", "bell"].map(of_kind);
+        for set in Set::ALL {
+            let gains = |trials: &[&Trial]| each(trials, |t| gain(t, set));
+            if let Some(ratio) = over(&gains(&blows), &gains(&pulses)) {
+                found.push(of_ratio(who(&group), set.name(), ratio, stated, String::new()));
+            }
+        }
+    }
+    found
+}
+
+fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
+    let of_scene = |t: &&&Trial| (t.panels, t.sensors) == (2, 1) && !tied(t);
+    let trials: Vec<&Trial> = trials.iter().filter(of_scene).copied().collect();
+    let mut found = Vec::new();
+    for group in groups(&trials, DESIGN) {
+        for set in Set::ALL {
+            let Some(mut random) = random(&group.trials, set) else { continue };
+            if let Some(ratio) = random.ratios[than as usize].take() {
+                let note = format!("{} of {} worse", ratio.above_one, ratio.trials);
+                found.push(of_ratio(who(&group), set.name(), ratio, stated, note));
+            }
+        }
+    }
+    found
+}
+
+/// The least of the ratios over M: all hold where this does.
+fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
+    let mut found = Vec::new();
+    for group in curves(trials) {
+        for set in Set::ALL {
+            let at = |m: f64| -> Option<(f64, Ratio)> {
+                let of: Vec<&Trial> =
+                    group.trials.iter().filter(|t| t.sensors as f64 == m).copied().collect();
+                Some((m, error_ratio(&of, set)?))
+            };
+            let numbers = places(&observations(&group.trials, Body::Initial, set, |t| t.sensors));
+            let ratios: Vec<(f64, Ratio)> = numbers.into_iter().filter_map(at).collect();
+            let low = |r: &Ratio| r.interval.map_or(0.0, |i| i.low);
+            let least = ratios.iter().min_by(|a, b| low(&a.1).total_cmp(&low(&b.1)));
+            if let Some((m, ratio)) = least {
+                let each = ratios.iter().map(|(m, r)| format!("M = {m}: {:.2}", r.ratio));
+                let note = format!("least sure at M = {m} ({})", each.collect::<Vec<_>>().join(", "));
+                found.push(of_ratio(who(&group), set.name(), ratio.clone(), stated, note));
+            }
+        }
+    }
+    found
+}
+
+/// Groups in which M varies.
+fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+    let varies = |group: &Group| group.trials.iter().any(|t| t.sensors != group.trials[0].sensors);
+    groups(trials, SENSORS).into_iter().filter(varies).collect()
+}
+
+fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
+    let mut found = Vec::new();
+    for group in curves(trials) {
+        for set in Set::ALL {
+            let points = observations(&group.trials, Body::Optimised, set, |t| t.sensors);
+            let Ok(elbow) = elbow(&points) else { continue };
+            let votes: Vec<String> =
+                elbow.votes.iter().map(|(m, share)| format!("M = {m}: {:.0} %", 100.0 * share)).collect();
+            let of_stated = elbow.votes.iter().find(|v| v.0 == stated).map_or(0.0, |v| v.1);
+            found.push(Evidence {
+                who: who(&group),
+                set: set.name(),
+                trials: points.len(),
+                found: None,
+                interval: None,
+                note: format!("{}; votes {}", verdict_text(elbow.verdict), votes.join(", ")),
+                over: elbow.over,
+                rating: match elbow.verdict {
+                    Verdict::WithoutVote(_) => Rating::Open,
+                    _ if of_stated > SURE => Rating::Holds,
+                    _ if of_stated < 1.0 - SURE => Rating::Fails,
+                    _ => Rating::Open,
+                },
+            });
+        }
+    }
+    found
+}
+
+fn so_few(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
+    let mut found = Vec::new();
+    for group in curves(trials) {
+        for set in Set::ALL {
+            let of = |body, most: f64| -> Vec<Observation> {
+                let all = observations(&group.trials, body, set, |t| t.sensors);
+                all.into_iter().filter(|o| o.at <= most).collect()
+            };
+            // with so many sensors on the trained body and no more; and how few do
+            let initial = of(Body::Initial, f64::INFINITY);
+            let [enough, any] =
+                [stated, f64::INFINITY].map(|most| fewer(&initial, &of(Body::Optimised, most)));
+            let (Some(enough), Some(any)) = (enough, any) else { continue };
+            let note = match any.fewest {
+                Some(m) => format!("{m} against {}", any.most),
+                None => format!("none against {}", any.most),
+            };
+            let rating = match (enough.fewest, enough.share, any.share) {
+                (Some(_), Some(share), _) if share > SURE => Rating::Holds,
+                (None, _, Some(_)) => Rating::Fails,
+                _ => Rating::Open,
+            };
+            found.push(Evidence {
+                who: who(&group),
+                set: set.name(),
+                trials: group.trials.len(),
+                found: None,
+                interval: None,
+                note,
+                over: any.over,
+                rating,
+            });
+        }
+    }
+    found
+}
+
+/// Spread of ln e over placements on the initial over that on the trained body, all M together.
+fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
+    let mut found = Vec::new();
+    for group in curves(trials) {
+        for set in Set::ALL {
+            let of = Body::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
+            let clusters = clusters(of.iter().flatten());
+            let grids = [Grid::new(&of[0], &clusters), Grid::new(&of[1], &clusters)];
+            let units = Resampling::new(&clusters);
+            let statistic = |weights: &[f64]| {
+                let [initial, trained] = [0, 1].map(|i| scatter(&grids[i], &clusters, weights));
+                Some(0.5 * (initial? / trained?).ln())
+            };
+            let Some(whole) = statistic(&vec![1.0; clusters.len()]) else { continue };
+            let worst = |body: usize| -> Vec<String> {
+                let at = |m: &f64| {
+                    let here: Vec<Observation> = of[body].iter().filter(|o| o.at == *m).copied().collect();
+                    spread(&here).map(|s| format!("{:.2}", s.ratio))
+                };
+                places(&of[body]).iter().filter_map(at).collect()
+            };
+            let ratio = Ratio {
+                trials: group.trials.len(),
+                above_one: 0,
+                ratio: whole.exp(),
+                interval: units.interval(statistic).map(|i| i.map(f64::exp)),
+                over: units.over(),
+            };
+            let note = format!("worst over best by M: {} → {}", worst(0).join(", "), worst(1).join(", "));
+            found.push(of_ratio(who(&group), set.name(), ratio, stated, note));
+        }
+    }
+    found
+}
+
+/// Sum of squares of ln e about the mean of its M and seed, by weight; `None` where nothing is left of it.
+fn scatter(grid: &Grid, clusters: &[Cluster], weights: &[f64]) -> Option<f64> {
+    let mut cells: BTreeMap<(usize, u64), [f64; 3]> = BTreeMap::new();
+    for &(cluster, place, log) in &grid.points {
+        let [n, sum, squares] = cells.entry((place, clusters[cluster].seed)).or_default();
+        let w = weights[cluster];
+        (*n, *sum, *squares) = (*n + w, *sum + w * log, *squares + w * log * log);
+    }
+    let of = |[n, sum, squares]: &[f64; 3]| {
+        if *n > 0.0 { (squares - sum * sum / n) / (n - 1.0).max(1.0) } else { 0.0 }
+    };
+    let total: f64 = cells.values().map(of).sum();
+    (total > 0.0).then_some(total)
+}
+
+/// The error of the body of fewest parameters over that of the one of most, both trained: of one disc cut ever finer, and of
+/// one whose shifts are tied less and less.
+fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
+    let disc = |t: &&&Trial| text(t, "body.layout") == Some("circular") && plain(t);
+    let disc: Vec<&Trial> = trials.iter().filter(disc).copied().collect();
+    let free: Vec<&Trial> = disc.iter().filter(|t| !tied(t)).copied().collect();
+    let mut found = Vec::new();
+    for (what, groups) in
+        [("cut finer", groups(&free, COMPLEXITY)), ("tied less, of one size", groups(&disc, FREEDOM))]
+    {
+        for group in groups {
+            let at = |n: u64| -> Vec<&Trial> {
+                group.trials.iter().filter(|t| t.design_parameters == n).copied().collect()
+            };
+            let numbers = || group.trials.iter().map(|t| t.design_parameters);
+            let (Some(few), Some(many)) = (numbers().min(), numbers().max()) else { continue };
+            if few == many {
+                continue;
+            }
+            for set in Set::ALL {
+                let errors = |n: u64, body: Body| each(&at(n), |t| t.error(body, set));
+                let of = |body: Body| over(&errors(few, body), &errors(many, body));
+                let Some(ratio) = of(Body::Optimised) else { continue };
+                let initial =
+                    of(Body::Initial).map_or(String::new(), |r| format!("; untrained {:.3}", r.ratio));
+                let note = format!("{few} → {many} parameters{initial}");
+                let brain = &brains(group.trials[0])[0];
+                found.push(of_ratio(format!("{brain}, {what}"), set.name(), ratio, stated, note));
+            }
+        }
+    }
+    found
+}
+
+/// The trained body's error without the implicit term over that with it.
+fn implicit(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
+    let paper: Vec<&Trial> = two_forces(trials, "bell")
+        .into_iter()
+        .filter(|t| t.setting.contains_key("optimise.gradient"))
+        .collect();
+    let mut found = Vec::new();
+    for group in groups(&paper, &["optimise.gradient", "optimise.curvature", "optimise.damping"]) {
+        for set in Set::ALL {
+            let of = |terms: &str| {
+                let of: Vec<&Trial> = group
+                    .trials
+                    .iter()
+                    .filter(|t| text(t, "optimise.gradient") == Some(terms))
+                    .copied()
+                    .collect();
+                each(&of, |t| t.error(Body::Optimised, set))
+            };
+            if let Some(ratio) = over(&of("direct"), &of("implicit")) {
+                found.push(of_ratio(who(&group), set.name(), ratio, stated, String::new()));
+            }
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,85 @@
+//! Ratings on made-up trials.
+
+use super::*;
+use crate::analysis::setting::flatten;
+use serde_json::json;
+
+/// A trial with the same errors on both sets.
+fn trial(setting: Value, [panels, sensors]: [u64; 2], seed: u64, [initial, optimised]: [f64; 2]) -> Trial {
+    Trial {
+        setting: flatten(&setting).into_iter().collect(),
+        panels,
+        sensors,
+        cluster: Cluster { placement: seed, seed: 1 },
+        errors: [[Some(initial); 2], [Some(optimised); 2]],
+        ..Trial::default()
+    }
+}
+
+fn scene(stimuli: &str, kind: &str) -> Value {
+    json!({"body": {"layout": "planar"}, "stimuli": {"kind": stimuli}, "brain": {"kind": kind}})
+}
+
+fn rated(number: usize, trials: &[Trial]) -> (String, Option<Rating>) {
+    summary(&CLAIMS[number].evidence(trials))
+}
+
+/// Twofold holds with a brain whose ratio is about 2, in part with one of 1.5, fails below 1, is open with three seeds.
+#[test]
+fn a_factor_is_held_against_its_interval() {
+    let of = |kind: &str, factor: f64, seeds: u64| -> Vec<Trial> {
+        let at = |seed| {
+            trial(
+                scene("bell", kind),
+                [2, 1],
+                seed,
+                [factor * (10.0 + seed as f64), 10.0 + 1.1 * seed as f64],
+            )
+        };
+        (1..=seeds).map(at).collect()
+    };
+    for (factor, seeds, rating) in
+        [(2.1, 5, Rating::Holds), (1.5, 5, Rating::InPart), (0.7, 5, Rating::Fails), (2.1, 3, Rating::Open)]
+    {
+        assert_eq!(
+            rated(0, &of("linear", factor, seeds)),
+            (rating.name().to_owned(), Some(rating)),
+            "{factor}"
+        );
+    }
+    let both = [of("linear", 2.1, 5), of("cnn", 0.7, 5)].concat();
+    assert_eq!(rated(0, &both), ("depends: holds with linear · fails with cnn".into(), None));
+    assert_eq!(rated(3, &both), ("not tried".into(), None));
+}
+
+/// Blows gain 4, pulses 2, and the other way round.
+#[test]
+fn gains_are_compared_seed_by_seed() {
+    let of = |stimuli: &str, factor: f64| -> Vec<Trial> {
+        let at =
+            |seed| trial(scene(stimuli, "linear"), [2, 1], seed, [factor * (1.0 + 0.02 * seed as f64), 1.0]);
+        (1..=4).map(at).collect()
+    };
+    assert_eq!(rated(4, &[of("irregular", 4.0), of("bell", 2.0)].concat()).1, Some(Rating::Holds));
+    assert_eq!(rated(4, &[of("irregular", 2.0), of("bell", 4.0)].concat()).1, Some(Rating::Fails));
+}
+
+/// Curves over M of four placements: an elbow where the errors bend, two against six, a spread that training takes.
+#[test]
+fn curves_are_judged_by_votes() {
+    let of = |initial: [f64; 6], trained: [f64; 6], kept: f64| -> Vec<Trial> {
+        let at = |placement: u64, m: usize| {
+            let level = 0.1 * placement as f64 * if m % 2 == 0 { 1.0 } else { -1.0 };
+            let errors = [initial[m] * level.exp(), trained[m] * (kept * level).exp()];
+            trial(scene("bell", "linear"), [4, m as u64 + 1], placement, errors)
+        };
+        (1..=4).flat_map(|placement| (0..6).map(move |m| at(placement, m))).collect()
+    };
+    let initial = [40.0, 32.0, 26.0, 22.0, 20.0, 18.0];
+    let early = of(initial, [30.0, 8.0, 7.8, 7.6, 7.5, 7.4], 0.1);
+    let found: Vec<_> = (7..=10).map(|number| rated(number, &early).1).collect();
+    assert_eq!(found, [Some(Rating::Holds); 4], "{found:?}");
+    let late = of(initial, [39.0, 30.0, 20.0, 5.0, 4.9, 4.8], 3.0);
+    let found: Vec<_> = (8..=10).map(|number| rated(number, &late).1).collect();
+    assert_eq!(found, [Some(Rating::Fails); 3], "{found:?}");
+}

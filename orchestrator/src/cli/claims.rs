@@ -1,0 +1,60 @@
+//! `claims`: the paper's claims, each rated by the trials that can tell.
+
+use std::path::PathBuf;
+
+use maud::html;
+
+use super::report::write_figures;
+use super::{Error, Format, print_rows, write};
+use crate::exit::Exit;
+use crate::look::page;
+use crate::provenance;
+use crate::report::claims::{claims_table, evidence_table, figure, tried};
+use crate::report::load::finished_trials;
+use crate::store::Reader;
+
+/// Rates the claims of arXiv:2605.23967 by finished trials: holds, in part, fails, open, or by which brain it depends
+///
+/// The specs in schemas/claims have the trials that it takes; run them into one database (run SPEC --db FILE).
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The database
+    db: PathBuf,
+    /// A row a claim, brain and set, with ratios, intervals and votes, instead of a row a claim
+    #[arg(long)]
+    evidence: bool,
+    /// Also write both tables (CSV), the picture (SVG) and a page of all (index.html) into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let (trials, made) = Reader::asked(&args.db, async |reader| {
+        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?))
+    })
+    .await?;
+    let found = tried(&trials);
+    let [claims, evidence] = [claims_table(&found), evidence_table(&found)];
+    print_rows(if args.evidence { &evidence } else { &claims }, args.format)?;
+    if let Some(folder) = &args.out {
+        let drawn: Vec<_> = figure(&found).into_iter().collect();
+        write_figures(folder, &drawn)?;
+        write(&folder.join("claims.csv"), claims.shortened().csv())?;
+        write(&folder.join("evidence.csv"), evidence.shortened().csv())?;
+        let content = html! {
+            (claims.html(None))
+            @for figure in &drawn { (figure.html(&[])) }
+            h2 { "Evidence" }
+            (evidence.html(Some("evidence")))
+        };
+        let question = "Does what arXiv:2605.23967 claims hold, and with which brain?";
+        write(&folder.join("index.html"), page("The paper's claims", question, &content))?;
+    }
+    if let Some(mixed) = provenance::mixed(&made) {
+        say!("{mixed}");
+    }
+    Ok(Exit::Done)
+}

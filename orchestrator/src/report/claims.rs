@@ -1,0 +1,111 @@
+//! The paper's claims: tables of what they come to and of the evidence, and the picture of it.
+
+use serde_json::{Value, json};
+
+use crate::analysis::claims::{CLAIMS, Evidence, Rating, summary};
+use crate::analysis::{Set, Trial};
+use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
+
+/// What a database's trials say of every claim, in the paper's order.
+#[must_use]
+pub fn tried(trials: &[Trial]) -> Vec<Vec<Evidence>> {
+    CLAIMS.iter().map(|claim| claim.evidence(trials)).collect()
+}
+
+/// A row a claim: what it comes to, and the spec that shows it.
+#[must_use]
+pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
+    let rows = CLAIMS.iter().zip(found).enumerate().map(|(i, (claim, evidence))| {
+        row![
+            i + 1,
+            claim.says,
+            claim.source,
+            summary(evidence).0,
+            format!("schemas/claims/{}.toml", claim.spec)
+        ]
+    });
+    Table::new("claim says source rating spec", rows)
+}
+
+/// A row a claim, brain and set: the ratio with its interval, votes, and over what they are.
+#[must_use]
+pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
+    let mut rows = Vec::new();
+    for (i, (claim, evidence)) in CLAIMS.iter().zip(found).enumerate() {
+        for e in evidence {
+            let [low, high] =
+                e.interval.map_or([Value::Null, Value::Null], |i| [json!(i.low), json!(i.high)]);
+            let note = (!e.note.is_empty()).then_some(&e.note);
+            let ratio = row![e.rating.name(), claim.stated, e.found, low, high, note, e.trials, e.over];
+            rows.push([row![i + 1, e.who, e.set], ratio].concat());
+        }
+    }
+    Table::new("claim with set rating stated found low high note trials over", rows)
+}
+
+/// The class of a rating's marks.
+fn class(rating: Rating) -> &'static str {
+    match rating {
+        Rating::Holds => "fifth",
+        Rating::InPart => "fourth",
+        Rating::Fails => "optimised",
+        Rating::Open => "truth",
+    }
+}
+
+/// Height of a row (px).
+const ROW: f64 = 16.0;
+
+/// Every ratio of the holdout with its interval, a row each, beside the paper's; `None` where there is none.
+#[must_use]
+pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
+    let of_holdout =
+        |e: &&Evidence| e.found.is_some() && ![Set::Test.name(), "training loss"].contains(&e.set);
+    let rows: Vec<(usize, &Evidence)> = found
+        .iter()
+        .enumerate()
+        .flat_map(|(i, evidence)| evidence.iter().filter(of_holdout).map(move |e| (i, e)))
+        .collect();
+    let ends = |e: &Evidence| e.interval.map_or([e.found; 2], |i| [Some(i.low), Some(i.high)]);
+    let values = rows.iter().flat_map(|(i, e)| ends(e).into_iter().flatten().chain([CLAIMS[*i].stated, 1.0]));
+    let x = Axis::new("ratio (above 1: as claimed)", Scale::Log, values);
+    let at = |row: usize| -(row as f64);
+    let first = |row: usize| row == 0 || rows[row - 1].0 != rows[row].0;
+    let names =
+        (0..rows.len()).filter(|row| first(*row)).map(|row| (at(row), format!("no. {}", rows[row].0 + 1)));
+    let y = Axis::new("claim", Scale::Linear, [at(rows.len()), 1.0]).with_names(names.collect());
+    let notes: Vec<String> =
+        rows.iter().map(|(_, e)| format!("{} {}", number(e.found.unwrap_or(1.0)), e.who)).collect();
+    let height = 70.0 + ROW * rows.len() as f64;
+    let mut plot = Plot::new("Initial over trained, and other ratios", x, y)
+        .sized(560.0, height)
+        .with_room(notes.iter().map(|n| &**n));
+    plot.vertical("", 1.0, "", 0);
+    for (row, ((i, e), note)) in rows.iter().zip(&notes).enumerate() {
+        let (Some(ratio), [Some(low), Some(high)]) = (e.found, ends(e)) else { continue };
+        plot.line(class(e.rating), [(low, at(row)), (high, at(row))]);
+        plot.dots(class(e.rating), [((ratio, at(row)), format!("{}: {note}", CLAIMS[*i].says))]);
+        if CLAIMS[*i].stated > 1.0 {
+            plot.rings([((CLAIMS[*i].stated, at(row)), format!("the paper: {}", CLAIMS[*i].stated))]);
+        }
+        plot.note((high.max(CLAIMS[*i].stated), at(row)), note);
+    }
+    let keys = [
+        (class(Rating::Holds), "holds"),
+        (class(Rating::InPart), "in part"),
+        (class(Rating::Fails), "fails"),
+        (class(Rating::Open), "open"),
+        ("ring", "the paper's number"),
+    ];
+    (!rows.is_empty()).then(|| {
+        Figure::new(
+            "claims",
+            "Beside the paper's numbers",
+            "Ratios on samples that neither loop has seen, with 95 % intervals over seeds and placements; numbers are those of \
+             the table.",
+            legend(&keys),
+            vec![plot.picture()],
+            evidence_table(found),
+        )
+    })
+}
