@@ -69,7 +69,7 @@ fn gains_are_compared_seed_by_seed() {
 fn curves_are_judged_by_votes() {
     let of = |initial: [f64; 6], trained: [f64; 6], kept: f64| -> Vec<Trial> {
         let at = |placement: u64, m: usize| {
-            let level = 0.1 * placement as f64 * if m % 2 == 0 { 1.0 } else { -1.0 };
+            let level = 0.1 * placement as f64 * if m.is_multiple_of(2) { 1.0 } else { -1.0 };
             let errors = [initial[m] * level.exp(), trained[m] * (kept * level).exp()];
             trial(scene("bell", "linear"), [4, m as u64 + 1], placement, errors)
         };
