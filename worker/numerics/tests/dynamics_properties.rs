@@ -6,7 +6,8 @@ use common::{norm, pool, relative};
 use metasense_numerics::body::{Geometry, Layout};
 use metasense_numerics::dynamics::{
     Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Solver, Stiffness, choose,
-    highest_frequency, pull_back, pull_back_parameters, run, run_at, signal_error, simulate, tune,
+    highest_frequency, pull_back, pull_back_forces, pull_back_parameters, run, run_at, signal_error,
+    simulate, tune,
 };
 use metasense_numerics::simd::Width;
 use std::f64::consts::TAU;
@@ -82,13 +83,20 @@ fn every_width_computes_the_same() {
                 assert_eq!(run.width, width);
                 let gradient =
                     pull_back_parameters(&scene, &design, &forces, &run, &samples, &run.signals, &pool);
-                (run.signals, gradient.design, gradient.parameters.expect("asked for").array())
+                let parameters = gradient.parameters.expect("asked for").array();
+                let forces = pull_back_forces(&scene, &design, &forces, &run, &samples, &run.signals, &pool);
+                (run.signals, gradient.design, parameters, forces.forces.expect("asked for"))
             };
             let truth = at(Width::Baseline);
             for width in Width::ALL.into_iter().filter(|w| *w <= Width::detect()).skip(1) {
                 let of = at(width);
-                let off =
-                    relative(&of.0, &truth.0).max(relative(&of.1, &truth.1)).max(relative(&of.2, &truth.2));
+                let off = [
+                    relative(&of.0, &truth.0),
+                    relative(&of.1, &truth.1),
+                    relative(&of.2, &truth.2),
+                    relative(&of.3, &truth.3),
+                ];
+                let off = off.into_iter().fold(0.0, f64::max);
                 apart.push((width, method, off));
             }
         }
@@ -117,12 +125,12 @@ fn coarse_steps_in_single_precision_are_those_in_double() {
                     assert_eq!(plan.single(), tolerance > 0.0);
                     let run = run_at(width, &scene, &design, &forces, &plan, true, &pool(1));
                     assert_eq!(run.outcomes, [Outcome::Ok; 19]);
-                    let design =
-                        pull_back(&scene, &design, &forces, &run, &samples, &run.signals, &pool(1)).design;
-                    (run.signals, design)
+                    let gradient =
+                        pull_back_forces(&scene, &design, &forces, &run, &samples, &run.signals, &pool(1));
+                    [run.signals, gradient.design, gradient.forces.expect("asked for")]
                 };
                 let (single, double) = (at(COARSE, steps), at(0.0, steps));
-                apart.push([relative(&single.0, &double.0), relative(&single.1, &double.1)]);
+                apart.push([0, 1, 2].map(|i| relative(&single[i], &double[i])));
             }
         }
     }
@@ -174,6 +182,104 @@ fn samples_begin_with_their_forces() {
         }
     }
 }
+
+/// |J(f + εδ) − J(f) − ε g·δ| falls with slope 2 in the forces, J half the square of the signals' norm, with two kinks an interval.
+#[test]
+fn gradients_in_the_forces_pass_a_taylor_test() {
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let base = small_scene();
+    let mut slopes = Vec::new();
+    for scene in [base.clone(), Scene { frame: Frame::Body, contact, ..base }] {
+        let fine = Scene { instants: 2 * scene.instants, ..scene.clone() };
+        let (design, forces) = (shaken(&scene), pushes(&fine, 9, 0.4));
+        let samples: Vec<usize> = (0..forces.samples).collect();
+        for (method, steps) in [(Method::Tsit5, 0), (Method::Leapfrog, 60), (Method::Nystrom6, 12)] {
+            let plan = plan(method, steps);
+            let at = |forces: &Forces| run(&scene, &design, forces, &plan, true, &pool(1));
+            let here = at(&forces);
+            let size = norm(&here.signals).powi(2);
+            let cotangent: Vec<f64> = here.signals.iter().map(|s| s / size).collect();
+            let gradient = pull_back_forces(&scene, &design, &forces, &here, &samples, &cotangent, &pool(1));
+            let gradient = gradient.forces.expect("asked for");
+            let wave = |i: usize| 0.5 * (0.13 * i as f64).sin() + 0.2 * (2.1 * i as f64).sin();
+            let along: Vec<f64> = (0..gradient.len()).map(wave).collect();
+            let slope: f64 = gradient.iter().zip(&along).map(|(g, a)| g * a).sum();
+            assert!(slope != 0.0);
+            let r = [0.01, 0.005, 0.0025].map(|epsilon| {
+                let values = forces.values.iter().zip(&along).map(|(f, a)| f + epsilon * a).collect();
+                let there = norm(&at(&Forces { values, ..forces }).signals).powi(2) / size;
+                (0.5 * (there - 1.0) - epsilon * slope).abs()
+            });
+            slopes.push((method, (r[0] / r[1]).log2(), (r[1] / r[2]).log2()));
+        }
+    }
+    assert!(slopes.iter().all(|(_, a, b)| [a, b].iter().all(|s| (1.9..2.1).contains(*s))), "{slopes:?}");
+}
+
+/// Forces that are zero have a gradient, too: before a sample's first force, and of one that has none; a sample that failed has
+/// none. Who asks for no such gradient pays for none: sweeps begin with the forces, and dα is the same.
+#[test]
+fn forces_of_zero_have_a_gradient() {
+    let scene = small_scene();
+    let (design, mut forces) = (shaken(&scene), pushes(&scene, 4, 0.4));
+    let row = scene.instants + 1;
+    for (i, history) in forces.values.chunks_mut(2 * row).enumerate() {
+        for (n, f) in history.iter_mut().enumerate() {
+            *f *= [f64::from(u8::from(n % row > 9)), 1.0, 0.0, 1e300][i];
+        }
+    }
+    for (method, steps) in [(Method::Tsit5, 0), (Method::Leapfrog, 60), (Method::Nystrom4, 24)] {
+        let plan = plan(method, steps);
+        let at = |forces: &Forces| run(&scene, &design, forces, &plan, true, &pool(1));
+        let here = at(&forces);
+        assert!(
+            here.outcomes[..3] == [Outcome::Ok; 3] && here.outcomes[3] != Outcome::Ok,
+            "{:?}",
+            here.outcomes
+        );
+        let cotangent: Vec<f64> = (0..here.signals.len()).map(|i| (0.7 * i as f64).sin()).collect();
+        let ask = |pull_back: Reverse| {
+            pull_back(&scene, &design, &forces, &here, &[0, 1, 2, 3], &cotangent, &pool(1))
+        };
+        let (plain, gradient) = (ask(pull_back), ask(pull_back_forces));
+        let off = relative(&gradient.design, &plain.design);
+        assert!(off < 1e-11 && plain.forces.is_none(), "{method:?}: {off:e}");
+        let work = |pull_back: Reverse| {
+            let own = &cotangent[..cotangent.len() / 4];
+            pull_back(&scene, &design, &forces, &here, &[0], own, &pool(1)).counters.force_evaluations
+        };
+        let (less, more) = (work(pull_back), work(pull_back_forces));
+        assert_eq!(less < more, method != Method::Tsit5, "{method:?}: {less} {more}");
+        let found = gradient.forces.expect("asked for");
+        assert!(found[3 * 2 * row..].iter().all(|g| *g == 0.0));
+        // Where nothing moves, adaptive steps are too long to tell what would: differences take others.
+        let entries = [10, 2 * row + 7, 3 * row, 5, row + 3, 4 * row, 5 * row + 12];
+        for at_entry in &entries[..if method == Method::Tsit5 { 3 } else { 7 }] {
+            let value = |step: f64| {
+                let mut moved = forces.clone();
+                moved.values[*at_entry] += step;
+                at(&moved).signals.iter().zip(&cotangent).map(|(s, c)| s * c).sum::<f64>()
+            };
+            let slope = (value(1e-3) - value(-1e-3)) / 2e-3;
+            let apart = (found[*at_entry] / slope - 1.0).abs();
+            assert!(
+                apart < 1e-4 && slope != 0.0,
+                "{method:?}, entry {at_entry}: {} {slope}",
+                found[*at_entry]
+            );
+        }
+    }
+}
+
+type Reverse = fn(
+    &Scene,
+    &[f64],
+    &Forces,
+    &metasense_numerics::dynamics::Simulation,
+    &[usize],
+    &[f64],
+    &rayon::ThreadPool,
+) -> metasense_numerics::dynamics::Gradient;
 
 /// Lanczos' estimate against the reference scene's highest mode, 664 Hz.
 #[test]

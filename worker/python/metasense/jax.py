@@ -25,8 +25,8 @@ _LOCK = threading.Lock()
 def signals(body: Body, alpha: Any, forces: Any) -> jax.Array:
     """What the sensors of `body` feel, (N, T, 3M) (mm/s², rad/s), with the design `alpha` under `forces` (N, K, T + 1) (N).
 
-    Differentiable in `alpha`, not in `forces`: taking a gradient in these raises TypeError. A sample that does not reach
-    its end raises SimulationError from the computation.
+    Differentiable in both; the gradient in `forces` is computed only where it is asked for. A sample that does not reach its
+    end raises SimulationError from the computation.
     """
     found: jax.Array = _signals(body, jnp.asarray(alpha), jnp.asarray(forces))
     return found
@@ -58,8 +58,7 @@ def _signals(body: Body, alpha: jax.Array, forces: jax.Array) -> jax.Array:
 
 
 def _forward(body: Body, alpha: Any, forces: Any) -> Any:
-    if forces.perturbed:
-        raise TypeError("metasense.jax.signals cannot be differentiated in `forces`, only in `alpha`")
+    asked = forces.perturbed
     alpha, forces = alpha.value, forces.value
     out = _shape(body, forces)
 
@@ -74,11 +73,11 @@ def _forward(body: Body, alpha: Any, forces: Any) -> Any:
 
     number = _like((), jnp.int32)
     values, number = jax.pure_callback(call, (out, number), alpha, forces, vmap_method="sequential")
-    return values, (alpha, forces, number)
+    return values, (alpha, forces, number, number if asked else None)
 
 
 def _backward(body: Body, kept: Any, cotangent: Any) -> Any:
-    alpha, forces, number = kept
+    alpha, forces, number, asked = kept
     if isinstance(cotangent, jax.custom_derivatives.SymbolicZero):
         return jnp.zeros_like(alpha), jnp.zeros_like(forces)
 
@@ -87,11 +86,14 @@ def _backward(body: Body, kept: Any, cotangent: Any) -> Any:
             simulation = _KEPT.get(int(number))
         if simulation is None:  # others came in between
             simulation = _simulated(body, alpha, forces, True)
-        return simulation.vjp(np.asarray(cotangent)).astype(alpha.dtype, copy=False)
+        if asked is None:
+            return simulation.vjp(np.asarray(cotangent)).astype(alpha.dtype, copy=False), ()
+        in_alpha, in_forces = simulation.vjp_forces(np.asarray(cotangent))
+        return in_alpha.astype(alpha.dtype, copy=False), in_forces.astype(forces.dtype, copy=False)
 
-    out = _like(alpha.shape, alpha.dtype)
-    gradient = jax.pure_callback(call, out, alpha, forces, number, cotangent, vmap_method="sequential")
-    return gradient, jnp.zeros_like(forces)
+    out = _like(alpha.shape, alpha.dtype), () if asked is None else _like(forces.shape, forces.dtype)
+    found = jax.pure_callback(call, out, alpha, forces, number, cotangent, vmap_method="sequential")
+    return found[0], jnp.zeros_like(forces) if asked is None else found[1]
 
 
 _signals.defvjp(_forward, _backward, symbolic_zeros=True)

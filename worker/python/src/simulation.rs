@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use metasense_numerics::dynamics::{
-    self, Forces, Outcome, Parameters, Scene, Tuned, pull_back, pull_back_parameters, push_forward,
+    self, Direction, Forces, Gradient, Outcome, Parameters, Scene, Tuned, pull_back, pull_back_forces,
+    pull_back_parameters, push_forward,
 };
 use metasense_worker::simulate::{check_cotangent, finite};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
@@ -99,7 +100,7 @@ impl Simulation {
         py: Python<'py>,
         cotangent: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        Ok(self.gradient(py, cotangent, false)?.design.into_pyarray(py))
+        Ok(self.gradient(py, cotangent, pull_back)?.design.into_pyarray(py))
     }
 
     /// As `vjp`, and the derivatives in the material: "stiffness" (3) [stretch, shear, bend], "damping_ratio", "density".
@@ -108,7 +109,7 @@ impl Simulation {
         py: Python<'py>,
         cotangent: &Bound<'py, PyAny>,
     ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyDict>)> {
-        let found = self.gradient(py, cotangent, true)?;
+        let found = self.gradient(py, cotangent, pull_back_parameters)?;
         let p = found.parameters.expect("asked for");
         let material = PyDict::new(py);
         material.set_item("stiffness", vec![p.stretch, p.shear, p.bend].into_pyarray(py))?;
@@ -117,13 +118,23 @@ impl Simulation {
         Ok((found.design.into_pyarray(py), material))
     }
 
-    /// Derivative of the signals (N, T, 3M) along `tangent` in α and, where given, along those in the material; its steps
-    /// held. Made to check and to linearise: it takes some hundred times as long as `vjp`. Zero of samples that failed.
-    #[pyo3(signature = (tangent, *, stiffness=None, damping_ratio=0.0, density=0.0))]
+    /// As `vjp`, and the derivative in the forces (N, K, R + 1), also at instants where there are none. It takes longer by what
+    /// samples are still before their first force; dα is that of `vjp` but for rounding.
+    fn vjp_forces<'py>(&self, py: Python<'py>, cotangent: &Bound<'py, PyAny>) -> PyResult<InBoth<'py>> {
+        let found = self.gradient(py, cotangent, pull_back_forces)?;
+        let Forces { samples, panels, instants, .. } = self.forces;
+        let forces = found.forces.expect("asked for").into_pyarray(py);
+        Ok((found.design.into_pyarray(py), forces.reshape([samples, panels, instants + 1])?))
+    }
+
+    /// Derivative of the signals (N, T, 3M) along `tangent` in α and, where given, along those in the forces (N, K, R + 1) and in
+    /// the material; its steps held. Made to check and to linearise: it takes some hundred times as long as `vjp`. Zero of samples that failed.
+    #[pyo3(signature = (tangent, *, forces=None, stiffness=None, damping_ratio=0.0, density=0.0))]
     fn jvp<'py>(
         &self,
         py: Python<'py>,
         tangent: &Bound<'py, PyAny>,
+        forces: Option<&Bound<'py, PyAny>>,
         stiffness: Option<&Bound<'py, PyAny>>,
         damping_ratio: f64,
         density: f64,
@@ -134,22 +145,35 @@ impl Simulation {
             let (given, expected) = (tangent.len(), self.design.len());
             return Err(PyValueError::new_err(format!("the tangent has {given} numbers, α {expected}")));
         }
+        let given = &self.forces;
+        let pushed = forces.map(|forces| numbers("forces", forces)).transpose()?;
+        let pushed = pushed.unwrap_or_else(|| Numbers { shape: Vec::new(), values: Vec::new() });
+        let shape = [given.samples, given.panels, given.instants + 1];
+        if forces.is_some() && pushed.shape != shape {
+            return Err(PyValueError::new_err(format!(
+                "the tangent of the forces has shape {:?}, the forces {shape:?}",
+                pushed.shape
+            )));
+        }
         let k = stiffness.map_or(Ok(vec![0.0; 3]), |k| vector("stiffness", k))?;
         let [stretch, shear, bend] = k[..] else {
             let remedy = "must be [stretch, shear, bend]";
             return Err(PyValueError::new_err(format!("stiffness = {k:?}: {remedy}")));
         };
-        finite("the tangents", &[&tangent[..], &k, &[damping_ratio, density]].concat())
+        finite("the tangents", &[&tangent[..], &pushed.values, &k, &[damping_ratio, density]].concat())
             .map_err(|e| raised(&e))?;
-        let along = Parameters { stretch, shear, bend, damping_ratio, density, contact: 0.0 };
+        let parameters = Parameters { stretch, shear, bend, damping_ratio, density, contact: 0.0 };
         let (instants, channels) = (self.scene.instants, 3 * self.scene.sensors.len());
         let one = |sample: usize| match self.run.outcomes[sample] {
             Outcome::Ok => {
-                push_forward(&self.scene, &self.design, &tangent, along, &self.forces, &self.run, sample).1
+                let len = pushed.values.len() / given.samples;
+                let forces = &pushed.values[sample * len..][..len];
+                let along = Direction { design: &tangent, parameters, forces };
+                push_forward(&self.scene, &self.design, along, given, &self.run, sample).1
             }
             _ => vec![0.0; instants * channels],
         };
-        let samples = self.forces.samples;
+        let samples = given.samples;
         let found: Vec<Vec<f64>> =
             py.detach(|| self.pool.install(|| (0..samples).into_par_iter().map(one).collect()));
         found.concat().into_pyarray(py).reshape([samples, instants, channels])
@@ -162,21 +186,21 @@ impl Simulation {
     }
 }
 
+/// Derivatives in α and in the forces.
+type InBoth<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
+
+/// One of the reverse sweeps.
+type Reverse = fn(&Scene, &[f64], &Forces, &dynamics::Simulation, &[usize], &[f64], &ThreadPool) -> Gradient;
+
 impl Simulation {
-    fn gradient(
-        &self,
-        py: Python<'_>,
-        cotangent: &Bound<'_, PyAny>,
-        material: bool,
-    ) -> PyResult<dynamics::Gradient> {
+    fn gradient(&self, py: Python<'_>, cotangent: &Bound<'_, PyAny>, reverse: Reverse) -> PyResult<Gradient> {
         self.taped()?;
         let Numbers { shape, values } = numbers("cotangent", cotangent)?;
         check_cotangent(&self.scene, self.forces.samples, &shape, &values).map_err(|e| raised(&e))?;
         let Self { pool, scene, design, forces, run, .. } = self;
         let all: Vec<usize> = (0..forces.samples).collect();
-        let reverse = if material { pull_back_parameters } else { pull_back };
         let found = py.detach(|| reverse(scene, design, forces, run, &all, &values, pool));
-        match found.design.iter().all(|g| g.is_finite()) {
+        match found.design.iter().chain(found.forces.iter().flatten()).all(|g| g.is_finite()) {
             true => Ok(found),
             false => Err(PyRuntimeError::new_err("the gradient is not finite")),
         }

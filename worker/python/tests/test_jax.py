@@ -47,9 +47,19 @@ def test_vmap_over_designs_and_over_forces(body, rng):
         assert np.array_equal(gradient, body.simulate(body.alpha, one).vjp(np.ones((3, 30, 3))))
 
 
-def test_a_gradient_in_forces_is_refused(body):
-    with pytest.raises(TypeError, match="cannot be differentiated in `forces`"):
-        jax.grad(lambda f: jnp.sum(signals(body, body.alpha, f)))(body.stimuli("test"))
+def test_check_grads_in_forces(body):
+    forces = body.stimuli("train")[:3]
+    scale = np.abs(body.simulate(body.alpha, forces).signals).max(axis=(0, 1))
+    check_grads(lambda a, f: signals(body, a, f) / scale, (body.alpha, forces), 1, ["rev"], rtol=1e-4)
+
+
+def test_gradient_in_forces_is_that_of_vjp_forces(body):
+    forces = body.stimuli("test")
+    pull = body.simulate(body.alpha, forces).vjp_forces(np.ones((3, 30, 3)))
+    both = jax.jit(jax.grad(lambda a, f: jnp.sum(signals(body, a, f)), argnums=(0, 1)))(body.alpha, forces)
+    assert all(map(np.array_equal, both, pull))
+    alone = jax.vmap(jax.grad(lambda f: jnp.sum(signals(body, body.alpha, f))))(forces[None])
+    assert np.array_equal(alone[0], pull[1]) and np.any(alone[0])
 
 
 def test_a_failed_sample_raises(body):

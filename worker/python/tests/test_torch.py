@@ -23,7 +23,16 @@ def test_gradient_is_that_of_vjp(body):
     assert np.array_equal(alpha.grad.numpy(), simulation.vjp(2 * simulation.signals))
 
 
-def test_a_gradient_in_forces_is_refused(body):
+def test_gradcheck_in_forces(body):
+    forces = torch.from_numpy(body.stimuli("train")[:2]).requires_grad_()
+    scale = torch.from_numpy(np.abs(body.simulate(body.alpha, forces.detach().numpy()).signals).max(axis=(0, 1)))
+    alpha = torch.from_numpy(body.alpha)
+    assert torch.autograd.gradcheck(lambda f: signals(body, alpha, f) / scale, (forces,), rtol=1e-4, atol=1e-6)
+
+
+def test_gradients_in_both_are_those_of_vjp_forces(body):
     forces = torch.from_numpy(body.stimuli("test")).requires_grad_()
-    with pytest.raises(TypeError, match="cannot be differentiated in `forces`"):
-        signals(body, torch.from_numpy(body.alpha), forces)
+    alpha = torch.from_numpy(body.alpha).requires_grad_()
+    signals(body, alpha, forces).sum().backward()
+    pull = body.simulate(body.alpha, body.stimuli("test")).vjp_forces(np.ones((3, 30, 3)))
+    assert np.array_equal(alpha.grad.numpy(), pull[0]) and np.array_equal(forces.grad.numpy(), pull[1])

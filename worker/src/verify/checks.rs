@@ -4,8 +4,8 @@ use super::{Row, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Contact, Forces, Frame, Method, Panel, Parameters, Plan, Scene, Simulation, Solver, Stiffness, choose,
-    damping, energy, pull_back, pull_back_parameters, push_forward, run, simulate,
+    Contact, Direction, Forces, Frame, Method, Panel, Parameters, Plan, Scene, Simulation, Solver, Stiffness,
+    choose, damping, energy, pull_back, pull_back_forces, pull_back_parameters, push_forward, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
@@ -234,9 +234,8 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
     ];
     let mut stream = Stream::new(Purpose::Design, 6, [0, 0]);
     let solver = Solver { tolerance: solver.tolerance.max(1e-7), ..solver };
-    let still = vec![0.0; design.len()];
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let mut worst = [("", 0.0); 3];
+    let mut worst = [("", 0.0); 4];
     for (name, scene, kinks) in scenes {
         let instants = kinks * blow.instants;
         // Accelerations of slow motion are small differences of large forces, and mostly rounding at 1e-12.
@@ -245,32 +244,39 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
         let simulation = simulate(&scene, &design, &forces, &solver, true, pool);
         let v: Vec<f64> = design.iter().map(|_| stream.normal()).collect();
         let turned = Parameters::of(&scene).array().map(|p| p * stream.normal());
-        let mut apart = |v: &[f64], parameters: Parameters| {
-            let (signals, along) = push_forward(&scene, &design, v, parameters, &forces, &simulation, 0);
+        let pushed: Vec<f64> = forces.values.iter().map(|_| 0.1 * stream.normal()).collect();
+        let mut apart = |v: Direction<'_>| {
+            let (signals, along) = push_forward(&scene, &design, v, &forces, &simulation, 0);
             // Of one sign with J v, lest the sum cancel
             let w: Vec<f64> = along.iter().map(|a| a * stream.normal().abs()).collect();
-            let gradient = pull_back_parameters(&scene, &design, &forces, &simulation, &[0], &w, pool);
+            let reverse = if v.forces.is_empty() { pull_back_parameters } else { pull_back_forces };
+            let gradient = reverse(&scene, &design, &forces, &simulation, &[0], &w, pool);
             let slopes = gradient.parameters.unwrap_or_default().array();
-            let ours = dot(&gradient.design, v) + dot(&slopes, &parameters.array());
+            let ours = dot(&gradient.design, v.design)
+                + dot(&slopes, &v.parameters.array())
+                + dot(&gradient.forces.unwrap_or_default(), v.forces);
             let theirs = dot(&w, &along);
             ((ours - theirs).abs() / theirs.abs(), relative(&simulation.signals, &signals))
         };
-        let (design_apart, signals_apart) = apart(&v, Parameters::default());
-        let (parameters_apart, _) = apart(&still, Parameters::from_array(turned));
-        for (worst, apart) in worst.iter_mut().zip([design_apart, parameters_apart, signals_apart]) {
+        let held = Direction::default();
+        let (design_apart, signals_apart) = apart(Direction { design: &v, ..held });
+        let (parameters_apart, _) = apart(Direction { parameters: Parameters::from_array(turned), ..held });
+        let (forces_apart, _) = apart(Direction { forces: &pushed, ..held });
+        for (worst, apart) in
+            worst.iter_mut().zip([design_apart, parameters_apart, forces_apart, signals_apart])
+        {
             if apart > worst.1 || apart.is_nan() {
                 *worst = (name, apart);
             }
         }
     }
-    ["⟨w, J v⟩ = ⟨Jᵀ w, v⟩", "⟨w, J v⟩ = ⟨Jᵀ w, v⟩ in the parameters", "signals by a plain program"]
-        .into_iter()
-        .zip(worst)
-        .map(|(what, (scene, apart))| {
-            Row::new(format!("{what}, {}", solver.method.name()), apart, 1e-11)
-                .noted(format!("at most, in six scenes: {scene}"))
-        })
-        .collect()
+    let whats = ["", " in the parameters", " in the forces"].map(|at| format!("⟨w, J v⟩ = ⟨Jᵀ w, v⟩{at}"));
+    let whats = whats.into_iter().chain(["signals by a plain program".into()]);
+    let row = |(what, (scene, apart))| {
+        Row::new(format!("{what}, {}", solver.method.name()), apart, 1e-11)
+            .noted(format!("at most, in six scenes: {scene}"))
+    };
+    whats.zip(worst).map(row).collect()
 }
 
 /// What 300 samples of the reference scene keep for their gradient, in MB: the states at the instants and, of adaptive steps

@@ -6,14 +6,16 @@ use super::splitting::{self, Scheme};
 use super::system::{Kernels, Second, System, Unit};
 use super::tsit5::{self, Queue, Slot, Sweep, take};
 use super::vector::{Array, SingleArray, Vector};
-use super::{Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
+use super::{Beside, Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
 use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
 
 type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &Queue<'_, '_>) -> Counters;
-type Reverse =
-    unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], bool) -> (ModelCotangent, Counters);
+type Reverse = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], Beside) -> Swept;
+
+/// The cotangents of a block's model and, where asked for, of each of its histories, (n, K, R+1), and the work done.
+type Swept = (ModelCotangent, Vec<f64>, Counters);
 
 /// Vectors of samples that a reverse sweep of Tsit5 has at most, to make up blocks from.
 const BLOCKS: usize = 5;
@@ -108,17 +110,20 @@ macro_rules! machine {
                 plan: &Plan,
                 parts: usize,
                 sweeps: &[Sweep<'_>],
-                parameters: bool,
-            ) -> (ModelCotangent, Counters) {
+                beside: Beside,
+            ) -> Swept {
+                let (parameters, asked) = (beside == Beside::Parameters, beside == Beside::Forces);
                 let scheme = scheme(plan.method);
                 let kernels = kernels(scene, parameters);
                 let mut system = System::<$vector>::new(scene, model, kernels, scheme.is_none(), parameters);
-                let counters = match scheme {
+                let (histories, counters) = match scheme {
                     None if <$vector>::SINGLE => unreachable!("{plan:?}"),
-                    None => tsit5::reverse(&mut system, forces, sweeps),
-                    Some(scheme) => splitting::reverse(&mut system, &scheme, plan.steps, parts, forces, sweeps),
+                    None => tsit5::reverse(&mut system, forces, sweeps, asked),
+                    Some(scheme) => {
+                        splitting::reverse(&mut system, &scheme, plan.steps, parts, forces, sweeps, asked)
+                    }
                 };
-                (system.take_cotangent(), counters)
+                (system.take_cotangent(), histories, counters)
             }
 
             $(#[target_feature(enable = $feature)])?
@@ -308,7 +313,7 @@ pub fn pull_back(
     simulation: &Simulation,
     samples: &[usize],
     cotangent: &[f64],
-    parameters: bool,
+    beside: Beside,
     pool: &rayon::ThreadPool,
 ) -> Gradient {
     let model = Model::new(scene, design).moving();
@@ -321,6 +326,7 @@ pub fn pull_back(
         .enumerate()
         .filter(|(_, i)| simulation.outcomes[**i] == Outcome::Ok)
         .map(|(at, &i)| Sweep {
+            at,
             tape: &tape.samples[i],
             history: forces.sample(i),
             cotangent: &cotangent[at * len..][..len],
@@ -349,23 +355,30 @@ pub fn pull_back(
             (finer.clone(), dealt[end(t)..end(t + 1)].iter().map(|s| **s).collect::<Vec<Sweep<'_>>>())
         }));
     }
-    let blocks: Vec<(ModelCotangent, Counters)> = pool.install(|| {
+    let swept: Vec<Swept> = pool.install(|| {
         blocks
             .par_iter()
             // SAFETY: `machine` has checked that this machine has the simulation's width.
             .map(|(plan, sweeps)| unsafe {
-                (machine.reverse)(scene, &model, forces, plan, tape.parts, sweeps, parameters)
+                (machine.reverse)(scene, &model, forces, plan, tape.parts, sweeps, beside)
             })
             .collect()
     });
     let mut total = ModelCotangent::new(&model);
     let mut counters = Counters::default();
-    for (cotangent, work) in blocks {
-        total.add(&cotangent);
-        counters += work;
+    let history = forces.panels * (forces.instants + 1);
+    let mut pushed = (beside == Beside::Forces).then(|| vec![0.0; samples.len() * history]);
+    for ((cotangent, histories, work), (_, sweeps)) in swept.iter().zip(&blocks) {
+        total.add(cotangent);
+        counters += *work;
+        if let Some(pushed) = &mut pushed {
+            for (sweep, of) in sweeps.iter().zip(histories.chunks(history.max(1))) {
+                pushed[sweep.at * history..][..history].copy_from_slice(of);
+            }
+        }
     }
-    let parameters = parameters.then(|| total.parameters(&model, scene));
+    let parameters = (beside == Beside::Parameters).then(|| total.parameters(&model, scene));
     let design = total.design(&model, &scene.layout, scene.density);
     let outcomes = samples.iter().map(|&i| simulation.outcomes[i]).collect();
-    Gradient { design, parameters, outcomes, counters }
+    Gradient { design, parameters, forces: pushed, outcomes, counters }
 }

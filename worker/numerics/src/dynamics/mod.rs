@@ -26,7 +26,7 @@ use crate::simd::Width;
 pub use choose::{choose, highest_frequency};
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
 pub use model::damping;
-pub use push_forward::push_forward;
+pub use push_forward::{Direction, push_forward};
 pub use rest::Rest;
 pub use tune::{Tuned, signal_error, tune};
 
@@ -383,10 +383,20 @@ pub struct Gradient {
     pub design: Vec<f64>,
     /// Likewise in the parameters, of `pull_back_parameters`.
     pub parameters: Option<Parameters>,
+    /// Likewise in the histories of the n samples asked for, (n, K, R+1), of `pull_back_forces`.
+    pub forces: Option<Vec<f64>>,
     /// Of the samples asked for; one that is not `Ok` adds nothing.
     pub outcomes: Vec<Outcome>,
     /// Work done.
     pub counters: Counters,
+}
+
+/// What a reverse sweep gives beside the gradient in the design.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Beside {
+    Nothing,
+    Parameters,
+    Forces,
 }
 
 /// Integrates all samples and reads the sensors.
@@ -456,7 +466,7 @@ pub fn pull_back(
     cotangent: &[f64],
     pool: &rayon::ThreadPool,
 ) -> Gradient {
-    reverse(scene, design, forces, simulation, samples, cotangent, false, pool)
+    reverse(scene, design, forces, simulation, samples, cotangent, Beside::Nothing, pool)
 }
 
 /// As `pull_back`, and the gradient in the scene's parameters, those on which damping depends through its formula too.
@@ -472,7 +482,25 @@ pub fn pull_back_parameters(
     cotangent: &[f64],
     pool: &rayon::ThreadPool,
 ) -> Gradient {
-    reverse(scene, design, forces, simulation, samples, cotangent, true, pool)
+    reverse(scene, design, forces, simulation, samples, cotangent, Beside::Parameters, pool)
+}
+
+/// As `pull_back`, and the gradient in the forces at their instants. As these would move a sample before its first force, it is
+/// swept back to its beginning, which `pull_back` does not: that in the design is the same but for rounding. Steps are held: where
+/// nothing moves, Tsit5's are as long as an interval, and what forces would do there is told no better than by these.
+///
+/// # Panics
+/// As `pull_back`.
+pub fn pull_back_forces(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    simulation: &Simulation,
+    samples: &[usize],
+    cotangent: &[f64],
+    pool: &rayon::ThreadPool,
+) -> Gradient {
+    reverse(scene, design, forces, simulation, samples, cotangent, Beside::Forces, pool)
 }
 
 fn reverse(
@@ -482,13 +510,13 @@ fn reverse(
     simulation: &Simulation,
     samples: &[usize],
     cotangent: &[f64],
-    parameters: bool,
+    beside: Beside,
     pool: &rayon::ThreadPool,
 ) -> Gradient {
     check(scene, design, forces);
     let len = samples.len() * scene.instants * 3 * scene.sensors.len();
     assert_eq!(cotangent.len(), len, "length of the cotangent");
-    dispatch::pull_back(scene, design, forces, simulation, samples, cotangent, parameters, pool)
+    dispatch::pull_back(scene, design, forces, simulation, samples, cotangent, beside, pool)
 }
 
 /// Evaluates the forces, or with `second` their derivatives along a direction, so many times on all lanes of one state, of

@@ -1,4 +1,4 @@
-//! Derivative of one sample's signals along a direction in design and parameters: the transpose of `pull_back`, to check it.
+//! Derivative of one sample's signals along a direction in design, parameters and forces: the transpose of `pull_back`, to check it.
 //!
 //! Plain dual numbers a + ε b, ε² = 0, unit by unit and without lanes. Of the production code it takes the coefficients of
 //! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
@@ -90,6 +90,17 @@ fn add(to: &mut State, from: &State) {
     }
 }
 
+/// Along what a derivative is taken.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Direction<'a> {
+    /// In the design; empty: held.
+    pub design: &'a [f64],
+    /// In the scene's parameters.
+    pub parameters: Parameters,
+    /// In the sample's histories, (K, R+1); empty: held.
+    pub forces: &'a [f64],
+}
+
 /// A scene with a design that moves.
 struct Body<'a> {
     scene: &'a Scene,
@@ -101,6 +112,8 @@ struct Body<'a> {
     /// C.
     damping: [Dual; 3],
     history: &'a [f64],
+    /// Of the history.
+    along: &'a [f64],
     forces: &'a Forces,
     tape: &'a Tape,
     sample: usize,
@@ -110,19 +123,19 @@ impl<'a> Body<'a> {
     fn new(
         scene: &'a Scene,
         design: &[f64],
-        (direction, parameters): (&[f64], Parameters),
+        direction: Direction<'a>,
         forces: &'a Forces,
         tape: &'a Tape,
         sample: usize,
     ) -> Self {
         let layout = &scene.layout;
-        let (at, along) = (Parameters::of(scene).array(), parameters.array());
+        let (at, along) = (Parameters::of(scene).array(), direction.parameters.array());
         let [stretch, shear, bend, ratio, density, contact] = std::array::from_fn(|k| Dual(at[k], along[k]));
         let (mut arms, mut mass) = (Vec::new(), Vec::new());
         for u in 0..layout.units() {
             let q: [Pair; 4] = std::array::from_fn(|p| {
                 let (at, group) = (layout.node(design, u, p), layout.groups[u][p]);
-                [0, 1].map(|d| Dual(at[d], direction[2 * group + d]))
+                [0, 1].map(|d| Dual(at[d], or_zero(direction.design, 2 * group + d)))
             });
             let edges = [0, 1, 2, 3].map(|p| (p, (p + 1) % 4));
             let doubled = edges.iter().fold(Dual::default(), |s, &(p, n)| s + cross(q[p], q[n]));
@@ -148,6 +161,7 @@ impl<'a> Body<'a> {
             stiffness: [stretch, shear, bend, contact],
             damping: [shift, shift, turn],
             history: forces.sample(sample),
+            along: direction.forces,
             forces,
             tape,
             sample,
@@ -170,9 +184,10 @@ impl<'a> Body<'a> {
     }
 
     /// f_k at the fraction w of an interval of the forces.
-    fn force(&self, panel: usize, interval: usize, w: f64) -> f64 {
-        let f = &self.history[panel * (self.forces.instants + 1) + interval..];
-        f[0] + w * (f[1] - f[0])
+    fn force(&self, panel: usize, interval: usize, w: f64) -> Dual {
+        let at = panel * (self.forces.instants + 1) + interval;
+        let [start, end] = [at, at + 1].map(|at| Dual(self.history[at], or_zero(self.along, at)));
+        start + w * (end - start)
     }
 
     /// M⁻¹(−∂U/∂s − C v + f), zero where clamped.
@@ -182,7 +197,7 @@ impl<'a> Body<'a> {
         let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
         for (k, panel) in scene.panels.iter().enumerate() {
             for d in 0..2 {
-                let push = Dual(panel.direction[d] * self.force(k, interval, w), 0.0);
+                let push = panel.direction[d] * self.force(k, interval, w);
                 net[panel.unit][d] = net[panel.unit][d] + push;
             }
         }
@@ -262,23 +277,29 @@ impl<'a> Body<'a> {
     }
 }
 
-/// Signals (T, 3M) of one sample of `simulation`, and their derivative along `direction` in the design and `parameters` in the
-/// scene's, its steps held, from the tape's state at each instant to the next.
+/// The entry of a direction, which may be empty.
+fn or_zero(direction: &[f64], at: usize) -> f64 {
+    if direction.is_empty() { 0.0 } else { direction[at] }
+}
+
+/// Signals (T, 3M) of one sample of `simulation`, and their derivative along `direction`, its steps held, from the tape's state
+/// at each instant to the next.
 ///
 /// # Panics
 /// If the simulation kept no tape, the sample failed, or lengths do not fit together.
 pub fn push_forward(
     scene: &Scene,
     design: &[f64],
-    direction: &[f64],
-    parameters: Parameters,
+    direction: Direction<'_>,
     forces: &Forces,
     simulation: &Simulation,
     sample: usize,
 ) -> (Vec<f64>, Vec<f64>) {
-    assert_eq!(direction.len(), design.len(), "length of the direction");
+    for (along, of) in [(direction.design, design), (direction.forces, forces.sample(sample))] {
+        assert!(along.is_empty() || along.len() == of.len(), "{} along {}", along.len(), of.len());
+    }
     let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
-    let body = Body::new(scene, design, (direction, parameters), forces, tape, sample);
+    let body = Body::new(scene, design, direction, forces, tape, sample);
     let tape = &tape.samples[sample];
     let signals = match simulation.plan.method {
         Method::Tsit5 => {

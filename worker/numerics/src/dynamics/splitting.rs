@@ -212,11 +212,12 @@ struct Begin {
 }
 
 impl Begin {
-    fn new(scene: &Scene, model: &Model, forces: &Forces, histories: &[&[f64]]) -> Self {
+    /// By their forces, or all `at_once`.
+    fn new(scene: &Scene, model: &Model, forces: &Forces, histories: &[&[f64]], at_once: bool) -> Self {
         let mut lanes = [scene.instants; MOST];
-        let touches = model.touches();
+        let at_once = at_once || model.touches();
         for (lane, history) in lanes.iter_mut().zip(histories) {
-            *lane = if touches { 0 } else { forces.onset(scene, history) };
+            *lane = if at_once { 0 } else { forces.onset(scene, history) };
         }
         Self { lanes, first: lanes.into_iter().min().unwrap_or(scene.instants) }
     }
@@ -288,7 +289,7 @@ pub fn forward<V: Vector>(
     let width = 3 * scene.sensors.len();
     let instants = scene.instants;
     let histories: Vec<&[f64]> = slots.iter().map(|s| forces.sample(s.index)).collect();
-    let begin = Begin::new(scene, model, forces, &histories);
+    let begin = Begin::new(scene, model, forces, &histories, false);
     let Course { ready, stages, first, last, mut ramp, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
     let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
@@ -425,7 +426,8 @@ impl<V: Vector> System<'_, V> {
     }
 }
 
-/// Sweeps up to a vector of samples backwards, adding to the cotangents of `system`, which has no damping of its own.
+/// Sweeps up to a vector of samples backwards, adding to the cotangents of `system`, which has no damping of its own; returns
+/// those of the histories, (samples, K, R+1), if `forces_asked`.
 #[inline(always)]
 pub fn reverse<V: Vector>(
     system: &mut System<'_, V>,
@@ -434,7 +436,8 @@ pub fn reverse<V: Vector>(
     parts: usize,
     forces: &Forces,
     sweeps: &[Sweep<'_>],
-) -> Counters {
+    forces_asked: bool,
+) -> (Vec<f64>, Counters) {
     let scene = system.scene;
     let model = system.model;
     let free = &model.free;
@@ -443,9 +446,13 @@ pub fn reverse<V: Vector>(
     let instants = scene.instants;
     let zero = V::splat(0.0);
     let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
-    let begin = Begin::new(scene, model, forces, &histories);
+    // What moves from its first force on would by others move before.
+    let begin = Begin::new(scene, model, forces, &histories, forces_asked);
     let Course { ready, stages, first, last, mut ramp, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
+    if forces_asked {
+        ramp.ask();
+    }
     let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
     let mut bars = Bars { x: system.zeros(), v: system.zeros(), w: system.zeros() };
     let mut bar_a = system.zeros();
@@ -453,7 +460,7 @@ pub fn reverse<V: Vector>(
     let mut margin = zero;
     let mut evaluations = 1;
     if begin.first == instants {
-        return Counters::default();
+        return (Vec::new(), Counters::default());
     }
 
     for interval in (begin.first..instants).rev() {
@@ -517,6 +524,7 @@ pub fn reverse<V: Vector>(
             }
             system.prepare(&x, &mut g);
             system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
+            ramp.add_vjp(&scene.panels, &bars.w);
             evaluations += 1;
 
             let begins = if part == 0 { 0 } else { segment_end(part - 1, parts, substeps) };
@@ -543,6 +551,7 @@ pub fn reverse<V: Vector>(
                     let clock = if j == 0 { 0.0 } else { ready.clock[j - 1] };
                     ramp.at(interval * substeps + step, clock, &mut force);
                     system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
+                    ramp.add_vjp(&scene.panels, &bars.w);
                     evaluations += 1;
                 }
             }
@@ -559,6 +568,7 @@ pub fn reverse<V: Vector>(
     }
     system.prepare(&x, &mut g);
     system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
+    ramp.add_vjp(&scene.panels, &bars.w);
     for u in moving {
         for d in 0..3 {
             let pull = V::of(system.inverse_mass[u][d]) * g[u][d];
@@ -567,9 +577,10 @@ pub fn reverse<V: Vector>(
         }
     }
     let lanes = sweeps.len() as u64;
-    Counters {
+    let counters = Counters {
         force_evaluations: lanes * evaluations,
         steps: lanes * ((instants - begin.first) * substeps) as u64,
         rejected: 0,
-    }
+    };
+    (ramp.cotangent(), counters)
 }

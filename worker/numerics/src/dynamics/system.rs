@@ -3,7 +3,7 @@
 use super::ligaments::{Shape, Turn, turns};
 use super::model::{Bar, Model, ModelCotangent};
 use super::vector::{MOST, Scalar, Vector};
-use super::{Forces, Frame, Scene};
+use super::{Forces, Frame, Panel, Scene};
 
 /// (u, v, θ), or what belongs to it, of one unit, in lanes.
 pub type Unit<V> = [V; 3];
@@ -176,6 +176,12 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
+    /// What cotangents of accelerations were made into by the last `acceleration_vjp`: those of forces.
+    #[inline(always)]
+    pub fn weights(&self) -> &[Unit<V>] {
+        &self.w
+    }
+
     /// Turns ∂U/∂s − f into accelerations.
     #[inline(always)]
     fn finish(&self, v: &[Unit<V>], a: &mut [Unit<V>]) {
@@ -301,6 +307,14 @@ impl<'a, V: Vector> System<'a, V> {
     }
 }
 
+impl Panel {
+    /// The cotangent of the force by that of what it does to its unit.
+    #[inline(always)]
+    pub(super) fn push_vjp<V: Vector>(&self, w: &Unit<V>) -> V {
+        V::splat(self.direction[0]) * w[0] + V::splat(self.direction[1]) * w[1]
+    }
+}
+
 /// The sum of the lanes, in order; clears them.
 fn total<V: Vector>(lanes: &mut V) -> f64 {
     let lanes = std::mem::replace(lanes, V::ZERO);
@@ -390,6 +404,10 @@ pub struct Ramp<'a, V> {
     kink: Option<usize>,
     start: Vec<V>,
     rise: Vec<V>,
+    /// Of that ramp, where forces were taken last.
+    part: f64,
+    /// Of the histories, (K, R+1), where asked for.
+    cotangent: Vec<V>,
 }
 
 impl<'a, V: Vector> Ramp<'a, V> {
@@ -398,7 +416,8 @@ impl<'a, V: Vector> Ramp<'a, V> {
     pub fn new(scene: &Scene, forces: &'a Forces, histories: Vec<&'a [f64]>, substeps: usize) -> Self {
         let zero = vec![V::splat(0.0); forces.panels];
         let span = substeps / forces.kinks(scene);
-        Self { forces, histories, span, kink: None, start: zero.clone(), rise: zero }
+        let (start, rise) = (zero.clone(), zero);
+        Self { forces, histories, span, kink: None, start, rise, part: 0.0, cotangent: Vec::new() }
     }
 
     /// Overwrites `force` by the forces at the fraction c of a step, counted from the beginning of the sample.
@@ -409,9 +428,41 @@ impl<'a, V: Vector> Ramp<'a, V> {
             self.load(kink);
         }
         let w = ((step - kink * self.span) as f64 + c) / self.span as f64;
+        self.part = w;
         for ((f, s), r) in force.iter_mut().zip(&self.start).zip(&self.rise) {
             *f = V::splat(w).mul_add(*r, *s);
         }
+    }
+
+    /// From now on `add_vjp` adds.
+    #[inline(always)]
+    pub fn ask(&mut self) {
+        self.cotangent = vec![V::ZERO; self.forces.panels * (self.forces.instants + 1)];
+    }
+
+    /// Adds what the forces given last, whose work on the units has the cotangent `w`, pass on to the histories, where asked.
+    #[inline(always)]
+    pub fn add_vjp(&mut self, panels: &[Panel], w: &[Unit<V>]) {
+        let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
+        let part = V::splat(self.part);
+        for (panel, of) in panels.iter().zip(self.cotangent.chunks_exact_mut(self.forces.instants + 1)) {
+            let bar = panel.push_vjp(&w[panel.unit]);
+            let late = part * bar;
+            of[kink] = of[kink] + (bar - late);
+            of[kink + 1] = of[kink + 1] + late;
+        }
+    }
+
+    /// Of each history in turn, (lanes, K, R+1), or nothing.
+    #[inline(always)]
+    pub fn cotangent(&self) -> Vec<f64> {
+        let mut all = Vec::with_capacity(self.histories.len() * self.cotangent.len());
+        for lane in 0..self.histories.len() {
+            for bar in &self.cotangent {
+                all.push(bar.lane(lane));
+            }
+        }
+        all
     }
 
     #[inline(always)]

@@ -278,6 +278,8 @@ fn copy_lane<V: Vector>(a: &mut [Vec<Unit<V>>; 7], lane: usize) {
 /// One sample's part in a reverse sweep.
 #[derive(Clone, Copy)]
 pub struct Sweep<'a> {
+    /// Its place among the samples asked for.
+    pub at: usize,
     /// Its tape.
     pub tape: &'a SampleTape,
     /// Its forces.

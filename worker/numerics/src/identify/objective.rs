@@ -322,7 +322,7 @@ fn kind(channel: usize) -> usize {
 mod tests {
     use super::*;
     use crate::body::Layout;
-    use crate::dynamics::{Frame, Method, Panel, Stiffness, push_forward};
+    use crate::dynamics::{Direction, Frame, Method, Panel, Stiffness, push_forward};
 
     /// Each column against dual numbers with the same steps, and Jᵀr against the adjoint.
     #[test]
@@ -360,8 +360,7 @@ mod tests {
                     push_forward(
                         &scene,
                         &design,
-                        &vec![0.0; design.len()],
-                        along,
+                        Direction { parameters: along, ..Direction::default() },
                         &forces,
                         &point.simulation,
                         i,

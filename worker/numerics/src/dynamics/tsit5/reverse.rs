@@ -5,7 +5,7 @@
 
 use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
 use super::super::vector::{LANES, MOST, Vector};
-use super::super::{Counters, Forces, Frame};
+use super::super::{Counters, Forces, Frame, Panel};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::{Reach, Sweep, steps};
 
@@ -18,6 +18,9 @@ struct Step<V> {
     /// Accelerations of the stages.
     a: Stages<V>,
     h: V,
+    /// Where the stages take their forces, as parts of the intervals that begin at these kinks.
+    parts: [V; 6],
+    kinks: [usize; LANES],
 }
 
 /// Where a lane is among its steps.
@@ -32,9 +35,15 @@ struct Place {
     tau: f64,
 }
 
-/// Sweeps samples backwards, adding to the cotangents of `system`.
+/// Sweeps samples backwards, adding to the cotangents of `system`; returns those of the histories, (samples, K, R+1), if
+/// `forces_asked`.
 #[inline(always)]
-pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &[Sweep<'_>]) -> Counters {
+pub fn reverse<V: Vector>(
+    system: &mut System<'_, V>,
+    forces: &Forces,
+    sweeps: &[Sweep<'_>],
+    forces_asked: bool,
+) -> (Vec<f64>, Counters) {
     let scene = system.scene;
     let free = &system.model.free;
     let within = system.model.moving_range();
@@ -57,6 +66,8 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
     let mut bars = vec![vec![0.0; len]; sweeps.len()];
     let mut ends: Vec<usize> = sweeps.iter().map(|s| s.tape.steps.len()).collect();
     let mut order: Vec<usize> = (0..sweeps.len()).collect();
+    let row = forces.instants + 1;
+    let mut pushed = vec![0.0; if forces_asked { sweeps.len() * forces.panels * row } else { 0 }];
 
     for interval in (0..instants).rev() {
         crate::pulse::beat();
@@ -91,6 +102,9 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
             sensors_vjp(system, (&xs, &vs), &force, &bar, &mut w, &mut acceleration, to);
             add_into(&mut bar_x, &curved[0]);
             add_into(&mut bar_v, &weights[0]);
+            if forces_asked {
+                push_vjp(&scene.panels, system.weights(), one, &[last; LANES], lanes, (row, &mut pushed));
+            }
 
             // The interval again, keeping the stages of every step
             let mut places = [Place::default(); LANES];
@@ -106,7 +120,8 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
             for n in 0..longest {
                 if kept.len() == n {
                     let stages = || std::array::from_fn(|_| system.zeros());
-                    kept.push(Step { x: stages(), v: system.zeros(), a: stages(), h: zero });
+                    let (x, v, a) = (stages(), system.zeros(), stages());
+                    kept.push(Step { x, v, a, h: zero, parts: [zero; 6], kinks: [0; LANES] });
                 }
                 let step = &mut kept[n];
                 let (mut sizes, mut tau) = ([0.0; LANES], [0.0; LANES]);
@@ -122,6 +137,7 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                     let parts = steps::next(&sweeps[s].tape.steps, &mut place.code);
                     (sizes[l], tau[l]) = ((delta - place.tau) / parts as f64, place.tau);
                     reach.load(l, forces, sweeps[s].history, place.kink);
+                    step.kinks[l] = place.kink;
                 }
                 step.h = V::gather(&sizes);
                 let tau = V::gather(&tau);
@@ -133,7 +149,8 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                         stage(i, step.h, &within, (&before[0], &step.v), &step.a, (&mut at[0], &mut vs));
                     }
                     let part = (tau + V::splat(C[i]) * step.h).over(V::splat(delta));
-                    reach.at(-(-part).max(-one), &mut force);
+                    step.parts[i] = -(-part).max(-one);
+                    reach.at(step.parts[i], &mut force);
                     system.acceleration(&step.x[i], &vs, &force, &mut step.a[i], &mut { zero });
                 }
                 stage(6, step.h, &within, (&step.x[0], &step.v), &step.a, (&mut xs, &mut vs));
@@ -159,6 +176,10 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
                     );
                     std::mem::swap(&mut w, &mut weights[i]);
                     system.product(&step.x[i], &weights[i], &mut curved[i]);
+                    if forces_asked {
+                        let (w, part) = (&weights[i], step.parts[i]);
+                        push_vjp(&scene.panels, w, part, &step.kinks, lanes, (row, &mut pushed));
+                    }
                     if system.damping_asked {
                         if i == 0 {
                             vs.copy_from_slice(&step.v);
@@ -175,7 +196,30 @@ pub fn reverse<V: Vector>(system: &mut System<'_, V>, forces: &Forces, sweeps: &
             }
         }
     }
-    counters
+    (pushed, counters)
+}
+
+/// Adds what forces pass on to the histories, (samples, K, R+1), of the samples in `lanes`: taken at `part` of the interval that
+/// begins at the lane's kink, they had the cotangent `w` of their work on the units.
+#[inline(always)]
+fn push_vjp<V: Vector>(
+    panels: &[Panel],
+    w: &[Unit<V>],
+    part: V,
+    kinks: &[usize; LANES],
+    lanes: &[usize],
+    (row, pushed): (usize, &mut [f64]),
+) {
+    for (k, panel) in panels.iter().enumerate() {
+        let bar = panel.push_vjp(&w[panel.unit]);
+        let late = part * bar;
+        let early = bar - late;
+        for (l, &s) in lanes.iter().enumerate() {
+            let at = (s * panels.len() + k) * row + kinks[l];
+            pushed[at] += early.lane(l);
+            pushed[at + 1] += late.lane(l);
+        }
+    }
 }
 
 /// Transpose of the sensors' readings at a state: overwrites `to_x` and `to_v`.
