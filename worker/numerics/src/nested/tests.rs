@@ -365,6 +365,27 @@ fn the_direct_term_holds_through_disturbed_sensors() {
     check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
 }
 
+/// What a trial's chips add to a body's signals is theirs, not the body's: a part of what the initial body's are, on every body.
+#[test]
+fn chips_are_as_noisy_on_every_body() {
+    let pool = pool(1);
+    let disturbance = Disturbance { noise: Size::Relative(0.2), bias: Size::Relative(0.1), delay: 0.0 };
+    let quiet = small(Protocol::Joint(GOING));
+    let noisy = Problem { disturbance: Some(disturbance), ..quiet.clone() };
+    let forces = quiet.forces(Purpose::Holdout, 0, 3);
+    let mut stream = Stream::new(Purpose::Design, 2, [0, 0]);
+    let other: Vec<f64> = quiet.initial.iter().map(|a| a + 0.4 * stream.normal()).collect();
+    let [first, second] = [&quiet.initial, &other].map(|design| {
+        let [clean, heard] = [&quiet, &noisy].map(|of| sense(of, design, &forces, &pool).unwrap());
+        let added: Vec<f64> = heard.iter().zip(&clean).map(|(heard, clean)| heard - clean).collect();
+        (clean, added)
+    });
+    assert_ne!(first.0, second.0);
+    let most = first.1.iter().fold(0.0f64, |most, x| most.max(x.abs()));
+    let apart = first.1.iter().zip(&second.1).fold(0.0f64, |most, (a, b)| most.max((a - b).abs()));
+    assert!(most > 0.0 && apart < 1e-9 * most, "{apart} of {most}");
+}
+
 /// L_test(α + εδ) at fixed weights, in N², against the gradient: a central difference along a random direction.
 fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let mut problem = Problem { disturbance, ..problem };

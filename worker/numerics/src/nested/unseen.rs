@@ -7,7 +7,8 @@ use super::evaluation::Fresh;
 use super::linear::{Decoder, Plain, Stack, force_scale};
 use super::problem::{Problem, Schedule, Training};
 use super::report::{Failure, Trouble};
-use super::setting::{Scales, all_well, mean_error};
+use super::setting::{Scales, Setting, all_well, mean_error};
+use super::tuning::Tuning;
 use crate::brain::linear::Sizes;
 use crate::brain::{Shape, TrainOutcome, Workspace, prediction_error};
 use crate::dynamics::{Forces, simulate, tune};
@@ -177,11 +178,10 @@ pub fn folds(seed: u64, records: usize, folds: usize) -> Vec<usize> {
     of
 }
 
-/// Signals (N, T, 3M) of a body under given forces, as its chips say them; what is relative in a chip is so to these
-/// signals' RMS.
+/// Signals (N, T, 3M) of a body under given forces, as its chips say them: those of the trial, which are the same on every body.
 ///
 /// # Errors
-/// If a sample does not reach its end.
+/// If a sample does not reach its end, or, where chips are relative to it, the trial's initial body does not.
 pub fn sense(
     problem: &Problem,
     design: &[f64],
@@ -193,9 +193,9 @@ pub fn sense(
     let simulation = simulate(scene, design, forces, &solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     let mut signals = simulation.signals;
-    let rms = Scales::new(&problem.shape(), &signals, &[]).channels;
-    if let Some(chip) = problem.chip(&rms) {
-        chip.disturb(&mut signals, forces);
+    if problem.disturbance.is_some() {
+        let trial = Tuning::new(problem, pool)?.problem;
+        Setting::new(&trial, pool)?.disturb(&mut signals, forces);
     }
     Ok(signals)
 }
