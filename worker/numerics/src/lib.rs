@@ -7,6 +7,7 @@ pub mod brain;
 pub mod dynamics;
 pub mod feasible;
 pub mod identify;
+mod lanes;
 pub mod modes;
 pub mod nested;
 pub mod place;

@@ -8,8 +8,8 @@
 //! B of `product` comes in panels of some registers' columns (`panel`), each all its rows long, so that a panel stays in L1.
 
 use super::real::Real;
-use super::vector::{Plain, Vector};
 use super::winograd;
+use crate::lanes::{Lanes, Vector};
 use crate::simd::Width;
 
 /// Columns of activations and packed weights are padded to a multiple of this: the widest register.
@@ -328,7 +328,7 @@ unsafe fn product_tile<V: Vector, const R: usize, const W: usize>(
 ) {
     // SAFETY: the caller's promise.
     unsafe {
-        let mut sum = [[V::splat(V::Scalar::ZERO); W]; R];
+        let mut sum = [[V::ZERO; W]; R];
         let mut a = p.a.as_ptr().add(t * lda);
         let mut b = b;
         for _ in 0..p.taps {
@@ -352,14 +352,14 @@ pub(super) unsafe fn accumulate<V: Vector, const R: usize, const W: usize>(
     // SAFETY: the caller's promise.
     unsafe {
         for d in 0..depth {
-            let mut row = [V::splat(V::Scalar::ZERO); W];
+            let mut row = [V::ZERO; W];
             for w in 0..W {
                 row[w] = V::load(b.add((d * W + w) * V::LANES));
             }
             for r in 0..R {
-                let x = V::splat(*a.add(r * lda + d));
+                let x = V::of(*a.add(r * lda + d));
                 for w in 0..W {
-                    sum[r][w] = sum[r][w].plus_product(x, row[w]);
+                    sum[r][w] = x.mul_add(row[w], sum[r][w]);
                 }
             }
         }
@@ -386,14 +386,14 @@ pub(super) unsafe fn close<V: Vector, const R: usize, const W: usize>(
                 for w in 0..W {
                     let b = V::load(from.add(w * V::LANES));
                     for r in 0..R {
-                        sum[r][w] = sum[r][w].plus(b);
+                        sum[r][w] = sum[r][w] + b;
                     }
                 }
             }
             Start::Add => {
                 for r in 0..R {
                     for w in 0..W {
-                        sum[r][w] = sum[r][w].plus(V::load(c.add(r * ldc + w * V::LANES)));
+                        sum[r][w] = sum[r][w] + V::load(c.add(r * ldc + w * V::LANES));
                     }
                 }
             }
@@ -403,7 +403,7 @@ pub(super) unsafe fn close<V: Vector, const R: usize, const W: usize>(
             Finish::Relu => {
                 for r in 0..R {
                     for w in 0..W {
-                        sum[r][w] = sum[r][w].relu();
+                        sum[r][w] = V::ZERO.max(sum[r][w]);
                     }
                 }
             }
@@ -411,7 +411,8 @@ pub(super) unsafe fn close<V: Vector, const R: usize, const W: usize>(
                 let gate = gate.as_ptr().add(at);
                 for r in 0..R {
                     for w in 0..W {
-                        sum[r][w] = sum[r][w].gate(V::load(gate.add(r * ldc + w * V::LANES)));
+                        let by = V::load(gate.add(r * ldc + w * V::LANES));
+                        sum[r][w] = sum[r][w].where_less(V::ZERO, by, V::ZERO);
                     }
                 }
             }
@@ -473,18 +474,18 @@ unsafe fn outer_tile<V: Vector, const R: usize, const W: usize>(
     // SAFETY: the caller's promise.
     unsafe {
         let (lda, ldc) = (p.lda, p.columns);
-        let mut sum = [[V::splat(V::Scalar::ZERO); W]; R];
+        let mut sum = [[V::ZERO; W]; R];
         let mut a = p.a.as_ptr().add(j);
         let mut b = p.b.as_ptr().add(column);
         for _ in 0..p.rows {
-            let mut row = [V::splat(V::Scalar::ZERO); W];
+            let mut row = [V::ZERO; W];
             for w in 0..W {
                 row[w] = V::load(b.add(w * V::LANES));
             }
             for r in 0..R {
-                let x = V::splat(*a.add(r));
+                let x = V::of(*a.add(r));
                 for w in 0..W {
-                    sum[r][w] = sum[r][w].plus_product(x, row[w]);
+                    sum[r][w] = x.mul_add(row[w], sum[r][w]);
                 }
             }
             a = a.wrapping_add(lda);
@@ -494,7 +495,7 @@ unsafe fn outer_tile<V: Vector, const R: usize, const W: usize>(
         for r in 0..R {
             for w in 0..W {
                 let at = c.add(r * ldc + w * V::LANES);
-                V::load(at).plus(sum[r][w]).store(at);
+                (V::load(at) + sum[r][w]).store(at);
             }
         }
     }
@@ -507,23 +508,22 @@ unsafe fn dots<V: Vector>(p: &mut Dots<V::Scalar>) {
         let outputs = p.bias.len();
         for t in 0..p.rows {
             for k in 0..outputs {
-                let mut sum = [V::splat(V::Scalar::ZERO); 2];
+                let mut sum = [V::ZERO; 2];
                 for tap in 0..p.taps {
                     let row = p.a.as_ptr().add(t * p.columns + tap * p.step);
                     let w = p.w.as_ptr().add((tap * outputs + k) * p.columns);
                     let mut column = 0;
                     while column + 2 * V::LANES <= p.columns {
-                        sum[0] = sum[0].plus_product(V::load(row.add(column)), V::load(w.add(column)));
+                        sum[0] = V::load(row.add(column)).mul_add(V::load(w.add(column)), sum[0]);
                         let next = column + V::LANES;
-                        sum[1] = sum[1].plus_product(V::load(row.add(next)), V::load(w.add(next)));
+                        sum[1] = V::load(row.add(next)).mul_add(V::load(w.add(next)), sum[1]);
                         column += 2 * V::LANES;
                     }
                     if column < p.columns {
-                        sum[0] = sum[0].plus_product(V::load(row.add(column)), V::load(w.add(column)));
+                        sum[0] = V::load(row.add(column)).mul_add(V::load(w.add(column)), sum[0]);
                     }
                 }
-                *p.c.get_unchecked_mut(t * outputs + k) =
-                    *p.bias.get_unchecked(k) + sum[0].plus(sum[1]).sum();
+                *p.c.get_unchecked_mut(t * outputs + k) = *p.bias.get_unchecked(k) + (sum[0] + sum[1]).sum();
             }
         }
     }
@@ -554,18 +554,18 @@ unsafe fn sums_of<V: Vector, const W: usize>(a: &[V::Scalar], c: &mut [V::Scalar
     // SAFETY: the caller's promise.
     unsafe {
         let rows = a.len() / c.len();
-        let mut sum = [[V::splat(V::Scalar::ZERO); W]; 4];
+        let mut sum = [[V::ZERO; W]; 4];
         for t in 0..rows {
             let at = a.as_ptr().add(t * c.len() + column);
             let into = &mut sum[t % 4];
             for w in 0..W {
-                into[w] = into[w].plus(V::load(at.add(w * V::LANES)));
+                into[w] = into[w] + V::load(at.add(w * V::LANES));
             }
         }
         for w in 0..W {
-            let total = sum[0][w].plus(sum[1][w]).plus(sum[2][w].plus(sum[3][w]));
+            let total = (sum[0][w] + sum[1][w]) + (sum[2][w] + sum[3][w]);
             let at = c.as_mut_ptr().add(column + w * V::LANES);
-            V::load(at).plus(total).store(at);
+            (V::load(at) + total).store(at);
         }
     }
 }
@@ -574,18 +574,19 @@ unsafe fn sums_of<V: Vector, const W: usize>(a: &[V::Scalar], c: &mut [V::Scalar
 const CHAINS: usize = 12;
 
 #[inline(always)]
-unsafe fn burst<V: Vector>(rounds: u64) -> V::Scalar {
-    // SAFETY: the caller's promise.
-    unsafe {
-        let factor = V::splat(V::Scalar::from_f64(std::hint::black_box(0.5)));
-        let mut sum = [factor; CHAINS];
-        for _ in 0..rounds {
-            for chain in &mut sum {
-                *chain = factor.plus_product(*chain, factor);
-            }
+fn burst<V: Vector>(rounds: u64) -> V::Scalar {
+    let factor = V::splat(std::hint::black_box(0.5));
+    let mut sum = [factor; CHAINS];
+    for _ in 0..rounds {
+        for chain in &mut sum {
+            *chain = chain.mul_add(factor, factor);
         }
-        sum.into_iter().fold(factor, |a, b| a.plus(b)).sum()
     }
+    let mut total = factor;
+    for chain in sum {
+        total = total + chain;
+    }
+    total.sum()
 }
 
 macro_rules! entries {
@@ -632,8 +633,7 @@ macro_rules! entries {
             }
             $(#[target_feature(enable = $features)])?
             unsafe fn burst(rounds: u64) -> F {
-                // SAFETY: the caller's promise.
-                unsafe { super::burst::<$vector>(rounds) }
+                super::burst::<$vector>(rounds)
             }
             const LANES: usize = <$vector as Vector>::LANES;
             pub const KERNELS: Kernels<F> = Kernels {
@@ -652,28 +652,22 @@ macro_rules! entries {
     };
 }
 
-entries!(plain_f32, Plain<f32>, [4, 4, 2], [1, 1, 1]);
-entries!(plain_f64, Plain<f64>, [2, 2, 1], [1, 1, 1]);
+entries!(plain_f32, Lanes<f32, 4>, [4, 4, 2], [1, 1, 1]);
+entries!(plain_f64, Lanes<f64, 4>, [2, 2, 1], [1, 1, 1]);
 #[cfg(target_arch = "x86_64")]
-entries!(avx2_f32, std::arch::x86_64::__m256, [6, 6, 3], [1, 1, 1], "avx2,fma");
+entries!(avx2_f32, crate::lanes::SingleAvx2, [6, 6, 3], [1, 1, 1], "avx2,fma");
 #[cfg(target_arch = "x86_64")]
-entries!(avx2_f64, std::arch::x86_64::__m256d, [6, 6, 3], [1, 1, 1], "avx2,fma");
+entries!(avx2_f64, crate::lanes::Half, [6, 6, 3], [1, 1, 1], "avx2,fma");
 #[cfg(target_arch = "x86_64")]
 entries!(
     avx512_f32,
-    std::arch::x86_64::__m512,
+    crate::lanes::SingleAvx512,
     [10, 12, 5],
     [8, 8, 4],
     "avx512f,avx512dq,avx512vl,avx512bw,fma"
 );
 #[cfg(target_arch = "x86_64")]
-entries!(
-    avx512_f64,
-    std::arch::x86_64::__m512d,
-    [10, 12, 5],
-    [1, 1, 1],
-    "avx512f,avx512dq,avx512vl,avx512bw,fma"
-);
+entries!(avx512_f64, crate::lanes::Avx512, [10, 12, 5], [1, 1, 1], "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 macro_rules! choose {
     ($name:ident, $type:ty, $plain:ident, $avx2:ident, $avx512:ident) => {

@@ -18,7 +18,6 @@ mod real;
 mod shape;
 mod solve;
 mod train;
-mod vector;
 mod winograd;
 
 pub use curvature::{Curvature, Matrix};

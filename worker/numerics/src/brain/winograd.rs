@@ -10,7 +10,7 @@
 
 use super::kernels::{Product, accumulate, close, panel};
 use super::real::Real;
-use super::vector::Vector;
+use crate::lanes::Vector;
 
 /// Entry of the i-th form of the weights, of which `g(k)` is the same entry.
 #[inline(always)]
@@ -105,15 +105,15 @@ unsafe fn tile<V: Vector, const R: usize, const W: usize>(
     unsafe {
         let (a, form) = (p.a.as_ptr().add(h * lda), p.rows / 2 * lda);
         let block = depth * W * V::LANES;
-        let zero = [[V::splat(V::Scalar::ZERO); W]; R];
+        let zero = [[V::ZERO; W]; R];
         let (mut first, mut second) = (zero, zero);
         accumulate::<V, R, W>(&mut first, a.add(form), lda, u.add(block), depth);
         accumulate::<V, R, W>(&mut second, a.add(2 * form), lda, u.add(2 * block), depth);
         for r in 0..R {
             for w in 0..W {
                 let (m1, m2) = (first[r][w], second[r][w]);
-                first[r][w] = m1.plus(m2);
-                second[r][w] = m1.minus(m2);
+                first[r][w] = m1 + m2;
+                second[r][w] = m1 - m2;
             }
         }
         accumulate::<V, R, W>(&mut first, a, lda, u, depth);
@@ -136,10 +136,10 @@ pub unsafe fn spread<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns:
             for c in (0..columns).step_by(V::LANES) {
                 let (a0, a1) = (V::load(from.add(c)), V::load(from.add(columns + c)));
                 let (a2, a3) = (V::load(from.add(2 * columns + c)), V::load(from.add(3 * columns + c)));
-                a0.minus(a2).store(to.add(c));
-                a1.plus(a2).store(to.add(form + c));
-                a2.minus(a1).store(to.add(2 * form + c));
-                a1.minus(a3).store(to.add(3 * form + c));
+                (a0 - a2).store(to.add(c));
+                (a1 + a2).store(to.add(form + c));
+                (a2 - a1).store(to.add(2 * form + c));
+                (a1 - a3).store(to.add(3 * form + c));
             }
         }
     }
@@ -157,8 +157,8 @@ pub unsafe fn fold<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns: u
             for c in (0..columns).step_by(V::LANES) {
                 let (a0, a1) = (V::load(from.add(c)), V::load(from.add(columns + c)));
                 a0.store(to.add(c));
-                a0.plus(a1).store(to.add(form + c));
-                a0.minus(a1).store(to.add(2 * form + c));
+                (a0 + a1).store(to.add(form + c));
+                (a0 - a1).store(to.add(2 * form + c));
                 a1.store(to.add(3 * form + c));
             }
         }

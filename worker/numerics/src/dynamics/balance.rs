@@ -9,7 +9,7 @@ use super::Scene;
 use super::energy::contact_energy;
 use super::model::Model;
 use super::system::Unit;
-use super::vector::Vector;
+use crate::lanes::Vector;
 
 /// By how much kinetic energy may exceed the most work done so far: twice is what a leapfrog's energy swings by at ωh = 1.4.
 const LEEWAY: f64 = 4.0;

@@ -5,8 +5,8 @@ use super::model::{Bar, Model, ModelCotangent};
 use super::splitting::{self, Scheme};
 use super::system::{Kernels, Second, System, Unit};
 use super::tsit5::{self, Queue, Slot, Sweep, take};
-use super::vector::{Array, SingleArray, Vector};
 use super::{Beside, Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
+use crate::lanes::{Array, SingleArray, Vector};
 use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -153,13 +153,13 @@ macro_rules! machine {
 machine!(baseline, Array);
 machine!(single_baseline, SingleArray);
 #[cfg(target_arch = "x86_64")]
-machine!(avx2, super::super::vector::Avx2, "avx2,fma");
+machine!(avx2, crate::lanes::Avx2, "avx2,fma");
 #[cfg(target_arch = "x86_64")]
-machine!(single_avx2, super::super::vector::SingleAvx2, "avx2,fma");
+machine!(single_avx2, crate::lanes::SingleAvx2, "avx2,fma");
 #[cfg(target_arch = "x86_64")]
-machine!(avx512, super::super::vector::Avx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+machine!(avx512, crate::lanes::Avx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 #[cfg(target_arch = "x86_64")]
-machine!(single_avx512, super::super::vector::SingleAvx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+machine!(single_avx512, crate::lanes::SingleAvx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 /// # Panics
 /// If the machine lacks `width`.

@@ -2,8 +2,8 @@
 
 use super::ligaments::{gradient, turns};
 use super::model::{Model, ModelCotangent};
-use super::vector::{Array, Vector};
 use super::{Contact, Scene};
+use crate::lanes::{Array, Vector};
 
 /// Elastic and contact energy (N·mm).
 #[derive(Debug, Clone, Copy, PartialEq)]

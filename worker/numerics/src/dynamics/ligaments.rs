@@ -9,7 +9,7 @@
 
 use super::model::{Bar, Model};
 use super::trigonometry::{angle, sin_cos1};
-use super::vector::{Vector, pair};
+use crate::lanes::{Vector, pair};
 
 /// Of one unit: sin θ and cos θ − 1.
 pub type Turn<V> = [V; 2];

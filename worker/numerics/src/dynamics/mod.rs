@@ -19,7 +19,6 @@ mod system;
 mod trigonometry;
 mod tsit5;
 mod tune;
-mod vector;
 
 use crate::body::Layout;
 use crate::simd::Width;

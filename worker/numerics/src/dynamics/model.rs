@@ -1,8 +1,8 @@
 //! A scene with a design, in the form that the kernels read.
 
-use super::vector::Scalar;
 use super::{Contact, Parameters, Scene, Stiffness};
 use crate::body::{Geometry, Layout, void_angles_vjp};
+use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// A ligament with what the kernel needs of its ends.

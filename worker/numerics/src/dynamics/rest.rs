@@ -3,7 +3,7 @@
 use super::Scene;
 use super::ligaments::{Shape, product};
 use super::model::Model;
-use super::vector::{Array, LANES, Vector};
+use crate::lanes::{Array, LANES, Vector};
 
 /// Masses, damping and stiffness of the units that move. Unknown 3i + d is displacement d = u, v, θ of the i-th of them.
 #[derive(Debug, Clone, PartialEq)]

@@ -16,8 +16,8 @@ use super::model::Model;
 use super::system::{Cotangent, Ramp, System, Unit, load_lanes, read_lane, store_lane};
 use super::trigonometry::sin_cos1;
 use super::tsit5::{Slot, Sweep};
-use super::vector::{MOST, Scalar, Vector};
 use super::{Counters, Forces, Frame, Outcome, Scene};
+use crate::lanes::{MOST, Scalar, Vector};
 
 /// Coefficients of one step, first half; both lists are symmetric.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,8 +2,8 @@
 
 use super::ligaments::{Shape, Turn, turns};
 use super::model::{Bar, Model, ModelCotangent};
-use super::vector::{MOST, Scalar, Vector};
 use super::{Forces, Frame, Panel, Scene};
+use crate::lanes::{MOST, Scalar, Vector};
 
 /// (u, v, θ), or what belongs to it, of one unit, in lanes.
 pub type Unit<V> = [V; 3];

@@ -1,7 +1,7 @@
 //! Trigonometry in lanes, by polynomials on the range that bodies move in; a lane outside it takes the standard
 //! library's function, so that a result never depends on the other lanes.
 
-use super::vector::{Scalar, Vector};
+use crate::lanes::{Scalar, Vector};
 use std::f64::consts::TAU;
 
 /// |angle| up to which `sin_cos1` is polynomial, with the coefficients of Sun's fdlibm (k_sin.c, k_cos.c): below 2⁻⁵⁸.
@@ -139,8 +139,8 @@ fn far_angle<V: Vector>([x, y]: [&V; 2], t: &V, mean: &V, angle: &mut V) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::vector::{Array, LANES, SingleArray};
     use super::*;
+    use crate::lanes::{Array, LANES, SingleArray};
 
     /// Angles and turns from none to many times round, each lane by itself: polynomials and the standard library agree.
     fn worst<V: Vector>() -> [f64; 2] {

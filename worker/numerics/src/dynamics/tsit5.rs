@@ -12,8 +12,8 @@ mod stages;
 mod steps;
 
 use super::system::{System, Unit, read_lane, store_lane};
-use super::vector::{LANES, Vector};
 use super::{Counters, Forces, Outcome, SampleTape};
+use crate::lanes::{LANES, Vector};
 pub use reverse::reverse;
 pub use stages::{A, A2, C};
 use stages::{land, landed, stage};

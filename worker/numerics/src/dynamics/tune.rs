@@ -5,8 +5,8 @@
 //! least work by its law is measured at this many steps, and at more or fewer, until no cheaper one is left.
 
 use super::choose::{Candidate, candidates, choose_under};
-use super::vector::LANES;
 use super::{Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, run};
+use crate::lanes::LANES;
 
 /// What a pilot made of a solver.
 #[derive(Debug, Clone, PartialEq)]

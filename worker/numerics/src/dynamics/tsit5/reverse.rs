@@ -4,10 +4,10 @@
 //! each, of samples whose steps in it are about as many: an idle lane costs as much as a busy one.
 
 use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
-use super::super::vector::{LANES, MOST, Vector};
 use super::super::{Counters, Forces, Frame, Panel};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::{Reach, Sweep, steps};
+use crate::lanes::{LANES, MOST, Vector};
 
 /// What a sweep keeps of one step.
 struct Step<V> {

@@ -2,7 +2,7 @@
 //! they took as long as half the forces.
 
 use super::super::system::{Unit, Weigh};
-use super::super::vector::Vector;
+use crate::lanes::Vector;
 use std::ops::Range;
 
 /// What belongs to each of the six stages that a step evaluates.

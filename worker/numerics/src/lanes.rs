@@ -1,10 +1,10 @@
-//! Lanes, one sample each: eight f64, or as many f32 as a register of the instruction set holds.
+//! Lanes of f64 or f32, as many as a register of the instruction set holds: a sample each in the dynamics, a column in the brain.
 //!
 //! Everything is inlined into entry points that enable the instruction set, so an operation is one instruction or two.
 //! A closure would not be, for it does not take on their instruction set: none computes with vectors (`tests/disassembly.rs`).
-//! Lanes never mix, and each operation is correctly rounded but `rsqrt` and, without FMA, `mul_add`.
+//! Lanes never mix but in `sum`, and each operation is correctly rounded but `rsqrt` and, without FMA, `mul_add`.
 
-use std::ops::{Add, Mul, Neg, Sub};
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
 /// Lanes of a vector of f64: samples integrated together.
 pub const LANES: usize = 8;
@@ -12,34 +12,57 @@ pub const LANES: usize = 8;
 pub const MOST: usize = 16;
 
 /// What a lane holds.
-pub trait Scalar: Copy + Send + Sync + PartialOrd + 'static {
+pub trait Scalar:
+    Copy
+    + Default
+    + PartialOrd
+    + Send
+    + Sync
+    + std::fmt::Debug
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + AddAssign
+    + 'static
+{
+    /// 0.
+    const ZERO: Self;
     /// The nearest value.
     fn from_f64(x: f64) -> Self;
     /// Exact.
     fn to_f64(self) -> f64;
+    /// √self.
+    fn sqrt(self) -> Self;
+    /// |self|.
+    fn abs(self) -> Self;
 }
 
-impl Scalar for f64 {
-    #[inline(always)]
-    fn from_f64(x: f64) -> Self {
-        x
-    }
-    #[inline(always)]
-    fn to_f64(self) -> f64 {
-        self
-    }
+macro_rules! scalar {
+    ($type:ty) => {
+        impl Scalar for $type {
+            const ZERO: Self = 0.0;
+            #[inline(always)]
+            fn from_f64(x: f64) -> Self {
+                x as Self
+            }
+            #[inline(always)]
+            fn to_f64(self) -> f64 {
+                f64::from(self)
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                self.sqrt()
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                self.abs()
+            }
+        }
+    };
 }
-
-impl Scalar for f32 {
-    #[inline(always)]
-    fn from_f64(x: f64) -> Self {
-        x as Self
-    }
-    #[inline(always)]
-    fn to_f64(self) -> f64 {
-        f64::from(self)
-    }
-}
+scalar!(f32);
+scalar!(f64);
 
 /// Some lanes.
 pub trait Vector:
@@ -77,6 +100,18 @@ pub trait Vector:
     fn any_less(self, b: Self) -> bool;
     /// Whether |self| ≤ limit in every lane (false where NaN).
     fn all_within(self, limit: f64) -> bool;
+    /// The sum of the lanes.
+    fn sum(self) -> Self::Scalar;
+    /// Reads lanes that lie one after the other.
+    ///
+    /// # Safety
+    /// So many scalars must be readable there; any alignment.
+    unsafe fn load(from: *const Self::Scalar) -> Self;
+    /// Writes them likewise.
+    ///
+    /// # Safety
+    /// So many scalars must be writable there; any alignment.
+    unsafe fn store(self, to: *mut Self::Scalar);
 
     /// The same number in all lanes: for constants, which are rounded where they are compiled.
     #[inline(always)]
@@ -143,115 +178,134 @@ macro_rules! operators {
     };
 }
 
-/// An array: what every machine has.
-macro_rules! plain {
-    ($name:ident, $scalar:ty) => {
-        /// Eight lanes as an array.
-        #[derive(Clone, Copy)]
-        #[repr(align(64))]
-        pub struct $name([$scalar; LANES]);
+/// N lanes as an array: what every machine has. No fused multiply-add, which would be a library call.
+#[derive(Clone, Copy)]
+#[repr(align(16))]
+pub struct Lanes<F, const N: usize>([F; N]);
 
-        impl $name {
-            #[inline(always)]
-            fn plus(self, o: Self) -> Self {
-                lanes!(i: self.0[i] + o.0[i])
-            }
-            #[inline(always)]
-            fn minus(self, o: Self) -> Self {
-                lanes!(i: self.0[i] - o.0[i])
-            }
-            #[inline(always)]
-            fn times(self, o: Self) -> Self {
-                lanes!(i: self.0[i] * o.0[i])
-            }
-        }
-        operators!([] $name);
+/// Eight lanes, as the dynamics takes them.
+pub type Array = Lanes<f64, LANES>;
+/// Likewise of f32.
+pub type SingleArray = Lanes<f32, LANES>;
 
-        impl Vector for $name {
-            type Scalar = $scalar;
-            const LANES: usize = LANES;
-            const ZERO: Self = Self([0.0; LANES]);
+/// An array by the value of each lane. A closure may compute it: it needs no instruction set.
+macro_rules! lanes {
+    ($i:ident: $value:expr) => {
+        Self(std::array::from_fn(
             #[inline(always)]
-            fn of(x: $scalar) -> Self {
-                Self([x; LANES])
-            }
-            #[inline(always)]
-            fn lanes(&self) -> &[$scalar] {
-                &self.0
-            }
-            #[inline(always)]
-            fn lanes_mut(&mut self) -> &mut [$scalar] {
-                &mut self.0
-            }
-            #[inline(always)]
-            fn mul_add(self, a: Self, b: Self) -> Self {
-                self.times(a).plus(b)
-            }
-            #[inline(always)]
-            fn mul_sub_from(self, a: Self, b: Self) -> Self {
-                b.minus(self.times(a))
-            }
-            #[inline(always)]
-            fn over(self, a: Self) -> Self {
-                lanes!(i: self.0[i] / a.0[i])
-            }
-            #[inline(always)]
-            fn rsqrt(self) -> Self {
-                lanes!(i: 1.0 / self.0[i].sqrt())
-            }
-            #[inline(always)]
-            fn abs(self) -> Self {
-                lanes!(i: self.0[i].abs())
-            }
-            #[inline(always)]
-            fn max(self, other: Self) -> Self {
-                lanes!(i: if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] })
-            }
-            #[inline(always)]
-            fn where_less(self, a: Self, b: Self, other: Self) -> Self {
-                lanes!(i: if a.0[i] < b.0[i] { self.0[i] } else { other.0[i] })
-            }
-            #[inline(always)]
-            fn any_less(self, b: Self) -> bool {
-                let mut any = false;
-                for i in 0..LANES {
-                    any |= self.0[i] < b.0[i];
-                }
-                any
-            }
-            #[inline(always)]
-            fn all_within(self, limit: f64) -> bool {
-                let mut all = true;
-                for i in 0..LANES {
-                    all &= self.0[i].abs() <= limit as $scalar;
-                }
-                all
-            }
-        }
+            |$i| $value,
+        ))
     };
 }
 
-/// An array by the value of each lane.
-macro_rules! lanes {
-    ($i:ident: $value:expr) => {{
-        let mut r = [0.0; LANES];
-        for $i in 0..LANES {
-            r[$i] = $value;
+impl<F: Scalar, const N: usize> Lanes<F, N> {
+    #[inline(always)]
+    fn plus(self, o: Self) -> Self {
+        lanes!(i: self.0[i] + o.0[i])
+    }
+    #[inline(always)]
+    fn minus(self, o: Self) -> Self {
+        lanes!(i: self.0[i] - o.0[i])
+    }
+    #[inline(always)]
+    fn times(self, o: Self) -> Self {
+        lanes!(i: self.0[i] * o.0[i])
+    }
+}
+operators!([F: Scalar, const N: usize] Lanes<F, N>);
+
+impl<F: Scalar, const N: usize> Vector for Lanes<F, N> {
+    type Scalar = F;
+    const LANES: usize = N;
+    const ZERO: Self = Self([F::ZERO; N]);
+    #[inline(always)]
+    fn of(x: F) -> Self {
+        Self([x; N])
+    }
+    #[inline(always)]
+    fn lanes(&self) -> &[F] {
+        &self.0
+    }
+    #[inline(always)]
+    fn lanes_mut(&mut self) -> &mut [F] {
+        &mut self.0
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        lanes!(i: self.0[i] * a.0[i] + b.0[i])
+    }
+    #[inline(always)]
+    fn mul_sub_from(self, a: Self, b: Self) -> Self {
+        lanes!(i: b.0[i] - self.0[i] * a.0[i])
+    }
+    #[inline(always)]
+    fn over(self, a: Self) -> Self {
+        lanes!(i: self.0[i] / a.0[i])
+    }
+    #[inline(always)]
+    fn rsqrt(self) -> Self {
+        lanes!(i: F::from_f64(1.0) / self.0[i].sqrt())
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        lanes!(i: self.0[i].abs())
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        lanes!(i: if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] })
+    }
+    #[inline(always)]
+    fn where_less(self, a: Self, b: Self, other: Self) -> Self {
+        lanes!(i: if a.0[i] < b.0[i] { self.0[i] } else { other.0[i] })
+    }
+    #[inline(always)]
+    fn any_less(self, b: Self) -> bool {
+        let mut any = false;
+        for i in 0..N {
+            any |= self.0[i] < b.0[i];
         }
-        Self(r)
-    }};
+        any
+    }
+    #[inline(always)]
+    fn all_within(self, limit: f64) -> bool {
+        let mut all = true;
+        for i in 0..N {
+            all &= self.0[i].abs() <= F::from_f64(limit);
+        }
+        all
+    }
+    /// By halves, as registers do.
+    #[inline(always)]
+    fn sum(self) -> F {
+        let (mut sums, mut n) = (self.0, N);
+        while n > 1 {
+            n /= 2;
+            for i in 0..n {
+                sums[i] += sums[i + n];
+            }
+        }
+        sums[0]
+    }
+    #[inline(always)]
+    unsafe fn load(from: *const F) -> Self {
+        // SAFETY: the caller's promise.
+        Self(unsafe { from.cast::<[F; N]>().read_unaligned() })
+    }
+    #[inline(always)]
+    unsafe fn store(self, to: *mut F) {
+        // SAFETY: the caller's promise.
+        unsafe { to.cast::<[F; N]>().write_unaligned(self.0) }
+    }
 }
 
-plain!(Array, f64);
-plain!(SingleArray, f32);
-
 #[cfg(target_arch = "x86_64")]
-pub use x86::{Avx2, Avx512, SingleAvx2, SingleAvx512};
+pub use x86::{Avx2, Avx512, Half, SingleAvx2, SingleAvx512};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    // SAFETY (this module): values of these types are made only inside the entry points of `dispatch`, which run only
-    // where `Width::detect` has seen the instructions; the intrinsics touch no memory, and slices are of the value itself.
+    // SAFETY (this module): values of these types are made only inside the entry points of `dispatch` and of the brain's
+    // `kernels`, which run only where `Width::detect` has seen the instructions; but for `load` and `store`, whose callers
+    // promise it room, the intrinsics touch no memory, and slices are of the value itself.
     #![expect(clippy::undocumented_unsafe_blocks, reason = "one argument for all, above")]
     use super::{Add, Mul, Neg, Sub, Vector};
     use std::arch::x86_64::*;
@@ -260,10 +314,10 @@ mod x86 {
     /// A register of one instruction set and scalar.
     macro_rules! register {
         ($name:ident: $register:ty, $scalar:ty, $lanes:literal;
-         $set:ident, $add:ident, $sub:ident, $mul:ident, $fmadd:ident, $fnmadd:ident, $div:ident, $max:ident;
+         $set:ident, $load:ident, $store:ident, $add:ident, $sub:ident, $mul:ident, $fmadd:ident, $fnmadd:ident, $div:ident, $max:ident;
          abs($a:ident): $abs:expr, rsqrt($r:ident): $rsqrt:expr,
          less($x:ident, $y:ident): $less:expr, blend($mask:ident, $yes:ident, $no:ident): $blend:expr,
-         within($z:ident, $most:ident): $within:expr, any($m:ident): $any:expr) => {
+         within($z:ident, $most:ident): $within:expr, any($m:ident): $any:expr, sum($all:ident): $sum:expr) => {
             /// One register.
             #[derive(Clone, Copy)]
             #[repr(transparent)]
@@ -351,12 +405,25 @@ mod x86 {
                         $within
                     }
                 }
+                #[inline(always)]
+                fn sum(self) -> $scalar {
+                    let $all = self.0;
+                    unsafe { $sum }
+                }
+                #[inline(always)]
+                unsafe fn load(from: *const $scalar) -> Self {
+                    Self(unsafe { $load(from) })
+                }
+                #[inline(always)]
+                unsafe fn store(self, to: *mut $scalar) {
+                    unsafe { $store(to, self.0) }
+                }
             }
         };
     }
 
     register!(Avx512: __m512d, f64, 8;
-        _mm512_set1_pd, _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd,
+        _mm512_set1_pd, _mm512_loadu_pd, _mm512_storeu_pd, _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd,
         _mm512_div_pd, _mm512_max_pd;
         abs(a): _mm512_abs_pd(a),
         rsqrt(x): {
@@ -369,10 +436,11 @@ mod x86 {
         less(x, y): _mm512_cmp_pd_mask::<_CMP_LT_OQ>(x, y),
         blend(mask, yes, no): _mm512_mask_blend_pd(mask, no, yes),
         within(x, most): _mm512_cmp_pd_mask::<_CMP_LE_OQ>(x, most) == 0xff,
-        any(mask): mask != 0);
+        any(mask): mask != 0,
+        sum(all): _mm512_reduce_add_pd(all));
 
     register!(SingleAvx512: __m512, f32, 16;
-        _mm512_set1_ps, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps,
+        _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps,
         _mm512_div_ps, _mm512_max_ps;
         abs(a): _mm512_abs_ps(a),
         rsqrt(x): {
@@ -384,33 +452,43 @@ mod x86 {
         less(x, y): _mm512_cmp_ps_mask::<_CMP_LT_OQ>(x, y),
         blend(mask, yes, no): _mm512_mask_blend_ps(mask, no, yes),
         within(x, most): _mm512_cmp_ps_mask::<_CMP_LE_OQ>(x, most) == 0xffff,
-        any(mask): mask != 0);
+        any(mask): mask != 0,
+        sum(all): _mm512_reduce_add_ps(all));
 
     register!(Half: __m256d, f64, 4;
-        _mm256_set1_pd, _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_fmadd_pd, _mm256_fnmadd_pd,
-        _mm256_div_pd, _mm256_max_pd;
-        abs(a): _mm256_andnot_pd(_mm256_set1_pd(-0.0), a),
-        rsqrt(x): Self::splat(1.0).over(Self(unsafe { _mm256_sqrt_pd(x.0) })),
-        less(x, y): _mm256_cmp_pd::<_CMP_LT_OQ>(x, y),
-        blend(mask, yes, no): _mm256_blendv_pd(no, yes, mask),
-        within(x, most): _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(x, most)) == 0xf,
-        any(mask): _mm256_movemask_pd(mask) != 0);
+    _mm256_set1_pd, _mm256_loadu_pd, _mm256_storeu_pd, _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_fmadd_pd, _mm256_fnmadd_pd,
+    _mm256_div_pd, _mm256_max_pd;
+    abs(a): _mm256_andnot_pd(_mm256_set1_pd(-0.0), a),
+    rsqrt(x): Self::splat(1.0).over(Self(unsafe { _mm256_sqrt_pd(x.0) })),
+    less(x, y): _mm256_cmp_pd::<_CMP_LT_OQ>(x, y),
+    blend(mask, yes, no): _mm256_blendv_pd(no, yes, mask),
+    within(x, most): _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(x, most)) == 0xf,
+    any(mask): _mm256_movemask_pd(mask) != 0,
+    sum(all): {
+        let two = _mm_add_pd(_mm256_castpd256_pd128(all), _mm256_extractf128_pd::<1>(all));
+        _mm_cvtsd_f64(_mm_add_sd(two, _mm_unpackhi_pd(two, two)))
+    });
 
     register!(SingleAvx2: __m256, f32, 8;
-        _mm256_set1_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
-        _mm256_div_ps, _mm256_max_ps;
-        abs(a): _mm256_andnot_ps(_mm256_set1_ps(-0.0), a),
-        rsqrt(x): {
-            // Some 11 bits, then a step of third order
-            let y = Self(unsafe { _mm256_rsqrt_ps(x.0) });
-            let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
-            let p = e.mul_add(Self::splat(0.375), Self::splat(0.5));
-            y.times(e).mul_add(p, y)
-        },
-        less(x, y): _mm256_cmp_ps::<_CMP_LT_OQ>(x, y),
-        blend(mask, yes, no): _mm256_blendv_ps(no, yes, mask),
-        within(x, most): _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(x, most)) == 0xff,
-        any(mask): _mm256_movemask_ps(mask) != 0);
+    _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
+    _mm256_div_ps, _mm256_max_ps;
+    abs(a): _mm256_andnot_ps(_mm256_set1_ps(-0.0), a),
+    rsqrt(x): {
+        // Some 11 bits, then a step of third order
+        let y = Self(unsafe { _mm256_rsqrt_ps(x.0) });
+        let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
+        let p = e.mul_add(Self::splat(0.375), Self::splat(0.5));
+        y.times(e).mul_add(p, y)
+    },
+    less(x, y): _mm256_cmp_ps::<_CMP_LT_OQ>(x, y),
+    blend(mask, yes, no): _mm256_blendv_ps(no, yes, mask),
+    within(x, most): _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(x, most)) == 0xff,
+    any(mask): _mm256_movemask_ps(mask) != 0,
+    sum(all): {
+        let four = _mm_add_ps(_mm256_castps256_ps128(all), _mm256_extractf128_ps::<1>(all));
+        let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+        _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+    });
 
     /// Two vectors as one.
     #[derive(Clone, Copy)]
@@ -487,6 +565,21 @@ mod x86 {
         #[inline(always)]
         fn all_within(self, limit: f64) -> bool {
             self.0.all_within(limit) & self.1.all_within(limit)
+        }
+        #[inline(always)]
+        fn sum(self) -> L::Scalar {
+            (self.0 + self.1).sum()
+        }
+        #[inline(always)]
+        unsafe fn load(from: *const L::Scalar) -> Self {
+            Self(unsafe { L::load(from) }, unsafe { L::load(from.add(L::LANES)) })
+        }
+        #[inline(always)]
+        unsafe fn store(self, to: *mut L::Scalar) {
+            unsafe {
+                self.0.store(to);
+                self.1.store(to.add(L::LANES));
+            }
         }
     }
 }
