@@ -69,6 +69,13 @@ impl Settings {
     }
 }
 
+impl Settings {
+    /// What trials share, each once.
+    pub fn shared(&self) -> impl Iterator<Item = &BTreeMap<String, Value>> {
+        self.known.values().map(Arc::as_ref)
+    }
+}
+
 /// A JSON object's leaves by path.
 #[must_use]
 pub fn flatten(value: &Value) -> BTreeMap<String, Value> {

@@ -23,6 +23,7 @@ mod query;
 mod report;
 mod run;
 mod schema;
+mod serve;
 mod simd;
 mod simulate;
 mod status;
@@ -49,6 +50,7 @@ use metasense_schemas::source::SpecError;
 use metasense_worker::design::DesignError;
 use metasense_worker::measured::MeasuredError;
 
+use crate::look::duration;
 pub use crate::look::{Format, print_rows};
 
 /// Trains bodies of flexible metamaterial together with the neural networks that read them, many variants at a time.
@@ -73,6 +75,7 @@ enum Command {
     Identify(identify::Args),
     Status(status::Args),
     Watch(watch::Args),
+    Serve(serve::Args),
     Why(why::Args),
     Query(query::Args),
     Analyse(analyse::Args),
@@ -113,6 +116,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Identify(args) => identify::execute(&args),
         Command::Status(args) => block_on(status::execute(args)),
         Command::Watch(args) => block_on(watch::execute(args)),
+        Command::Serve(args) => block_on(serve::execute(args)),
         Command::Why(args) => block_on(why::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
@@ -191,17 +195,6 @@ fn make_folder(path: &Path) -> Result<(), Error> {
         path: path.to_owned(),
         source,
     })
-}
-
-/// Seconds in words, to two parts.
-fn duration(seconds: f64) -> String {
-    let s = seconds.round() as u64;
-    match s {
-        0..60 => format!("{s} s"),
-        60..3600 => format!("{} min {} s", s / 60, s % 60),
-        3600..86_400 => format!("{} h {} min", s / 3600, s / 60 % 60),
-        _ => format!("{} d {} h", s / 86_400, s / 3600 % 24),
-    }
 }
 
 /// Why a command could not be carried out.

@@ -9,6 +9,7 @@ use crate::cluster::state::{self, State};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 use crate::plan::counted;
+use crate::progress::FAILED;
 use crate::provenance;
 use crate::scheduler::PRUNED;
 use crate::store::{Reader, quoted};
@@ -178,12 +179,6 @@ pub(super) fn newest(folder: &Path) -> Option<PathBuf> {
 
 /// Kinds of failures that are told one by one.
 const MOST_FAILURES: usize = 20;
-
-/// Failures by reason and by what was said of the last attempt, with one of their trials.
-const FAILED: &str = "SELECT reason, text, min(hash), count(*) FROM
-    (SELECT t.hash, t.reason, (SELECT l.text FROM log l WHERE l.trial_id = t.id AND l.level = 'error'
-       ORDER BY l.attempt DESC, l.line DESC LIMIT 1) AS text FROM trial t
-     WHERE t.state = 'failed' AND t.reason IS NOT 'pruned') GROUP BY 1, 2 ORDER BY 4 DESC, 1, 2";
 
 /// Trials by sweep, state and reason.
 const STATES: &str = "SELECT (SELECT group_concat(name, ', ') FROM (SELECT name FROM sweep_trial JOIN sweep ON sweep.id = sweep_id

@@ -2,6 +2,7 @@
 //! nobody else here.
 
 pub mod body;
+pub mod grid;
 mod number;
 mod page;
 mod parquet;
@@ -12,11 +13,11 @@ mod table;
 pub mod wave;
 mod write;
 
-pub use number::{digits, number};
-pub use page::{Answer, Figure, answers, page};
+pub use number::{digits, duration, number};
+pub use page::{Answer, Figure, answers, document, encoded, page};
 pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
-pub use style::{SERIES, level};
+pub use style::{SERIES, level, of_page};
 pub use table::Table;
 pub(crate) use table::row;
 pub use write::{Format, RowWriter, print_rows, standard_output};

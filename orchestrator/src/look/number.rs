@@ -27,6 +27,18 @@ pub fn digits(value: f64, count: usize) -> String {
     }
 }
 
+/// Seconds in words, to two parts.
+#[must_use]
+pub fn duration(seconds: f64) -> String {
+    let s = seconds.round() as u64;
+    match s {
+        0..60 => format!("{s} s"),
+        60..3600 => format!("{} min {} s", s / 60, s % 60),
+        3600..86_400 => format!("{} h {} min", s / 3600, s / 60 % 60),
+        _ => format!("{} d {} h", s / 86_400, s / 3600 % 24),
+    }
+}
+
 /// The power of ten of the first digit.
 fn magnitude(value: f64) -> i32 {
     value.abs().log10().floor() as i32

@@ -1,6 +1,7 @@
 //! Pages: question and answers first, then figures with their data, then tables. No network, no scripts but a wave's.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use serde_json::Value;
 
 use super::picture::keys;
 use super::style::of_page;
@@ -50,6 +51,14 @@ impl Answer {
 /// A page of its own.
 #[must_use]
 pub fn page(title: &str, question: &str, content: &Markup) -> String {
+    let style = html! { style { (PreEscaped(of_page())) } };
+    let main = html! { main { h1 { (title) } p class="question" { (question) } (content) } };
+    document(title, &style, &html! { body { (main) } })
+}
+
+/// A whole document; `head`: its style and scripts.
+#[must_use]
+pub fn document(title: &str, head: &Markup, body: &Markup) -> String {
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -57,9 +66,9 @@ pub fn page(title: &str, question: &str, content: &Markup) -> String {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 title { (title) }
-                style { (PreEscaped(of_page())) }
+                (head)
             }
-            body { main { h1 { (title) } p class="question" { (question) } (content) } }
+            (body)
         }
     }
     .into_string()
@@ -127,10 +136,16 @@ fn prose(text: &str) -> String {
 
 /// A link that holds a table as CSV.
 fn download(name: &str, table: &Table) -> Markup {
+    let data = encoded(&table.shortened().csv());
+    html! { a download=(format!("{name}.csv")) href=(format!("data:text/csv;charset=utf-8,{data}")) { "data (CSV)" } }
+}
+
+/// A text as part of an address.
+#[must_use]
+pub fn encoded(text: &str) -> String {
     let kept = |byte: u8| byte.is_ascii_alphanumeric() || b"-._,".contains(&byte);
     let encoded = |byte: u8| if kept(byte) { (byte as char).to_string() } else { format!("%{byte:02X}") };
-    let data: String = table.shortened().csv().bytes().map(encoded).collect();
-    html! { a download=(format!("{name}.csv")) href=(format!("data:text/csv;charset=utf-8,{data}")) { "data (CSV)" } }
+    text.bytes().map(encoded).collect()
 }
 
 /// Rows that a page shows; the data hold all.
@@ -140,6 +155,12 @@ impl Table {
     /// The table on a page; with a `name`, its data too.
     #[must_use]
     pub fn html(&self, name: Option<&str>) -> Markup {
+        self.linked(name, |_, _| None)
+    }
+
+    /// The same with links: where a value of a column leads to.
+    #[must_use]
+    pub fn linked(&self, name: Option<&str>, to: impl Fn(&str, &Value) -> Option<String>) -> Markup {
         let text = |column: usize| self.rows.iter().any(|row| row[column].is_string());
         let text: Vec<bool> = (0..self.columns.len()).map(text).collect();
         let class = |text: bool, length: usize| match (text, length > 48) {
@@ -156,9 +177,14 @@ impl Table {
                     } } }
                     tbody { @for row in self.rows.iter().take(MOST_ROWS) {
                         tr class=[state.filter(|i| row[*i] == "failed").map(|_| "failed")] {
-                            @for (value, text) in row.iter().zip(&text) {
+                            @for ((value, text), column) in row.iter().zip(&text).zip(&self.columns) {
                                 @let shown = readable(value, number);
-                                td class=[class(*text, shown.len())] { (shown) }
+                                td class=[class(*text, shown.len())] {
+                                    @match to(column, value) {
+                                        Some(address) => a href=(address) { (shown) },
+                                        None => (shown),
+                                    }
+                                }
                             }
                         }
                     } }

@@ -36,7 +36,8 @@ const FIGURES: &str = include_str!("figure.css");
 const DARK: &str = "@media screen and (prefers-color-scheme: dark)";
 
 /// The style of a page: both themes, by variables.
-pub(super) fn of_page() -> String {
+#[must_use]
+pub fn of_page() -> String {
     let variables = |theme: usize| -> String {
         let all = PALETTE.iter().map(|(name, values)| format!("--{name}: {}; ", values[theme]));
         format!(":root {{ {}}} {}", all.collect::<String>(), levels(theme))

@@ -1,5 +1,5 @@
-(() => {
-  const root = document.currentScript.parentElement, duration = DURATION;
+document.querySelectorAll('.wave').forEach(root => {
+  const {duration, start} = root.dataset;
   const bodies = [...root.querySelectorAll('svg')].map(svg => ({
     units: [...svg.querySelectorAll('polygon.unit')],
     data: Int32Array.from(svg.nextElementSibling.textContent.split(',')),
@@ -15,7 +15,7 @@
       e.setAttribute('class', `unit s${Math.round(20 * Math.sqrt(data[i + 3] / 1e3))}`);
     });
     range.value = n;
-    output.textContent = ((n + 1) * duration / count).toFixed(3) + ' s';
+    output.textContent = ((n + 1) * +duration / count).toFixed(3) + ' s';
   };
   const tick = now => {
     if (last === null) return;
@@ -32,6 +32,6 @@
   };
   button.onclick = () => play(last === null);
   range.oninput = () => { play(false); at = +range.value; show(); };
-  at = START;
+  at = +start;
   show();
-})();
+});

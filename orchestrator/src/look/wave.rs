@@ -65,7 +65,7 @@ pub fn snapshot(
     body(&moved, frame, title, Notes::default(), unit)
 }
 
-/// Bodies whose units a script moves and colours, at first as at instant `start`; without script they stand still.
+/// Bodies whose units [`SCRIPT`] moves and colours, at first as at instant `start`; without script they stand still.
 #[must_use]
 pub fn animation(bodies: &[(&str, &Drawing, &Motion)], frame: Frame, most: f64, start: usize) -> Markup {
     // Centroids in µm; then u, v in µm, θ in 0.1 mrad, speed in thousandths of the fastest.
@@ -77,11 +77,8 @@ pub fn animation(bodies: &[(&str, &Drawing, &Motion)], frame: Frame, most: f64, 
         middles.chain(states).map(|x| format!("{x:.0}")).collect::<Vec<_>>().join(",")
     };
     let clock = &bodies[0].1.clock;
-    let script = include_str!("wave.js")
-        .replace("DURATION", &clock.last().copied().unwrap_or(1.0).to_string())
-        .replace("START", &start.to_string());
     html! {
-        div class="wave" {
+        div class="wave" data-duration=(clock.last().copied().unwrap_or(1.0)) data-start=(start) {
             div class="pair" {
                 @for (name, drawing, motion) in bodies {
                     @let still = body(&bare(drawing), frame, &format!("{name} body in motion"), Notes::default(), |_| Unit::default());
@@ -97,7 +94,9 @@ pub fn animation(bodies: &[(&str, &Drawing, &Motion)], frame: Frame, most: f64, 
                 input type="range" min="0" max=(clock.len() - 1) value="0" aria-label="time";
                 output { "0 s" }
             }
-            script { (PreEscaped(script)) }
         }
     }
 }
+
+/// Plays the animations of a page; it goes behind them.
+pub const SCRIPT: &str = include_str!("wave.js");

@@ -13,7 +13,7 @@ use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::store::{Reader, Row, StoreError, npy_values};
 
 /// Parts of an outer step's time, as the columns of `v_step` and in words.
-const PARTS: [(&str, &str); 6] = [
+pub(crate) const PARTS: [(&str, &str); 6] = [
     ("seconds_simulate", "simulate"),
     ("seconds_train", "train"),
     ("seconds_differentiate", "differentiate"),

@@ -11,10 +11,11 @@ pub mod records;
 pub mod samples;
 pub mod strips;
 
-use maud::{Markup, html};
+use maud::{Markup, PreEscaped, html};
 
 use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
+use crate::look::wave::SCRIPT;
 use crate::look::{Answer, Figure, Table, answers as listed, page};
 use crate::provenance::{self, Made};
 use crate::store::Stored;
@@ -105,6 +106,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
         h2 { "Trials" }
         (story.settled.html(Some("trials")))
         (provenance(story))
+        @if figures.iter().any(|figure| figure.moving.is_some()) { script { (PreEscaped(SCRIPT)) } }
     };
     let question =
         "Does training the body make sensing better, how many sensors are enough, and what did it cost?";

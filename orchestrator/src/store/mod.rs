@@ -4,6 +4,7 @@
 //! and power loss alike. The price is one fsync a transaction, which `begin_batch` … `commit_batch` shares between
 //! many records. A lock on the file keeps a second writer out for as long as a `Store` lives.
 
+mod confined;
 mod error;
 mod log;
 mod made;
@@ -27,6 +28,7 @@ use metasense_schemas::database::{APPLICATION_ID, MIGRATIONS};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
+pub use confined::Limits;
 use error::OPENING;
 pub use error::StoreError;
 pub use log::Level;

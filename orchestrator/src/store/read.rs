@@ -15,9 +15,11 @@ use sqlx::{
 };
 
 use super::error::is_trouble;
+use super::write::read_checkpoint;
 use super::{OPENING, Store, StoreError, check_version, lock, npy_values};
 use crate::look::Table;
 use metasense_schemas::database::MIGRATIONS;
+use metasense_schemas::record::Checkpoint;
 
 /// A row of an answer, as SQLite holds it.
 #[derive(Debug)]
@@ -60,7 +62,7 @@ impl Row<'_> {
 pub struct Reader {
     pub(super) connection: SqliteConnection,
     pub(super) path: PathBuf,
-    alone: bool,
+    pub(super) alone: bool,
 }
 
 /// A stored array.
@@ -102,12 +104,12 @@ impl Reader {
             return Err(StoreError::Missing { path });
         }
         let alone = !journal(&path).exists();
-        let mut connection = connect(&path).await?;
+        let mut connection = connect(options(&path), &path).await?;
         let version = check_version(&mut connection, &path).await?;
         if version < MIGRATIONS.len() {
             drop(connection);
             Store::open(&path).await?.close().await?;
-            connection = connect(&path).await?;
+            connection = connect(options(&path), &path).await?;
         }
         Ok(Self { connection, path, alone })
     }
@@ -274,6 +276,20 @@ impl Reader {
         }
     }
 
+    /// A trial's last checkpoint; `None` where it has none.
+    ///
+    /// # Errors
+    /// Where SQLite fails, or the checkpoint is of another program.
+    pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
+        let sql = "SELECT c.bytes FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.hash = ?";
+        let bytes: Option<Vec<u8>> = sqlx::query_scalar(sql)
+            .bind(hash)
+            .fetch_optional(&mut self.connection)
+            .await
+            .map_err(|source| StoreError::sql(&self.path, "reading a checkpoint from", source))?;
+        bytes.map(|bytes| read_checkpoint(hash, &bytes)).transpose()
+    }
+
     /// The stored arrays of a trial, by name.
     ///
     /// # Errors
@@ -291,13 +307,13 @@ impl Reader {
     }
 }
 
-/// What SQLite says of a statement that a person has put.
 /// A text as SQL has it: databases from elsewhere may name trials as they like.
 #[must_use]
 pub fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "''"))
 }
 
+/// What SQLite says of a statement that a person has put.
 fn wrong(path: &Path, source: sqlx::Error) -> StoreError {
     match &source {
         sqlx::Error::Database(e) if !is_trouble(&source) => {
@@ -314,14 +330,21 @@ fn journal(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Read-only; where the folder cannot hold the journal's index (a read-only medium), as an unchanging file.
-async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
-    let options = SqliteConnectOptions::new()
+/// Read-only.
+pub(super) fn options(path: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
         .filename(path)
         .read_only(true)
         .busy_timeout(Duration::from_secs(10))
         .pragma("query_only", "ON")
-        .disable_statement_logging();
+        .disable_statement_logging()
+}
+
+/// Where the folder cannot hold the journal's index (a read-only medium), as an unchanging file.
+pub(super) async fn connect(
+    options: SqliteConnectOptions,
+    path: &Path,
+) -> Result<SqliteConnection, StoreError> {
     let at = |source| StoreError::sql(path, OPENING, source);
     let mut connection = options.clone().connect().await.map_err(at)?;
     match connection.execute("SELECT count(*) FROM sqlite_schema").await {

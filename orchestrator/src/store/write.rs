@@ -2,9 +2,7 @@
 
 use std::borrow::Cow;
 
-use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, CheckpointError, NetworkEvaluation, StepRecord, TrialResult,
-};
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
 use metasense_worker::milestones;
 use sqlx::Executor;
 
@@ -22,6 +20,15 @@ pub struct Array<'a> {
     pub shape: &'a [usize],
     /// It as an NPY file.
     pub npy: &'a [u8],
+}
+
+/// A trial's checkpoint out of its bytes.
+pub(super) fn read_checkpoint(hash: &str, bytes: &[u8]) -> Result<Checkpoint, StoreError> {
+    Checkpoint::from_bytes(bytes).map_err(|error| StoreError::Unreadable {
+        hash: hash.to_owned(),
+        what: "checkpoint",
+        message: error.to_string(),
+    })
 }
 
 impl Store {
@@ -69,12 +76,7 @@ impl Store {
             .fetch_optional(&mut self.connection)
             .await
             .map_err(|source| StoreError::sql(&self.path, "reading a checkpoint from", source))?;
-        let unreadable = |error: CheckpointError| StoreError::Unreadable {
-            hash: hash.to_owned(),
-            what: "checkpoint",
-            message: error.to_string(),
-        };
-        bytes.map(|bytes| Checkpoint::from_bytes(&bytes)).transpose().map_err(unreadable)
+        bytes.map(|bytes| read_checkpoint(hash, &bytes)).transpose()
     }
 
     /// Begins an attempt at a trial and returns its number, from 1.

@@ -1,0 +1,75 @@
+//! `serve`: a sweep in a browser, while it runs and afterwards.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use tokio::net::TcpListener;
+
+use super::Error;
+use crate::cluster::home::tries;
+use crate::engine::Signals;
+use crate::exit::Exit;
+use crate::serve::{Served, Source, serve};
+
+/// Shows databases in a browser, live: how far, what they answer so far, every trial, SQL; until Ctrl-C
+///
+/// It reads databases and nothing else; a run does not know that it is watched. From another machine: ssh -L
+/// 8017:localhost:8017 HOST.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Databases, folders of shards (each as one database), folders of databases
+    #[arg(default_value = "results", value_name = "DB|FOLDER")]
+    what: Vec<PathBuf>,
+    /// The port; 0 takes any that is free
+    #[arg(long, default_value_t = 8017)]
+    port: u16,
+    /// The address to listen at. On any but this machine's own, whoever reaches it reads everything
+    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
+    listen: IpAddr,
+}
+
+/// Added to the niceness: what a sweep needs goes first.
+const NICENESS: i32 = 10;
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let mut signals = Signals::new()?;
+    let paths: Vec<PathBuf> = args.what.iter().flat_map(|path| databases(path)).collect();
+    if paths.is_empty() {
+        return Err(Error::Usage(format!(
+            "there is no database in {}; `metasense run SPEC` makes one",
+            args.what.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
+        )));
+    }
+    // SAFETY: cannot fail, touches no memory.
+    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
+    let at = SocketAddr::new(args.listen, args.port);
+    let failed = |source| Error::Io { doing: "listening at", path: at.to_string().into(), source };
+    let listener = TcpListener::bind(at).await.map_err(failed)?;
+    let at = listener.local_addr().map_err(failed)?;
+    let scratch = |source| Error::Io { doing: "making a folder in", path: std::env::temp_dir(), source };
+    let sources =
+        paths.iter().map(|path| Source::new(path)).collect::<Result<Vec<_>, _>>().map_err(scratch)?;
+    print_line!("http://{at}/")?;
+    if !at.ip().is_loopback() {
+        say!("whoever reaches {at} can read everything in these databases");
+    }
+    let served = Served::new(sources);
+    signals.unless(serve(listener, Arc::clone(&served))).await;
+    served.close().await;
+    Ok(Exit::Done)
+}
+
+/// What a path stands for: a file or a folder of shards for itself, another folder for all that is in it.
+fn databases(path: &Path) -> Vec<PathBuf> {
+    let is_database =
+        |path: &PathBuf| path.extension().is_some_and(|e| e == "sqlite") || !tries(path).is_empty();
+    let shards = path.extension().is_some_and(|e| e == "shards") || !tries(path).is_empty();
+    if !path.is_dir() || shards {
+        return vec![path.to_owned()];
+    }
+    let entries = std::fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut found: Vec<PathBuf> = entries.filter(is_database).collect();
+    found.sort();
+    found
+}

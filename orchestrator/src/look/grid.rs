@@ -1,0 +1,66 @@
+//! A grid of cells, coloured from pale to strong.
+
+use maud::{Markup, html};
+
+use super::{Picture, level};
+
+/// A cell.
+#[derive(Debug, Clone, Default)]
+pub struct Cell {
+    /// Stands in it; a cell without text is empty.
+    pub text: String,
+    /// How strong it is, 0 to 1.
+    pub part: f64,
+    /// Shows when it is pointed at.
+    pub title: String,
+    /// Where it leads to.
+    pub to: Option<String>,
+}
+
+/// Width and height of a cell (px); room for the names of rows and columns.
+const CELL: [f64; 2] = [56.0, 26.0];
+const ROOM: [f64; 2] = [64.0, 40.0];
+
+/// A row of cells a name on the left, a column a name at the bottom.
+#[must_use]
+pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cells: &[Vec<Cell>]) -> Picture {
+    let (columns, rows) = (across.1, down.1);
+    let at = |i: usize, j: usize| [ROOM[0] + i as f64 * CELL[0], j as f64 * CELL[1]];
+    let text = |class: &str, [x, y]: [f64; 2], anchor: &str, text: &str| {
+        html! { text class=(class) x=(format!("{x:.1}")) y=(format!("{y:.1}")) text-anchor=(anchor) { (text) } }
+    };
+    let cell = |i: usize, j: usize, cell: &Cell| -> Markup {
+        let [x, y] = at(i, j);
+        // `level` takes the root of a part
+        let inside = html! {
+            rect class=(format!("cell {}", level(cell.part * cell.part))) x=(x) y=(y) width=(CELL[0]) height=(CELL[1]) {
+                title { (cell.title) }
+            }
+            (text("note inside", [x + 0.5 * CELL[0], y + 17.0], "middle", &cell.text))
+        };
+        match &cell.to {
+            Some(to) => html! { a href=(to) aria-label=(cell.title) { (inside) } },
+            None => inside,
+        }
+    };
+    let [right, floor] = at(columns.len(), rows.len());
+    // however few rows, their name is read whole
+    let middle = 0.5 * floor.max(7.0 * down.0.chars().count() as f64);
+    let marks = html! {
+        @for (j, row) in cells.iter().enumerate() {
+            (text("tick", [ROOM[0] - 5.0, at(0, j)[1] + 17.0], "end", &rows[j]))
+            @for (i, one) in row.iter().enumerate().filter(|(_, one)| !one.text.is_empty()) { (cell(i, j, one)) }
+        }
+        @for (i, name) in columns.iter().enumerate() {
+            (text("tick", [at(i, 0)[0] + 0.5 * CELL[0], floor + 14.0], "middle", name))
+        }
+        (text("label", [0.5 * (ROOM[0] + right), floor + 32.0], "middle", across.0))
+        g transform=(format!("rotate(-90 11 {middle:.1})")) { (text("label", [11.0, middle], "middle", down.0)) }
+    };
+    Picture {
+        title: title.into(),
+        class: "grid-of-cells",
+        view: [0.0, 0.0, right + 4.0, (2.0 * middle).max(floor + ROOM[1])],
+        marks,
+    }
+}

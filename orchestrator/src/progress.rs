@@ -1,0 +1,177 @@
+//! How a run is: its trials and steps by its database, its workers by /proc. The run itself is not asked.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::time::Instant;
+
+use metasense_worker::process::IDLE;
+use serde_json::{Value, json};
+
+use crate::fleet::{Seen, workers_of, writer_of};
+use crate::look::{Table, duration};
+use crate::store::{Reader, StoreError};
+
+/// The trials that run, with their last step, and the seconds since it was recorded.
+const RUNNING: &str = "
+SELECT t.hash, t.panels AS K, t.sensors AS M, t.placement, t.seed, t.units, 1 + p.step AS step,
+  json_extract(t.spec, '$.optimise.iterations') AS of,
+  (SELECT round(e.error_test, 2) FROM step e WHERE e.trial_id = t.id AND e.error_test IS NOT NULL
+   ORDER BY e.step DESC LIMIT 1) AS test_error,
+  (SELECT round(min(b.error_test), 2) FROM step b WHERE b.trial_id = t.id) AS test_error_best,
+  CAST(round((julianday('now') - julianday(max(a.started_at, coalesce(p.recorded_at, '')))) * 86400) AS INTEGER) AS silent_s,
+  a.number AS attempt
+FROM trial t JOIN attempt a ON a.trial_id = t.id AND a.state = 'running'
+LEFT JOIN step p ON p.trial_id = t.id AND p.step = (SELECT max(step) FROM step m WHERE m.trial_id = t.id)
+WHERE t.state = 'running' ORDER BY 2, 3, 4, 5, 6";
+
+/// All trials by state; the estimated seconds of what is left of those that are open; steps, attempts; and how long
+/// attempts have taken against what was estimated for what they did; mean errors of what is done; what is given up; all
+/// estimated seconds.
+const WHOLE: &str = "
+SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason <> 'pruned'), sum(state = 'running'),
+  sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END)
+    - (SELECT coalesce(sum(t.cost * c.step / json_extract(t.spec, '$.optimise.iterations')), 0)
+       FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.state IN ('pending', 'running')),
+  (SELECT sum(steps) FROM attempt), (SELECT count(*) FROM attempt),
+  (SELECT sum((julianday(coalesce(a.ended_at, 'now')) - julianday(a.started_at)) * 86400)
+     / nullif(sum(CASE a.state WHEN 'done' THEN t.cost
+        ELSE t.cost * a.steps / json_extract(t.spec, '$.optimise.iterations') END), 0)
+   FROM attempt a JOIN trial t ON t.id = a.trial_id WHERE a.steps > 0 OR a.state = 'done'),
+  avg(holdout_error_initial), avg(holdout_error_optimised), sum(state = 'failed' AND reason = 'pruned'), sum(cost)
+FROM trial";
+
+/// Failures by reason and by what was said of the last attempt, with one of their trials.
+pub const FAILED: &str = "SELECT reason, text, min(hash), count(*) FROM
+    (SELECT t.hash, t.reason, (SELECT l.text FROM log l WHERE l.trial_id = t.id AND l.level = 'error'
+       ORDER BY l.attempt DESC, l.line DESC LIMIT 1) AS text FROM trial t
+     WHERE t.state = 'failed' AND t.reason IS NOT 'pruned') GROUP BY 1, 2 ORDER BY 4 DESC, 1, 2";
+
+/// What can be seen of a run.
+#[derive(Debug, Clone, Default)]
+pub struct Progress {
+    /// In a sentence.
+    pub summary: String,
+    /// Trials: all, done, failed for good, running, given up as hopeless.
+    pub trials: [u64; 5],
+    /// The part of the estimated work that is done; `None` where nothing is estimated.
+    pub part: Option<f64>,
+    /// How long attempts have taken, over what was estimated for what they did.
+    pub correction: Option<f64>,
+    /// A row a worker, with its trial if it has one; then the trials whose worker is not seen from here.
+    pub workers: Table,
+    /// The process that writes to the database.
+    pub run: Option<u32>,
+}
+
+/// Looks at one run, again and again: rates are since the first look, parts of a core since the one before.
+#[derive(Debug, Default)]
+pub struct Looks {
+    first: Option<(Instant, f64)>,
+    before: HashMap<u32, (Instant, u64)>,
+}
+
+impl Looks {
+    /// Looks at what workers compute, so that the next look can say how fast. Whether there is a run.
+    pub fn begin(&mut self, db: &Path) -> bool {
+        let run = writer_of(db);
+        run.inspect(|run| drop(look(*run, &mut self.before))).is_some()
+    }
+
+    /// Looks.
+    ///
+    /// # Errors
+    /// Where the database cannot be read.
+    pub async fn look(&mut self, reader: &mut Reader) -> Result<Progress, StoreError> {
+        let (whole, running) = (reader.query(WHOLE).await?, reader.query(RUNNING).await?);
+        let run = writer_of(reader.path());
+        let workers = run.map(|run| look(run, &mut self.before)).unwrap_or_default();
+        let number = |i: usize| whole.rows[0][i].as_f64();
+        let (left, all) = (number(4).unwrap_or(0.0), number(11).unwrap_or(0.0));
+        Ok(Progress {
+            summary: summary(&whole, &mut self.first),
+            trials: [0, 1, 2, 3, 10].map(|i| number(i).unwrap_or(0.0) as u64),
+            part: (all > 0.0).then(|| (1.0 - left / all).clamp(0.0, 1.0)),
+            correction: number(7),
+            workers: by_worker(&running, &workers),
+            run,
+        })
+    }
+}
+
+/// The workers of a run, with the part of a core (%) that each has used since the look before.
+fn look(run: u32, before: &mut HashMap<u32, (Instant, u64)>) -> Vec<(Seen, Option<f64>)> {
+    let now = Instant::now();
+    let seen = workers_of(run).into_iter().map(|worker| {
+        let earlier = before.insert(worker.pid, (now, worker.ticks));
+        let share = earlier.map(|(then, ticks)| {
+            worker.ticks.saturating_sub(ticks) as f64 / now.duration_since(then).as_secs_f64().max(0.01)
+        });
+        (worker, share)
+    });
+    seen.collect()
+}
+
+/// A row a worker, with its trial if it has one; then the trials whose worker is not seen from here.
+fn by_worker(running: &Table, workers: &[(Seen, Option<f64>)]) -> Table {
+    let hash = |row: &[Value]| row[0].as_str().unwrap_or_default().to_owned();
+    let mut columns: Vec<String> = ["worker", "pid", "state", "cpu_%"].map(String::from).into();
+    columns.extend(running.columns[1..].iter().cloned());
+    columns.push("trial".into());
+    let mut left: Vec<&Vec<Value>> = running.rows.iter().collect();
+    let line = |worker: [Value; 4], trial: Option<&Vec<Value>>| {
+        let mut row: Vec<Value> = worker.into();
+        match trial {
+            Some(trial) => {
+                row.extend(trial[1..].iter().cloned());
+                row.push(hash(trial).chars().take(8).collect::<String>().into());
+            }
+            None => row.resize(columns.len(), Value::Null),
+        }
+        row
+    };
+    let mut rows = Vec::new();
+    for (worker, share) in workers {
+        let trial = left.iter().position(|row| hash(row).starts_with(&worker.name)).map(|at| left.remove(at));
+        let state = match (worker.state, trial) {
+            ('T', _) => "stopped",
+            ('Z', _) => "ended",
+            (_, Some(_)) => "busy",
+            (_, None) if worker.name == IDLE => "idle",
+            (_, None) => "between trials",
+        };
+        let share = share.map_or(Value::Null, |share| json!(share.round() as u64));
+        rows.push(line([json!(worker.worker), json!(worker.pid), json!(state), share], trial));
+    }
+    rows.extend(
+        left.into_iter().map(|trial| line([Value::Null, Value::Null, Value::Null, Value::Null], Some(trial))),
+    );
+    Table { rows, columns: columns.clone() }
+}
+
+/// `first`: when the watch began, and the steps there were then.
+fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
+    let row = &whole.rows[0];
+    let number = |i: usize| row[i].as_f64().unwrap_or(0.0);
+    let (total, done, failed, running) = (number(0), number(1), number(2), number(3));
+    let mut text = format!(
+        "{done} of {total} trials done, {failed} failed, {running} running, {} waiting; {} steps in {} attempts",
+        total - done - failed - running - number(10),
+        number(5),
+        number(6),
+    );
+    if number(10) > 0.0 {
+        text += &format!("; {} given up as hopeless", number(10));
+    }
+    let (began, steps) = *first.get_or_insert((Instant::now(), number(5)));
+    if number(5) > steps {
+        text += &format!(", {:.1} a minute", 60.0 * (number(5) - steps) / began.elapsed().as_secs_f64());
+    }
+    let (left, correction) = (number(4), number(7));
+    if correction > 0.0 && running > 0.0 {
+        text += &format!("; some {} to go", duration(left * correction / running));
+    }
+    if done > 0.0 {
+        text += &format!("; mean holdout error so far {:.2} -> {:.2} %", number(8), number(9));
+    }
+    text
+}

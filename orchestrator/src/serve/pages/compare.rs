@@ -1,0 +1,153 @@
+//! Two trials side by side, or two databases trial by trial.
+
+use std::sync::Arc;
+
+use axum::extract::{Path, Query, State};
+use axum::response::Html;
+use maud::{Markup, html};
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::trial::{Trial, bodies, curves};
+use super::trials::short;
+use super::{Served, framed, to_trial};
+use crate::analysis::compare::Comparison;
+use crate::analysis::setting::flatten;
+use crate::look::{Table, number};
+use crate::plan::counted;
+use crate::report::load::finished_trials;
+use crate::serve::{Refusal, source};
+use crate::store::Reader;
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct Asked {
+    a: String,
+    b: String,
+    /// The other database.
+    with: String,
+}
+
+pub async fn page(
+    State(served): State<Arc<Served>>,
+    Path(at): Path<String>,
+    Query(asked): Query<Asked>,
+) -> Result<Html<String>, Refusal> {
+    let other = if asked.with.is_empty() { at.clone() } else { asked.with.clone() };
+    let shown = match [asked.a.trim(), asked.b.trim()] {
+        ["", ""] if other == at => Ok(html! {}),
+        ["", ""] => databases(&served, &at, &other).await,
+        ["", _] | [_, ""] => {
+            Ok(html! { p class="quiet" { "Name both trials, each by the beginning of its hash." } })
+        }
+        [a, b] => trials(&served, [&at, &other], [a, b]).await,
+    };
+    let shown = match shown {
+        Err(Refusal::Asked(why)) => html! { p class="trouble" role="alert" { (why) } },
+        other => other?,
+    };
+    let content = html! {
+        form method="get" class="line" {
+            label { "Trial " input name="a" value=(asked.a) size="12" autocomplete="off" spellcheck="false"; }
+            label { "with trial " input name="b" value=(asked.b) size="12" autocomplete="off" spellcheck="false"; }
+            @if served.sources.len() > 1 {
+                label { "of " select name="with" {
+                    @for (i, source) in served.sources.iter().enumerate() {
+                        @let i = i.to_string();
+                        option value=(i) selected[i == other] { (source.name) }
+                    }
+                } }
+            }
+            button { "Compare" }
+        }
+        @if served.sources.len() > 1 {
+            p class="quiet" { "Without trials, two databases are compared: their trials in pairs that agree in all that varies within either." }
+        }
+        (shown)
+    };
+    framed(&served, &at, "compare", "Compare", None, &content)
+}
+
+async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup, Refusal> {
+    let mut trials = Vec::new();
+    for at in [first, second] {
+        let db = source(served, at)?.now().await.db.clone();
+        trials.push(Reader::asked(&db, async |reader| finished_trials(reader).await).await?);
+    }
+    let work = move || {
+        let found = Comparison::new(&trials[0], &trials[1]);
+        let text = |value: Option<&Value>| value.map_or("none".to_owned(), Value::to_string);
+        let differs: Vec<_> =
+            found.differs.iter().map(|(path, [a, b])| (path.to_string(), text(*a), text(*b))).collect();
+        (found.pairs.len(), found.alone, differs, found.table())
+    };
+    let worked = tokio::task::spawn_blocking(work).await;
+    let (pairs, alone, differs, table) = worked.map_err(|e| Refusal::Asked(e.to_string()))?;
+    Ok(html! {
+        p role="status" { (counted(pairs, "pair")) "; without a partner: " (alone[0]) " and " (alone[1]) "." }
+        @for (path, a, b) in &differs { p class="quiet" { (path) ": " (a) " and " (b) } }
+        h2 { "First over second, paired" }
+        p class="quiet" { "Above 1: the second has less. Geometric means with 95 % intervals." }
+        (table.html(Some("comparison")))
+    })
+}
+
+async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Markup, Refusal> {
+    let mut found = Vec::new();
+    for (at, hash) in at.into_iter().zip(hashes) {
+        let db = source(served, at)?.now().await.db.clone();
+        found.push(Reader::asked(&db, async |reader| Trial::read(reader, hash).await).await?);
+    }
+    let [a, b] = [&found[0], &found[1]];
+    let drawings: Vec<_> = [(a, "first"), (b, "second")]
+        .into_iter()
+        .flat_map(|(trial, who)| {
+            let last = trial.drawings().pop();
+            last.map(|(name, drawing)| (format!("{who}: {name}"), drawing))
+        })
+        .collect();
+    let lines = [("initial", a.column("error_test")), ("optimised", b.column("error_test"))];
+    let keys = crate::look::legend(&[("initial", "first"), ("optimised", "second")]);
+    let errors = curves("Test error while the body is trained", "test error (%)", &lines);
+    Ok(html! {
+        p {
+            "First: " a href=(to_trial(at[0], &a.hash)) { (short(&a.hash)) } " (" (a.state) "); second: "
+            a href=(to_trial(at[1], &b.hash)) { (short(&b.hash)) } " (" (b.state) ")."
+        }
+        h2 { "What they came to" }
+        (facts(a, b).html(Some("comparison")))
+        h2 { "What differs in what they are" }
+        (differences(a, b).html(None))
+        @if let Some(errors) = errors {
+            (crate::look::Figure::new("both", "Steps", "Test error after every outer step.", keys, vec![errors], a.steps.clone()).html(&[]))
+        }
+        @if !drawings.is_empty() {
+            h2 { "Bodies" }
+            div class="plots" { @for picture in bodies(&drawings) { div { h3 { (picture.title) } (picture.svg(None)) } } }
+        }
+    })
+}
+
+fn facts(a: &Trial, b: &Trial) -> Table {
+    let values = a.facts.rows[0].iter().zip(&b.facts.rows[0]);
+    let rows = a.facts.columns.iter().zip(values).filter(|(_, (a, b))| !a.is_null() || !b.is_null());
+    let ratio = |a: &Value, b: &Value| match (a.as_f64(), b.as_f64()) {
+        (Some(x), Some(y)) if (a.is_f64() || b.is_f64()) && y != 0.0 => Value::from(number(x / y)),
+        _ => Value::Null,
+    };
+    Table::new(
+        "what first second ratio",
+        rows.map(|(name, (a, b))| vec![name.replace('_', " ").into(), a.clone(), b.clone(), ratio(a, b)]),
+    )
+}
+
+fn differences(a: &Trial, b: &Trial) -> Table {
+    let [a, b] = [a, b].map(|trial| flatten(&serde_json::from_str(&trial.spec).unwrap_or_default()));
+    let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    let text = |value: Option<&Value>| value.map_or(Value::Null, |value| value.to_string().into());
+    let rows = keys.into_iter().filter(|key| a.get(*key) != b.get(*key));
+    Table::new(
+        "key first second",
+        rows.map(|key| vec![key.clone().into(), text(a.get(key)), text(b.get(key))]),
+    )
+}

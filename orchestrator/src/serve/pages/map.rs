@@ -1,0 +1,131 @@
+//! All trials on grids: M across, placements down, a grid a K and a size of the body, coloured by an error.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use axum::extract::{Path, Query, State};
+use axum::response::Html;
+use maud::html;
+use serde::Deserialize;
+
+use super::{Served, framed, live, query, to_trial, trouble};
+use crate::analysis::data::geometric_mean;
+use crate::look::Picture;
+use crate::look::grid::{Cell, grid};
+use crate::look::number;
+use crate::plan::counted;
+use crate::serve::trials::{Row, terms};
+use crate::serve::{Refusal, source};
+
+/// What cells may be coloured by, and in words.
+const BY: [(&str, &str); 5] = [
+    ("holdout_optimised", "holdout error of the optimised body (%)"),
+    ("holdout_initial", "holdout error of the initial body (%)"),
+    ("test_optimised", "test error of the optimised body (%)"),
+    ("gain", "the initial body's holdout error over the optimised one's"),
+    ("cpu_seconds", "CPU time (s)"),
+];
+/// Grids on a page, and cells along a side of one.
+const MOST: usize = 60;
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct Asked {
+    q: String,
+    by: String,
+}
+
+pub async fn page(
+    State(served): State<Arc<Served>>,
+    Path(at): Path<String>,
+    Query(asked): Query<Asked>,
+) -> Result<Html<String>, Refusal> {
+    let seen = source(&served, &at)?.now().await;
+    let by = BY.iter().find(|(key, _)| *key == asked.by).unwrap_or(&BY[0]);
+    let (found, wrong) = match terms(&asked.q) {
+        Ok(terms) => (seen.trials.found(&terms, ""), None),
+        Err(wrong) => (Vec::new(), Some(wrong)),
+    };
+    let (pictures, left) = grids(&at, &found, by.0);
+    let drawn = html! {
+        (trouble(&seen))
+        @if let Some(wrong) = &wrong { p class="trouble" role="alert" { (wrong) } }
+        p class="quiet" {
+            (counted(found.len(), "trial")) ". A cell is the geometric mean over all that it holds (seeds, brains, and whatever \
+             else differs), pale the least, strong the most of all cells, by factors; it leads to its trials."
+        }
+        div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(None)) } } }
+        @if left > 0 { p class="quiet" { "… and " (counted(left, "grid")) " more: filter." } }
+    };
+    let content = html! {
+        form method="get" class="line" {
+            label { "Coloured by " select name="by" {
+                @for (key, text) in BY { option value=(key) selected[key == by.0] { (text) } }
+            } }
+            label { "of trials with " input name="q" type="search" value=(asked.q) placeholder="seed=1" autocomplete="off" spellcheck="false"; }
+            button { "Show" }
+        }
+        (live("grids", &drawn))
+    };
+    framed(&served, &at, "map", "Sweep map", Some(seen.generation), &content)
+}
+
+/// The grids, and how many are left out.
+fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
+    type Cells = BTreeMap<(u64, u64), Vec<Arc<Row>>>;
+    let mut of: BTreeMap<(u64, u64, String), Cells> = BTreeMap::new();
+    let whole = |row: &Row, name| row.number(name).unwrap_or(0.0) as u64;
+    for row in found {
+        let placed = row.setting.get("sensors.search").and_then(|v| v.as_str()).unwrap_or("random");
+        let key = (whole(row, "K"), whole(row, "units"), placed.to_owned());
+        let cell = (whole(row, "placement"), whole(row, "M"));
+        of.entry(key).or_default().entry(cell).or_default().push(Arc::clone(row));
+    }
+    let value = |rows: &[Arc<Row>]| {
+        let one = |row: &Arc<Row>| match by {
+            "gain" => Some(row.number("holdout_initial")? / row.number("holdout_optimised")?),
+            _ => row.number(by),
+        };
+        let values: Vec<f64> = rows.iter().filter_map(one).filter(|x| x.is_finite() && *x > 0.0).collect();
+        (!values.is_empty()).then(|| geometric_mean(&values))
+    };
+    let all: Vec<f64> = of.values().flat_map(BTreeMap::values).filter_map(|rows| value(rows)).collect();
+    let [least, most] =
+        [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max)];
+    let part = |x: f64| if most > least { (x / least).ln() / (most / least).ln() } else { 0.5 };
+    let left = of.len().saturating_sub(MOST);
+    let picture = |((panels, units, placed), cells): (&(u64, u64, String), &Cells)| {
+        let title = format!("K = {panels}, {}, sensors {placed}", counted(*units as usize, "unit"));
+        let axis = |pick: fn(&(u64, u64)) -> u64| -> Vec<u64> {
+            cells.keys().map(pick).collect::<BTreeSet<_>>().into_iter().take(MOST).collect()
+        };
+        let (down, across) = (axis(|key| key.0), axis(|key| key.1));
+        let cell = |placement: u64, sensors: u64| {
+            let Some(rows) = cells.get(&(placement, sensors)) else { return Cell::default() };
+            let done = rows.iter().filter(|row| row.state == "done").count();
+            let to = match &rows[..] {
+                [row] => to_trial(at, &row.hash),
+                _ => format!(
+                    "/{at}/trials{}",
+                    query(&[("q", &format!("K={panels} M={sensors} placement={placement} units={units}"))])
+                ),
+            };
+            let told = value(rows);
+            let state = if rows.iter().any(|row| row.state == "running") { "…" } else { "–" };
+            Cell {
+                text: told.map_or(state.into(), number),
+                part: told.map_or(0.0, part),
+                title: format!(
+                    "M = {sensors}, placement {placement}: {done} of {} done",
+                    counted(rows.len(), "trial")
+                ),
+                to: Some(to),
+            }
+        };
+        let rows: Vec<Vec<Cell>> =
+            down.iter().map(|p| across.iter().map(|m| cell(*p, *m)).collect()).collect();
+        let names = |axis: &[u64]| axis.iter().map(u64::to_string).collect::<Vec<_>>();
+        grid(&title, ("sensors M", &names(&across)), ("placement", &names(&down)), &rows)
+    };
+    (of.iter().take(MOST).map(picture).collect(), left)
+}

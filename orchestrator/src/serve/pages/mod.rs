@@ -1,0 +1,119 @@
+//! What stands on which page.
+
+pub mod compare;
+pub mod map;
+pub mod overview;
+pub mod sql;
+pub mod trial;
+pub mod trials;
+
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::response::{Html, IntoResponse, Redirect, Response};
+use maud::{Markup, html};
+use serde_json::Value;
+
+use super::source::chain;
+use super::{Refusal, Seen, Served, source};
+use crate::look::{document, encoded};
+use crate::store::StoreError;
+
+/// Pages of a database, by their addresses and names.
+const TABS: [(&str, &str); 5] =
+    [("", "Overview"), ("trials", "Trials"), ("map", "Sweep map"), ("compare", "Compare"), ("sql", "SQL")];
+
+/// Where one begins: the only database, or all of them.
+pub async fn home(State(served): State<Arc<Served>>) -> Response {
+    if served.sources.len() == 1 {
+        return Redirect::to("/0/").into_response();
+    }
+    let list = html! {
+        ul { @for (i, source) in served.sources.iter().enumerate() { li { a href=(format!("/{i}/")) { (source.name) } } } }
+    };
+    Html(bare("Databases", &list)).into_response()
+}
+
+/// A page of no database.
+pub(super) fn bare(title: &str, content: &Markup) -> String {
+    document(
+        &format!("{title} – metasense"),
+        &head(),
+        &html! { body { main id="main" { h1 { (title) } (content) } } },
+    )
+}
+
+fn head() -> Markup {
+    html! {
+        link rel="stylesheet" href="/style.css";
+        link rel="icon" type="image/svg+xml" href="/icon.svg";
+        script src="/live.js" defer {}
+        script src="/wave.js" defer {}
+    }
+}
+
+/// A page of a database. `live`: the generation that it shows, where it follows what happens.
+fn framed(
+    served: &Served,
+    number: &str,
+    tab: &str,
+    title: &str,
+    live: Option<u64>,
+    content: &Markup,
+) -> Result<Html<String>, Refusal> {
+    let name = &source(served, number)?.name;
+    let events = live.map(|_| format!("/{number}/events"));
+    let body = html! {
+        body data-events=[events] data-generation=[live] {
+            a class="skip" href="#main" { "Skip to content" }
+            header {
+                @if served.sources.len() > 1 { a class="all" href="/" { "All databases" } }
+                b { (name) }
+                nav aria-label="Pages" {
+                    @for (address, text) in TABS {
+                        a href=(format!("/{number}/{address}")) aria-current=[(address == tab).then_some("page")] { (text) }
+                    }
+                }
+                @if live.is_some() { button type="button" id="hold" aria-pressed="false" hidden { "Pause updates" } }
+            }
+            main id="main" tabindex="-1" { h1 { (title) } (content) }
+        }
+    };
+    Ok(Html(document(&format!("{title} – {name}"), &head(), &body)))
+}
+
+/// A part of a page that is put in its place again when something has changed.
+fn live(id: &str, content: &Markup) -> Markup {
+    html! { section id=(id) data-live { (content) } }
+}
+
+/// Why there is nothing to be seen.
+fn trouble(seen: &Seen) -> Markup {
+    html! { @if let Some(why) = &seen.trouble { p class="trouble" role="alert" { (why) } } }
+}
+
+/// The page of a trial.
+fn to_trial(number: &str, hash: &str) -> String {
+    format!("/{number}/trial/{}", encoded(hash))
+}
+
+/// Links from the columns that name trials.
+fn trial_links(number: &str) -> impl Fn(&str, &Value) -> Option<String> {
+    move |column, value| match column {
+        "hash" | "trial" => value.as_str().filter(|hash| !hash.is_empty()).map(|hash| to_trial(number, hash)),
+        _ => None,
+    }
+}
+
+impl From<StoreError> for Refusal {
+    fn from(error: StoreError) -> Self {
+        Self::Asked(chain(&error))
+    }
+}
+
+/// The last part of an address, with what was asked.
+fn query(pairs: &[(&str, &str)]) -> String {
+    let pairs = pairs.iter().filter(|(_, value)| !value.is_empty());
+    let pairs: Vec<String> = pairs.map(|(key, value)| format!("{key}={}", encoded(value))).collect();
+    format!("?{}", pairs.join("&"))
+}

@@ -1,0 +1,98 @@
+//! How far a sweep is, what it has found so far, what went wrong.
+
+use std::sync::Arc;
+
+use axum::extract::{Path, State};
+use axum::response::Html;
+use maud::{Markup, html};
+
+use super::{Seen, Served, framed, live, trial_links, trouble};
+use crate::look::{answers, number};
+use crate::plan::counted;
+use crate::serve::{Refusal, source};
+
+pub async fn page(
+    State(served): State<Arc<Served>>,
+    Path(at): Path<String>,
+) -> Result<Html<String>, Refusal> {
+    let seen = source(&served, &at)?.now().await;
+    let parts = [
+        ("progress", progress(&seen)),
+        ("workers", workers(&at, &seen)),
+        ("failures", failures(&at, &seen)),
+        ("answers", answered(&seen)),
+        ("runs", runs(&seen)),
+    ];
+    let content = html! { @for (id, part) in &parts { (live(id, part)) } };
+    framed(&served, &at, "", "Overview", Some(seen.generation), &content)
+}
+
+fn progress(seen: &Seen) -> Markup {
+    let progress = &seen.progress;
+    html! {
+        (trouble(seen))
+        p class="question" { (progress.summary) }
+        @if let Some(part) = progress.part {
+            progress max="1" value=(format!("{part:.4}")) aria-label="part of the estimated work that is done" {}
+            p class="quiet" {
+                (number((1000.0 * part).floor() / 10.0)) " % of the estimated work"
+                @if let Some(correction) = progress.correction {
+                    "; attempts have taken " (number(correction)) " times what was estimated for what they did"
+                }
+                "."
+            }
+        }
+        p class="quiet" {
+            @match progress.run {
+                Some(run) => { "A run is at work on it (process " (run) ")." }
+                None => "No run on this machine is at work on it.",
+            }
+        }
+    }
+}
+
+fn workers(at: &str, seen: &Seen) -> Markup {
+    html! {
+        @if !seen.progress.workers.rows.is_empty() {
+            h2 { "Workers" }
+            (seen.progress.workers.linked(None, trial_links(at)))
+        }
+    }
+}
+
+fn failures(at: &str, seen: &Seen) -> Markup {
+    html! {
+        @if !seen.failures.rows.is_empty() {
+            h2 { "Failures" }
+            p class="quiet" { "By reason and by what was said last; the log is on the page of the trial." }
+            @let mut table = seen.failures.clone();
+            @let () = table.columns = ["reason", "said", "trial", "trials"].map(String::from).into();
+            (table.linked(None, trial_links(at)))
+        }
+    }
+}
+
+fn answered(seen: &Seen) -> Markup {
+    let found = &seen.answers;
+    let drawn = |name: &str| found.figures.iter().any(|figure| figure.name == name);
+    html! {
+        @if found.of > 0 {
+            h2 { "Answers so far" }
+            p class="quiet" {
+                "Of " (counted(found.of, "trial")) " that " (if found.of == 1 { "is" } else { "are" })
+                " done. Intervals are over placements and seeds: trials that share these are not independent."
+            }
+            (answers(found.said.iter().filter(|answer| !drawn(answer.figure))))
+            @for figure in &found.figures { (figure.html(&found.said)) }
+        }
+    }
+}
+
+fn runs(seen: &Seen) -> Markup {
+    html! {
+        @if !seen.runs.rows.is_empty() {
+            h2 { "Runs" }
+            (seen.runs.html(None))
+        }
+    }
+}

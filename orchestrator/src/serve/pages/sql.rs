@@ -1,0 +1,172 @@
+//! Questions in SQL: rows on a page and as files, two columns as a plot, and what there is to ask.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::{Path, Query, State};
+use axum::http::header;
+use axum::response::{Html, IntoResponse, Response};
+use maud::{Markup, html};
+use metasense_schemas::database::VIEWS;
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::{Served, framed, query, trial_links};
+use crate::look::{Axis, Format, Plot, Scale, Table, lines};
+use crate::serve::{Refusal, source};
+use crate::store::{Limits, Reader};
+
+/// What a page shows, and what a file holds.
+const PAGE: Limits = Limits { rows: 1000, bytes: 2 << 20, time: Duration::from_secs(5) };
+const FILE: Limits = Limits { rows: 200_000, bytes: 32 << 20, time: Duration::from_secs(20) };
+/// The statement that stands there before any is asked.
+const FIRST: &str = "SELECT sensors, avg(holdout_error_initial), avg(holdout_error_optimised), count(*)\nFROM v_trial WHERE state = 'done' GROUP BY 1";
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct Asked {
+    q: String,
+    x: String,
+    y: String,
+}
+
+pub async fn page(
+    State(served): State<Arc<Served>>,
+    Path(at): Path<String>,
+    Query(asked): Query<Asked>,
+) -> Result<Html<String>, Refusal> {
+    let answer = match asked.q.trim() {
+        "" => None,
+        sql => Some(answer(&served, &at, sql, PAGE).await),
+    };
+    let shown = match &answer {
+        None => html! {},
+        Some(Err(Refusal::Asked(why))) => html! { p class="trouble" role="alert" { (why) } },
+        Some(Err(refusal)) => return Err(Refusal::Asked(format!("{refusal:?}"))),
+        Some(Ok((table, cut))) => html! {
+            p role="status" {
+                (table.rows.len()) " rows" @if let Some(why) = cut { "; cut, as " (why) } ". All that a file may hold: "
+                a href=(format!("sql.csv{}", query(&[("q", &asked.q)]))) download="answer.csv" { "CSV" } " "
+                a href=(format!("sql.parquet{}", query(&[("q", &asked.q)]))) download="answer.parquet" { "Parquet" }
+            }
+            (plot(&asked, table))
+            div class="cells" { (table.linked(None, trial_links(&at))) }
+        },
+    };
+    let text = if asked.q.is_empty() { FIRST } else { &asked.q };
+    let content = html! {
+        form method="get" id="ask" {
+            label for="sql" { "One statement; Ctrl-Enter asks" }
+            textarea id="sql" name="q" rows="6" spellcheck="false" autocomplete="off" data-ask { (text) }
+            button { "Ask" }
+        }
+        (shown)
+        (views(&served, &at).await?)
+    };
+    framed(&served, &at, "sql", "SQL", None, &content)
+}
+
+pub async fn csv(
+    State(served): State<Arc<Served>>,
+    Path(at): Path<String>,
+    Query(asked): Query<Asked>,
+) -> Result<Response, Refusal> {
+    file(&served, &at, &asked.q, Format::Csv, "text/csv; charset=utf-8").await
+}
+
+pub async fn parquet(
+    State(served): State<Arc<Served>>,
+    Path(at): Path<String>,
+    Query(asked): Query<Asked>,
+) -> Result<Response, Refusal> {
+    file(&served, &at, &asked.q, Format::Parquet, "application/vnd.apache.parquet").await
+}
+
+/// An answer that is not whole is none: a file does not say that it was cut.
+async fn file(
+    served: &Served,
+    at: &str,
+    sql: &str,
+    format: Format,
+    kind: &'static str,
+) -> Result<Response, Refusal> {
+    let (table, cut) = answer(served, at, sql, FILE).await?;
+    if let Some(why) = cut {
+        return Err(Refusal::Asked(format!("{why}: `metasense query` has no such limit")));
+    }
+    Ok(([(header::CONTENT_TYPE, kind)], table.written(format)).into_response())
+}
+
+async fn answer(
+    served: &Served,
+    at: &str,
+    sql: &str,
+    limits: Limits,
+) -> Result<(Table, Option<String>), Refusal> {
+    let db = source(served, at)?.now().await.db.clone();
+    let _turn = served.questions.acquire().await.expect("it is never closed");
+    let mut reader = Reader::confined(&db).await?;
+    let answer = reader.limited(sql, limits).await;
+    reader.close().await;
+    Ok(answer?)
+}
+
+/// The numbers of two columns, one against the other.
+fn plot(asked: &Asked, table: &Table) -> Markup {
+    let numeric = |i: &usize| table.rows.iter().any(|row| row[*i].is_number());
+    let columns: Vec<usize> = (0..table.columns.len()).filter(numeric).collect();
+    if columns.len() < 2 {
+        return html! {};
+    }
+    let named = |name: &str| columns.iter().copied().find(|i| table.columns[*i] == name);
+    let choose = |label: &str, key: &str, chosen: &str| {
+        html! {
+            label { (label) " "
+                select name=(key) {
+                    option value="" { "–" }
+                    @for &i in &columns {
+                        option value=(table.columns[i]) selected[table.columns[i] == chosen] { (table.columns[i]) }
+                    }
+                }
+            }
+        }
+    };
+    let drawn = named(&asked.x).zip(named(&asked.y)).map(|(x, y)| {
+        let point = |row: &Vec<Value>| row[x].as_f64().zip(row[y].as_f64());
+        let points: Vec<(f64, f64)> = table.rows.iter().filter_map(point).collect();
+        let axis = |i: usize, values: Vec<f64>| Axis::new(&table.columns[i], Scale::Linear, values);
+        let [xs, ys] = [points.iter().map(|p| p.0).collect(), points.iter().map(|p| p.1).collect()];
+        let title = format!("{} against {}", table.columns[y], table.columns[x]);
+        let mut plot = Plot::new(&title, axis(x, xs), axis(y, ys)).sized(640.0, 320.0);
+        plot.dots("optimised", points.into_iter().map(|p| (p, format!("{}, {}", p.0, p.1))));
+        plot.picture().svg(None)
+    });
+    html! {
+        form method="get" class="line" {
+            input type="hidden" name="q" value=(asked.q);
+            (choose("Plot", "y", &asked.y)) (choose("against", "x", &asked.x))
+            button { "Draw" }
+        }
+        @if let Some(drawn) = drawn { div class="plots one" { div { (drawn) } } }
+    }
+}
+
+/// The views that users build on, with their columns.
+async fn views(served: &Served, at: &str) -> Result<Markup, Refusal> {
+    let db = source(served, at)?.now().await.db.clone();
+    let mut reader = Reader::confined(&db).await?;
+    let mut columns = Vec::new();
+    for (view, _) in VIEWS {
+        columns.push(reader.columns(&format!("SELECT * FROM {view}")).await?.join(", "));
+    }
+    reader.close().await;
+    Ok(html! {
+        h2 { "Views" }
+        dl class="views" {
+            @for ((view, what), columns) in VIEWS.iter().zip(&columns) {
+                dt { a href=(query(&[("q", &format!("SELECT * FROM {view} LIMIT 100"))])) { (view) } }
+                dd { "A row is " (lines(what, usize::MAX).join(" ")) ". " span class="quiet" { (columns) } }
+            }
+        }
+    })
+}

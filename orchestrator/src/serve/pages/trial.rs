@@ -1,0 +1,345 @@
+//! One trial: its curves, its body before and now, where its time went, by what code it was made, what was said of it.
+
+use std::sync::Arc;
+
+use axum::extract::{Path, Query, State};
+use axum::response::Html;
+use maud::{Markup, html};
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::replay::{Drawing, drawing};
+use metasense_worker::simulate;
+use serde::Deserialize;
+
+use super::trials::short;
+use super::{Served, framed, live, query, trouble};
+use crate::analysis::setting::flatten;
+use crate::look::body::{Notes, Unit, body, frame};
+use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
+use crate::plan::counted;
+use crate::report::load::PARTS;
+use crate::report::samples;
+use crate::serve::{Refusal, Seen, source};
+use crate::store::{Reader, StoreError, Stored, quoted};
+
+/// What a database holds of a trial.
+#[derive(Debug)]
+pub(super) struct Trial {
+    pub hash: String,
+    pub state: String,
+    pub reason: String,
+    pub spec: String,
+    /// Facts of `v_trial`.
+    pub facts: Table,
+    pub steps: Table,
+    pub networks: Table,
+    pub curves: Table,
+    pub readings: Table,
+    pub attempts: Table,
+    pub log: Table,
+    /// Both designs with what they are called, and the sensors on either, as far as they are known.
+    pub designs: Vec<(String, TrialSpec, Vec<f64>)>,
+    /// Where both bodies and the weights that read them are stored.
+    pub stored: Option<Stored>,
+}
+
+impl Trial {
+    /// Reads it.
+    pub async fn read(reader: &mut Reader, hash: &str) -> Result<Self, StoreError> {
+        let hash = reader.hash_of(hash).await?;
+        let of = format!("WHERE hash = {}", quoted(&hash));
+        let said =
+            reader.query(&format!("SELECT state, coalesce(reason, ''), spec FROM v_trial {of}")).await?;
+        let [state, reason, spec] =
+            [0, 1, 2].map(|i| said.rows[0][i].as_str().unwrap_or_default().to_owned());
+        let facts = reader
+            .query(&format!(
+                "SELECT panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with, placed, protocol,
+                   design_parameters, brain_parameters, holdout_error_initial, holdout_error_optimised, error_initial AS
+                   test_error_initial, error_optimised AS test_error_optimised, best_step, steps, attempts, seconds AS cpu_seconds,
+                   sensor_units, sensor_units_optimised, finished_at FROM v_trial {of}"
+            ))
+            .await?;
+        let parts = PARTS.map(|(column, _)| column).join(", ");
+        let steps = reader
+            .query(&format!(
+                "SELECT step, error_test, error_train, gradient_norm, step_length, outcome, {parts} FROM v_step {of} ORDER BY step"
+            ))
+            .await?;
+        let networks = reader
+            .query(&format!(
+                "SELECT body, network, error_train, error_test, error_holdout, iterations, outcome FROM v_network {of} ORDER BY 1, 2"
+            ))
+            .await?;
+        let curves = reader
+            .query(&format!(
+                "SELECT body, network, iteration, error_holdout FROM v_curve {of} AND error_holdout IS NOT NULL ORDER BY 1, 2, 3"
+            ))
+            .await?;
+        let readings = reader
+            .query(&format!(
+                "SELECT body, before AS seconds_before, after AS seconds_after, error_train, error_test, error_holdout FROM v_reading {of} ORDER BY 2, 3, 1"
+            ))
+            .await?;
+        let attempts = reader
+            .query(&format!(
+                "SELECT attempt, state, reason, steps, round(seconds, 1) AS seconds, cpu_seconds, started_at, code, revision, rustc,
+                   host, cpu, simd, threads FROM v_attempt {of} ORDER BY attempt"
+            ))
+            .await?;
+        let log = reader
+            .query(&format!("SELECT attempt, at, level, text FROM v_log {of} ORDER BY attempt, line"))
+            .await?;
+        let stored =
+            reader.stored(&hash).await?.filter(|stored| stored.designs.iter().all(|d| !d.is_empty()));
+        let mut designs = Vec::new();
+        if let Some(stored) = &stored {
+            for (b, name) in ["initial body", "optimised body"].into_iter().enumerate() {
+                designs.push((name.to_owned(), stored.specs[b].clone(), stored.designs[b].clone()));
+            }
+        } else if let Ok(spec) = serde_json::from_str::<TrialSpec>(&spec) {
+            if let Ok((_, initial)) = simulate::body(&spec) {
+                designs.push(("initial body".into(), spec.clone(), initial));
+            }
+            if let Ok(Some(now)) = reader.checkpoint(&hash).await {
+                let sensor_units =
+                    now.moves.last().map_or(spec.sensor_units.clone(), |moved| moved.1.clone());
+                let heard = TrialSpec { sensor_units, ..spec };
+                designs.push((
+                    format!("body after {}", counted(now.step as usize, "step")),
+                    heard,
+                    now.design,
+                ));
+            }
+        }
+        Ok(Self {
+            hash,
+            state,
+            reason,
+            spec,
+            facts,
+            steps,
+            networks,
+            curves,
+            readings,
+            attempts,
+            log,
+            designs,
+            stored,
+        })
+    }
+
+    /// A column of its steps against their numbers, from 1; where there is a number.
+    pub fn column(&self, name: &str) -> Vec<(f64, f64)> {
+        let Some(at) = self.steps.columns.iter().position(|column| column == name) else { return Vec::new() };
+        let point = |row: &Vec<serde_json::Value>| Some((row[0].as_f64()? + 1.0, row[at].as_f64()?));
+        self.steps.rows.iter().filter_map(point).collect()
+    }
+
+    /// Its bodies as they can be drawn.
+    pub fn drawings(&self) -> Vec<(String, Drawing)> {
+        let drawn = |(name, spec, design): &(String, TrialSpec, Vec<f64>)| {
+            drawing(spec, design).ok().map(|drawing| (name.clone(), drawing))
+        };
+        self.designs.iter().filter_map(drawn).collect()
+    }
+}
+
+/// Curves against steps; a class and points each.
+pub(super) fn curves(title: &str, label: &str, lines: &[(&str, Vec<(f64, f64)>)]) -> Option<Picture> {
+    let points = || lines.iter().flat_map(|line| &line.1);
+    points().next()?;
+    let x = Axis::new("outer step", Scale::Linear, points().map(|p| p.0).chain([0.0]));
+    let mut plot =
+        Plot::new(title, x, Axis::new(label, Scale::Log, points().map(|p| p.1))).sized(560.0, 280.0);
+    for (class, points) in lines {
+        plot.line(class, points.iter().copied());
+    }
+    Some(plot.picture())
+}
+
+/// Bodies as pictures, drawn alike.
+pub(super) fn bodies(drawings: &[(String, Drawing)]) -> Vec<Picture> {
+    let frame = frame(&drawings.iter().map(|(_, drawing)| drawing).collect::<Vec<_>>());
+    drawings.iter().map(|(name, d)| body(d, frame, name, Notes::default(), |_| Unit::default())).collect()
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub struct Asked {
+    replay: String,
+}
+
+pub async fn page(
+    State(served): State<Arc<Served>>,
+    Path((at, hash)): Path<(String, String)>,
+    Query(asked): Query<Asked>,
+) -> Result<Html<String>, Refusal> {
+    let seen = source(&served, &at)?.now().await;
+    let trial = Reader::asked(&seen.db, async |reader| Trial::read(reader, &hash).await).await?;
+    let replayed = match &trial.stored {
+        Some(stored) if !asked.replay.is_empty() => Some(replayed(&served, stored).await?),
+        _ => None,
+    };
+    let following = replayed.is_none();
+    let title = format!("Trial {}", short(&trial.hash));
+    let parts = [
+        ("facts", facts(&at, &seen, &trial)),
+        ("curves", curves_of(&trial)),
+        ("bodies", bodies_of(&trial)),
+        ("networks", networks(&trial)),
+        ("time", time(&trial)),
+        ("attempts", attempts(&trial)),
+    ];
+    let content = html! {
+        @for (id, part) in &parts { (live(id, part)) }
+        section id="replay" {
+            h2 { "Forces and waves" }
+            @match (&replayed, &trial.stored) {
+                (Some(figures), _) => @for figure in figures.iter().filter(|f| f.name != "bodies" && f.name != "modes") { (figure.html(&[])) },
+                (None, Some(_)) => {
+                    p { a href="?replay=1#replay" { "Simulate both bodies again" } ", to see true and predicted forces sample by sample and the wave: takes as long as one outer step, on one thread." }
+                }
+                (None, None) => p class="quiet" { "Once it is done, its samples can be simulated again." }
+            }
+        }
+        (spec(&trial))
+    };
+    framed(&served, &at, "trial", &title, following.then_some(seen.generation), &content)
+}
+
+async fn replayed(served: &Served, stored: &Stored) -> Result<Vec<Figure>, Refusal> {
+    let _turn = served.replays.acquire().await.expect("it is never closed");
+    let stored = stored.clone();
+    let work = tokio::task::spawn_blocking(move || samples::figures(&stored, 1).map_err(|e| e.to_string()));
+    work.await.map_err(|e| e.to_string()).and_then(|figures| figures).map_err(Refusal::Asked)
+}
+
+fn facts(at: &str, seen: &Seen, trial: &Trial) -> Markup {
+    let facts = trial.facts.columns.iter().zip(&trial.facts.rows[0]).filter(|(_, value)| !value.is_null());
+    html! {
+        (trouble(seen))
+        p class="question" { (trial.state) @if !trial.reason.is_empty() { ": " (trial.reason) } }
+        dl class="facts" {
+            @for (name, value) in facts {
+                div { dt { (name.replace('_', " ")) } dd {
+                    @match value.as_f64().filter(|_| value.is_f64()) {
+                        Some(x) => (number(x)),
+                        None => (value.as_str().map_or_else(|| value.to_string(), str::to_owned)),
+                    }
+                } }
+            }
+        }
+        p { a href=(format!("/{at}/compare{}", query(&[("a", &trial.hash)]))) { "Compare with another" } }
+    }
+}
+
+fn curves_of(trial: &Trial) -> Markup {
+    let (test, train) = (trial.column("error_test"), trial.column("error_train"));
+    let steps =
+        curves("Error while the body is trained", "error (%)", &[("front", train), ("optimised", test)]);
+    let of = |body: &str| -> Vec<(f64, f64)> {
+        let own = trial.curves.rows.iter().filter(|row| row[0] == body && row[1] == 0);
+        own.filter_map(|row| row[2].as_f64().zip(row[3].as_f64())).collect()
+    };
+    let (initial, optimised) = (of("initial"), of("optimised"));
+    let fresh = (!initial.is_empty() || !optimised.is_empty()).then(|| {
+        let points = || initial.iter().chain(&optimised);
+        let x = Axis::new("iteration of the brain", Scale::Linear, points().map(|p| p.0).chain([0.0]));
+        let y = Axis::new("holdout error (%)", Scale::Log, points().map(|p| p.1));
+        let mut plot = Plot::new("A fresh network on either body", x, y).sized(560.0, 280.0);
+        plot.line("initial", initial.iter().copied());
+        plot.line("optimised", optimised.iter().copied());
+        plot.picture()
+    });
+    let keys = legend(&[("optimised", "test set, which steers the body"), ("front", "training set")]);
+    let columns: Vec<usize> = (0..6).collect();
+    let data = Table {
+        columns: columns.iter().map(|&i| trial.steps.columns[i].clone()).collect(),
+        rows: trial.steps.rows.iter().map(|row| columns.iter().map(|&i| row[i].clone()).collect()).collect(),
+    };
+    html! {
+        @if let Some(steps) = steps {
+            (Figure::new("steps", "Steps", "Error of the brain that is trained beside the body, after every outer step.", keys, vec![steps], data).html(&[]))
+        }
+        @if let Some(fresh) = fresh {
+            (Figure::new(
+                "fresh", "Fresh brains", "Holdout error of the comparison's first network while it is trained, on the initial and on the optimised body.",
+                legend(&[("initial", "initial body"), ("optimised", "optimised body")]), vec![fresh], trial.curves.clone(),
+            ).html(&[]))
+        }
+    }
+}
+
+fn bodies_of(trial: &Trial) -> Markup {
+    let drawings = trial.drawings();
+    if drawings.is_empty() {
+        return html! {};
+    }
+    let mut keys = legend(&[("arrow", "input panel"), ("dot sensor", "sensor")]);
+    if drawings.iter().any(|(_, drawing)| !drawing.active.is_empty()) {
+        keys.push(("active", "constraint at its limit".into()));
+    }
+    let corners = drawings.iter().flat_map(|(name, drawing)| {
+        let units = drawing.units.iter().enumerate();
+        units.flat_map(move |(unit, corners)| {
+            corners.iter().enumerate().map(move |(node, [x, y])| row![name, unit, node, x, y])
+        })
+    });
+    let data = Table::new("body unit node x y", corners);
+    Figure::new(
+        "body",
+        "Bodies",
+        "Units, ligaments, panels, sensors, clamped units in a shade of their own (mm).",
+        keys,
+        bodies(&drawings),
+        data,
+    )
+    .html(&[])
+}
+
+fn networks(trial: &Trial) -> Markup {
+    html! {
+        @if !trial.networks.rows.is_empty() { h2 { "Brains on either body" } (trial.networks.html(None)) }
+        @if !trial.readings.rows.is_empty() {
+            h2 { "Linear decoders, by how far they look back and ahead" }
+            (trial.readings.html(None))
+        }
+    }
+}
+
+fn time(trial: &Trial) -> Markup {
+    let sums = PARTS.map(|(column, part)| (part, trial.column(column).iter().map(|p| p.1).sum::<f64>()));
+    let all: f64 = sums.iter().map(|part| part.1).sum();
+    html! {
+        @if all > 0.0 {
+            h2 { "Where the time of " (counted(trial.steps.rows.len(), "step")) " went" }
+            table class="parts" {
+                thead { tr { th class="text" { "part" } th { "CPU seconds" } th { "share (%)" } th class="text" {} } }
+                tbody { @for (part, seconds) in sums {
+                    tr {
+                        td class="text" { (part) } td { (number(seconds)) } td { (number(100.0 * seconds / all)) }
+                        td class="text" { meter min="0" max="1" value=(format!("{:.4}", seconds / all)) aria-label=(part) {} }
+                    }
+                } }
+            }
+        }
+    }
+}
+
+fn attempts(trial: &Trial) -> Markup {
+    html! {
+        @if !trial.attempts.rows.is_empty() { h2 { "Attempts, and by what they were made" } (trial.attempts.html(None)) }
+        @if !trial.log.rows.is_empty() { h2 { "Log" } (trial.log.html(None)) }
+    }
+}
+
+fn spec(trial: &Trial) -> Markup {
+    let Ok(spec) = serde_json::from_str(&trial.spec) else { return html! {} };
+    html! {
+        details id="spec" {
+            summary { "All that it is" }
+            dl class="facts" { @for (key, value) in flatten(&spec) { div { dt { (key) } dd { (value) } } } }
+            p class="quiet" { "Hash " (trial.hash) }
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! All trials: a page of those that meet some terms, in some order.
+
+use std::sync::Arc;
+
+use axum::extract::{Path, Query, State};
+use axum::response::Html;
+use maud::{Markup, html};
+use serde::Deserialize;
+
+use super::{Served, framed, live, query, to_trial, trouble};
+use crate::look::number;
+use crate::plan::counted;
+use crate::serve::trials::{Cell, NUMBERS, Row, terms};
+use crate::serve::{Refusal, source};
+
+/// Trials on a page.
+const ON_A_PAGE: usize = 100;
+
+#[derive(Debug, Deserialize)]
+#[serde(default)]
+pub struct Asked {
+    q: String,
+    sort: String,
+    page: usize,
+}
+
+impl Default for Asked {
+    fn default() -> Self {
+        Self { q: String::new(), sort: String::new(), page: 1 }
+    }
+}
+
+pub async fn page(
+    State(served): State<Arc<Served>>,
+    Path(at): Path<String>,
+    Query(asked): Query<Asked>,
+) -> Result<Html<String>, Refusal> {
+    let seen = source(&served, &at)?.now().await;
+    let (found, wrong) = match terms(&asked.q) {
+        Ok(terms) => (seen.trials.found(&terms, &asked.sort), None),
+        Err(wrong) => (Vec::new(), Some(wrong)),
+    };
+    let pages = found.len().div_ceil(ON_A_PAGE).max(1);
+    let this = asked.page.clamp(1, pages);
+    let shown = &found[(this - 1) * ON_A_PAGE..found.len().min(this * ON_A_PAGE)];
+    let to = |page: usize| query(&[("q", &asked.q), ("sort", &asked.sort), ("page", &page.to_string())]);
+    let rows = html! {
+        (trouble(&seen))
+        p role="status" {
+            @match &wrong {
+                Some(wrong) => span class="trouble" { (wrong) },
+                None => { (counted(found.len(), "trial")) " of " (seen.trials.rows.len()) }
+            }
+        }
+        @if !shown.is_empty() { (table(&at, &asked, shown)) }
+        @if pages > 1 {
+            nav class="pages" aria-label="Pages of trials" {
+                @if this > 1 { a href=(to(1)) { "First" } a href=(to(this - 1)) rel="prev" { "Previous" } }
+                span { "Page " (this) " of " (pages) }
+                @if this < pages { a href=(to(this + 1)) rel="next" { "Next" } a href=(to(pages)) { "Last" } }
+            }
+        }
+    };
+    let content = html! {
+        form method="get" role="search" {
+            label for="q" { "Conditions, all of which hold" }
+            div class="line" {
+                input id="q" name="q" type="search" value=(asked.q) placeholder="K=4 M<=3 state=done" autocomplete="off" spellcheck="false";
+                @if !asked.sort.is_empty() { input type="hidden" name="sort" value=(asked.sort); }
+                button { "Filter" }
+            }
+        }
+        (keys(&asked, &seen.trials.keys))
+        (live("rows", &rows))
+    };
+    framed(&served, &at, "trials", "Trials", Some(seen.generation), &content)
+}
+
+/// What one may filter by.
+fn keys(asked: &Asked, keys: &std::collections::BTreeMap<String, Vec<String>>) -> Markup {
+    let with = |term: String| query(&[("q", format!("{} {term}", asked.q).trim()), ("sort", &asked.sort)]);
+    html! {
+        details id="keys" {
+            summary { "Keys" }
+            p class="quiet" {
+                "A condition is a key, one of = != < <= > >= ~ (contains), and a value. Keys are columns (hash, state, reason"
+                @for (name, _) in NUMBERS { ", " (name) } ") and the paths of the spec. Those that differ between trials:"
+            }
+            dl {
+                @for (key, values) in keys {
+                    dt { (key) " " a href=(query(&[("q", &asked.q), ("sort", key)])) { "sort" } }
+                    dd { @for value in values { a href=(with(format!("{key}={value}"))) { (value) } " " } }
+                }
+            }
+        }
+    }
+}
+
+fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>]) -> Markup {
+    let (sorted, down) = asked.sort.strip_prefix('-').map_or((asked.sort.as_str(), false), |key| (key, true));
+    let extra = Some(sorted).filter(|key| !key.is_empty() && !known(key));
+    let head = |key: &str, text: &str| {
+        let by = if sorted == key && !down { format!("-{key}") } else { key.to_owned() };
+        let order = (sorted == key).then_some(if down { "descending" } else { "ascending" });
+        html! {
+            th aria-sort=[order] class=[(!NUMBERS.iter().any(|(name, _)| *name == key)).then_some("text")] {
+                a href=(query(&[("q", &asked.q), ("sort", &by)])) { (text) }
+            }
+        }
+    };
+    html! {
+        div class="scroll" {
+            table class="trials" {
+                thead { tr {
+                    (head("hash", "trial")) (head("state", "state"))
+                    @if let Some(key) = extra { (head(key, key)) }
+                    @for (name, text) in NUMBERS { (head(name, text)) }
+                    (head("reason", "reason"))
+                } }
+                tbody { @for row in shown {
+                    tr class=[(row.state == "failed").then_some("failed")] {
+                        td class="text" { a href=(to_trial(at, &row.hash)) { (short(&row.hash)) } }
+                        td class="text" { (row.state) }
+                        @if let Some(key) = extra { td class="text" { (text(&row.cell(key))) } }
+                        @for (name, _) in NUMBERS { td { (text(&row.cell(name))) } }
+                        td class="text" { (row.reason) }
+                    }
+                } }
+            }
+        }
+    }
+}
+
+fn known(key: &str) -> bool {
+    ["hash", "state", "reason"].contains(&key) || NUMBERS.iter().any(|(name, _)| *name == key)
+}
+
+fn text(cell: &Cell) -> String {
+    match cell {
+        Cell::None => String::new(),
+        Cell::Number(x) if x.fract() == 0.0 && x.abs() < 1e9 => format!("{x:.0}"),
+        Cell::Number(x) => number(*x),
+        Cell::Text(text) => text.clone(),
+    }
+}
+
+/// The beginning of a hash, as much as names a trial.
+pub(super) fn short(hash: &str) -> String {
+    hash.chars().take(8).collect()
+}

@@ -1,0 +1,357 @@
+//! All trials of a database in memory, to be sorted and filtered: a look at the database takes those that have changed.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use crate::analysis::setting::{Setting, Settings};
+use crate::store::{Reader, StoreError};
+
+/// Numbers of a trial, by the names by which they are sorted and filtered, and in words.
+pub const NUMBERS: [(&str, &str); 14] = [
+    ("K", "K"),
+    ("M", "M"),
+    ("placement", "placement"),
+    ("seed", "seed"),
+    ("units", "units"),
+    ("holdout_initial", "holdout, initial (%)"),
+    ("holdout_optimised", "optimised (%)"),
+    ("test_initial", "test, initial (%)"),
+    ("test_optimised", "optimised (%)"),
+    ("best_step", "best step"),
+    ("steps", "steps"),
+    ("attempts", "attempts"),
+    ("cpu_seconds", "CPU time (s)"),
+    ("estimate", "estimate (s)"),
+];
+
+/// The rows behind them, in their order.
+const ROWS: &str = "SELECT t.id, t.hash, t.spec, t.state, coalesce(t.reason, '') AS reason, t.panels AS K, t.sensors AS M, t.placement,
+  t.seed, t.units, t.holdout_error_initial AS holdout_initial, t.holdout_error_optimised AS holdout_optimised,
+  t.error_initial AS test_initial, t.error_optimised AS test_optimised, t.best_step,
+  (SELECT sum(a.steps) FROM attempt a WHERE a.trial_id = t.id AND NOT a.redone) AS steps,
+  (SELECT count(*) FROM attempt a WHERE a.trial_id = t.id) AS attempts,
+  (SELECT sum(a.cpu_seconds) FROM attempt a WHERE a.trial_id = t.id AND NOT a.redone) AS cpu_seconds, t.cost AS estimate
+FROM trial t";
+
+/// Trials whose rows are asked for in one statement.
+const AT_ONCE: usize = 500;
+/// Values of a key that are offered to choose from.
+const MOST_VALUES: usize = 12;
+
+/// A trial.
+#[derive(Debug, Clone)]
+pub struct Row {
+    /// Its name.
+    pub hash: String,
+    /// `pending`, `running`, `done` or `failed`.
+    pub state: String,
+    /// Why it failed.
+    pub reason: String,
+    /// By [`NUMBERS`]; NaN where there is none.
+    pub numbers: [f64; NUMBERS.len()],
+    /// All that it is.
+    pub setting: Setting,
+}
+
+/// What stands under a key.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Cell {
+    /// Nothing.
+    None,
+    /// A number.
+    Number(f64),
+    /// Anything else.
+    Text(String),
+}
+
+impl Row {
+    /// What stands under a column's name, or a path of the spec.
+    #[must_use]
+    pub fn cell(&self, key: &str) -> Cell {
+        let text = |text: &str| if text.is_empty() { Cell::None } else { Cell::Text(text.to_owned()) };
+        match key {
+            "hash" => return text(&self.hash),
+            "state" => return text(&self.state),
+            "reason" => return text(&self.reason),
+            _ => {}
+        }
+        match NUMBERS.iter().position(|(name, _)| *name == key) {
+            Some(i) if self.numbers[i].is_nan() => Cell::None,
+            Some(i) => Cell::Number(self.numbers[i]),
+            None => self.setting.get(key).map_or(Cell::None, of_value),
+        }
+    }
+
+    /// A number by its name.
+    ///
+    /// # Panics
+    /// If [`NUMBERS`] has none of this name.
+    #[must_use]
+    pub fn number(&self, name: &str) -> Option<f64> {
+        let at = NUMBERS.iter().position(|(known, _)| *known == name).expect("a number of a trial");
+        Some(self.numbers[at]).filter(|x| !x.is_nan())
+    }
+}
+
+fn of_value(value: &Value) -> Cell {
+    match value {
+        Value::Null => Cell::None,
+        Value::Number(number) => number.as_f64().map_or(Cell::None, Cell::Number),
+        Value::String(text) => Cell::Text(text.clone()),
+        other => Cell::Text(other.to_string()),
+    }
+}
+
+impl Cell {
+    /// Numbers by size, then texts, then nothing.
+    fn order(&self, other: &Self) -> Ordering {
+        let rank = |cell: &Self| match cell {
+            Self::Number(_) => 0,
+            Self::Text(_) => 1,
+            Self::None => 2,
+        };
+        match (self, other) {
+            (Self::Number(a), Self::Number(b)) => a.total_cmp(b),
+            (Self::Text(a), Self::Text(b)) => a.cmp(b),
+            _ => rank(self).cmp(&rank(other)),
+        }
+    }
+}
+
+/// All trials, as they are at one moment.
+#[derive(Debug, Clone, Default)]
+pub struct Trials {
+    /// In the order in which they were planned.
+    pub rows: Vec<Arc<Row>>,
+    /// Keys of the spec whose values differ between trials, with some of these.
+    pub keys: Arc<BTreeMap<String, Vec<String>>>,
+}
+
+/// Keeps them.
+#[derive(Debug, Default)]
+pub struct Keeper {
+    settings: Settings,
+    places: HashMap<i64, usize>,
+    now: Trials,
+}
+
+impl Keeper {
+    /// Takes in what has changed.
+    ///
+    /// # Errors
+    /// Where the database cannot be read.
+    pub async fn look(&mut self, reader: &mut Reader) -> Result<Trials, StoreError> {
+        if self.places.is_empty() {
+            self.take(reader, &format!("{ROWS} ORDER BY t.id")).await?;
+        } else {
+            // answered by an index alone
+            let mut changed = Vec::new();
+            let (places, rows) = (&self.places, &self.now.rows);
+            let asked = reader.each("SELECT id, state FROM trial", |row| {
+                let (id, state) = (row.count("id") as i64, row.text("state"));
+                if state == "running" || places.get(&id).is_none_or(|&place| rows[place].state != state) {
+                    changed.push(id);
+                }
+                Ok::<_, StoreError>(())
+            });
+            asked.await?;
+            changed.sort_unstable();
+            for ids in changed.chunks(AT_ONCE) {
+                let ids: Vec<String> = ids.iter().map(i64::to_string).collect();
+                self.take(reader, &format!("{ROWS} WHERE t.id IN ({}) ORDER BY t.id", ids.join(", ")))
+                    .await?;
+            }
+        }
+        Ok(self.now.clone())
+    }
+
+    async fn take(&mut self, reader: &mut Reader, sql: &str) -> Result<(), StoreError> {
+        let known = self.settings.shared().count();
+        reader
+            .each(sql, |row| {
+                let id = row.count("id") as i64;
+                let place = self.places.get(&id).copied();
+                let setting = match place {
+                    Some(place) => self.now.rows[place].setting.clone(),
+                    // a spec that is none has no keys
+                    None => self.settings.of(&serde_json::from_str(row.text("spec")).unwrap_or_default()),
+                };
+                let trial = Arc::new(Row {
+                    hash: row.text("hash").to_owned(),
+                    state: row.text("state").to_owned(),
+                    reason: row.text("reason").to_owned(),
+                    numbers: NUMBERS.map(|(name, _)| row.number(name).unwrap_or(f64::NAN)),
+                    setting,
+                });
+                match place {
+                    Some(place) => self.now.rows[place] = trial,
+                    None => {
+                        self.places.insert(id, self.now.rows.len());
+                        self.now.rows.push(trial);
+                    }
+                }
+                Ok::<_, StoreError>(())
+            })
+            .await?;
+        if self.settings.shared().count() != known {
+            self.now.keys = Arc::new(self.keys());
+        }
+        Ok(())
+    }
+
+    fn keys(&self) -> BTreeMap<String, Vec<String>> {
+        let mut values: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+        for shared in self.settings.shared() {
+            for (key, value) in shared {
+                let of_key = values.entry(key).or_default();
+                let text = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+                // a text that the filter would part is not offered
+                if of_key.len() < MOST_VALUES && !text.contains(char::is_whitespace) {
+                    of_key.insert(text);
+                }
+            }
+        }
+        let several = values.into_iter().filter(|(_, values)| values.len() > 1);
+        several.map(|(key, values)| (key.to_owned(), values.into_iter().collect())).collect()
+    }
+}
+
+/// A condition on a key.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Term {
+    key: String,
+    relation: &'static str,
+    value: String,
+}
+
+/// Relations, the longer ones first.
+const RELATIONS: [&str; 7] = ["!=", "<=", ">=", "=", "<", ">", "~"];
+
+/// Terms such as `K=4 M<=3 optimise.brain=linear state!=done hash~3fa`, parted by blanks; all of them hold.
+///
+/// # Errors
+/// With the term that is none.
+pub fn terms(text: &str) -> Result<Vec<Term>, String> {
+    let term = |word: &str| {
+        let found = RELATIONS.iter().filter_map(|r| Some((word.find(r)?, *r)));
+        let (at, relation) = found.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len())))?;
+        let (key, value) = (&word[..at], &word[at + relation.len()..]);
+        (!key.is_empty()).then(|| Term { key: key.to_owned(), relation, value: value.to_owned() })
+    };
+    let parsed = |word| term(word).ok_or_else(|| format!("`{word}` is no condition; `M<=3` is one"));
+    text.split_whitespace().map(parsed).collect()
+}
+
+impl Term {
+    fn holds(&self, row: &Row) -> bool {
+        let cell = row.cell(&self.key);
+        let text = match &cell {
+            Cell::None => String::new(),
+            Cell::Number(x) => x.to_string(),
+            Cell::Text(text) => text.clone(),
+        };
+        if self.relation == "~" {
+            return text.contains(&self.value);
+        }
+        let order = match (&cell, self.value.parse::<f64>()) {
+            (Cell::Number(x), Ok(value)) => x.partial_cmp(&value),
+            (Cell::None, _) if !matches!(self.relation, "=" | "!=") => None,
+            _ => Some(text.as_str().cmp(&self.value)),
+        };
+        let Some(order) = order else { return false };
+        match self.relation {
+            "=" => order.is_eq(),
+            "!=" => order.is_ne(),
+            "<" => order.is_lt(),
+            ">" => order.is_gt(),
+            "<=" => order.is_le(),
+            _ => order.is_ge(),
+        }
+    }
+}
+
+impl Trials {
+    /// Those that meet all terms, sorted by a key (`-KEY`: the greatest first; those without always last), and among
+    /// equals as planned.
+    #[must_use]
+    pub fn found(&self, terms: &[Term], sort: &str) -> Vec<&Arc<Row>> {
+        let mut found: Vec<&Arc<Row>> =
+            self.rows.iter().filter(|row| terms.iter().all(|term| term.holds(row))).collect();
+        let (key, down) = sort.strip_prefix('-').map_or((sort, false), |key| (key, true));
+        if !key.is_empty() {
+            let order = |a: &Cell, b: &Cell| match (a, b) {
+                (Cell::None, _) | (_, Cell::None) => a.order(b),
+                _ if down => b.order(a),
+                _ => a.order(b),
+            };
+            let mut keyed: Vec<(Cell, &Arc<Row>)> =
+                found.into_iter().map(|row| (row.cell(key), row)).collect();
+            keyed.sort_by(|a, b| order(&a.0, &b.0));
+            found = keyed.into_iter().map(|pair| pair.1).collect();
+        }
+        found
+    }
+
+    /// The trial whose hash begins so, if there is one only.
+    #[must_use]
+    pub fn one(&self, beginning: &str) -> Option<&Arc<Row>> {
+        let mut found = self.rows.iter().filter(|row| row.hash.starts_with(beginning));
+        found.next().filter(|_| !beginning.is_empty() && found.next().is_none())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn trials() -> Trials {
+        let mut settings = Settings::default();
+        let row = |(i, state): (usize, &&str)| {
+            let mut numbers = [f64::NAN; NUMBERS.len()];
+            numbers[1] = (i + 1) as f64;
+            numbers[6] = if *state == "done" { 10.0 / (i + 1) as f64 } else { f64::NAN };
+            let brain = ["cnn", "linear"][i % 2];
+            let setting = settings.of(&json!({"optimise": {"brain": brain}, "x": (i as f64 / 2.0)}));
+            Arc::new(Row {
+                hash: format!("{i}abc"),
+                state: (*state).into(),
+                reason: String::new(),
+                numbers,
+                setting,
+            })
+        };
+        let rows = ["done", "failed", "done", "pending"].iter().enumerate().map(row).collect();
+        Trials { rows, ..Trials::default() }
+    }
+
+    fn found(text: &str, sort: &str) -> String {
+        let (trials, terms) = (trials(), terms(text).unwrap());
+        trials.found(&terms, sort).iter().map(|row| &row.hash[..1]).collect()
+    }
+
+    #[test]
+    fn terms_choose_and_keys_sort() {
+        for (text, sort, expected) in [
+            ("", "", "0123"),
+            ("state=done", "", "02"),
+            ("M>=2 M<4", "-M", "21"),
+            ("optimise.brain=linear", "", "13"),
+            ("optimise.brain!=linear", "-x", "20"),
+            ("x=0.5", "", "1"),
+            ("x>0.5", "", "23"),
+            ("hash~3a", "", "3"),
+            ("holdout_optimised<100", "", "02"),
+            ("no.such.key>1", "", ""),
+            // those without an error come last, either way
+            ("", "holdout_optimised", "2013"),
+            ("", "-holdout_optimised", "0213"),
+        ] {
+            assert_eq!(found(text, sort), expected, "{text} {sort}");
+        }
+        assert!(terms("M").is_err() && terms("=3").is_err());
+    }
+}

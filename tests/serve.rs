@@ -1,0 +1,427 @@
+//! Pages of databases: they load, follow what is recorded, answer nobody who should not be answered, and hold nothing.
+
+#[path = "support/roll.rs"]
+mod roll;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use metasense::plan::Plan;
+use metasense::serve::{Served, Source, serve};
+use metasense::store::{Level, Store};
+use metasense_schemas::record::{Checkpoint, StepRecord};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+
+use common::{Bench, TINY};
+use roll::{Roll, number};
+
+mod common;
+
+/// What a browser of this machine says of itself.
+const HOST: &str = "Host: localhost\r\n";
+
+/// Pages of a database's own.
+const PAGES: [&str; 8] = [
+    "",
+    "trials",
+    "trials?q=K%3E%3D1+state!%3Dx&sort=-placement&page=2",
+    "map",
+    "map?by=gain",
+    "compare",
+    "sql",
+    "sql?q=SELECT+*+FROM+v_trial&x=panels&y=sensors",
+];
+
+/// Serves databases until it is dropped.
+struct Server {
+    port: u16,
+    served: Arc<Served>,
+    task: tokio::task::JoinHandle<()>,
+}
+
+impl Server {
+    async fn new(dbs: &[PathBuf]) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let served = Served::new(dbs.iter().map(|db| Source::new(db).unwrap()).collect());
+        let task = tokio::spawn(serve(listener, Arc::clone(&served)));
+        Self { port, served, task }
+    }
+
+    async fn connect(&self) -> TcpStream {
+        TcpStream::connect(("127.0.0.1", self.port)).await.unwrap()
+    }
+
+    /// Sends these bytes and reads until the other end closes, or for ten seconds.
+    async fn raw(&self, request: &[u8]) -> String {
+        let mut stream = self.connect().await;
+        let _ = stream.write_all(request).await;
+        let mut answer = Vec::new();
+        let _ = tokio::time::timeout(Duration::from_secs(10), stream.read_to_end(&mut answer)).await;
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    async fn get(&self, path: &str) -> (u16, String) {
+        let answer =
+            self.raw(format!("GET {path} HTTP/1.1\r\n{HOST}Connection: close\r\n\r\n").as_bytes()).await;
+        (status(&answer), answer)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+fn status(answer: &str) -> u16 {
+    answer.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0)
+}
+
+fn plan(spec: &str) -> Plan {
+    Plan::new("s.toml", spec.to_owned()).unwrap()
+}
+
+/// A database of two trials: one has begun, and has said something.
+async fn begun(db: &Path) -> (Store, Vec<String>) {
+    let plan = plan(TINY);
+    let mut store = Store::open(db).await.unwrap();
+    store.begin_sweep(&plan.spec, TINY, &plan.trials).await.unwrap();
+    let hashes: Vec<String> = plan.trials.iter().map(|trial| trial.hash.clone()).collect();
+    store.begin_attempt(&hashes[0]).await.unwrap();
+    step(&mut store, &hashes[0], 0).await;
+    store.log(&hashes[0], 1, Level::Warn, "something was said").await.unwrap();
+    (store, hashes)
+}
+
+async fn step(store: &mut Store, hash: &str, step: u32) {
+    let record = StepRecord {
+        step,
+        error_test: Some(20.0 / f64::from(step + 1)),
+        outcome: "ok".into(),
+        ..Default::default()
+    };
+    let (_, design) = metasense_worker::simulate::body(&plan(TINY).trials[0].spec).unwrap();
+    let checkpoint = Checkpoint { step: step + 1, design, ..Default::default() };
+    store.record_step(hash, 1, &record, &checkpoint).await.unwrap();
+}
+
+async fn execute(db: &Path, sql: &str) {
+    let mut connection = SqliteConnectOptions::new().filename(db).connect().await.unwrap();
+    sqlx::raw_sql(AssertSqlSafe(sql.to_owned())).execute(&mut connection).await.unwrap();
+    connection.close().await.unwrap();
+}
+
+/// Databases of all versions and one of a run: every page of each, with what guards it, and nothing from elsewhere.
+#[tokio::test(flavor = "multi_thread")]
+async fn every_page_is_there_and_comes_from_here_alone() {
+    let bench = Bench::new();
+    let (store, hashes) = begun(&bench.path("run.sqlite")).await;
+    let mut dbs = vec![bench.path("run.sqlite")];
+    for version in [1, 6] {
+        let name = format!("v{version}.sqlite");
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/databases").join(&name);
+        std::fs::copy(from, bench.path(&name)).unwrap();
+        dbs.push(bench.path(&name));
+    }
+    let server = Server::new(&dbs).await;
+    let mut paths: Vec<String> = (0..3).flat_map(|i| PAGES.map(|page| format!("/{i}/{page}"))).collect();
+    paths.extend(
+        ["/", "/style.css", "/live.js", "/wave.js", "/icon.svg", "/1/compare?with=2"].map(String::from),
+    );
+    paths.push(format!("/0/trial/{}", hashes[0]));
+    paths.push(format!("/0/compare?a={}&b={}", hashes[0], hashes[1]));
+    paths.push("/2/sql.csv?q=SELECT+1+AS+x".into());
+    paths.push("/2/sql.parquet?q=SELECT+1+AS+x".into());
+    for path in &paths {
+        let (status, answer) = server.get(path).await;
+        assert_eq!(status, 200, "{path}: {answer}");
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        assert!(
+            head.contains("content-security-policy: default-src 'none'; script-src 'self';"),
+            "{path}: {head}"
+        );
+        assert!(head.contains("x-content-type-options: nosniff"), "{path}: {head}");
+        for forbidden in
+            ["unsafe-inline", "style=\"", "<style", "onclick=", "src=\"http", "href=\"http", "url("]
+        {
+            assert!(!answer.contains(forbidden), "{path} has {forbidden}");
+        }
+        let scripts = body.matches("<script").count();
+        assert!(scripts == 2 || !head.contains("text/html"), "{path}: {scripts}");
+    }
+    for path in
+        ["/3/", "/0/nothing", "/0/trial/nothing", "/0/../../etc/passwd", "/0/%2e%2e/%2e%2e/etc/passwd"]
+    {
+        let (status, answer) = server.get(path).await;
+        assert!([400, 404].contains(&status) && !answer.contains("root:"), "{path}: {answer}");
+    }
+    let (_, page) = server.get(&format!("/0/trial/{}", hashes[0])).await;
+    assert!(page.contains("something was said") && page.contains("body after 1 step<"), "{page}");
+    server.served.close().await;
+    store.close().await.unwrap();
+    let left: Vec<_> =
+        std::fs::read_dir(bench.path("")).unwrap().flatten().map(|entry| entry.file_name()).collect();
+    assert_eq!(left.len(), 3, "{left:?}");
+}
+
+/// A step that the store has returned from is told within a second, and stands on the page that is then asked for.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_on_disk_is_on_the_page_within_a_second() {
+    let bench = Bench::new();
+    let db = bench.path("run.sqlite");
+    let (mut store, hashes) = begun(&db).await;
+    let server = Server::new(&[db]).await;
+    let mut events = server.connect().await;
+    events.write_all(format!("GET /0/events HTTP/1.1\r\n{HOST}\r\n").as_bytes()).await.unwrap();
+    let mut heard = String::new();
+    let mut slowest = Duration::ZERO;
+    for n in 1..12 {
+        let recorded = Instant::now();
+        step(&mut store, &hashes[0], n).await;
+        // an event may be of a step before: the page that it asks for says which
+        loop {
+            let mut bytes = [0; 4096];
+            let read = tokio::time::timeout(Duration::from_secs(10), events.read(&mut bytes)).await;
+            heard += &String::from_utf8_lossy(&bytes[..read.expect("an event in time").unwrap()]);
+            if std::mem::take(&mut heard).contains("data: ") {
+                let (_, page) = server.get("/0/").await;
+                if page.contains(&format!("{} steps in", n + 1)) {
+                    break;
+                }
+            }
+        }
+        slowest = slowest.max(recorded.elapsed());
+        let (_, page) = server.get(&format!("/0/trial/{}", hashes[0])).await;
+        assert!(page.contains(&format!("body after {} steps", n + 1)), "step {n}: {page}");
+    }
+    println!("the slowest of 11 steps was told after {slowest:?}");
+    assert!(slowest < Duration::from_secs(2), "{slowest:?}");
+    server.served.close().await;
+}
+
+/// Names of somebody else's that mean this machine, pages of other sites, what is no question: none is answered.
+#[tokio::test(flavor = "multi_thread")]
+async fn only_pages_of_our_own_are_answered() {
+    let bench = Bench::new();
+    let (_store, _) = begun(&bench.path("run.sqlite")).await;
+    let server = Server::new(&[bench.path("run.sqlite")]).await;
+    let port = server.port;
+    let ours = format!("Host: 127.0.0.1:{port}\r\n");
+    for (request, expected) in [
+        (format!("GET /0/ HTTP/1.1\r\n{ours}"), 200),
+        (format!("GET /0/ HTTP/1.1\r\nHost: [::1]:{port}\r\n"), 200),
+        (format!("HEAD /0/ HTTP/1.1\r\n{ours}"), 200),
+        (format!("GET /0/ HTTP/1.1\r\n{ours}Origin: http://127.0.0.1:{port}\r\n"), 200),
+        (
+            format!("GET /0/ HTTP/1.1\r\n{ours}Sec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: navigate\r\n"),
+            200,
+        ),
+        (format!("GET /0/ HTTP/1.1\r\nHost: evil.example:{port}\r\n"), 421),
+        (format!("GET /0/ HTTP/1.1\r\nHost: localhost.evil.example:{port}\r\n"), 421),
+        ("GET /0/ HTTP/1.1\r\nHost: 127.0.0.1.nip.io\r\n".into(), 421),
+        ("GET /0/ HTTP/1.1\r\n".into(), 421),
+        ("GET /0/ HTTP/1.0\r\n".into(), 421),
+        (format!("GET /0/ HTTP/1.1\r\n{ours}Host: evil.example\r\n"), 421),
+        (format!("GET http://evil.example/0/ HTTP/1.1\r\n{ours}"), 421),
+        (format!("GET /0/ HTTP/1.1\r\n{ours}Origin: http://evil.example\r\n"), 403),
+        (format!("GET /0/ HTTP/1.1\r\n{ours}Origin: null\r\n"), 403),
+        (format!("GET /0/ HTTP/1.1\r\n{ours}Origin: http://127.0.0.1:1\r\n"), 403),
+        (format!("GET /0/ HTTP/1.1\r\n{ours}Sec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: no-cors\r\n"), 403),
+        (format!("POST /0/ HTTP/1.1\r\n{ours}Content-Length: 0\r\n"), 405),
+        (format!("DELETE /0/ HTTP/1.1\r\n{ours}"), 405),
+        (format!("OPTIONS /0/ HTTP/1.1\r\n{ours}Origin: http://evil.example\r\n"), 405),
+    ] {
+        let answer = server.raw(format!("{request}Connection: close\r\n\r\n").as_bytes()).await;
+        assert_eq!(status(&answer), expected, "{request}: {answer}");
+        assert!(expected == 200 || !answer.contains("trials done"), "{request}: {answer}");
+    }
+}
+
+/// What a database calls things is text, wherever it stands.
+#[tokio::test(flavor = "multi_thread")]
+async fn hostile_names_stay_text() {
+    let bench = Bench::new();
+    let db = bench.path("run.sqlite");
+    let (store, hashes) = begun(&db).await;
+    store.close().await.unwrap();
+    let evil =
+        "\"''></script></title></textarea><script>alert(1)</script><img src=x onerror=alert(1)>".to_owned();
+    let quoted = evil.replace('\'', "''");
+    execute(
+        &db,
+        &format!(
+            "UPDATE trial SET hash = 'x{quoted}', state = 'failed', reason = '{quoted}', layout = '{quoted}', protocol = '{quoted}',
+               spec = json_set(spec, '$.brain.kind', '{quoted}', '$.evil', '{quoted}') WHERE hash = '{}';
+             UPDATE trial SET spec = '{quoted}' WHERE hash = '{}';
+             UPDATE sweep SET name = '{quoted}', text = '{quoted}';
+             UPDATE attempt SET reason = '{quoted}', host = '{quoted}', code = '{quoted}', revision = '{quoted}', cpu = '{quoted}';
+             UPDATE log SET text = '{quoted}', level = 'error'; UPDATE step SET outcome = '{quoted}'",
+            hashes[0], hashes[1]
+        ),
+    )
+    .await;
+    let server = Server::new(&[db]).await;
+    let mut paths: Vec<String> = PAGES.iter().map(|page| format!("/0/{page}")).collect();
+    paths.push("/0/trial/x".into());
+    paths.push(format!("/0/trial/{}", hashes[1]));
+    paths.push(format!("/0/compare?a=x&b={}", hashes[1]));
+    let encoded: String = evil.bytes().map(|byte| format!("%{byte:02X}")).collect();
+    for page in [
+        "trials?q=",
+        "trials?sort=",
+        "map?by=",
+        "map?q=",
+        "sql?q=",
+        "compare?b=1&a=",
+        "trial/",
+        "trials?page=",
+    ] {
+        paths.push(format!("/0/{page}{encoded}"));
+    }
+    for path in paths {
+        let (status, answer) = server.get(&path).await;
+        assert!([200, 400, 404].contains(&status), "{path}: {answer}");
+        assert!(!answer.contains("<script>") && !answer.contains("<img"), "{path}: {answer}");
+    }
+    let (_, page) = server.get("/0/trials").await;
+    assert!(page.contains("&lt;script&gt;alert(1)"), "{page}");
+    server.served.close().await;
+}
+
+/// Requests from bits of good and bad ones: each is answered or closed, none with an error of ours, and pages are there
+/// afterwards. Three hundred, or `SERVE_CASES`.
+#[tokio::test(flavor = "multi_thread")]
+async fn whatever_is_asked_the_server_stays() {
+    const BITS: [&str; 44] = [
+        "GET ",
+        "HEAD ",
+        "POST ",
+        "get ",
+        "/",
+        "/0/",
+        "/1/",
+        "/0/trials",
+        "/0/trial/",
+        "/0/sql?q=",
+        "/0/sql.csv?q=",
+        "/0/map?by=",
+        "/0/compare?a=",
+        "/0/events",
+        "?q=",
+        "&sort=-",
+        "&page=",
+        "99999999999999999999",
+        "K>=1",
+        "%",
+        "%00",
+        "%ff",
+        "%27",
+        "..",
+        "%2e%2e%2f",
+        "/etc/passwd",
+        "SELECT+*+FROM+v_step",
+        "SELECT+",
+        "WITH+RECURSIVE+c(n)+AS+(SELECT+1+UNION+ALL+SELECT+n%2B1+FROM+c)",
+        "+count(*)+FROM+c",
+        "ATTACH+'/etc/passwd'+AS+x",
+        ";",
+        " HTTP/1.1\r\n",
+        " HTTP/9.9\r\n",
+        "Host: localhost\r\n",
+        "Host: evil\r\n",
+        "Origin: null\r\n",
+        "Content-Length: 5\r\n",
+        "Transfer-Encoding: chunked\r\n",
+        "Connection: close\r\n",
+        "\r\n\r\n",
+        "\u{0}",
+        "\u{1F980}",
+        "-1",
+    ];
+    let bench = Bench::new();
+    let (_store, hashes) = begun(&bench.path("run.sqlite")).await;
+    let server = Arc::new(Server::new(&[bench.path("run.sqlite")]).await);
+    let mut roll = Roll::new();
+    let cases = number("SERVE_CASES").unwrap_or(300);
+    let mut seen = std::collections::BTreeMap::<u16, u64>::new();
+    for _ in 0..cases {
+        let mut request = String::new();
+        // half of them are requests but for their path
+        let whole = roll.below(2) == 0;
+        if whole {
+            request += "GET ";
+            request +=
+                ["/0/trials?q=", "/0/sql?q=", "/0/trial/", "/0/map?q=", "/0/compare?a=", "/"][roll.place(6)];
+        }
+        for _ in 0..roll.below(8) {
+            match roll.below(8) {
+                0 => request.extend((0..roll.below(40)).map(|_| char::from(roll.below(256) as u8))),
+                1 => request += &hashes[0],
+                _ => request += BITS[roll.place(BITS.len())],
+            }
+        }
+        if whole {
+            request = request.replace(['\r', '\n', ' '], "") + " HTTP/1.1\r\n";
+            request = request.replacen("GET", "GET ", 1) + HOST + "Connection: close\r\n";
+        }
+        request += "\r\n\r\n";
+        let mut stream = server.connect().await;
+        let _ = stream.write_all(request.as_bytes()).await;
+        let _ = stream.shutdown().await;
+        let mut answer = Vec::new();
+        let mut buffer = [0; 16384];
+        // streams of events do not end by themselves
+        let begun = Instant::now();
+        while let Ok(Ok(n)) = tokio::time::timeout(Duration::from_secs(7), stream.read(&mut buffer)).await {
+            answer.extend_from_slice(&buffer[..n]);
+            if n == 0 || String::from_utf8_lossy(&answer).contains("text/event-stream") {
+                break;
+            }
+        }
+        let answer = String::from_utf8_lossy(&answer);
+        let code = status(&answer);
+        *seen.entry(code).or_default() += 1;
+        assert!(code < 500, "{request:?}: {answer}");
+        assert!(!answer.contains("root:x:0"), "{request:?}: {answer}");
+        assert!(begun.elapsed() < Duration::from_secs(12), "{request:?} took {:?}", begun.elapsed());
+    }
+    println!("{cases} requests by status: {seen:?}");
+    let (status, page) = server.get("/0/").await;
+    assert!(status == 200 && page.contains("trials done"), "{page}");
+}
+
+/// Clients that send their head byte by byte, or ask and take nothing, keep nobody else from pages, and a store from nothing.
+#[tokio::test(flavor = "multi_thread")]
+async fn slow_clients_hold_nothing() {
+    let bench = Bench::new();
+    let db = bench.path("run.sqlite");
+    let (mut store, hashes) = begun(&db).await;
+    let server = Server::new(&[db]).await;
+    let mut slow = Vec::new();
+    for i in 0..40 {
+        let mut stream = server.connect().await;
+        // a page of some MB that is never read, or half a head
+        let big = "WITH+RECURSIVE+c(n)+AS+(SELECT+1+UNION+ALL+SELECT+n%2B1+FROM+c+WHERE+n<900)+SELECT+printf('%252000c','x')+FROM+c";
+        let request = match i % 3 {
+            0 => "GET /0/ HTTP/1.1\r\nHo".to_owned(),
+            1 => format!("GET /0/events HTTP/1.1\r\n{HOST}\r\n"),
+            _ => format!("GET /0/sql?q={big} HTTP/1.1\r\n{HOST}\r\n"),
+        };
+        stream.write_all(request.as_bytes()).await.unwrap();
+        slow.push(stream);
+    }
+    for n in 1..20 {
+        let begun = Instant::now();
+        step(&mut store, &hashes[0], n).await;
+        let recorded = begun.elapsed();
+        let (status, page) = server.get("/0/").await;
+        assert_eq!(status, 200, "{page}");
+        assert!(recorded < Duration::from_secs(2), "{recorded:?}");
+        assert!(begun.elapsed() < Duration::from_secs(8), "{:?}", begun.elapsed());
+    }
+}
