@@ -293,6 +293,50 @@ async fn hostile_names_stay_text() {
     server.served.close().await;
 }
 
+/// Shards of a folder are one database, also those that are handed in later.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_folder_of_shards_is_one_database() {
+    let bench = Bench::new();
+    let folder = bench.path("tiny.shards");
+    std::fs::create_dir(&folder).unwrap();
+    let plan = plan(TINY);
+    let hand_in = async |shard: usize| {
+        let live = bench.path("live.sqlite");
+        let mut store = Store::open(&live).await.unwrap();
+        store.begin_sweep(&plan.spec, TINY, std::slice::from_ref(&plan.trials[shard])).await.unwrap();
+        let hash = &plan.trials[shard].hash;
+        store.begin_attempt(hash).await.unwrap();
+        step(&mut store, hash, 0).await;
+        store.close().await.unwrap();
+        std::fs::rename(&live, folder.join(format!("shard-{}-of-2.1-x-1.sqlite", shard + 1))).unwrap();
+    };
+    hand_in(0).await;
+    let server = Server::new(std::slice::from_ref(&folder)).await;
+    // somebody watches
+    let mut events = server.connect().await;
+    events.write_all(format!("GET /0/events HTTP/1.1\r\n{HOST}\r\n").as_bytes()).await.unwrap();
+    let shown = async |told: &str| {
+        let begun = Instant::now();
+        loop {
+            let (_, page) = server.get("/0/").await;
+            if page.contains(told) {
+                return;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(20), "{told} is not in {page}");
+            let _ = tokio::time::timeout(Duration::from_secs(1), events.readable()).await;
+        }
+    };
+    shown("0 of 1 trials done").await;
+    hand_in(1).await;
+    shown("0 of 2 trials done").await;
+    for trial in &plan.trials {
+        let (status, page) = server.get(&format!("/0/trial/{}", trial.hash)).await;
+        assert!(status == 200 && page.contains("body after 1 step<"), "{page}");
+    }
+    server.served.close().await;
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2);
+}
+
 /// Requests from bits of good and bad ones: each is answered or closed, none with an error of ours, and pages are there
 /// afterwards. Three hundred, or `SERVE_CASES`.
 #[tokio::test(flavor = "multi_thread")]

@@ -116,7 +116,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Identify(args) => identify::execute(&args),
         Command::Status(args) => block_on(status::execute(args)),
         Command::Watch(args) => block_on(watch::execute(args)),
-        Command::Serve(args) => block_on(serve::execute(args)),
+        Command::Serve(args) => serve::execute(args),
         Command::Why(args) => block_on(why::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),

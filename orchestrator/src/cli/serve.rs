@@ -31,8 +31,22 @@ pub(super) struct Args {
 
 /// Added to the niceness: what a sweep needs goes first.
 const NICENESS: i32 = 10;
+/// Threads of the runtime; they wait most of the time.
+const THREADS: usize = 6;
 
-pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+pub(super) fn execute(args: Args) -> Result<Exit, Error> {
+    // SAFETY: cannot fail, touches no memory.
+    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
+    // several threads: who reads a large database keeps one
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(THREADS)
+        .enable_all()
+        .build()
+        .map_err(|source| Error::Io { doing: "starting", path: PathBuf::from("the runtime"), source })?;
+    runtime.block_on(serve_until_stopped(args))
+}
+
+async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     let mut signals = Signals::new()?;
     let paths: Vec<PathBuf> = args.what.iter().flat_map(|path| databases(path)).collect();
     if paths.is_empty() {
@@ -41,8 +55,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             args.what.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
         )));
     }
-    // SAFETY: cannot fail, touches no memory.
-    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
     let at = SocketAddr::new(args.listen, args.port);
     let failed = |source| Error::Io { doing: "listening at", path: at.to_string().into(), source };
     let listener = TcpListener::bind(at).await.map_err(failed)?;
@@ -53,6 +65,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     print_line!("http://{at}/")?;
     if !at.ip().is_loopback() {
         say!("whoever reaches {at} can read everything in these databases");
+    }
+    if let [only] = &sources[..] {
+        // it is read by the time that somebody looks
+        drop(only.watched());
     }
     let served = Served::new(sources);
     signals.unless(serve(listener, Arc::clone(&served))).await;

@@ -65,7 +65,9 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     .flatten()
     .collect();
     let replayed = match &story.stored {
-        Some(stored) => samples::figures(stored, threads).map_err(|e| e.to_string()),
+        Some(stored) => samples::Replayed::new(stored, threads)
+            .and_then(|replayed| replayed.figures(None))
+            .map_err(|e| e.to_string()),
         None if trials.is_empty() => Err("no trial is done yet".into()),
         None => Err("no trial's designs are stored".into()),
     };

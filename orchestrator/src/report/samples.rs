@@ -1,6 +1,6 @@
 //! The figures that need a trial's signals, predictions and motion: one representative trial, replayed.
 
-use metasense_worker::replay::{Drawing, Motion, drawing, motion, replay};
+use metasense_worker::replay::{Drawing, Motion, Replay, drawing, motion, replay};
 use metasense_worker::run::Failure;
 
 use super::figures::BODIES;
@@ -12,32 +12,62 @@ use crate::look::wave::{animation, snapshot};
 use crate::look::{Figure, Table, legend, number, row};
 use crate::store::Stored;
 
-/// Draws the bodies, four samples, every test sample, the wave.
-///
-/// # Errors
-/// If the trial cannot be simulated again.
-pub fn figures(stored: &Stored, threads: usize) -> Result<Vec<Figure>, Failure> {
-    let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]);
-    let drawings = [drawn(0)?, drawn(1)?];
-    let mut figures = Vec::new();
-    let replays = [0, 1].map(|b| replay(&stored.specs[b], &stored.designs[b], &stored.weights[b], threads));
-    let [initial, optimised] = replays;
-    let replays = [initial?, optimised?];
-    let test: Vec<usize> =
-        replays[0].split.iter().enumerate().filter(|(_, s)| **s == 1).map(|(n, _)| n).collect();
-    if replays.iter().all(|replay| !replay.predictions.is_empty()) {
-        let chosen = representative(&replays[1].errors, test.iter().copied());
-        figures.push(forces(stored, &replays, &chosen));
-        figures.push(every_sample(stored, &replays, &test));
+/// A trial that has been simulated again.
+#[derive(Debug)]
+pub struct Replayed {
+    stored: Stored,
+    drawings: [Drawing; 2],
+    replays: [Replay; 2],
+    /// Its test samples.
+    pub test: Vec<usize>,
+    threads: usize,
+}
+
+impl Replayed {
+    /// Simulates it again.
+    ///
+    /// # Errors
+    /// If the trial cannot be simulated.
+    pub fn new(stored: &Stored, threads: usize) -> Result<Self, Failure> {
+        let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]);
+        let drawings = [drawn(0)?, drawn(1)?];
+        let replays =
+            [0, 1].map(|b| replay(&stored.specs[b], &stored.designs[b], &stored.weights[b], threads));
+        let [initial, optimised] = replays;
+        let replays = [initial?, optimised?];
+        let test = replays[0].split.iter().enumerate().filter(|(_, s)| **s == 1).map(|(n, _)| n).collect();
+        Ok(Self { stored: stored.clone(), drawings, replays, test, threads })
     }
-    figures.push(bodies(stored, &drawings));
-    // a body that floats has none
-    figures.extend(modes::figure(stored, &drawings, &who(stored)).ok());
-    let loudest = loudest(&replays[0].forces.values, &test, stored);
-    let motions = [0, 1].map(|b| motion(&stored.specs[b], &stored.designs[b], loudest, threads));
-    let [initial, optimised] = motions;
-    figures.push(waves(stored, &drawings, &[initial?, optimised?], loudest));
-    Ok(figures)
+
+    /// A sample's error by what the brain of either body makes of it (%).
+    #[must_use]
+    pub fn errors(&self, sample: usize) -> [Option<f64>; 2] {
+        [0, 1].map(|b| self.replays[b].errors.get(sample).copied().flatten())
+    }
+
+    /// Draws the bodies, a sample, every test sample, the wave; without a sample four of them, and the loudest one's wave.
+    ///
+    /// # Errors
+    /// If the wave cannot be simulated.
+    pub fn figures(&self, sample: Option<usize>) -> Result<Vec<Figure>, Failure> {
+        let (stored, replays) = (&self.stored, &self.replays);
+        let sample = sample.filter(|sample| self.test.contains(sample));
+        let mut figures = Vec::new();
+        if replays.iter().all(|replay| !replay.predictions.is_empty()) {
+            let typical = || representative(&replays[1].errors, self.test.iter().copied());
+            let chosen = sample.map_or_else(typical, |sample| vec![sample]);
+            figures.push(forces(stored, replays, &chosen));
+            figures.push(every_sample(stored, replays, &self.test));
+        }
+        figures.push(bodies(stored, &self.drawings));
+        // a body that floats has none
+        figures.extend(modes::figure(stored, &self.drawings, &who(stored)).ok());
+        let shown = sample.unwrap_or_else(|| loudest(&replays[0].forces.values, &self.test, stored));
+        let motions = [0, 1].map(|b| motion(&stored.specs[b], &stored.designs[b], shown, self.threads));
+        let [initial, optimised] = motions;
+        figures.push(waves(stored, &self.drawings, &[initial?, optimised?], shown));
+        Ok(figures)
+    }
 }
 
 fn who(stored: &Stored) -> String {
@@ -59,9 +89,7 @@ fn loudest(forces: &[f64], test: &[usize], stored: &Stored) -> usize {
     test.iter().copied().max_by(|a, b| impulse(*a).total_cmp(&impulse(*b))).unwrap_or(0)
 }
 
-type Replays = [metasense_worker::replay::Replay; 2];
-
-fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
+fn forces(stored: &Stored, replays: &[Replay; 2], chosen: &[usize]) -> Figure {
     let (panels, instants) = (stored.spec().panel_units.len(), stored.spec().time.samples);
     let duration = stored.spec().time.duration;
     let mut rows = Vec::new();
@@ -88,10 +116,14 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
         "forces",
         "True and predicted forces",
         format!(
-            "Force histories of four test samples of {}, at the 12th, 37th, 62nd and 87th percentile of \
-             the optimised body's error, and what the brain of each body (the first network, or the linear \
+            "Force histories of {} of {}, and what the brain of each body (the first network, or the linear \
              one) makes of its sensors' signals. A panel's line lies {} N above that of the next. The \
              titles give the sample's two errors, over all panels.",
+            match chosen {
+                [one] => format!("test sample {one}"),
+                _ => "test samples at the 12th, 37th, 62nd and 87th percentile of the optimised body's error"
+                    .into(),
+            },
             who(stored),
             number(step)
         ),
@@ -101,7 +133,7 @@ fn forces(stored: &Stored, replays: &Replays, chosen: &[usize]) -> Figure {
     )
 }
 
-fn every_sample(stored: &Stored, replays: &Replays, test: &[usize]) -> Figure {
+fn every_sample(stored: &Stored, replays: &[Replay; 2], test: &[usize]) -> Figure {
     let mut pairs: Vec<(usize, f64, f64)> =
         test.iter().filter_map(|&n| Some((n, replays[0].errors[n]?, replays[1].errors[n]?))).collect();
     pairs.sort_by(|a, b| a.1.total_cmp(&b.1));

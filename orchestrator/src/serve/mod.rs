@@ -7,7 +7,8 @@ mod source;
 mod trials;
 
 use std::convert::Infallible;
-use std::sync::Arc;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::Router;
@@ -28,6 +29,8 @@ use tokio::sync::Semaphore;
 
 use crate::look::of_page;
 use crate::look::wave::SCRIPT;
+use crate::report::samples::Replayed;
+use crate::store::Stored;
 use guard::{Impatient, guard};
 pub use source::{Seen, Source};
 
@@ -53,15 +56,17 @@ const ICON: &str = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 16 1
 pub struct Served {
     sources: Vec<Source>,
     questions: Semaphore,
-    /// Trials are simulated again one at a time.
+    /// Trials are simulated again one at a time; the last one is kept, with what it is of.
     replays: Semaphore,
+    replayed: Mutex<Option<(Stored, Arc<Replayed>)>>,
 }
 
 impl Served {
     /// To serve these.
     #[must_use]
     pub fn new(sources: Vec<Source>) -> Arc<Self> {
-        Arc::new(Self { sources, questions: Semaphore::new(QUESTIONS), replays: Semaphore::new(1) })
+        let (questions, replays) = (Semaphore::new(QUESTIONS), Semaphore::new(1));
+        Arc::new(Self { sources, questions, replays, replayed: Mutex::default() })
     }
 
     /// Ends all watching, and leaves no file behind that was not there before.
@@ -121,6 +126,15 @@ fn pages(served: Arc<Served>) -> Router {
         .fallback(async || Refusal::NoPage)
         .with_state(served)
         .layer(from_fn(guard))
+}
+
+/// The file of a database, once it has been looked at: that of shards is made then.
+async fn file_of(served: &Served, number: &str) -> Result<PathBuf, Refusal> {
+    let seen = source(served, number)?.now().await;
+    match seen.checked {
+        Some(_) => Ok(seen.db.clone()),
+        None => Err(Refusal::Asked("the database is still being read: ask again".into())),
+    }
 }
 
 /// A database by its number.

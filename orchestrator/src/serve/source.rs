@@ -27,8 +27,10 @@ const REST: Duration = Duration::from_millis(500);
 const REST_FACTOR: u32 = 30;
 /// Between two reads while nothing changes but a run's processes.
 const PROCESSES: Duration = Duration::from_secs(5);
-/// How long a page waits for a look.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// How long a page waits for a look; what comes later comes by itself.
+const PATIENCE: Duration = Duration::from_millis(700);
+/// How long the end waits for one.
+const ENDING: Duration = Duration::from_secs(5);
 /// Answers are worked out again after so many times what they took.
 const ANSWERS_FACTOR: u32 = 50;
 /// Trials up to which figures with a mark a trial are drawn.
@@ -114,7 +116,7 @@ impl Source {
         let mut seen = self.seen.clone();
         seen.mark_unchanged();
         let ended = async { while seen.changed().await.is_ok() {} };
-        let _ = tokio::time::timeout(PATIENCE, ended).await;
+        let _ = tokio::time::timeout(ENDING, ended).await;
     }
 
     /// What is seen from now on: each change, the last one only where several have come.

@@ -5,7 +5,7 @@ use metasense_schemas::spec::TrialSpec;
 use super::{Reader, StoreError, quoted};
 
 /// What is stored of a trial's two bodies: α (mm) and the weights of the first network, `[initial, optimised]`.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Stored {
     /// Names the trial.
     pub hash: String,

@@ -13,10 +13,10 @@ use super::trials::short;
 use super::{Served, framed, to_trial};
 use crate::analysis::compare::Comparison;
 use crate::analysis::setting::flatten;
-use crate::look::{Table, number};
+use crate::look::{Figure, Table, legend, number, row};
 use crate::plan::counted;
 use crate::report::load::finished_trials;
-use crate::serve::{Refusal, source};
+use crate::serve::{Refusal, file_of};
 use crate::store::Reader;
 
 #[derive(Debug, Default, Deserialize)]
@@ -71,7 +71,7 @@ pub async fn page(
 async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup, Refusal> {
     let mut trials = Vec::new();
     for at in [first, second] {
-        let db = source(served, at)?.now().await.db.clone();
+        let db = file_of(served, at).await?;
         trials.push(Reader::asked(&db, async |reader| finished_trials(reader).await).await?);
     }
     let work = move || {
@@ -95,7 +95,7 @@ async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup,
 async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Markup, Refusal> {
     let mut found = Vec::new();
     for (at, hash) in at.into_iter().zip(hashes) {
-        let db = source(served, at)?.now().await.db.clone();
+        let db = file_of(served, at).await?;
         found.push(Reader::asked(&db, async |reader| Trial::read(reader, hash).await).await?);
     }
     let [a, b] = [&found[0], &found[1]];
@@ -107,7 +107,11 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
         })
         .collect();
     let lines = [("initial", a.column("error_test")), ("optimised", b.column("error_test"))];
-    let keys = crate::look::legend(&[("initial", "first"), ("optimised", "second")]);
+    let keys = legend(&[("initial", "first"), ("optimised", "second")]);
+    let steps = |(who, trial): (&str, &Trial)| -> Vec<Vec<Value>> {
+        trial.column("error_test").into_iter().map(|(step, error)| row![who, step, error]).collect()
+    };
+    let data = Table::new("trial step error_test", [("first", a), ("second", b)].into_iter().flat_map(steps));
     let errors = curves("Test error while the body is trained", "test error (%)", &lines);
     Ok(html! {
         p {
@@ -119,7 +123,7 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
         h2 { "What differs in what they are" }
         (differences(a, b).html(None))
         @if let Some(errors) = errors {
-            (crate::look::Figure::new("both", "Steps", "Test error after every outer step.", keys, vec![errors], a.steps.clone()).html(&[]))
+            (Figure::new("both", "Steps", "Test error after every outer step.", keys, vec![errors], data).html(&[]))
         }
         @if !drawings.is_empty() {
             h2 { "Bodies" }

@@ -54,7 +54,7 @@ pub async fn page(
             (counted(found.len(), "trial")) ". A cell is the geometric mean over all that it holds (seeds, brains, and whatever \
              else differs), pale the least, strong the most of all cells, by factors; it leads to its trials."
         }
-        div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(None)) } } }
+        div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(Some(picture.view))) } } }
         @if left > 0 { p class="quiet" { "… and " (counted(left, "grid")) " more: filter." } }
     };
     let content = html! {

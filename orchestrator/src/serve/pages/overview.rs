@@ -31,7 +31,7 @@ fn progress(seen: &Seen) -> Markup {
     let progress = &seen.progress;
     html! {
         (trouble(seen))
-        p class="question" { (progress.summary) }
+        @if seen.checked.is_some() { p class="question" { (progress.summary) } }
         @if let Some(part) = progress.part {
             progress max="1" value=(format!("{part:.4}")) aria-label="part of the estimated work that is done" {}
             p class="quiet" {
@@ -42,12 +42,12 @@ fn progress(seen: &Seen) -> Markup {
                 "."
             }
         }
-        p class="quiet" {
+        @if seen.checked.is_some() { p class="quiet" {
             @match progress.run {
                 Some(run) => { "A run is at work on it (process " (run) ")." }
                 None => "No run on this machine is at work on it.",
             }
-        }
+        } }
     }
 }
 

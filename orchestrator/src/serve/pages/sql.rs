@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use super::{Served, framed, query, trial_links};
 use crate::look::{Axis, Format, Plot, Scale, Table, lines};
-use crate::serve::{Refusal, source};
+use crate::serve::{Refusal, file_of};
 use crate::store::{Limits, Reader};
 
 /// What a page shows, and what a file holds.
@@ -103,7 +103,7 @@ async fn answer(
     sql: &str,
     limits: Limits,
 ) -> Result<(Table, Option<String>), Refusal> {
-    let db = source(served, at)?.now().await.db.clone();
+    let db = file_of(served, at).await?;
     let _turn = served.questions.acquire().await.expect("it is never closed");
     let mut reader = Reader::confined(&db).await?;
     let answer = reader.limited(sql, limits).await;
@@ -153,7 +153,7 @@ fn plot(asked: &Asked, table: &Table) -> Markup {
 
 /// The views that users build on, with their columns.
 async fn views(served: &Served, at: &str) -> Result<Markup, Refusal> {
-    let db = source(served, at)?.now().await.db.clone();
+    let db = file_of(served, at).await?;
     let mut reader = Reader::confined(&db).await?;
     let mut columns = Vec::new();
     for (view, _) in VIEWS {

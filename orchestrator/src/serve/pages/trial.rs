@@ -17,7 +17,7 @@ use crate::look::body::{Notes, Unit, body, frame};
 use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
 use crate::plan::counted;
 use crate::report::load::PARTS;
-use crate::report::samples;
+use crate::report::samples::Replayed;
 use crate::serve::{Refusal, Seen, source};
 use crate::store::{Reader, StoreError, Stored, quoted};
 
@@ -149,8 +149,7 @@ pub(super) fn curves(title: &str, label: &str, lines: &[(&str, Vec<(f64, f64)>)]
     let points = || lines.iter().flat_map(|line| &line.1);
     points().next()?;
     let x = Axis::new("outer step", Scale::Linear, points().map(|p| p.0).chain([0.0]));
-    let mut plot =
-        Plot::new(title, x, Axis::new(label, Scale::Log, points().map(|p| p.1))).sized(560.0, 280.0);
+    let mut plot = Plot::new(title, x, Axis::new(label, Scale::Log, points().map(|p| p.1)));
     for (class, points) in lines {
         plot.line(class, points.iter().copied());
     }
@@ -166,7 +165,10 @@ pub(super) fn bodies(drawings: &[(String, Drawing)]) -> Vec<Picture> {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct Asked {
+    /// Not empty: simulate it again.
     replay: String,
+    /// The sample to be shown.
+    sample: String,
 }
 
 pub async fn page(
@@ -175,9 +177,27 @@ pub async fn page(
     Query(asked): Query<Asked>,
 ) -> Result<Html<String>, Refusal> {
     let seen = source(&served, &at)?.now().await;
+    if seen.checked.is_none() {
+        return framed(
+            &served,
+            &at,
+            "trial",
+            "Trial",
+            Some(seen.generation),
+            &live("facts", &trouble(&seen)),
+        );
+    }
     let trial = Reader::asked(&seen.db, async |reader| Trial::read(reader, &hash).await).await?;
     let replayed = match &trial.stored {
-        Some(stored) if !asked.replay.is_empty() => Some(replayed(&served, stored).await?),
+        Some(stored) if !asked.replay.is_empty() => {
+            let again = replayed(&served, stored).await?;
+            let sample = asked.sample.parse::<usize>().ok();
+            let drawing = Arc::clone(&again);
+            let work =
+                tokio::task::spawn_blocking(move || drawing.figures(sample).map_err(|e| e.to_string()));
+            let figures = work.await.map_err(|e| e.to_string()).and_then(|figures| figures);
+            Some((again, figures.map_err(Refusal::Asked)?))
+        }
         _ => None,
     };
     let following = replayed.is_none();
@@ -195,7 +215,10 @@ pub async fn page(
         section id="replay" {
             h2 { "Forces and waves" }
             @match (&replayed, &trial.stored) {
-                (Some(figures), _) => @for figure in figures.iter().filter(|f| f.name != "bodies" && f.name != "modes") { (figure.html(&[])) },
+                (Some((again, figures)), _) => {
+                    (samples(again, &asked.sample))
+                    @for figure in figures.iter().filter(|f| f.name != "bodies" && f.name != "modes") { (figure.html(&[])) }
+                }
                 (None, Some(_)) => {
                     p { a href="?replay=1#replay" { "Simulate both bodies again" } ", to see true and predicted forces sample by sample and the wave: takes as long as one outer step, on one thread." }
                 }
@@ -207,11 +230,42 @@ pub async fn page(
     framed(&served, &at, "trial", &title, following.then_some(seen.generation), &content)
 }
 
-async fn replayed(served: &Served, stored: &Stored) -> Result<Vec<Figure>, Refusal> {
+/// The trial simulated again, or what is kept of it.
+async fn replayed(served: &Served, stored: &Stored) -> Result<Arc<Replayed>, Refusal> {
     let _turn = served.replays.acquire().await.expect("it is never closed");
-    let stored = stored.clone();
-    let work = tokio::task::spawn_blocking(move || samples::figures(&stored, 1).map_err(|e| e.to_string()));
-    work.await.map_err(|e| e.to_string()).and_then(|figures| figures).map_err(Refusal::Asked)
+    let kept = served.replayed.lock().expect("nobody panics with it").clone();
+    if let Some((_, again)) = kept.filter(|(of, _)| of == stored) {
+        return Ok(again);
+    }
+    let of = stored.clone();
+    let work = tokio::task::spawn_blocking(move || Replayed::new(&of, 1).map_err(|e| e.to_string()));
+    let again = work.await.map_err(|e| e.to_string()).and_then(|again| again).map_err(Refusal::Asked)?;
+    let again = Arc::new(again);
+    *served.replayed.lock().expect("nobody panics with it") = Some((stored.clone(), Arc::clone(&again)));
+    Ok(again)
+}
+
+/// Which sample is shown: four, or any of the test set, by their numbers.
+fn samples(again: &Replayed, chosen: &str) -> Markup {
+    let error = |error: Option<f64>| error.map_or("–".into(), number);
+    let at = again.test.iter().position(|n| n.to_string() == chosen);
+    let to = |i: usize| format!("?replay=1&sample={}#replay", again.test[i]);
+    html! {
+        form method="get" action="#replay" class="line" {
+            input type="hidden" name="replay" value="1";
+            label { "Show " select name="sample" {
+                option value="" { "four typical samples" }
+                @for n in &again.test {
+                    @let [initial, optimised] = again.errors(*n);
+                    option value=(n) selected[n.to_string() == chosen] { "sample " (n) ": " (error(initial)) " → " (error(optimised)) " %" }
+                }
+            } }
+            button { "Show" }
+            @if let Some(before) = at.and_then(|at| at.checked_sub(1)) { a rel="prev" href=(to(before)) { "Previous" } }
+            @let after = at.map_or(0, |at| at + 1);
+            @if after < again.test.len() { a rel="next" href=(to(after)) { (if at.is_some() { "Next" } else { "One by one" }) } }
+        }
+    }
 }
 
 fn facts(at: &str, seen: &Seen, trial: &Trial) -> Markup {
@@ -246,7 +300,7 @@ fn curves_of(trial: &Trial) -> Markup {
         let points = || initial.iter().chain(&optimised);
         let x = Axis::new("iteration of the brain", Scale::Linear, points().map(|p| p.0).chain([0.0]));
         let y = Axis::new("holdout error (%)", Scale::Log, points().map(|p| p.1));
-        let mut plot = Plot::new("A fresh network on either body", x, y).sized(560.0, 280.0);
+        let mut plot = Plot::new("A fresh network on either body", x, y);
         plot.line("initial", initial.iter().copied());
         plot.line("optimised", optimised.iter().copied());
         plot.picture()

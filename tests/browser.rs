@@ -1,0 +1,284 @@
+//! The pages of `serve` in a real browser, by its own protocol: they load without a word on the console and without a request
+//! to anybody else, follow what is recorded, and can be used by keyboard alone, on a phone, by name.
+
+#[path = "support/skip.rs"]
+mod skip;
+
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use metasense::plan::Plan;
+use metasense::store::Store;
+use metasense_schemas::record::{Checkpoint, StepRecord};
+use serde_json::{Value, json};
+
+use common::{Bench, TINY};
+
+mod common;
+
+/// No page and no event takes so long.
+const DEADLINE: Duration = Duration::from_secs(60);
+
+/// Ends with the test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A browser's page, spoken to by the DevTools protocol over two pipes.
+struct Page {
+    _browser: Process,
+    to: File,
+    from: Receiver<Value>,
+    session: Option<String>,
+    asked: u64,
+    /// Addresses that were asked for, and what was complained of.
+    requests: Vec<String>,
+    complaints: Vec<String>,
+    loads: usize,
+}
+
+impl Page {
+    fn new(bench: &Bench) -> Self {
+        let [to, from] = ["to", "from"].map(|name| bench.path(name));
+        assert!(Command::new("mkfifo").args([&to, &from]).status().unwrap().success());
+        let browser = Command::new("bash")
+            .arg("-c")
+            .arg("exec chromium --headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-sync \
+                  --disable-background-networking --disable-component-update --remote-debugging-pipe \"--user-data-dir=$0\" \
+                  about:blank 3<\"$1\" 4>\"$2\"")
+            .args([bench.path("profile"), to.clone(), from.clone()])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let browser = Process(browser);
+        let to = OpenOptions::new().write(true).open(to).unwrap();
+        let mut pipe = BufReader::new(File::open(from).unwrap());
+        let (out, from) = channel();
+        std::thread::spawn(move || {
+            let mut bytes = Vec::new();
+            while pipe.read_until(0, &mut bytes).is_ok_and(|n| n > 0) {
+                bytes.pop();
+                if out.send(serde_json::from_slice(&bytes).unwrap()).is_err() {
+                    return;
+                }
+                bytes.clear();
+            }
+        });
+        let (requests, complaints) = Default::default();
+        let mut page =
+            Self { _browser: browser, to, from, session: None, asked: 0, requests, complaints, loads: 0 };
+        let target = page.ask("Target.createTarget", json!({"url": "about:blank"}));
+        let attach = json!({"targetId": target["targetId"], "flatten": true});
+        let session = page.ask("Target.attachToTarget", attach);
+        page.session = session["sessionId"].as_str().map(str::to_owned);
+        for domain in ["Page", "Runtime", "Log", "Network", "Accessibility"] {
+            page.ask(&format!("{domain}.enable"), json!({}));
+        }
+        page
+    }
+
+    /// Sends a command and waits for what comes of it.
+    fn ask(&mut self, method: &str, params: Value) -> Value {
+        self.asked += 1;
+        let mut message = json!({"id": self.asked, "method": method, "params": params});
+        if let Some(session) = &self.session {
+            message["sessionId"] = json!(session);
+        }
+        self.to.write_all(format!("{message}\0").as_bytes()).unwrap();
+        let begun = Instant::now();
+        loop {
+            let left = DEADLINE.saturating_sub(begun.elapsed());
+            let heard = self.from.recv_timeout(left).unwrap_or_else(|e| panic!("{method}: {e}"));
+            if heard["id"] == self.asked {
+                assert!(heard["error"].is_null(), "{method}: {heard}");
+                return heard["result"].clone();
+            }
+            self.hear(&heard);
+        }
+    }
+
+    fn hear(&mut self, heard: &Value) {
+        let params = &heard["params"];
+        match heard["method"].as_str().unwrap_or_default() {
+            "Page.loadEventFired" => self.loads += 1,
+            "Network.requestWillBeSent" => {
+                self.requests.push(params["request"]["url"].as_str().unwrap_or_default().to_owned());
+            }
+            "Runtime.exceptionThrown" => self.complaints.push(params.to_string()),
+            "Runtime.consoleAPICalled" => self.complaints.push(params.to_string()),
+            "Log.entryAdded" => self.complaints.push(params.to_string()),
+            _ => {}
+        }
+    }
+
+    /// Opens an address and waits until it is loaded.
+    fn open(&mut self, address: &str) {
+        let before = self.loads;
+        self.ask("Page.navigate", json!({"url": address}));
+        self.until(address, |page| page.loads > before);
+    }
+
+    /// Listens until something holds.
+    fn until(&mut self, what: &str, mut holds: impl FnMut(&mut Self) -> bool) {
+        let begun = Instant::now();
+        while !holds(self) {
+            assert!(begun.elapsed() < DEADLINE, "{what}: {:?}", self.complaints);
+            match self.from.recv_timeout(Duration::from_millis(10)) {
+                Ok(heard) => self.hear(&heard),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(e) => panic!("{what}: {e}"),
+            }
+        }
+    }
+
+    /// The value of an expression.
+    fn value(&mut self, expression: &str) -> Value {
+        let asked = json!({"expression": expression, "returnByValue": true, "awaitPromise": true});
+        let answer = self.ask("Runtime.evaluate", asked);
+        assert!(answer["exceptionDetails"].is_null(), "{expression}: {answer}");
+        answer["result"]["value"].clone()
+    }
+
+    fn key(&mut self, key: &str, code: u32, modifiers: u32) {
+        for kind in ["rawKeyDown", "keyUp"] {
+            let event = json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code, "modifiers": modifiers});
+            self.ask("Input.dispatchKeyEvent", event);
+        }
+    }
+
+    fn width(&mut self, width: u32) {
+        let metrics = json!({"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600});
+        self.ask("Emulation.setDeviceMetricsOverride", metrics);
+    }
+
+    /// What can be worked with and has no name.
+    fn nameless(&mut self) -> Vec<String> {
+        let tree = self.ask("Accessibility.getFullAXTree", json!({}));
+        let roles =
+            ["link", "button", "textbox", "searchbox", "combobox", "slider", "image", "meter", "progressbar"];
+        let nodes = tree["nodes"].as_array().unwrap().iter();
+        let bad = nodes.filter(|node| {
+            let role = node["role"]["value"].as_str().unwrap_or_default();
+            node["ignored"] != true
+                && roles.contains(&role)
+                && node["name"]["value"].as_str().unwrap_or_default().is_empty()
+        });
+        bad.map(Value::to_string).collect()
+    }
+}
+
+/// `metasense serve` on these, and its address.
+fn served(dbs: &[&Path]) -> (Process, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+    command.arg("serve").args(dbs).args(["--port", "0"]).stdout(Stdio::piped());
+    let mut process = Process(command.spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(process.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+    (process, line.trim().trim_end_matches('/').to_owned())
+}
+
+fn here() -> bool {
+    let found =
+        Command::new("chromium").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    let found = found.is_ok_and(|status| status.success());
+    if !found {
+        skip::skipped("pages in a browser", "PATH has no chromium");
+    }
+    found
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_browser_shows_follows_and_asks() {
+    if !here() {
+        return;
+    }
+    let bench = Bench::new();
+    let spec = bench.file("tiny.toml", TINY);
+    let done = bench.path("done.sqlite");
+    let mut run = Command::new(env!("CARGO_BIN_EXE_metasense"));
+    assert!(run.arg("run").arg(&spec).arg("--db").arg(&done).output().unwrap().status.success());
+    let (plan, db) = (Plan::new("s.toml", TINY.to_owned()).unwrap(), bench.path("run.sqlite"));
+    let mut store = Store::open(&db).await.unwrap();
+    store.begin_sweep(&plan.spec, TINY, &plan.trials).await.unwrap();
+    let first = &plan.trials[0];
+    store.begin_attempt(&first.hash).await.unwrap();
+    let (_server, address) = served(&[&db, &done]);
+    let mut page = Page::new(&bench);
+
+    // what is recorded is seen, without anything being done
+    page.open(&format!("{address}/0/"));
+    let (_, design) = metasense_worker::simulate::body(&first.spec).unwrap();
+    let mut slowest = Duration::ZERO;
+    for n in 0..6 {
+        let record =
+            StepRecord { step: n, error_test: Some(9.0), outcome: "ok".into(), ..Default::default() };
+        let checkpoint = Checkpoint { step: n + 1, design: design.clone(), ..Default::default() };
+        store.record_step(&first.hash, 1, &record, &checkpoint).await.unwrap();
+        let begun = Instant::now();
+        let seen = format!("document.querySelector('#progress').textContent.includes('{} steps in')", n + 1);
+        page.until("the step on the page", |page| page.value(&seen) == true);
+        slowest = slowest.max(begun.elapsed());
+    }
+    println!("the slowest of 6 steps was on the page after {slowest:?}");
+    assert!(slowest < Duration::from_secs(3), "{slowest:?}");
+
+    // every page, wide and narrow: names for all that can be worked with, nothing beyond the edge
+    let of_trial = format!("/1/trial/{}?replay=1", first.hash);
+    let paths = ["/", "/0/", "/1/", "/1/trials", "/1/map", "/1/sql", "/1/compare?with=0", &of_trial];
+    for width in [1200, 390] {
+        page.width(width);
+        for path in paths {
+            page.open(&format!("{address}{path}"));
+            let nameless = page.nameless();
+            assert!(nameless.is_empty(), "{path}: {nameless:?}");
+            let beyond = page.value("document.documentElement.scrollWidth - innerWidth").as_i64().unwrap();
+            assert!(beyond <= 0, "{path} is {beyond} px too wide for {width}");
+        }
+    }
+
+    // the wave is scrubbed by keys
+    let shape = "document.querySelector('.wave polygon.unit:last-of-type').getAttribute('transform')";
+    page.value("document.querySelector('.wave input').focus()");
+    page.key("Home", 36, 0);
+    let before = page.value(shape);
+    page.key("End", 35, 0);
+    assert_ne!(page.value(shape), before);
+
+    // by keys alone: past the head to the content, and a question asked
+    page.width(1200);
+    page.open(&format!("{address}/1/sql"));
+    page.key("Tab", 9, 0);
+    assert_eq!(page.value("document.activeElement.className"), "skip");
+    assert_eq!(page.value("document.activeElement.getBoundingClientRect().left >= 0"), true);
+    assert_ne!(page.value("getComputedStyle(document.activeElement).outlineStyle"), "none");
+    page.value("document.querySelector('textarea').focus()");
+    page.value("document.querySelector('textarea').value = 'SELECT count(*) AS told FROM v_step'");
+    let before = page.loads;
+    page.key("Enter", 13, 2);
+    page.until("the answer", |page| page.loads > before);
+    let told = page.value("document.querySelector('td').textContent");
+    assert_eq!(told, "8");
+
+    let elsewhere: Vec<&String> = page.requests.iter().filter(|url| !url.starts_with(&address)).collect();
+    assert!(elsewhere.iter().all(|url| *url == "about:blank"), "{elsewhere:?}");
+    assert!(page.requests.len() > 30, "{}", page.requests.len());
+    assert!(page.complaints.is_empty(), "{:?}", page.complaints);
+
+    // a script that got into a page does not run, and would have been told of here
+    page.value("{ const s = document.createElement('script'); s.textContent = 'window.ran = 1'; document.body.append(s) }");
+    assert_eq!(page.value("window.ran"), Value::Null);
+    page.until("the refusal", |page| {
+        page.complaints.iter().any(|told| told.contains("Content Security Policy"))
+    });
+    store.close().await.unwrap();
+}
