@@ -164,8 +164,7 @@ fn what_ends_an_attempt_stands_in_the_database_by_name() {
 /// Results that do not fit into what is left of shared memory, of which the run has one of its own here.
 #[test]
 fn a_full_shared_memory_is_a_reason_of_its_own() {
-    // SAFETY: a plain question.
-    if unsafe { libc::geteuid() } != 0
+    if !rustix::process::geteuid().is_root()
         || !Command::new("unshare").args(["-m", "true"]).status().is_ok_and(|s| s.success())
     {
         eprintln!("not run: only root can have a shared memory of its own");
@@ -293,8 +292,7 @@ fn leftovers_of_dead_runs_are_removed_and_living_runs_are_not() {
 /// Another user's leftovers cannot be removed, and are in nobody's way. Only root can be two users.
 #[test]
 fn a_stale_run_of_another_user_is_in_nobodys_way() {
-    // SAFETY: a plain question.
-    if unsafe { libc::geteuid() } != 0 {
+    if !rustix::process::geteuid().is_root() {
         return skip::skipped("a_stale_run_of_another_user_is_in_nobodys_way", "this is not root");
     }
     let shared = Path::new(SHARED_MEMORY);

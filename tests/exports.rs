@@ -7,6 +7,8 @@ mod synthetic;
 use std::path::Path;
 use std::process::Command;
 
+use metasense_worker::files::content;
+
 fn export(db: &Path, what: &str, format: &str, out: &Path) {
     let run = Command::new(env!("CARGO_BIN_EXE_metasense"))
         .args(["export", db.to_str().unwrap(), what, "--format", format, "--out", out.to_str().unwrap()])
@@ -53,6 +55,8 @@ fn what_is_exported_is_read_back_by_others() {
     let run = Command::new("python3").arg(script).arg(folder.path()).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let readers = String::from_utf8_lossy(&run.stdout);
+    let ours = |name: &str| content(Path::new(name), &std::fs::read(file(name)).unwrap()).unwrap();
+    assert!(ours("t.npz") == ours("packed.npz"), "what numpy.savez_compressed wrote reads otherwise");
     for reader in ["numpy", "pyarrow", "ezdxf", "trimesh"] {
         if !readers.lines().any(|line| line == reader) {
             skip::skipped(test, &format!("there is no {reader}"));
@@ -60,20 +64,14 @@ fn what_is_exported_is_read_back_by_others() {
     }
 }
 
-/// Names and shapes of the arrays of an uncompressed archive.
+/// Names and shapes of the arrays of an archive.
 fn npz_arrays(bytes: &[u8]) -> Vec<(String, Vec<u64>)> {
-    let number =
-        |at: usize, n: usize| bytes[at..at + n].iter().rev().fold(0usize, |x, b| x << 8 | usize::from(*b));
-    let (mut at, mut arrays) = (0, Vec::new());
-    while bytes[at..].starts_with(b"PK\x03\x04") {
-        let (size, name, extra) = (number(at + 18, 4), number(at + 26, 2), number(at + 28, 2));
-        let data = at + 30 + name + extra;
-        let array = npyz::NpyFile::new(&bytes[data..data + size]).unwrap();
-        arrays.push((
-            String::from_utf8(bytes[at + 30..at + 30 + name].to_vec()).unwrap(),
-            array.shape().to_vec(),
-        ));
-        at = data + size;
-    }
-    arrays
+    let mut zip = zip::ZipArchive::new(std::io::Cursor::new(bytes)).unwrap();
+    let files = zip.len();
+    let mut array = |i: usize| {
+        let file = zip.by_index(i).unwrap();
+        let name = file.name().unwrap().into_owned();
+        (name, npyz::NpyFile::new(file).unwrap().shape().to_vec())
+    };
+    (0..files).map(&mut array).collect()
 }

@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::io::{Cursor, Read, Write};
+
 use common::Bench;
 
 const SPEC: &str = r#"name = "measured"
@@ -104,11 +106,27 @@ fn the_content_of_the_records_and_not_their_path_names_a_trial() {
     std::fs::rename(bench.path("blows.npz"), bench.path("data/blows.npz")).unwrap();
     bench.file("s.toml", &SPEC.replace("blows.npz", "data/blows.npz"));
     assert_eq!(hash(), first);
-    let mut bytes = std::fs::read(bench.path("data/blows.npz")).unwrap();
-    let last = bytes.iter().rposition(|b| *b == b'P').unwrap() - 1000;
-    bytes[last] ^= 1;
-    std::fs::write(bench.path("data/blows.npz"), bytes).unwrap();
+    // One bit of a force: of other records, and of the same damaged
+    let bytes = std::fs::read(bench.path("data/blows.npz")).unwrap();
+    let mut held = zip::ZipArchive::new(Cursor::new(&bytes[..])).unwrap();
+    let mut changed = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for name in ["time.npy", "force.npy"] {
+        let mut array = Vec::new();
+        held.by_name(name).unwrap().read_to_end(&mut array).unwrap();
+        let middle = array.len() / 2;
+        array[middle] ^= u8::from(name == "force.npy");
+        changed.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        changed.write_all(&array).unwrap();
+    }
+    std::fs::write(bench.path("data/blows.npz"), changed.finish().unwrap().into_inner()).unwrap();
     assert_ne!(hash(), first);
+    let mut damaged = bytes;
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 1;
+    std::fs::write(bench.path("data/blows.npz"), damaged).unwrap();
+    let refused = bench.metasense(&["expand", "s.toml"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && said.contains("force Invalid checksum"), "{said}");
 }
 
 /// What cannot be meant is refused with its key and the file.

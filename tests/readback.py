@@ -37,6 +37,7 @@ if have("numpy"):
     train = z["signals_initial"][z["split"] == 0]
     rms = np.sqrt((train ** 2).mean((0, 1)))
     assert np.allclose(rms, z["signal_scale"], rtol=1e-6), (rms, z["signal_scale"])
+    np.savez_compressed(path("packed.npz"), **z)
     print("numpy")
 
 if have("pyarrow"):

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use metasense::link::SHARED_MEMORY;
 use metasense::store::Reader;
+use rustix::process::{Pid, Signal, kill_process};
 
 /// A run of `bench engine` on a database, in a process of its own. Dropped, it is killed.
 pub struct Run {
@@ -72,8 +73,8 @@ impl Drop for Run {
 }
 
 pub fn kill(pid: u32, signal: i32) {
-    // SAFETY: sends a signal to a process that this test has started.
-    unsafe { libc::kill(pid as i32, signal) };
+    let (pid, signal) = (Pid::from_raw(pid as i32).unwrap(), Signal::from_named_raw(signal).unwrap());
+    let _ = kill_process(pid, signal);
 }
 
 /// Processes whose parent this is, the living ones.

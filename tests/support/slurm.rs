@@ -19,8 +19,7 @@ pub fn missing() -> Option<String> {
             .iter()
             .any(|f| Path::new(f).join(name).exists())
     };
-    // SAFETY: cannot fail, touches no memory.
-    if unsafe { libc::geteuid() } != 0 {
+    if !rustix::process::geteuid().is_root() {
         return Some("its daemons need root".into());
     }
     let programs = ["munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol"];

@@ -1,9 +1,11 @@
 //! Numbers from files that others wrote: CSV tables, NPY arrays, NPZ archives of arrays.
 
 use std::collections::BTreeMap;
+use std::io::{Cursor, Read};
 use std::path::Path;
 
 use npyz::NpyFile;
+use zip::ZipArchive;
 
 /// An array of any shape, the last index fastest.
 #[derive(Debug, Clone, PartialEq)]
@@ -114,41 +116,30 @@ fn numbers(file: NpyFile<&[u8]>) -> Result<Vec<f64>, String> {
     }
 }
 
-/// The arrays of an NPZ: a zip archive (PKWARE APPNOTE 6.3), read from its directory, uncompressed as `numpy.savez` writes it.
+/// The arrays of an NPZ, a zip archive, as `numpy.savez` and `savez_compressed` write it.
 fn archive(bytes: &[u8]) -> Result<BTreeMap<String, Result<Array, String>>, String> {
-    let cut = || "is no whole zip archive".to_owned();
-    let number = |at: usize, length: usize| -> Result<usize, String> {
-        let part = bytes.get(at..at + length).ok_or_else(cut)?;
-        Ok(part.iter().rev().fold(0, |n, &b| n << 8 | usize::from(b)))
-    };
-    let end = bytes.windows(4).rposition(|w| w == b"PK\x05\x06").ok_or_else(cut)?;
-    let (count, mut at) = (number(end + 10, 2)?, number(end + 16, 4)?);
+    let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| e.to_string())?;
     let mut arrays = BTreeMap::new();
-    for _ in 0..count {
-        if number(at, 4)? != 0x0201_4b50 {
-            return Err(cut());
-        }
-        let (method, mut size) = (number(at + 10, 2)?, number(at + 20, 4)?);
-        let (named, extra, comment) = (number(at + 28, 2)?, number(at + 30, 2)?, number(at + 32, 2)?);
-        let start = number(at + 42, 4)?;
-        let name = String::from_utf8_lossy(bytes.get(at + 46..at + 46 + named).ok_or_else(cut)?).into_owned();
-        if size == 0xffff_ffff {
-            // numpy writes large arrays with a zip64 field: uncompressed, then compressed size
-            size = number(at + 46 + named + 12, 8)?;
-        }
-        let data = start + 30 + number(start + 26, 2)? + number(start + 28, 2)?;
-        let held = match method {
-            0 => array(bytes.get(data..data.saturating_add(size)).ok_or_else(cut)?),
-            _ => Err("is compressed; write it with numpy.savez".into()),
-        };
-        arrays.insert(name.trim_end_matches(".npy").to_owned(), held);
-        at += 46 + named + extra + comment;
+    for i in 0..zip.len() {
+        let name = zip.name_for_index(i).transpose().map_err(|e| e.to_string())?.unwrap_or_default();
+        let name = name.trim_end_matches(".npy").to_owned();
+        let held = (zip.by_index(i).map_err(|e| e.to_string())).and_then(|mut file| {
+            let mut held = Vec::new();
+            file.read_to_end(&mut held).map_err(|e| e.to_string())?;
+            array(&held)
+        });
+        arrays.insert(name, held);
     }
     Ok(arrays)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
+    use zip::write::SimpleFileOptions;
+    use zip::{CompressionMethod, ZipWriter};
+
     use super::*;
 
     /// Names, numbers, and the line of what is none.
@@ -193,7 +184,15 @@ mod tests {
         let fortran = npy("{'descr': '<f8', 'fortran_order': True, 'shape': (2, 3), }", &[1.0; 6]);
         let small = npy("{'descr': '<i2', 'fortran_order': False, 'shape': (4,), }", &[1.0]);
         let csv = b"t,\"F 1\"\n0,2\n\n1e-3, -3.5\n".to_vec();
-        let wholes = [("a.npy", &fortran), ("b.npy", &small), ("a.npz", &zip(&fortran)), ("a.csv", &csv)];
+        let [stored, deflated] =
+            [CompressionMethod::Stored, CompressionMethod::Deflated].map(|m| zip(&fortran, m));
+        let wholes = [
+            ("a.npy", &fortran),
+            ("b.npy", &small),
+            ("a.npz", &stored),
+            ("b.npz", &deflated),
+            ("a.csv", &csv),
+        ];
         let awkward: [&[u8]; 8] =
             [b"18446744073709551615", b"-1", b"0", b"(", b"\xff\xff\xff\xff", b"\0", b"PK\x05\x06", b"'"];
         for (name, whole) in wholes {
@@ -228,16 +227,12 @@ mod tests {
         }
     }
 
-    /// An archive with one array, uncompressed, as numpy writes it.
-    fn zip(held: &[u8]) -> Vec<u8> {
-        let number = |n: usize, length: usize| n.to_le_bytes()[..length].to_vec();
-        let size = [number(held.len(), 4), number(held.len(), 4)].concat();
-        let head = [number(20, 2), vec![0; 12], size, number(5, 2), vec![0; 2]].concat();
-        let file = [&b"PK\x03\x04"[..], &head, b"a.npy", held].concat();
-        let entry = [&b"PK\x01\x02"[..], &number(20, 2), &head, &[0; 14], b"a.npy"].concat();
-        let end = [number(0, 4), number(1, 2), number(1, 2), number(entry.len(), 4), number(file.len(), 4)]
-            .concat();
-        let whole = [&file[..], &entry, b"PK\x05\x06", &end, &[0, 0]].concat();
+    /// An archive with one array.
+    fn zip(held: &[u8], method: CompressionMethod) -> Vec<u8> {
+        let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+        zip.start_file("a.npy", SimpleFileOptions::default().compression_method(method)).unwrap();
+        zip.write_all(held).unwrap();
+        let whole = zip.finish().unwrap().into_inner();
         let Ok(Content::Archive(arrays)) = content(Path::new("a.npz"), &whole) else { panic!("no archive") };
         assert!(arrays["a"].is_ok(), "{arrays:?}");
         whole

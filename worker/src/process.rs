@@ -17,6 +17,7 @@ use metasense_schemas::wire::{
     self, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress, Services, Sleeper,
     Start, ToOrchestrator, ToWorker, Trouble, Waker, Work,
 };
+use rustix::process;
 
 use crate::arrays::{Arrays, Values};
 use crate::noop::{self, Noop};
@@ -81,19 +82,19 @@ pub fn run(start: &str) -> i32 {
 
 /// Ties the process to its orchestrator and sets its limits. False: the orchestrator is gone already.
 fn bind_to_parent(start: &Start) -> bool {
-    // SAFETY: plain system calls on this process, before any other thread of it exists.
-    unsafe {
-        libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL);
-        for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
-            libc::signal(signal, libc::SIG_IGN);
-        }
-        if start.niceness != 0 {
-            libc::setpriority(libc::PRIO_PROCESS, 0, start.niceness);
-        }
-        if let Some(mib) = start.memory_mib {
-            let bytes = mib.saturating_mul(1 << 20);
-            libc::setrlimit(libc::RLIMIT_DATA, &libc::rlimit { rlim_cur: bytes, rlim_max: bytes });
-        }
+    // What the kernel refuses is not worth a trial.
+    let _ = process::set_parent_process_death_signal(Some(process::Signal::KILL));
+    for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+        // SAFETY: no handler runs, and no other thread of this process exists yet.
+        unsafe { libc::signal(signal, libc::SIG_IGN) };
+    }
+    if start.niceness != 0 {
+        let _ = process::setpriority_process(None, start.niceness);
+    }
+    if let Some(mib) = start.memory_mib {
+        let bytes = Some(mib.saturating_mul(1 << 20));
+        let limit = process::Rlimit { current: bytes, maximum: bytes };
+        let _ = process::setrlimit(process::Resource::Data, limit);
     }
     std::thread::spawn(|| {
         let mut sink = [0; 64];
@@ -269,8 +270,7 @@ pub const IDLE: &str = "idle";
 /// Names this process as `top` shows it, and as `metasense watch` reads it: the kernel keeps fifteen bytes.
 fn name_process(name: &str) {
     if let Ok(name) = std::ffi::CString::new(name) {
-        // SAFETY: reads a string that ends with a zero.
-        unsafe { libc::prctl(libc::PR_SET_NAME, name.as_ptr()) };
+        let _ = rustix::thread::set_name(&name);
     }
 }
 
@@ -296,13 +296,7 @@ pub fn make_room(bytes: usize) -> Result<(), LinkError> {
 
 /// Free bytes of a file system, for this user.
 pub fn free_space(path: &std::path::Path) -> Option<u64> {
-    let path = std::ffi::CString::new(path.as_os_str().as_encoded_bytes()).ok()?;
-    // SAFETY: a zeroed `statvfs` is valid, and the call writes within it.
-    let (code, stat) = unsafe {
-        let mut stat: libc::statvfs = std::mem::zeroed();
-        (libc::statvfs(path.as_ptr(), &raw mut stat), stat)
-    };
-    (code == 0).then(|| stat.f_bavail * stat.f_frsize)
+    rustix::fs::statvfs(path).ok().map(|stat| stat.f_bavail * stat.f_frsize)
 }
 
 /// The heartbeat of an attempt.

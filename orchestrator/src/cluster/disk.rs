@@ -1,10 +1,10 @@
 //! Whether a folder lies on a network file system. SQLite's write-ahead log needs memory shared between processes and
 //! locks that hold, which those do not give: a live database there is damaged sooner or later.
 
-use std::ffi::CString;
-use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
+
+use rustix::fs::{major, minor, statfs};
 
 /// `f_type` of FUSE: what is behind it stands in the mount table alone.
 const FUSE: u64 = 0x6573_5546;
@@ -71,19 +71,14 @@ pub fn network(magic: u64, mounted_as: &str) -> Option<String> {
 /// Name of the network file system that a folder lies on. What cannot be asked counts as local.
 #[must_use]
 pub fn network_of(folder: &Path) -> Option<String> {
-    let path = CString::new(folder.as_os_str().as_bytes()).ok()?;
-    // SAFETY: a zeroed `statfs` is valid, the call reads a string that ends in NUL and writes within the struct.
-    let magic = unsafe {
-        let mut system: libc::statfs = std::mem::zeroed();
-        (libc::statfs(path.as_ptr(), &raw mut system) == 0).then_some(system.f_type as u64 & 0xffff_ffff)?
-    };
+    let magic = statfs(folder).ok()?.f_type as u64 & 0xffff_ffff;
     let device = if magic == FUSE { folder.metadata().ok()?.dev() } else { 0 };
     network(magic, &mounted_as(device, &std::fs::read_to_string("/proc/self/mountinfo").unwrap_or_default()))
 }
 
 /// Type of the file system with a device number, by the mount table (proc_pid_mountinfo(5)).
 fn mounted_as(device: u64, table: &str) -> String {
-    let number = format!("{}:{}", libc::major(device), libc::minor(device));
+    let number = format!("{}:{}", major(device), minor(device));
     let line = table.lines().find(|line| line.split(' ').nth(2) == Some(&number));
     line.and_then(|line| line.split_once(" - ")?.1.split(' ').next()).unwrap_or_default().to_owned()
 }
@@ -120,8 +115,8 @@ mod tests {
     fn the_mount_table_names_the_program_behind_fuse() {
         let table = "36 35 98:0 / / rw,noatime shared:1 - ext4 /dev/root rw\n\
                      48 36 0:52 / /home/a rw,nosuid shared:2 - fuse.sshfs host:/home rw,user_id=0\n";
-        assert_eq!(mounted_as(libc::makedev(0, 52), table), "fuse.sshfs");
-        assert_eq!(mounted_as(libc::makedev(0, 53), table), "");
+        assert_eq!(mounted_as(rustix::fs::makedev(0, 52), table), "fuse.sshfs");
+        assert_eq!(mounted_as(rustix::fs::makedev(0, 53), table), "");
     }
 
     #[test]

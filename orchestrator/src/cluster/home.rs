@@ -12,6 +12,8 @@ use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use rustix::process::{Signal, getpid, kill_process};
+
 use super::Shard;
 use super::merge::{self, MergeError};
 use crate::store::StoreError;
@@ -90,8 +92,7 @@ impl Home {
             None => {
                 let mut hasher = DefaultHasher::new();
                 (&folder, shard).hash(&mut hasher);
-                // SAFETY: cannot fail, touches no memory.
-                let user = unsafe { libc::getuid() };
+                let user = rustix::process::getuid().as_raw();
                 let ours =
                     std::env::temp_dir().join(format!("metasense-{user}-{name}-{:016x}", hasher.finish()));
                 DirBuilder::new().recursive(true).mode(0o700).create(&ours).map_err(|e| at(&ours, e))?;
@@ -215,8 +216,8 @@ pub fn host() -> String {
 pub fn end_after(time: Duration) {
     tokio::spawn(async move {
         tokio::time::sleep(time).await;
-        // SAFETY: sends a signal to this process, which handles it.
-        unsafe { libc::kill(libc::getpid(), libc::SIGTERM) };
+        // This process handles it.
+        let _ = kill_process(getpid(), Signal::TERM);
     });
 }
 

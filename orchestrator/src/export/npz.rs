@@ -1,10 +1,14 @@
 //! A trial as a NumPy archive: all that is needed to evaluate it again by other means.
 //!
-//! An npz file is a zip archive of npy files; ours are stored uncompressed (PKWARE APPNOTE 6.3, method 0), with a fixed
-//! date, so that the same trial gives the same bytes.
+//! An npz file is a zip archive of npy files; ours are stored uncompressed, with a fixed date, so that the same trial gives
+//! the same bytes.
+
+use std::io::{Cursor, Write};
 
 use metasense_schemas::spec::{Brain, BrainKind, Network};
 use metasense_worker::replay::{Drawing, LinearReplay, Replay, drawing, linear};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::{replays, unreadable};
 use crate::analysis::Body;
@@ -130,83 +134,43 @@ fn text_array(text: &str) -> Vec<u8> {
 }
 
 /// A zip archive in the making.
-#[derive(Debug, Default)]
-pub struct Zip {
-    bytes: Vec<u8>,
-    directory: Vec<u8>,
-    files: u16,
+#[derive(Debug)]
+pub struct Zip(ZipWriter<Cursor<Vec<u8>>>);
+
+impl Default for Zip {
+    fn default() -> Self {
+        Self(ZipWriter::new(Cursor::new(Vec::new())))
+    }
 }
 
 impl Zip {
     /// Adds an array as `name.npy`.
     ///
     /// # Panics
-    /// If the shape does not hold as many values as there are, or they are 4 GiB and more.
+    /// If the shape does not hold as many values as there are.
     pub fn array<T: npyz::AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) {
         self.file(&format!("{name}.npy"), &npy_bytes(shape, values));
     }
 
     fn file(&mut self, name: &str, data: &[u8]) {
-        let at = u32::try_from(self.bytes.len()).expect("an archive of less than 4 GiB");
-        let length = u32::try_from(data.len()).expect("an array of less than 4 GiB");
-        // Version needed, flags, method, time, date (1 January 1980), CRC, sizes, length of the name, no extra field.
-        let mut entry = Vec::new();
-        for half in [20u16, 0, 0, 0, 0x21] {
-            entry.extend(half.to_le_bytes());
-        }
-        for word in [crc32(data), length, length] {
-            entry.extend(word.to_le_bytes());
-        }
-        entry.extend((name.len() as u16).to_le_bytes());
-        entry.extend(0u16.to_le_bytes());
-        self.bytes.extend(b"PK\x03\x04");
-        self.bytes.extend(&entry);
-        self.bytes.extend(name.bytes());
-        self.bytes.extend(data);
-        self.directory.extend(b"PK\x01\x02\x14\x00");
-        self.directory.extend(&entry);
-        // No comment, disk 0, attributes none.
-        self.directory.extend([0; 10]);
-        self.directory.extend(at.to_le_bytes());
-        self.directory.extend(name.bytes());
-        self.files += 1;
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Stored)
+            .last_modified_time(DateTime::default())
+            .large_file(data.len() >= u32::MAX as usize);
+        let begun = self.0.start_file(name, options);
+        begun.and_then(|()| Ok(self.0.write_all(data)?)).expect("writing to memory");
     }
 
     /// Its bytes.
-    ///
-    /// # Panics
-    /// If they are 4 GiB and more.
     #[must_use]
-    pub fn finish(mut self) -> Vec<u8> {
-        let at = u32::try_from(self.bytes.len()).expect("an archive of less than 4 GiB");
-        self.bytes.extend(&self.directory);
-        self.bytes.extend(b"PK\x05\x06\x00\x00\x00\x00");
-        self.bytes.extend(self.files.to_le_bytes());
-        self.bytes.extend(self.files.to_le_bytes());
-        self.bytes.extend((self.directory.len() as u32).to_le_bytes());
-        self.bytes.extend(at.to_le_bytes());
-        self.bytes.extend([0; 2]);
-        self.bytes
+    pub fn finish(self) -> Vec<u8> {
+        self.0.finish().expect("writing to memory").into_inner()
     }
-}
-
-/// CRC-32 as zip wants it (ISO 3309, reflected polynomial 0xEDB88320).
-fn crc32(data: &[u8]) -> u32 {
-    let table: [u32; 256] = std::array::from_fn(|i| {
-        (0..8).fold(i as u32, |c, _| if c & 1 == 1 { 0xedb8_8320 ^ (c >> 1) } else { c >> 1 })
-    });
-    !data.iter().fold(!0, |c, byte| table[((c ^ u32::from(*byte)) & 0xff) as usize] ^ (c >> 8))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// The check value of the CRC catalogue.
-    #[test]
-    fn the_check_value_of_the_crc() {
-        assert_eq!(crc32(b"123456789"), 0xcbf4_3926);
-    }
 
     /// All weights are dealt out, biases first, each with its layer's sizes.
     #[test]

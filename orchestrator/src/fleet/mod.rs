@@ -20,7 +20,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-pub use processes::{Seen, children, cpu_seconds, workers_of, writer_of};
+pub use processes::{Seen, children, cpu_seconds, peak_mib, workers_of, writer_of};
 
 use crate::scheduler::{Reason, WorkerId};
 

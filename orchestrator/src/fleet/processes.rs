@@ -51,6 +51,14 @@ pub fn cpu_seconds(pid: u32) -> Option<f64> {
     stat(pid).map(|stat| stat.ticks as f64 / 100.0)
 }
 
+/// The most memory that a process has had resident (MiB); `None` once it is gone.
+#[must_use]
+pub fn peak_mib(pid: u32) -> Option<f64> {
+    let text = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.split_whitespace().next()?.parse::<f64>().ok().map(|kib| kib / 1024.0)
+}
+
 struct Stat {
     name: String,
     state: char,

@@ -16,6 +16,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 pub use metasense_schemas::wire::SHARED_MEMORY;
 use metasense_worker::process::free_space;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::scheduler::WorkerId;
 
@@ -192,14 +193,8 @@ fn abandoned(directory: &Path) -> Option<File> {
 
 /// A worker's domain takes some 45 file descriptors here: the soft limit, often 1024, would be met by 22 workers.
 fn allow_many_files() {
-    // SAFETY: a zeroed `rlimit` is valid, and the calls read and write it alone.
-    unsafe {
-        let mut limit: libc::rlimit = std::mem::zeroed();
-        if libc::getrlimit(libc::RLIMIT_NOFILE, &raw mut limit) == 0 {
-            limit.rlim_cur = limit.rlim_max;
-            libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit);
-        }
-    }
+    let maximum = getrlimit(Resource::Nofile).maximum;
+    let _ = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
 }
 
 #[cfg(test)]

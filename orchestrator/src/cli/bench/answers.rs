@@ -73,16 +73,12 @@ fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
     let (null, quiet) = (Stdio::null(), Stdio::null());
     let mut command = Command::new("/proc/self/exe");
     let mut child = command.args(arguments).stdout(null).stderr(quiet).spawn().map_err(failed)?;
-    let (status, mut cpu, mut most) = (format!("/proc/{}/status", child.id()), 0.0, 0.0f64);
+    let (mut cpu, mut most) = (0.0, 0.0f64);
     loop {
-        let line = std::fs::read_to_string(&status).unwrap_or_default();
-        let peak = line
-            .lines()
-            .find_map(|line| line.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse().ok());
         cpu = fleet::cpu_seconds(child.id()).unwrap_or(cpu).max(cpu);
-        most = most.max(peak.unwrap_or(0.0));
+        most = most.max(fleet::peak_mib(child.id()).unwrap_or(0.0));
         match child.try_wait().map_err(failed)? {
-            Some(ended) if ended.success() => return Ok((began.elapsed().as_secs_f64(), cpu, most / 1024.0)),
+            Some(ended) if ended.success() => return Ok((began.elapsed().as_secs_f64(), cpu, most)),
             Some(ended) => return Err(failed(std::io::Error::other(ended.to_string()))),
             None => std::thread::sleep(Duration::from_millis(5)),
         }

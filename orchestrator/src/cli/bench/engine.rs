@@ -15,6 +15,7 @@ use super::super::Error;
 use super::soak::Soak;
 use crate::engine::{self, Again, Options, Signals, Silent, Watch};
 use crate::exit::Exit;
+use crate::fleet::peak_mib;
 use crate::plan::Trial;
 use crate::scheduler::{Outcome, Settings};
 use crate::store::Store;
@@ -158,13 +159,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
 
 /// Highest resident size of this process so far.
 pub(super) fn resident_mib() -> f64 {
-    // SAFETY: a zeroed `rusage` is valid, and the call writes within it.
-    let usage = unsafe {
-        let mut usage: libc::rusage = std::mem::zeroed();
-        libc::getrusage(libc::RUSAGE_SELF, &raw mut usage);
-        usage
-    };
-    usage.ru_maxrss as f64 / 1024.0
+    peak_mib(std::process::id()).unwrap_or(f64::NAN)
 }
 
 fn sweep() -> SweepSpec {

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use metasense_schemas::record::TrialResult;
+use rustix::process::{Pid, Signal, getpid, kill_process};
 use serde_json::json;
 
 use crate::engine::{View, Watch};
@@ -71,8 +72,9 @@ impl Watch for Soak {
             let workers = children(std::process::id());
             if !workers.is_empty() {
                 let pid = workers[self.roll(workers.len() as u64) as usize];
-                // SAFETY: sends a signal to a process that this one has started.
-                unsafe { libc::kill(pid as i32, libc::SIGKILL) };
+                if let Some(pid) = Pid::from_raw(pid as i32) {
+                    let _ = kill_process(pid, Signal::KILL);
+                }
                 self.kills += 1;
             }
         }
@@ -83,8 +85,8 @@ impl Watch for Soak {
         if view.elapsed >= self.length && !self.over {
             self.over = true;
             self.row(view.elapsed);
-            // SAFETY: sends this process the signal of Ctrl-C.
-            unsafe { libc::kill(std::process::id() as i32, libc::SIGINT) };
+            // As Ctrl-C does
+            let _ = kill_process(getpid(), Signal::INT);
         }
     }
 }
@@ -93,6 +95,5 @@ impl Watch for Soak {
 fn resident_mib() -> f64 {
     let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
     let pages: f64 = statm.split(' ').nth(1).and_then(|pages| pages.parse().ok()).unwrap_or(f64::NAN);
-    // SAFETY: a plain question.
-    pages * unsafe { libc::sysconf(libc::_SC_PAGESIZE) } as f64 / f64::from(1 << 20)
+    pages * rustix::param::page_size() as f64 / f64::from(1 << 20)
 }
