@@ -269,6 +269,28 @@ fn bad_calls_are_refused() {
     assert!(String::from_utf8_lossy(&output.stderr).contains("holds no such trial"));
 }
 
+/// Killed after every network or two: the same files as in one go, of both bodies; what is kept serves no other command.
+#[test]
+fn an_evaluation_goes_on_where_it_was_killed() {
+    let (bench, hash) = bench();
+    let call = |out: &'static str| {
+        let bodies = ["--records", "initial=good.toml", "--records", "b=bad.toml"];
+        let effort = ["--folds", "4", "--seeds", "2", "--threads", "2", "--iterations", "500"];
+        [&["evaluate", "s.toml", hash.as_str()], &bodies[..], &effort, &["--out", out]].concat()
+    };
+    let (whole, again) = (bench.output(&call("whole")), call("again"));
+    let (kills, last) = bench.killed_until_done(&again, "again/unfinished.bin");
+    let said = String::from_utf8_lossy(&last.stderr);
+    assert!(kills >= 3 && said.contains("of 24 networks were trained before"), "{kills} kills: {said}");
+    assert!(last.status.success() && String::from_utf8_lossy(&last.stdout) == whole, "{said}");
+    assert!(bench.files("again") == bench.files("whole"), "the files differ");
+
+    std::fs::write(bench.path("again/unfinished.bin"), [7; 40]).unwrap();
+    let refused = bench.metasense(&again);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && said.contains("again/unfinished.bin"), "{said}");
+}
+
 /// Ctrl-C in the middle of the computation, as soon as the program has seen to it.
 #[test]
 fn commands_that_compute_in_one_piece_end_at_once_on_request() {

@@ -157,6 +157,33 @@ fn records_tell_the_material() {
     assert!(table.contains("converged") && table.contains("stretch = 3.0, shear = 0.5, bend = "), "{table}");
 }
 
+/// Killed after every iteration: the same files as in one go.
+#[test]
+fn a_fit_goes_on_where_it_was_killed() {
+    let bench = bench();
+    let hash = hash(&bench, "s.toml");
+    let call = |out: &'static str| {
+        [
+            "identify",
+            "s.toml",
+            "--hash",
+            hash.as_str(),
+            "--records",
+            "r.toml",
+            "--format",
+            "csv",
+            "--out",
+            out,
+        ]
+    };
+    let (whole, again) = (bench.output(&call("whole")), call("again"));
+    let (kills, last) = bench.killed_until_done(&again, "again/unfinished.bin");
+    let said = String::from_utf8_lossy(&last.stderr);
+    assert!(kills >= 3 && said.contains("iterations were done before"), "{kills} kills: {said}");
+    assert!(last.status.success() && String::from_utf8_lossy(&last.stdout) == whole, "{said}");
+    assert!(bench.files("again") == bench.files("whole"), "the files differ");
+}
+
 /// A clock of its own, other units: compared on a clock that says what the records say.
 #[test]
 fn a_record_with_a_clock_of_its_own_tells_the_material() {

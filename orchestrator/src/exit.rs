@@ -14,7 +14,7 @@ pub enum Exit {
     BadInput = 2,
     /// Reading or writing failed: disk full, database in use, locked or damaged.
     Io = 3,
-    /// Stopped on request; `run` goes on from there.
+    /// Stopped on request; `run` goes on from there, and what keeps what it has come to.
     Interrupted = 4,
 }
 
@@ -25,7 +25,8 @@ Exit codes:
   1  a check did not hold, or trials have failed (`status` names them and why)
   2  the command line, the spec or the choice of database is at fault; nothing was started
   3  reading or writing failed (disk full, database in use, locked or damaged)
-  4  stopped on request; `run` goes on from there, other commands begin anew";
+  4  stopped on request; `run` goes on from there, as do `evaluate` and `identify`
+     with --out; other commands begin anew";
 
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {

@@ -1,7 +1,7 @@
 //! What end-to-end tests share: a folder of their own, the program, and the reference spec to edit.
 
 use std::path::PathBuf;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use npyz::WriterBuilder;
 
@@ -101,6 +101,41 @@ impl Bench {
             .current_dir(self.folder.path())
             .output()
             .unwrap()
+    }
+
+    /// Runs the program again and again, killed whenever it has kept more in `file` than before, until it ends by itself: how
+    /// often it was killed, and its last output.
+    pub fn killed_until_done(&self, args: &[&str], file: &str) -> (usize, Output) {
+        let kept = || std::fs::read(self.path(file)).unwrap_or_default();
+        let mut kills = 0;
+        loop {
+            let before = kept();
+            let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+            command.args(args).current_dir(self.folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
+            let mut child = command.spawn().unwrap();
+            while child.try_wait().unwrap().is_none() {
+                let now = kept();
+                if !now.is_empty() && now != before {
+                    child.kill().unwrap();
+                    break;
+                }
+                std::thread::sleep(std::time::Duration::from_millis(1));
+            }
+            let output = child.wait_with_output().unwrap();
+            match output.status.code() {
+                Some(_) => return (kills, output),
+                None => kills += 1,
+            }
+        }
+    }
+
+    /// The files of a folder with their bytes.
+    pub fn files(&self, folder: &str) -> Vec<(String, Vec<u8>)> {
+        let entries = std::fs::read_dir(self.path(folder)).unwrap().map(|entry| entry.unwrap().path());
+        let name = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().to_owned();
+        let mut files: Vec<_> = entries.map(|path| (name(&path), std::fs::read(path).unwrap())).collect();
+        files.sort();
+        files
     }
 
     /// Standard output of a call that must succeed.

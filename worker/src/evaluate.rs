@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::nested::{self, Records, Training, Unseen};
 use metasense_schemas::spec::{BrainKind, TrialSpec};
+use serde::{Deserialize, Serialize};
 
 use crate::convert::finite;
 use crate::measured::Measured;
@@ -13,7 +14,7 @@ use crate::replay::check;
 use crate::run::{Failure, placed, pool};
 
 /// How many networks, and how long they train.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Effort {
     /// Parts into which the records are dealt, each predicted by networks trained on the others; at least 2.
     pub folds: usize,
@@ -41,10 +42,43 @@ pub struct Evaluated {
     /// (Iteration, mean error on unseen records (%) there), by seed, then fold.
     pub progress: Vec<Vec<Vec<(u32, f64)>>>,
     /// How each training ended, likewise.
-    pub outcomes: Vec<Vec<&'static str>>,
+    pub outcomes: Vec<Vec<String>>,
 }
 
-/// Trains `effort.seeds` networks a fold on measured or simulated signals, on `threads` threads; `done` hears of each.
+/// What a fold's network came to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Network {
+    /// Predicted forces (n, T, K) (N) of the fold's n records; of the first seed's networks alone.
+    predictions: Vec<f64>,
+    errors: Vec<Option<f64>>,
+    error_train: Option<f64>,
+    progress: Vec<(u32, f64)>,
+    outcome: String,
+}
+
+impl Network {
+    fn new(found: Unseen, first: bool) -> Self {
+        let Unseen { predictions, errors, error_train, progress, trouble, .. } = found;
+        let outcome = trouble.map_or("ok", |trouble| trouble.name()).to_owned();
+        Self {
+            predictions: if first { predictions } else { Vec::new() },
+            errors,
+            error_train,
+            progress,
+            outcome,
+        }
+    }
+}
+
+/// The networks that are there already, by number, and what hears of each new one.
+pub trait Kept: Sync {
+    /// That of this number.
+    fn network(&self, number: usize) -> Option<Network>;
+    /// It is done.
+    fn done(&self, number: usize, network: &Network);
+}
+
+/// Trains `effort.seeds` networks a fold on measured or simulated signals, on `threads` threads, but those that are `kept`.
 ///
 /// # Errors
 /// If the spec stands for no trial, or there are fewer records than folds.
@@ -56,7 +90,7 @@ pub fn evaluate(
     measured: &Measured,
     effort: Effort,
     threads: usize,
-    done: &(dyn Fn() + Sync),
+    kept: &dyn Kept,
 ) -> Result<Evaluated, Failure> {
     let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     let Effort { folds, seeds, iterations, brain } = effort;
@@ -76,7 +110,7 @@ pub fn evaluate(
 
     // a network a thread: few records would not keep more of them busy
     let next = AtomicUsize::new(0);
-    let work = || -> Result<Vec<(usize, Unseen)>, Failure> {
+    let work = || -> Result<Vec<(usize, Network)>, Failure> {
         let (pool, mut found) = (pool(1)?, Vec::new());
         loop {
             let number = next.fetch_add(1, Ordering::Relaxed);
@@ -85,17 +119,20 @@ pub fn evaluate(
             }
             let (fold, start) = (number % folds, [problem.seed, (number / folds) as u64]);
             let schedule = problem.evaluation.schedule;
-            found.push((
-                number,
-                match brain {
-                    BrainKind::Linear => records.unseen_linear(&dealt, fold, &problem.decoder, problem.seed),
-                    BrainKind::Cnn | BrainKind::Stacked => {
-                        let stacked = Some(&problem.decoder).filter(|_| brain == BrainKind::Stacked);
-                        records.unseen(&dealt, fold, training, stacked, schedule, start, &pool)
-                    }
-                },
-            ));
-            done();
+            if let Some(network) = kept.network(number) {
+                found.push((number, network));
+                continue;
+            }
+            let network = match brain {
+                BrainKind::Linear => records.unseen_linear(&dealt, fold, &problem.decoder, problem.seed),
+                BrainKind::Cnn | BrainKind::Stacked => {
+                    let stacked = Some(&problem.decoder).filter(|_| brain == BrainKind::Stacked);
+                    records.unseen(&dealt, fold, training, stacked, schedule, start, &pool)
+                }
+            };
+            let network = Network::new(network, number < folds);
+            kept.done(number, &network);
+            found.push((number, network));
         }
     };
     let mut networks = std::thread::scope(|scope| {
@@ -105,7 +142,7 @@ pub fn evaluate(
     })?;
     networks.sort_by_key(|(number, _)| *number);
     let mut networks = networks.into_iter().map(|(_, network)| network);
-    let by_seed: Vec<Vec<Unseen>> = (0..seeds).map(|_| networks.by_ref().take(folds).collect()).collect();
+    let by_seed: Vec<Vec<Network>> = (0..seeds).map(|_| networks.by_ref().take(folds).collect()).collect();
     let of = |fold: usize| (0..samples).filter(|i| dealt[*i] == fold).collect::<Vec<usize>>();
     let members: Vec<Vec<usize>> = (0..folds).map(of).collect();
     let size = records.targets().len() / samples;
@@ -115,7 +152,7 @@ pub fn evaluate(
             predictions[record * size..][..size].copy_from_slice(predicted);
         }
     }
-    let errors_of = |networks: &Vec<Unseen>| {
+    let errors_of = |networks: &Vec<Network>| {
         let mut errors = vec![None; samples];
         for (network, records) in networks.iter().zip(&members) {
             records.iter().zip(&network.errors).for_each(|(record, error)| errors[*record] = finite(*error));
@@ -126,14 +163,14 @@ pub fn evaluate(
         errors: by_seed.iter().map(errors_of).collect(),
         errors_train: each(&by_seed, |network| network.error_train),
         progress: each(&by_seed, |network| network.progress.clone()),
-        outcomes: each(&by_seed, |network| network.trouble.map_or("ok", |trouble| trouble.name())),
+        outcomes: each(&by_seed, |network| network.outcome.clone()),
         targets: records.targets().to_vec(),
         folds: dealt,
         predictions,
     })
 }
 
-fn each<T>(by_seed: &[Vec<Unseen>], what: impl Fn(&Unseen) -> T) -> Vec<Vec<T>> {
+fn each<T>(by_seed: &[Vec<Network>], what: impl Fn(&Network) -> T) -> Vec<Vec<T>> {
     by_seed.iter().map(|networks| networks.iter().map(&what).collect()).collect()
 }
 

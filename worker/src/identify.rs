@@ -1,6 +1,7 @@
 //! Material parameters from measured records, for a trial's body.
 
-pub use metasense_numerics::identify::{Estimate, Fit, Iteration, Outcome, Parameter};
+pub use metasense_numerics::dynamics::Parameters;
+pub use metasense_numerics::identify::{Estimate, Fit, Iteration, Outcome, Parameter, Turn};
 use metasense_numerics::identify::{Settings, fit};
 use metasense_schemas::spec::TrialSpec;
 
@@ -13,7 +14,7 @@ const ITERATIONS: usize = 1000;
 /// Fits `free` parameters of the trial's body, of this design, to records; the others stay at the spec's values.
 ///
 /// Signals are compared as sensors of the trial's frame read them, without noise, bias and delay of its chips. `watch` sees
-/// every iteration and ends the fit by `false`.
+/// every turn but those that are `known` from before.
 ///
 /// # Errors
 /// If the spec stands for no trial, or a parameter does not start above 0.
@@ -23,7 +24,8 @@ pub fn identify(
     measured: &Measured,
     free: &[Parameter],
     threads: usize,
-    watch: &mut dyn FnMut(&Iteration) -> bool,
+    known: &[Turn],
+    watch: &mut dyn FnMut(&Turn),
 ) -> Result<Fit, Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
@@ -32,7 +34,7 @@ pub fn identify(
     free.sort_unstable();
     free.dedup();
     for parameter in &free {
-        let value = metasense_numerics::dynamics::Parameters::of(scene).array()[*parameter as usize];
+        let value = Parameters::of(scene).array()[*parameter as usize];
         if value <= 0.0 {
             let key = match parameter {
                 Parameter::Stretch => "body.stiffness.stretch",
@@ -49,5 +51,5 @@ pub fn identify(
         }
     }
     let settings = Settings { free, solver: problem.solver, iterations: ITERATIONS };
-    Ok(fit(scene, design, &measured.forces, &measured.signals, &settings, &pool, watch))
+    Ok(fit(scene, design, &measured.forces, &measured.signals, &settings, &pool, known, watch))
 }

@@ -6,12 +6,13 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use metasense_schemas::spec::{BrainKind, TrialSpec};
-use metasense_worker::evaluate::{Effort, Evaluated, evaluate, simulated};
+use metasense_worker::evaluate::{Effort, Evaluated, Kept, Network, evaluate, simulated};
 use metasense_worker::measured::{self, Measured};
 use metasense_worker::run::Failure;
 
 use super::report::write_figures;
 use super::trial::find;
+use super::unfinished::Unfinished;
 use super::{Error, Format, duration, end_on_signal, print_rows, read_plan, write};
 use crate::exit::Exit;
 use crate::export::npz::Zip;
@@ -49,7 +50,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
     /// Writes into this folder the page to look at (index.html), its figures, the table and every record's error (CSV),
-    /// forces, predictions and signals (records.npz)
+    /// forces, predictions and signals (records.npz); until then the networks that are done, from which the same command goes on
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Threads
@@ -90,7 +91,7 @@ const LINE_EVERY: Duration = Duration::from_secs(10);
 const FOLDS: usize = 10;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    end_on_signal();
+    end_on_signal(args.out.as_deref());
     let (specs, mut designs) = of_trial(&args).await?;
     let (layout, initial) =
         metasense_worker::simulate::body(&specs[0]).map_err(|e| Error::Usage(format!("trial: {e}")))?;
@@ -109,10 +110,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let read =
         |(name, file): &(String, PathBuf)| Ok((name.clone(), measured::read(file, of_body(&specs, name))?));
     let records = args.records.iter().map(read).collect::<Result<Vec<_>, Error>>()?;
-    let comparison = compare(&args, &specs, records, &designs)?;
+    let (comparison, unfinished) = compare(&args, &specs, records, &designs)?;
     if let Some(folder) = &args.out {
         write_parts(folder, &comparison)?;
     }
+    unfinished.done()?;
     print_rows(&comparison.table(), args.format)?;
     let failed = comparison.bodies.iter().filter(|body| !well(body)).count();
     Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
@@ -141,7 +143,7 @@ fn compare(
     specs: &[TrialSpec; 2],
     records: Vec<(String, Measured)>,
     designs: &BTreeMap<String, Vec<f64>>,
-) -> Result<Comparison, Error> {
+) -> Result<(Comparison, Unfinished<Networks>), Error> {
     let trial = &specs[0];
     let fewest = records.iter().map(|(_, measured)| measured.forces.samples).min().unwrap_or(0);
     let brain = match args.brain {
@@ -165,15 +167,22 @@ fn compare(
         iterations: args.iterations.map_or(trial.brain.iterations, |n| n as usize),
     };
     let known = records.iter().filter(|(name, _)| designs.contains_key(name)).count();
-    let progress = Progress::new((records.len() + known) * effort.folds * effort.seeds);
+    let inputs: Vec<_> = (records.iter())
+        .map(|(name, Measured { forces, signals, low_pass })| {
+            (name, forces.instants, &forces.values, signals, low_pass, designs.get(name))
+        })
+        .collect();
+    let specs_of = specs.each_ref().map(|spec| serde_json::to_string(spec).expect("a trial is JSON"));
+    let (unfinished, kept) = Unfinished::new(args.out.as_deref(), "evaluate", &(specs_of, effort, inputs))?;
+    let all = (records.len() + known) * effort.folds * effort.seeds;
+    let progress = Progress::new(all, &unfinished, kept.unwrap_or_default());
     let threads = usize::from(args.threads);
     let judge = |name: &str, kind: &str, measured: &Measured| -> Result<Evaluated, Error> {
-        evaluate(of_body(specs, name), measured, effort, threads, &|| progress.done(name, kind)).map_err(
-            |e| match e {
+        evaluate(of_body(specs, name), measured, effort, threads, &Judged { name, kind, of: &progress })
+            .map_err(|e| match e {
                 Failure::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
                 other => Error::Usage(format!("--records {name}: {other}")),
-            },
-        )
+            })
     };
     let paired =
         records.iter().all(|(_, measured)| alike(&measured.forces.values, &records[0].1.forces.values));
@@ -198,7 +207,7 @@ fn compare(
         bodies.push(Body { name, signals: measured.signals, measured: by_measured, simulated: model });
     }
     let shape = [trial.panel_units.len(), trial.time.samples, 3 * trial.sensor_units.len()];
-    Ok(Comparison::new(bodies, paired, shape, trial.time.duration))
+    Ok((Comparison::new(bodies, paired, shape, trial.time.duration), unfinished))
 }
 
 /// Whether two bodies met the same blows.
@@ -213,7 +222,7 @@ fn well(body: &Body) -> bool {
     let mut well = true;
     for (kind, evaluated) in kinds {
         let outcomes = evaluated.iter().flat_map(|evaluated| evaluated.outcomes.iter().flatten());
-        for outcome in outcomes.filter(|outcome| **outcome != "ok") {
+        for outcome in outcomes.filter(|outcome| *outcome != "ok") {
             say!("{}, {kind} signals: a training ended with {outcome}", body.name);
             well = false;
         }
@@ -254,29 +263,59 @@ fn archive(comparison: &Comparison) -> Vec<u8> {
     zip.finish()
 }
 
-/// Lines on standard error, with the time to go.
-struct Progress {
-    networks: usize,
+/// Networks that are done, by body, kind of signals and number.
+type Networks = BTreeMap<(String, String, usize), Network>;
+
+/// Networks as they come: kept, and told of on standard error with the time to go.
+struct Progress<'a> {
+    all: usize,
+    unfinished: &'a Unfinished<Networks>,
     start: Instant,
-    /// Networks that are done, and when the last line was.
-    said: Mutex<(usize, Instant)>,
+    /// How many were there at the start.
+    before: usize,
+    /// When the last line was.
+    said: Mutex<(Networks, Instant)>,
 }
 
-impl Progress {
-    fn new(networks: usize) -> Self {
-        let start = Instant::now();
-        Self { networks, start, said: Mutex::new((0, start)) }
+impl<'a> Progress<'a> {
+    fn new(all: usize, unfinished: &'a Unfinished<Networks>, kept: Networks) -> Self {
+        let (start, before) = (Instant::now(), kept.len());
+        if before > 0 {
+            say!("{before} of {all} networks were trained before");
+        }
+        Self { all, unfinished, start, before, said: Mutex::new((kept, start)) }
+    }
+}
+
+/// Those of one body by one kind of signals.
+struct Judged<'a> {
+    name: &'a str,
+    kind: &'a str,
+    of: &'a Progress<'a>,
+}
+
+impl Judged<'_> {
+    fn key(&self, number: usize) -> (String, String, usize) {
+        (self.name.to_owned(), self.kind.to_owned(), number)
+    }
+}
+
+impl Kept for Judged<'_> {
+    fn network(&self, number: usize) -> Option<Network> {
+        self.of.said.lock().expect("no line panics").0.get(&self.key(number)).cloned()
     }
 
-    fn done(&self, body: &str, kind: &str) {
-        let mut said = self.said.lock().expect("no line panics");
-        said.0 += 1;
-        let (done, all, spent) = (said.0, self.networks, self.start.elapsed().as_secs_f64());
-        if done == all {
-            say!("{all} networks trained in {}", duration(spent));
+    fn done(&self, number: usize, network: &Network) {
+        let Self { name: body, kind, of: Progress { all, unfinished, start, before, said } } = self;
+        let mut said = said.lock().expect("no line panics");
+        said.0.insert(self.key(number), network.clone());
+        unfinished.keep(&said.0);
+        let (done, spent) = (said.0.len(), start.elapsed().as_secs_f64());
+        if done == *all {
+            say!("{} networks trained in {}", all - before, duration(spent));
         } else if said.1.elapsed() >= LINE_EVERY {
             said.1 = Instant::now();
-            let left = duration(spent * (all - done) as f64 / done as f64);
+            let left = duration(spent * (all - done) as f64 / (done - before) as f64);
             say!("{done} of {all} networks trained, now {body} by {kind} signals; {left} to go");
         }
     }

@@ -4,12 +4,14 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use indicatif::ProgressBar;
-use metasense_worker::identify::{Estimate, Fit, Iteration, Outcome, Parameter, identify};
+use metasense_worker::identify::{Estimate, Fit, Iteration, Outcome, Parameter, Parameters, Turn, identify};
 use metasense_worker::measured;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::one::One;
 use super::report::write_figures;
+use super::unfinished::Unfinished;
 use super::{Error, Format, duration, end_on_signal, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, digits, row};
@@ -34,7 +36,8 @@ pub(super) struct Args {
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
-    /// Writes a page with the figures, the figures (SVG) and their data, and the fitted signals (NPY) into this folder
+    /// Writes a page with the figures, the figures (SVG) and their data, and the fitted signals (NPY) into this folder; until then
+    /// the iterations that are done, from which the same command goes on
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// The form of the estimates
@@ -53,21 +56,33 @@ enum Fitted {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    end_on_signal();
+    end_on_signal(args.out.as_deref());
     let (Trial { spec: trial, .. }, design) = &args.one.read()?;
     let measured = measured::read(&args.records, trial)?;
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();
     let begun = Instant::now();
     let bar = ProgressBar::new_spinner();
-    let mut watch = |i: &Iteration| {
+    let forces = (measured.forces.instants, &measured.forces.values);
+    let names: Vec<&str> = free.iter().map(|parameter| parameter.name()).collect();
+    let spec = serde_json::to_string(trial).expect("a trial is JSON");
+    let inputs = (spec, design, forces, &measured.signals, measured.low_pass, names);
+    let (unfinished, kept) = Unfinished::new(args.out.as_deref(), "identify", &inputs)?;
+    let mut kept: Vec<Kept> = kept.unwrap_or_default();
+    let known: Vec<Turn> = kept.iter().map(Kept::turn).collect();
+    if !known.is_empty() {
+        say!("{} iterations were done before", known.len());
+    }
+    let mut watch = |turn: &Turn| {
+        kept.push(Kept::of(turn));
+        unfinished.keep(&kept);
+        let i = turn.iteration;
         bar.set_message(format!(
             "first {:.3} s of the records: {:.1} % of the accelerations and {:.1} % of the rotation rates left",
             i.window, i.misfit[0], i.misfit[1]
         ));
         bar.tick();
-        true
     };
-    let fit = identify(trial, design, &measured, &free, args.threads.into(), &mut watch);
+    let fit = identify(trial, design, &measured, &free, args.threads.into(), &known, &mut watch);
     let fit = fit.map_err(|e| args.one.refused(e))?;
     bar.finish_and_clear();
     let found = estimates(&fit);
@@ -97,7 +112,30 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
             write(&folder.join("signals.npy"), npy_bytes(&shape, &fit.signals[1]))?;
         }
     }
+    unfinished.done()?;
     Ok(if fit.outcome == Outcome::Converged { Exit::Done } else { Exit::Failed })
+}
+
+/// A turn on disk.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    window: f64,
+    misfit: [f64; 2],
+    parameters: [f64; 6],
+    next: Option<([f64; 6], f64)>,
+}
+
+impl Kept {
+    fn of(turn: &Turn) -> Self {
+        let Iteration { window, misfit, parameters } = turn.iteration;
+        Self { window, misfit, parameters: parameters.array(), next: turn.next }
+    }
+
+    fn turn(&self) -> Turn {
+        let Self { window, misfit, parameters, next } = *self;
+        let iteration = Iteration { window, misfit, parameters: Parameters::from_array(parameters) };
+        Turn { iteration, next }
+    }
 }
 
 /// A row a parameter.

@@ -29,6 +29,7 @@ mod simulate;
 mod status;
 mod submit;
 mod trial;
+mod unfinished;
 mod verify;
 mod watch;
 mod why;
@@ -143,13 +144,14 @@ fn block_on<T>(future: impl Future<Output = Result<T, Error>>) -> Result<T, Erro
     runtime.block_on(future)
 }
 
-/// From here on a signal ends the program at once, with the exit code of a stop on request: for commands that compute in one
-/// piece, and write when they are done.
-fn end_on_signal() {
-    std::thread::spawn(|| {
+/// From here on a signal ends the program at once, with the exit code of a stop on request: for commands that write when they
+/// are done, and until then at most what they have come to.
+fn end_on_signal(kept: Option<&Path>) {
+    let next = kept.map_or("begins anew", |_| "goes on from here");
+    std::thread::spawn(move || {
         let asked = block_on(async { Ok(Signals::new()?.unless(std::future::pending::<()>()).await) });
         if asked.is_ok() {
-            say!("stopped; the same command begins anew");
+            say!("stopped; the same command {next}");
             std::process::exit(Exit::Interrupted as i32);
         }
     });

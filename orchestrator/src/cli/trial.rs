@@ -34,7 +34,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    end_on_signal();
+    end_on_signal(None);
     args.simd.choose()?;
     let plan = read_plan(&args.spec)?;
     let trial = find(&plan, &args.hash, &args.spec)?;

@@ -4,7 +4,7 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Forces, Frame, Method, Panel, Parameters, Scene, Solver, Stiffness, simulate,
 };
-use metasense_numerics::identify::{Fit, Outcome, Parameter, Settings, fit};
+use metasense_numerics::identify::{Fit, Outcome, Parameter, Settings, Turn, fit};
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
 
@@ -92,8 +92,16 @@ fn starts_off_by_a_factor_of_two_come_back() {
         [[2.0; 5], [0.5; 5], [2.0, 2.0, 0.5, 0.5, 0.5], [0.5, 0.5, 2.0, 2.0, 2.0], [0.5, 2.0, 2.0, 0.5, 0.5]]
     {
         let start = off_by(&scene, factors);
-        let found =
-            fit(&start, &design, &forces, &signals, &settings(&Parameter::ALL[..5]), &pool(2), &mut |_| true);
+        let found = fit(
+            &start,
+            &design,
+            &forces,
+            &signals,
+            &settings(&Parameter::ALL[..5]),
+            &pool(2),
+            &[],
+            &mut |_| (),
+        );
         let errors = errors(&found, &scene);
         let what = format!("{factors:?}: {:?}, {errors:?}, {:?}", found.outcome, found.misfit);
         assert_eq!(found.outcome, Outcome::Converged, "{what}");
@@ -124,7 +132,8 @@ fn intervals_of_95_percent_hold_the_truth() {
                 &signals,
                 &settings(&Parameter::ALL[..5]),
                 &pool(2),
-                &mut |_| true,
+                &[],
+                &mut |_| (),
             );
             assert_eq!(found.outcome, Outcome::Converged, "seed {seed}");
             let truth = Parameters::of(&scene).array();
@@ -149,7 +158,7 @@ fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
     let signals = records(&scene, &design, &forces, 0.02, 0.0, 3);
     let start = off_by(&scene, [1.2, 1.2, 1.2, 1.0, 0.9]);
     let free = [Parameter::Stretch, Parameter::Shear, Parameter::Bend, Parameter::Density];
-    let found = fit(&start, &design, &forces, &signals, &settings(&free), &pool(1), &mut |_| true);
+    let found = fit(&start, &design, &forces, &signals, &settings(&free), &pool(1), &[], &mut |_| ());
     assert_eq!(found.outcome, Outcome::NotIdentifiable, "{:?}", found.estimates);
     let known: Vec<bool> = found.estimates.iter().map(|e| e.interval.is_some()).collect();
     assert_eq!(known, [true, false, false, true], "{:?}", found.estimates);
@@ -161,25 +170,35 @@ fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
     assert!(errors(&found, &scene)[0].abs() < 0.02, "{:?}", found.estimates);
 }
 
-/// The same bits on one thread and on two; what is held stays; a caller can end a fit.
+/// The same bits on one thread and on two, and on from wherever it was; what is held stays.
 #[test]
-fn a_fit_does_not_depend_on_threads_and_can_be_ended() {
+fn a_fit_does_not_depend_on_threads_and_goes_on_from_any_turn() {
     let scene = scene(2, 2, 1);
     let design = scene.layout.initial_design(0.4363);
     let forces = blows(&scene, 3);
     let signals = records(&scene, &design, &forces, 0.03, 0.0, 5);
     let start = off_by(&scene, [1.3, 1.0, 0.8, 1.0, 1.0]);
     let free = settings(&[Parameter::Stretch, Parameter::Bend]);
-    let run = |threads| fit(&start, &design, &forces, &signals, &free, &pool(threads), &mut |_| true);
-    let (one, two) = (run(1), run(2));
-    assert_eq!(one, two);
+    let run = |threads, known: &[Turn]| {
+        let mut turns = known.to_vec();
+        let watch = &mut |turn: &Turn| turns.push(*turn);
+        let found = fit(&start, &design, &forces, &signals, &free, &pool(threads), known, watch);
+        (found, turns)
+    };
+    let ((one, turns), two) = (run(1, &[]), run(2, &[]));
+    assert_eq!((&one, &turns), (&two.0, &two.1));
     let errors = errors(&one, &scene);
     assert!(errors.iter().all(|e| e.abs() < 0.02), "{errors:?}");
     assert_eq!((one.parameters.shear, one.parameters.density), (0.5, 1e-8));
-    let mut seen = 0;
-    let ended = fit(&start, &design, &forces, &signals, &free, &pool(1), &mut |_| {
-        seen += 1;
-        seen < 3
-    });
-    assert_eq!((ended.outcome, seen), (Outcome::Stopped, 3));
+    assert!(turns.len() > 5 && turns.iter().any(|turn| turn.next.is_none()), "{turns:?}");
+    for known in 1..=turns.len() {
+        let (found, same) = run(1, &turns[..known]);
+        let (less, all) = (found.counters, one.counters);
+        assert_eq!((Fit { counters: all, ..found }, &same), (one.clone(), &turns), "from turn {known}");
+        assert!(less.force_evaluations <= all.force_evaluations, "{less:?} {all:?}");
+        assert!(
+            known < turns.len() || 4 * less.force_evaluations < 3 * all.force_evaluations,
+            "{less:?} {all:?}"
+        );
+    }
 }

@@ -72,8 +72,6 @@ pub enum Outcome {
     NotIdentifiable,
     /// The scene as it is given could not be simulated.
     StartFailed,
-    /// The caller ended it.
-    Stopped,
 }
 
 impl Outcome {
@@ -85,7 +83,6 @@ impl Outcome {
             Self::IterationsSpent => "iterations spent",
             Self::NotIdentifiable => "not identifiable",
             Self::StartFailed => "the start cannot be simulated",
-            Self::Stopped => "stopped",
         }
     }
 }
@@ -99,6 +96,15 @@ pub struct Iteration {
     pub misfit: [f64; 2],
     /// The parameters.
     pub parameters: Parameters,
+}
+
+/// An iteration and what came of it: with all of them a fit goes on to the same bits from where it was.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Turn {
+    /// Where it began.
+    pub iteration: Iteration,
+    /// The next point, and Marquardt's damping there; none where the descent was over.
+    pub next: Option<([f64; 6], f64)>,
 }
 
 /// A fit.
@@ -155,7 +161,8 @@ const ROUNDS: usize = 6;
 
 /// Fits the free parameters of `scene` to `signals` (N, T, 3M) under `forces`, from those of the scene on.
 ///
-/// The result does not depend on the number of threads. `watch` sees every iteration and ends the fit by `false`.
+/// The result does not depend on the number of threads. `watch` sees every turn but those that are `known`, of the same fit
+/// before; they are not computed again.
 ///
 /// # Panics
 /// If lengths do not fit together, no parameter is free, or a free one is not above 0.
@@ -166,7 +173,8 @@ pub fn fit(
     signals: &[f64],
     settings: &Settings,
     pool: &rayon::ThreadPool,
-    watch: &mut dyn FnMut(&Iteration) -> bool,
+    known: &[Turn],
+    watch: &mut dyn FnMut(&Turn),
 ) -> Fit {
     let len = forces.samples * scene.instants * 3 * scene.sensors.len();
     assert_eq!(signals.len(), len, "length of the signals");
@@ -177,7 +185,7 @@ pub fn fit(
     let mut objective = Objective::new(scene, design, forces, signals, asked, free, pool);
     let solver = objective.tune(&start, &asked);
     let left = settings.iterations;
-    let mut search = Search { objective, watch, iterations: Vec::new(), left, asked, solver };
+    let mut search = Search { objective, known, watch, iterations: Vec::new(), left, asked, solver };
     let (outcome, point, first) = search.all(start);
     let Search { mut objective, iterations, solver, .. } = search;
     let signals = [first.map_or_else(Vec::new, |p| p.signals().to_vec()), Vec::new()];
@@ -215,7 +223,8 @@ pub fn fit(
 /// A fit in progress.
 struct Search<'a> {
     objective: Objective<'a>,
-    watch: &'a mut dyn FnMut(&Iteration) -> bool,
+    known: &'a [Turn],
+    watch: &'a mut dyn FnMut(&Turn),
     iterations: Vec<Iteration>,
     left: usize,
     /// What is asked of the integrator, and what it came to.
@@ -232,12 +241,9 @@ impl Search<'_> {
         let mut starts = vec![start];
         for tried in 0..=TRIES {
             let Some(&from) = starts.get(tried) else { break };
-            let (found, (window, misfit), outcome) = self.lengthen(from);
+            let (found, (window, misfit)) = self.lengthen(from);
             if window > farthest.0 || (window == farthest.0 && misfit < farthest.1) {
                 (best, farthest) = (found, (window, misfit));
-            }
-            if outcome == Outcome::Stopped {
-                return (outcome, self.whole(&best), Some(first));
             }
             if misfit < LOST || self.left == 0 {
                 break;
@@ -262,26 +268,26 @@ impl Search<'_> {
     }
 
     /// From the first window on until the whole record is looked at or lost: what was found, the last window and its misfit.
-    fn lengthen(&mut self, start: [f64; 6]) -> ([f64; 6], (usize, f64), Outcome) {
+    fn lengthen(&mut self, start: [f64; 6]) -> ([f64; 6], (usize, f64)) {
         let mut parameters = start;
         let mut window = self.objective.first_window();
         let mut most = FIRST;
         while window < self.objective.instants() && self.left > 0 {
             self.objective.look_at(window);
             let Some(point) = self.objective.at(&parameters) else {
-                return (parameters, (window, f64::INFINITY), Outcome::NoProgress);
+                return (parameters, (window, f64::INFINITY));
             };
             self.objective.weigh(&point);
-            let (outcome, point) = self.descend(point, most, 0.1);
+            let (_, point) = self.descend(point, most, 0.1);
             parameters = point.parameters;
             let [a, b] = self.objective.misfit(point.signals());
-            if outcome == Outcome::Stopped || a.hypot(b) > LOST {
-                return (parameters, (window, a.hypot(b)), outcome);
+            if a.hypot(b) > LOST {
+                return (parameters, (window, a.hypot(b)));
             }
             window = ((window as f64 * GROWTH).ceil() as usize).max(window + 1);
             most = GLANCES;
         }
-        (parameters, (window, 0.0), Outcome::Converged)
+        (parameters, (window, 0.0))
     }
 
     /// All combinations of `SCALES` on the start, those of least misfit in the first window first.
@@ -308,8 +314,19 @@ impl Search<'_> {
 
     /// Levenberg and Marquardt's steps until what is left is below `close` standard errors.
     fn descend(&mut self, mut point: Point, most: usize, close: f64) -> (Outcome, Point) {
-        let mut damping = 1e-2;
-        for _ in 0..most {
+        let (mut damping, mut turns) = (1e-2, 0);
+        // What is known is gone through without a simulation, but for that of where it ends.
+        let mut there = None;
+        while let Some(Turn { iteration, next: Some((to, eased)) }) = self.known.get(self.iterations.len())
+            && turns < most
+        {
+            self.iterations.push(*iteration);
+            (self.left, turns, damping, there) = (self.left - 1, turns + 1, *eased, Some(to));
+        }
+        if let Some(there) = there {
+            point = self.objective.at(there).expect("it was simulated before");
+        }
+        for _ in turns..most {
             let objective = &mut self.objective;
             let record = Iteration {
                 window: objective.seconds(),
@@ -317,19 +334,26 @@ impl Search<'_> {
                 parameters: Parameters::from_array(point.parameters),
             };
             self.iterations.push(record);
-            if !(self.watch)(&record) {
-                return (Outcome::Stopped, point);
-            }
             if self.left == 0 {
                 return (Outcome::IterationsSpent, point);
             }
             self.left -= 1;
+            let number = self.iterations.len();
+            let mut tell = |next: Option<([f64; 6], f64)>| {
+                if number > self.known.len() {
+                    (self.watch)(&Turn { iteration: record, next });
+                }
+            };
             let gradient = objective.gradient(&point);
             let jacobian = objective.jacobian(&point);
             let curvature = objective.curvature(&jacobian);
-            let Some(newton) = solve(&curvature, &gradient, 0.0) else { return (Outcome::NoProgress, point) };
+            let Some(newton) = solve(&curvature, &gradient, 0.0) else {
+                tell(None);
+                return (Outcome::NoProgress, point);
+            };
             let decrement = gradient.dot(&newton).max(0.0).sqrt();
             if decrement < close || newton.amax() < 1e-10 {
+                tell(None);
                 return (Outcome::Converged, point);
             }
             let mut accepted = None;
@@ -356,6 +380,7 @@ impl Search<'_> {
                     break;
                 }
             }
+            tell(accepted.as_ref().map(|found| (found.parameters, damping)));
             match accepted {
                 Some(found) => point = found,
                 None => return (Outcome::NoProgress, point),
