@@ -218,7 +218,7 @@ async fn a_browser_shows_follows_and_asks() {
     // what is recorded is seen, without anything being done
     page.open(&format!("{address}/0/"));
     let (_, design) = metasense_worker::simulate::body(&first.spec).unwrap();
-    let mut slowest = Duration::ZERO;
+    let mut took = Vec::new();
     for n in 0..6 {
         let record =
             StepRecord { step: n, error_test: Some(9.0), outcome: "ok".into(), ..Default::default() };
@@ -227,10 +227,11 @@ async fn a_browser_shows_follows_and_asks() {
         let begun = Instant::now();
         let seen = format!("document.querySelector('#progress').textContent.includes('{} steps in')", n + 1);
         page.until("the step on the page", |page| page.value(&seen) == true);
-        slowest = slowest.max(begun.elapsed());
+        took.push(begun.elapsed());
     }
-    println!("the slowest of 6 steps was on the page after {slowest:?}");
-    assert!(slowest < Duration::from_secs(3), "{slowest:?}");
+    took.sort_unstable();
+    println!("steps were on the page after {took:?}");
+    assert!(took[took.len() / 2] < Duration::from_secs(1), "{took:?}");
 
     // every page, wide and narrow: names for all that can be worked with, nothing beyond the edge
     let of_trial = format!("/1/trial/{}?replay=1", first.hash);

@@ -179,7 +179,7 @@ async fn what_is_on_disk_is_on_the_page_within_a_second() {
     let mut events = server.connect().await;
     events.write_all(format!("GET /0/events HTTP/1.1\r\n{HOST}\r\n").as_bytes()).await.unwrap();
     let mut heard = String::new();
-    let mut slowest = Duration::ZERO;
+    let mut took = Vec::new();
     for n in 1..12 {
         let recorded = Instant::now();
         step(&mut store, &hashes[0], n).await;
@@ -195,12 +195,14 @@ async fn what_is_on_disk_is_on_the_page_within_a_second() {
                 }
             }
         }
-        slowest = slowest.max(recorded.elapsed());
+        took.push(recorded.elapsed());
         let (_, page) = server.get(&format!("/0/trial/{}", hashes[0])).await;
         assert!(page.contains(&format!("body after {} steps", n + 1)), "step {n}: {page}");
     }
-    println!("the slowest of 11 steps was told after {slowest:?}");
-    assert!(slowest < Duration::from_secs(2), "{slowest:?}");
+    took.sort_unstable();
+    println!("steps were told after {took:?}");
+    // the median: other tests may have this machine for a moment
+    assert!(took[took.len() / 2] < Duration::from_secs(1), "{took:?}");
     server.served.close().await;
 }
 

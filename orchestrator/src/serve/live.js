@@ -20,6 +20,7 @@
   const refresh = async () => {
     if (busy || seen === wanted) return;
     busy = true;
+    const begun = performance.now();
     try {
       const answer = await fetch(location.href);
       if (answer.ok) {
@@ -29,8 +30,9 @@
         document.body.dataset.generation = seen;
       }
     } catch { /* the server has ended: the last state stays */ }
-    busy = false;
-    if (source && +seen < +wanted) setTimeout(refresh, 250);
+    // a page that costs much is asked for less often
+    const rest = Math.min(10 * (performance.now() - begun), 30000);
+    setTimeout(() => { busy = false; if (source) refresh(); }, rest);
   };
   const follow = () => {
     const on = !document.hidden && hold.getAttribute('aria-pressed') === 'false';

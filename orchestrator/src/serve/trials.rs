@@ -1,5 +1,6 @@
 //! All trials of a database in memory, to be sorted and filtered: a look at the database takes those that have changed.
 
+use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -58,20 +59,20 @@ pub struct Row {
 
 /// What stands under a key.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Cell {
+pub enum Cell<'a> {
     /// Nothing.
     None,
     /// A number.
     Number(f64),
     /// Anything else.
-    Text(String),
+    Text(Cow<'a, str>),
 }
 
 impl Row {
     /// What stands under a column's name, or a path of the spec.
     #[must_use]
-    pub fn cell(&self, key: &str) -> Cell {
-        let text = |text: &str| if text.is_empty() { Cell::None } else { Cell::Text(text.to_owned()) };
+    pub fn cell(&self, key: &str) -> Cell<'_> {
+        let text = |text| if str::is_empty(text) { Cell::None } else { Cell::Text(Cow::Borrowed(text)) };
         match key {
             "hash" => return text(&self.hash),
             "state" => return text(&self.state),
@@ -96,16 +97,16 @@ impl Row {
     }
 }
 
-fn of_value(value: &Value) -> Cell {
+fn of_value(value: &Value) -> Cell<'_> {
     match value {
         Value::Null => Cell::None,
         Value::Number(number) => number.as_f64().map_or(Cell::None, Cell::Number),
-        Value::String(text) => Cell::Text(text.clone()),
-        other => Cell::Text(other.to_string()),
+        Value::String(text) => Cell::Text(Cow::Borrowed(text)),
+        other => Cell::Text(Cow::Owned(other.to_string())),
     }
 }
 
-impl Cell {
+impl Cell<'_> {
     /// Numbers by size, then texts, then nothing.
     fn order(&self, other: &Self) -> Ordering {
         let rank = |cell: &Self| match cell {
@@ -225,6 +226,8 @@ pub struct Term {
     key: String,
     relation: &'static str,
     value: String,
+    /// The value, where it is one.
+    number: Option<f64>,
 }
 
 /// Relations, the longer ones first.
@@ -239,7 +242,8 @@ pub fn terms(text: &str) -> Result<Vec<Term>, String> {
         let found = RELATIONS.iter().filter_map(|r| Some((word.find(r)?, *r)));
         let (at, relation) = found.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len())))?;
         let (key, value) = (&word[..at], &word[at + relation.len()..]);
-        (!key.is_empty()).then(|| Term { key: key.to_owned(), relation, value: value.to_owned() })
+        let number = value.parse().ok();
+        (!key.is_empty()).then(|| Term { key: key.to_owned(), relation, value: value.to_owned(), number })
     };
     let parsed = |word| term(word).ok_or_else(|| format!("`{word}` is no condition; `M<=3` is one"));
     text.split_whitespace().map(parsed).collect()
@@ -248,18 +252,18 @@ pub fn terms(text: &str) -> Result<Vec<Term>, String> {
 impl Term {
     fn holds(&self, row: &Row) -> bool {
         let cell = row.cell(&self.key);
-        let text = match &cell {
-            Cell::None => String::new(),
-            Cell::Number(x) => x.to_string(),
-            Cell::Text(text) => text.clone(),
+        let text = || match &cell {
+            Cell::None => Cow::Borrowed(""),
+            Cell::Number(x) => Cow::Owned(x.to_string()),
+            Cell::Text(text) => Cow::Borrowed(text.as_ref()),
         };
         if self.relation == "~" {
-            return text.contains(&self.value);
+            return text().contains(&self.value);
         }
-        let order = match (&cell, self.value.parse::<f64>()) {
-            (Cell::Number(x), Ok(value)) => x.partial_cmp(&value),
+        let order = match (&cell, self.number) {
+            (Cell::Number(x), Some(value)) => x.partial_cmp(&value),
             (Cell::None, _) if !matches!(self.relation, "=" | "!=") => None,
-            _ => Some(text.as_str().cmp(&self.value)),
+            _ => Some(text().as_ref().cmp(&self.value)),
         };
         let Some(order) = order else { return false };
         match self.relation {
@@ -287,19 +291,12 @@ impl Trials {
                 _ if down => b.order(a),
                 _ => a.order(b),
             };
-            let mut keyed: Vec<(Cell, &Arc<Row>)> =
+            let mut keyed: Vec<(Cell<'_>, &Arc<Row>)> =
                 found.into_iter().map(|row| (row.cell(key), row)).collect();
             keyed.sort_by(|a, b| order(&a.0, &b.0));
             found = keyed.into_iter().map(|pair| pair.1).collect();
         }
         found
-    }
-
-    /// The trial whose hash begins so, if there is one only.
-    #[must_use]
-    pub fn one(&self, beginning: &str) -> Option<&Arc<Row>> {
-        let mut found = self.rows.iter().filter(|row| row.hash.starts_with(beginning));
-        found.next().filter(|_| !beginning.is_empty() && found.next().is_none())
     }
 }
 

@@ -73,11 +73,11 @@ pub async fn page(
 /// The grids, and how many are left out.
 fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
     type Cells = BTreeMap<(u64, u64), Vec<Arc<Row>>>;
-    let mut of: BTreeMap<(u64, u64, String), Cells> = BTreeMap::new();
+    let mut of: BTreeMap<(u64, u64, &str), Cells> = BTreeMap::new();
     let whole = |row: &Row, name| row.number(name).unwrap_or(0.0) as u64;
     for row in found {
         let placed = row.setting.get("sensors.search").and_then(|v| v.as_str()).unwrap_or("random");
-        let key = (whole(row, "K"), whole(row, "units"), placed.to_owned());
+        let key = (whole(row, "K"), whole(row, "units"), placed);
         let cell = (whole(row, "placement"), whole(row, "M"));
         of.entry(key).or_default().entry(cell).or_default().push(Arc::clone(row));
     }
@@ -94,7 +94,7 @@ fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
         [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max)];
     let part = |x: f64| if most > least { (x / least).ln() / (most / least).ln() } else { 0.5 };
     let left = of.len().saturating_sub(MOST);
-    let picture = |((panels, units, placed), cells): (&(u64, u64, String), &Cells)| {
+    let picture = |((panels, units, placed), cells): (&(u64, u64, &str), &Cells)| {
         let title = format!("K = {panels}, {}, sensors {placed}", counted(*units as usize, "unit"));
         let axis = |pick: fn(&(u64, u64)) -> u64| -> Vec<u64> {
             cells.keys().map(pick).collect::<BTreeSet<_>>().into_iter().take(MOST).collect()

@@ -382,7 +382,7 @@ fn time(trial: &Trial) -> Markup {
 
 fn attempts(trial: &Trial) -> Markup {
     html! {
-        @if !trial.attempts.rows.is_empty() { h2 { "Attempts, and by what they were made" } (trial.attempts.html(None)) }
+        @if !trial.attempts.rows.is_empty() { h2 { "Attempts, and by what they were made" } (trial.attempts.without_empty_columns().html(None)) }
         @if !trial.log.rows.is_empty() { h2 { "Log" } (trial.log.html(None)) }
     }
 }

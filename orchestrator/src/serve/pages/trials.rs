@@ -135,12 +135,12 @@ fn known(key: &str) -> bool {
     ["hash", "state", "reason"].contains(&key) || NUMBERS.iter().any(|(name, _)| *name == key)
 }
 
-fn text(cell: &Cell) -> String {
+fn text(cell: &Cell<'_>) -> String {
     match cell {
         Cell::None => String::new(),
         Cell::Number(x) if x.fract() == 0.0 && x.abs() < 1e9 => format!("{x:.0}"),
         Cell::Number(x) => number(*x),
-        Cell::Text(text) => text.clone(),
+        Cell::Text(text) => text.to_string(),
     }
 }
 
