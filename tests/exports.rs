@@ -37,6 +37,16 @@ fn what_is_exported_is_read_back_by_others() {
         .unwrap();
     assert!(asked.stdout == std::fs::read(file("v.parquet")).unwrap(), "query and export differ");
 
+    // More rows than a group holds, and a column that turns out to be one of texts.
+    let many = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 150000)
+        SELECT i, 0.5 * i AS half, CASE i WHEN 150000 THEN 'much' ELSE i END AS either, NULL AS none FROM n";
+    let asked = Command::new(env!("CARGO_BIN_EXE_metasense"))
+        .args(["query", db.to_str().unwrap(), many, "--format", "parquet", "--out"])
+        .arg(file("many.parquet"))
+        .status()
+        .unwrap();
+    assert!(asked.success());
+
     let arrays = npz_arrays(&std::fs::read(file("t.npz")).unwrap());
     let shape = |name: &str| arrays.iter().find(|a| a.0 == name).map(|a| a.1.clone());
     assert_eq!(shape("forces.npy"), Some(vec![25, 4, 201]));

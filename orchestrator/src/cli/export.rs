@@ -6,12 +6,13 @@ use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
 use metasense_worker::replay::drawing;
 
+use super::query::answer_in;
 use super::{Error, write};
 use crate::analysis::Body;
 use crate::exit::Exit;
 use crate::export::{Mould, Outline, dxf, mould, npz, replays, series, unreadable};
+use crate::look::Format;
 use crate::look::body::picture;
-use crate::look::{Format, Table};
 use crate::store::{Reader, Stored, npy_bytes};
 
 /// The form of an export.
@@ -76,21 +77,21 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let bytes = match VIEWS.iter().find(|(view, _)| *view == args.what) {
-        Some((view, _)) => {
-            let sql = format!("SELECT * FROM {view}");
-            let rows = Reader::asked(&args.db, async |reader| reader.query(&sql).await).await?;
-            tabular(&rows, args.format, &args.what)?
-        }
-        None => {
-            let stored = Reader::asked(&args.db, async |reader| reader.stored(&args.what).await).await?;
-            let stored =
-                stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.what)))?;
-            trial(&stored, &args)?
-        }
-    };
-    write(&args.out, bytes)?;
-    print_line!("{}", args.out.display())?;
+    let Args { db, what, out, .. } = &args;
+    if VIEWS.iter().any(|(view, _)| view == what) {
+        let format = match args.format {
+            Form::Csv => Format::Csv,
+            Form::Parquet => Format::Parquet,
+            _ => return Err(Error::Usage(format!("{what} is a view: --format csv or parquet"))),
+        };
+        let sql = format!("SELECT * FROM {what}");
+        Reader::asked(db, async |reader| answer_in(reader, &sql, out, format).await).await?;
+    } else {
+        let stored = Reader::asked(db, async |reader| reader.stored(what).await).await?;
+        let stored = stored.ok_or_else(|| Error::Usage(format!("trial {what} is not done yet")))?;
+        write(out, trial(&stored, &args)?)?;
+    }
+    print_line!("{}", out.display())?;
     Ok(Exit::Done)
 }
 
@@ -110,7 +111,8 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
     Ok(match args.format {
         Form::Npz => npz::of_trial(stored, args.threads, &mut |what| say!("note: {what}"))?,
         Form::Csv | Form::Parquet => {
-            tabular(&series::table(stored, &replays(stored, args.threads)?), args.format, &stored.hash)?
+            let format = if args.format == Form::Csv { Format::Csv } else { Format::Parquet };
+            series::table(stored, &replays(stored, args.threads)?).written(format)
         }
         Form::Npy => {
             let design = &stored.designs[args.body as usize];
@@ -139,11 +141,3 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
 
 /// The least and the largest measure of something cast (mm).
 const MEASURES: (f64, f64) = (0.01, 1000.0);
-
-fn tabular(rows: &Table, form: Form, what: &str) -> Result<Vec<u8>, Error> {
-    match form {
-        Form::Csv => Ok(rows.written(Format::Csv)),
-        Form::Parquet => Ok(rows.written(Format::Parquet)),
-        _ => Err(Error::Usage(format!("{what} is a view: --format csv or parquet"))),
-    }
-}

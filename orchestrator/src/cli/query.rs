@@ -1,7 +1,7 @@
 //! `query`: SQL to a database, read-only.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use metasense_schemas::database::VIEWS;
 
@@ -39,33 +39,35 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let Some(sql) = &sql else {
             return Ok(print_rows(&views(reader, format).await?, format)?);
         };
-        let columns = reader.columns(sql).await?;
-        match out {
-            None => answer(reader, sql, &columns, standard_output(format)?, format).await,
-            Some(path) => {
-                let failed = |source| Error::Io { doing: "writing", path: path.clone(), source };
-                let file = std::fs::File::create(&path).map_err(failed)?;
-                let written = answer(reader, sql, &columns, file, format).await;
-                written.map_err(|e| if let Error::Output(source) = e { failed(source) } else { e })
-            }
+        match &out {
+            None => answer(reader, sql, standard_output(format)?, format).await,
+            Some(path) => answer_in(reader, sql, path, format).await,
         }
     })
     .await?;
     Ok(Exit::Done)
 }
 
+/// Writes the answer into a file, row by row.
+pub(super) async fn answer_in(
+    reader: &mut Reader,
+    sql: &str,
+    path: &Path,
+    format: Format,
+) -> Result<(), Error> {
+    let failed = |source| Error::Io { doing: "writing", path: path.to_owned(), source };
+    let file = std::fs::File::create(path).map_err(failed)?;
+    let written = answer(reader, sql, file, format).await;
+    written.map_err(|e| if let Error::Output(source) = e { failed(source) } else { e })
+}
+
 /// Rows that a table to read holds.
 const MOST_ROWS: usize = 10_000;
 
 /// Passes the rows on as they come.
-async fn answer(
-    reader: &mut Reader,
-    sql: &str,
-    columns: &[String],
-    out: impl Write,
-    format: Format,
-) -> Result<(), Error> {
-    let mut writer = RowWriter::new(out, format, columns)?;
+async fn answer(reader: &mut Reader, sql: &str, out: impl Write, format: Format) -> Result<(), Error> {
+    let columns = reader.columns(sql).await?;
+    let mut writer = RowWriter::new(out, format, &columns)?;
     let mut count = 0usize;
     reader
         .each(sql, |row| {

@@ -1,63 +1,159 @@
-//! Rows as Parquet (format 1.0, parquet-format/README.md): one row group, one page a column, values PLAIN and uncompressed,
-//! every column optional. A column of whole numbers is INT64, of numbers DOUBLE, of anything else UTF-8 text. Its
+//! Rows as Parquet (format 1.0, parquet-format/README.md): row groups of one page a column, values PLAIN and uncompressed, every
+//! column optional. A column of whole numbers is INT64, of numbers DOUBLE, of anything else UTF-8 text. Its
 //! metadata are Thrift's compact protocol.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, BufWriter, Seek, Write};
 
 use serde_json::Value;
 
 use super::Table;
 
-/// Physical types.
-#[derive(Clone, Copy, PartialEq)]
+/// Rows of a group, which is what a writer, and many a reader, holds at once.
+const GROUP: usize = 1 << 16;
+const MAGIC: &[u8] = b"PAR1";
+
+/// Physical types, each of which can say what those before can.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Kind {
     Int64 = 2,
     Double = 5,
     Text = 6,
 }
 
-/// A Parquet file of the rows.
-#[must_use]
-pub fn parquet(table: &Table) -> Vec<u8> {
-    const MAGIC: &[u8] = b"PAR1";
-    let rows = table.rows.len() as i64;
-    let mut bytes = MAGIC.to_vec();
-    let mut schema = vec![root(table.columns.len())];
-    let mut chunks = Vec::new();
-    for (i, name) in table.columns.iter().enumerate() {
-        let kind = kind(table, i);
-        let data = page(table, i, kind);
-        let at = bytes.len() as i64;
-        let mut header = Thrift::default();
-        header.int32(1, 0).int32(2, data.len() as i32).int32(3, data.len() as i32);
-        // PLAIN values; levels are run-length encoded.
-        header.inside(5, |page| {
-            page.int32(1, rows as i32).int32(2, 0).int32(3, 3).int32(4, 3);
-        });
-        bytes.extend(header.end());
-        bytes.extend(&data);
-        let size = bytes.len() as i64 - at;
-        schema.push(column(name, kind));
-        chunks.push(chunk(name, kind, rows, at, size));
+impl Kind {
+    fn of(value: &Value) -> Option<Self> {
+        match value {
+            Value::Null => None,
+            Value::Number(n) if n.is_i64() => Some(Self::Int64),
+            Value::Number(_) => Some(Self::Double),
+            _ => Some(Self::Text),
+        }
     }
-    let total = bytes.len() as i64 - MAGIC.len() as i64;
-    let mut group = Thrift::default();
-    group.structs(1, chunks).int64(2, total).int64(3, rows);
-    let mut file = Thrift::default();
-    file.int32(1, 1).structs(2, schema).int64(3, rows).structs(4, vec![group.end()]).text(6, "metasense");
-    let footer = file.end();
-    bytes.extend(&footer);
-    bytes.extend((footer.len() as u32).to_le_bytes());
-    bytes.extend(MAGIC);
-    bytes
 }
 
-fn kind(table: &Table, column: usize) -> Kind {
-    let values = || table.rows.iter().map(|r| &r[column]).filter(|v| !v.is_null());
-    if values().all(Value::is_i64) {
-        Kind::Int64
-    } else if values().all(Value::is_number) {
-        Kind::Double
-    } else {
-        Kind::Text
+/// Makes kinds those that can say a row, too.
+fn widen(kinds: &mut [Option<Kind>], row: &[Value]) {
+    for (kind, value) in kinds.iter_mut().zip(row) {
+        *kind = (*kind).max(Kind::of(value));
+    }
+}
+
+/// Writes the rows as a Parquet file.
+///
+/// # Errors
+/// Where `out` takes nothing.
+pub fn parquet(table: &Table, out: impl Write) -> io::Result<()> {
+    let mut kinds = vec![None; table.columns.len()];
+    table.rows.iter().for_each(|row| widen(&mut kinds, row));
+    let mut groups = Groups::new(out, &table.columns, &kinds)?;
+    table.rows.chunks(GROUP).try_for_each(|rows| groups.group(rows))?;
+    groups.end()
+}
+
+/// The same of rows as they come. What a column holds is known after the last one: until then they wait in a file that nobody
+/// else sees.
+pub struct Parquet<W> {
+    out: W,
+    columns: Vec<String>,
+    kinds: Vec<Option<Kind>>,
+    rows: BufWriter<File>,
+}
+
+impl<W: Write> Parquet<W> {
+    /// Of these columns.
+    ///
+    /// # Errors
+    /// Where there is no room for files that go when they are closed.
+    pub fn new(out: W, columns: &[String]) -> io::Result<Self> {
+        let rows = BufWriter::new(tempfile::tempfile()?);
+        Ok(Self { out, columns: columns.to_vec(), kinds: vec![None; columns.len()], rows })
+    }
+
+    /// Adds a row.
+    ///
+    /// # Errors
+    /// Where no more fits into that file.
+    pub fn row(&mut self, row: &[Value]) -> io::Result<()> {
+        widen(&mut self.kinds, row);
+        serde_json::to_writer(&mut self.rows, row)?;
+        self.rows.write_all(b"\n")
+    }
+
+    /// After the last row.
+    ///
+    /// # Errors
+    /// Where `out` takes no more.
+    pub fn end(self) -> io::Result<()> {
+        let mut file = self.rows.into_inner()?;
+        file.rewind()?;
+        let mut lines = BufReader::new(file).lines();
+        let mut groups = Groups::new(self.out, &self.columns, &self.kinds)?;
+        loop {
+            let read = |line: io::Result<String>| Ok(serde_json::from_str(&line?)?);
+            let rows: Vec<Vec<Value>> = lines.by_ref().take(GROUP).map(read).collect::<io::Result<_>>()?;
+            if rows.is_empty() {
+                return groups.end();
+            }
+            groups.group(&rows)?;
+        }
+    }
+}
+
+/// A file in the making, group by group.
+struct Groups<'a, W: Write> {
+    out: BufWriter<W>,
+    at: i64,
+    columns: Vec<(&'a str, Kind)>,
+    groups: Vec<Vec<u8>>,
+    rows: i64,
+}
+
+impl<'a, W: Write> Groups<'a, W> {
+    fn new(out: W, columns: &'a [String], kinds: &[Option<Kind>]) -> io::Result<Self> {
+        let mut out = BufWriter::new(out);
+        out.write_all(MAGIC)?;
+        // of a column without a value any will do
+        let kinds = kinds.iter().map(|kind| kind.unwrap_or(Kind::Int64));
+        let columns = columns.iter().map(String::as_str).zip(kinds).collect();
+        Ok(Self { out, at: MAGIC.len() as i64, columns, groups: Vec::new(), rows: 0 })
+    }
+
+    fn group(&mut self, rows: &[Vec<Value>]) -> io::Result<()> {
+        let (begin, count) = (self.at, rows.len() as i64);
+        let mut chunks = Vec::new();
+        for (i, &(name, kind)) in self.columns.iter().enumerate() {
+            let data = page(rows, i, kind);
+            let mut header = Thrift::default();
+            header.int32(1, 0).int32(2, data.len() as i32).int32(3, data.len() as i32);
+            // PLAIN values; levels are run-length encoded.
+            header.inside(5, |page| {
+                page.int32(1, count as i32).int32(2, 0).int32(3, 3).int32(4, 3);
+            });
+            let header = header.end();
+            self.out.write_all(&header)?;
+            self.out.write_all(&data)?;
+            let size = (header.len() + data.len()) as i64;
+            chunks.push(chunk(name, kind, count, self.at, size));
+            self.at += size;
+        }
+        let mut group = Thrift::default();
+        group.structs(1, chunks).int64(2, self.at - begin).int64(3, count);
+        self.groups.push(group.end());
+        self.rows += count;
+        Ok(())
+    }
+
+    fn end(mut self) -> io::Result<()> {
+        let mut schema = vec![root(self.columns.len())];
+        schema.extend(self.columns.iter().map(|&(name, kind)| column(name, kind)));
+        let mut file = Thrift::default();
+        file.int32(1, 1).structs(2, schema).int64(3, self.rows).structs(4, self.groups).text(6, "metasense");
+        let footer = file.end();
+        self.out.write_all(&footer)?;
+        self.out.write_all(&(footer.len() as u32).to_le_bytes())?;
+        self.out.write_all(MAGIC)?;
+        self.out.flush()
     }
 }
 
@@ -89,16 +185,16 @@ fn chunk(name: &str, kind: Kind, rows: i64, at: i64, size: i64) -> Vec<u8> {
 }
 
 /// Which values are there, in runs; then those that are.
-fn page(table: &Table, column: usize, kind: Kind) -> Vec<u8> {
+fn page(rows: &[Vec<Value>], column: usize, kind: Kind) -> Vec<u8> {
     let mut levels = Thrift::default();
-    let there: Vec<bool> = table.rows.iter().map(|r| !r[column].is_null()).collect();
+    let there: Vec<bool> = rows.iter().map(|r| !r[column].is_null()).collect();
     for run in there.chunk_by(|a, b| a == b) {
         levels.varint((run.len() as u64) << 1);
         levels.bytes.push(u8::from(run[0]));
     }
     let mut bytes = (levels.bytes.len() as u32).to_le_bytes().to_vec();
     bytes.extend(levels.bytes);
-    for value in table.rows.iter().map(|r| &r[column]).filter(|v| !v.is_null()) {
+    for value in rows.iter().map(|r| &r[column]).filter(|v| !v.is_null()) {
         match kind {
             Kind::Int64 => bytes.extend(value.as_i64().unwrap_or_default().to_le_bytes()),
             Kind::Double => bytes.extend(value.as_f64().unwrap_or(f64::NAN).to_le_bytes()),

@@ -7,7 +7,7 @@ use comfy_table::{CellAlignment, ContentArrangement, Table as Grid, presets};
 use serde_json::{Map, Value};
 
 use super::Table;
-use super::parquet::parquet;
+use super::parquet::{Parquet, parquet};
 use super::table::{plain, rounded};
 
 /// The form in which rows are printed.
@@ -46,6 +46,9 @@ pub fn standard_output(format: Format) -> io::Result<io::Stdout> {
 
 impl Table {
     fn write(&self, format: Format, out: impl Write) -> io::Result<()> {
+        if format == Format::Parquet {
+            return parquet(self, out);
+        }
         let mut rows = RowWriter::new(out, format, &self.columns)?;
         self.rows.iter().try_for_each(|row| rows.row(row.clone()))?;
         rows.end()
@@ -66,12 +69,13 @@ impl Table {
     }
 }
 
-/// Writes rows as they come; kept until the end are those of a table to read, whose columns are as wide as their widest
-/// cell, and of Parquet, where a column's type is that of its widest value.
+/// Writes rows as they come; kept until the end are those of a table to read, whose columns are as wide as their widest cell, and,
+/// on disk, those of Parquet, where a column's type is that of its widest value.
 pub struct RowWriter<W: Write>(Form<W>);
 
 enum Form<W: Write> {
-    Kept(W, Format, Table),
+    Kept(W, Table),
+    Parquet(Box<Parquet<W>>),
     Csv(Box<csv::Writer<W>>),
     Json(BufWriter<W>, Vec<String>, bool),
 }
@@ -80,12 +84,11 @@ impl<W: Write> RowWriter<W> {
     /// Of these columns.
     ///
     /// # Errors
-    /// Where `out` takes nothing.
+    /// Where `out` takes nothing, or there is no room for a file to wait in.
     pub fn new(out: W, format: Format, columns: &[String]) -> io::Result<Self> {
         Ok(Self(match format {
-            Format::Table | Format::Parquet => {
-                Form::Kept(out, format, Table { columns: columns.to_vec(), ..Table::default() })
-            }
+            Format::Table => Form::Kept(out, Table { columns: columns.to_vec(), ..Table::default() }),
+            Format::Parquet => Form::Parquet(Box::new(Parquet::new(out, columns)?)),
             Format::Csv => {
                 let mut csv = csv::Writer::from_writer(out);
                 csv.write_record(columns).map_err(io_error)?;
@@ -105,10 +108,11 @@ impl<W: Write> RowWriter<W> {
     /// Where no more is taken.
     pub fn row(&mut self, row: Vec<Value>) -> io::Result<()> {
         match &mut self.0 {
-            Form::Kept(.., table) => {
+            Form::Kept(_, table) => {
                 table.rows.push(row);
                 Ok(())
             }
+            Form::Parquet(rows) => rows.row(&row),
             Form::Csv(csv) => csv.write_record(row.iter().map(plain)).map_err(io_error),
             Form::Json(out, columns, first) => {
                 let object: Map<String, Value> = columns.iter().cloned().zip(row).collect();
@@ -124,8 +128,8 @@ impl<W: Write> RowWriter<W> {
     /// Where no more is taken.
     pub fn end(self) -> io::Result<()> {
         match self.0 {
-            Form::Kept(mut out, Format::Parquet, table) => out.write_all(&parquet(&table)),
-            Form::Kept(mut out, _, table) => writeln!(out, "{}", grid(&table)),
+            Form::Kept(mut out, table) => writeln!(out, "{}", grid(&table)),
+            Form::Parquet(rows) => rows.end(),
             Form::Csv(mut csv) => csv.flush(),
             Form::Json(mut out, ..) => {
                 writeln!(out, "\n]")?;
@@ -177,6 +181,20 @@ mod tests {
     fn json_is_a_list_of_objects() {
         let value: Value = serde_json::from_str(&printed(Format::Json)).unwrap();
         assert_eq!(value, json!([{"hash": "a,b", "error": 12.345678}, {"hash": "c", "error": null}]));
+    }
+
+    /// Of three groups; a column becomes one of texts in the last of them.
+    #[test]
+    fn rows_as_they_come_give_the_bytes_of_a_table() {
+        let row = |i: usize| {
+            row![i, 0.5 * i as f64, if i < 150_000 { json!(i) } else { json!("much") }, Value::Null]
+        };
+        let table = Table::new("i half either none", (0..150_001).map(row));
+        let mut rows = Vec::new();
+        let mut writer = RowWriter::new(&mut rows, Format::Parquet, &table.columns).unwrap();
+        table.rows.iter().for_each(|row| writer.row(row.clone()).unwrap());
+        writer.end().unwrap();
+        assert!(rows == table.written(Format::Parquet) && rows.len() > 150_000 * 24);
     }
 
     #[test]
