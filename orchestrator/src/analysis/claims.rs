@@ -356,7 +356,8 @@ fn blows_more(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 }
 
 fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
-    let of_scene = |t: &&&Trial| (t.panels, t.sensors) == (2, 1) && !tied(t);
+    let of_scene =
+        |t: &&&Trial| (t.panels, t.sensors) == (2, 1) && text(t, "stimuli.kind") == Some("bell") && !tied(t);
     let trials: Vec<&Trial> = trials.iter().filter(of_scene).copied().collect();
     let mut found = Vec::new();
     for group in groups(&trials, DESIGN) {
