@@ -31,7 +31,7 @@
       }
     } catch { /* the server has ended: the last state stays */ }
     // a page that costs much is asked for less often
-    const rest = Math.min(10 * (performance.now() - begun), 30000);
+    const rest = Math.min(2 * (performance.now() - begun), 30000);
     setTimeout(() => { busy = false; if (source) refresh(); }, rest);
   };
   const follow = () => {

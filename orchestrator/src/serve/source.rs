@@ -14,6 +14,7 @@ use super::trials::{Keeper, Trials};
 use crate::analysis::Terms;
 use crate::cluster::home::tries;
 use crate::cluster::merge::merge;
+use crate::fleet::cpu_seconds;
 use crate::look::{Answer, Figure, Table};
 use crate::progress::{FAILED, Looks, Progress};
 use crate::report::load::finished_trials;
@@ -22,8 +23,8 @@ use crate::store::{Reader, StoreError};
 
 /// Between two looks at whether anything has changed.
 const POLL: Duration = Duration::from_millis(100);
-/// Between two reads of what has changed, at least; and so many times what the last one took.
-const REST: Duration = Duration::from_millis(500);
+/// Between two reads of what has changed, at least; and so many times the CPU time of the last one.
+const REST: Duration = Duration::from_millis(300);
 const REST_FACTOR: u32 = 30;
 /// Between two reads while nothing changes but a run's processes.
 const PROCESSES: Duration = Duration::from_secs(5);
@@ -33,6 +34,8 @@ const PATIENCE: Duration = Duration::from_millis(700);
 const ENDING: Duration = Duration::from_secs(5);
 /// Answers are worked out again after so many times what they took.
 const ANSWERS_FACTOR: u32 = 50;
+/// Answers on a page: there is one a setting.
+const MOST_SAID: usize = 60;
 /// Trials up to which figures with a mark a trial are drawn.
 const MOST_DRAWN: usize = 2000;
 
@@ -64,8 +67,10 @@ pub struct Seen {
 pub struct Answers {
     /// Trials that answer.
     pub of: usize,
-    /// In words.
+    /// In words, the first ones.
     pub said: Vec<Answer>,
+    /// Further ones.
+    pub left: usize,
     /// Drawn.
     pub figures: Vec<Figure>,
     /// Time that it took to work them out (s).
@@ -223,7 +228,7 @@ impl Watcher {
         if Instant::now() < self.rest {
             return Ok(());
         }
-        let begun = Instant::now();
+        let (begun, spent) = (Instant::now(), cpu());
         let db = match &mut self.merged {
             None => self.path.clone(),
             Some(merged) => {
@@ -268,7 +273,8 @@ impl Watcher {
         all.await.map_err(|e| chain(&e))?;
         self.version = version;
         self.read = Instant::now();
-        self.rest = self.read + REST.max(if first { REST } else { begun.elapsed() * REST_FACTOR });
+        self.rest =
+            self.read + REST.max(if first { REST } else { cpu().saturating_sub(spent) * REST_FACTOR });
         Ok(())
     }
 
@@ -296,6 +302,11 @@ impl Watcher {
     }
 }
 
+/// CPU time of this process so far, to a hundredth of a second. Not the clock's: on a busy machine that says how busy it is.
+fn cpu() -> Duration {
+    Duration::from_secs_f64(cpu_seconds(std::process::id()).unwrap_or(0.0))
+}
+
 async fn answer(db: PathBuf) -> Result<Answers, StoreError> {
     let begun = Instant::now();
     let trials = Reader::asked(&db, async |reader| finished_trials(reader).await).await?;
@@ -311,9 +322,13 @@ async fn answer(db: PathBuf) -> Result<Answers, StoreError> {
             ],
             false => vec![figures::sensors(&trials, terms), figures::placed_sensors(&trials)],
         };
+        let mut said = answers::answers(&trials, terms);
+        let left = said.len().saturating_sub(MOST_SAID);
+        said.truncate(MOST_SAID);
         Answers {
             of: trials.len(),
-            said: answers::answers(&trials, terms),
+            said,
+            left,
             figures: drawn.into_iter().flatten().collect(),
             seconds: begun.elapsed().as_secs_f64(),
         }

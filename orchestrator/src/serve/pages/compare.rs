@@ -69,6 +69,7 @@ pub async fn page(
 }
 
 async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup, Refusal> {
+    let _turn = served.questions.acquire().await.expect("it is never closed");
     let mut trials = Vec::new();
     for at in [first, second] {
         let db = file_of(served, at).await?;

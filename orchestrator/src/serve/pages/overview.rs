@@ -83,6 +83,7 @@ fn answered(seen: &Seen) -> Markup {
                 " done. Intervals are over placements and seeds: trials that share these are not independent."
             }
             (answers(found.said.iter().filter(|answer| !drawn(answer.figure))))
+            @if found.left > 0 { p class="quiet" { "… and " (found.left) " more: `metasense report` has all." } }
             @for figure in &found.figures { (figure.html(&found.said)) }
         }
     }
