@@ -423,9 +423,13 @@ async fn whatever_is_asked_the_server_stays() {
         let mut buffer = [0; 16384];
         // streams of events do not end by themselves
         let begun = Instant::now();
-        while let Ok(Ok(n)) = tokio::time::timeout(Duration::from_secs(7), stream.read(&mut buffer)).await {
-            answer.extend_from_slice(&buffer[..n]);
-            if n == 0 || String::from_utf8_lossy(&answer).contains("text/event-stream") {
+        loop {
+            let read = tokio::time::timeout(Duration::from_secs(30), stream.read(&mut buffer)).await;
+            let read = read.unwrap_or_else(|_| panic!("{request:?} is neither answered nor closed"));
+            // a connection that is reset is closed, too
+            let read = read.unwrap_or(0);
+            answer.extend_from_slice(&buffer[..read]);
+            if read == 0 || String::from_utf8_lossy(&answer).contains("text/event-stream") {
                 break;
             }
         }
@@ -434,7 +438,7 @@ async fn whatever_is_asked_the_server_stays() {
         *seen.entry(code).or_default() += 1;
         assert!(code < 500, "{request:?}: {answer}");
         assert!(!answer.contains("root:x:0"), "{request:?}: {answer}");
-        assert!(begun.elapsed() < Duration::from_secs(12), "{request:?} took {:?}", begun.elapsed());
+        assert!(begun.elapsed() < Duration::from_secs(30), "{request:?} took {:?}", begun.elapsed());
     }
     println!("{cases} requests by status: {seen:?}");
     let (status, page) = server.get("/0/").await;

@@ -149,6 +149,7 @@ mod tests {
             "DELETE FROM trial".into(),
             "CREATE TEMP TABLE t (x)".into(),
             "BEGIN".into(),
+            "SELECT '\0'".into(),
         ] {
             let answer = reader.limited(&sql, LIMITS).await;
             assert!(answer.is_err(), "{sql}: {answer:?}");

@@ -220,6 +220,10 @@ impl Reader {
     /// With SQLite's message.
     pub async fn columns(&mut self, sql: &str) -> Result<Vec<String>, StoreError> {
         let path = &self.path;
+        // It ends sqlx's thread, and whoever has asked waits for ever.
+        if sql.contains('\0') {
+            return Err(StoreError::Query { message: "a statement holds no NUL".into() });
+        }
         // The user's own statement, on a connection that cannot write.
         let statement = self.connection.prepare(AssertSqlSafe(sql.to_owned()).into_sql_str()).await;
         let statement = statement.map_err(|source| wrong(path, source))?;

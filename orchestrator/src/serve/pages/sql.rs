@@ -106,7 +106,9 @@ async fn answer(
     let db = file_of(served, at).await?;
     let _turn = served.questions.acquire().await.expect("it is never closed");
     let mut reader = Reader::confined(&db).await?;
-    let answer = reader.limited(sql, limits).await;
+    // Whatever becomes of it, others have their turn.
+    let answer = tokio::time::timeout(2 * limits.time, reader.limited(sql, limits)).await;
+    let Ok(answer) = answer else { return Err(Refusal::Asked("it came to no end".into())) };
     reader.close().await;
     Ok(answer?)
 }
