@@ -92,10 +92,12 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// What a database's trials say of it; nothing where it holds none of its scene.
+    /// What a database's trials say of it; nothing where it holds none of its scene. Those without the implicit term say
+    /// something of that alone.
     #[must_use]
     pub fn evidence(&self, trials: &[Trial]) -> Vec<Evidence> {
-        (self.find)(self.stated, &trials.iter().collect::<Vec<_>>())
+        let counts = |t: &&Trial| self.spec == "gradient" || text(t, "optimise.gradient") != Some("direct");
+        (self.find)(self.stated, &trials.iter().filter(counts).collect::<Vec<_>>())
     }
 }
 
@@ -356,8 +358,11 @@ fn blows_more(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 }
 
 fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
-    let of_scene =
-        |t: &&&Trial| (t.panels, t.sensors) == (2, 1) && text(t, "stimuli.kind") == Some("bell") && !tied(t);
+    let is = |t: &Trial, path: &str, value: &str| text(t, path) == Some(value);
+    let of_scene = |t: &&&Trial| {
+        let kind = is(t, "stimuli.kind", "bell") && is(t, "optimise.protocol", "joint");
+        (t.panels, t.sensors) == (2, 1) && kind && !tied(t)
+    };
     let trials: Vec<&Trial> = trials.iter().filter(of_scene).copied().collect();
     let mut found = Vec::new();
     for group in groups(&trials, DESIGN) {
