@@ -20,7 +20,7 @@ fn database(version: usize) -> PathBuf {
 /// The sweep in them, with what were the defaults of version 1: a default may change, what a trial is called may not.
 fn plan() -> Plan {
     let then = "[optimise]\nprotocol = \"paper\"\niterations = 100\nlearning_rate = 0.1\n\
-                [solver]\nmethod = \"tsit5\"\ntolerance = 1e-6\n";
+                [solver]\nmethod = \"tsit5\"\ntolerance = 1e-6\n[evaluation]\nseeds = 1\n";
     Plan::new("s.toml", format!("{SPEC}{then}")).unwrap()
 }
 
