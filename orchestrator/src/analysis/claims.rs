@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::brains::brains;
 use super::data::{
-    COMPLEXITY, DESIGN, FREEDOM, Grid, Group, SENSORS, clusters, groups, observations, places,
+    COMPLEXITY, DESIGN, FREEDOM, Grid, Group, SENSORS, clusters, geometric_mean, groups, observations, places,
 };
 use super::paired::{self, Progress, Ratio, error_ratio, long_ratio};
 use super::random::random;
@@ -180,42 +180,42 @@ pub const CLAIMS: [Claim; 15] = [
         source: "Fig. 4B",
         stated: 1.0,
         spec: "four-forces",
-        find: |stated, trials| every_number(stated, &of_panels(trials, 4)),
+        find: |stated, trials| every_number(stated, &planar(trials, 4, "bell")),
     },
     Claim {
         says: "K = 4: its error has an elbow at M = 2",
         source: "Fig. 4B",
         stated: 2.0,
         spec: "four-forces",
-        find: |stated, trials| elbow_at(stated, &of_panels(trials, 4)),
+        find: |stated, trials| elbow_at(stated, &planar(trials, 4, "bell")),
     },
     Claim {
         says: "K = 4: trained with two sensors it beats the initial one with six",
         source: "Fig. 4B",
         stated: 2.0,
         spec: "four-forces",
-        find: |stated, trials| so_few(stated, &of_panels(trials, 4)),
+        find: |stated, trials| so_few(stated, &planar(trials, 4, "bell")),
     },
     Claim {
         says: "K = 4: where sensors are matters less on the trained body",
         source: "Fig. 4B",
         stated: 1.0,
         spec: "four-forces",
-        find: |stated, trials| placements(stated, &of_panels(trials, 4)),
+        find: |stated, trials| placements(stated, &planar(trials, 4, "bell")),
     },
     Claim {
         says: "K = 8: the trained body is better with every number of sensors",
         source: "Fig. 4C",
         stated: 1.0,
         spec: "eight-forces",
-        find: |stated, trials| every_number(stated, &of_panels(trials, 8)),
+        find: |stated, trials| every_number(stated, &planar(trials, 8, "bell")),
     },
     Claim {
         says: "K = 8: the elbow is at M = 4",
         source: "Fig. 4C",
         stated: 4.0,
         spec: "eight-forces",
-        find: |stated, trials| elbow_at(stated, &of_panels(trials, 8)),
+        find: |stated, trials| elbow_at(stated, &planar(trials, 8, "bell")),
     },
     Claim {
         says: "a body of more design parameters, trained, has less error",
@@ -247,10 +247,10 @@ fn tied(trial: &Trial) -> bool {
     trial.setting.contains_key("optimise.tie")
 }
 
-/// Two forces, one sensor, planar, so struck.
-fn two_forces<'a>(trials: &[&'a Trial], stimuli: &str) -> Vec<&'a Trial> {
+/// So many forces of a kind on a planar body.
+fn planar<'a>(trials: &[&'a Trial], panels: u64, stimuli: &str) -> Vec<&'a Trial> {
     let fits = |t: &&&Trial| {
-        (t.panels, t.sensors) == (2, 1)
+        t.panels == panels
             && text(t, "stimuli.kind") == Some(stimuli)
             && text(t, "body.layout") == Some("planar")
             && plain(t)
@@ -259,16 +259,9 @@ fn two_forces<'a>(trials: &[&'a Trial], stimuli: &str) -> Vec<&'a Trial> {
     trials.iter().filter(fits).copied().collect()
 }
 
-/// So many smooth pulses on a planar body.
-fn of_panels<'a>(trials: &[&'a Trial], panels: u64) -> Vec<&'a Trial> {
-    let fits = |t: &&&Trial| {
-        t.panels == panels
-            && text(t, "stimuli.kind") == Some("bell")
-            && text(t, "body.layout") == Some("planar")
-            && plain(t)
-            && !tied(t)
-    };
-    trials.iter().filter(fits).copied().collect()
+/// Two of them, and one sensor.
+fn two_forces<'a>(trials: &[&'a Trial], stimuli: &str) -> Vec<&'a Trial> {
+    planar(trials, 2, stimuli).into_iter().filter(|t| t.sensors == 1).collect()
 }
 
 /// What sets a group apart, its brain if nothing does.
@@ -294,15 +287,22 @@ fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: Str
     }
 }
 
+/// What each group says, by either set.
+fn by_set(groups: &[Group], mut say: impl FnMut(&Group, Set) -> Option<Evidence>) -> Vec<Evidence> {
+    let of_sets = groups.iter().flat_map(|group| Set::ALL.map(|set| (group, set)));
+    of_sets.filter_map(|(group, set)| say(group, set)).collect()
+}
+
 /// A ratio of each group, by either set.
 fn each_set(trials: &[&Trial], stated: f64, ratio: fn(&[&Trial], Set) -> Option<Ratio>) -> Vec<Evidence> {
-    let of = |group: &Group| {
-        let of_set = |set: Set| {
-            Some(of_ratio(who(group), set.name(), ratio(&group.trials, set)?, stated, String::new()))
-        };
-        Set::ALL.into_iter().filter_map(of_set).collect::<Vec<_>>()
-    };
-    groups(trials, &[]).iter().flat_map(of).collect()
+    by_set(&groups(trials, &[]), |group, set| {
+        Some(of_ratio(who(group), set.name(), ratio(&group.trials, set)?, stated, String::new()))
+    })
+}
+
+/// Of trials, those that have a text at a path.
+fn of_text<'a>(trials: &[&'a Trial], path: &str, value: &str) -> Vec<&'a Trial> {
+    trials.iter().filter(|t| text(t, path) == Some(value)).copied().collect()
 }
 
 fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
@@ -319,13 +319,13 @@ fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 /// Ratios of some trials over those of others, of equal placement and seed; several of a cluster by their geometric mean.
 fn over(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
     let mean = |of: &[(Cluster, f64)], cluster: Cluster| {
-        let logs: Vec<f64> = of.iter().filter(|(c, _)| *c == cluster).map(|(_, x)| x.ln()).collect();
-        (!logs.is_empty()).then(|| logs.iter().sum::<f64>() / logs.len() as f64)
+        let own: Vec<f64> = of.iter().filter(|(c, _)| *c == cluster).map(|(_, x)| *x).collect();
+        (!own.is_empty()).then(|| geometric_mean(&own))
     };
     let mut clusters: Vec<Cluster> = first.iter().map(|(cluster, _)| *cluster).collect();
     clusters.sort_unstable();
     clusters.dedup();
-    let ratio = |c: Cluster| Some((c, (mean(first, c)? - mean(second, c)?).exp()));
+    let ratio = |c: Cluster| Some((c, mean(first, c)? / mean(second, c)?));
     Ratio::of(&clusters.into_iter().filter_map(ratio).collect::<Vec<_>>())
 }
 
@@ -340,65 +340,42 @@ fn gain(trial: &Trial, set: Set) -> Option<f64> {
 }
 
 fn blows_more(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let both = [two_forces(trials, "irregular"), two_forces(trials, "bell")];
-    let mut found = Vec::new();
-    for group in groups(&both.concat(), &["stimuli."]) {
-        let of_kind = |kind: &str| -> Vec<&Trial> {
-            group.trials.iter().filter(|t| text(t, "stimuli.kind") == Some(kind)).copied().collect()
-        };
-        let [blows, pulses] = ["irregular", "bell"].map(of_kind);
-        for set in Set::ALL {
-            let gains = |trials: &[&Trial]| each(trials, |t| gain(t, set));
-            if let Some(ratio) = over(&gains(&blows), &gains(&pulses)) {
-                found.push(of_ratio(who(&group), set.name(), ratio, stated, String::new()));
-            }
-        }
-    }
-    found
+    let both = [two_forces(trials, "irregular"), two_forces(trials, "bell")].concat();
+    by_set(&groups(&both, &["stimuli."]), |group, set| {
+        let gains =
+            |kind: &str| each(&of_text(&group.trials, "stimuli.kind", kind), |trial| gain(trial, set));
+        let ratio = over(&gains("irregular"), &gains("bell"))?;
+        Some(of_ratio(who(group), set.name(), ratio, stated, String::new()))
+    })
 }
 
 fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
-    let is = |t: &Trial, path: &str, value: &str| text(t, path) == Some(value);
-    let of_scene = |t: &&&Trial| {
-        let kind = is(t, "stimuli.kind", "bell") && is(t, "optimise.protocol", "joint");
-        (t.panels, t.sensors) == (2, 1) && kind && !tied(t)
-    };
-    let trials: Vec<&Trial> = trials.iter().filter(of_scene).copied().collect();
-    let mut found = Vec::new();
-    for group in groups(&trials, DESIGN) {
-        for set in Set::ALL {
-            let Some(mut random) = random(&group.trials, set) else { continue };
-            if let Some(ratio) = random.ratios[than as usize].take() {
-                let note = format!("{} of {} worse", ratio.above_one, ratio.trials);
-                found.push(of_ratio(who(&group), set.name(), ratio, stated, note));
-            }
-        }
-    }
-    found
+    let joint = of_text(&of_text(trials, "stimuli.kind", "bell"), "optimise.protocol", "joint");
+    let of_scene = |t: &&Trial| (t.panels, t.sensors) == (2, 1) && !tied(t);
+    let trials: Vec<&Trial> = joint.into_iter().filter(of_scene).collect();
+    by_set(&groups(&trials, DESIGN), |group, set| {
+        let ratio = random(&group.trials, set)?.ratios[than as usize].take()?;
+        let note = format!("{} of {} worse", ratio.above_one, ratio.trials);
+        Some(of_ratio(who(group), set.name(), ratio, stated, note))
+    })
 }
 
 /// The least of the ratios over M: all hold where this does.
 fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let mut found = Vec::new();
-    for group in curves(trials) {
-        for set in Set::ALL {
-            let at = |m: f64| -> Option<(f64, Ratio)> {
-                let of: Vec<&Trial> =
-                    group.trials.iter().filter(|t| t.sensors as f64 == m).copied().collect();
-                Some((m, error_ratio(&of, set)?))
-            };
-            let numbers = places(&observations(&group.trials, Body::Initial, set, |t| t.sensors));
-            let ratios: Vec<(f64, Ratio)> = numbers.into_iter().filter_map(at).collect();
-            let low = |r: &Ratio| r.interval.map_or(0.0, |i| i.low);
-            let least = ratios.iter().min_by(|a, b| low(&a.1).total_cmp(&low(&b.1)));
-            if let Some((m, ratio)) = least {
-                let each = ratios.iter().map(|(m, r)| format!("M = {m}: {:.2}", r.ratio));
-                let note = format!("least sure at M = {m} ({})", each.collect::<Vec<_>>().join(", "));
-                found.push(of_ratio(who(&group), set.name(), ratio.clone(), stated, note));
-            }
-        }
-    }
-    found
+    by_set(&curves(trials), |group, set| {
+        let at = |m: f64| -> Option<(f64, Ratio)> {
+            let of: Vec<&Trial> = group.trials.iter().filter(|t| t.sensors as f64 == m).copied().collect();
+            Some((m, error_ratio(&of, set)?))
+        };
+        let numbers = places(&observations(&group.trials, Body::Initial, set, |t| t.sensors));
+        let ratios: Vec<(f64, Ratio)> = numbers.into_iter().filter_map(at).collect();
+        let low = |r: &Ratio| r.interval.map_or(0.0, |i| i.low);
+        let least = ratios.iter().min_by(|a, b| low(&a.1).total_cmp(&low(&b.1)));
+        let (m, ratio) = least?;
+        let each = ratios.iter().map(|(m, r)| format!("M = {m}: {:.2}", r.ratio));
+        let note = format!("least sure at M = {m} ({})", each.collect::<Vec<_>>().join(", "));
+        Some(of_ratio(who(group), set.name(), ratio.clone(), stated, note))
+    })
 }
 
 /// Groups in which M varies.
@@ -408,104 +385,91 @@ fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
 }
 
 fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let mut found = Vec::new();
-    for group in curves(trials) {
-        for set in Set::ALL {
-            let points = observations(&group.trials, Body::Optimised, set, |t| t.sensors);
-            let Ok(elbow) = elbow(&points) else { continue };
-            let votes: Vec<String> =
-                elbow.votes.iter().map(|(m, share)| format!("M = {m}: {:.0} %", 100.0 * share)).collect();
-            let of_stated = elbow.votes.iter().find(|v| v.0 == stated).map_or(0.0, |v| v.1);
-            found.push(Evidence {
-                who: who(&group),
-                set: set.name(),
-                trials: points.len(),
-                found: None,
-                interval: None,
-                note: format!("{}; votes {}", verdict_text(elbow.verdict), votes.join(", ")),
-                over: elbow.over,
-                rating: match elbow.verdict {
-                    Verdict::WithoutVote(_) => Rating::Open,
-                    _ if of_stated > SURE => Rating::Holds,
-                    _ if of_stated < 1.0 - SURE => Rating::Fails,
-                    _ => Rating::Open,
-                },
-            });
-        }
-    }
-    found
+    by_set(&curves(trials), |group, set| {
+        let points = observations(&group.trials, Body::Optimised, set, |t| t.sensors);
+        let elbow = elbow(&points).ok()?;
+        let votes: Vec<String> =
+            elbow.votes.iter().map(|(m, share)| format!("M = {m}: {:.0} %", 100.0 * share)).collect();
+        let of_stated = elbow.votes.iter().find(|v| v.0 == stated).map_or(0.0, |v| v.1);
+        Some(Evidence {
+            who: who(group),
+            set: set.name(),
+            trials: points.len(),
+            found: None,
+            interval: None,
+            note: format!("{}; votes {}", verdict_text(elbow.verdict), votes.join(", ")),
+            over: elbow.over,
+            rating: match elbow.verdict {
+                Verdict::WithoutVote(_) => Rating::Open,
+                _ if of_stated > SURE => Rating::Holds,
+                _ if of_stated < 1.0 - SURE => Rating::Fails,
+                _ => Rating::Open,
+            },
+        })
+    })
 }
 
 fn so_few(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let mut found = Vec::new();
-    for group in curves(trials) {
-        for set in Set::ALL {
-            let of = |body, most: f64| -> Vec<Observation> {
-                let all = observations(&group.trials, body, set, |t| t.sensors);
-                all.into_iter().filter(|o| o.at <= most).collect()
-            };
-            // with so many sensors on the trained body and no more; and how few do
-            let initial = of(Body::Initial, f64::INFINITY);
-            let [enough, any] =
-                [stated, f64::INFINITY].map(|most| fewer(&initial, &of(Body::Optimised, most)));
-            let (Some(enough), Some(any)) = (enough, any) else { continue };
-            let note = match any.fewest {
-                Some(m) => format!("{m} against {}", any.most),
-                None => format!("none against {}", any.most),
-            };
-            let rating = match (enough.fewest, enough.share, any.share) {
-                (Some(_), Some(share), _) if share > SURE => Rating::Holds,
-                (None, _, Some(_)) => Rating::Fails,
-                _ => Rating::Open,
-            };
-            found.push(Evidence {
-                who: who(&group),
-                set: set.name(),
-                trials: group.trials.len(),
-                found: None,
-                interval: None,
-                note,
-                over: any.over,
-                rating,
-            });
-        }
-    }
-    found
+    by_set(&curves(trials), |group, set| {
+        let of = |body, most: f64| -> Vec<Observation> {
+            let all = observations(&group.trials, body, set, |t| t.sensors);
+            all.into_iter().filter(|o| o.at <= most).collect()
+        };
+        // with so many sensors on the trained body and no more; and how few do
+        let initial = of(Body::Initial, f64::INFINITY);
+        let [enough, any] = [stated, f64::INFINITY].map(|most| fewer(&initial, &of(Body::Optimised, most)));
+        let (enough, any) = (enough?, any?);
+        let note = match any.fewest {
+            Some(m) => format!("{m} against {}", any.most),
+            None => format!("none against {}", any.most),
+        };
+        let rating = match (enough.fewest, enough.share, any.share) {
+            (Some(_), Some(share), _) if share > SURE => Rating::Holds,
+            (None, _, Some(_)) => Rating::Fails,
+            _ => Rating::Open,
+        };
+        Some(Evidence {
+            who: who(group),
+            set: set.name(),
+            trials: group.trials.len(),
+            found: None,
+            interval: None,
+            note,
+            over: any.over,
+            rating,
+        })
+    })
 }
 
 /// Spread of ln e over placements on the initial over that on the trained body, all M together.
 fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let mut found = Vec::new();
-    for group in curves(trials) {
-        for set in Set::ALL {
-            let of = Body::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
-            let clusters = clusters(of.iter().flatten());
-            let grids = [Grid::new(&of[0], &clusters), Grid::new(&of[1], &clusters)];
-            let units = Resampling::new(&clusters);
-            let statistic = |weights: &[f64]| {
-                let [initial, trained] = [0, 1].map(|i| scatter(&grids[i], &clusters, weights));
-                Some(0.5 * (initial? / trained?).ln())
+    by_set(&curves(trials), |group, set| {
+        let of = Body::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
+        let clusters = clusters(of.iter().flatten());
+        let grids = [Grid::new(&of[0], &clusters), Grid::new(&of[1], &clusters)];
+        let units = Resampling::new(&clusters);
+        let statistic = |weights: &[f64]| {
+            let [initial, trained] = [0, 1].map(|i| scatter(&grids[i], &clusters, weights));
+            Some(0.5 * (initial? / trained?).ln())
+        };
+        let whole: f64 = statistic(&vec![1.0; clusters.len()])?;
+        let worst = |body: usize| -> Vec<String> {
+            let at = |m: &f64| {
+                let here: Vec<Observation> = of[body].iter().filter(|o| o.at == *m).copied().collect();
+                spread(&here).map(|s| format!("{:.2}", s.ratio))
             };
-            let Some(whole) = statistic(&vec![1.0; clusters.len()]) else { continue };
-            let worst = |body: usize| -> Vec<String> {
-                let at = |m: &f64| {
-                    let here: Vec<Observation> = of[body].iter().filter(|o| o.at == *m).copied().collect();
-                    spread(&here).map(|s| format!("{:.2}", s.ratio))
-                };
-                places(&of[body]).iter().filter_map(at).collect()
-            };
-            let ratio = Ratio {
-                trials: group.trials.len(),
-                above_one: 0,
-                ratio: whole.exp(),
-                interval: units.interval(statistic).map(|i| i.map(f64::exp)),
-                over: units.over(),
-            };
-            let note = format!("worst over best by M: {} → {}", worst(0).join(", "), worst(1).join(", "));
-            found.push(of_ratio(who(&group), set.name(), ratio, stated, note));
-        }
-    }
-    found
+            places(&of[body]).iter().filter_map(at).collect()
+        };
+        let ratio = Ratio {
+            trials: group.trials.len(),
+            above_one: 0,
+            ratio: whole.exp(),
+            interval: units.interval(statistic).map(|i| i.map(f64::exp)),
+            over: units.over(),
+        };
+        let note = format!("worst over best by M: {} → {}", worst(0).join(", "), worst(1).join(", "));
+        Some(of_ratio(who(group), set.name(), ratio, stated, note))
+    })
 }
 
 /// Sum of squares of ln e about the mean of its M and seed, by weight; `None` where nothing is left of it.
@@ -559,28 +523,16 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 
 /// The trained body's error without the implicit term over that with it.
 fn implicit(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let paper: Vec<&Trial> = two_forces(trials, "bell")
-        .into_iter()
-        .filter(|t| t.setting.contains_key("optimise.gradient"))
-        .collect();
-    let mut found = Vec::new();
-    for group in groups(&paper, &["optimise.gradient", "optimise.curvature", "optimise.damping"]) {
-        for set in Set::ALL {
-            let of = |terms: &str| {
-                let of: Vec<&Trial> = group
-                    .trials
-                    .iter()
-                    .filter(|t| text(t, "optimise.gradient") == Some(terms))
-                    .copied()
-                    .collect();
-                each(&of, |t| t.error(Body::Optimised, set))
-            };
-            if let Some(ratio) = over(&of("direct"), &of("implicit")) {
-                found.push(of_ratio(who(&group), set.name(), ratio, stated, String::new()));
-            }
-        }
-    }
-    found
+    let has = |t: &&Trial| t.setting.contains_key("optimise.gradient");
+    let paper: Vec<&Trial> = two_forces(trials, "bell").into_iter().filter(has).collect();
+    let terms = ["optimise.gradient", "optimise.curvature", "optimise.damping"];
+    by_set(&groups(&paper, &terms), |group, set| {
+        let errors = |terms: &str| {
+            each(&of_text(&group.trials, "optimise.gradient", terms), |t| t.error(Body::Optimised, set))
+        };
+        let ratio = over(&errors("direct"), &errors("implicit"))?;
+        Some(of_ratio(who(group), set.name(), ratio, stated, String::new()))
+    })
 }
 
 #[cfg(test)]

@@ -67,9 +67,7 @@ impl Settings {
         let name = serde_json::to_string(&shared).expect("values are JSON");
         Setting { shared: Arc::clone(self.known.entry(name).or_insert_with(|| Arc::new(shared))), own }
     }
-}
 
-impl Settings {
     /// What trials share, each once.
     pub fn shared(&self) -> impl Iterator<Item = &BTreeMap<String, Value>> {
         self.known.values().map(Arc::as_ref)

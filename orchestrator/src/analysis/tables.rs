@@ -154,7 +154,8 @@ impl Question {
     }
 }
 
-fn ends(interval: Option<Interval>) -> [Value; 2] {
+/// Both ends of an interval, where there is one.
+pub(crate) fn ends(interval: Option<Interval>) -> [Value; 2] {
     [json!(interval.map(|i| i.low)), json!(interval.map(|i| i.high))]
 }
 

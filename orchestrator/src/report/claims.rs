@@ -1,8 +1,8 @@
 //! The paper's claims: tables of what they come to and of the evidence, and the picture of it.
 
-use serde_json::{Value, json};
-
 use crate::analysis::claims::{CLAIMS, Evidence, Rating, summary};
+use crate::analysis::paired::Progress;
+use crate::analysis::tables::ends;
 use crate::analysis::{Set, Trial};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
@@ -33,8 +33,7 @@ pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
     let mut rows = Vec::new();
     for (i, (claim, evidence)) in CLAIMS.iter().zip(found).enumerate() {
         for e in evidence {
-            let [low, high] =
-                e.interval.map_or([Value::Null, Value::Null], |i| [json!(i.low), json!(i.high)]);
+            let [low, high] = ends(e.interval);
             let note = (!e.note.is_empty()).then_some(&e.note);
             let ratio = row![e.rating.name(), claim.stated, e.found, low, high, note, e.trials, e.over];
             rows.push([row![i + 1, e.who, e.set], ratio].concat());
@@ -60,14 +59,15 @@ const ROW: f64 = 16.0;
 #[must_use]
 pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
     let of_holdout =
-        |e: &&Evidence| e.found.is_some() && ![Set::Test.name(), "training loss"].contains(&e.set);
+        |e: &&Evidence| e.found.is_some() && ![Set::Test.name(), Progress::Loss.name()].contains(&e.set);
     let rows: Vec<(usize, &Evidence)> = found
         .iter()
         .enumerate()
         .flat_map(|(i, evidence)| evidence.iter().filter(of_holdout).map(move |e| (i, e)))
         .collect();
-    let ends = |e: &Evidence| e.interval.map_or([e.found; 2], |i| [Some(i.low), Some(i.high)]);
-    let values = rows.iter().flat_map(|(i, e)| ends(e).into_iter().flatten().chain([CLAIMS[*i].stated, 1.0]));
+    let reach = |e: &Evidence| e.interval.map_or([e.found; 2], |i| [Some(i.low), Some(i.high)]);
+    let values =
+        rows.iter().flat_map(|(i, e)| reach(e).into_iter().flatten().chain([CLAIMS[*i].stated, 1.0]));
     let x = Axis::new("ratio (above 1: as claimed)", Scale::Log, values);
     let at = |row: usize| -(row as f64);
     let first = |row: usize| row == 0 || rows[row - 1].0 != rows[row].0;
@@ -82,7 +82,7 @@ pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
         .with_room(notes.iter().map(|n| &**n));
     plot.vertical("", 1.0, "", 0);
     for (row, ((i, e), note)) in rows.iter().zip(&notes).enumerate() {
-        let (Some(ratio), [Some(low), Some(high)]) = (e.found, ends(e)) else { continue };
+        let (Some(ratio), [Some(low), Some(high)]) = (e.found, reach(e)) else { continue };
         plot.line(class(e.rating), [(low, at(row)), (high, at(row))]);
         plot.dots(class(e.rating), [((ratio, at(row)), format!("{}: {note}", CLAIMS[*i].says))]);
         if CLAIMS[*i].stated > 1.0 {

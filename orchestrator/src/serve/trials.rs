@@ -278,6 +278,15 @@ impl Term {
 }
 
 impl Trials {
+    /// Those that meet the terms of a text, sorted by a key; none, and what is wrong, where it holds something else.
+    #[must_use]
+    pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<Row>>, Option<String>) {
+        match terms(text) {
+            Ok(terms) => (self.found(&terms, sort), None),
+            Err(wrong) => (Vec::new(), Some(wrong)),
+        }
+    }
+
     /// Those that meet all terms, sorted by a key (`-KEY`: the greatest first; those without always last), and among
     /// equals as planned.
     #[must_use]

@@ -14,7 +14,7 @@ use crate::look::Picture;
 use crate::look::grid::{Cell, grid};
 use crate::look::number;
 use crate::plan::counted;
-use crate::serve::trials::{Row, terms};
+use crate::serve::trials::Row;
 use crate::serve::{Refusal, source};
 
 /// What cells may be coloured by, and in words.
@@ -42,10 +42,7 @@ pub async fn page(
 ) -> Result<Html<String>, Refusal> {
     let seen = source(&served, &at)?.now().await;
     let by = BY.iter().find(|(key, _)| *key == asked.by).unwrap_or(&BY[0]);
-    let (found, wrong) = match terms(&asked.q) {
-        Ok(terms) => (seen.trials.found(&terms, ""), None),
-        Err(wrong) => (Vec::new(), Some(wrong)),
-    };
+    let (found, wrong) = seen.trials.asked(&asked.q, "");
     let (pictures, left) = grids(&at, &found, by.0);
     let drawn = html! {
         (trouble(&seen))

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::{Served, framed, live, query, to_trial, trouble};
 use crate::look::number;
 use crate::plan::counted;
-use crate::serve::trials::{Cell, NUMBERS, Row, terms};
+use crate::serve::trials::{Cell, NUMBERS, Row};
 use crate::serve::{Refusal, source};
 
 /// Trials on a page.
@@ -36,10 +36,7 @@ pub async fn page(
     Query(asked): Query<Asked>,
 ) -> Result<Html<String>, Refusal> {
     let seen = source(&served, &at)?.now().await;
-    let (found, wrong) = match terms(&asked.q) {
-        Ok(terms) => (seen.trials.found(&terms, &asked.sort), None),
-        Err(wrong) => (Vec::new(), Some(wrong)),
-    };
+    let (found, wrong) = seen.trials.asked(&asked.q, &asked.sort);
     let pages = found.len().div_ceil(ON_A_PAGE).max(1);
     let this = asked.page.clamp(1, pages);
     let shown = &found[(this - 1) * ON_A_PAGE..found.len().min(this * ON_A_PAGE)];
