@@ -26,6 +26,6 @@ pub use kernels::Kernels;
 pub use metric::prediction_error;
 pub use network::{Workspace, full_gradient, input_gradient, loss, loss_gradient, predict};
 pub use real::Real;
-pub use shape::{Architecture, LAYERS_MAX, Layer, Shape, initial_weights};
+pub use shape::{Architecture, LAYERS_MAX, Layer, Shape, initial_weights, scale_inputs};
 pub use solve::{Policy, Solve, SolveOutcome, conjugate_gradient, solve_implicit};
 pub use train::{Adam, TrainOutcome, cosine, milestones, train, train_on};

@@ -224,3 +224,13 @@ pub fn initial_weights(shape: Shape, seed: u64, which: u64) -> Vec<f64> {
     }
     weights
 }
+
+/// Weights that say of x what they said of x · `factors` (3M); inputs beyond the factors stay as they are.
+pub fn scale_inputs(shape: Shape, weights: &mut [f32], factors: &[f64]) {
+    let Conv { inputs, outputs, .. } = shape.conv(0);
+    for tap in weights[shape.range(shape.layers())].chunks_exact_mut(inputs * outputs) {
+        for (row, factor) in tap.chunks_exact_mut(outputs).zip(factors) {
+            row.iter_mut().for_each(|w| *w = (f64::from(*w) * factor) as f32);
+        }
+    }
+}

@@ -3,7 +3,7 @@
 use super::linear::{Plain, Reading, Ridge, Stack, read, readings};
 use super::problem::{Kind, Problem, Schedule, Training};
 use super::report::{Control, Counters, Log, Seconds, Trouble};
-use super::setting::{Setting, mean_error};
+use super::setting::{Scales, Setting, mean_error};
 use super::state::State;
 use crate::brain::{self, Adam, Data, Shape, TrainOutcome, Workspace};
 use crate::dynamics::{Forces, Solver};
@@ -22,7 +22,8 @@ pub struct NetworkEvaluation {
     pub losses: Vec<f32>,
     /// (iteration, from 1, mean prediction error on the holdout before it (%)) at `brain::milestones`.
     pub errors: Vec<(u32, f64)>,
-    /// Weights of the first network, by which its predictions can be had again; empty of the others.
+    /// Weights of the first network, by which its predictions can be had again, for inputs at the trial's scales; empty of
+    /// the others.
     pub weights: Vec<f32>,
     /// What went wrong.
     pub trouble: Option<Trouble>,
@@ -131,14 +132,19 @@ pub(super) fn evaluate(
                     body.zero_samples = [0, 1, 2].map(|set| plain[set].zero_samples());
                     body.readings = readings(setting, &plain).unwrap_or_default();
                 }
-                let data = |set: usize| setting.data(&signals[set], sets[set]);
+                let own = setting.scales.with_rms_of(&signals[0]);
+                let x = [0, 1, 2].map(|set| own.inputs::<f32>(&signals[set]));
                 Ok(match problem.reader {
                     Kind::Linear => {
                         let readings = body.as_mut().map(|body| &mut body.readings);
                         Seen::Linear(self::linear(setting, &plain, readings.unwrap_or(&mut Vec::new())))
                     }
-                    Kind::Network => Seen::Network(Box::new([data(0), data(1), data(2)])),
-                    Kind::Stacked => Seen::Network(Box::new(stacked(setting, &plain)?)),
+                    Kind::Network => {
+                        let y = [0, 1, 2].map(|set| own.targets::<f32>(&problem.targets(sets[set])));
+                        let data = [0, 1, 2].map(|set| Data::new(setting.shape, &x[set], &y[set]));
+                        Seen::Network(Box::new((data, own)))
+                    }
+                    Kind::Stacked => Seen::Network(Box::new((stacked(setting, &plain, &x)?, own))),
                 })
             },
         )
@@ -147,7 +153,7 @@ pub(super) fn evaluate(
 
     while let Some((is_long, seed, iterations)) = lacks(&state.comparison.bodies[turn]) {
         let mut found = match &seen {
-            Ok(Seen::Network(data)) => network(setting, seed, iterations, data, sets, state, log)?,
+            Ok(Seen::Network(seen)) => network(setting, seed, iterations, seen, sets, state, log)?,
             Ok(Seen::Linear(linear)) => linear.clone(),
             Err(trouble) => nothing(*trouble),
         };
@@ -175,20 +181,25 @@ fn save(state: &mut State, log: &mut Log) {
 
 /// A body as the trial's own brain has it before it.
 enum Seen {
-    /// Training, test and holdout set of a network that is to be trained.
-    Network(Box<[Data<f32>; 3]>),
+    /// Training, test and holdout set of a network that is to be trained, at the body's own scales: on the initial body's
+    /// the louder body's network would learn faster.
+    Network(Box<([Data<f32>; 3], Scales)>),
     /// Solved.
     Linear(NetworkEvaluation),
 }
 
-/// The sets of a stacked network.
-fn stacked(setting: &Setting, sets: &[Plain; 3]) -> Result<[Data<f32>; 3], Trouble> {
+/// The sets of a stacked network, whose signals are `signals` as they are.
+fn stacked(
+    setting: &Setting,
+    sets: &[Plain; 3],
+    signals: &[Vec<f32>; 3],
+) -> Result<[Data<f32>; 3], Trouble> {
     let problem = setting.problem;
     let stack = Stack::new(&problem.decoder, problem.seed, &sets[0])?;
     let data = |set: usize| {
         let x = &sets[set].x;
         let answers = if set == 0 { stack.cross_fitted(x) } else { stack.answers(x) };
-        setting.scales.stacked(problem.reader_shape(), &sets[set], &answers)
+        setting.scales.stacked(problem.reader_shape(), &signals[set], &sets[set], &answers)
     };
     Ok([data(0), data(1), data(2)])
 }
@@ -223,7 +234,7 @@ fn network(
     setting: &Setting,
     seed: usize,
     iterations: usize,
-    [data, test, unseen]: &[Data<f32>; 3],
+    ([data, test, unseen], own): &([Data<f32>; 3], Scales),
     sets: [&Forces; 3],
     state: &mut State,
     log: &mut Log,
@@ -256,13 +267,15 @@ fn network(
             return None;
         }
     };
-    let Fresh { weights, losses, errors, .. } = fresh;
+    let Fresh { mut weights, losses, errors, .. } = fresh;
     log.report.counters.brain_iterations += losses.len() as u64;
     let mut error = |set: usize, data: &Data<f32>| setting.error(&weights, data, sets[set], &mut workspace);
+    let [error_train, error_test, error_holdout] = [error(0, data), error(1, test), error(2, unseen)];
+    brain::scale_inputs(data.shape(), &mut weights, &setting.scales.over(own));
     Some(NetworkEvaluation {
-        error_train: error(0, data),
-        error_test: error(1, test),
-        error_holdout: error(2, unseen),
+        error_train,
+        error_test,
+        error_holdout,
         losses,
         errors,
         weights: if seed == 0 { weights } else { Vec::new() },

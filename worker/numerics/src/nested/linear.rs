@@ -171,16 +171,17 @@ impl Stack {
 }
 
 impl Scales {
-    /// Samples as a stacked network takes them: signals beside a linear brain's answers (N, T, K), as of forces.
-    pub(super) fn stacked(&self, shape: Shape, plain: &Plain, answers: &[f64]) -> Data<f32> {
+    /// Samples as a stacked network takes them: its inputs of the signals (N, T, 3M) beside a linear brain's answers
+    /// (N, T, K), as of forces.
+    pub(super) fn stacked(&self, shape: Shape, signals: &[f32], plain: &Plain, answers: &[f64]) -> Data<f32> {
         let force = force_scale(&self.mean, &self.deviation);
         let physical =
             |y: &[f64]| -> Vec<f32> { self.targets(&y.iter().map(|y| force * y).collect::<Vec<f64>>()) };
         let Sizes { channels, outputs, .. } = plain.sizes;
         let said = physical(answers);
-        let mut x = Vec::with_capacity(plain.x.len() + said.len());
-        for (signals, said) in plain.x.chunks_exact(channels).zip(said.chunks_exact(outputs)) {
-            x.extend(signals.iter().map(|x| *x as f32));
+        let mut x = Vec::with_capacity(signals.len() + said.len());
+        for (signals, said) in signals.chunks_exact(channels).zip(said.chunks_exact(outputs)) {
+            x.extend_from_slice(signals);
             x.extend_from_slice(said);
         }
         Data::new(shape, &x, &physical(&plain.y))

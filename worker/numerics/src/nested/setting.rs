@@ -3,7 +3,8 @@
 //! ```text
 //! x = A / rms(A₀)          y = (f − mean)/deviation        f̂ = mean + deviation·ŷ
 //! ```
-//! rms a channel of the initial body's training signals A₀, mean and deviation a panel of the training forces.
+//! rms a channel of the initial body's training signals A₀, mean and deviation a panel of the training forces. A fresh
+//! network at the end is trained on A / rms(A), its body's own, and then told to take x.
 
 use super::chip::Chip;
 use super::problem::{Kind, Problem};
@@ -231,24 +232,22 @@ impl Scales {
 
     /// Of so many channels and panels.
     pub(super) fn of([inputs, outputs]: [usize; 2], signals: &[f64], targets: &[f64]) -> Self {
-        let moments = |values: &[f64], width: usize| -> Vec<(f64, f64)> {
-            let count = (values.len() / width) as f64;
-            (0..width)
-                .map(|c| {
-                    let channel = || values.iter().skip(c).step_by(width);
-                    let mean = channel().sum::<f64>() / count;
-                    (mean, channel().map(|x| x * x).sum::<f64>() / count)
-                })
-                .collect()
-        };
-        // a channel that never stirs stays as it is
-        let above_zero = |x: f64| if x > 0.0 { x } else { 1.0 };
         let force = moments(targets, outputs);
         Self {
-            channels: moments(signals, inputs).iter().map(|m| above_zero(m.1.sqrt())).collect(),
+            channels: rms(signals, inputs),
             mean: force.iter().map(|m| m.0).collect(),
             deviation: force.iter().map(|m| above_zero((m.1 - m.0 * m.0).max(0.0).sqrt())).collect(),
         }
+    }
+
+    /// These, with the RMS of other signals (N, T, 3M).
+    pub(super) fn with_rms_of(&self, signals: &[f64]) -> Self {
+        Self { channels: rms(signals, self.channels.len()), ..self.clone() }
+    }
+
+    /// x on other scales / x on these, a channel (3M).
+    pub(super) fn over(&self, other: &Self) -> Vec<f64> {
+        self.channels.iter().zip(&other.channels).map(|(own, other)| own / other).collect()
     }
 
     /// x of signals (N, T, 3M).
@@ -292,6 +291,27 @@ impl Scales {
         let panels = self.mean.iter().zip(&self.deviation).cycle();
         normalised.iter().zip(panels).map(|(&y, (mean, deviation))| mean + deviation * f64::from(y)).collect()
     }
+}
+
+/// Mean and mean square of each of `width` columns.
+fn moments(values: &[f64], width: usize) -> Vec<(f64, f64)> {
+    let count = (values.len() / width) as f64;
+    (0..width)
+        .map(|c| {
+            let column = || values.iter().skip(c).step_by(width);
+            (column().sum::<f64>() / count, column().map(|x| x * x).sum::<f64>() / count)
+        })
+        .collect()
+}
+
+/// RMS of each of `width` channels.
+fn rms(signals: &[f64], width: usize) -> Vec<f64> {
+    moments(signals, width).iter().map(|m| above_zero(m.1.sqrt())).collect()
+}
+
+/// A channel that never stirs stays as it is.
+fn above_zero(scale: f64) -> f64 {
+    if scale > 0.0 { scale } else { 1.0 }
 }
 
 #[cfg(test)]

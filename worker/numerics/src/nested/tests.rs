@@ -263,6 +263,35 @@ fn bodies_are_compared_with_the_same_networks() {
     assert_eq!(result.initial.zero_samples, [0; 3]);
 }
 
+/// What fresh brains make of a body is the same whichever body the trial began with, how loud that one was, and with it
+/// the scale that its weights are stored for.
+#[test]
+fn a_body_is_read_on_its_own_scale() {
+    let begun_with = small(Protocol::Joint(GOING));
+    let mut stream = Stream::new(Purpose::Design, 2, [0, 0]);
+    let other: Vec<f64> = begun_with.initial.iter().map(|a| a + 0.4 * stream.normal()).collect();
+    for reader in [Kind::Network, Kind::Stacked] {
+        let mine = Problem { reader, ..begun_with.clone() };
+        let its_own = Problem { initial: other.clone(), ..mine.clone() };
+        let [here, there] = [&mine, &its_own].map(|problem| {
+            evaluate_designs(problem, &[other.clone()], &pool(1), &mut Keeper::default()).unwrap().remove(0)
+        });
+        assert_ne!(here.networks[0].weights, there.networks[0].weights);
+        // a stacked network hears a linear brain besides, whose λ is of the trial's scale
+        if reader == Kind::Network {
+            assert_eq!(figures(&here), figures(&there));
+        }
+        for (problem, body) in [(&mine, &here), (&its_own, &there)] {
+            let network = &body.networks[0];
+            let replay = replay(problem, &other, &network.weights, &pool(1)).unwrap();
+            let of_holdout = replay.split.iter().zip(&replay.errors).filter(|(split, _)| **split == 2);
+            let error = of_holdout.map(|(_, error)| error.unwrap()).sum::<f64>() / 4.0;
+            let stored = network.error_holdout.unwrap();
+            assert!((error / stored - 1.0).abs() < 1e-5, "{reader:?}: {error} {stored}");
+        }
+    }
+}
+
 /// As many long trainings as ordinary ones, from the same initial weights; the ordinary ones stay as they are.
 #[test]
 fn long_trainings_stand_beside_the_ordinary_ones() {
