@@ -1,4 +1,4 @@
-//! The exit codes, all of them.
+//! The exit codes, all of them; and errors in words.
 
 use std::process::ExitCode;
 
@@ -8,7 +8,7 @@ use std::process::ExitCode;
 pub enum Exit {
     /// All that was asked is done.
     Done = 0,
-    /// A check did not hold, or trials have failed.
+    /// A check did not hold, trials have failed, or a run refuses what it is asked.
     Failed = 1,
     /// The command line, the spec or the choice of database is at fault; nothing was started.
     BadInput = 2,
@@ -22,8 +22,10 @@ pub enum Exit {
 pub const EXIT_CODES: &str = "\
 Exit codes:
   0  all that was asked is done
-  1  a check did not hold, or trials have failed (`status` names them and why)
-  2  the command line, the spec or the choice of database is at fault; nothing was started
+  1  a check did not hold, trials have failed (`status` names them and why), or a run
+     refuses what `control` asks
+  2  the command line, the spec or the choice of database is at fault (of `control`: no
+     run holds it); nothing was started
   3  reading or writing failed (disk full, database in use, locked or damaged)
   4  stopped on request; `run` goes on from there, as do `evaluate` and `identify`
      with --out; other commands begin anew";
@@ -32,4 +34,11 @@ impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {
         Self::from(exit as u8)
     }
+}
+
+/// An error with its causes.
+#[must_use]
+pub fn chain(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |e| e.source());
+    std::iter::once(error.to_string()).chain(causes.map(|e| e.to_string())).collect::<Vec<_>>().join(": ")
 }

@@ -6,6 +6,7 @@
 pub mod analysis;
 pub mod cli;
 pub mod cluster;
+pub mod control;
 pub mod engine;
 pub mod exit;
 pub mod export;

@@ -26,9 +26,9 @@ WHERE t.state = 'running' ORDER BY 2, 3, 4, 5, 6";
 
 /// All trials by state; the estimated seconds of what is left of those that are open; steps, attempts; and how long
 /// attempts have taken against what was estimated for what they did; mean errors of what is done; what is given up; all
-/// estimated seconds.
+/// estimated seconds; what is cancelled.
 const WHOLE: &str = "
-SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason <> 'pruned'), sum(state = 'running'),
+SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason NOT IN ('pruned', 'cancelled')), sum(state = 'running'),
   sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END)
     - (SELECT coalesce(sum(t.cost * c.step / json_extract(t.spec, '$.optimise.iterations')), 0)
        FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.state IN ('pending', 'running')),
@@ -37,14 +37,15 @@ SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason <> 'pruned
      / nullif(sum(CASE a.state WHEN 'done' THEN t.cost
         ELSE t.cost * a.steps / json_extract(t.spec, '$.optimise.iterations') END), 0)
    FROM attempt a JOIN trial t ON t.id = a.trial_id WHERE a.steps > 0 OR a.state = 'done'),
-  avg(holdout_error_initial), avg(holdout_error_optimised), sum(state = 'failed' AND reason = 'pruned'), sum(cost)
+  avg(holdout_error_initial), avg(holdout_error_optimised), sum(state = 'failed' AND reason = 'pruned'), sum(cost),
+  sum(state = 'failed' AND reason = 'cancelled')
 FROM trial";
 
 /// Failures by reason and by what was said of the last attempt, with one of their trials.
 pub const FAILED: &str = "SELECT reason, text, min(hash), count(*) FROM
     (SELECT t.hash, t.reason, (SELECT l.text FROM log l WHERE l.trial_id = t.id AND l.level = 'error'
        ORDER BY l.attempt DESC, l.line DESC LIMIT 1) AS text FROM trial t
-     WHERE t.state = 'failed' AND t.reason IS NOT 'pruned') GROUP BY 1, 2 ORDER BY 4 DESC, 1, 2";
+     WHERE t.state = 'failed' AND coalesce(t.reason, '') NOT IN ('pruned', 'cancelled')) GROUP BY 1, 2 ORDER BY 4 DESC, 1, 2";
 
 /// What can be seen of a run.
 #[derive(Debug, Clone, Default)]
@@ -155,12 +156,15 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     let (total, done, failed, running) = (number(0), number(1), number(2), number(3));
     let mut text = format!(
         "{done} of {total} trials done, {failed} failed, {running} running, {} waiting; {} steps in {} attempts",
-        total - done - failed - running - number(10),
+        total - done - failed - running - number(10) - number(12),
         number(5),
         number(6),
     );
     if number(10) > 0.0 {
         text += &format!("; {} given up as hopeless", number(10));
+    }
+    if number(12) > 0.0 {
+        text += &format!("; {} cancelled", number(12));
     }
     let (began, steps) = *first.get_or_insert((Instant::now(), number(5)));
     if number(5) > steps {

@@ -94,8 +94,12 @@ pub enum ToWorker {
         /// The trial's hash, of which the process bears the beginning as its name.
         hash: String,
     },
-    /// Finish the step in progress, or save the comparison, and hand the trial back.
-    Stop,
+    /// Finish the step in progress, or save the comparison, and hand the trial back. It may come before the job, and after its
+    /// end.
+    Stop {
+        /// Whose it is.
+        lease: Lease,
+    },
 }
 
 /// Why an attempt came to no result, as the worker sees it.

@@ -150,18 +150,22 @@ impl Worker {
         Ok(())
     }
 
-    /// Takes jobs until told to stop.
+    /// Takes jobs for as long as the process lives.
     fn serve(&mut self) -> Result<(), LinkError> {
         let _keep_open = &self.services;
         name_process(IDLE);
+        let mut unwanted = None;
         loop {
             match wire::receive::<ToWorker>(&self.down)? {
+                Some(ToWorker::Job { lease, .. }) if unwanted == Some(lease) => {
+                    self.send(&ToOrchestrator::Stopped { lease })?;
+                }
                 Some(ToWorker::Job { lease, work, checkpoint, threads, hash }) => {
                     name_process(&hash);
                     self.perform(lease, &work, checkpoint.map(|boxed| *boxed), threads as usize)?;
                     name_process(IDLE);
                 }
-                Some(ToWorker::Stop) => return Ok(()),
+                Some(ToWorker::Stop { lease }) => unwanted = Some(lease),
                 None => wire::sleep(&self.sleeper, "waiting for a job")?,
             }
         }
@@ -351,7 +355,7 @@ impl Reporter<'_> {
 
     fn listen(&mut self) {
         match wire::receive::<ToWorker>(&self.worker.down) {
-            Ok(Some(ToWorker::Stop)) => self.stop = true,
+            Ok(Some(ToWorker::Stop { lease })) => self.stop |= lease == self.lease,
             Ok(_) => {}
             Err(error) => self.broken = Some(error),
         }

@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::record::{BodyEvaluation, TrialResult};
 
 use super::duration;
+use crate::control::Command;
 use crate::engine::{View, Watch};
 use crate::plan::{Trial, counted};
 use crate::scheduler::{Outcome, Reason};
@@ -60,6 +61,9 @@ impl Watch for Live {
     }
 
     fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool) {
+        if reason == Reason::Cancelled {
+            return self.say(&format!("given up: {}: on request", named(trial)));
+        }
         if reason == Reason::Pruned {
             return self.say(&format!("given up: {}: worse than the median of its K and M", named(trial)));
         }
@@ -81,6 +85,11 @@ impl Watch for Live {
         });
     }
 
+    fn steered(&mut self, command: &Command, done: bool, said: &str) {
+        let refused = if done { "" } else { "refused: " };
+        self.say(&format!("control: {command}: {refused}{said}"));
+    }
+
     fn tick(&mut self, view: &View) {
         let (part, eta) = (view.fraction(), view.eta());
         let before = *self.before.get_or_insert(part);
@@ -92,8 +101,9 @@ impl Watch for Live {
         }
         let to_go =
             eta.map_or("ETA unknown yet".into(), |eta| format!("ETA {}", duration(eta.as_secs_f64())));
+        let paused = if view.paused { "paused, " } else { "" };
         let message = format!(
-            "{} of {}, {} of {} busy, {}, {to_go}",
+            "{paused}{} of {}, {} of {} busy, {}, {to_go}",
             view.settled(),
             counted(view.total, "trial"),
             view.busy,

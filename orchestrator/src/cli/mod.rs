@@ -7,6 +7,7 @@ mod analyse;
 mod bench;
 mod bound;
 mod claims;
+mod control;
 mod draw;
 mod evaluate;
 mod expand;
@@ -43,6 +44,7 @@ use crate::cluster::DealError;
 use crate::cluster::home::HomeError;
 use crate::cluster::merge::MergeError;
 use crate::cluster::queue::QueueError;
+use crate::control::ControlError;
 use crate::engine::{EngineError, Signals};
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::{OneBody, Plan};
@@ -77,6 +79,7 @@ enum Command {
     Status(status::Args),
     Watch(watch::Args),
     Serve(serve::Args),
+    Control(control::Args),
     Why(why::Args),
     Query(query::Args),
     Analyse(analyse::Args),
@@ -118,6 +121,7 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
         Command::Status(args) => block_on(status::execute(args)),
         Command::Watch(args) => block_on(watch::execute(args)),
         Command::Serve(args) => serve::execute(args),
+        Command::Control(args) => block_on(control::execute(args)),
         Command::Why(args) => block_on(why::execute(args)),
         Command::Query(args) => block_on(query::execute(args)),
         Command::Analyse(args) => block_on(analyse::execute(args)),
@@ -254,6 +258,9 @@ pub enum Error {
     /// A shard's database.
     #[error(transparent)]
     Home(#[from] HomeError),
+    /// A run that is to be steered.
+    #[error(transparent)]
+    Control(#[from] ControlError),
 }
 
 impl Error {
@@ -274,6 +281,7 @@ impl Error {
             Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
             Self::Merge(_) | Self::Home(_) | Self::Queue(_) | Self::Deal(DealError::File { .. }) => Exit::Io,
             Self::Deal(_) => Exit::BadInput,
+            Self::Control(e) => control::exit(e),
             Self::Usage(_)
             | Self::Spec(_)
             | Self::Design(_)

@@ -1,6 +1,7 @@
 //! `run`: works through the trials of a spec, or goes on where an earlier run has stopped.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use metasense_schemas::spec::Run;
@@ -17,10 +18,11 @@ use crate::analysis::setting::flatten;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Deal, Shard};
-use crate::engine::{self, Again, Options, Signals};
-use crate::exit::Exit;
+use crate::control::{Listener, WORKERS_MAX};
+use crate::engine::{self, Again, Control, Options, Reread, Signals};
+use crate::exit::{Exit, chain};
 use crate::plan::{Plan, Trial, cost, counted};
-use crate::scheduler::{Outcome, PRUNED, Prune, Settings};
+use crate::scheduler::{CANCELLED, Outcome, PRUNED, Prune, Settings};
 use crate::store::{Reader, RunPlan, Store};
 
 /// Rows of the final table that a person may want to read at once.
@@ -29,7 +31,8 @@ const MOST_ROWS: usize = 400;
 /// Runs the trials of a spec with worker processes, or goes on where an earlier run has stopped
 ///
 /// Every step is kept in an SQLite file as it is done: after Ctrl-C, `kill -9` or a power cut the same command goes on.
-/// Trials that are finished are never run again; trials that a changed spec adds are run beside them.
+/// Trials that are finished are never run again; trials that a changed spec adds are run beside them. `metasense control DB`
+/// steers it from another terminal.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The spec file (TOML), for instance schemas/sweeps/quickstart.toml
@@ -94,7 +97,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Some(shard) => plan.default_database().with_extension(format!("{}.sqlite", shard.file_stem())),
             None => plan.default_database(),
         });
-        let outcome = run(&plan, &args, &db, &log::path(&db), &mut signals).await?;
+        let (outcome, plan) = run(plan, &args, &db, &log::path(&db), &mut signals).await?;
         return end(&db, &plan, args.format, outcome).await;
     };
     check_submitted(folder, &plan)?;
@@ -106,14 +109,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();
     let running = async {
-        let outcome = run(&plan, &args, &db, &log, &mut signals).await;
+        let outcome = run(plan, &args, &db, &log, &mut signals).await;
         drop(stop);
         outcome
     };
     let (outcome, ()) = tokio::join!(running, home.hand_in_every(copy_every, stopped));
     // Whatever has gone wrong: what there is, is handed in.
     let handed_in = home.hand_in_within(Duration::from_secs(NOTICE)).await;
-    let exit = end(&db, &plan, args.format, outcome?).await?;
+    let (outcome, plan) = outcome?;
+    let exit = end(&db, &plan, args.format, outcome).await?;
     handed_in?;
     home.leave();
     Ok(exit)
@@ -140,52 +144,102 @@ fn check_submitted(folder: &Path, plan: &Plan) -> Result<(), Error> {
     }
 }
 
-/// Runs what is open, and closes the database.
+/// Runs what is open, and closes the database; with the plan as it is by then.
 async fn run(
-    plan: &Plan,
+    plan: Plan,
     args: &Args,
     db: &Path,
     log: &Path,
     signals: &mut Signals,
-) -> Result<Outcome, Error> {
+) -> Result<(Outcome, Plan), Error> {
     let mut store = Store::open(db).await?;
+    let control = Control::new(listener(db), reread(&plan, args));
+    let ran = run_open(&mut store, &plan, args, log, signals, &control).await;
+    let plan = control.last_plan().cloned().unwrap_or(plan);
+    // The socket goes, and the database is closed in any case, and let go of when all is written.
+    drop(control);
+    let closed = store.close().await;
+    let outcome = ran?;
+    closed?;
+    Ok((outcome.unwrap_or(Outcome::Complete), plan))
+}
+
+async fn run_open(
+    store: &mut Store,
+    plan: &Plan,
+    args: &Args,
+    log: &Path,
+    signals: &mut Signals,
+    control: &Control,
+) -> Result<Option<Outcome>, Error> {
     // What was given up as hopeless is not, where nobody asks for that any more.
     let again = Again {
         pruned: plan.spec.run.prune.is_none(),
         failed: args.retry_failed,
         other_code: args.redo_other_code,
     };
-    let outcome = match plan.spec.until {
-        None => round(&mut store, plan, &plan.trials, again, args, log, signals).await,
-        Some(_) => rounds(&mut store, plan, again, args, log, signals).await,
-    };
-    // Closed in any case, and let go of when all is written.
-    let closed = store.close().await;
-    let outcome = outcome?;
-    closed?;
-    Ok(outcome.unwrap_or(Outcome::Complete))
+    let mut options = options(&plan.spec.run, args);
+    let mut round = Round { store, plan, args, log, signals, control, options: &mut options };
+    match plan.spec.until {
+        None => round.run(&plan.trials, again).await,
+        Some(_) => rounds(round, again).await,
+    }
+}
+
+/// Where commands come in; a run goes on without.
+fn listener(db: &Path) -> Option<Listener> {
+    Listener::new(db)
+        .inspect_err(|error| {
+            say!("`metasense control` cannot reach this run: no socket beside its database: {error}")
+        })
+        .ok()
+}
+
+/// Reads the spec again, where trials can be added to what the plan says.
+fn reread(plan: &Plan, args: &Args) -> Arc<Reread> {
+    let (file, name) = (args.spec.clone(), plan.spec.name.clone());
+    let (is_shard, asks) = (args.shard.is_some(), plan.spec.until.is_some());
+    Arc::new(move || {
+        if is_shard {
+            return Err("a shard's trials are dealt out before it begins: submit the edited spec".into());
+        }
+        let plan = read_plan(&file).map_err(|error| chain(&error))?;
+        if asks || plan.spec.until.is_some() {
+            return Err("[until] decides which trials are run: stop the run, the same command goes on by the edited spec".into());
+        }
+        if plan.spec.name != name {
+            return Err(format!("its name is {:?}, that of the run {name:?}", plan.spec.name));
+        }
+        Ok(plan)
+    })
+}
+
+/// What runs some trials needs.
+struct Round<'a> {
+    store: &'a mut Store,
+    plan: &'a Plan,
+    args: &'a Args,
+    log: &'a Path,
+    signals: &'a mut Signals,
+    control: &'a Control,
+    /// As people have changed them by now.
+    options: &'a mut Options,
 }
 
 /// Runs what the sweep's questions want, looks at them, and so on, until they want nothing more.
-async fn rounds(
-    store: &mut Store,
-    plan: &Plan,
-    mut again: Again,
-    args: &Args,
-    log: &Path,
-    signals: &mut Signals,
-) -> Result<Option<Outcome>, Error> {
-    let workers = options(&plan.spec.run, args).settings.workers;
+async fn rounds(mut round: Round<'_>, mut again: Again) -> Result<Option<Outcome>, Error> {
     let mut said = Vec::new();
     loop {
-        let (decision, wanted) = plan.decide(&store.found().await?, workers).expect("it has questions");
+        let workers = round.options.settings.workers;
+        let (decision, wanted) =
+            round.plan.decide(&round.store.found().await?, workers).expect("it has questions");
         for line in decision.standings.iter().map(ToString::to_string) {
             if !said.contains(&line) {
                 say!("{line}");
                 said.push(line);
             }
         }
-        match round(store, plan, &wanted, again, args, log, signals).await? {
+        match round.run(&wanted, again).await? {
             Some(Outcome::Complete) => again = Again::default(),
             None if !decision.is_settled() => {
                 say!("questions are left open: the most that [until] allows has been run");
@@ -196,50 +250,45 @@ async fn rounds(
     }
 }
 
-/// Runs those of some trials that are open; `None` where there are none.
-async fn round(
-    store: &mut Store,
-    plan: &Plan,
-    trials: &[Trial],
-    again: Again,
-    args: &Args,
-    log: &Path,
-    signals: &mut Signals,
-) -> Result<Option<Outcome>, Error> {
-    let sweep = (&plan.spec, &*plan.source.text);
-    let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
-        say!("stopped before any trial was begun; the same command begins");
-        return Ok(Some(Outcome::Interrupted));
-    };
-    let options = options(&plan.spec.run, args);
-    let planned = RunPlan {
-        sweep: (&plan.spec.name, &plan.source.text),
-        shard: args.shard.map_or((1, 1), |shard| (shard.index(), shard.count())),
-        workers: (options.settings.workers, options.threads),
-        trials: open.len(),
-        estimated_seconds: cost::seconds_on(&open, options.settings.workers, options.threads),
-    };
-    if open.is_empty() {
-        // A shard without work is not a shard that is missing.
-        if args.shard.is_some() {
-            let run = store.begin_run(&planned).await?;
-            store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
+impl Round<'_> {
+    /// Runs those of some trials that are open; `None` where there are none.
+    async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {
+        let Self { store, plan, args, log, signals, control, options } = self;
+        let sweep = (&plan.spec, &*plan.source.text);
+        let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
+            say!("stopped before any trial was begun; the same command begins");
+            return Ok(Some(Outcome::Interrupted));
+        };
+        let planned = RunPlan {
+            sweep: (&plan.spec.name, &plan.source.text),
+            shard: args.shard.map_or((1, 1), |shard| (shard.index(), shard.count())),
+            workers: (options.settings.workers, options.threads),
+            trials: open.len(),
+            estimated_seconds: cost::seconds_on(&open, options.settings.workers, options.threads),
+        };
+        if open.is_empty() {
+            // A shard without work is not a shard that is missing.
+            if args.shard.is_some() {
+                let run = store.begin_run(&planned).await?;
+                store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
+            }
+            say!("nothing left to do: {} settled", counted(trials.len(), "trial"));
+            return Ok(None);
         }
-        say!("nothing left to do: {} settled", counted(trials.len(), "trial"));
-        return Ok(None);
+        log::start(log)?;
+        let run = store.begin_run(&planned).await?;
+        let mut live = Live::new(open.len(), trials.len() - open.len(), options.settings.workers);
+        let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
+        let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
+        let noted = match &ended {
+            Ok(summary) => store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await,
+            Err(_) => Ok(()),
+        };
+        let summary = ended?;
+        noted?;
+        (options.settings.workers, options.settings.paused) = (summary.workers, summary.paused);
+        Ok(Some(summary.outcome))
     }
-    log::start(log)?;
-    let run = store.begin_run(&planned).await?;
-    let mut live = Live::new(open.len(), trials.len() - open.len(), options.settings.workers);
-    let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
-    let ended = engine::run(store, &open, &work, &options, signals, &mut live).await;
-    let noted = match &ended {
-        Ok(summary) => store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await,
-        Err(_) => Ok(()),
-    };
-    let summary = ended?;
-    noted?;
-    Ok(Some(summary.outcome))
 }
 
 /// As the database has it.
@@ -272,7 +321,8 @@ fn options(run: &Run, args: &Args) -> Options {
     let millis = |seconds: f64| (1000.0 * seconds) as u64;
     Options {
         settings: Settings {
-            workers: workers.clamp(1, 1024) as u32,
+            workers: workers.clamp(1, WORKERS_MAX as usize) as u32,
+            paused: false,
             retries: run.retries.unwrap_or(5),
             backoff: millis(run.backoff.unwrap_or(0.5)),
             no_progress: millis(patience),
@@ -300,8 +350,13 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
     })
     .await?;
     let (pruned, failures): (Vec<_>, Vec<_>) = failures.into_iter().partition(|(_, reason)| reason == PRUNED);
+    let (cancelled, failures): (Vec<_>, Vec<_>) =
+        failures.into_iter().partition(|(_, reason)| reason == CANCELLED);
     if !pruned.is_empty() {
         say!("{} given up as hopeless; without `prune` in [run] they go on", counted(pruned.len(), "trial"));
+    }
+    if !cancelled.is_empty() {
+        say!("{} cancelled on request; --retry-failed goes on with them", counted(cancelled.len(), "trial"));
     }
     for (hash, reason) in failures.iter().take(MOST_ROWS) {
         say!("failed: trial {hash} ({reason})");

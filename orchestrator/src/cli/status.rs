@@ -11,7 +11,7 @@ use crate::look::{Table, row};
 use crate::plan::counted;
 use crate::progress::FAILED;
 use crate::provenance;
-use crate::scheduler::PRUNED;
+use crate::scheduler::{CANCELLED, PRUNED};
 use crate::store::{Reader, quoted};
 
 /// Shows what is done, running, pending and failed, and why; also while a run goes on
@@ -78,7 +78,7 @@ async fn one(db: &Path, hash: &str, format: Format) -> Result<Exit, Error> {
         let [state, reason] = [0, 1].map(|i| state[i].as_str().unwrap_or_default().to_owned());
         let said = format!("trial {hash}: {state} {reason}");
         let (attempts, log) = (attempts(reader, &hash).await?, reader.query(&log).await?);
-        Ok::<_, Error>((said, attempts, log, state == "failed" && reason != PRUNED))
+        Ok::<_, Error>((said, attempts, log, state == "failed" && ![PRUNED, CANCELLED].contains(&&*reason)))
     })
     .await?;
     say!("{}", said.trim_end());

@@ -56,7 +56,7 @@ pub(super) async fn priors(
     trials: &[&Trial],
     state: impl FnOnce(&[Prior]) -> State,
     prune: Option<&Prune>,
-) -> Result<(Vec<Prior>, State), StoreError> {
+) -> Result<(Vec<Prior>, State, Kinds), StoreError> {
     let known: HashMap<String, Prior> = store.priors().await?.into_iter().collect();
     let mut kinds = Kinds::default();
     let prior = |trial: &&Trial| {
@@ -82,15 +82,15 @@ pub(super) async fn priors(
     for (mark, trials) in reached.iter().enumerate() {
         trials.iter().for_each(|trial| state.remember(kinds.number(trial.point), mark, trial.error));
     }
-    Ok((priors, state))
+    Ok((priors, state, kinds))
 }
 
 /// Numbers the pairs of K and M.
-#[derive(Default)]
-struct Kinds(HashMap<(u32, u32), u32>);
+#[derive(Debug, Default)]
+pub(super) struct Kinds(HashMap<(u32, u32), u32>);
 
 impl Kinds {
-    fn number(&mut self, point: (u32, u32)) -> u32 {
+    pub(super) fn number(&mut self, point: (u32, u32)) -> u32 {
         let next = self.0.len() as u32;
         *self.0.entry(point).or_insert(next)
     }

@@ -90,6 +90,16 @@ impl Forecast {
         }
     }
 
+    /// A trial more.
+    pub fn add(&mut self, trial: Planned) {
+        self.trials.push(trial);
+    }
+
+    /// So many workers from now on.
+    pub fn set_workers(&mut self, workers: u32) {
+        self.workers = workers.max(1) as usize;
+    }
+
     /// A worker has the trial.
     pub fn assigned(&mut self, trial: u32, now: Duration) {
         let Planned { behind, steps, .. } = self.trials[trial as usize];

@@ -6,8 +6,10 @@
 mod begin;
 mod clock;
 mod forecast;
+mod links;
 mod signals;
 mod spent;
+mod steer;
 mod watch;
 mod writer;
 
@@ -17,19 +19,22 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
-use metasense_schemas::wire::{Lease, LinkError, Sample, Start, ToOrchestrator, ToWorker, Work};
-use metasense_worker::{process, simd};
+use metasense_schemas::wire::{Lease, Sample, ToOrchestrator, ToWorker, Work};
+use metasense_worker::process;
 use tokio::sync::mpsc;
 
 pub use begin::{Again, begin};
 pub use signals::Signals;
+pub use steer::{Control, Reread};
 pub use watch::{Silent, View, Watch};
 
 use clock::Clock;
+use links::Link;
 use spent::Ledger;
+use steer::Steering;
 
-use crate::fleet::{Fleet, Heard};
-use crate::link::{Line, Runtime, RuntimeError, Word};
+use crate::fleet::Fleet;
+use crate::link::{Runtime, RuntimeError, Word};
 use crate::plan::Trial;
 use crate::scheduler::{
     self, Action, Event, Mark, Outcome, Phase, Prior, Reason, Settings, Standing, State, WorkerId,
@@ -39,8 +44,6 @@ use writer::{Arrays, Write, Written};
 
 /// Time between two looks at deadlines, and between two views.
 const TICK: Duration = Duration::from_millis(200);
-/// Longest wait for the link of a process that has ended; what it had not read then counts as not sent.
-const LINK_GRACE: Duration = Duration::from_millis(700);
 /// Words of links, and records before the writer, that may wait.
 const QUEUE: usize = 512;
 
@@ -70,10 +73,14 @@ pub struct Summary {
     pub done: usize,
     /// Trials that failed in this run.
     pub failed: usize,
-    /// Trials given up in this run as hopeless.
-    pub pruned: usize,
+    /// Trials given up in this run, as hopeless or on request.
+    pub given_up: usize,
     /// Messages of attempts that were not current.
     pub stale: usize,
+    /// Worker processes that are wanted by now.
+    pub workers: u32,
+    /// Whether it has ended in a pause.
+    pub paused: bool,
 }
 
 /// Why a run could not go on.
@@ -100,17 +107,18 @@ pub enum EngineError {
 ///
 /// # Errors
 /// If nothing can be recorded, or no worker comes up.
-pub async fn run(
+pub async fn run<'a>(
     store: &mut Store,
-    trials: &[&Trial],
-    work: &dyn Fn(&Trial) -> Work,
-    options: &Options,
+    trials: &[&'a Trial],
+    work: &'a dyn Fn(&Trial) -> Work,
+    options: &'a Options,
     signals: &mut Signals,
-    watch: &mut dyn Watch,
+    control: &'a Control,
+    watch: &'a mut dyn Watch,
 ) -> Result<Summary, EngineError> {
     let settings = &options.settings;
     let state = |priors: &[Prior]| State::new(settings.clone(), priors);
-    let (priors, state) = begin::priors(store, trials, state, settings.prune.as_ref()).await?;
+    let (priors, state, kinds) = begin::priors(store, trials, state, settings.prune.as_ref()).await?;
     store.set_threads(options.threads);
     let runtime = Runtime::new(settings.workers)?;
     let (heard_out, mut heard) = mpsc::channel(QUEUE);
@@ -120,14 +128,15 @@ pub async fn run(
     let hashes = trials.iter().map(|trial| trial.hash.clone()).collect();
     // On this task, not one of its own: arrays in shared memory may move between threads, not be shared by them.
     let writing = writer::write(store, hashes, entries, said);
+    let (steering, mut reads) = Steering::new(kinds);
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
 
     let mut engine = Engine {
         state,
-        view: View::new(trials, &priors, settings.workers),
+        view: View::new(trials, &priors, settings),
         priors,
-        trials,
+        trials: trials.to_vec(),
         work,
         options,
         began: Instant::now(),
@@ -147,6 +156,8 @@ pub async fn run(
         stale: 0,
         store_error: None,
         last_words: String::new(),
+        control,
+        steering,
         watch,
     };
     let running = async move {
@@ -157,15 +168,19 @@ pub async fn run(
                 Some((worker, heard)) = heard.recv() => engine.heard(worker, heard, &mut events),
                 Some(word) = written.recv() => engine.written(word, &mut events),
                 Some(()) = signals.next() => engine.interrupt(&mut events),
+                Some(request) = control.next() => engine.asked(request, &mut events),
+                Some(read) = reads.recv() => engine.read(read).await,
                 _ = ticks.tick() => engine.tick(&mut events),
             }
             if let Some(outcome) = engine.carry_out(&mut events).await {
                 break outcome;
             }
         };
-        let Engine { view, stale, store_error, last_words, watch, .. } = engine;
+        let Engine { view, state, stale, store_error, last_words, watch, .. } = engine;
         watch.end(&view, outcome);
-        let summary = Summary { outcome, done: view.done, failed: view.failed, pruned: view.pruned, stale };
+        let (workers, paused) = (state.workers(), state.is_paused());
+        let View { done, failed, given_up, .. } = view;
+        let summary = Summary { outcome, done, failed, given_up, stale, workers, paused };
         match (outcome, store_error) {
             (_, Some(error)) => Err(error.into()),
             (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(last_words)),
@@ -183,23 +198,10 @@ enum Record {
     Result(Box<TrialResult>, Option<Arrays>),
 }
 
-/// A worker's process and link, from the making of its domain until both are gone.
-#[derive(Debug)]
-struct Link {
-    line: Line,
-    started: bool,
-    /// Not to be started any more.
-    cancelled: bool,
-    ended: Option<(Reason, Instant)>,
-    /// Why we have ended it, where its process does not know.
-    why: Option<Reason>,
-    closed: bool,
-}
-
 struct Engine<'a> {
     state: State,
     priors: Vec<Prior>,
-    trials: &'a [&'a Trial],
+    trials: Vec<&'a Trial>,
     work: &'a dyn Fn(&Trial) -> Work,
     options: &'a Options,
     began: Instant,
@@ -227,6 +229,8 @@ struct Engine<'a> {
     stale: usize,
     store_error: Option<StoreError>,
     last_words: String,
+    control: &'a Control,
+    steering: Steering,
     watch: &'a mut dyn Watch,
 }
 
@@ -251,20 +255,7 @@ impl Engine<'_> {
 
     async fn act(&mut self, action: Action<Record>, events: &mut Events) {
         match action {
-            Action::Spawn(worker) => {
-                let line = self.runtime.room(1).map_err(|full| full.to_string()).and_then(|()| {
-                    Line::open(self.runtime.domain(worker), worker, self.words.clone())
-                        .map_err(|error| error.to_string())
-                });
-                match line {
-                    Ok(line) => {
-                        let (started, cancelled, closed) = (false, false, false);
-                        let link = Link { line, started, cancelled, ended: None, why: None, closed };
-                        self.links.insert(worker, link);
-                    }
-                    Err(error) => self.misfire(worker, error, events),
-                }
-            }
+            Action::Spawn(worker) => self.open(worker, events),
             Action::Assign(worker, lease) => {
                 self.leases.insert(worker, lease);
                 self.spent.begin(lease, worker, &self.fleet);
@@ -306,8 +297,8 @@ impl Engine<'_> {
                 let trial = self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
                 let (hash, attempt) = (&trial.hash, lease.attempt);
-                if settled && reason == Reason::Pruned {
-                    tracing::info!(hash, attempt, "the trial is given up: worse than the median of its kind");
+                if settled && reason.is_given_up() {
+                    tracing::info!(hash, attempt, %reason, "the trial is given up");
                 } else if settled {
                     tracing::error!(hash, attempt, %reason, remedy = reason.remedy(), "the trial has failed");
                 } else if reason != Reason::Stopped {
@@ -315,7 +306,7 @@ impl Engine<'_> {
                 }
                 let detail =
                     self.details.remove(&lease).map_or(String::new(), |detail| format!(": {detail}"));
-                let level = if reason == Reason::Pruned { Level::Info } else { Level::Error };
+                let level = if reason.is_given_up() { Level::Info } else { Level::Error };
                 if reason != Reason::Stopped {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled);
                     self.record(Write::Log(lease, level, format!("{reason}{detail}"))).await;
@@ -324,9 +315,16 @@ impl Engine<'_> {
                 self.spent.end(lease);
                 self.record(Write::Failure(lease, reason, settled)).await;
             }
+            Action::RecordCancelled(lease) => {
+                let trial = self.trials[lease.trial as usize];
+                self.view.attempt_failed(lease.trial, Reason::Cancelled, true, self.began.elapsed());
+                tracing::info!(trial.hash, "the trial is given up before it was begun, or begun again");
+                self.record(Write::Cancelled(lease)).await;
+            }
+            Action::Answer(answer) => self.answered(answer),
             Action::AskStop(worker) => {
-                if let Some(link) = self.links.get(&worker)
-                    && !link.line.send(&ToWorker::Stop).is_ok_and(|sent| sent)
+                if let (Some(link), Some(&lease)) = (self.links.get(&worker), self.leases.get(&worker))
+                    && !link.line.send(&ToWorker::Stop { lease }).is_ok_and(|sent| sent)
                 {
                     self.fleet.kill(worker);
                 }
@@ -348,15 +346,6 @@ impl Engine<'_> {
                 );
             }
             Action::End(_) => unreachable!("ends the loop"),
-        }
-    }
-
-    /// A worker whose domain is still being made is not started.
-    fn cancel(&mut self, worker: WorkerId) {
-        if let Some(link) = self.links.get_mut(&worker)
-            && !link.started
-        {
-            link.cancelled = true;
         }
     }
 
@@ -425,45 +414,6 @@ impl Engine<'_> {
         }
     }
 
-    fn broken(&mut self, worker: WorkerId, error: &LinkError) {
-        tracing::error!(%worker, %error, "the link does not work; the worker is ended");
-        self.last_words = error.to_string();
-        self.cancel(worker);
-        self.fleet.kill(worker);
-    }
-
-    fn start(&mut self, worker: WorkerId, events: &mut Events) {
-        let Some(link) = self.links.get_mut(&worker) else { return };
-        if link.cancelled {
-            link.line.close();
-            return;
-        }
-        let domain = self.runtime.domain(worker);
-        let start = Start {
-            root: domain.root.to_string_lossy().into_owned(),
-            prefix: domain.prefix,
-            build: process::build(),
-            parent: std::process::id(),
-            niceness: self.options.niceness,
-            memory_mib: self.options.memory_mib,
-            simd: simd::name().into(),
-        };
-        link.started = true;
-        if let Err(error) = self.fleet.spawn(worker, &start) {
-            let line = self.links.remove(&worker);
-            if let Some(link) = line {
-                link.line.close();
-            }
-            self.misfire(worker, error.to_string(), events);
-        }
-    }
-
-    fn misfire(&mut self, worker: WorkerId, error: String, events: &mut Events) {
-        tracing::error!(%worker, error, "a worker could not be started");
-        self.last_words = error;
-        events.push_back(Event::Lost(worker, Reason::WorkerExited(-1)));
-    }
-
     fn message(
         &mut self,
         worker: WorkerId,
@@ -511,48 +461,6 @@ impl Engine<'_> {
         });
     }
 
-    fn heard(&mut self, worker: WorkerId, heard: Heard, events: &mut Events) {
-        match heard {
-            // Of the trial that it has, or had last.
-            Heard::Line(line) => {
-                if let Some(lease) = self.leases.get(&worker) {
-                    self.details.insert(*lease, line.clone());
-                    self.said.push((*lease, Level::Warn, line));
-                }
-            }
-            Heard::End(reason) => self.ended(worker, reason, events),
-        }
-    }
-
-    /// The process is gone: what it has sent is read before it counts as lost.
-    fn ended(&mut self, worker: WorkerId, reason: Reason, events: &mut Events) {
-        if let Some(link) = self.links.get_mut(&worker) {
-            link.ended = Some((reason, Instant::now()));
-            link.line.close();
-        }
-        self.lost(worker, events);
-    }
-
-    fn lost(&mut self, worker: WorkerId, events: &mut Events) {
-        let Some(link) = self.links.get(&worker) else { return };
-        let reason = match link.ended {
-            Some((reason, at)) if link.closed || at.elapsed() > LINK_GRACE => link.why.unwrap_or(reason),
-            None if link.closed && !link.started => Reason::WorkerExited(-1),
-            _ => return,
-        };
-        if !link.closed {
-            tracing::error!(%worker, "the link of a dead worker does not end; going on without it");
-        }
-        if self.last_words.is_empty() {
-            self.last_words = reason.to_string();
-        }
-        tracing::info!(%worker, %reason, "worker gone");
-        self.links.remove(&worker);
-        self.leases.remove(&worker);
-        self.fleet.forget(worker);
-        events.push_back(Event::Lost(worker, reason));
-    }
-
     fn written(&mut self, word: Written, events: &mut Events) {
         match word {
             Written::Recorded(lease, mark) => {
@@ -577,6 +485,7 @@ impl Engine<'_> {
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
                 }
             }
+            Written::Planned(fresh) => self.planned(fresh, events),
             Written::Broken(error) => {
                 tracing::error!(%error, "nothing can be recorded any more; the run ends");
                 self.store_error = Some(error);

@@ -5,8 +5,9 @@ use std::time::Duration;
 use metasense_schemas::record::{StepRecord, TrialResult};
 
 use super::forecast::{Forecast, Planned};
+use crate::control::Command;
 use crate::plan::Trial;
-use crate::scheduler::{Outcome, Prior, Reason};
+use crate::scheduler::{Outcome, Prior, Reason, Settings};
 
 /// Who watches a run.
 pub trait Watch {
@@ -20,6 +21,8 @@ pub trait Watch {
     fn begins_anew(&mut self, _trial: &Trial, _why: &str) {}
     /// Somebody wants the run to end; `again`: not for the first time.
     fn interrupted(&mut self, _again: bool) {}
+    /// Somebody has steered the run; `done`: and something has changed.
+    fn steered(&mut self, _command: &Command, _done: bool, _said: &str) {}
     /// Some time has passed.
     fn tick(&mut self, _view: &View) {}
     /// The run is over.
@@ -41,30 +44,34 @@ pub struct View {
     pub done: usize,
     /// Failed in this run.
     pub failed: usize,
-    /// Given up in this run as hopeless.
-    pub pruned: usize,
+    /// Given up in this run, as hopeless or on request.
+    pub given_up: usize,
     /// Steps that have come in.
     pub steps: u64,
     /// Worker processes.
     pub workers: u32,
     /// Those with a trial.
     pub busy: usize,
+    /// Nothing is handed out for the time being.
+    pub paused: bool,
     /// Since the beginning.
     pub elapsed: Duration,
     forecast: Forecast,
 }
 
 impl View {
-    pub(super) fn new(trials: &[&Trial], priors: &[Prior], workers: u32) -> Self {
+    pub(super) fn new(trials: &[&Trial], priors: &[Prior], settings: &Settings) -> Self {
+        let workers = settings.workers;
         let planned = |(trial, prior): (&&Trial, &Prior)| Planned::new(trial, prior.steps.unwrap_or(0));
         Self {
             total: trials.len(),
             done: 0,
             failed: 0,
-            pruned: 0,
+            given_up: 0,
             steps: 0,
             workers,
             busy: 0,
+            paused: settings.paused,
             elapsed: Duration::ZERO,
             forecast: Forecast::new(trials.iter().zip(priors).map(planned).collect(), workers),
         }
@@ -72,7 +79,7 @@ impl View {
 
     /// Trials that are settled in this run.
     pub fn settled(&self) -> usize {
-        self.done + self.failed + self.pruned
+        self.done + self.failed + self.given_up
     }
 
     /// Part of the estimated work that is done, 0 to 1.
@@ -83,6 +90,17 @@ impl View {
     /// Estimated time to go, once there is something to judge by.
     pub fn eta(&self) -> Option<Duration> {
         self.forecast.to_go(self.elapsed)
+    }
+
+    /// A trial more, of which so many steps are done.
+    pub(super) fn add(&mut self, trial: &Trial, behind: u32) {
+        self.total += 1;
+        self.forecast.add(Planned::new(trial, behind));
+    }
+
+    pub(super) fn set_workers(&mut self, workers: u32) {
+        self.workers = workers;
+        self.forecast.set_workers(workers);
     }
 
     pub(super) fn assigned(&mut self, trial: u32, now: Duration) {
@@ -108,7 +126,7 @@ impl View {
         self.forecast.returned(trial, false, now);
         if settled {
             self.forecast.settled(trial);
-            *if reason == Reason::Pruned { &mut self.pruned } else { &mut self.failed } += 1;
+            *if reason.is_given_up() { &mut self.given_up } else { &mut self.failed } += 1;
         }
     }
 }

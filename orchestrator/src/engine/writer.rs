@@ -3,13 +3,16 @@
 //! What waits when a transaction begins goes into it together, so that one fsync serves many records. `Written` is
 //! said after the commit alone.
 
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::wire::{ArrayHead, Lease, Sample};
 use tokio::sync::mpsc::{Receiver, UnboundedSender};
 
-use crate::scheduler::{Mark, Reason, WorkerId};
+use super::steer::Fresh;
+use crate::plan::Plan;
+use crate::scheduler::{CANCELLED, Mark, Prior, Reason, WorkerId};
 use crate::store::{Array, Level, Store, StoreError};
 
 /// Most entries of one transaction.
@@ -34,6 +37,10 @@ pub enum Write {
     Log(Lease, Level, String),
     /// A checkpoint is wanted for a worker.
     Load(WorkerId, Lease),
+    /// A trial that waits is not to be run.
+    Cancelled(Lease),
+    /// The spec as it is by now.
+    Plan(Arc<Plan>),
 }
 
 /// The arrays of a result, in shared memory.
@@ -72,6 +79,8 @@ pub enum Written {
     Recorded(Lease, Mark),
     /// The checkpoint that was wanted; or why the one that is there is of no use.
     Loaded(WorkerId, Lease, Result<Option<Box<Checkpoint>>, String>),
+    /// Trials of a plan that are to be run beside the others; they are numbered on.
+    Planned(Fresh),
     /// Nothing can be recorded any more.
     Broken(StoreError),
 }
@@ -79,22 +88,48 @@ pub enum Written {
 /// Writes until the queue is closed. `hashes` are those of the run's trials.
 pub async fn write(
     store: &mut Store,
-    hashes: Vec<String>,
+    mut hashes: Vec<String>,
     mut queue: Receiver<Write>,
     said: UnboundedSender<Written>,
 ) {
     let mut batch = Vec::with_capacity(BATCH);
     while queue.recv_many(&mut batch, BATCH).await > 0 {
-        match transact(store, &hashes, &batch).await {
-            Ok(written) => written.into_iter().for_each(|word| drop(said.send(word))),
-            Err(error) => {
-                let _ = said.send(Written::Broken(error));
-                return;
+        let is_plan = |entry: &Write| matches!(entry, Write::Plan(_));
+        for entries in batch.chunk_by(|a, b| !is_plan(a) && !is_plan(b)) {
+            let written = match entries {
+                [Write::Plan(plan)] => {
+                    add(store, &mut hashes, plan).await.map(|fresh| vec![Written::Planned(fresh)])
+                }
+                entries => transact(store, &hashes, entries).await,
+            };
+            match written {
+                Ok(written) => written.into_iter().for_each(|word| drop(said.send(word))),
+                Err(error) => {
+                    let _ = said.send(Written::Broken(error));
+                    return;
+                }
             }
         }
         // Releases the arrays.
         batch.clear();
     }
+}
+
+/// Records a plan; the trials that are new to the run, and open, are its trials from here on.
+async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: &Arc<Plan>) -> Result<Fresh, StoreError> {
+    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
+    let settled: HashSet<String> = store.settled().await?.into_iter().collect();
+    let priors: HashMap<String, Prior> = store.priors().await?.into_iter().collect();
+    let known: HashSet<&str> = hashes.iter().map(String::as_str).collect();
+    let mut fresh = Fresh { plan: Arc::clone(plan), trials: Vec::new(), settled: 0 };
+    for (place, trial) in plan.trials.iter().enumerate().filter(|(_, t)| !known.contains(t.hash.as_str())) {
+        match settled.contains(&trial.hash) {
+            true => fresh.settled += 1,
+            false => fresh.trials.push((place, priors.get(&trial.hash).copied().unwrap_or_default())),
+        }
+    }
+    hashes.extend(fresh.trials.iter().map(|(place, _)| plan.trials[*place].hash.clone()));
+    Ok(fresh)
 }
 
 async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Result<Vec<Written>, StoreError> {
@@ -128,6 +163,11 @@ async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Resu
                 }
                 written.push(Written::Recorded(*lease, Mark::Failure));
             }
+            Write::Cancelled(lease) => {
+                store.settle(hash(lease), CANCELLED).await?;
+                written.push(Written::Recorded(*lease, Mark::Failure));
+            }
+            Write::Plan(_) => unreachable!("comes alone, in transactions of its own"),
             Write::Spent(lease, seconds) => store.spend(hash(lease), lease.attempt, *seconds).await?,
             Write::Log(lease, level, text) => {
                 store.log(hash(lease), lease.attempt, *level, text).await?;

@@ -4,18 +4,22 @@
 //! `empty → starting → idle ⇄ busy → ending → empty`. Every message carries the lease (trial, attempt) it speaks of, and
 //! one whose lease its worker does not hold is counted and dropped. `P` is what is recorded: the scheduler passes it on unread.
 
+mod event;
 mod prune;
 mod reason;
 #[cfg(test)]
 mod simulation;
+mod steer;
 pub mod until;
 
 use std::collections::BTreeSet;
 
 use metasense_schemas::wire::Lease;
 
+pub use event::{Action, Event, Mark, Outcome};
 pub use prune::{Prune, Standing};
-pub use reason::{PRUNED, Reason};
+pub use reason::{CANCELLED, PRUNED, Reason};
+pub use steer::{Answer, Refusal, Steer};
 
 use prune::Standings;
 
@@ -37,96 +41,13 @@ impl std::fmt::Display for WorkerId {
     }
 }
 
-/// What may happen.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Event<P> {
-    /// Time has passed.
-    Clock(Millis),
-    /// A worker has said hello.
-    Up(WorkerId),
-    /// A sign of life.
-    Beat(WorkerId, Lease),
-    /// An outer step is done.
-    Step(WorkerId, Lease, Standing, P),
-    /// The comparison at the end of the trial has come further.
-    Saved(WorkerId, Lease, P),
-    /// The trial is done.
-    Finished(WorkerId, Lease, P),
-    /// The attempt came to no result; the worker goes on.
-    Failed(WorkerId, Lease, Reason),
-    /// A worker is gone, and everything it said has been read.
-    Lost(WorkerId, Reason),
-    /// What an action asked to record is on disk.
-    Recorded(Lease, Mark),
-    /// Nothing can be recorded any more.
-    StoreBroken,
-    /// A person wants the run to end.
-    Interrupt,
-}
-
-/// What was recorded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mark {
-    /// A step, or a checkpoint behind the last one.
-    Step,
-    /// A result.
-    Result,
-    /// The end of an attempt without one.
-    Failure,
-}
-
-/// What is to be done.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Action<P> {
-    /// Start this worker process.
-    Spawn(WorkerId),
-    /// Record that the attempt begins, and give the trial to the worker, from its last checkpoint.
-    Assign(WorkerId, Lease),
-    /// Record a step.
-    RecordStep(Lease, P),
-    /// Record how far the comparison has come.
-    RecordCheckpoint(Lease, P),
-    /// Record a result.
-    RecordResult(Lease, P),
-    /// Record that the attempt came to nothing; `settled`: and so did the trial.
-    RecordFailure {
-        /// Which attempt.
-        lease: Lease,
-        /// Why.
-        reason: Reason,
-        /// No further attempt follows.
-        settled: bool,
-    },
-    /// Ask for the trial back after the step in progress, or in the middle of the comparison.
-    AskStop(WorkerId),
-    /// End the process in order.
-    Close(WorkerId),
-    /// End the process at once.
-    Kill(WorkerId),
-    /// A message came of an attempt that is not current.
-    CountStale(Lease),
-    /// The run is over.
-    End(Outcome),
-}
-
-/// How a run ends.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outcome {
-    /// Every trial is settled.
-    Complete,
-    /// By request.
-    Interrupted,
-    /// Nothing could be recorded any more.
-    StoreBroken,
-    /// No worker process comes up.
-    NoWorkers,
-}
-
 /// Limits of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     /// Worker processes.
     pub workers: u32,
+    /// Nothing is handed out until somebody wants it.
+    pub paused: bool,
     /// How often a trial is tried again after deaths without a step in between.
     pub retries: u32,
     /// Wait before the first such retry; doubles up to `BACKOFF_MAX`.
@@ -192,8 +113,31 @@ struct Trial {
     stepped: bool,
     kind: u32,
     judged: usize,
-    /// Not worth finishing: its worker is asked for it.
-    hopeless: bool,
+    /// Not to be finished, and why: its worker is asked for it.
+    unwanted: Option<Reason>,
+    /// Its place before all that nobody has asked for first: the lower, the earlier.
+    first: Option<i64>,
+}
+
+impl Trial {
+    fn new(prior: &Prior) -> Self {
+        Self {
+            phase: Phase::Pending,
+            attempt: prior.attempts,
+            begun: prior.steps.is_some(),
+            deaths: 0,
+            stepped: false,
+            kind: prior.kind,
+            judged: prior.judged,
+            unwanted: None,
+            first: None,
+        }
+    }
+
+    /// Its place among those that may be handed out.
+    fn rank(&self) -> i64 {
+        self.first.unwrap_or(i64::from(!self.begun))
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -215,6 +159,15 @@ struct Slot {
     work: Work,
 }
 
+impl Slot {
+    const EMPTY: Self = Self { generation: 0, misfires: 0, unrecorded: 0, work: Work::Empty { until: 0 } };
+
+    /// Whether its worker has a trial, or can have one.
+    fn is_alive(&self) -> bool {
+        matches!(self.work, Work::Starting { .. } | Work::Idle | Work::Busy { .. })
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stopping {
     No,
@@ -229,8 +182,8 @@ pub struct State {
     settings: Settings,
     now: Millis,
     trials: Vec<Trial>,
-    /// Trials that may be handed out: begun ones first, then in the order of the plan.
-    ready: BTreeSet<(bool, u32)>,
+    /// Trials that may be handed out: those asked for first, begun ones, then in the order of the plan.
+    ready: BTreeSet<(i64, u32)>,
     /// Trials that wait for a time.
     delayed: BTreeSet<(Millis, u32)>,
     slots: Vec<Slot>,
@@ -270,7 +223,7 @@ pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
         Event::Step(worker, lease, standing, record) => {
             state.progressed(worker, lease);
             out.push(Action::RecordStep(lease, record));
-            state.judge(worker, lease, standing, out);
+            state.judge(lease, standing);
         }
         Event::Saved(worker, lease, record) => {
             state.progressed(worker, lease);
@@ -301,15 +254,12 @@ pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
             }
         }
         Event::StoreBroken => state.stopping = Stopping::Broken,
-        Event::Interrupt => {
-            let first = state.stopping == Stopping::No;
-            state.stopping = state.stopping.max(if first { Stopping::Asked } else { Stopping::AtOnce });
-            if first {
-                state.stopping_since = state.now;
-            }
-        }
+        Event::Interrupt => state.interrupt(),
+        Event::Steer(steer) => state.steer(steer, out),
     }
     state.stop(out);
+    state.take_back(out);
+    state.shrink(out);
     state.assign(out);
     state.spawn(out);
     state.end(out);
@@ -320,27 +270,15 @@ impl State {
     /// A run of these trials, in the order of the plan. The first event should be `Event::Clock`.
     pub fn new(settings: Settings, trials: &[Prior]) -> Self {
         assert!(settings.workers > 0, "a run needs a worker");
-        let slot = Slot { generation: 0, misfires: 0, unrecorded: 0, work: Work::Empty { until: 0 } };
+        let trials: Vec<Trial> = trials.iter().map(Trial::new).collect();
         Self {
             now: 0,
-            ready: trials.iter().zip(0..).map(|(prior, trial)| (prior.steps.is_none(), trial)).collect(),
+            ready: trials.iter().zip(0..).map(|(trial, number)| (trial.rank(), number)).collect(),
             delayed: BTreeSet::new(),
-            trials: trials
-                .iter()
-                .map(|prior| Trial {
-                    phase: Phase::Pending,
-                    attempt: prior.attempts,
-                    begun: prior.steps.is_some(),
-                    deaths: 0,
-                    stepped: false,
-                    kind: prior.kind,
-                    judged: prior.judged,
-                    hopeless: false,
-                })
-                .collect(),
-            slots: vec![slot; settings.workers as usize],
-            standings: Standings::default(),
             unsettled: trials.len(),
+            trials,
+            slots: vec![Slot::EMPTY; settings.workers as usize],
+            standings: Standings::default(),
             unrecorded: 0,
             stopping: Stopping::No,
             stopping_since: 0,
@@ -362,6 +300,21 @@ impl State {
     /// Whether a person has asked for the end.
     pub fn is_stopping(&self) -> bool {
         self.stopping != Stopping::No
+    }
+
+    /// Whether nothing is handed out for the time being.
+    pub fn is_paused(&self) -> bool {
+        self.settings.paused
+    }
+
+    /// Worker processes that are wanted.
+    pub fn workers(&self) -> u32 {
+        self.settings.workers
+    }
+
+    /// Trials that wait for a worker.
+    pub fn waiting(&self) -> usize {
+        self.ready.len() + self.delayed.len()
     }
 
     /// Workers that have a trial.
@@ -423,7 +376,7 @@ impl State {
             && until <= self.now
         {
             self.delayed.pop_first();
-            self.ready.insert((!self.trials[trial as usize].begun, trial));
+            self.ready.insert((self.trials[trial as usize].rank(), trial));
         }
         let (now, settings) = (self.now, &self.settings);
         let waited_out = self.stopping != Stopping::No && now > self.stopping_since + STOPPING_MAX;
@@ -471,30 +424,25 @@ impl State {
         }
     }
 
-    /// Asks for a trial back that is worse than the median of its kind at a mark that it has reached.
-    fn judge<P>(&mut self, worker: WorkerId, lease: Lease, standing: Standing, out: &mut Vec<Action<P>>) {
+    /// A trial that is worse than the median of its kind at a mark that it has reached is not to be finished.
+    fn judge(&mut self, lease: Lease, standing: Standing) {
         let (Some(prune), Some(error)) = (&self.settings.prune, standing.error) else { return };
         let trial = &mut self.trials[lease.trial as usize];
         while prune.at.get(trial.judged).is_some_and(|part| standing.part >= *part) {
             let (others, median) = self.standings.note(trial.kind, trial.judged, error);
             trial.judged += 1;
-            trial.hopeless |= others >= prune.grace && error > median;
-        }
-        let hopeless = trial.hopeless;
-        if let Some(Slot { work: Work::Busy { asked, .. }, .. }) = self.slot(worker)
-            && hopeless
-            && !std::mem::replace(asked, true)
-        {
-            out.push(Action::AskStop(worker));
+            if others >= prune.grace && error > median {
+                trial.unwanted.get_or_insert(Reason::Pruned);
+            }
         }
     }
 
     /// An attempt came to nothing: again, later, or never.
     fn attempt_failed<P>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
         let trial = &mut self.trials[lease.trial as usize];
-        let reason = if trial.hopeless && reason.is_retried() { Reason::Pruned } else { reason };
+        let reason = trial.unwanted.filter(|_| reason.is_retried()).unwrap_or(reason);
         let by_request =
-            reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && reason != Reason::Pruned;
+            reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && !reason.is_given_up();
         if !by_request {
             trial.deaths = if trial.stepped { 0 } else { trial.deaths + 1 };
         }
@@ -544,7 +492,7 @@ impl State {
 
     /// Hands trials to idle workers.
     fn assign<P>(&mut self, out: &mut Vec<Action<P>>) {
-        if self.stopping != Stopping::No {
+        if self.stopping != Stopping::No || self.settings.paused {
             return;
         }
         let now = self.now;
@@ -566,12 +514,13 @@ impl State {
 
     /// Starts as many workers as there are trials that wait for one.
     fn spawn<P>(&mut self, out: &mut Vec<Action<P>>) {
-        if self.stopping != Stopping::No {
+        if self.stopping != Stopping::No || self.settings.paused {
             return;
         }
         let coming = |slot: &&Slot| matches!(slot.work, Work::Starting { .. } | Work::Idle);
-        let waiting = self.ready.len() + self.delayed.len();
-        let mut wanted = waiting.saturating_sub(self.slots.iter().filter(coming).count());
+        let wanted = self.waiting().saturating_sub(self.slots.iter().filter(coming).count());
+        let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
+        let mut wanted = wanted.min((self.settings.workers as usize).saturating_sub(alive));
         for (slot, number) in self.slots.iter_mut().zip(0..) {
             if let Work::Empty { until } = slot.work
                 && until <= self.now

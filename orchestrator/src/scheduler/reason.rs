@@ -29,12 +29,16 @@ pub enum Reason {
     Panicked,
     /// Worse than others of its kind, where `[run] prune` asks for that.
     Pruned,
+    /// A person does not want it.
+    Cancelled,
     /// Handed back on request, or ended as that took too long; goes on with the next run.
     Stopped,
 }
 
 /// Name of `Reason::Pruned`, by which such trials are told from those that have failed.
 pub const PRUNED: &str = "pruned";
+/// Name of `Reason::Cancelled`, likewise.
+pub const CANCELLED: &str = "cancelled";
 
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -50,6 +54,7 @@ impl fmt::Display for Reason {
             Self::Rejected => f.write_str("rejected"),
             Self::Panicked => f.write_str("panicked"),
             Self::Pruned => f.write_str(PRUNED),
+            Self::Cancelled => f.write_str(CANCELLED),
             Self::Stopped => f.write_str("stopped"),
         }
     }
@@ -90,8 +95,14 @@ impl Reason {
             }
             Self::Rejected => "the spec is at fault: see `metasense trial SPEC --hash HASH`",
             Self::Pruned => "leave `prune` out of [run] to have it run to its end",
+            Self::Cancelled => "run with --retry-failed to go on with it",
             Self::Stopped => "the same command goes on",
         }
+    }
+
+    /// Whether the trial was given up for what it is worth, not for what went wrong.
+    pub fn is_given_up(self) -> bool {
+        matches!(self, Self::Pruned | Self::Cancelled)
     }
 
     /// Whether another attempt may end otherwise: what happened to the process, not to the trial.

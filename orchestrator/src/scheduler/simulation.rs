@@ -1,8 +1,10 @@
-//! The scheduler in a world of its own: workers that die, hang, lag, repeat themselves, speak too late and are slow to stop.
+//! The scheduler in a world of its own: workers that die, hang, lag, repeat themselves, speak too late and are slow to stop,
+//! and people who pause, cancel, add and change their minds.
 //!
 //! The world is a queue of events at times, drawn from a seed. After every event: no trial is lost, none is with two
 //! workers, no attempt number is given twice, no result is recorded twice, and none is given up as hopeless that is not
-//! worse than enough others; and every run ends, within two seconds of being asked to. A seed that fails prints its history.
+//! worse than enough others; nothing is handed out in a pause, nothing that is cancelled, nothing to more workers than are
+//! wanted; and every run ends, within two seconds of being asked to. A seed that fails prints its history.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -68,6 +70,9 @@ struct World {
     chance_of_slowness: u64,
     interrupt: bool,
     interrupted: Option<Millis>,
+    /// Trials that a person has given up, and what came of people's wishes.
+    cancelled: BTreeSet<u32>,
+    answers: Vec<Answer>,
     store_breaks: bool,
     /// Kept on the second run of a seed that has failed.
     history: Option<Vec<String>>,
@@ -80,17 +85,12 @@ impl World {
         let trials = 1 + dice.below(12) as usize;
         let settings = Settings {
             workers: 1 + dice.below(4) as u32,
+            paused: false,
             retries: dice.below(6) as u32,
             backoff: dice.below(2000),
             no_progress: 20_000,
             time_limit: dice.percent(30).then_some(60_000),
             prune: dice.percent(30).then(|| Prune { at: vec![0.3, 0.6], grace: 1 + dice.below(3) as usize }),
-        };
-        let prior = |trial: usize, dice: &mut Dice| Prior {
-            attempts: dice.below(3) as u32,
-            steps: dice.percent(20).then_some(0),
-            kind: trial as u32 % 2,
-            judged: 0,
         };
         let priors: Vec<Prior> = (0..trials).map(|trial| prior(trial, &mut dice)).collect();
         let calm = dice.percent(20);
@@ -102,12 +102,12 @@ impl World {
             scheduled: 0,
             processes: HashMap::new(),
             working: HashMap::new(),
-            steps: vec![0; trials],
-            results: vec![0; trials],
-            failed: vec![None; trials],
-            error: (0..trials).map(|_| dice.below(1000) as f64).collect(),
+            steps: Vec::new(),
+            results: Vec::new(),
+            failed: Vec::new(),
+            error: Vec::new(),
             leases: HashSet::new(),
-            length: (0..trials).map(|_| dice.below(8) as u32).collect(),
+            length: Vec::new(),
             chance_of_death: chance(&mut dice, 30),
             chance_of_hanging: chance(&mut dice, 4),
             chance_of_trouble: chance(&mut dice, 6),
@@ -116,15 +116,16 @@ impl World {
             chance_of_slowness: chance(&mut dice, 100),
             interrupt: dice.percent(25),
             interrupted: None,
+            cancelled: BTreeSet::new(),
+            answers: Vec::new(),
             store_breaks: dice.percent(5),
             history: None,
             outcome: None,
             dice,
         };
-        for trial in 0..trials {
-            for attempt in 1..=priors[trial].attempts {
-                world.leases.insert(Lease { trial: trial as u32, attempt });
-            }
+        priors.iter().for_each(|prior| world.add(prior));
+        if world.dice.percent(50) {
+            world.wish();
         }
         if world.interrupt {
             let first = world.dice.below(30_000);
@@ -139,6 +140,51 @@ impl World {
             world.at(at, Event::StoreBroken);
         }
         world
+    }
+
+    /// A trial of the plan.
+    fn add(&mut self, prior: &Prior) {
+        let trial = self.length.len() as u32;
+        self.leases.extend((1..=prior.attempts).map(|attempt| Lease { trial, attempt }));
+        self.steps.push(0);
+        self.results.push(0);
+        self.failed.push(None);
+        self.error.push(self.dice.below(1000) as f64);
+        self.length.push(self.dice.below(8) as u32);
+    }
+
+    /// What people will want, at times; who pauses goes on in the end. Trials are drawn when it comes to them.
+    fn wish(&mut self) {
+        for _ in 0..1 + self.dice.below(12) {
+            let when = self.dice.below(30_000);
+            let steer = match self.dice.below(20) {
+                0..4 => Steer::Pause,
+                4..8 => Steer::Resume,
+                8..11 => Steer::Cancel(0),
+                11..14 => Steer::Next(0),
+                14..17 => Steer::Workers(1 + self.dice.below(6) as u32),
+                17..19 => Steer::Add(Vec::new()),
+                _ => Steer::Stop,
+            };
+            self.at(when, Event::Steer(steer));
+        }
+        self.at(30_000, Event::Steer(Steer::Resume));
+    }
+
+    /// The wish with the trial or trials that it is about.
+    fn drawn(&mut self, steer: Steer) -> Steer {
+        let trials = self.length.len();
+        match steer {
+            Steer::Cancel(_) => Steer::Cancel(self.dice.below(trials as u64) as u32),
+            Steer::Next(_) => Steer::Next(self.dice.below(trials as u64) as u32),
+            Steer::Add(_) => {
+                let more = trials..trials + self.dice.below(4) as usize;
+                let priors: Vec<Prior> = more.map(|trial| prior(trial, &mut self.dice)).collect();
+                priors.iter().for_each(|prior| self.add(prior));
+                Steer::Add(priors)
+            }
+            other => other,
+        }
     }
 
     fn at(&mut self, when: Millis, event: Event<Payload>) {
@@ -205,6 +251,15 @@ impl World {
     }
 
     fn event(&mut self, event: Event<Payload>) {
+        let event = match event {
+            Event::Steer(steer) => Event::Steer(self.drawn(steer)),
+            event => event,
+        };
+        let wish = match &event {
+            Event::Steer(steer) => Some(steer.clone()),
+            _ => None,
+        };
+        let answered = self.answers.len();
         if let Some(history) = &mut self.history
             && !matches!(event, Event::Clock(_))
         {
@@ -223,6 +278,17 @@ impl World {
                 history.push(format!("{:>8}     {action:?}", self.now));
             }
             self.act(action);
+        }
+        assert_eq!(self.answers.len(), answered + usize::from(wish.is_some()), "one answer a wish");
+        match (wish, self.answers.last()) {
+            (Some(Steer::Cancel(trial)), Some(Answer::Cancelled(_))) => {
+                self.cancelled.insert(trial);
+            }
+            (Some(Steer::Stop), Some(Answer::Stopping(_))) => {
+                self.interrupt = true;
+                self.interrupted = Some(self.now);
+            }
+            _ => {}
         }
         self.check();
     }
@@ -260,6 +326,8 @@ impl World {
                 self.soon(50, Event::Recorded(lease, Mark::Result));
             }
             Action::RecordFailure { lease, .. } => self.soon(50, Event::Recorded(lease, Mark::Failure)),
+            Action::RecordCancelled(lease) => self.soon(50, Event::Recorded(lease, Mark::Failure)),
+            Action::Answer(answer) => self.answers.push(answer),
             Action::AskStop(worker) => {
                 if let Some(lease) = self.working.get(&worker).copied()
                     && self.processes[&worker] == Process::Up
@@ -281,6 +349,9 @@ impl World {
     fn work(&mut self, worker: WorkerId, lease: Lease) {
         assert_eq!(self.processes.get(&worker), Some(&Process::Up), "{worker} gets a trial");
         assert!(self.leases.insert(lease), "{lease:?} is given twice");
+        assert!(!self.state.is_paused(), "{lease:?} is given in a pause");
+        assert!(!self.cancelled.contains(&lease.trial), "{lease:?} is cancelled");
+        assert!(self.state.busy() <= self.state.workers() as usize, "too many workers are busy");
         self.working.insert(worker, lease);
         let (trial, mut when) = (lease.trial, self.now);
         for step in self.steps[trial as usize]..self.length[trial as usize] {
@@ -339,7 +410,7 @@ impl World {
                 _ => assert!(!waits && !held.contains(&number), "trial {number} is settled and goes on"),
             }
             assert!(self.results[number as usize] <= 1, "trial {number} is done twice");
-            if trial.hopeless || trial.phase == Phase::Failed(Reason::Pruned) {
+            if trial.unwanted == Some(Reason::Pruned) || trial.phase == Phase::Failed(Reason::Pruned) {
                 self.check_hopeless(number);
             }
         }
@@ -376,12 +447,23 @@ impl World {
                     assert_eq!(self.steps[trial], self.length[trial], "trial {trial} has all its steps");
                 }
                 Phase::Failed(reason) => {
+                    let cancelled = self.cancelled.contains(&(trial as u32));
+                    assert!(cancelled || reason != Reason::Cancelled, "nobody has cancelled trial {trial}");
                     assert_eq!(self.results[trial], 0, "trial {trial} has failed");
                     assert_eq!(self.failed[trial], Some(reason), "the failure of trial {trial} is on disk");
                 }
                 phase => panic!("trial {trial} is {phase:?} at the end"),
             }
         }
+    }
+}
+
+fn prior(trial: usize, dice: &mut Dice) -> Prior {
+    Prior {
+        attempts: dice.below(3) as u32,
+        steps: dice.percent(20).then_some(0),
+        kind: trial as u32 % 2,
+        judged: 0,
     }
 }
 
@@ -394,7 +476,7 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_10_000_random_worlds() {
     };
     let run = |world: &mut World| std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| world.run()));
     let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
-    let mut pruned = 0;
+    let (mut pruned, mut answers) = (0, BTreeMap::<String, usize>::new());
     for seed in seeds.clone() {
         let mut world = World::new(seed);
         if run(&mut world).is_err() {
@@ -404,9 +486,14 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_10_000_random_worlds() {
             panic!("seed {seed} fails; its history:\n{}", again.history.unwrap().join("\n"));
         }
         pruned += world.failed.iter().filter(|reason| **reason == Some(Reason::Pruned)).count();
+        for answer in &world.answers {
+            let what = format!("{answer:?}").split(['(', '[']).next().unwrap_or_default().to_owned();
+            *answers.entry(what).or_default() += 1;
+        }
         *outcomes.entry(format!("{:?}", world.outcome)).or_default() += 1;
     }
     if seeds.end - seeds.start > 1 {
+        assert!(answers.len() == 8 && answers.values().all(|count| *count > 300), "{answers:?}");
         assert!(pruned > 100, "{pruned} trials were given up as hopeless");
         for outcome in [Outcome::Complete, Outcome::Interrupted, Outcome::StoreBroken, Outcome::NoWorkers] {
             let count = outcomes.get(&format!("{:?}", Some(outcome))).copied().unwrap_or(0);

@@ -14,6 +14,7 @@ use super::trials::{Keeper, Trials};
 use crate::analysis::Terms;
 use crate::cluster::home::tries;
 use crate::cluster::merge::merge;
+use crate::exit::chain;
 use crate::fleet::cpu_seconds;
 use crate::look::{Answer, Figure, Table};
 use crate::progress::{FAILED, Looks, Progress};
@@ -335,12 +336,6 @@ async fn answer(db: PathBuf) -> Result<Answers, StoreError> {
     };
     let worked = tokio::task::spawn_blocking(work).await;
     Ok(worked.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic())))
-}
-
-/// An error with its causes.
-pub fn chain(error: &dyn std::error::Error) -> String {
-    let causes = std::iter::successors(error.source(), |e| e.source());
-    std::iter::once(error.to_string()).chain(causes.map(|e| e.to_string())).collect::<Vec<_>>().join(": ")
 }
 
 /// The last calls of `run`.

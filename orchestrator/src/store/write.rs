@@ -434,6 +434,24 @@ impl Store {
         self.end(hash, attempt, reason, "failed").await
     }
 
+    /// Settles a trial that waits: it has failed for good, with what is recorded of it.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn settle(&mut self, hash: &str, reason: &str) -> Result<(), StoreError> {
+        let id = self.id(hash)?;
+        sqlx::query(
+            "UPDATE trial SET state = 'failed', reason = ?, finished_at = strftime('%Y-%m-%dT%H:%M:%fZ')
+             WHERE id = ? AND state = 'pending'",
+        )
+        .bind(reason)
+        .bind(id)
+        .execute(&mut self.connection)
+        .await
+        .map(|_| ())
+        .map_err(|source| StoreError::sql(&self.path, "settling a trial in", source))
+    }
+
     async fn end(&mut self, hash: &str, attempt: u32, reason: &str, state: &str) -> Result<(), StoreError> {
         let doing = "recording the end of an attempt in";
         let id = self.id(hash)?;

@@ -13,7 +13,7 @@ use serde_json::json;
 
 use super::super::Error;
 use super::soak::Soak;
-use crate::engine::{self, Again, Options, Signals, Silent, Watch};
+use crate::engine::{self, Again, Control, Options, Signals, Silent, Watch};
 use crate::exit::Exit;
 use crate::fleet::peak_mib;
 use crate::plan::Trial;
@@ -111,6 +111,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
     let options = Options {
         settings: Settings {
             workers: args.workers.max(1),
+            paused: false,
             retries: args.retries,
             backoff: 50,
             no_progress: args.no_progress_ms,
@@ -128,7 +129,8 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         Some(minutes) => Box::new(Soak::new(minutes)),
         None => Box::new(Silent),
     };
-    let summary = engine::run(&mut store, &pending, &work, &options, &mut signals, &mut *watch).await;
+    let summary =
+        engine::run(&mut store, &pending, &work, &options, &mut signals, &Control::none(), &mut *watch).await;
     store.close().await?;
     let summary = summary?;
     let seconds = began.elapsed().as_secs_f64();

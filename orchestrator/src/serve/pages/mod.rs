@@ -14,8 +14,8 @@ use axum::response::{Html, IntoResponse, Redirect, Response};
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::source::chain;
 use super::{Refusal, Seen, Served, source};
+use crate::exit::chain;
 use crate::look::{document, encoded};
 use crate::store::StoreError;
 

@@ -1,0 +1,95 @@
+//! `control`: steers the run that holds a database.
+
+use std::path::PathBuf;
+
+use clap::Subcommand;
+
+use super::Error;
+use crate::control::{self, Command, ControlError, WORKERS_MAX};
+use crate::exit::Exit;
+
+/// Steers a run that goes on, from any terminal: pauses it, changes its workers, cancels a trial, reads its spec again
+///
+/// It speaks to the `run` that holds the database, through DB.control beside it, which its user alone may open. Nothing that it
+/// does loses anything: trials are taken back after the step in progress, and keep their checkpoints. What was asked and
+/// answered stands in the log of the run.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Exit codes:
+  0  done; the answer is on standard output
+  1  the run refuses, and says why; nothing has changed
+  2  no run holds the database, or the command line is at fault
+  3  the run does not answer
+
+Examples:
+  metasense control results/two-core.sqlite pause
+  metasense control results/two-core.sqlite next 3f6a
+  metasense control results/two-core.sqlite workers 4")]
+pub(super) struct Args {
+    /// The database that the run writes to
+    db: PathBuf,
+    #[command(subcommand)]
+    wish: Wish,
+}
+
+#[derive(Debug, Subcommand)]
+enum Wish {
+    /// Says how the run is: running, paused or stopping, busy workers, settled and waiting trials
+    State,
+    /// Takes running trials back after their step in progress and begins none, until `resume`; workers stay, idle
+    Pause,
+    /// Goes on after a pause, each trial from its last step
+    Resume,
+    /// Ends the run in order, as one Ctrl-C does; `run SPEC` goes on
+    Stop,
+    /// Gives a trial up: a running one ends after its step in progress. It is recorded as failed, `cancelled`, stays so in
+    /// later runs, and goes on from its last step with `run SPEC --retry-failed`
+    Cancel {
+        /// Its hash, or the beginning of it
+        hash: String,
+    },
+    /// Gives a trial that waits to the next worker that is free
+    Next {
+        /// Its hash, or the beginning of it
+        hash: String,
+    },
+    /// Changes the number of worker processes: of too many idle ones end at once, others when their trial does
+    Workers {
+        /// How many, from 1
+        #[arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(WORKERS_MAX)))]
+        count: u32,
+    },
+    /// Reads the spec file again, and adds the trials that it has gained. Those that it has lost stay; [run] is not looked at;
+    /// a spec with an error changes nothing
+    Reload,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let command = match args.wish {
+        Wish::State => Command::State,
+        Wish::Pause => Command::Pause,
+        Wish::Resume => Command::Resume,
+        Wish::Stop => Command::Stop,
+        Wish::Cancel { hash } => Command::Cancel(hash),
+        Wish::Next { hash } => Command::Next(hash),
+        Wish::Workers { count } => Command::Workers(count),
+        Wish::Reload => Command::Reload,
+    };
+    // by the same rules as what comes from a page
+    command.to_string().parse::<Command>().map_err(|e| Error::Usage(e.to_string()))?;
+    let said = control::ask(&args.db, &command).await?;
+    if said.done {
+        print_line!("{}", said.text)?;
+        return Ok(Exit::Done);
+    }
+    say!("refused: {}", said.text);
+    Ok(Exit::Failed)
+}
+
+/// The exit code of a question without an answer.
+pub(super) fn exit(error: &ControlError) -> Exit {
+    match error {
+        ControlError::NoDatabase { .. } | ControlError::NoRun { .. } => Exit::BadInput,
+        ControlError::Deaf { .. } | ControlError::Io { .. } => Exit::Io,
+    }
+}

@@ -1,0 +1,393 @@
+//! What people may ask of a run that goes on: a line each, through a socket beside its database that its user alone may open.
+//!
+//! ```text
+//! results/two-core.sqlite.control     for as long as the run lives; what a killed one leaves, the next one removes
+//! cancel 3f6a\n  →                    ← done cancelled: it ends after its step in progress
+//! ```
+
+use std::ffi::OsString;
+use std::fmt;
+use std::fs::{File, Permissions};
+use std::io;
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::{UnixListener, UnixStream};
+use tokio::sync::{Mutex, Semaphore, mpsc, oneshot};
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+
+use crate::fleet::writer_of;
+
+/// The longest question and answer (bytes).
+const LINE: u64 = 4 << 10;
+const ANSWER: u64 = 64 << 10;
+/// The time in which a question must have come.
+const ASKING: Duration = Duration::from_secs(5);
+/// How long an answer is waited for: a run that begins may have a large sweep to record.
+const ANSWERING: Duration = Duration::from_secs(60);
+/// Connections at a time; more wait.
+const CONNECTIONS: usize = 8;
+/// Worker processes that a run may have.
+pub const WORKERS_MAX: u32 = 1024;
+
+/// What is asked. `Display` and `FromStr` are the line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Command {
+    /// How the run is.
+    State,
+    /// Nothing is begun, and what runs is taken back.
+    Pause,
+    /// It goes on.
+    Resume,
+    /// It ends in order.
+    Stop,
+    /// The trial whose hash begins so is given up.
+    Cancel(String),
+    /// It goes to the next worker that is free.
+    Next(String),
+    /// So many worker processes.
+    Workers(u32),
+    /// The spec is read again: trials that it has gained are added.
+    Reload,
+}
+
+/// A line that is no command.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "no command: {0:?}; there are state, pause, resume, stop, cancel HASH, next HASH, workers N (1 … {WORKERS_MAX}), reload"
+)]
+pub struct NoCommand(String);
+
+impl fmt::Display for Command {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::State => f.write_str("state"),
+            Self::Pause => f.write_str("pause"),
+            Self::Resume => f.write_str("resume"),
+            Self::Stop => f.write_str("stop"),
+            Self::Cancel(hash) => write!(f, "cancel {hash}"),
+            Self::Next(hash) => write!(f, "next {hash}"),
+            Self::Workers(count) => write!(f, "workers {count}"),
+            Self::Reload => f.write_str("reload"),
+        }
+    }
+}
+
+impl FromStr for Command {
+    type Err = NoCommand;
+
+    fn from_str(line: &str) -> Result<Self, NoCommand> {
+        let none = || NoCommand(line.chars().take(80).collect());
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let hash = |text: &str| {
+            text.bytes()
+                .all(|b| b.is_ascii_alphanumeric() || b == b'-')
+                .then(|| text.to_owned())
+                .ok_or_else(none)
+        };
+        match words[..] {
+            ["state"] => Ok(Self::State),
+            ["pause"] => Ok(Self::Pause),
+            ["resume"] => Ok(Self::Resume),
+            ["stop"] => Ok(Self::Stop),
+            ["reload"] => Ok(Self::Reload),
+            ["cancel", text] => Ok(Self::Cancel(hash(text)?)),
+            ["next", text] => Ok(Self::Next(hash(text)?)),
+            ["workers", count] => match count.parse() {
+                Ok(count) if (1..=WORKERS_MAX).contains(&count) => Ok(Self::Workers(count)),
+                _ => Err(none()),
+            },
+            _ => Err(none()),
+        }
+    }
+}
+
+/// What a run says to it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Said {
+    /// It is done; otherwise nothing has changed.
+    pub done: bool,
+    /// In words.
+    pub text: String,
+}
+
+impl Said {
+    /// That nothing has changed, and why.
+    pub fn refused(why: impl Into<String>) -> Self {
+        Self { done: false, text: why.into() }
+    }
+}
+
+/// Why there is no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum ControlError {
+    /// There is no such file.
+    #[error("no database: {}", db.display())]
+    NoDatabase {
+        /// The file.
+        db: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Nobody listens.
+    #[error("no run holds {}: begin one with `metasense run SPEC`", db.display())]
+    NoRun {
+        /// The database.
+        db: PathBuf,
+    },
+    /// Somebody writes to it, but does not listen.
+    #[error(
+        "process {writer} holds {}, and takes no commands: it begins or ends just now, or could not make its socket (see its log)",
+        db.display()
+    )]
+    Deaf {
+        /// The database.
+        db: PathBuf,
+        /// Its writer.
+        writer: u32,
+    },
+    /// The socket does not work.
+    #[error("asking the run that holds {}", db.display())]
+    Io {
+        /// The database.
+        db: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+/// A question that waits for its answer.
+#[derive(Debug)]
+pub struct Request {
+    /// What is asked.
+    pub command: Command,
+    /// Where the answer goes; closed where nobody waits for it any more.
+    pub answer: oneshot::Sender<Said>,
+}
+
+/// Hears what is asked of a run, from when it is made until it is dropped.
+#[derive(Debug)]
+pub struct Listener {
+    file: PathBuf,
+    task: JoinHandle<()>,
+    requests: Mutex<mpsc::Receiver<Request>>,
+}
+
+impl Listener {
+    /// Listens beside a database, whose lock is held for longer than this lives.
+    ///
+    /// # Errors
+    /// Where the file system has no sockets, or the database's name leaves no room for the socket's.
+    pub fn new(db: &Path) -> io::Result<Self> {
+        let (_folder, address, file) = address(db)?;
+        // Of a run that was killed: nobody else may be listening, as the database is ours.
+        let _ = std::fs::remove_file(&file);
+        let listener = UnixListener::bind(address)?;
+        std::fs::set_permissions(&file, Permissions::from_mode(0o600))?;
+        let (out, requests) = mpsc::channel(CONNECTIONS);
+        let task = tokio::spawn(listen(listener, out));
+        Ok(Self { file, task, requests: Mutex::new(requests) })
+    }
+
+    /// The next question.
+    pub async fn next(&self) -> Option<Request> {
+        self.requests.lock().await.recv().await
+    }
+}
+
+impl Drop for Listener {
+    fn drop(&mut self) {
+        self.task.abort();
+        let _ = std::fs::remove_file(&self.file);
+    }
+}
+
+/// The socket of a database: its folder, its address by way of that, as there is room for a hundred bytes alone in one, and
+/// its file.
+fn address(db: &Path) -> io::Result<(File, PathBuf, PathBuf)> {
+    let db = db.canonicalize()?;
+    let mut name = OsString::from(db.file_name().unwrap_or_default());
+    name.push(".control");
+    let file = db.with_file_name(&name);
+    let folder = File::open(db.parent().unwrap_or(Path::new("/")))?;
+    let address = Path::new("/proc/self/fd").join(folder.as_raw_fd().to_string()).join(name);
+    Ok((folder, address, file))
+}
+
+async fn listen(listener: UnixListener, out: mpsc::Sender<Request>) {
+    let room = Arc::new(Semaphore::new(CONNECTIONS));
+    let own = rustix::process::geteuid().as_raw();
+    loop {
+        let place = Arc::clone(&room).acquire_owned().await.expect("it is never closed");
+        let stream = match listener.accept().await {
+            Ok((stream, _)) => stream,
+            Err(error) => {
+                tracing::warn!(%error, "a question could not be taken");
+                tokio::time::sleep(Duration::from_millis(100)).await;
+                continue;
+            }
+        };
+        // Whoever came before the permissions were set is looked at, too.
+        if stream.peer_cred().is_ok_and(|peer| peer.uid() == own || peer.uid() == 0) {
+            let out = out.clone();
+            tokio::spawn(async move {
+                if let Err(error) = converse(stream, out).await {
+                    tracing::debug!(%error, "a question ended early");
+                }
+                drop(place);
+            });
+        }
+    }
+}
+
+/// Takes a question and brings the answer. Of one whose asker goes away nothing comes, unless it is taken up already.
+async fn converse(mut stream: UnixStream, out: mpsc::Sender<Request>) -> io::Result<()> {
+    let (from, mut to) = stream.split();
+    let mut from = BufReader::new(from.take(LINE));
+    let mut line = String::new();
+    timeout(ASKING, from.read_line(&mut line)).await??;
+    let said = match line.parse() {
+        Err(error) => Said::refused(NoCommand::to_string(&error)),
+        Ok(command) => {
+            let (answer, said) = oneshot::channel();
+            let asked = async {
+                let _ = out.send(Request { command, answer }).await;
+                said.await.unwrap_or_else(|_| Said::refused("the run has ended"))
+            };
+            let mut more = [0; 1];
+            tokio::select! {
+                said = asked => said,
+                _ = from.read(&mut more) => return Ok(()),
+            }
+        }
+    };
+    let word = if said.done { "done" } else { "refused" };
+    timeout(ASKING, to.write_all(format!("{word} {}", said.text).as_bytes())).await?
+}
+
+/// Asks the run that holds a database.
+///
+/// # Errors
+/// Where none does, or it does not answer.
+pub async fn ask(db: &Path, command: &Command) -> Result<Said, ControlError> {
+    let at = |source| ControlError::Io { db: db.to_owned(), source };
+    let (_folder, address, _) =
+        address(db).map_err(|source| ControlError::NoDatabase { db: db.to_owned(), source })?;
+    let stream = UnixStream::connect(address).await.map_err(|source| match source.kind() {
+        io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => match writer_of(db) {
+            Some(writer) => ControlError::Deaf { db: db.to_owned(), writer },
+            None => ControlError::NoRun { db: db.to_owned() },
+        },
+        _ => at(source),
+    })?;
+    let answer = async {
+        let (from, mut to) = stream.into_split();
+        to.write_all(format!("{command}\n").as_bytes()).await?;
+        let mut answer = String::new();
+        from.take(ANSWER).read_to_string(&mut answer).await?;
+        Ok::<_, io::Error>(answer)
+    };
+    let answer = timeout(ANSWERING, answer).await.map_err(|e| at(e.into()))?.map_err(at)?;
+    match answer.split_once(' ') {
+        Some(("done", text)) => Ok(Said { done: true, text: text.to_owned() }),
+        Some(("refused", text)) => Ok(Said::refused(text)),
+        _ => Err(at(io::Error::new(io::ErrorKind::UnexpectedEof, "it has ended without an answer"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    async fn request(listener: &Listener) -> Request {
+        listener.next().await.unwrap()
+    }
+
+    #[test]
+    fn a_line_is_the_command_that_it_was_made_of() {
+        let hash = || "3f6a-0b".to_owned();
+        for command in [
+            Command::State,
+            Command::Pause,
+            Command::Resume,
+            Command::Stop,
+            Command::Cancel(hash()),
+            Command::Next(hash()),
+            Command::Workers(7),
+            Command::Reload,
+        ] {
+            assert_eq!(command.to_string().parse(), Ok(command));
+        }
+        for line in [
+            "",
+            "Pause",
+            "pause now",
+            "cancel",
+            "cancel a b",
+            "cancel a;b",
+            "workers 0",
+            "workers 1025",
+            "workers x",
+        ] {
+            let error = line.parse::<Command>().unwrap_err();
+            assert!(error.to_string().contains("workers N"), "{line}: {error}");
+        }
+    }
+
+    /// Questions come through, are answered, and end with the listener; a deep folder with a long name, and what a killed run
+    /// has left, are in nobody's way; whoever says nothing, or too much, or goes away, is no question.
+    #[tokio::test]
+    async fn a_run_is_asked_by_its_database() {
+        let folder = tempfile::tempdir().unwrap();
+        let deep = folder.path().join("a folder with a long name ".repeat(6));
+        std::fs::create_dir(&deep).unwrap();
+        let db = deep.join("s.sqlite");
+        assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoDatabase { .. })));
+        File::create(&db).unwrap();
+        assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoRun { .. })));
+        // left by a killed one
+        let (_folder, left, file) = address(&db).unwrap();
+        drop(std::os::unix::net::UnixListener::bind(left).unwrap());
+        assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoRun { .. })));
+        let listener = Listener::new(&db).unwrap();
+        assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o600);
+
+        let (_held, address, _) = address(&db).unwrap();
+        let connect = || UnixStream::connect(&address);
+        let _silent = connect().await.unwrap();
+        for words in ["sing\n".to_owned(), "x".repeat(100_000)] {
+            let mut stream = connect().await.unwrap();
+            let _ = stream.write_all(words.as_bytes()).await;
+            let mut answer = String::new();
+            let _ = stream.read_to_string(&mut answer).await;
+            assert!(answer.starts_with("refused no command: ") || words.len() > 100, "{answer}");
+        }
+        let mut gone = connect().await.unwrap();
+        gone.write_all(b"stop\n").await.unwrap();
+        let asked = request(&listener).await;
+        drop(gone);
+        let Request { command: Command::Stop, mut answer } = asked else { panic!("{asked:?}") };
+        timeout(ASKING, answer.closed()).await.expect("its asker has gone");
+
+        let said = Said { done: true, text: "goes to\nthe next".into() };
+        let answering = async {
+            let Request { command, answer } = request(&listener).await;
+            assert_eq!(command, Command::Next("ab".into()));
+            answer.send(said.clone()).unwrap();
+        };
+        let command = Command::Next("ab".into());
+        let (heard, ()) = tokio::join!(ask(&db, &command), answering);
+        assert_eq!(heard.unwrap(), said);
+        let ending = async { drop((request(&listener).await, listener)) };
+        let command = Command::State;
+        let (heard, ()) = tokio::join!(ask(&db, &command), ending);
+        assert_eq!(heard.unwrap(), Said::refused("the run has ended"));
+        assert!(!file.exists());
+    }
+}

@@ -1,0 +1,137 @@
+//! Worker processes and their links: opened, started, heard and ended. A process counts as lost when it is gone and all that
+//! it has sent is read.
+
+use std::time::{Duration, Instant};
+
+use metasense_schemas::wire::{LinkError, Start};
+use metasense_worker::{process, simd};
+
+use super::{Engine, Events};
+use crate::fleet::Heard;
+use crate::link::Line;
+use crate::scheduler::{Event, Reason, WorkerId};
+use crate::store::Level;
+
+/// Longest wait for the link of a process that has ended; what it had not read then counts as not sent.
+const LINK_GRACE: Duration = Duration::from_millis(700);
+
+/// A worker's process and link, from the making of its domain until both are gone.
+#[derive(Debug)]
+pub(super) struct Link {
+    pub line: Line,
+    pub started: bool,
+    /// Not to be started any more.
+    pub cancelled: bool,
+    pub ended: Option<(Reason, Instant)>,
+    /// Why we have ended it, where its process does not know.
+    pub why: Option<Reason>,
+    pub closed: bool,
+}
+
+impl Engine<'_> {
+    /// Makes the domain of a worker; it is started when that is there.
+    pub(super) fn open(&mut self, worker: WorkerId, events: &mut Events) {
+        let line = self.runtime.room(1).map_err(|full| full.to_string()).and_then(|()| {
+            Line::open(self.runtime.domain(worker), worker, self.words.clone())
+                .map_err(|error| error.to_string())
+        });
+        match line {
+            Ok(line) => {
+                let (started, cancelled, closed) = (false, false, false);
+                let link = Link { line, started, cancelled, ended: None, why: None, closed };
+                self.links.insert(worker, link);
+            }
+            Err(error) => self.misfire(worker, error, events),
+        }
+    }
+
+    /// A worker whose domain is still being made is not started.
+    pub(super) fn cancel(&mut self, worker: WorkerId) {
+        if let Some(link) = self.links.get_mut(&worker)
+            && !link.started
+        {
+            link.cancelled = true;
+        }
+    }
+
+    pub(super) fn broken(&mut self, worker: WorkerId, error: &LinkError) {
+        tracing::error!(%worker, %error, "the link does not work; the worker is ended");
+        self.last_words = error.to_string();
+        self.cancel(worker);
+        self.fleet.kill(worker);
+    }
+
+    pub(super) fn start(&mut self, worker: WorkerId, events: &mut Events) {
+        let Some(link) = self.links.get_mut(&worker) else { return };
+        if link.cancelled {
+            link.line.close();
+            return;
+        }
+        let domain = self.runtime.domain(worker);
+        let start = Start {
+            root: domain.root.to_string_lossy().into_owned(),
+            prefix: domain.prefix,
+            build: process::build(),
+            parent: std::process::id(),
+            niceness: self.options.niceness,
+            memory_mib: self.options.memory_mib,
+            simd: simd::name().into(),
+        };
+        link.started = true;
+        if let Err(error) = self.fleet.spawn(worker, &start) {
+            let line = self.links.remove(&worker);
+            if let Some(link) = line {
+                link.line.close();
+            }
+            self.misfire(worker, error.to_string(), events);
+        }
+    }
+
+    pub(super) fn misfire(&mut self, worker: WorkerId, error: String, events: &mut Events) {
+        tracing::error!(%worker, error, "a worker could not be started");
+        self.last_words = error;
+        events.push_back(Event::Lost(worker, Reason::WorkerExited(-1)));
+    }
+
+    pub(super) fn heard(&mut self, worker: WorkerId, heard: Heard, events: &mut Events) {
+        match heard {
+            // Of the trial that it has, or had last.
+            Heard::Line(line) => {
+                if let Some(lease) = self.leases.get(&worker) {
+                    self.details.insert(*lease, line.clone());
+                    self.said.push((*lease, Level::Warn, line));
+                }
+            }
+            Heard::End(reason) => self.ended(worker, reason, events),
+        }
+    }
+
+    /// The process is gone: what it has sent is read before it counts as lost.
+    fn ended(&mut self, worker: WorkerId, reason: Reason, events: &mut Events) {
+        if let Some(link) = self.links.get_mut(&worker) {
+            link.ended = Some((reason, Instant::now()));
+            link.line.close();
+        }
+        self.lost(worker, events);
+    }
+
+    pub(super) fn lost(&mut self, worker: WorkerId, events: &mut Events) {
+        let Some(link) = self.links.get(&worker) else { return };
+        let reason = match link.ended {
+            Some((reason, at)) if link.closed || at.elapsed() > LINK_GRACE => link.why.unwrap_or(reason),
+            None if link.closed && !link.started => Reason::WorkerExited(-1),
+            _ => return,
+        };
+        if !link.closed {
+            tracing::error!(%worker, "the link of a dead worker does not end; going on without it");
+        }
+        if self.last_words.is_empty() {
+            self.last_words = reason.to_string();
+        }
+        tracing::info!(%worker, %reason, "worker gone");
+        self.links.remove(&worker);
+        self.leases.remove(&worker);
+        self.fleet.forget(worker);
+        events.push_back(Event::Lost(worker, reason));
+    }
+}

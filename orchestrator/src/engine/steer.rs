@@ -1,0 +1,227 @@
+//! What people ask of a run: their commands become events of the scheduler, whose answers go back to them.
+
+use std::collections::{HashSet, VecDeque};
+use std::fmt;
+use std::sync::{Arc, OnceLock};
+
+use tokio::sync::{mpsc, oneshot};
+
+use super::Engine;
+use super::begin::Kinds;
+use super::writer::Write;
+use crate::control::{Command, Listener, Request, Said};
+use crate::plan::{NotOne, Plan, Trial, counted};
+use crate::scheduler::{Answer, Event, Prior, Steer};
+
+/// How a run can be steered.
+pub struct Control {
+    listener: Option<Listener>,
+    reread: Arc<Reread>,
+    plans: Plans,
+}
+
+/// Reads the spec again, or says why that cannot be.
+pub type Reread = dyn Fn() -> Result<Plan, String> + Send + Sync;
+
+impl Control {
+    /// By what comes through a listener.
+    pub fn new(listener: Option<Listener>, reread: Arc<Reread>) -> Self {
+        Self { listener, reread, plans: Plans::default() }
+    }
+
+    /// By nobody.
+    pub fn none() -> Self {
+        Self::new(None, Arc::new(|| Err("this run has no spec file".into())))
+    }
+
+    /// The plan by which trials were added last.
+    pub fn last_plan(&self) -> Option<&Plan> {
+        self.plans.last()
+    }
+
+    pub(super) async fn next(&self) -> Option<Request> {
+        self.listener.as_ref()?.next().await
+    }
+}
+
+impl fmt::Debug for Control {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Control").field("listener", &self.listener).finish_non_exhaustive()
+    }
+}
+
+/// Plans that came later: they stay, as trials of a run are borrowed from them.
+#[derive(Default)]
+struct Plans(OnceLock<Box<(Arc<Plan>, Plans)>>);
+
+impl Plans {
+    fn keep(&self, plan: Arc<Plan>) -> &Plan {
+        match self.0.get() {
+            Some(known) => known.1.keep(plan),
+            None => &self.0.get_or_init(|| Box::new((plan, Self::default()))).0,
+        }
+    }
+
+    fn last(&self) -> Option<&Plan> {
+        self.0.get().map(|known| known.1.last().unwrap_or(&known.0))
+    }
+}
+
+/// Who waits for an answer.
+#[derive(Debug)]
+pub(super) struct Asker {
+    command: Command,
+    answer: oneshot::Sender<Said>,
+    /// Said beside it.
+    note: String,
+}
+
+/// Trials of a plan that was read again: those that are new to the run, by their places in it, and how many of the rest are
+/// settled.
+#[derive(Debug)]
+pub struct Fresh {
+    /// The plan.
+    pub plan: Arc<Plan>,
+    /// Places and what earlier runs have left.
+    pub trials: Vec<(usize, Prior)>,
+    /// Settled before this run began.
+    pub settled: usize,
+}
+
+/// A plan that was read, for whoever has asked.
+pub(super) type Read = (Result<Plan, String>, Asker);
+
+/// What is under way of people's wishes.
+#[derive(Debug)]
+pub(super) struct Steering {
+    /// Their events are with the scheduler, in this order.
+    asked: VecDeque<Asker>,
+    /// Their plans are with the writer, in this order.
+    recording: VecDeque<Asker>,
+    read: mpsc::UnboundedSender<Read>,
+    kinds: Kinds,
+}
+
+impl Steering {
+    pub fn new(kinds: Kinds) -> (Self, mpsc::UnboundedReceiver<Read>) {
+        let (read, reads) = mpsc::unbounded_channel();
+        (Self { asked: VecDeque::new(), recording: VecDeque::new(), read, kinds }, reads)
+    }
+}
+
+impl Engine<'_> {
+    /// Somebody wants something.
+    pub(super) fn asked(&mut self, request: Request, events: &mut super::Events) {
+        let Request { command, answer } = request;
+        if answer.is_closed() {
+            return;
+        }
+        let asker = Asker { command, answer, note: String::new() };
+        let steer = match &asker.command {
+            Command::State => return self.answer(asker, true, self.in_words()),
+            Command::Pause => Steer::Pause,
+            Command::Resume => Steer::Resume,
+            Command::Stop => Steer::Stop,
+            Command::Workers(count) => Steer::Workers(*count),
+            Command::Cancel(hash) | Command::Next(hash) => match self.find(hash) {
+                Ok(trial) if matches!(asker.command, Command::Next(_)) => Steer::Next(trial),
+                Ok(trial) => Steer::Cancel(trial),
+                Err(why) => return self.answer(asker, false, why),
+            },
+            Command::Reload => {
+                let (reread, read) = (Arc::clone(&self.control.reread), self.steering.read.clone());
+                // 10⁵ trials take seconds
+                // where nobody listens any more the run has ended, and its asker is told so
+                drop(tokio::task::spawn_blocking(move || drop(read.send((reread(), asker)))));
+                return;
+            }
+        };
+        self.steering.asked.push_back(asker);
+        events.push_back(Event::Steer(steer));
+    }
+
+    /// How the run is.
+    fn in_words(&self) -> String {
+        let (state, view) = (&self.state, &self.view);
+        let how = match (state.is_stopping(), state.is_paused()) {
+            (true, _) => "stopping",
+            (false, true) => "paused",
+            (false, false) => "running",
+        };
+        let workers = counted(state.workers() as usize, "worker");
+        let (busy, settled, waiting) = (state.busy(), view.settled(), state.waiting());
+        format!(
+            "{how}: {busy} of {workers} busy, {settled} of {} settled, {waiting} waiting",
+            counted(view.total, "trial")
+        )
+    }
+
+    /// The one trial of this run whose hash begins so.
+    fn find(&self, hash: &str) -> Result<u32, String> {
+        let mut found = self.trials.iter().zip(0..).filter(|(trial, _)| trial.hash.starts_with(hash));
+        match (found.next(), found.next()) {
+            (Some((_, number)), None) => Ok(number),
+            (Some(_), Some(_)) => Err(NotOne::Several(hash.into()).to_string()),
+            (None, _) => Err(format!("{hash}: no trial that this run has, or had, to run")),
+        }
+    }
+
+    /// A spec has been read again: its trials are recorded, in case that there are new ones.
+    pub(super) async fn read(&mut self, (plan, asker): Read) {
+        match plan {
+            Err(why) => self.answer(asker, false, why),
+            Ok(plan) => {
+                self.steering.recording.push_back(asker);
+                self.record(Write::Plan(Arc::new(plan))).await;
+            }
+        }
+    }
+
+    /// They are on disk.
+    pub(super) fn planned(&mut self, fresh: Fresh, events: &mut super::Events) {
+        let mut asker = self.steering.recording.pop_front().expect("one a plan");
+        let own: HashSet<&str> = fresh.plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
+        let vanished = self.trials.iter().filter(|trial| !own.contains(trial.hash.as_str())).count();
+        if fresh.settled > 0 {
+            asker.note += &format!("; settled before: {}", fresh.settled);
+        }
+        if vanished > 0 {
+            asker.note += &format!("; no longer in the spec, and run all the same: {vanished}");
+        }
+        drop(own);
+        let plan = self.control.plans.keep(fresh.plan);
+        let prune = self.options.settings.prune.as_ref().map_or(&[][..], |prune| &prune.at);
+        let mut priors = Vec::new();
+        for (place, known) in fresh.trials {
+            let trial: &Trial = &plan.trials[place];
+            let (point, steps) = (trial.spec.point, trial.spec.optimise.steps().max(1));
+            let part = f64::from(known.steps.unwrap_or(0)) / steps as f64;
+            let kind = self.steering.kinds.number((point.panels as u32, point.sensors as u32));
+            let judged = prune.iter().filter(|mark| part >= **mark).count();
+            priors.push(Prior { kind, judged, ..known });
+            self.view.add(trial, known.steps.unwrap_or(0));
+            self.trials.push(trial);
+        }
+        self.priors.extend(&priors);
+        self.steering.asked.push_back(asker);
+        events.push_back(Event::Steer(Steer::Add(priors)));
+    }
+
+    /// The scheduler has answered.
+    pub(super) fn answered(&mut self, answer: Answer) {
+        let asker = self.steering.asked.pop_front().expect("one an answer");
+        self.view.set_workers(self.state.workers());
+        self.view.paused = self.state.is_paused();
+        let text = format!("{answer}{}", asker.note);
+        self.answer(asker, !matches!(answer, Answer::Refused(_)), text);
+    }
+
+    fn answer(&mut self, asker: Asker, done: bool, text: String) {
+        if asker.command != Command::State {
+            tracing::info!(command = %asker.command, done, answer = text, "somebody steers the run");
+            self.watch.steered(&asker.command, done, &text);
+        }
+        // Whoever has asked may be gone.
+        let _ = asker.answer.send(Said { done, text });
+    }
+}

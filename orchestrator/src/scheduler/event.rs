@@ -1,0 +1,96 @@
+//! What may happen in a run, and what is to be done.
+
+use metasense_schemas::wire::Lease;
+
+use super::{Answer, Millis, Reason, Standing, Steer, WorkerId};
+
+/// What may happen.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event<P> {
+    /// Time has passed.
+    Clock(Millis),
+    /// A worker has said hello.
+    Up(WorkerId),
+    /// A sign of life.
+    Beat(WorkerId, Lease),
+    /// An outer step is done.
+    Step(WorkerId, Lease, Standing, P),
+    /// The comparison at the end of the trial has come further.
+    Saved(WorkerId, Lease, P),
+    /// The trial is done.
+    Finished(WorkerId, Lease, P),
+    /// The attempt came to no result; the worker goes on.
+    Failed(WorkerId, Lease, Reason),
+    /// A worker is gone, and everything it said has been read.
+    Lost(WorkerId, Reason),
+    /// What an action asked to record is on disk.
+    Recorded(Lease, Mark),
+    /// Nothing can be recorded any more.
+    StoreBroken,
+    /// A person wants the run to end.
+    Interrupt,
+    /// A person wants something else of it.
+    Steer(Steer),
+}
+
+/// What was recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mark {
+    /// A step, or a checkpoint behind the last one.
+    Step,
+    /// A result.
+    Result,
+    /// The end of an attempt without one.
+    Failure,
+}
+
+/// What is to be done.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Action<P> {
+    /// Start this worker process.
+    Spawn(WorkerId),
+    /// Record that the attempt begins, and give the trial to the worker, from its last checkpoint.
+    Assign(WorkerId, Lease),
+    /// Record a step.
+    RecordStep(Lease, P),
+    /// Record how far the comparison has come.
+    RecordCheckpoint(Lease, P),
+    /// Record a result.
+    RecordResult(Lease, P),
+    /// Record that the attempt came to nothing; `settled`: and so did the trial.
+    RecordFailure {
+        /// Which attempt.
+        lease: Lease,
+        /// Why.
+        reason: Reason,
+        /// No further attempt follows.
+        settled: bool,
+    },
+    /// Record that a trial which waits is not to be run.
+    RecordCancelled(Lease),
+    /// Tell the person what came of the last `Steer`; there is one each.
+    Answer(Answer),
+    /// Ask for the trial back after the step in progress, or in the middle of the comparison.
+    AskStop(WorkerId),
+    /// End the process in order.
+    Close(WorkerId),
+    /// End the process at once.
+    Kill(WorkerId),
+    /// A message came of an attempt that is not current.
+    CountStale(Lease),
+    /// The run is over.
+    End(Outcome),
+}
+
+/// How a run ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Every trial is settled.
+    Complete,
+    /// By request.
+    Interrupted,
+    /// Nothing could be recorded any more.
+    StoreBroken,
+    /// No worker process comes up.
+    NoWorkers,
+}
