@@ -189,11 +189,7 @@ enum Seen {
 }
 
 /// The sets of a stacked network, whose signals are `signals` as they are.
-fn stacked(
-    setting: &Setting,
-    sets: &[Plain; 3],
-    signals: &[Vec<f32>; 3],
-) -> Result<[Data<f32>; 3], Trouble> {
+fn stacked(setting: &Setting, sets: &[Plain; 3], signals: &[Vec<f32>; 3]) -> Result<[Data<f32>; 3], Trouble> {
     let problem = setting.problem;
     let stack = Stack::new(&problem.decoder, problem.seed, &sets[0])?;
     let data = |set: usize| {

@@ -274,7 +274,9 @@ fn a_body_is_read_on_its_own_scale() {
         let mine = Problem { reader, ..begun_with.clone() };
         let its_own = Problem { initial: other.clone(), ..mine.clone() };
         let [here, there] = [&mine, &its_own].map(|problem| {
-            evaluate_designs(problem, &[other.clone()], &pool(1), &mut Keeper::default()).unwrap().remove(0)
+            evaluate_designs(problem, std::slice::from_ref(&other), &pool(1), &mut Keeper::default())
+                .unwrap()
+                .remove(0)
         });
         assert_ne!(here.networks[0].weights, there.networks[0].weights);
         // a stacked network hears a linear brain besides, whose λ is of the trial's scale
