@@ -120,30 +120,22 @@ fn committed_specs_keep_their_hashes() {
     }
     digests.sort();
     insta::assert_snapshot!(digests.join("\n"), @r"
-    brains-two-core 954804d56823f225
+    brains-two-core 5eb82c6f08db37b1
     disc 05cd48334f7ba6b8
     eight-forces d02373435aeebd1c
     fig2 e582672de812b89c
-    fig2-linear d6b6a3f760e8dca8
-    fig2-two-core f2555594714306fb
+    fig2-linear 3a1cb407e60bff17
     fig3 bf037e6c8d375f84
-    fig3-two-core 2c4c1a90a26a1e1f
     fig4b 688de3edf8cea134
-    fig4b-linear 02bbf75fb7dfcc2f
-    fig4b-two-core f4fb8128c06f91f4
-    fig4b-until 5c27bafd6113b2e3
+    fig4b-until 323a329cfecf88a1
     fig4c cdb6e7edaff7021e
-    fig4c-linear 5fa3b04b28e4246e
-    fig4c-two-core e225fb8a1fb52555
     fig5 a3ec099760be45bd
-    fig5-two-core 6e8feb7c74983963
     four-forces b88aef61917cde6e
     gradient c39bace70d622cb2
     long-training b59102c41c14395c
     placed-two-core 6a5121d9e7f59190
     quickstart c5fc1d861fdbe216
     random 1fc0dbba48090cf1
-    random-two-core 2f5dde1678f3c2fa
     reference bb7bbd223572a489
     two-forces 434eeb4530862f35
     ");
@@ -168,9 +160,7 @@ fn every_committed_spec_expands() {
         assert!(text.contains(&called), "{name}: {called} is not in it");
     }
     for figure in ["fig2", "fig3", "fig4b", "fig4c", "fig5"] {
-        for name in [format!("{figure}.toml"), format!("{figure}-two-core.toml")] {
-            assert!(names.contains(&name), "{name} is missing of {names:?}");
-        }
+        assert!(names.contains(&format!("{figure}.toml")), "{figure} is missing of {names:?}");
     }
 }
 
@@ -209,11 +199,11 @@ fn the_schema_knows_every_table() {
     }
 }
 
-/// Thirty trials whose estimates differ fourteen-fold, ten a shard: the longest has 1.15 times the mean at most.
+/// Sixty trials whose estimates differ elevenfold, twenty a shard: the longest has 1.15 times the mean at most.
 #[test]
 fn shards_are_dealt_by_cost_and_stay_as_they_are_written_down() {
     let bench = Bench::new();
-    let spec = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/sweeps/fig4b-linear.toml");
+    let spec = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/claims/four-forces.toml");
     let rows = |more: &[&str]| -> Vec<(String, f64)> {
         let csv = bench.output(&[&["expand", spec, "--format", "csv"], more].concat());
         let at = csv.lines().next().unwrap().split(',').position(|name| name == "cost_seconds").unwrap();

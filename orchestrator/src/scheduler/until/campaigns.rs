@@ -97,7 +97,7 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
     let heavy = World { heavy: true, ..World::new(&trained, &falling) };
     let cases: Vec<(&str, Question, World, Right)> = vec![
         (
-            "paired, like fig4b-linear",
+            "paired, like four-forces",
             Question::Paired(0.25),
             World::new(&trained, &falling),
             Box::new(ratio(linear)),
