@@ -187,6 +187,82 @@ fn served(dbs: &[&Path]) -> (Process, String) {
     (process, line.trim().trim_end_matches('/').to_owned())
 }
 
+/// A run with pages, in a folder with its spec, and their address with the token.
+fn steered(bench: &Bench) -> (Process, String) {
+    let long = TINY.replace("iterations = 4\n", "iterations = 40\n");
+    bench.file("s.toml", &long.replace("[1, 2]", "[1, 2]\nseeds = [1, 2, 3, 4]"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+    command.args(["run", "s.toml", "--db", "s.sqlite", "--workers", "1", "--serve=0"]);
+    let mut run = Process(
+        command.current_dir(bench.path("")).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap(),
+    );
+    let mut line = String::new();
+    let mut said = BufReader::new(run.0.stderr.take().unwrap());
+    said.read_line(&mut line).unwrap();
+    // it goes on to speak
+    std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
+    let address = line.split_once("http://").unwrap_or_else(|| panic!("{line}")).1;
+    (run, format!("http://{}", address.trim()))
+}
+
+/// Without the token there is nothing to press; with it a run is steered by keys alone, and says what came of it.
+#[test]
+fn a_run_is_steered_by_its_pages() {
+    if !here() {
+        return;
+    }
+    let bench = Bench::new();
+    let (mut run, address) = steered(&bench);
+    let mut page = Page::new(&bench);
+    let plain = address.split("#token=").next().unwrap();
+    page.open(plain);
+    assert_eq!(page.value("document.querySelector('#control').hidden"), true);
+    page.open(&address);
+    page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
+    assert_eq!(page.value("location.href"), format!("{plain}0/"), "the token stays in the address");
+    for width in [1200, 390] {
+        page.width(width);
+        let nameless = page.nameless();
+        assert!(nameless.is_empty(), "{nameless:?}");
+        let beyond = page.value("document.documentElement.scrollWidth - innerWidth").as_i64().unwrap();
+        assert!(beyond <= 0, "{beyond} px too wide for {width}");
+    }
+    let press = |page: &mut Page, value: &str, expected: &str| {
+        page.value(&format!("document.querySelector('button[value^=\"{value}\"]').focus()"));
+        assert_ne!(page.value("getComputedStyle(document.activeElement).outlineStyle"), "none");
+        page.key(" ", 32, 0);
+        page.until(value, |page| {
+            let said = page.value("document.querySelector('#control [role=status]').textContent");
+            said.as_str().unwrap().starts_with(expected)
+        });
+    };
+    press(&mut page, "pause", "paused: ");
+    let state = "document.querySelector('[data-state]').textContent.startsWith('paused: 0 of 1 worker busy')";
+    page.until("the pause", |page| page.value(state) == true);
+    page.value("document.querySelector('input[name=count]').focus()");
+    page.ask("Input.insertText", json!({"text": "2"}));
+    press(&mut page, "workers", "workers: 1 before, 2 from now on");
+    press(&mut page, "reload", "trials added: 0");
+    // a page of a trial: the token is known there
+    let trial =
+        page.value("fetch('sql.csv?q=SELECT+hash+FROM+v_trial+ORDER+BY+attempts,hash').then(a => a.text())");
+    let hash = trial.as_str().unwrap().lines().nth(1).unwrap().to_owned();
+    page.open(&format!("{plain}0/trial/{hash}"));
+    page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
+    assert!(page.nameless().is_empty());
+    press(&mut page, "next", "goes to the next worker");
+    press(&mut page, "cancel", "cancelled");
+    let failed = "document.querySelector('#facts .question').textContent === 'failed: cancelled'";
+    page.until("the end of the trial", |page| page.value(failed) == true);
+    page.open(&format!("{plain}0/"));
+    page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
+    assert!(page.complaints.is_empty(), "{:?}", page.complaints);
+    press(&mut page, "stop", "stopping: no trial is running");
+    assert_eq!(run.0.wait().unwrap().code(), Some(4));
+    let elsewhere: Vec<&String> = page.requests.iter().filter(|url| !url.starts_with(plain)).collect();
+    assert!(elsewhere.iter().all(|url| *url == "about:blank"), "{elsewhere:?}");
+}
+
 fn here() -> bool {
     let found =
         Command::new("chromium").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();

@@ -1,8 +1,11 @@
-//! A run is steered from another terminal, by real processes: what is asked happens, is told, and changes no result.
+//! A run is steered from another terminal and from its pages, by real processes: what is asked happens, is told, and changes
+//! no result; whoever may not ask changes nothing.
 
 mod common;
 
 use std::fs::File;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::process::{Child, Command, Output};
 use std::time::{Duration, Instant};
 
@@ -197,4 +200,110 @@ fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     assert_eq!(results(&bench, "s.sqlite"), results(&bench, "whole.sqlite"));
     let nowhere = bench.metasense(&["control", "none.sqlite", "pause"]);
     assert_eq!(nowhere.status.code(), Some(2));
+}
+
+/// What a raw request is answered.
+fn post(port: u16, head: &str, body: &str) -> (u16, String) {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let length = body.len();
+    let request = format!("{head}Content-Length: {length}\r\nConnection: close\r\n\r\n{body}");
+    let _ = stream.write_all(request.as_bytes());
+    let mut answer = String::new();
+    let _ = stream.read_to_string(&mut answer);
+    (answer.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0), answer)
+}
+
+/// The port and the token of a run's pages.
+fn pages(run: &Run) -> (u16, String) {
+    run.until(|| run.told().contains("/#token="));
+    let told = run.told();
+    let address = told.split("http://127.0.0.1:").nth(1).unwrap().lines().next().unwrap();
+    let (port, token) = address.split_once("/#token=").unwrap();
+    (port.parse().unwrap(), token.to_owned())
+}
+
+/// Pages steer with the token alone, asked by themselves alone; they end with the run, and leave nothing behind.
+#[test]
+fn pages_of_a_run_steer_it_and_nobody_else_does() {
+    let bench = bench();
+    bench.file("s.toml", &specs()[1]);
+    let mut run = Run::start(&bench, &["--workers", "1", "--serve=0"]);
+    run.busy("1 of 1 worker busy");
+    let (port, token) = pages(&run);
+    assert_eq!(token.len(), 32, "{token}");
+
+    let (status, page) = post(port, "GET /0/ HTTP/1.1\r\nHost: localhost\r\n", "");
+    assert!(status == 200 && page.contains("data-control=\"/0/control\""), "{page}");
+    let host = format!("Host: 127.0.0.1:{port}\r\n");
+    let own = format!("{host}Origin: http://127.0.0.1:{port}\r\n");
+    let bearer = format!("Authorization: Bearer {token}\r\n");
+    let line = "POST /0/control HTTP/1.1\r\n";
+    let reversed: String = token.chars().rev().collect();
+    for (head, body, expected) in [
+        (format!("{line}{own}"), "stop", 401),
+        (format!("{line}{own}Authorization: Bearer \r\n"), "stop", 401),
+        (format!("{line}{own}Authorization: Bearer {}\r\n", &token[1..]), "stop", 401),
+        (format!("{line}{own}Authorization: Bearer {reversed}\r\n"), "stop", 401),
+        (format!("{line}{own}Authorization: Basic {token}\r\n"), "stop", 401),
+        (format!("{line}{own}Cookie: metasense-token={token}\r\n"), "stop", 401),
+        (format!("POST /0/control?token={token} HTTP/1.1\r\n{own}"), "stop", 401),
+        (format!("{line}{host}{bearer}"), "stop", 403),
+        (format!("{line}{host}Origin: null\r\n{bearer}"), "stop", 403),
+        (format!("{line}{host}Origin: http://evil.example\r\n{bearer}"), "stop", 403),
+        (format!("{line}{host}Origin: http://127.0.0.1:1\r\n{bearer}"), "stop", 403),
+        (format!("{line}{own}Origin: http://evil.example\r\n{bearer}"), "stop", 403),
+        (format!("{line}Host: evil.example\r\nOrigin: http://evil.example\r\n{bearer}"), "stop", 421),
+        (format!("OPTIONS /0/control HTTP/1.1\r\n{host}Origin: http://evil.example\r\n"), "", 405),
+        (format!("PUT /0/control HTTP/1.1\r\n{own}{bearer}"), "stop", 405),
+        (format!("GET /0/control HTTP/1.1\r\n{own}{bearer}"), "stop", 405),
+        (format!("POST /0/ HTTP/1.1\r\n{own}{bearer}"), "stop", 405),
+        (format!("POST /0/trials/control HTTP/1.1\r\n{own}{bearer}"), "stop", 404),
+        (format!("POST /7/control HTTP/1.1\r\n{own}{bearer}"), "stop", 404),
+        (format!("{line}{own}{bearer}"), "stop it", 400),
+        (format!("{line}{own}{bearer}"), "pause\nstop", 400),
+        (format!("{line}{own}{bearer}"), "", 400),
+        (format!("{line}{own}{bearer}"), "cancel ../../etc/passwd", 400),
+        (format!("{line}{own}{bearer}"), "cancel no-such", 409),
+        (format!("{line}{own}{bearer}"), &"x".repeat(2000), 413),
+    ] {
+        let (status, answer) = post(port, &head, body);
+        assert_eq!(status, expected, "{head}{body}: {answer}");
+    }
+    run.asked(&["state"], 0, "running: 1 of 1 worker busy");
+    let log = std::fs::read_to_string(bench.path("s.log")).unwrap();
+    assert!(!log.contains("done=true") && !log.contains(&token), "{log}");
+
+    // who posts and never ends holds nobody
+    let mut slow = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    slow.write_all(format!("{line}{own}{bearer}Content-Length: 9\r\n\r\np").as_bytes()).unwrap();
+    let steer = |body: &str| post(port, &format!("{line}{own}{bearer}"), body);
+    let (status, answer) = steer("pause");
+    assert!(
+        status == 200 && answer.ends_with("paused: 1 running trial is taken back after its step in progress")
+    );
+    run.until(|| run.asks(&["state"]).1.contains("paused: 0 of 1"));
+    assert_eq!(steer("resume").0, 200);
+    run.asked(&["state"], 0, "running");
+    assert_eq!(run.wait(), Some(0), "{}", run.told());
+    assert!(TcpStream::connect(("127.0.0.1", port)).is_err(), "pages outlive their run");
+    let mut left: Vec<_> =
+        std::fs::read_dir(bench.path("")).unwrap().map(|e| e.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["s.log", "s.sqlite", "s.toml", "said.csv", "told", "whole.log", "whole.sqlite"]);
+    assert_eq!(results(&bench, "s.sqlite"), results(&bench, "whole.sqlite"));
+
+    // a port that is taken
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let at = format!("--serve={}", taken.local_addr().unwrap().port());
+    let refused = bench.metasense(&["run", "s.toml", "--db", "t.sqlite", &at]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && said.contains("--serve=0 any that is free"), "{said}");
+    // a run that is killed takes its pages with it
+    bench.file("s.toml", &specs()[0].replace("[1, 2, 3]", "[7, 8, 9]"));
+    let mut run = Run::start(&bench, &["--serve=0"]);
+    let (port, _) = pages(&run);
+    run.child.kill().unwrap();
+    run.child.wait().unwrap();
+    run.until(|| TcpStream::connect(("127.0.0.1", port)).is_err());
 }

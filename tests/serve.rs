@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use metasense::plan::Plan;
-use metasense::serve::{Served, Source, serve};
+use metasense::serve::{Served, Source, Token, serve};
 use metasense::store::{Level, Store};
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use sqlx::sqlite::SqliteConnectOptions;
@@ -45,9 +45,13 @@ struct Server {
 
 impl Server {
     async fn new(dbs: &[PathBuf]) -> Self {
+        Self::with(dbs, None).await
+    }
+
+    async fn with(dbs: &[PathBuf], token: Option<Token>) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
-        let served = Served::new(dbs.iter().map(|db| Source::new(db).unwrap()).collect());
+        let served = Served::new(dbs.iter().map(|db| Source::new(db).unwrap()).collect(), token);
         let task = tokio::spawn(serve(listener, Arc::clone(&served)));
         Self { port, served, task }
     }
@@ -244,6 +248,37 @@ async fn only_pages_of_our_own_are_answered() {
     }
 }
 
+/// The list of databases, where one arrives, takes the token; a run that is not there is no error of the server's.
+#[tokio::test(flavor = "multi_thread")]
+async fn pages_with_a_token_steer_from_the_first_one_on() {
+    let bench = Bench::new();
+    let (store, _) = begun(&bench.path("run.sqlite")).await;
+    store.close().await.unwrap();
+    let (token, text) = Token::new().unwrap();
+    let dbs = [bench.path("run.sqlite"), bench.path("none.sqlite"), bench.path("")];
+    let server = Server::with(&dbs, Some(token)).await;
+    for (path, panel) in [("/", false), ("/0/", true), ("/1/", true), ("/2/", false), ("/0/trials", false)] {
+        let (status, page) = server.get(path).await;
+        assert!(status == 200 && page.contains("src=\"/control.js\""), "{path}: {page}");
+        assert_eq!(page.contains("data-control"), panel, "{path}: {page}");
+    }
+    let port = server.port;
+    let own = format!("Host: localhost:{port}\r\nOrigin: http://localhost:{port}\r\nConnection: close\r\n");
+    for (path, expected, told) in [
+        ("/0/control", 409, "no run holds"),
+        ("/1/control", 409, "no database"),
+        ("/2/control", 404, "folder of shards"),
+        ("/3/control", 404, "no such database"),
+    ] {
+        let request = format!(
+            "POST {path} HTTP/1.1\r\n{own}Authorization: Bearer {text}\r\nContent-Length: 5\r\n\r\nstate"
+        );
+        let answer = server.raw(request.as_bytes()).await;
+        assert!(status(&answer) == expected && answer.contains(told), "{path}: {answer}");
+    }
+    server.served.close().await;
+}
+
 /// What a database calls things is text, wherever it stands.
 #[tokio::test(flavor = "multi_thread")]
 async fn hostile_names_stay_text() {
@@ -343,7 +378,7 @@ async fn a_folder_of_shards_is_one_database() {
 /// afterwards. Three hundred, or `SERVE_CASES`.
 #[tokio::test(flavor = "multi_thread")]
 async fn whatever_is_asked_the_server_stays() {
-    const BITS: [&str; 44] = [
+    const BITS: [&str; 46] = [
         "GET ",
         "HEAD ",
         "POST ",
@@ -358,6 +393,7 @@ async fn whatever_is_asked_the_server_stays() {
         "/0/map?by=",
         "/0/compare?a=",
         "/0/events",
+        "/0/control",
         "?q=",
         "&sort=-",
         "&page=",
@@ -381,6 +417,7 @@ async fn whatever_is_asked_the_server_stays() {
         "Host: localhost\r\n",
         "Host: evil\r\n",
         "Origin: null\r\n",
+        "Authorization: Bearer 0\r\n",
         "Content-Length: 5\r\n",
         "Transfer-Encoding: chunked\r\n",
         "Connection: close\r\n",

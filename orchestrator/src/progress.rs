@@ -160,15 +160,15 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
         number(5),
         number(6),
     );
+    let (began, steps) = *first.get_or_insert((Instant::now(), number(5)));
+    if number(5) > steps {
+        text += &format!(", {:.1} a minute", 60.0 * (number(5) - steps) / began.elapsed().as_secs_f64());
+    }
     if number(10) > 0.0 {
         text += &format!("; {} given up as hopeless", number(10));
     }
     if number(12) > 0.0 {
         text += &format!("; {} cancelled", number(12));
-    }
-    let (began, steps) = *first.get_or_insert((Instant::now(), number(5)));
-    if number(5) > steps {
-        text += &format!(", {:.1} a minute", 60.0 * (number(5) - steps) / began.elapsed().as_secs_f64());
     }
     let (left, correction) = (number(4), number(7));
     if correction > 0.0 && running > 0.0 {

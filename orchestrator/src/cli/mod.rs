@@ -18,6 +18,7 @@ mod log;
 mod merge;
 mod modes;
 mod one;
+mod pages;
 mod place;
 mod project;
 mod query;

@@ -10,6 +10,7 @@ use serde_json::Value;
 use tokio::sync::oneshot;
 
 use super::live::Live;
+use super::pages::Pages;
 use super::simd::Simd;
 use super::{Error, Format, log, print_rows, read_plan};
 use crate::analysis::brains::brains;
@@ -43,6 +44,10 @@ pub(super) struct Args {
     /// Worker processes, one trial each at a time; by default `run.workers` of the spec, else one a core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     workers: Option<u16>,
+    /// Shows pages of the run in a browser, at this port (0: any that is free), and prints their address with a token by which
+    /// they can steer it. A process of its own: nobody who looks slows the run
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8017")]
+    serve: Option<u16>,
     /// Threads a worker; by default `run.threads` of the spec, else 1
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -172,6 +177,10 @@ async fn run_open(
     signals: &mut Signals,
     control: &Control,
 ) -> Result<Option<Outcome>, Error> {
+    let pages = match args.serve {
+        Some(port) => Some(Pages::start(store.path(), port).await?),
+        None => None,
+    };
     // What was given up as hopeless is not, where nobody asks for that any more.
     let again = Again {
         pruned: plan.spec.run.prune.is_none(),
@@ -180,10 +189,14 @@ async fn run_open(
     };
     let mut options = options(&plan.spec.run, args);
     let mut round = Round { store, plan, args, log, signals, control, options: &mut options };
-    match plan.spec.until {
+    let outcome = match plan.spec.until {
         None => round.run(&plan.trials, again).await,
         Some(_) => rounds(round, again).await,
+    };
+    if let Some(pages) = pages {
+        pages.end().await;
     }
+    outcome
 }
 
 /// Where commands come in; a run goes on without.

@@ -4,18 +4,19 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use rustix::process::{Signal, set_parent_process_death_signal};
 use tokio::net::TcpListener;
 
 use super::Error;
 use crate::cluster::home::tries;
 use crate::engine::Signals;
 use crate::exit::Exit;
-use crate::serve::{Served, Source, serve};
+use crate::serve::{Served, Source, Token, serve};
 
 /// Shows databases in a browser, live: how far, what they answer so far, every trial, SQL; until Ctrl-C
 ///
 /// It reads databases and nothing else; a run does not know that it is watched. From another machine: ssh -L
-/// 8017:localhost:8017 HOST.
+/// 8017:localhost:8017 HOST. With --control, pages can steer runs, too (see `control`).
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Databases, folders of shards (each as one database), folders of databases
@@ -27,6 +28,12 @@ pub(super) struct Args {
     /// The address to listen at. On any but this machine's own, whoever reaches it reads everything
     #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     listen: IpAddr,
+    /// Prints an address with a token: whoever has it can steer the runs of these databases, of this user
+    #[arg(long)]
+    control: bool,
+    /// Ends with this process, which has started it
+    #[arg(long, hide = true, value_name = "PID")]
+    parent: Option<u32>,
 }
 
 /// Added to the niceness: what a sweep needs goes first.
@@ -35,6 +42,12 @@ const NICENESS: i32 = 10;
 const THREADS: usize = 6;
 
 pub(super) fn execute(args: Args) -> Result<Exit, Error> {
+    if let Some(parent) = args.parent {
+        let _ = set_parent_process_death_signal(Some(Signal::TERM));
+        if std::os::unix::process::parent_id() != parent {
+            return Ok(Exit::Interrupted);
+        }
+    }
     // SAFETY: cannot fail, touches no memory.
     unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
     // several threads: who reads a large database keeps one
@@ -55,6 +68,11 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
             args.what.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
         )));
     }
+    if args.control && !args.listen.is_loopback() {
+        return Err(Error::Usage(
+            "--control is for this machine's own address: what goes to another can be read on the way; ssh -L brings it there".into(),
+        ));
+    }
     let at = SocketAddr::new(args.listen, args.port);
     let failed = |source| Error::Io { doing: "listening at", path: at.to_string().into(), source };
     let listener = TcpListener::bind(at).await.map_err(failed)?;
@@ -62,7 +80,12 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     let scratch = |source| Error::Io { doing: "making a folder in", path: std::env::temp_dir(), source };
     let sources =
         paths.iter().map(|path| Source::new(path)).collect::<Result<Vec<_>, _>>().map_err(scratch)?;
-    print_line!("http://{at}/")?;
+    let token = args.control.then(Token::new).transpose();
+    let token =
+        token.map_err(|source| Error::Io { doing: "reading", path: "/dev/urandom".into(), source })?;
+    let (token, behind) =
+        token.map_or((None, String::new()), |(token, text)| (Some(token), format!("#token={text}")));
+    print_line!("http://{at}/{behind}")?;
     if !at.ip().is_loopback() {
         say!("whoever reaches {at} can read everything in these databases");
     }
@@ -70,7 +93,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
         // it is read by the time that somebody looks
         drop(only.watched());
     }
-    let served = Served::new(sources);
+    let served = Served::new(sources, token);
     signals.unless(serve(listener, Arc::clone(&served))).await;
     served.close().await;
     Ok(Exit::Done)

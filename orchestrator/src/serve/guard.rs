@@ -43,7 +43,8 @@ pub async fn guard(request: Request, next: Next) -> Response {
 }
 
 fn refused(request: &Request) -> Option<(StatusCode, &'static str)> {
-    if ![Method::GET, Method::HEAD].contains(request.method()) {
+    let steers = request.method() == Method::POST && request.uri().path().ends_with("/control");
+    if ![Method::GET, Method::HEAD].contains(request.method()) && !steers {
         return Some((StatusCode::METHOD_NOT_ALLOWED, "pages can be read, and nothing else"));
     }
     let headers = request.headers();
@@ -59,6 +60,9 @@ fn refused(request: &Request) -> Option<(StatusCode, &'static str)> {
     let origin = headers.contains_key(header::ORIGIN);
     if origin && only(headers, &header::ORIGIN).and_then(|o| o.strip_prefix("http://")) != Some(host) {
         return Some((StatusCode::FORBIDDEN, "asked by a page of another origin"));
+    }
+    if steers && !origin {
+        return Some((StatusCode::FORBIDDEN, "asked by no page: `metasense control` is for other programs"));
     }
     let fetched = |name: &'static str| only(headers, &HeaderName::from_static(name));
     if fetched("sec-fetch-site") == Some("cross-site") && fetched("sec-fetch-mode") != Some("navigate") {

@@ -28,6 +28,7 @@
         seen = page.body.dataset.generation;
         swap(page);
         document.body.dataset.generation = seen;
+        document.dispatchEvent(new Event('refreshed'));
       }
     } catch { /* the server has ended: the last state stays */ }
     // a page that costs much is asked for less often

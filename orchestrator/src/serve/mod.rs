@@ -1,9 +1,10 @@
-//! The pages of `metasense serve`: a sweep in a browser, while it runs and afterwards. They read databases and nothing
-//! else; whoever looks has part of what a sweep needs of this machine only while looking, and bounded.
+//! The pages of `metasense serve`: a sweep in a browser, while it runs and afterwards. They read databases, and pass on what
+//! whoever has the token asks of their runs; whoever looks has part of what a sweep needs of this machine only while looking, and bounded.
 
 mod guard;
 mod pages;
 mod source;
+mod steer;
 mod trials;
 
 use std::convert::Infallible;
@@ -17,7 +18,7 @@ use axum::http::{StatusCode, header};
 use axum::middleware::from_fn;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{Html, IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use futures_util::Stream;
 use futures_util::stream::unfold;
 use hyper::server::conn::http1;
@@ -33,6 +34,7 @@ use crate::report::samples::Replayed;
 use crate::store::Stored;
 use guard::{Impatient, guard};
 pub use source::{Seen, Source};
+pub use steer::Token;
 
 /// Connections at a time; more wait.
 const CONNECTIONS: usize = 64;
@@ -55,6 +57,8 @@ const ICON: &str = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 16 1
 #[derive(Debug)]
 pub struct Served {
     sources: Vec<Source>,
+    /// Whoever knows it may steer runs.
+    token: Option<Token>,
     questions: Semaphore,
     /// Trials are simulated again one at a time; the last one is kept, with what it is of.
     replays: Semaphore,
@@ -62,11 +66,11 @@ pub struct Served {
 }
 
 impl Served {
-    /// To serve these.
+    /// To serve these; with a token, their runs may be steered.
     #[must_use]
-    pub fn new(sources: Vec<Source>) -> Arc<Self> {
+    pub fn new(sources: Vec<Source>, token: Option<Token>) -> Arc<Self> {
         let (questions, replays) = (Semaphore::new(QUESTIONS), Semaphore::new(1));
-        Arc::new(Self { sources, questions, replays, replayed: Mutex::default() })
+        Arc::new(Self { sources, token, questions, replays, replayed: Mutex::default() })
     }
 
     /// Ends all watching, and leaves no file behind that was not there before.
@@ -113,6 +117,7 @@ fn pages(served: Arc<Served>) -> Router {
         .route("/style.css", asset("text/css; charset=utf-8", of_page() + include_str!("serve.css")))
         .route("/icon.svg", asset("image/svg+xml", ICON.into()))
         .route("/live.js", asset("text/javascript; charset=utf-8", include_str!("live.js").into()))
+        .route("/control.js", asset("text/javascript; charset=utf-8", include_str!("control.js").into()))
         .route("/wave.js", asset("text/javascript; charset=utf-8", SCRIPT.into()))
         .route("/{source}/", get(pages::overview::page))
         .route("/{source}/trials", get(pages::trials::page))
@@ -123,6 +128,7 @@ fn pages(served: Arc<Served>) -> Router {
         .route("/{source}/sql.csv", get(pages::sql::csv))
         .route("/{source}/sql.parquet", get(pages::sql::parquet))
         .route("/{source}/events", get(events))
+        .route("/{source}/control", post(steer::post))
         .fallback(async || Refusal::NoPage)
         .with_state(served)
         .layer(from_fn(guard))
@@ -174,6 +180,7 @@ impl IntoResponse for Refusal {
         (
             status,
             Html(pages::bare(
+                false,
                 "Not here",
                 &html! { p { (why) } p { a href="/" { "Back to the beginning" } } },
             )),

@@ -83,6 +83,8 @@ pub struct Answers {
 pub struct Source {
     /// What it is called.
     pub name: String,
+    /// The file, where it is one that a run may hold.
+    pub db: Option<PathBuf>,
     seen: watch::Receiver<Arc<Seen>>,
     wanted: Arc<Notify>,
     stop: Arc<Notify>,
@@ -113,7 +115,8 @@ impl Source {
         };
         let stop = Arc::new(Notify::new());
         tokio::spawn(watcher.watch(publish, Arc::clone(&wanted), Arc::clone(&stop)));
-        Ok(Self { name, seen, wanted, stop })
+        let db = (!path.is_dir()).then(|| path.to_owned());
+        Ok(Self { name, db, seen, wanted, stop })
     }
 
     /// Ends the watching.

@@ -31,24 +31,25 @@ pub async fn home(State(served): State<Arc<Served>>) -> Response {
     let list = html! {
         ul { @for (i, source) in served.sources.iter().enumerate() { li { a href=(format!("/{i}/")) { (source.name) } } } }
     };
-    Html(bare("Databases", &list)).into_response()
+    Html(bare(served.token.is_some(), "Databases", &list)).into_response()
 }
 
-/// A page of no database.
-pub(super) fn bare(title: &str, content: &Markup) -> String {
+/// A page of no database. `steers`: others do.
+pub(super) fn bare(steers: bool, title: &str, content: &Markup) -> String {
     document(
         &format!("{title} – metasense"),
-        &head(),
+        &head(steers),
         &html! { body { main id="main" { h1 { (title) } (content) } } },
     )
 }
 
-fn head() -> Markup {
+fn head(steers: bool) -> Markup {
     html! {
         link rel="stylesheet" href="/style.css";
         link rel="icon" type="image/svg+xml" href="/icon.svg";
         script src="/live.js" defer {}
         script src="/wave.js" defer {}
+        @if steers { script src="/control.js" defer {} }
     }
 }
 
@@ -79,7 +80,7 @@ fn framed(
             main id="main" tabindex="-1" { h1 { (title) } (content) }
         }
     };
-    Ok(Html(document(&format!("{title} – {name}"), &head(), &body)))
+    Ok(Html(document(&format!("{title} – {name}"), &head(served.token.is_some()), &body)))
 }
 
 /// A part of a page that is put in its place again when something has changed.

@@ -9,6 +9,7 @@ use maud::{Markup, html};
 use super::{Seen, Served, framed, live, trial_links, trouble};
 use crate::look::{answers, number};
 use crate::plan::counted;
+use crate::serve::steer::of_run;
 use crate::serve::{Refusal, source};
 
 pub async fn page(
@@ -17,13 +18,16 @@ pub async fn page(
 ) -> Result<Html<String>, Refusal> {
     let seen = source(&served, &at)?.now().await;
     let parts = [
-        ("progress", progress(&seen)),
         ("workers", workers(&at, &seen)),
         ("failures", failures(&at, &seen)),
         ("answers", answered(&seen)),
         ("runs", runs(&seen)),
     ];
-    let content = html! { @for (id, part) in &parts { (live(id, part)) } };
+    let content = html! {
+        (live("progress", &progress(&seen)))
+        (of_run(&served, &at))
+        @for (id, part) in &parts { (live(id, part)) }
+    };
     framed(&served, &at, "", "Overview", Some(seen.generation), &content)
 }
 

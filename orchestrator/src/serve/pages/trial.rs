@@ -18,6 +18,7 @@ use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, row
 use crate::plan::counted;
 use crate::report::load::PARTS;
 use crate::report::samples::Replayed;
+use crate::serve::steer::of_trial;
 use crate::serve::{Refusal, Seen, source};
 use crate::store::{Reader, StoreError, Stored, quoted};
 
@@ -203,7 +204,6 @@ pub async fn page(
     let following = replayed.is_none();
     let title = format!("Trial {}", short(&trial.hash));
     let parts = [
-        ("facts", facts(&at, &seen, &trial)),
         ("curves", curves_of(&trial)),
         ("bodies", bodies_of(&trial)),
         ("networks", networks(&trial)),
@@ -211,6 +211,8 @@ pub async fn page(
         ("attempts", attempts(&trial)),
     ];
     let content = html! {
+        (live("facts", &facts(&at, &seen, &trial)))
+        @if trial.state != "done" { (of_trial(&served, &at, &trial.hash)) }
         @for (id, part) in &parts { (live(id, part)) }
         section id="replay" {
             h2 { "Forces and waves" }

@@ -1,0 +1,58 @@
+//! The pages of a run: `serve --control` on its database, as a process of its own with its own niceness, so that nobody who
+//! looks slows or holds the run.
+
+use std::path::Path;
+use std::process::Stdio;
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
+use tokio::io::{AsyncBufReadExt, BufReader};
+use tokio::process::{Child, Command};
+
+use super::Error;
+
+/// How long the end of the run waits for the end of its pages.
+const ENDING: Duration = Duration::from_secs(6);
+
+/// Dropped, they end at once.
+#[derive(Debug)]
+pub(super) struct Pages(Child);
+
+impl Pages {
+    /// Serves the pages of a database, and says where.
+    ///
+    /// # Errors
+    /// Where there is no such port to be had.
+    pub async fn start(db: &Path, port: u16) -> Result<Self, Error> {
+        let failed = |source| Error::Io { doing: "serving the pages of", path: db.to_owned(), source };
+        let own = std::process::id();
+        let mut child = Command::new("/proc/self/exe")
+            .args(["serve", "--control", "--port", &port.to_string(), "--parent", &own.to_string()])
+            .arg("--")
+            .arg(db)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .kill_on_drop(true)
+            .spawn()
+            .map_err(failed)?;
+        let mut address = String::new();
+        let out = child.stdout.take().expect("it is piped");
+        BufReader::new(out).read_line(&mut address).await.map_err(failed)?;
+        if address.is_empty() {
+            // it has said why
+            return Err(Error::Usage(format!(
+                "there are no pages at port {port}: --serve=PORT takes another, --serve=0 any that is free"
+            )));
+        }
+        say!("pages, for as long as it runs; whoever has the address can steer the run: {}", address.trim());
+        Ok(Self(child))
+    }
+
+    /// Ends them in order: they leave no file of theirs beside the database.
+    pub async fn end(mut self) {
+        if let Some(pid) = self.0.id().and_then(|pid| Pid::from_raw(pid as i32)) {
+            let _ = kill_process(pid, Signal::TERM);
+        }
+        let _ = tokio::time::timeout(ENDING, self.0.wait()).await;
+    }
+}

@@ -1,0 +1,121 @@
+//! Steering by pages: one line, posted with the token that was printed, is passed on to the run that holds the database.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::{Body, to_bytes};
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use maud::{Markup, html};
+
+use super::{Served, source};
+use crate::control::{Command, WORKERS_MAX, ask};
+use crate::exit::chain;
+
+/// The longest line (bytes), and the time in which it must have come.
+const LINE: usize = 1 << 10;
+const ASKING: Duration = Duration::from_secs(5);
+
+/// What whoever steers must know.
+#[derive(Debug)]
+pub struct Token(blake3::Hash);
+
+impl Token {
+    /// A new one, and how it is written.
+    ///
+    /// # Errors
+    /// Where the system gives no random bytes.
+    pub fn new() -> io::Result<(Self, String)> {
+        let mut bytes = [0; 16];
+        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+        let text: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok((Self(blake3::hash(text.as_bytes())), text))
+    }
+
+    /// Digests are compared, in constant time.
+    fn is(&self, given: &str) -> bool {
+        self.0 == blake3::hash(given.as_bytes())
+    }
+}
+
+type Answer = (StatusCode, String);
+
+/// Takes a line and answers with what came of it.
+pub async fn post(
+    State(served): State<Arc<Served>>,
+    Path(at): Path<String>,
+    headers: HeaderMap,
+    body: Body,
+) -> Answer {
+    match steer(&served, &at, &headers, body).await {
+        Ok(said) => (StatusCode::OK, said),
+        Err(answer) => answer,
+    }
+}
+
+async fn steer(served: &Served, at: &str, headers: &HeaderMap, body: Body) -> Result<String, Answer> {
+    let no = |status: StatusCode, why: &str| Err((status, why.to_owned()));
+    let given = headers.get(header::AUTHORIZATION);
+    let given = given.and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
+    if !served.token.as_ref().zip(given).is_some_and(|(token, given)| token.is(given)) {
+        return no(StatusCode::UNAUTHORIZED, "wants the token of the address that was printed");
+    }
+    let Some(db) = source(served, at).ok().and_then(|source| source.db.as_ref()) else {
+        return no(StatusCode::NOT_FOUND, "there is no such database, or it is a folder of shards");
+    };
+    let bytes = match tokio::time::timeout(ASKING, to_bytes(body, LINE)).await {
+        Ok(Ok(bytes)) => bytes,
+        Ok(Err(_)) => return no(StatusCode::PAYLOAD_TOO_LARGE, "no command is so long"),
+        Err(_) => return no(StatusCode::REQUEST_TIMEOUT, "the command did not come"),
+    };
+    let command = String::from_utf8_lossy(&bytes).parse::<Command>();
+    let command = command.map_err(|e| (StatusCode::BAD_REQUEST, e.to_string()))?;
+    match ask(db, &command).await {
+        Ok(said) if said.done => Ok(said.text),
+        Ok(said) => no(StatusCode::CONFLICT, &format!("refused: {}", said.text)),
+        Err(error) => no(StatusCode::CONFLICT, &chain(&error)),
+    }
+}
+
+/// Controls of a run, shown to whoever has the token: buttons with what they ask, and more.
+fn panel(served: &Served, at: &str, title: &str, buttons: &[(String, &str)], more: &Markup) -> Markup {
+    let steers = served.token.is_some() && source(served, at).is_ok_and(|source| source.db.is_some());
+    html! {
+        @if steers {
+            section id="control" data-control=(format!("/{at}/control")) aria-labelledby="steer" hidden {
+                h2 id="steer" { (title) }
+                p class="quiet" data-state {}
+                div class="line" {
+                    form class="line" { @for (line, text) in buttons { button value=(line) { (text) } } }
+                    (more)
+                }
+                p role="status" {}
+            }
+        }
+    }
+}
+
+/// The panel of a run.
+pub fn of_run(served: &Served, at: &str) -> Markup {
+    let buttons = [
+        ("pause", "Pause the run"),
+        ("resume", "Resume it"),
+        ("stop", "Stop it"),
+        ("reload", "Read the spec again"),
+    ];
+    let workers = html! {
+        form class="line" {
+            label { "Workers " input name="count" type="number" min="1" max=(WORKERS_MAX) required; }
+            button value="workers" { "Set" }
+        }
+    };
+    panel(served, at, "Steer the run", &buttons.map(|(line, text)| (line.to_owned(), text)), &workers)
+}
+
+/// The panel of a trial that is not done.
+pub fn of_trial(served: &Served, at: &str, hash: &str) -> Markup {
+    let buttons = [(format!("next {hash}"), "Run it next"), (format!("cancel {hash}"), "Cancel it")];
+    panel(served, at, "Steer this trial", &buttons, &html! {})
+}
