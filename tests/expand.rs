@@ -134,7 +134,7 @@ fn committed_specs_keep_their_hashes() {
     gradient c39bace70d622cb2
     long-training b59102c41c14395c
     placed-two-core 6a5121d9e7f59190
-    quickstart c5fc1d861fdbe216
+    quickstart 039795c3a7a2ce68
     random 1fc0dbba48090cf1
     reference bb7bbd223572a489
     two-forces 434eeb4530862f35
