@@ -263,6 +263,38 @@ fn a_run_is_steered_by_its_pages() {
     assert!(elsewhere.iter().all(|url| *url == "about:blank"), "{elsewhere:?}");
 }
 
+/// Modes swing and a wave waits to be played, unless the reader wants no motion: then nothing moves by itself, in a report and
+/// on live pages.
+#[test]
+fn nothing_moves_where_no_motion_is_wanted() {
+    if !here() {
+        return;
+    }
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml", "--db", "done.sqlite"]);
+    bench.output(&["report", "done.sqlite", "--out", "report.html"]);
+    let (_server, address) = served(&[&bench.path("done.sqlite")]);
+    let mut page = Page::new(&bench);
+    let report = format!("file://{}", bench.path("report.html").display());
+    let hash = bench.output(&["query", "done.sqlite", "SELECT hash FROM v_trial LIMIT 1", "--format", "csv"]);
+    let trial = format!("{address}/0/trial/{}?replay=1", hash.lines().nth(1).unwrap());
+    for (wish, swings) in [("no-preference", true), ("reduce", false)] {
+        let wish = json!({"features": [{"name": "prefers-reduced-motion", "value": wish}]});
+        page.ask("Emulation.setEmulatedMedia", wish.clone());
+        for (at, moves) in [(&report, swings), (&trial, false)] {
+            page.open(at);
+            let moving = "document.getAnimations().some(a => a.playState === 'running')";
+            assert_eq!(page.value(moving), moves, "{at}, {wish}");
+            let wave = "[...document.querySelectorAll('.wave polygon')].map(e => e.getAttribute('transform')).join()";
+            let before = page.value(wave);
+            assert!(before.as_str().is_some_and(|shape| shape.contains("rotate")), "{at}: {before}");
+            page.value("new Promise(done => setTimeout(done, 150))");
+            assert_eq!(page.value(wave), before, "{at}, {wish}");
+        }
+    }
+}
+
 fn here() -> bool {
     let found =
         Command::new("chromium").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();

@@ -14,7 +14,7 @@ use metasense::plan::Plan;
 
 /// Six trials, and eight.
 fn specs() -> [String; 2] {
-    let long = TINY.replace("iterations = 4\n", "iterations = 24\n");
+    let long = TINY.replace("iterations = 4\n", "iterations = 40\n");
     ["[1, 2, 3]", "[1, 2, 3, 4]"].map(|seeds| long.replace("[1, 2]", &format!("[1, 2]\nseeds = {seeds}")))
 }
 
@@ -200,6 +200,49 @@ fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     assert_eq!(results(&bench, "s.sqlite"), results(&bench, "whole.sqlite"));
     let nowhere = bench.metasense(&["control", "none.sqlite", "pause"]);
     assert_eq!(nowhere.status.code(), Some(2));
+}
+
+/// Where questions or a deal decide what is run, a spec that is read again adds nothing; workers, and a pause, last from one
+/// look at the questions to the next.
+#[test]
+fn questions_and_shards_decide_themselves_what_is_run() {
+    let bench = Bench::new();
+    let [first, _] = specs();
+    let asks = first.replace("seeds = [1, 2, 3]", "");
+    bench.file("s.toml", &(asks + "\n[until]\nat_most = { placements = 6 }\npaired = 1e-9\n"));
+    let mut run = Run::start(&bench, &["--workers", "1"]);
+    run.busy("1 of 1 worker busy");
+    run.asked(&["reload"], 1, "refused: [until] decides which trials are run");
+    run.asked(&["workers", "2"], 0, "workers: 1 before, 2 from now on");
+    // nothing is left of this look but to be cancelled
+    run.asked(&["pause"], 0, "paused");
+    run.until(|| run.asks(&["state"]).1.contains("paused: 0 of 2"));
+    let waiting = [
+        "query",
+        "s.sqlite",
+        "SELECT hash FROM v_trial WHERE state = 'pending' AND placement < 4",
+        "--format",
+        "csv",
+    ];
+    for hash in bench.output(&waiting).lines().skip(1) {
+        run.asked(&["cancel", hash], 0, "cancelled");
+    }
+    run.until(|| run.count("count(*) FROM v_run") == "2");
+    run.until(|| run.asks(&["state"]).1.starts_with("paused: 0 of 2 workers busy, 0 of 2 trials settled"));
+    run.asked(&["resume"], 0, "goes on");
+    assert_eq!(run.wait(), Some(0), "{}", run.told());
+    assert_eq!(
+        run.count("group_concat(workers, ' ') FROM (SELECT workers FROM v_run ORDER BY started_at)"),
+        "1 2 2"
+    );
+
+    bench.file("s.toml", &first);
+    std::fs::remove_file(bench.path("s.sqlite")).unwrap();
+    let mut run = Run::start(&bench, &["--workers", "1", "--shard", "1/2"]);
+    run.busy("1 of 1 worker busy");
+    run.asked(&["reload"], 1, "refused: a shard's trials are dealt out before it begins");
+    run.asked(&["stop"], 0, "stopping");
+    assert_eq!(run.wait(), Some(4), "{}", run.told());
 }
 
 /// What a raw request is answered.

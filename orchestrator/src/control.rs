@@ -304,6 +304,7 @@ pub async fn ask(db: &Path, command: &Command) -> Result<Said, ControlError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::Store;
 
     async fn request(listener: &Listener) -> Request {
         listener.next().await.unwrap()
@@ -355,6 +356,12 @@ mod tests {
         let (_folder, left, file) = address(&db).unwrap();
         drop(std::os::unix::net::UnixListener::bind(left).unwrap());
         assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoRun { .. })));
+        let store = Store::open(&db).await.unwrap();
+        let deaf = ask(&db, &Command::Pause).await;
+        assert!(
+            matches!(deaf, Err(ControlError::Deaf { writer, .. }) if writer == std::process::id()),
+            "{deaf:?}"
+        );
         let listener = Listener::new(&db).unwrap();
         assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o600);
 
@@ -389,5 +396,12 @@ mod tests {
         let (heard, ()) = tokio::join!(ask(&db, &command), ending);
         assert_eq!(heard.unwrap(), Said::refused("the run has ended"));
         assert!(!file.exists());
+        store.close().await.unwrap();
+
+        // what there is no room for is an error of its own
+        let long = deep.join("s".repeat(120));
+        File::create(&long).unwrap();
+        assert!(Listener::new(&long).is_err());
+        assert!(matches!(ask(&long, &Command::Pause).await, Err(ControlError::Io { .. })));
     }
 }
