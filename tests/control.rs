@@ -2,15 +2,21 @@
 //! no result; whoever may not ask changes nothing.
 
 mod common;
+#[path = "support/roll.rs"]
+mod roll;
 
 use std::fs::File;
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::os::unix::net::UnixStream;
 use std::process::{Child, Command, Output};
 use std::time::{Duration, Instant};
 
 use common::{Bench, TINY, results};
+use metasense::fleet::children;
 use metasense::plan::Plan;
+use roll::{Roll, number};
+use rustix::process::{Pid, Signal, kill_process};
 
 /// Six trials, and eight.
 fn specs() -> [String; 2] {
@@ -243,6 +249,87 @@ fn questions_and_shards_decide_themselves_what_is_run() {
     run.asked(&["reload"], 1, "refused: a shard's trials are dealt out before it begins");
     run.asked(&["stop"], 0, "stopping");
     assert_eq!(run.wait(), Some(4), "{}", run.told());
+}
+
+/// Forty wishes (`WISHES=N` for more, `KILL_SEED=N` for the same ones) at random moments, kills of workers among them, in as
+/// many runs as it takes; then what was cancelled goes on.
+#[test]
+fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
+    let bench = bench();
+    bench.file("s.toml", &specs()[1]);
+    let plan = Plan::new("s.toml", specs()[1].clone()).unwrap();
+    let (mut roll, most) = (Roll::new(), number("WISHES").unwrap_or(40));
+    let mut wishes = 0;
+    while wishes < most {
+        let mut run = Run::start(&bench, &["--workers", "2", "--retry-failed"]);
+        run.until(|| run.asks(&["state"]).0 == Some(0) || run.told().contains("database: "));
+        while wishes < most && run.child.try_wait().unwrap().is_none() {
+            let hash = &plan.trials[roll.place(plan.trials.len())].hash;
+            let workers = (1 + roll.below(4)).to_string();
+            let wish = match roll.below(12) {
+                0..2 => vec!["pause"],
+                2..5 => vec!["resume"],
+                5..7 => vec!["cancel", hash],
+                7..9 => vec!["next", hash],
+                9..11 => vec!["workers", &workers],
+                _ => vec!["reload"],
+            };
+            let (code, said) = run.asks(&wish);
+            // the last one may come as the run ends
+            let late = ["no run holds", "takes no commands", "without an answer"]
+                .iter()
+                .any(|why| said.contains(why));
+            assert!(matches!(code, Some(0 | 1)) || late, "{wish:?}: {said}");
+            wishes += 1;
+            let workers = children(run.child.id());
+            if roll.below(4) == 0 && !workers.is_empty() {
+                let pid = workers[roll.place(workers.len())];
+                let _ = kill_process(Pid::from_raw(pid as i32).unwrap(), Signal::KILL);
+            }
+            std::thread::sleep(Duration::from_millis(roll.below(250)));
+        }
+        let _ = run.asks(&["resume"]);
+        let ended = run.wait();
+        assert!(matches!(ended, Some(0 | 1)), "{ended:?}: {}", run.told());
+        let lost = "count(*) FROM v_trial WHERE state NOT IN ('done', 'failed')";
+        assert_eq!(run.count(lost), "0", "{}", run.told());
+        if run.count("count(*) FROM v_trial WHERE state = 'failed'") == "0" {
+            break;
+        }
+    }
+    println!("{wishes} wishes");
+    bench.output(&["run", "s.toml", "--db", "s.sqlite", "--retry-failed"]);
+    assert_eq!(results(&bench, "s.sqlite"), results(&bench, "whole.sqlite"));
+}
+
+/// Paused and resumed without a break from the moment at which six workers get trials that an earlier run has begun: a stop
+/// overtakes jobs whose checkpoints are still being read. The workers live, and no attempt ends but by request.
+#[test]
+fn a_stop_that_overtakes_its_job_ends_no_worker() {
+    let bench = bench();
+    let mut run = Run::start(&bench, &["--workers", "6"]);
+    run.busy("6 of 6 workers busy");
+    run.until(|| run.count("count(*) FROM checkpoint") == "6");
+    run.asked(&["stop"], 0, "stopping");
+    assert_eq!(run.wait(), Some(4), "{}", run.told());
+    std::fs::remove_file(bench.path("s.log")).unwrap();
+
+    let mut run = Run::start(&bench, &["--workers", "6"]);
+    run.until(|| bench.path("s.sqlite.control").exists());
+    let mut wishes = 0;
+    while wishes < 1000 && run.child.try_wait().unwrap().is_none() {
+        for wish in ["pause\n", "resume\n"] {
+            let Ok(mut asked) = UnixStream::connect(bench.path("s.sqlite.control")) else { continue };
+            let mut said = String::new();
+            let _ = asked.write_all(wish.as_bytes()).and_then(|()| asked.read_to_string(&mut said));
+            wishes += u32::from(said.starts_with("done "));
+        }
+    }
+    assert_eq!(run.wait(), Some(0), "{}", run.told());
+    let stops = "count(*) >= 12, sum(reason <> 'stopped') FROM v_attempt WHERE state = 'failed'";
+    assert_eq!(run.count(stops), "1,0", "after {wishes} wishes");
+    let log = std::fs::read_to_string(bench.path("s.log")).unwrap();
+    assert_eq!(log.matches("worker started").count(), 6, "{log}");
 }
 
 /// What a raw request is answered.
