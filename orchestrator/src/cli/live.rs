@@ -99,6 +99,7 @@ impl Watch for Live {
         {
             self.estimates.push((of_run, (view.elapsed + eta).as_secs_f64()));
         }
+        let eta = eta.filter(|_| !view.paused);
         let to_go =
             eta.map_or("ETA unknown yet".into(), |eta| format!("ETA {}", duration(eta.as_secs_f64())));
         let paused = if view.paused { "paused, " } else { "" };

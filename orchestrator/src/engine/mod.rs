@@ -1,4 +1,4 @@
-//! The loop of a run: turns what happens (messages, deaths, signals, time) into events, and actions into effects.
+//! The loop of a run: turns what happens (messages, deaths, signals, commands, time) into events, and actions into effects.
 //!
 //! It waits, and decides nothing: that is the scheduler's. Effects are the fleet's (processes), the link's (shared
 //! memory) and the writer's (database). A result counts, and is shown, when it is on disk.
@@ -100,7 +100,7 @@ pub enum EngineError {
     NoWorkers(String),
 }
 
-/// Runs trials until all are settled or somebody wants it to end.
+/// Runs trials until all are settled or somebody wants it to end. What people want beside that comes by `control`.
 ///
 /// `work` says what a worker is to do for a trial. To be called from the main thread: workers end with the thread
 /// that has started them.
