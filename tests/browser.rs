@@ -286,7 +286,8 @@ fn nothing_moves_where_no_motion_is_wanted() {
             page.open(at);
             let moving = "document.getAnimations().some(a => a.playState === 'running')";
             assert_eq!(page.value(moving), moves, "{at}, {wish}");
-            let wave = "[...document.querySelectorAll('.wave polygon')].map(e => e.getAttribute('transform')).join()";
+            let wave = "[...document.querySelectorAll('.wave polygon, .course polygon')].map(e =>
+                            e.getAttribute('transform') + e.getAttribute('points')).join()";
             let before = page.value(wave);
             assert!(before.as_str().is_some_and(|shape| shape.contains("rotate")), "{at}: {before}");
             page.value("new Promise(done => setTimeout(done, 150))");
@@ -311,13 +312,14 @@ async fn a_browser_shows_follows_and_asks() {
         return;
     }
     let bench = Bench::new();
-    let spec = bench.file("tiny.toml", TINY);
+    let tiny = TINY.replace("iterations = 4\n", "iterations = 7\n");
+    let spec = bench.file("tiny.toml", &tiny);
     let done = bench.path("done.sqlite");
     let mut run = Command::new(env!("CARGO_BIN_EXE_metasense"));
     assert!(run.arg("run").arg(&spec).arg("--db").arg(&done).output().unwrap().status.success());
-    let (plan, db) = (Plan::new("s.toml", TINY.to_owned()).unwrap(), bench.path("run.sqlite"));
+    let (plan, db) = (Plan::new("s.toml", tiny.clone()).unwrap(), bench.path("run.sqlite"));
     let mut store = Store::open(&db).await.unwrap();
-    store.begin_sweep(&plan.spec, TINY, &plan.trials).await.unwrap();
+    store.begin_sweep(&plan.spec, &tiny, &plan.trials).await.unwrap();
     let first = &plan.trials[0];
     store.begin_attempt(&first.hash).await.unwrap();
     let (_server, address) = served(&[&db, &done]);
@@ -325,12 +327,16 @@ async fn a_browser_shows_follows_and_asks() {
 
     // what is recorded is seen, without anything being done
     page.open(&format!("{address}/0/"));
-    let (_, design) = metasense_worker::simulate::body(&first.spec).unwrap();
-    let mut took = Vec::new();
-    for n in 0..6 {
+    let (_, initial) = metasense_worker::simulate::body(&first.spec).unwrap();
+    let recorded = |n: u32| {
         let record =
             StepRecord { step: n, error_test: Some(9.0), outcome: "ok".into(), ..Default::default() };
-        let checkpoint = Checkpoint { step: n + 1, design: design.clone(), ..Default::default() };
+        let design = initial.iter().map(|x| x + 0.1 * f64::from(n + 1)).collect();
+        (record, Checkpoint { step: n + 1, design, ..Default::default() })
+    };
+    let mut took = Vec::new();
+    for n in 0..6 {
+        let (record, checkpoint) = recorded(n);
         store.record_step(&first.hash, 1, &record, &checkpoint).await.unwrap();
         let begun = Instant::now();
         let seen = format!("document.querySelector('#progress').textContent.includes('{} steps in')", n + 1);
@@ -340,6 +346,32 @@ async fn a_browser_shows_follows_and_asks() {
     took.sort_unstable();
     println!("steps were on the page after {took:?}");
     assert!(took[took.len() / 2] < Duration::from_secs(1), "{took:?}");
+
+    // a body goes from step to step: it stays with the last one as it comes, and where it is put by keys it stays, too
+    page.open(&format!("{address}/0/trial/{}", first.hash));
+    let step = "document.querySelector('.course input').getAttribute('aria-valuetext')";
+    let unit = "document.querySelector('.course polygon.unit').getAttribute('points')";
+    assert_eq!(page.value(step), "step 6 of 7");
+    let before = page.value(unit);
+    let (record, checkpoint) = recorded(6);
+    store.record_step(&first.hash, 1, &record, &checkpoint).await.unwrap();
+    page.until("the design on the page", |page| page.value(step) == "step 7 of 7");
+    assert_ne!(page.value(unit), before);
+    page.value("document.querySelector('.course input').focus()");
+    for (key, code, expected) in
+        [("Home", 36, 0), ("ArrowRight", 39, 1), ("End", 35, 7), ("ArrowLeft", 37, 6)]
+    {
+        page.key(key, code, 0);
+        assert_eq!(page.value(step), format!("step {expected} of 7"), "{key}");
+        assert_eq!(page.value(unit) == before, expected == 6, "{key}");
+    }
+    let (record, checkpoint) = (recorded(6).0, recorded(7).1);
+    let told = "document.querySelector('#designs').textContent.split('\\n').length";
+    store.record_step(&first.hash, 1, &record, &checkpoint).await.unwrap();
+    page.until("a design more", |page| page.value(told) == 1 + 1 + 8);
+    assert_eq!((page.value(step), page.value(unit)), ("step 6 of 7".into(), before.clone()));
+    page.value("document.querySelector('.course button').click()");
+    page.until("the body in motion", |page| page.value(unit) != before);
 
     // every page, wide and narrow: names for all that can be worked with, nothing beyond the edge
     let of_trial = format!("/1/trial/{}?replay=1", first.hash);
@@ -376,7 +408,7 @@ async fn a_browser_shows_follows_and_asks() {
     page.key("Enter", 13, 2);
     page.until("the answer", |page| page.loads > before);
     let told = page.value("document.querySelector('td').textContent");
-    assert_eq!(told, "8");
+    assert_eq!(told, "14");
 
     let elsewhere: Vec<&String> = page.requests.iter().filter(|url| !url.starts_with(&address)).collect();
     assert!(elsewhere.iter().all(|url| *url == "about:blank"), "{elsewhere:?}");

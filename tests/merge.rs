@@ -12,6 +12,8 @@ use metasense::plan::Plan;
 use metasense::store::{Array, Reader, RunPlan, Store, StoreError, npy_bytes};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
 use proptest::prelude::*;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 
 /// What a copy of a trial has come to.
 #[derive(Debug, Clone, Copy)]
@@ -29,7 +31,8 @@ enum Life {
 fn plan(name: &str) -> Plan {
     let text = SPEC
         .replace("\"s\"", &format!("{name:?}"))
-        .replace("sensors = [1, 2]", "sensors = [1, 2]\nseeds = [1, 2, 3]");
+        .replace("sensors = [1, 2]", "sensors = [1, 2]\nseeds = [1, 2, 3]")
+        .replace("[sweep]", "[optimise]\niterations = 4\n[sweep]");
     Plan::new("s.toml", text).unwrap()
 }
 
@@ -37,7 +40,8 @@ async fn steps(store: &mut Store, hash: &str, attempt: u32, count: u32) {
     for step in 0..count {
         let record =
             StepRecord { step, outcome: "ok".into(), loss_test: Some(f64::from(step)), ..Default::default() };
-        let checkpoint = Checkpoint { step: step + 1, ..Default::default() };
+        let design = vec![f64::from(step)];
+        let checkpoint = Checkpoint { step: step + 1, design, ..Default::default() };
         store.record_step(hash, attempt, &record, &checkpoint).await.unwrap();
     }
 }
@@ -100,7 +104,8 @@ async fn database(path: &Path, plan: &Plan, shard: u32, lives: &[(usize, Life)])
 }
 
 /// Nine databases with all that can meet: partial ones and their later states, trials done twice by one instruction set
-/// and by two, failed in one and done in another, two sweeps that share their trials, an older schema.
+/// and by two, with and without the designs that older versions did not keep, failed in one and done in another, two sweeps
+/// that share their trials, an older schema.
 fn pool() -> &'static [PathBuf] {
     static POOL: OnceLock<(tempfile::TempDir, Vec<PathBuf>)> = OnceLock::new();
     let make = || {
@@ -113,6 +118,11 @@ fn pool() -> &'static [PathBuf] {
             std::fs::copy(at("c-partial"), at("a-later")).unwrap();
             database(&at("a-later"), &s, 1, &[(3, Life::Done(6.0, "avx2"))]).await;
             database(&at("b-again"), &s, 1, &[(0, Life::Done(5.0, "avx2")), (3, Life::Steps(3))]).await;
+            let mut older = SqliteConnectOptions::new().filename(at("b-again")).connect().await.unwrap();
+            let deleted =
+                sqlx::query("DELETE FROM artifact WHERE name LIKE 'design_step_%'").execute(&mut older).await;
+            assert_eq!(deleted.unwrap().rows_affected(), 7);
+            older.close().await.unwrap();
             database(&at("d-wide"), &s, 1, &[(0, Life::Done(5.1, "avx512"))]).await;
             database(&at("e-differs"), &s, 1, &[(3, Life::Done(6.5, "avx2"))]).await;
             database(

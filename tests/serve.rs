@@ -202,6 +202,11 @@ async fn what_is_on_disk_is_on_the_page_within_a_second() {
         took.push(recorded.elapsed());
         let (_, page) = server.get(&format!("/0/trial/{}", hashes[0])).await;
         assert!(page.contains(&format!("body after {} steps", n + 1)), "step {n}: {page}");
+        // a stop for the initial body and for each design, with its numbers
+        assert!(page.contains(&format!("max=\"{}\" value=\"0\" aria-label=\"outer step\"", n + 1)), "{page}");
+        let designs =
+            page.split("id=\"designs\" data-live hidden>").nth(1).unwrap().split('<').next().unwrap();
+        assert_eq!(designs.lines().count() as u32, 1 + 1 + n + 1, "{page}");
     }
     took.sort_unstable();
     println!("steps were told after {took:?}");
@@ -297,7 +302,8 @@ async fn hostile_names_stay_text() {
              UPDATE trial SET spec = '{quoted}' WHERE hash = '{}';
              UPDATE sweep SET name = '{quoted}', text = '{quoted}';
              UPDATE attempt SET reason = '{quoted}', host = '{quoted}', code = '{quoted}', revision = '{quoted}', cpu = '{quoted}';
-             UPDATE log SET text = '{quoted}', level = 'error'; UPDATE step SET outcome = '{quoted}'",
+             UPDATE log SET text = '{quoted}', level = 'error'; UPDATE step SET outcome = '{quoted}';
+             UPDATE artifact SET name = 'design_step_{quoted}', shape = '{quoted}'",
             hashes[0], hashes[1]
         ),
     )

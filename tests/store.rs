@@ -147,6 +147,51 @@ async fn a_trial_keeps_the_name_of_the_sweep_that_brought_it() {
     assert_eq!(shown, ["\"other, third\"", "s", "\"s, other\"", "third"], "{rows}");
 }
 
+/// At most twenty designs of a trial stay, the last one among them, whatever stopped it on its way and however often a step
+/// was done: to the bytes the same.
+#[tokio::test]
+async fn the_designs_that_stay_depend_on_the_number_of_steps_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let design = |step: u32| -> Vec<f64> { (0..168).map(|i| f64::from(step) + f64::from(i) / 3.0).collect() };
+    for (steps, expected) in
+        [(3, vec![1, 2, 3]), (20, (1..=20).collect()), (50, (2..=50).step_by(3).collect())]
+    {
+        let mut trial = trial(0);
+        trial.spec.optimise.iterations = Some(steps as usize);
+        let mut kept = Vec::new();
+        // at once; and killed in the middle, with two steps done again
+        for (name, ways) in [("once", [0..0, 0..steps]), ("twice", [0..steps / 2 + 1, steps / 2 - 1..steps])]
+        {
+            let db = folder.path().join(format!("{name}{steps}.sqlite"));
+            for way in ways {
+                let mut store = Store::open(&db).await.unwrap();
+                store.begin_sweep(&sweep(), "text", std::slice::from_ref(&trial)).await.unwrap();
+                let attempt = store.begin_attempt(&trial.hash).await.unwrap();
+                store.begin_batch().await.unwrap();
+                for step in way {
+                    let record = StepRecord { step, ..Default::default() };
+                    let checkpoint =
+                        Checkpoint { step: step + 1, design: design(step + 1), ..Default::default() };
+                    store.record_step(&trial.hash, attempt, &record, &checkpoint).await.unwrap();
+                }
+                store.commit_batch().await.unwrap();
+            }
+            let mut reader = Reader::open(&db).await.unwrap();
+            let arrays = reader.arrays_of(&trial.hash).await.unwrap();
+            let bytes: usize = arrays.iter().map(|array| array.bytes.len()).sum();
+            assert_eq!(bytes, arrays.len() * (128 + 4 * 168));
+            kept.push(arrays.into_iter().map(|array| (array.name, array.bytes)).collect::<Vec<_>>());
+            let found = reader.designs_of(&trial.hash).await.unwrap();
+            assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), expected);
+            for (step, found) in found {
+                let off = found.iter().zip(design(step)).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max);
+                assert!(off < 1e-5, "step {step}: {off} mm");
+            }
+        }
+        assert_eq!(kept[0], kept[1], "{steps} steps");
+    }
+}
+
 #[tokio::test]
 async fn only_one_writer_at_a_time() {
     let folder = tempfile::tempdir().unwrap();

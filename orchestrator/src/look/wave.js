@@ -1,28 +1,18 @@
-document.querySelectorAll('.wave').forEach(root => {
-  const {duration, start} = root.dataset;
-  const bodies = [...root.querySelectorAll('svg')].map(svg => ({
-    units: [...svg.querySelectorAll('polygon.unit')],
-    data: Int32Array.from(svg.nextElementSibling.textContent.split(',')),
-  }));
+// A button and a slider over frames, of which `show` draws one, between two of them too, and says what it is.
+const player = (root, seconds, show) => {
   const [button, range, output] = root.querySelectorAll('button, input, output');
-  const count = +range.max + 1;
   let at = 0, last = null;
-  const show = () => {
-    const n = Math.min(Math.floor(at), count - 1);
-    for (const {units, data} of bodies) units.forEach((e, u) => {
-      const i = 2 * units.length + 4 * (n * units.length + u), [x, y] = data.subarray(2 * u);
-      e.setAttribute('transform', `translate(${data[i] / 1e3} ${-data[i + 1] / 1e3}) rotate(${-data[i + 2] * 0.0057296} ${x / 1e3} ${y / 1e3})`);
-      e.setAttribute('class', `unit s${Math.round(20 * Math.sqrt(data[i + 3] / 1e3))}`);
-    });
-    range.value = n;
-    output.textContent = ((n + 1) * +duration / count).toFixed(3) + ' s';
+  const put = to => {
+    at = to;
+    range.value = Math.floor(at);
+    output.textContent = show(at);
+    range.setAttribute('aria-valuetext', output.textContent);
   };
   const tick = now => {
     if (last === null) return;
-    at += (now - last) / 8000 * count;
+    const count = +range.max + 1, to = at + (now - last) / 1000 / seconds * count;
     last = now;
-    if (at >= count) at = 0;
-    show();
+    put(to < count ? to : 0);
     requestAnimationFrame(tick);
   };
   const play = on => {
@@ -31,7 +21,48 @@ document.querySelectorAll('.wave').forEach(root => {
     if (on) requestAnimationFrame(tick);
   };
   button.onclick = () => play(last === null);
-  range.oninput = () => { play(false); at = +range.value; show(); };
-  at = +start;
-  show();
+  range.oninput = () => { play(false); put(+range.value); };
+  return put;
+};
+document.querySelectorAll('.wave').forEach(root => {
+  const {duration, start} = root.dataset;
+  const bodies = [...root.querySelectorAll('svg')].map(svg => ({
+    units: [...svg.querySelectorAll('polygon.unit')],
+    data: Int32Array.from(svg.nextElementSibling.textContent.split(',')),
+  }));
+  const count = +root.querySelector('input').max + 1;
+  player(root, 8, at => {
+    const n = Math.floor(at);
+    for (const {units, data} of bodies) units.forEach((e, u) => {
+      const i = 2 * units.length + 4 * (n * units.length + u), [x, y] = data.subarray(2 * u);
+      e.setAttribute('transform', `translate(${data[i] / 1e3} ${-data[i + 1] / 1e3}) rotate(${-data[i + 2] * 0.0057296} ${x / 1e3} ${y / 1e3})`);
+      e.setAttribute('class', `unit s${Math.round(20 * Math.sqrt(data[i + 3] / 1e3))}`);
+    });
+    return ((n + 1) * +duration / count).toFixed(3) + ' s';
+  })(+start);
+});
+document.querySelectorAll('.course').forEach(root => {
+  const [units, ligaments, marks] = ['polygon.unit', 'path.ligament', '.panel, .sensor'].map(of => [...root.querySelectorAll(of)]);
+  const range = root.querySelector('input');
+  let joints, designs;
+  const read = () => {
+    [joints, ...designs] = root.querySelector('[data-live]').textContent.split('\n').map(line => line.split(',').map(Number));
+    range.max = designs.length - 1;
+  };
+  const put = player(root, 5, at => {
+    const n = Math.floor(at), [step, ...from] = designs[n], to = (designs[n + 1] ?? designs[n]).slice(1);
+    const number = i => (from[i] + (at - n) * (to[i] - from[i])).toFixed(3);
+    const point = i => `${number(2 * i)} ${number(2 * i + 1)}`;
+    units.forEach((e, u) => e.setAttribute('points', [0, 1, 2, 3].map(c => point(4 * u + c)).join(' ')));
+    ligaments.forEach((e, l) => e.setAttribute('d', `M${point(joints[2 * l])}L${point(joints[2 * l + 1])}`));
+    marks.forEach((e, m) => e.setAttribute('transform', `translate(${point(4 * units.length + m)})`));
+    return `step ${step} of ${root.dataset.steps}`;
+  });
+  const go = () => {
+    const latest = !designs || range.value === range.max;
+    read();
+    put(latest ? +range.max : +range.value);
+  };
+  document.addEventListener('refreshed', go);
+  go();
 });

@@ -1,10 +1,10 @@
-//! Bodies in motion: modes that swing by a page's style, waves that a script plays.
+//! Bodies in motion: modes that swing by a page's style; waves, and designs from step to step, that a script plays.
 
 use maud::{Markup, PreEscaped, html};
 use metasense_worker::modes::Mode;
 use metasense_worker::replay::{Drawing, Motion};
 
-use super::body::{Frame, Notes, Unit, body};
+use super::body::{Frame, Notes, Unit, body, frame};
 use super::{Picture, level};
 
 /// How far a mode moves the corner that it moves most, by the pitch of the grid.
@@ -89,14 +89,95 @@ pub fn animation(bodies: &[(&str, &Drawing, &Motion)], frame: Frame, most: f64, 
                     }
                 }
             }
-            div class="player" {
-                button type="button" { "Play" }
-                input type="range" min="0" max=(clock.len() - 1) value="0" aria-label="time";
-                output { "0 s" }
-            }
+            (player(clock.len(), "time", "0 s"))
+        }
+    }
+}
+
+/// A body after so many outer steps of a trial's `steps`: [`SCRIPT`] goes through these designs, and from one into the next,
+/// at first to the last; without script the first stands still. On a page that follows a trial they become more.
+///
+/// # Panics
+/// If there is none.
+#[must_use]
+pub fn course(designs: &[(u32, Drawing)], steps: usize) -> Markup {
+    let (at, first) = &designs[0];
+    let still = Drawing { active: Vec::new(), ..first.clone() };
+    let frame = frame(&designs.iter().map(|design| &design.1).collect::<Vec<_>>());
+    let still = body(&still, frame, "The body from step to step", Notes::default(), |_| Unit::default());
+    // which corners a ligament joins; then a line a design: its step, all corners, how far panels and sensors have gone (mm)
+    let joints = first.joints.iter().flatten().map(|(unit, node)| (4 * unit + node).to_string());
+    let point = |[x, y]: [f64; 2]| format!("{x:.3},{:.3}", -y);
+    let marks = |drawing: &Drawing| -> Vec<[f64; 2]> {
+        let units = drawing.panels.iter().map(|panel| &panel.0).chain(&drawing.sensors);
+        units.map(|unit| drawing.centroids[*unit]).collect()
+    };
+    let line = |(step, drawing): &(u32, Drawing)| {
+        let moved = marks(drawing).into_iter().zip(marks(first)).map(|([x, y], [u, v])| [x - u, y - v]);
+        let points = drawing.units.iter().flatten().copied().chain(moved).map(point);
+        std::iter::once(step.to_string()).chain(points).collect::<Vec<_>>().join(",")
+    };
+    let lines = std::iter::once(joints.collect::<Vec<_>>().join(",")).chain(designs.iter().map(line));
+    html! {
+        div class="course" data-steps=(steps) {
+            (still.svg(None))
+            (player(designs.len(), "outer step", &format!("step {at} of {steps}")))
+            div id="designs" data-live hidden { (lines.collect::<Vec<_>>().join("\n")) }
+        }
+    }
+}
+
+/// A button and a slider for so many frames, at the first, of which `said` is told.
+fn player(frames: usize, name: &str, said: &str) -> Markup {
+    html! {
+        div class="player" {
+            button type="button" { "Play" }
+            input type="range" min="0" max=(frames - 1) value="0" aria-label=(name) aria-valuetext=(said);
+            output aria-live="off" { (said) }
         }
     }
 }
 
 /// Plays the animations of a page; it goes behind them.
 pub const SCRIPT: &str = include_str!("wave.js");
+
+#[cfg(test)]
+mod tests {
+    use super::super::body::tests::squares;
+    use super::*;
+
+    /// Of every design its corners and, as they are drawn from the first, how far panel and sensor have gone since: the unit
+    /// of the panel with its corners, the sensor to another unit.
+    #[test]
+    fn a_course_has_every_design_and_where_its_marks_have_gone() {
+        let mut designs = [(0, squares()), (8, squares())];
+        for (_, drawing) in &mut designs {
+            (drawing.panels, drawing.sensors) = (vec![(0, [1.0, 0.0])], vec![1]);
+        }
+        let [_, (_, last)] = &mut designs;
+        last.units[0] = last.units[0].map(|[x, y]| [x + 1.5, y - 0.25]);
+        last.centroids[0] = [last.centroids[0][0] + 1.5, last.centroids[0][1] - 0.25];
+        last.sensors = vec![2];
+        let page = course(&designs, 50).into_string();
+        let data = page.split("hidden>").nth(1).unwrap().split('<').next().unwrap();
+        let lines: Vec<Vec<f64>> =
+            data.lines().map(|line| line.split(',').map(|x| x.parse().unwrap()).collect()).collect();
+        let [joints, first, last] = &lines[..] else { panic!("{data}") };
+        assert_eq!(joints.len(), 2 * designs[0].1.ligaments.len());
+        for (l, ends) in designs[0].1.ligaments.iter().enumerate() {
+            for (end, [x, y]) in ends.iter().enumerate() {
+                let corner = 1 + 2 * joints[2 * l + end] as usize;
+                assert!(
+                    (first[corner] - x).abs() < 1e-3 && (first[corner + 1] + y).abs() < 1e-3,
+                    "{l} {end}"
+                );
+            }
+        }
+        assert!((first[0], first.len(), last.len()) == (0.0, 1 + 9 * 8 + 4, 1 + 9 * 8 + 4), "{data}");
+        assert_eq!(first[73..], [0.0; 4]);
+        assert_eq!((last[0], &last[73..]), (8.0, &[1.5, 0.25, 15.0, 0.0][..]));
+        assert!((last[1] - first[1] - 1.5).abs() < 1e-3 && last[9..73] == first[9..73], "{data}");
+        assert!(page.contains("max=\"1\"") && page.contains("aria-valuetext=\"step 0 of 50\""), "{page}");
+        assert_eq!(page.matches("<script").count(), 0, "numbers alone");
+    }
+}

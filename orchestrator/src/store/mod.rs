@@ -5,6 +5,7 @@
 //! many records. A lock on the file keeps a second writer out for as long as a `Store` lives.
 
 mod confined;
+mod designs;
 mod error;
 mod log;
 mod made;

@@ -123,7 +123,7 @@ impl Store {
         .await
     }
 
-    /// Records an outer step and the checkpoint behind it, together.
+    /// Records an outer step and the checkpoint behind it, together; of some steps the design stays for good.
     ///
     /// # Errors
     /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
@@ -247,6 +247,7 @@ impl Store {
         .bind(seconds.store)
         .execute(&mut self.connection)
         .await?;
+        self.insert_design(id, checkpoint).await?;
         self.insert_checkpoint(id, checkpoint).await
     }
 
@@ -396,7 +397,7 @@ impl Store {
         Ok(())
     }
 
-    async fn insert_artifact(
+    pub(super) async fn insert_artifact(
         &mut self,
         id: i64,
         name: &str,

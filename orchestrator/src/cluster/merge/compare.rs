@@ -128,13 +128,11 @@ pub(super) async fn compare(
     Ok(())
 }
 
-/// Names of the arrays of two copies of a trial that are not equal.
+/// Names of the arrays that two copies of a trial have and that are not equal. Other versions keep others.
 async fn arrays(out: &mut SqliteConnection, other: i64, kept: i64) -> sqlx::Result<String> {
     let names: Vec<String> = sqlx::query_scalar(
-        "SELECT name FROM (SELECT name, bytes FROM src.artifact WHERE trial_id = ?1
-                           EXCEPT SELECT name, bytes FROM main.artifact WHERE trial_id = ?2)
-         UNION SELECT name FROM (SELECT name, bytes FROM main.artifact WHERE trial_id = ?2
-                                 EXCEPT SELECT name, bytes FROM src.artifact WHERE trial_id = ?1) ORDER BY 1",
+        "SELECT o.name FROM src.artifact o JOIN main.artifact m ON m.trial_id = ?2 AND m.name = o.name
+         WHERE o.trial_id = ?1 AND o.bytes <> m.bytes ORDER BY 1",
     )
     .bind(other)
     .bind(kept)

@@ -14,6 +14,7 @@ use super::trials::short;
 use super::{Served, framed, live, query, trouble};
 use crate::analysis::setting::flatten;
 use crate::look::body::{Notes, Unit, body, frame};
+use crate::look::wave::course;
 use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
 use crate::plan::counted;
 use crate::report::load::PARTS;
@@ -39,6 +40,8 @@ pub(super) struct Trial {
     pub log: Table,
     /// Both designs with what they are called, and the sensors on either, as far as they are known.
     pub designs: Vec<(String, TrialSpec, Vec<f64>)>,
+    /// The designs on the way that are known, after so many outer steps, the initial one first.
+    pub course: Vec<(u32, TrialSpec, Vec<f64>)>,
     /// Where both bodies and the weights that read them are stored.
     pub stored: Option<Stored>,
 }
@@ -48,10 +51,13 @@ impl Trial {
     pub async fn read(reader: &mut Reader, hash: &str) -> Result<Self, StoreError> {
         let hash = reader.hash_of(hash).await?;
         let of = format!("WHERE hash = {}", quoted(&hash));
-        let said =
-            reader.query(&format!("SELECT state, coalesce(reason, ''), spec FROM v_trial {of}")).await?;
-        let [state, reason, spec] =
-            [0, 1, 2].map(|i| said.rows[0][i].as_str().unwrap_or_default().to_owned());
+        let moves = format!("SELECT result->>'$.moves' FROM trial {of}");
+        let said = reader
+            .query(&format!("SELECT state, coalesce(reason, ''), spec, ({moves}) FROM v_trial {of}"))
+            .await?;
+        let [state, reason, spec, moves] =
+            [0, 1, 2, 3].map(|i| said.rows[0][i].as_str().unwrap_or_default().to_owned());
+        let mut moves: Vec<(u32, Vec<usize>)> = serde_json::from_str(&moves).unwrap_or_default();
         let facts = reader
             .query(&format!(
                 "SELECT panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with, placed, protocol,
@@ -110,6 +116,16 @@ impl Trial {
                     heard,
                     now.design,
                 ));
+                moves = now.moves;
+            }
+        }
+        let mut course = Vec::new();
+        if let Some((_, spec, initial)) = designs.first() {
+            course.push((0, spec.clone(), initial.clone()));
+            for (step, design) in reader.designs_of(&hash).await? {
+                let moved = moves.iter().rfind(|(from, _)| *from <= step);
+                let sensor_units = moved.map_or(&spec.sensor_units, |moved| &moved.1).clone();
+                course.push((step, TrialSpec { sensor_units, ..spec.clone() }, design));
             }
         }
         Ok(Self {
@@ -125,6 +141,7 @@ impl Trial {
             attempts,
             log,
             designs,
+            course,
             stored,
         })
     }
@@ -203,16 +220,14 @@ pub async fn page(
     };
     let following = replayed.is_none();
     let title = format!("Trial {}", short(&trial.hash));
-    let parts = [
-        ("curves", curves_of(&trial)),
-        ("bodies", bodies_of(&trial)),
-        ("networks", networks(&trial)),
-        ("time", time(&trial)),
-        ("attempts", attempts(&trial)),
-    ];
+    let parts = [("networks", networks(&trial)), ("time", time(&trial)), ("attempts", attempts(&trial))];
     let content = html! {
         (live("facts", &facts(&at, &seen, &trial)))
         @if trial.state != "done" { (of_trial(&served, &at, &trial.hash)) }
+        (live("curves", &curves_of(&trial)))
+        (live("bodies", &bodies_of(&trial)))
+        // it has its place on the slider: the designs alone are put in their place again
+        (course_of(&trial))
         @for (id, part) in &parts { (live(id, part)) }
         section id="replay" {
             h2 { "Forces and waves" }
@@ -351,6 +366,24 @@ fn bodies_of(trial: &Trial) -> Markup {
         data,
     )
     .html(&[])
+}
+
+/// Its designs so far, from step to step; none where none was kept, and none will be.
+fn course_of(trial: &Trial) -> Markup {
+    let drawn =
+        |(step, spec, design): &(u32, TrialSpec, Vec<f64>)| Some((*step, drawing(spec, design).ok()?));
+    let designs: Vec<_> = trial.course.iter().filter_map(drawn).collect();
+    let steps = trial.course.first().map_or(0, |initial| initial.1.optimise.steps());
+    let open = ["pending", "running"].contains(&trial.state.as_str());
+    html! {
+        @if designs.len() > 1 || open && !designs.is_empty() {
+            h2 id="course" { "The body from step to step" }
+            figure {
+                div class="plots" { div { (course(&designs, steps)) } }
+                figcaption { "The design after some of the outer steps; played, each passes into the next. Panels and sensors are where they then were." }
+            }
+        }
+    }
 }
 
 fn networks(trial: &Trial) -> Markup {

@@ -1,0 +1,51 @@
+//! Designs on a trial's way, as far as they are kept.
+
+use metasense_schemas::record::Checkpoint;
+use metasense_schemas::spec::Optimise;
+
+use super::{Reader, Store, StoreError, npy_bytes};
+
+/// So many of a trial at most.
+const KEPT: usize = 20;
+
+/// Their names among the arrays: after this, how many outer steps led there.
+const NAME: &str = "design_step_";
+
+impl Store {
+    /// Keeps a checkpoint's design where it is one of those to be kept: the last one and, back from it, each that is as many
+    /// steps before the next, as the trial's own number of steps has it; however often it is taken up again, the same ones.
+    pub(super) async fn insert_design(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
+        let optimise: String = sqlx::query_scalar("SELECT spec->'$.optimise' FROM trial WHERE id = ?")
+            .bind(id)
+            .fetch_one(&mut self.connection)
+            .await?;
+        let optimise: Optimise =
+            serde_json::from_str(&optimise).map_err(|e| sqlx::Error::Decode(e.into()))?;
+        let (steps, step) = (optimise.steps(), checkpoint.step);
+        let apart = steps.div_ceil(KEPT).max(1);
+        if checkpoint.design.is_empty() || !steps.abs_diff(step as usize).is_multiple_of(apart) {
+            return Ok(());
+        }
+        // to be looked at, not to go on from: half the bytes
+        let (shape, design) =
+            ([checkpoint.design.len()], checkpoint.design.iter().map(|x| *x as f32).collect::<Vec<_>>());
+        self.insert_artifact(id, &format!("{NAME}{step}"), &shape, npy_bytes(&shape, &design)).await
+    }
+}
+
+impl Reader {
+    /// What is kept of a trial's designs: after how many outer steps, and α (mm) to seven digits.
+    ///
+    /// # Errors
+    /// Where SQLite fails, or one of them cannot be read.
+    pub async fn designs_of(&mut self, hash: &str) -> Result<Vec<(u32, Vec<f64>)>, StoreError> {
+        let mut designs = Vec::new();
+        for array in self.arrays_of(hash).await? {
+            if let Some(step) = array.name.strip_prefix(NAME).and_then(|step| step.parse().ok()) {
+                designs.push((step, array.values::<f32>()?.into_iter().map(f64::from).collect()));
+            }
+        }
+        designs.sort_by_key(|design: &(u32, Vec<f64>)| design.0);
+        Ok(designs)
+    }
+}
