@@ -196,8 +196,8 @@ pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise."];
 /// What brains vary, and the training that goes with them.
 pub const BRAINS: &[&str] = &["brain.", "optimise.", "evaluation."];
 
-/// What the way of training varies.
-pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver."];
+/// What the way of training varies; a linear brain is solved for once, where networks are several.
+pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver.", "evaluation.seeds"];
 
 type Key = Vec<(String, Value)>;
 
@@ -465,6 +465,10 @@ mod tests {
         let found: Vec<(&str, usize)> = found.iter().map(|g| (&*g.label, g.trials.len())).collect();
         let told = |bend: &str| format!("K = 2, M = 1, body.stiffness.bend = {bend}");
         assert_eq!(found, [(&*told("4.0"), 3), (&*told("5.76"), 1)]);
+        let ways = [("cnn", 3), ("linear", 1)].map(|(kind, seeds)| {
+            with(trial(2, 5, 1, 0), &json!({"brain": {"kind": kind}, "evaluation": {"seeds": seeds}}))
+        });
+        assert_eq!(groups(&ways.iter().collect::<Vec<_>>(), TRAINING).len(), 1);
         let struck = |kind: &str, width: f64, double: Option<f64>| {
             let stimuli = json!({"stimuli": {"kind": kind, "width": [width], "double": double}});
             with(trial(2, 5, 1, 0), &stimuli)
