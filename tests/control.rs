@@ -190,7 +190,9 @@ fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     let mut run = Run::start(&bench, &["--workers", "2"]);
     run.busy("2 of 2 workers busy");
     let running = "hash FROM v_attempt WHERE state = 'running' ORDER BY hash LIMIT 1";
-    run.until(|| run.bench.metasense(&["query", "s.sqlite", &format!("SELECT {running}")]).status.success());
+    // the scheduler knows it before the disk does
+    run.until(|| run.bench.metasense(&["query", "s.sqlite", "SELECT 1"]).status.success());
+    run.until(|| run.count("count(*) FROM v_attempt WHERE state = 'running'") == "2");
     let hash = run.count(running);
     run.asked(&["next", &hash], 1, "refused: the trial is running already");
     run.asked(&["cancel", &hash], 0, "it ends after its step in progress");
@@ -232,6 +234,7 @@ fn questions_and_shards_decide_themselves_what_is_run() {
     // nothing is left of this look but to be cancelled
     run.asked(&["pause"], 0, "paused");
     run.until(|| run.asks(&["state"]).1.contains("paused: 0 of 2"));
+    run.until(|| run.count("count(*) FROM v_trial WHERE state = 'running'") == "0");
     let waiting = [
         "query",
         "s.sqlite",
