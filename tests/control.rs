@@ -111,6 +111,13 @@ fn bench() -> Bench {
     bench
 }
 
+/// The same, with trials that none of the tests ends.
+fn endless() -> Bench {
+    let bench = Bench::new();
+    bench.file("s.toml", &specs()[0].replace("iterations = 40", "iterations = 10000"));
+    bench
+}
+
 /// What the trials of the second spec come to, undisturbed.
 fn whole() -> &'static [String] {
     static WHOLE: OnceLock<Vec<String>> = OnceLock::new();
@@ -185,8 +192,7 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
 /// A running trial that is cancelled, a stop, and a run that is killed: its socket is in nobody's way.
 #[test]
 fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
-    let bench = bench();
-    bench.file("s.toml", &specs()[1]);
+    let bench = endless();
     let mut run = Run::start(&bench, &["--workers", "2"]);
     run.busy("2 of 2 workers busy");
     let running = "hash FROM v_attempt WHERE state = 'running' ORDER BY hash LIMIT 1";
@@ -195,18 +201,20 @@ fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     run.until(|| run.count("count(*) FROM v_attempt WHERE state = 'running'") == "2");
     let hash = run.count(running);
     run.asked(&["next", &hash], 1, "refused: the trial is running already");
+    run.asked(&["workers", "1"], 0, "workers: 2 before, 1 from now on");
     run.asked(&["cancel", &hash], 0, "it ends after its step in progress");
     let ended =
         format!("count(*) FROM v_trial WHERE hash = '{hash}' AND state = 'failed' AND reason = 'cancelled'");
     run.until(|| run.count(&ended) == "1");
-    run.asked(&["workers", "1"], 0, "workers: 2 before, 1 from now on");
     run.busy("1 of 1 worker busy");
     run.asked(&["stop"], 0, "stopping: 1 running trial is taken back");
     assert_eq!(run.wait(), Some(4), "{}", run.told());
     let others = "count(*) FROM v_attempt WHERE state = 'failed' AND reason NOT IN ('stopped', 'cancelled')";
     assert_eq!(run.count(others), "0", "something else has ended an attempt");
 
-    let mut run = Run::start(&bench, &["--retry-failed"]);
+    let bench = self::bench();
+    bench.file("s.toml", &specs()[1]);
+    let mut run = Run::start(&bench, &[]);
     run.busy("busy");
     run.child.kill().unwrap();
     run.child.wait().unwrap();
@@ -318,9 +326,7 @@ fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
 /// overtakes jobs whose checkpoints are still being read. The workers live, and no attempt ends but by request.
 #[test]
 fn a_stop_that_overtakes_its_job_ends_no_worker() {
-    let bench = Bench::new();
-    // none is done before the test is
-    bench.file("s.toml", &specs()[0].replace("iterations = 40", "iterations = 10000"));
+    let bench = endless();
     let mut run = Run::start(&bench, &["--workers", "6"]);
     run.busy("6 of 6 workers busy");
     run.until(|| run.count("count(*) FROM checkpoint") == "6");
