@@ -133,18 +133,19 @@ pub(super) fn evaluate(
                     body.readings = readings(setting, &plain).unwrap_or_default();
                 }
                 let own = setting.scales.with_rms_of(&signals[0]);
-                let x = [0, 1, 2].map(|set| own.inputs::<f32>(&signals[set]));
                 Ok(match problem.reader {
                     Kind::Linear => {
                         let readings = body.as_mut().map(|body| &mut body.readings);
                         Seen::Linear(self::linear(setting, &plain, readings.unwrap_or(&mut Vec::new())))
                     }
                     Kind::Network => {
-                        let y = [0, 1, 2].map(|set| own.targets::<f32>(&problem.targets(sets[set])));
-                        let data = [0, 1, 2].map(|set| Data::new(setting.shape, &x[set], &y[set]));
-                        Seen::Network(Box::new((data, own)))
+                        let data =
+                            |set: usize| own.data(setting.shape, &signals[set], &problem.targets(sets[set]));
+                        Seen::Network(Box::new(([0, 1, 2].map(data), own)))
                     }
-                    Kind::Stacked => Seen::Network(Box::new((stacked(setting, &plain, &x)?, own))),
+                    Kind::Stacked => {
+                        Seen::Network(Box::new((stacked(setting, &plain, &signals, &own)?, own)))
+                    }
                 })
             },
         )
@@ -188,14 +189,19 @@ enum Seen {
     Linear(NetworkEvaluation),
 }
 
-/// The sets of a stacked network, whose signals are `signals` as they are.
-fn stacked(setting: &Setting, sets: &[Plain; 3], signals: &[Vec<f32>; 3]) -> Result<[Data<f32>; 3], Trouble> {
+/// The sets of a stacked network, whose signals (N, T, 3M) are at its body's own scales.
+fn stacked(
+    setting: &Setting,
+    sets: &[Plain; 3],
+    signals: &[Vec<f64>; 3],
+    own: &Scales,
+) -> Result<[Data<f32>; 3], Trouble> {
     let problem = setting.problem;
     let stack = Stack::new(&problem.decoder, problem.seed, &sets[0])?;
     let data = |set: usize| {
         let x = &sets[set].x;
         let answers = if set == 0 { stack.cross_fitted(x) } else { stack.answers(x) };
-        setting.scales.stacked(problem.reader_shape(), &signals[set], &sets[set], &answers)
+        own.stacked(problem.reader_shape(), &signals[set], &sets[set], &answers)
     };
     Ok([data(0), data(1), data(2)])
 }

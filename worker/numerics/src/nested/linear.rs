@@ -171,14 +171,13 @@ impl Stack {
 }
 
 impl Scales {
-    /// Samples as a stacked network takes them: its inputs of the signals (N, T, 3M) beside a linear brain's answers
-    /// (N, T, K), as of forces.
-    pub(super) fn stacked(&self, shape: Shape, signals: &[f32], plain: &Plain, answers: &[f64]) -> Data<f32> {
+    /// Samples as a stacked network takes them: signals (N, T, 3M) beside a linear brain's answers (N, T, K), as of forces.
+    pub(super) fn stacked(&self, shape: Shape, signals: &[f64], plain: &Plain, answers: &[f64]) -> Data<f32> {
         let force = force_scale(&self.mean, &self.deviation);
         let physical =
             |y: &[f64]| -> Vec<f32> { self.targets(&y.iter().map(|y| force * y).collect::<Vec<f64>>()) };
         let Sizes { channels, outputs, .. } = plain.sizes;
-        let said = physical(answers);
+        let (signals, said) = (self.inputs::<f32>(signals), physical(answers));
         let mut x = Vec::with_capacity(signals.len() + said.len());
         for (signals, said) in signals.chunks_exact(channels).zip(said.chunks_exact(outputs)) {
             x.extend_from_slice(signals);

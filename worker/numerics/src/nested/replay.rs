@@ -98,7 +98,7 @@ fn stacked(setting: &Setting, signals: &[f64], forces: &Forces, kinds: &[u8]) ->
     for (own, &sample) in stack.cross_fitted(&train.x).chunks_exact(one).zip(&training) {
         answers[sample * one..(sample + 1) * one].copy_from_slice(own);
     }
-    Ok(setting.scales.stacked(problem.reader_shape(), &setting.scales.inputs(signals), &all, &answers))
+    Ok(setting.scales.stacked(problem.reader_shape(), signals, &all, &answers))
 }
 
 /// A linear brain fitted on a replay's training samples, and what it says of all of them.

@@ -110,9 +110,8 @@ impl Records {
                     Ok(stack) => stack,
                     Err(trouble) => return Unseen::nothing(&truth, test.len(), trouble),
                 };
-                let [seen, heard] = [&signals, &test_signals].map(|signals| scales.inputs(signals));
-                let seen = scales.stacked(shape, &seen, &known, &stack.cross_fitted(&known.x));
-                (seen, scales.stacked(shape, &heard, &unseen, &stack.answers(&unseen.x)))
+                let seen = scales.stacked(shape, &signals, &known, &stack.cross_fitted(&known.x));
+                (seen, scales.stacked(shape, &test_signals, &unseen, &stack.answers(&unseen.x)))
             }
         };
         let [mut workspace, mut aside] = [(); 2].map(|()| Workspace::new(data.shape()));
