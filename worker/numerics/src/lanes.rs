@@ -6,7 +6,7 @@
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
-/// Lanes of a vector of f64: samples integrated together.
+/// Lanes of the widest vector of f64: samples integrated together.
 pub const LANES: usize = 8;
 /// Lanes of the widest vector.
 pub const MOST: usize = 16;
@@ -183,10 +183,10 @@ macro_rules! operators {
 #[repr(align(16))]
 pub struct Lanes<F, const N: usize>([F; N]);
 
-/// Eight lanes, as the dynamics takes them.
-pub type Array = Lanes<f64, LANES>;
+/// What a register holds that every x86-64 has; twice or four times as many make kernels that are larger and no faster.
+pub type Array = Lanes<f64, 2>;
 /// Likewise of f32.
-pub type SingleArray = Lanes<f32, LANES>;
+pub type SingleArray = Lanes<f32, 4>;
 
 /// An array by the value of each lane. A closure may compute it: it needs no instruction set.
 macro_rules! lanes {

@@ -3,7 +3,10 @@
 use super::Scene;
 use super::ligaments::{Shape, product};
 use super::model::Model;
-use crate::lanes::{Array, LANES, Vector};
+use crate::lanes::{Array, Vector};
+
+/// Columns of the stiffness that are found together.
+const COLUMNS: usize = <Array as Vector>::LANES;
 
 /// Masses, damping and stiffness of the units that move. Unknown 3i + d is displacement d = u, v, θ of the i-th of them.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,7 +32,7 @@ impl Rest {
         let free = model.free.clone();
         let unknowns: Vec<usize> = free.iter().flat_map(|u| 3 * u..3 * u + 3).collect();
         let mut stiffness = Vec::new();
-        for (block, columns) in unknowns.chunks(LANES).enumerate() {
+        for (block, columns) in unknowns.chunks(COLUMNS).enumerate() {
             let unit = |&column: &usize| {
                 let mut w = vec![0.0; 3 * model.units()];
                 w[column] = 1.0;
@@ -39,7 +42,7 @@ impl Rest {
             let products = hessian_at_rest(&model, scene, &directions);
             for (j, product) in products[..columns.len()].iter().enumerate() {
                 let rows = unknowns.iter().enumerate().filter(|(_, u)| product[**u] != 0.0);
-                stiffness.extend(rows.map(|(i, u)| (i, LANES * block + j, product[*u])));
+                stiffness.extend(rows.map(|(i, u)| (i, COLUMNS * block + j, product[*u])));
             }
         }
         Self {
@@ -51,12 +54,12 @@ impl Rest {
     }
 }
 
-/// Products of the Hessian of the energy at rest with up to eight w, one a lane.
-pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [Vec<f64>; LANES] {
+/// Products of the Hessian of the energy at rest with up to so many w, one a lane.
+pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [Vec<f64>; COLUMNS] {
     let zero = Array::splat(0.0);
     let units = model.units();
     let lanes = |i: usize| {
-        Array::gather(&std::array::from_fn::<f64, LANES, _>(|lane| w.get(lane).map_or(0.0, |w| w[i])))
+        Array::gather(&std::array::from_fn::<f64, COLUMNS, _>(|lane| w.get(lane).map_or(0.0, |w| w[i])))
     };
     let direction: Vec<[Array; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
     let x = vec![[zero; 3]; units];

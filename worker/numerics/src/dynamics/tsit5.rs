@@ -99,6 +99,7 @@ pub fn forward<V: Vector>(
         attempts: 0,
         last_error: 1.0,
     });
+    let lanes = &mut lanes[..V::LANES];
     loop {
         // Idle lanes take up the next samples, at rest.
         for (l, lane) in lanes.iter_mut().enumerate() {
@@ -168,7 +169,7 @@ pub fn forward<V: Vector>(
         // Error relative to the tolerance, a lane
         let square = landed(square, &within, &a);
         let mut accepted = [0.0; LANES];
-        for l in 0..LANES {
+        for l in 0..V::LANES {
             let lane = &mut lanes[l];
             let Some(slot) = &mut lane.slot else {
                 accepted[l] = 1.0;
@@ -206,7 +207,7 @@ pub fn forward<V: Vector>(
         }
 
         // Accepted lanes move on, most often all
-        if accepted == [1.0; LANES] {
+        if accepted[..V::LANES].iter().all(|a| *a == 1.0) {
             std::mem::swap(&mut x, &mut xs);
             std::mem::swap(&mut v, &mut vs);
             a.swap(0, 6);
@@ -221,7 +222,7 @@ pub fn forward<V: Vector>(
                 }
             }
         }
-        for l in 0..LANES {
+        for l in 0..V::LANES {
             let lane = &mut lanes[l];
             let Some(slot) = lane.slot.as_mut().filter(|_| accepted[l] != 0.0) else { continue };
             lane.tau += lane.h;

@@ -74,7 +74,7 @@ pub fn reverse<V: Vector>(
         let count = |s: usize, kink: usize| sweeps[s].tape.counts[interval * kinks + kink] as usize;
         let total = |s: usize| (0..kinks).map(|kink| count(s, kink)).sum::<usize>();
         order.sort_by_key(|&s| (total(s), s));
-        for lanes in order.chunks(LANES) {
+        for lanes in order.chunks(V::LANES) {
             let state = |n: usize| -> [Option<&[f64]>; MOST] {
                 std::array::from_fn(|l| {
                     let sweep = &sweeps[*lanes.get(l)?];
@@ -91,7 +91,7 @@ pub fn reverse<V: Vector>(
                 *b = V::gather(&std::array::from_fn::<f64, LANES, _>(at));
             }
             let last = (interval + 1) * kinks - 1;
-            for l in 0..LANES {
+            for l in 0..V::LANES {
                 match lanes.get(l) {
                     Some(&s) => reach.load(l, forces, sweeps[s].history, last),
                     None => reach.clear(l),
