@@ -38,6 +38,7 @@ mod why;
 
 use std::error::Error as _;
 use std::path::{Path, PathBuf};
+use std::pin::Pin;
 
 use clap::{Parser, Subcommand};
 
@@ -141,11 +142,13 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
 }
 
 /// Runs a command that waits for the database, in a runtime of its own.
-fn block_on<T>(future: impl Future<Output = Result<T, Error>>) -> Result<T, Error> {
+fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'static) -> Result<T, Error> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .map_err(|source| Error::Io { doing: "starting", path: PathBuf::from("the runtime"), source })?;
+    // Boxed: the runtime's loop is compiled once, not around every command.
+    let future: Pin<Box<dyn Future<Output = Result<T, Error>>>> = Box::pin(future);
     runtime.block_on(future)
 }
 
