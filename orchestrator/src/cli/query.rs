@@ -65,7 +65,7 @@ pub(super) async fn answer_in(
 const MOST_ROWS: usize = 10_000;
 
 /// Passes the rows on as they come.
-async fn answer(reader: &mut Reader, sql: &str, out: impl Write, format: Format) -> Result<(), Error> {
+async fn answer(reader: &mut Reader, sql: &str, out: impl Write + Send, format: Format) -> Result<(), Error> {
     let columns = reader.columns(sql).await?;
     let mut writer = RowWriter::new(out, format, &columns)?;
     let mut count = 0usize;

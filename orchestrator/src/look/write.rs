@@ -45,7 +45,7 @@ pub fn standard_output(format: Format) -> io::Result<io::Stdout> {
 }
 
 impl Table {
-    fn write(&self, format: Format, out: impl Write) -> io::Result<()> {
+    fn write(&self, format: Format, out: impl Write + Send) -> io::Result<()> {
         if format == Format::Parquet {
             return parquet(self, out);
         }
@@ -71,16 +71,16 @@ impl Table {
 
 /// Writes rows as they come; kept until the end are those of a table to read, whose columns are as wide as their widest cell, and,
 /// on disk, those of Parquet, where a column's type is that of its widest value.
-pub struct RowWriter<W: Write>(Form<W>);
+pub struct RowWriter<W: Write + Send>(Form<W>);
 
-enum Form<W: Write> {
+enum Form<W: Write + Send> {
     Kept(W, Table),
     Parquet(Box<Parquet<W>>),
     Csv(Box<csv::Writer<W>>),
     Json(BufWriter<W>, Vec<String>, bool),
 }
 
-impl<W: Write> RowWriter<W> {
+impl<W: Write + Send> RowWriter<W> {
     /// Of these columns.
     ///
     /// # Errors
