@@ -132,11 +132,11 @@ fn committed_specs_keep_their_hashes() {
     fig5 a3ec099760be45bd
     four-forces b88aef61917cde6e
     gradient c39bace70d622cb2
-    long-training b59102c41c14395c
+    long-training aff57803d389341f
     placed-two-core 6a5121d9e7f59190
     quickstart 039795c3a7a2ce68
     random 1fc0dbba48090cf1
-    reference bb7bbd223572a489
+    reference f69dce36048b28bd
     two-forces 434eeb4530862f35
     ");
 }
