@@ -125,8 +125,12 @@ impl Arrays {
                 Values::F32(values) => drop(body.write_copy_of_slice(bytemuck::cast_slice(values))),
                 Values::F64(values) => drop(body.write_copy_of_slice(bytemuck::cast_slice(values))),
                 Values::Ramp { first, .. } => {
-                    for (i, place) in body.chunks_exact_mut(8).enumerate() {
-                        place.write_copy_of_slice(&(first + i as f64).to_le_bytes());
+                    let mut block = [0.0; 512];
+                    for (n, place) in body.chunks_mut(size_of_val(&block)).enumerate() {
+                        for (i, value) in block.iter_mut().enumerate() {
+                            *value = first + (512 * n + i) as f64;
+                        }
+                        place.write_copy_of_slice(&bytemuck::cast_slice(&block)[..place.len()]);
                     }
                 }
             }
