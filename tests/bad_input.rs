@@ -309,7 +309,10 @@ fn closed_outputs_change_no_exit_code() {
     let bench = Bench::new();
     bench.file("bad.toml", &SPEC.replacen("columns = 6", "colums = 6", 1));
     bench.file("good.toml", SPEC);
-    for (args, code) in [(["expand", "bad.toml"], 2), (["expand", "good.toml"], 0), (["status", "none"], 2)] {
+    let parquet = ["expand", "good.toml", "--format", "parquet"];
+    for (args, code) in
+        [(&["expand", "bad.toml"][..], 2), (&parquet[..2], 0), (&parquet, 0), (&["status", "none"], 2)]
+    {
         let closed = || std::io::pipe().unwrap().1;
         let status = std::process::Command::new(env!("CARGO_BIN_EXE_metasense"))
             .args(args)

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use parquet::basic::{LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
+use parquet::errors::ParquetError;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
@@ -35,7 +36,7 @@ impl Kind {
         }
     }
 
-    fn column(self, name: &str) -> io::Result<Arc<Type>> {
+    fn column(self, name: &str) -> Result<Arc<Type>, ParquetError> {
         let (physical, logical) = match self {
             Self::Int64 => (Physical::INT64, None),
             Self::Double => (Physical::DOUBLE, None),
@@ -60,9 +61,7 @@ fn widen(kinds: &mut [Option<Kind>], row: &[Value]) {
 pub fn parquet(table: &Table, out: impl Write + Send) -> io::Result<()> {
     let mut kinds = vec![None; table.columns.len()];
     table.rows.iter().for_each(|row| widen(&mut kinds, row));
-    let mut groups = Groups::new(out, &table.columns, &kinds)?;
-    table.rows.chunks(GROUP).try_for_each(|rows| groups.group(rows))?;
-    groups.end()
+    write(out, &table.columns, &kinds, table.rows.chunks(GROUP).map(Ok)).map_err(of_output)
 }
 
 /// The same of rows as they come. What a column holds is known after the last one: until then they wait in a file that nobody
@@ -102,42 +101,36 @@ impl<W: Write + Send> Parquet<W> {
         let mut file = self.rows.into_inner()?;
         file.rewind()?;
         let mut lines = BufReader::new(file).lines();
-        let mut groups = Groups::new(self.out, &self.columns, &self.kinds)?;
-        loop {
+        let groups = std::iter::from_fn(|| {
             let read = |line: io::Result<String>| Ok(serde_json::from_str(&line?)?);
-            let rows: Vec<Vec<Value>> = lines.by_ref().take(GROUP).map(read).collect::<io::Result<_>>()?;
-            if rows.is_empty() {
-                return groups.end();
-            }
-            groups.group(&rows)?;
-        }
+            let rows: io::Result<Vec<Vec<Value>>> = lines.by_ref().take(GROUP).map(read).collect();
+            rows.map(|rows| (!rows.is_empty()).then_some(rows)).transpose()
+        });
+        write(self.out, &self.columns, &self.kinds, groups).map_err(of_output)
     }
 }
 
-/// A file in the making, group by group.
-struct Groups<W: Write + Send> {
-    file: SerializedFileWriter<W>,
-    kinds: Vec<Kind>,
-}
-
-impl<W: Write + Send> Groups<W> {
-    fn new(out: W, columns: &[String], kinds: &[Option<Kind>]) -> io::Result<Self> {
-        // of a column without a value any will do
-        let kinds: Vec<Kind> = kinds.iter().map(|kind| kind.unwrap_or(Kind::Int64)).collect();
-        let fields = columns.iter().zip(&kinds).map(|(name, kind)| kind.column(name));
-        let schema =
-            Type::group_type_builder("rows").with_fields(fields.collect::<io::Result<_>>()?).build()?;
-        let properties = WriterProperties::builder()
-            .set_created_by("metasense".into())
-            .set_dictionary_enabled(false)
-            .set_statistics_enabled(EnabledStatistics::None);
-        let file = SerializedFileWriter::new(out, Arc::new(schema), Arc::new(properties.build()))?;
-        Ok(Self { file, kinds })
-    }
-
-    fn group(&mut self, rows: &[Vec<Value>]) -> io::Result<()> {
-        let mut group = self.file.next_row_group()?;
-        for (i, kind) in self.kinds.iter().enumerate() {
+/// Writes groups of rows as they come.
+fn write<R: AsRef<[Vec<Value>]>>(
+    out: impl Write + Send,
+    columns: &[String],
+    kinds: &[Option<Kind>],
+    groups: impl Iterator<Item = io::Result<R>>,
+) -> Result<(), ParquetError> {
+    // of a column without a value any will do
+    let kinds: Vec<Kind> = kinds.iter().map(|kind| kind.unwrap_or(Kind::Int64)).collect();
+    let fields = columns.iter().zip(&kinds).map(|(name, kind)| kind.column(name));
+    let schema = Type::group_type_builder("rows").with_fields(fields.collect::<Result<_, _>>()?).build()?;
+    let properties = WriterProperties::builder()
+        .set_created_by("metasense".into())
+        .set_dictionary_enabled(false)
+        .set_statistics_enabled(EnabledStatistics::None);
+    let mut file = SerializedFileWriter::new(out, Arc::new(schema), Arc::new(properties.build()))?;
+    for rows in groups {
+        let rows = rows?;
+        let rows = rows.as_ref();
+        let mut group = file.next_row_group()?;
+        for (i, kind) in kinds.iter().enumerate() {
             let mut column = group.next_column()?.expect("a column a kind");
             let levels: Vec<i16> = rows.iter().map(|row| i16::from(!row[i].is_null())).collect();
             let there = rows.iter().map(|row| &row[i]).filter(|value| !value.is_null());
@@ -161,11 +154,15 @@ impl<W: Write + Send> Groups<W> {
             column.close()?;
         }
         group.close()?;
-        Ok(())
     }
+    file.close()?;
+    Ok(())
+}
 
-    fn end(self) -> io::Result<()> {
-        self.file.close()?;
-        Ok(())
+/// What an output said, as it said it: a pipe that nobody reads any more is no failure.
+fn of_output(error: ParquetError) -> io::Error {
+    match error {
+        ParquetError::External(source) => source.downcast().map_or_else(io::Error::other, |e| *e),
+        error => io::Error::other(error),
     }
 }
