@@ -4,20 +4,18 @@
 //! (s² M + s C + K) x = 0        x(ω) = (K + iω C − ω² M)⁻¹ e_panel,   read as −ω² (u, v) and iω θ
 //! ```
 //! C is not proportional to M and K, so that shapes are complex and s comes of the first-order form, z = (Ω x, s x), of twice
-//! the unknowns, Ω a high frequency: eigenvalues of least |s| by Krylov–Schur on its inverse, K by a sparse Cholesky factor.
-//! Responses take a sparse LU factor a frequency. All three are faer's.
+//! the unknowns, Ω a high frequency: eigenvalues of least |s| by block Arnoldi on its inverse (Saad, Numerical Methods for Large
+//! Eigenvalue Problems, 2011, ch. 6), K by a sparse Cholesky factor. Responses take a sparse LU factor a frequency.
 
 pub mod bound;
 
 use crate::dynamics::{Rest, Scene};
 pub use faer::c64;
-use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::solvers::Solve;
-use faer::matrix_free::LinOp;
-use faer::matrix_free::eigen::{PartialEigenParams, partial_eigen, partial_eigen_scratch};
 use faer::sparse::linalg::solvers::{Llt, Lu, SymbolicLu};
 use faer::sparse::{SparseColMat, Triplet};
-use faer::{Col, Mat, MatMut, MatRef, Par, Side};
+use faer::{Mat, Side};
+use nalgebra::DVector;
 use std::f64::consts::TAU;
 
 /// A mode of small motions: the real part of `shape` · exp(s t).
@@ -45,10 +43,12 @@ impl Mode {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Loose;
 
-/// Residual at which an eigenpair counts as found, relative to |1/s| of the slowest.
-const TOLERANCE: f64 = 1e-13;
-/// Krylov vectors by the eigenvalues asked for, and at most by twice that.
-const SPARE: usize = 2;
+/// Net force of a mode that counts as found, relative to its inertia.
+const TOLERANCE: f64 = 1e-9;
+/// Starts of the subspace: a lattice of squares has modes that come twice, and one start finds such a mode once.
+const STARTS: usize = 3;
+/// Eigenvalues are told apart from here on.
+const APART: f64 = 1e-8;
 
 /// The `count` modes of least |s|, in order of it; fewer where the body has fewer.
 ///
@@ -59,33 +59,160 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, Loose
     let stiffness = sparse(n, &rest.stiffness).sp_cholesky(Side::Lower).map_err(|_| Loose)?;
     let own = rest.stiffness.iter().filter(|(i, j, _)| i == j).map(|&(i, _, k)| (k / rest.mass[i]).sqrt());
     let inverse = Inverse { rest, stiffness, scale: own.fold(0.0, f64::max) };
-    // pairs, and one more than are asked for, which may be cut in two
-    let asked = (2 * count + 2).min(2 * n);
-    let params =
-        PartialEigenParams { min_dim: SPARE * asked, max_dim: 2 * SPARE * asked, ..Default::default() };
-    let mut vectors = Mat::<c64>::zeros(2 * n, asked);
-    let mut values = vec![c64::ZERO; asked];
-    // any start that no symmetry of the lattice leaves without a part in some mode
-    let start = Col::from_fn(2 * n, |i| (1.0 + 7.3 * i as f64).sin());
-    let start = &start * (1.0 / start.norm_l2());
-    let mut memory = MemBuffer::new(partial_eigen_scratch(&inverse, asked, Par::Seq, params));
-    let (stack, start) = (MemStack::new(&mut memory), start.as_ref());
-    let found =
-        partial_eigen(vectors.as_mut(), &mut values, &inverse, start, TOLERANCE, Par::Seq, stack, params);
-    let mut modes: Vec<Mode> = (0..found.n_converged_eigen.min(asked))
-        .map(|j| (values[j].inv(), vectors.col(j)))
-        .filter(|(s, _)| s.im >= 0.0)
-        .map(|(s, z)| {
-            let square: c64 = (0..n).map(|i| z[i] * z[i] * rest.mass[i]).sum();
+    let mut space = Subspace { basis: Vec::new(), image: Vec::new(), drawn: 0 };
+    let mut size = (4 * count + 16).min(2 * n);
+    loop {
+        space.grow(&inverse, size);
+        let pairs = space.pairs(&inverse, count);
+        let found = pairs.iter().all(|(s, x)| residual(rest, *s, x) < TOLERANCE);
+        if size == 2 * n || (found && pairs.len() == count) {
+            let whole = |x: Vec<c64>| {
+                let mut shape = vec![[c64::ZERO; 3]; units];
+                x.into_iter().enumerate().for_each(|(i, x)| shape[rest.free[i / 3]][i % 3] = x);
+                shape
+            };
+            return Ok(pairs.into_iter().map(|(s, x)| Mode { s, shape: whole(x) }).collect());
+        }
+        size = (size + size / 2).min(2 * n);
+    }
+}
+
+/// max |(s² M + s C + K) x| over max |(s² M + s C) x|.
+fn residual(rest: &Rest, s: c64, x: &[c64]) -> f64 {
+    let most = |force: &[c64]| force.iter().map(|f| f.norm()).fold(0.0, f64::max);
+    let own = |i: usize| (s * s * rest.mass[i] + s * rest.damping[i]) * x[i];
+    let mut force: Vec<c64> = (0..x.len()).map(own).collect();
+    let inertia = most(&force);
+    rest.stiffness.iter().for_each(|&(i, j, k)| force[i] += k * x[j]);
+    most(&force) / inertia
+}
+
+/// An orthonormal basis V of what A⁻¹ makes of some starts, and what it makes of the first of V's vectors, in terms of V.
+struct Subspace {
+    basis: Vec<DVector<f64>>,
+    /// Vᵀ A⁻¹ v, one entry a vector v that it was applied to.
+    image: Vec<DVector<f64>>,
+    /// Starts so far.
+    drawn: usize,
+}
+
+impl Subspace {
+    /// Applies A⁻¹ until it was to `size` vectors.
+    fn grow(&mut self, inverse: &Inverse<'_>, size: usize) {
+        let most = 2 * inverse.rest.mass.len();
+        while self.basis.len() < STARTS.min(most) {
+            self.start(most);
+        }
+        while self.image.len() < size {
+            let moved = inverse.apply(&self.basis[self.image.len()]);
+            let image = self.add(moved);
+            self.image.push(image);
+            // an invariant subspace: what it lacks comes of another start
+            while self.basis.len() == self.image.len() && self.basis.len() < most {
+                self.start(most);
+            }
+        }
+    }
+
+    /// Another start, which no symmetry of the lattice leaves without a part in some mode.
+    fn start(&mut self, length: usize) {
+        self.drawn += 1;
+        let pace = 7.3 + (self.drawn as f64).sqrt();
+        let vector = DVector::from_fn(length, |i, _| (1.0 + pace * i as f64).sin());
+        self.add(vector);
+    }
+
+    /// Adds what is new in a vector to the basis, if anything; returns the vector in terms of the basis.
+    fn add(&mut self, mut vector: DVector<f64>) -> DVector<f64> {
+        let size = vector.norm();
+        let mut image = DVector::zeros(self.basis.len());
+        // twice is enough (Giraud et al., Numer. Math. 101 (2005) 87–100)
+        for _ in 0..2 {
+            for (part, of) in image.iter_mut().zip(&self.basis) {
+                let along = of.dot(&vector);
+                *part += along;
+                vector.axpy(-along, of, 1.0);
+            }
+        }
+        let left = vector.norm();
+        if left <= 1e-14 * size {
+            return image;
+        }
+        self.basis.push(vector / left);
+        image.push(left)
+    }
+
+    /// Entry of H = Vᵀ A⁻¹ V, which has few diagonals below its own.
+    fn part(&self, i: usize, j: usize) -> f64 {
+        self.image[j].get(i).copied().unwrap_or(0.0)
+    }
+
+    /// y ↦ (H − shift)⁻¹ y, by elimination with row exchanges.
+    fn divide(&self, y: &mut [c64], shift: c64) {
+        let m = y.len();
+        let below = (0..m).map(|j| self.image[j].len() - j).max().unwrap_or(0);
+        let entry = |i: usize, j: usize| c64::from(self.part(i, j)) - if i == j { shift } else { c64::ZERO };
+        let mut rows: Vec<Vec<c64>> = (0..m).map(|i| (0..m).map(|j| entry(i, j)).collect()).collect();
+        for k in 0..m {
+            let end = (k + below).min(m);
+            let pivot =
+                (k..end).max_by(|&i, &j| rows[i][k].norm().total_cmp(&rows[j][k].norm())).unwrap_or(k);
+            rows.swap(k, pivot);
+            y.swap(k, pivot);
+            let (top, rest) = rows.split_at_mut(k + 1);
+            for (i, row) in (k + 1..end).zip(rest) {
+                let by = row[k] / top[k][k];
+                row[k..].iter_mut().zip(&top[k][k..]).for_each(|(to, from)| *to -= by * from);
+                y[i] = y[i] - by * y[k];
+            }
+        }
+        for k in (0..m).rev() {
+            let known: c64 = rows[k][k + 1..].iter().zip(&y[k + 1..]).map(|(a, y)| a * y).sum();
+            y[k] = (y[k] - known) / rows[k][k];
+        }
+    }
+
+    /// (s, x) of the `count` slowest modes that the subspace knows of, xᵀMx = 1.
+    ///
+    /// Vectors by inverse iteration from x that are real at first, so that modes that come twice are as real as single ones.
+    fn pairs(&self, inverse: &Inverse<'_>, count: usize) -> Vec<(c64, Vec<c64>)> {
+        let (m, n) = (self.image.len(), inverse.rest.mass.len());
+        let values =
+            Mat::from_fn(m, m, |i, j| self.part(i, j)).eigenvalues().expect("an iteration that converges");
+        let mut slow: Vec<c64> =
+            values.into_iter().map(|value| value.inv()).filter(|s| s.im >= 0.0).collect();
+        slow.sort_by(|a, b| a.norm().total_cmp(&b.norm()));
+        slow.truncate(count);
+        let mut pairs: Vec<(c64, Vec<c64>)> = Vec::new();
+        for s in slow {
+            // The iteration must not divide by zero, and may be this far off
+            let shift = s.inv() * (1.0 + 1e-3 * APART);
+            let pace = 3.1 + (pairs.len() as f64).sqrt();
+            let x = |i: usize| (1.0 + pace * (i % n) as f64).sin();
+            let by = |i: usize| if i < n { c64::from(inverse.scale) } else { s };
+            let start: Vec<c64> = (0..2 * n).map(|i| by(i) * x(i)).collect();
+            let within = |v: &DVector<f64>| v.iter().zip(&start).map(|(v, z)| z * *v).sum::<c64>();
+            let mut y: Vec<c64> = self.basis[..m].iter().map(within).collect();
+            for _ in 0..3 {
+                self.divide(&mut y, shift);
+                let size = y.iter().map(|y| y.norm_sqr()).sum::<f64>().sqrt();
+                y.iter_mut().for_each(|y| *y /= size);
+            }
+            let mut x = vec![c64::ZERO; n];
+            for (y, v) in y.into_iter().zip(&self.basis) {
+                x.iter_mut().zip(v.iter()).for_each(|(x, v)| *x += y * *v);
+            }
+            for (_, other) in pairs.iter().filter(|(known, _)| (known - s).norm() < APART * s.norm()) {
+                let along = inverse.across(s, other, &x) / inverse.across(s, other, other);
+                x.iter_mut().zip(other).for_each(|(x, other)| *x -= along * other);
+            }
+            let square: c64 = x.iter().zip(&inverse.rest.mass).map(|(x, m)| x * x * *m).sum();
             let scale = square.sqrt().inv();
-            let mut shape = vec![[c64::ZERO; 3]; units];
-            (0..n).for_each(|i| shape[rest.free[i / 3]][i % 3] = scale * z[i]);
-            Mode { s, shape }
-        })
-        .collect();
-    modes.sort_by(|a, b| a.s.norm().total_cmp(&b.s.norm()));
-    modes.truncate(count);
-    Ok(modes)
+            x.iter_mut().for_each(|x| *x *= scale);
+            pairs.push((s, x));
+        }
+        pairs
+    }
 }
 
 /// Of a motion under a force of 1 N on a panel at one frequency: a_x, a_y (mm/s²/N) and ω (rad/s/N) of a unit.
@@ -144,38 +271,22 @@ struct Inverse<'a> {
     scale: f64,
 }
 
-impl std::fmt::Debug for Inverse<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "the inverse of the first-order form of {} units", self.rest.free.len())
-    }
-}
-
-impl LinOp<f64> for Inverse<'_> {
-    fn apply_scratch(&self, _: usize, _: Par) -> StackReq {
-        StackReq::EMPTY
-    }
-
-    fn nrows(&self) -> usize {
-        2 * self.rest.mass.len()
-    }
-
-    fn ncols(&self) -> usize {
-        self.nrows()
-    }
-
-    fn apply(&self, mut out: MatMut<'_, f64>, z: MatRef<'_, f64>, _: Par, _: &mut MemStack) {
+impl Inverse<'_> {
+    fn apply(&self, z: &DVector<f64>) -> DVector<f64> {
         let (Rest { mass, damping, .. }, n) = (self.rest, self.rest.mass.len());
-        let net = |i: usize, c: usize| -(damping[i] * z[(i, c)] + self.scale * mass[i] * z[(n + i, c)]);
-        let moved = self.stiffness.solve(Mat::from_fn(n, z.ncols(), net));
-        for c in 0..z.ncols() {
-            for i in 0..n {
-                (out[(i, c)], out[(n + i, c)]) = (moved[(i, c)], z[(i, c)] / self.scale);
-            }
-        }
+        let net = |i: usize, _| -(damping[i] * z[i] + self.scale * mass[i] * z[n + i]);
+        let moved = self.stiffness.solve(Mat::from_fn(n, 1, net));
+        DVector::from_fn(2 * n, |i, _| if i < n { moved[(i, 0)] } else { z[i - n] / self.scale })
     }
 
-    fn conj_apply(&self, out: MatMut<'_, f64>, z: MatRef<'_, f64>, par: Par, stack: &mut MemStack) {
-        self.apply(out, z, par, stack);
+    /// 2s xᵀMy + xᵀCy, zero for two modes of one s that are told apart.
+    fn across(&self, s: c64, x: &[c64], y: &[c64]) -> c64 {
+        let Rest { mass, damping, .. } = self.rest;
+        x.iter()
+            .zip(y)
+            .zip(mass.iter().zip(damping))
+            .map(|((x, y), (m, c))| x * y * (2.0 * s * *m + *c))
+            .sum()
     }
 }
 

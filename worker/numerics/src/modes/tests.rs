@@ -126,7 +126,12 @@ fn modes_that_come_twice_are_found_twice() {
     let twice = known.windows(2).filter(|f| f[1] / f[0] < 1.0 + 1e-9).count();
     assert!(twice > 5, "{twice} of {known:?}");
     for count in [10, 30, n] {
-        let (_, modes) = found(&square, &design, count);
+        let (rest, modes) = found(&square, &design, count);
+        for mode in &modes {
+            let x: Vec<c64> = rest.free.iter().flat_map(|u| mode.shape[*u]).collect();
+            let off = residual(&rest, mode.s, &x);
+            assert!(off < 1e-8, "{count}: {} {off:e}", mode.s);
+        }
         let frequencies: Vec<f64> = modes.iter().map(Mode::frequency).collect();
         assert_eq!(modes.len(), count);
         let off = frequencies.iter().zip(&known).map(|(f, k)| (f / k - 1.0).abs()).fold(0.0, f64::max);
