@@ -178,130 +178,8 @@ macro_rules! operators {
     };
 }
 
-/// N lanes as an array: what every machine has. No fused multiply-add, which would be a library call.
-#[derive(Clone, Copy)]
-#[repr(align(16))]
-pub struct Lanes<F, const N: usize>([F; N]);
+pub use x86::{Avx2, Avx512, Half, Pair, SingleAvx2, SingleAvx512, SingleSse2, Sse2};
 
-/// What a register holds that every x86-64 has; twice or four times as many make kernels that are larger and no faster.
-pub type Array = Lanes<f64, 2>;
-/// Likewise of f32.
-pub type SingleArray = Lanes<f32, 4>;
-
-/// An array by the value of each lane. A closure may compute it: it needs no instruction set.
-macro_rules! lanes {
-    ($i:ident: $value:expr) => {
-        Self(std::array::from_fn(
-            #[inline(always)]
-            |$i| $value,
-        ))
-    };
-}
-
-impl<F: Scalar, const N: usize> Lanes<F, N> {
-    #[inline(always)]
-    fn plus(self, o: Self) -> Self {
-        lanes!(i: self.0[i] + o.0[i])
-    }
-    #[inline(always)]
-    fn minus(self, o: Self) -> Self {
-        lanes!(i: self.0[i] - o.0[i])
-    }
-    #[inline(always)]
-    fn times(self, o: Self) -> Self {
-        lanes!(i: self.0[i] * o.0[i])
-    }
-}
-operators!([F: Scalar, const N: usize] Lanes<F, N>);
-
-impl<F: Scalar, const N: usize> Vector for Lanes<F, N> {
-    type Scalar = F;
-    const LANES: usize = N;
-    const ZERO: Self = Self([F::ZERO; N]);
-    #[inline(always)]
-    fn of(x: F) -> Self {
-        Self([x; N])
-    }
-    #[inline(always)]
-    fn lanes(&self) -> &[F] {
-        &self.0
-    }
-    #[inline(always)]
-    fn lanes_mut(&mut self) -> &mut [F] {
-        &mut self.0
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self, b: Self) -> Self {
-        lanes!(i: self.0[i] * a.0[i] + b.0[i])
-    }
-    #[inline(always)]
-    fn mul_sub_from(self, a: Self, b: Self) -> Self {
-        lanes!(i: b.0[i] - self.0[i] * a.0[i])
-    }
-    #[inline(always)]
-    fn over(self, a: Self) -> Self {
-        lanes!(i: self.0[i] / a.0[i])
-    }
-    #[inline(always)]
-    fn rsqrt(self) -> Self {
-        lanes!(i: F::from_f64(1.0) / self.0[i].sqrt())
-    }
-    #[inline(always)]
-    fn abs(self) -> Self {
-        lanes!(i: self.0[i].abs())
-    }
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        lanes!(i: if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] })
-    }
-    #[inline(always)]
-    fn where_less(self, a: Self, b: Self, other: Self) -> Self {
-        lanes!(i: if a.0[i] < b.0[i] { self.0[i] } else { other.0[i] })
-    }
-    #[inline(always)]
-    fn any_less(self, b: Self) -> bool {
-        let mut any = false;
-        for i in 0..N {
-            any |= self.0[i] < b.0[i];
-        }
-        any
-    }
-    #[inline(always)]
-    fn all_within(self, limit: f64) -> bool {
-        let mut all = true;
-        for i in 0..N {
-            all &= self.0[i].abs() <= F::from_f64(limit);
-        }
-        all
-    }
-    /// By halves, as registers do.
-    #[inline(always)]
-    fn sum(self) -> F {
-        let (mut sums, mut n) = (self.0, N);
-        while n > 1 {
-            n /= 2;
-            for i in 0..n {
-                sums[i] += sums[i + n];
-            }
-        }
-        sums[0]
-    }
-    #[inline(always)]
-    unsafe fn load(from: *const F) -> Self {
-        // SAFETY: the caller's promise.
-        Self(unsafe { from.cast::<[F; N]>().read_unaligned() })
-    }
-    #[inline(always)]
-    unsafe fn store(self, to: *mut F) {
-        // SAFETY: the caller's promise.
-        unsafe { to.cast::<[F; N]>().write_unaligned(self.0) }
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-pub use x86::{Avx2, Avx512, Half, SingleAvx2, SingleAvx512};
-
-#[cfg(target_arch = "x86_64")]
 mod x86 {
     // SAFETY (this module): values of these types are made only inside the entry points of `dispatch` and of the brain's
     // `kernels`, which run only where `Width::detect` has seen the instructions; but for `load` and `store`, whose callers
@@ -489,6 +367,49 @@ mod x86 {
         let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
         _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
     });
+
+    // What every x86-64 has. No fused multiply-add, which would be a library call.
+    register!(Sse2: __m128d, f64, 2;
+    _mm_set1_pd, _mm_loadu_pd, _mm_storeu_pd, _mm_add_pd, _mm_sub_pd, _mm_mul_pd, mul_add_pd, mul_sub_from_pd,
+    _mm_div_pd, _mm_max_pd;
+    abs(a): _mm_andnot_pd(_mm_set1_pd(-0.0), a),
+    rsqrt(x): Self::splat(1.0).over(Self(unsafe { _mm_sqrt_pd(x.0) })),
+    less(x, y): _mm_cmplt_pd(x, y),
+    blend(mask, yes, no): _mm_or_pd(_mm_and_pd(mask, yes), _mm_andnot_pd(mask, no)),
+    within(x, most): _mm_movemask_pd(_mm_cmple_pd(x, most)) == 0x3,
+    any(mask): _mm_movemask_pd(mask) != 0,
+    sum(all): _mm_cvtsd_f64(_mm_add_sd(all, _mm_unpackhi_pd(all, all))));
+
+    register!(SingleSse2: __m128, f32, 4;
+    _mm_set1_ps, _mm_loadu_ps, _mm_storeu_ps, _mm_add_ps, _mm_sub_ps, _mm_mul_ps, mul_add_ps, mul_sub_from_ps,
+    _mm_div_ps, _mm_max_ps;
+    abs(a): _mm_andnot_ps(_mm_set1_ps(-0.0), a),
+    rsqrt(x): Self::splat(1.0).over(Self(unsafe { _mm_sqrt_ps(x.0) })),
+    less(x, y): _mm_cmplt_ps(x, y),
+    blend(mask, yes, no): _mm_or_ps(_mm_and_ps(mask, yes), _mm_andnot_ps(mask, no)),
+    within(x, most): _mm_movemask_ps(_mm_cmple_ps(x, most)) == 0xf,
+    any(mask): _mm_movemask_ps(mask) != 0,
+    sum(all): {
+        let two = _mm_add_ps(all, _mm_movehl_ps(all, all));
+        _mm_cvtss_f32(_mm_add_ss(two, _mm_shuffle_ps::<1>(two, two)))
+    });
+
+    #[inline(always)]
+    unsafe fn mul_add_pd(a: __m128d, b: __m128d, c: __m128d) -> __m128d {
+        unsafe { _mm_add_pd(_mm_mul_pd(a, b), c) }
+    }
+    #[inline(always)]
+    unsafe fn mul_sub_from_pd(a: __m128d, b: __m128d, c: __m128d) -> __m128d {
+        unsafe { _mm_sub_pd(c, _mm_mul_pd(a, b)) }
+    }
+    #[inline(always)]
+    unsafe fn mul_add_ps(a: __m128, b: __m128, c: __m128) -> __m128 {
+        unsafe { _mm_add_ps(_mm_mul_ps(a, b), c) }
+    }
+    #[inline(always)]
+    unsafe fn mul_sub_from_ps(a: __m128, b: __m128, c: __m128) -> __m128 {
+        unsafe { _mm_sub_ps(c, _mm_mul_ps(a, b)) }
+    }
 
     /// Two vectors as one.
     #[derive(Clone, Copy)]

@@ -2,7 +2,6 @@
 //!
 //! An intrinsic of `core::arch` is one instruction where it is inlined, which it is into code of its instruction set alone. A
 //! closure in `#[inline(always)]` code is not such code: intrinsics in it are called, with operands in memory.
-#![cfg(target_arch = "x86_64")]
 
 #[path = "../../../tests/support/skip.rs"]
 mod skip;

@@ -9,7 +9,7 @@
 
 use super::real::Real;
 use super::winograd;
-use crate::lanes::{Lanes, Vector};
+use crate::lanes::{Avx512, Half, Pair, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
 
 /// Columns of activations and packed weights are padded to a multiple of this: the widest register.
@@ -652,22 +652,12 @@ macro_rules! entries {
     };
 }
 
-entries!(plain_f32, Lanes<f32, 4>, [4, 4, 2], [1, 1, 1]);
-entries!(plain_f64, Lanes<f64, 4>, [2, 2, 1], [1, 1, 1]);
-#[cfg(target_arch = "x86_64")]
-entries!(avx2_f32, crate::lanes::SingleAvx2, [6, 6, 3], [1, 1, 1], "avx2,fma");
-#[cfg(target_arch = "x86_64")]
-entries!(avx2_f64, crate::lanes::Half, [6, 6, 3], [1, 1, 1], "avx2,fma");
-#[cfg(target_arch = "x86_64")]
-entries!(
-    avx512_f32,
-    crate::lanes::SingleAvx512,
-    [10, 12, 5],
-    [8, 8, 4],
-    "avx512f,avx512dq,avx512vl,avx512bw,fma"
-);
-#[cfg(target_arch = "x86_64")]
-entries!(avx512_f64, crate::lanes::Avx512, [10, 12, 5], [1, 1, 1], "avx512f,avx512dq,avx512vl,avx512bw,fma");
+entries!(plain_f32, SingleSse2, [4, 4, 2], [1, 1, 1]);
+entries!(plain_f64, Pair<Sse2>, [2, 2, 1], [1, 1, 1]);
+entries!(avx2_f32, SingleAvx2, [6, 6, 3], [1, 1, 1], "avx2,fma");
+entries!(avx2_f64, Half, [6, 6, 3], [1, 1, 1], "avx2,fma");
+entries!(avx512_f32, SingleAvx512, [10, 12, 5], [8, 8, 4], "avx512f,avx512dq,avx512vl,avx512bw,fma");
+entries!(avx512_f64, Avx512, [10, 12, 5], [1, 1, 1], "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 macro_rules! choose {
     ($name:ident, $type:ty, $plain:ident, $avx2:ident, $avx512:ident) => {
@@ -677,13 +667,11 @@ macro_rules! choose {
         /// If the machine lacks the instruction set.
         pub fn $name(width: Width) -> Kernels<$type> {
             width.check();
-            #[cfg(target_arch = "x86_64")]
             match width {
-                Width::Avx512 => return $avx512::KERNELS,
-                Width::Avx2 => return $avx2::KERNELS,
-                Width::Baseline => {}
+                Width::Avx512 => $avx512::KERNELS,
+                Width::Avx2 => $avx2::KERNELS,
+                Width::Baseline => $plain::KERNELS,
             }
-            $plain::KERNELS
         }
     };
 }

@@ -3,10 +3,10 @@
 use super::ligaments::{Shape, Turn, gradient, product};
 use super::model::{Bar, Model, ModelCotangent};
 use super::splitting::{self, Scheme};
-use super::system::{Kernels, Second, System, Unit};
+use super::system::{First, Kernels, Second, System, Unit};
 use super::tsit5::{self, Queue, Slot, Sweep, take};
 use super::{Beside, Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
-use crate::lanes::{Array, SingleArray, Vector};
+use crate::lanes::{Avx2, Avx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -61,20 +61,22 @@ macro_rules! machine {
                 product::<$vector, LINEAR, CONTACT, GRADIENT, PARAMETERS>(model, bars, x, w, turn, g, h, shape);
             }
 
+            /// Of what is compiled: `product` adds ∂U/∂s, too, where cotangents of parameters are asked for, and linear
+            /// measures go with all that a kernel can do.
             fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {
-                fn of<const LINEAR: bool, const CONTACT: bool>(parameters: bool) -> Kernels<$vector> {
-                    let (second, product): (Second<$vector>, Second<$vector>) = match parameters {
-                        false => (second::<LINEAR, CONTACT, true, false>, second::<LINEAR, CONTACT, false, false>),
-                        true => (second::<LINEAR, CONTACT, true, true>, second::<LINEAR, CONTACT, false, true>),
-                    };
-                    Kernels { gradient: first::<LINEAR, CONTACT>, second, product }
-                }
-                match (scene.linearised, scene.contact.is_some()) {
-                    (false, false) => of::<false, false>(parameters),
-                    (false, true) => of::<false, true>(parameters),
-                    (true, false) => of::<true, false>(parameters),
-                    (true, true) => of::<true, true>(parameters),
-                }
+                type Of = (First<$vector>, [Second<$vector>; 2]);
+                let (gradient, [second, product]): Of = match (scene.linearised, scene.contact.is_some(), parameters) {
+                    (false, false, false) => {
+                        (first::<false, false>, [second::<false, false, true, false>, second::<false, false, false, false>])
+                    }
+                    (false, false, true) => (first::<false, false>, [second::<false, false, true, true>; 2]),
+                    (false, true, false) => {
+                        (first::<false, true>, [second::<false, true, true, false>, second::<false, true, false, false>])
+                    }
+                    (false, true, true) => (first::<false, true>, [second::<false, true, true, true>; 2]),
+                    (true, ..) => (first::<true, true>, [second::<true, true, true, true>; 2]),
+                };
+                Kernels { gradient, second, product }
             }
 
             $(#[target_feature(enable = $feature)])?
@@ -150,30 +152,25 @@ macro_rules! machine {
     };
 }
 
-machine!(baseline, Array);
-machine!(single_baseline, SingleArray);
-#[cfg(target_arch = "x86_64")]
-machine!(avx2, crate::lanes::Avx2, "avx2,fma");
-#[cfg(target_arch = "x86_64")]
-machine!(single_avx2, crate::lanes::SingleAvx2, "avx2,fma");
-#[cfg(target_arch = "x86_64")]
-machine!(avx512, crate::lanes::Avx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
-#[cfg(target_arch = "x86_64")]
-machine!(single_avx512, crate::lanes::SingleAvx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+machine!(baseline, Sse2);
+machine!(single_baseline, SingleSse2);
+machine!(avx2, Avx2, "avx2,fma");
+machine!(single_avx2, SingleAvx2, "avx2,fma");
+machine!(avx512, Avx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+machine!(single_avx512, SingleAvx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 /// # Panics
 /// If the machine lacks `width`.
 fn machine(width: Width, single: bool) -> Machine {
     width.check();
-    #[cfg(target_arch = "x86_64")]
     match (width, single) {
-        (Width::Avx512, false) => return avx512::MACHINE,
-        (Width::Avx512, true) => return single_avx512::MACHINE,
-        (Width::Avx2, false) => return avx2::MACHINE,
-        (Width::Avx2, true) => return single_avx2::MACHINE,
-        (Width::Baseline, _) => {}
+        (Width::Avx512, false) => avx512::MACHINE,
+        (Width::Avx512, true) => single_avx512::MACHINE,
+        (Width::Avx2, false) => avx2::MACHINE,
+        (Width::Avx2, true) => single_avx2::MACHINE,
+        (Width::Baseline, false) => baseline::MACHINE,
+        (Width::Baseline, true) => single_baseline::MACHINE,
     }
-    if single { single_baseline::MACHINE } else { baseline::MACHINE }
 }
 
 /// The splitting scheme of a method, if it is one.

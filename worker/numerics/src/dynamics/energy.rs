@@ -3,7 +3,7 @@
 use super::ligaments::{gradient, turns};
 use super::model::{Model, ModelCotangent};
 use super::{Contact, Scene};
-use crate::lanes::{Array, Vector};
+use crate::lanes::{Sse2, Vector};
 
 /// Elastic and contact energy (N·mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,20 +69,19 @@ pub fn energy_design_gradient(scene: &Scene, design: &[f64], displacement: &[[f6
 fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 3]>, Vec<f64>) {
     let model = Model::new(scene, design);
     let n = model.units();
-    let zero = Array::splat(0.0);
-    let x: Vec<[Array; 3]> = displacement.iter().map(|d| d.map(Array::splat)).collect();
+    let zero = Sse2::splat(0.0);
+    let x: Vec<[Sse2; 3]> = displacement.iter().map(|d| d.map(Sse2::splat)).collect();
     let (mut turn, mut g) = (vec![[zero; 2]; n], vec![[zero; 3]; n]);
     let mut cotangent = ModelCotangent::new(&model);
     let mut kept = vec![[[zero; 2]; 2]; model.bars.len()];
     let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => gradient::<Array, false, false, true>,
-        (false, true) => gradient::<Array, false, true, true>,
-        (true, false) => gradient::<Array, true, false, true>,
-        (true, true) => gradient::<Array, true, true, true>,
+        (false, false) => gradient::<Sse2, false, false, true>,
+        (false, true) => gradient::<Sse2, false, true, true>,
+        (true, _) => gradient::<Sse2, true, true, true>,
     };
     turns(&x, &mut turn);
     kernel(&model, &model.bars, &x, &turn, &mut g, &mut { zero }, &mut kept);
-    let first = |v: Array| v.lane(0);
+    let first = |v: Sse2| v.lane(0);
     for (bar, [force, voids]) in model.bars.iter().zip(kept) {
         let [gx, gy] = force.map(first);
         // (R − I)ᵀ ∂U/∂node at b, its negative at a

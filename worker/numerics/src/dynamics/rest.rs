@@ -3,10 +3,10 @@
 use super::Scene;
 use super::ligaments::{Shape, product};
 use super::model::Model;
-use crate::lanes::{Array, Vector};
+use crate::lanes::{Sse2, Vector};
 
 /// Columns of the stiffness that are found together.
-const COLUMNS: usize = <Array as Vector>::LANES;
+const COLUMNS: usize = <Sse2 as Vector>::LANES;
 
 /// Masses, damping and stiffness of the units that move. Unknown 3i + d is displacement d = u, v, θ of the i-th of them.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,20 +56,19 @@ impl Rest {
 
 /// Products of the Hessian of the energy at rest with up to so many w, one a lane.
 pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [Vec<f64>; COLUMNS] {
-    let zero = Array::splat(0.0);
+    let zero = Sse2::splat(0.0);
     let units = model.units();
     let lanes = |i: usize| {
-        Array::gather(&std::array::from_fn::<f64, COLUMNS, _>(|lane| w.get(lane).map_or(0.0, |w| w[i])))
+        Sse2::gather(&std::array::from_fn::<f64, COLUMNS, _>(|lane| w.get(lane).map_or(0.0, |w| w[i])))
     };
-    let direction: Vec<[Array; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
+    let direction: Vec<[Sse2; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
     let x = vec![[zero; 3]; units];
     let (turn, mut h) = (vec![[zero; 2]; units], x.clone());
     let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; units], vec![[zero; 2]; model.ligaments]);
     let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => product::<Array, false, false, false, false>,
-        (false, true) => product::<Array, false, true, false, false>,
-        (true, false) => product::<Array, true, false, false, false>,
-        (true, true) => product::<Array, true, true, false, false>,
+        (false, false) => product::<Sse2, false, false, false, false>,
+        (false, true) => product::<Sse2, false, true, false, false>,
+        (true, _) => product::<Sse2, true, true, false, false>,
     };
     let shape = Shape { arms: &mut arms, voids: &mut voids, stiffness: &mut [zero; 4] };
     kernel(model, &model.bars, &x, &direction, &turn, &mut [], &mut h, shape);

@@ -12,7 +12,7 @@ pub type Unit<V> = [V; 3];
 pub type First<V> =
     unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Unit<V>], &[Turn<V>], &mut [Unit<V>], &mut V);
 
-/// (model, its ligaments, x, w, turns, where to add ∂U/∂s or nothing, where to take its derivative along w from, and where to add that of
+/// (model, its ligaments, x, w, turns, where to add ∂U/∂s if at all, where to take its derivative along w from, and where to add that of
 /// arms, void angles and stiffnesses).
 pub type Second<V> = unsafe fn(
     &Model,
@@ -31,7 +31,7 @@ pub struct Kernels<V: Vector> {
     pub gradient: First<V>,
     /// Gradient and second derivatives along a direction.
     pub second: Second<V>,
-    /// The same without the gradient.
+    /// The same, by those who do not ask for the gradient.
     pub product: Second<V>,
 }
 
@@ -249,8 +249,9 @@ impl<'a, V: Vector> System<'a, V> {
         self.prepare(x, curved);
         let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
         let shape = Shape { arms, voids, stiffness };
+        let unread = &mut self.h;
         // SAFETY: as in `add_pull`.
-        unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, &mut [], curved, shape) };
+        unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, unread, curved, shape) };
     }
 
     /// Adds to the cotangent of C, of forces of weights `w` at velocities `v`.

@@ -140,7 +140,7 @@ fn far_angle<V: Vector>([x, y]: [&V; 2], t: &V, mean: &V, angle: &mut V) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lanes::{Array, LANES, SingleArray};
+    use crate::lanes::{LANES, SingleSse2, Sse2};
 
     /// Angles and turns from none to many times round, each lane by itself: polynomials and the standard library agree.
     fn worst<V: Vector>() -> [f64; 2] {
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn near_and_far_lanes_are_the_standard_librarys() {
-        let (double, single) = (worst::<Array>(), worst::<SingleArray>());
+        let (double, single) = (worst::<Sse2>(), worst::<SingleSse2>());
         assert!(double[0] < 1e-14 && double[1] < 3e-16, "{double:?}");
         assert!(single[0] < 2e-6 && single[1] < 2e-7, "{single:?}");
     }
