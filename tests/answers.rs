@@ -1,10 +1,9 @@
 //! `analyse` finds in a database what was put into it.
 
-mod synthetic;
-
 use std::path::Path;
 use std::process::Command;
 
+use crate::synthetic;
 use serde_json::Value;
 
 fn metasense(db: &Path, args: &[&str]) -> (bool, String, String) {

@@ -1,8 +1,6 @@
 //! Bad input ends with exit code 2 and a message that names file, key and value, and nothing is started or written.
 
-mod common;
-
-use common::{Bench, SPEC};
+use crate::common::{Bench, SPEC};
 
 /// What is replaced in the spec, by what, and what the message says.
 const EDITS: &[(&str, &str, &str)] = &[

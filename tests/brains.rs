@@ -1,8 +1,6 @@
 //! The brain as an axis: trained with and read by linear brains and networks, from the spec to what is exported.
 
-mod common;
-
-use common::{Bench, TINY, results};
+use crate::common::{Bench, TINY, results};
 
 /// TINY read by a network and by a linear brain, each trained with either.
 fn spec() -> String {

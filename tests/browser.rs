@@ -1,9 +1,6 @@
 //! The pages of `serve` in a real browser, by its own protocol: they load without a word on the console and without a request
 //! to anybody else, follow what is recorded, and can be used by keyboard alone, on a phone, by name.
 
-#[path = "support/skip.rs"]
-mod skip;
-
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -16,9 +13,8 @@ use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use serde_json::{Value, json};
 
-use common::{Bench, TINY};
-
-mod common;
+use crate::common::{Bench, TINY};
+use crate::support::skip;
 
 /// No page and no event takes so long.
 const DEADLINE: Duration = Duration::from_secs(60);

@@ -1,19 +1,13 @@
 //! The comparison at the end of a trial is stopped, killed and gone on with like its outer steps: to the same bits.
 
-mod common;
-#[path = "support/roll.rs"]
-mod roll;
-#[path = "support/engine.rs"]
-#[allow(dead_code, reason = "each test file uses its share")]
-mod support;
-
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{Bench, TINY, results};
+use crate::common::{Bench, TINY, results};
+use crate::support::engine::{children, eventually, is_alive, kill, rows};
+use crate::support::roll;
+use crate::support::roll::Roll;
 use metasense::store::Reader;
-use roll::Roll;
-use support::{children, eventually, is_alive, kill, rows};
 
 /// Longest time that a person waits after Ctrl-C: two seconds, and what a busy machine adds.
 const STOPPED: Duration = Duration::from_secs(3);

@@ -1,10 +1,6 @@
 //! A run is steered from another terminal and from its pages, by real processes: what is asked happens, is told, and changes
 //! no result; whoever may not ask changes nothing.
 
-mod common;
-#[path = "support/roll.rs"]
-mod roll;
-
 use std::fs::File;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -13,10 +9,10 @@ use std::process::{Child, Command, Output};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use common::{Bench, TINY, results};
+use crate::common::{Bench, TINY, results};
+use crate::support::roll::{Roll, number};
 use metasense::fleet::children;
 use metasense::plan::Plan;
-use roll::{Roll, number};
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Six trials, and eight.

@@ -1,8 +1,6 @@
 //! Designs on the command line: projected, drawn, read from files, drawn at random.
 
-mod common;
-
-use common::{Bench, SPEC};
+use crate::common::{Bench, SPEC};
 
 fn npy(values: &[f64]) -> Vec<u8> {
     let mut head = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({},), }}", values.len());

@@ -1,12 +1,5 @@
 //! Nothing lost, nothing left behind: real processes, real signals, and the database compared row for row.
 
-#[path = "support/roll.rs"]
-mod roll;
-#[path = "support/skip.rs"]
-mod skip;
-#[path = "support/engine.rs"]
-mod support;
-
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
@@ -14,9 +7,10 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use crate::support::engine::{Run, children, eventually, is_alive, kill, results, rows};
+use crate::support::roll::Roll;
+use crate::support::{roll, skip};
 use metasense::link::SHARED_MEMORY;
-use roll::Roll;
-use support::{Run, children, eventually, is_alive, kill, results, rows};
 
 const SWEEP: &str = "--trials 24 --steps 12 --step-ms 8 --array 3000 --workers 2";
 

@@ -1,16 +1,11 @@
 //! Measured signals, from files to the table that compares bodies.
 
-mod common;
-#[path = "support/engine.rs"]
-#[allow(dead_code, reason = "each test file uses its share")]
-mod support;
-
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::Bench;
+use crate::common::Bench;
+use crate::support::engine::{eventually, kill};
 use metasense_worker::design::{self, Layout};
-use support::{eventually, kill};
 
 const SPEC: &str = r#"name = "s"
 [body]

@@ -1,8 +1,6 @@
 //! `expand` shows what would run, in the order of running; `schema` describes what may be written.
 
-mod common;
-
-use common::{Bench, SPEC};
+use crate::common::{Bench, SPEC};
 
 /// Breadth first: each (K, M) of each body has its first placement before any has its second. Hashes are pinned: they
 /// name trials in databases that exist.

@@ -1,12 +1,10 @@
 //! Each form of export is read back by a reader that is not ours.
 
-#[path = "support/skip.rs"]
-mod skip;
-mod synthetic;
-
 use std::path::Path;
 use std::process::Command;
 
+use crate::support::skip;
+use crate::synthetic;
 use metasense_worker::files::content;
 
 fn export(db: &Path, what: &str, format: &str, out: &Path) {

@@ -3,21 +3,18 @@
 //! Bytes of the file, or cells of its tables, are replaced; `FOREIGN_SEED=N` does one case again, `FOREIGN_CASES=N` says how
 //! many there are.
 
-mod common;
-#[path = "support/roll.rs"]
-mod roll;
-
 use std::panic::AssertUnwindSafe;
 use std::path::Path;
 
-use common::SPEC;
+use crate::common::SPEC;
+use crate::support::roll;
+use crate::support::roll::Roll;
 use metasense::analysis::{Question, Terms};
 use metasense::cluster::{Deal, Shard, merge, state};
 use metasense::plan::Plan;
 use metasense::report::load;
 use metasense::store::{Reader, Store};
 use metasense_schemas::database::VIEWS;
-use roll::Roll;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
 

@@ -2,14 +2,11 @@
 //!
 //! Without `hq` in PATH (a program of one file, from its releases or `cargo build --bin hq`) it says so and passes.
 
-mod common;
-#[path = "support/skip.rs"]
-mod skip;
-
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{Bench, TINY, results};
+use crate::common::{Bench, TINY, results};
+use crate::support::skip;
 
 /// A server with its folder, and what was started; dropped, all of it ends.
 struct Site {

@@ -1,8 +1,6 @@
 //! `identify`: records of a body in, its material out.
 
-mod common;
-
-use common::Bench;
+use crate::common::Bench;
 use npyz::WriterBuilder;
 
 const SPEC: &str = r#"name = "i"

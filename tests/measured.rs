@@ -1,10 +1,8 @@
 //! Records and what real sensors do to signals, from the spec to a result.
 
-mod common;
-
 use std::io::{Cursor, Read, Write};
 
-use common::Bench;
+use crate::common::Bench;
 
 const SPEC: &str = r#"name = "measured"
 [body]

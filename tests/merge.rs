@@ -1,12 +1,10 @@
 //! Databases merge into the same rows in any order, any number of times; nothing is dropped without a word.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use common::SPEC;
+use crate::common::SPEC;
 use metasense::cluster::merge::{Kind, MergeError, Summary, merge};
 use metasense::plan::Plan;
 use metasense::store::{Array, Reader, RunPlan, Store, StoreError, npy_bytes};

@@ -1,8 +1,6 @@
 //! What a researcher asks of a body before any training: how it rings, what a linear model is worth, what could be known.
 
-mod common;
-
-use common::{Bench, TINY};
+use crate::common::{Bench, TINY};
 use serde_json::Value;
 
 fn json(text: &str) -> Vec<Value> {

@@ -1,10 +1,8 @@
 //! What code has made a result, and what was said on the way, stand with it and stay with it.
 
-mod common;
-
 use std::path::Path;
 
-use common::{Bench, SPEC, TINY, results};
+use crate::common::{Bench, SPEC, TINY, results};
 use metasense::cluster::merge::merge;
 use metasense::plan::Plan;
 use metasense::provenance;

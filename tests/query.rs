@@ -1,8 +1,6 @@
 //! `query` answers in SQL and changes nothing, whatever it is asked.
 
-mod common;
-
-use common::{Bench, SPEC};
+use crate::common::{Bench, SPEC};
 use metasense::plan::Plan;
 use metasense::store::Store;
 

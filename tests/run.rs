@@ -1,11 +1,9 @@
 //! A sweep runs end to end in worker processes, goes on after `kill -9`, and does nothing twice.
 
-mod common;
-
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{Bench, TINY, results};
+use crate::common::{Bench, TINY, results};
 use metasense::plan::Plan;
 use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, StepRecord};

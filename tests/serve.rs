@@ -1,8 +1,5 @@
 //! Pages of databases: they load, follow what is recorded, answer nobody who should not be answered, and hold nothing.
 
-#[path = "support/roll.rs"]
-mod roll;
-
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -16,10 +13,8 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
-use common::{Bench, TINY};
-use roll::{Roll, number};
-
-mod common;
+use crate::common::{Bench, TINY};
+use crate::support::roll::{Roll, number};
 
 /// What a browser of this machine says of itself.
 const HOST: &str = "Host: localhost\r\n";

@@ -1,14 +1,11 @@
 //! Shards on one machine: by hand, into a results folder, interrupted and killed; merged, they are the whole sweep.
 
-mod common;
-#[path = "support/roll.rs"]
-mod roll;
-
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{Bench, TINY, results};
-use roll::Roll;
+use crate::common::{Bench, TINY, results};
+use crate::support::roll;
+use crate::support::roll::Roll;
 
 /// Four trials, quick ones.
 fn four() -> String {

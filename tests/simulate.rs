@@ -1,8 +1,6 @@
 //! `simulate`: arrays in, arrays out.
 
-mod common;
-
-use common::{Bench, SPEC};
+use crate::common::{Bench, SPEC};
 
 /// Shapes; the same forces on a clock twice as fine give the same signals; dα is linear in the cotangent.
 #[test]

@@ -2,16 +2,12 @@
 //!
 //! Without Slurm (Debian: slurm-wlm and munge) or root it says so and passes.
 
-#[path = "support/skip.rs"]
-mod skip;
-#[path = "support/slurm.rs"]
-mod support;
-
 use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::time::Duration;
 
-use support::{Slurm, missing};
+use crate::support::skip;
+use crate::support::slurm::{Slurm, missing};
 
 /// Trials of half a second (4 outer steps) to some seconds.
 fn spec(name: &str, steps: u32, seeds: &str) -> String {

@@ -1,11 +1,7 @@
 //! Specs that were damaged at random: no panic, and each error names a key or says that the file is no TOML.
 
-mod common;
-#[path = "support/roll.rs"]
-#[allow(dead_code, reason = "each test file uses its share")]
-mod roll;
-
-use common::SPEC;
+use crate::common::SPEC;
+use crate::support::roll;
 use metasense::plan::Plan;
 use proptest::prelude::*;
 

@@ -1,11 +1,9 @@
 //! What is handed to a cluster's scheduler, to the letter; and that it is handed over.
 
-mod common;
-
 use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Output};
 
-use common::{Bench, SPEC};
+use crate::common::{Bench, SPEC};
 
 /// Without the paths of this machine.
 fn dry_run(bench: &Bench, arguments: &[&str]) -> String {

@@ -23,7 +23,6 @@ use serde_json::{Value, json};
 pub const TEXT: &str = "name = \"synthetic\"\n# made-up trials\n";
 
 /// A sweep of that name.
-#[allow(dead_code, reason = "each test file uses its share")]
 pub fn sweep_named(name: &str) -> SweepSpec {
     let mut spec = sweep(6, 6, 2);
     spec["name"] = name.into();

@@ -1,8 +1,6 @@
 //! A sweep with questions ends when they are settled, and what it decides is what is stored.
 
-mod common;
-
-use common::{Bench, TINY};
+use crate::common::{Bench, TINY};
 
 /// The sweep of two trials in eight placements.
 fn spec(until: &str) -> String {

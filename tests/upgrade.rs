@@ -1,13 +1,11 @@
 //! Databases of every schema version open, are upgraded, and go on.
 //!
-//! `tests/databases/vN.sqlite` was made by `cargo test --test upgrade -- --ignored` when N was the newest version: two
+//! `tests/databases/vN.sqlite` was made by `cargo test --test program upgrade -- --ignored` when N was the newest version: two
 //! trials, one done, one interrupted after a step. A new version adds a file and changes none.
-
-mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{Bench, SPEC};
+use crate::common::{Bench, SPEC};
 use metasense::plan::Plan;
 use metasense::store::{Reader, Store};
 use metasense_schemas::database::MIGRATIONS;

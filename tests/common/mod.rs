@@ -6,7 +6,6 @@ use std::process::{Command, Output, Stdio};
 use npyz::WriterBuilder;
 
 /// A spec of two trials, small but whole.
-#[allow(dead_code, reason = "each test file uses its share")]
 pub const SPEC: &str = r#"name = "s"
 [body]
 columns = 6
@@ -25,7 +24,6 @@ sensors = [1, 2]
 "#;
 
 /// Two trials of some tenths of a second each.
-#[allow(dead_code, reason = "each test file uses its share")]
 pub const TINY: &str = r#"name = "tiny"
 [body]
 columns = 4
@@ -61,7 +59,6 @@ pub struct Bench {
     folder: tempfile::TempDir,
 }
 
-#[allow(dead_code, reason = "each test file uses its share")]
 impl Bench {
     pub fn new() -> Self {
         Self { folder: tempfile::tempdir().unwrap() }
@@ -153,7 +150,6 @@ impl Bench {
 }
 
 /// All that a result is, but for times.
-#[allow(dead_code, reason = "each test file uses its share")]
 const RESULTS: &[&str] = &[
     "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step,
        nonlinear_acceleration_initial, nonlinear_rotation_optimised FROM v_trial ORDER BY hash",
@@ -161,7 +157,6 @@ const RESULTS: &[&str] = &[
     "SELECT hash, name, shape, hex(bytes) FROM v_artifact ORDER BY hash, name",
 ];
 
-#[allow(dead_code, reason = "each test file uses its share")]
 pub fn results(bench: &Bench, db: &str) -> Vec<String> {
     RESULTS.iter().map(|sql| bench.output(&["query", db, sql, "--format", "csv"])).collect()
 }

@@ -3,7 +3,6 @@
 /// SplitMix64.
 pub struct Roll(pub u64);
 
-#[allow(dead_code, reason = "each test file uses its share")]
 impl Roll {
     /// Another one each time, unless `KILL_SEED` says which.
     pub fn new() -> Self {

@@ -1,0 +1,36 @@
+//! What users do with the program, and what may befall it: one binary, so that tests that wait and tests that compute share
+//! the machine, and the program is linked once.
+
+mod common;
+mod support;
+mod synthetic;
+
+mod answers;
+mod bad_input;
+mod brains;
+mod browser;
+mod comparison;
+mod control;
+mod design;
+mod engine;
+mod evaluate;
+mod expand;
+mod exports;
+mod foreign;
+mod hyperqueue;
+mod identify;
+mod measured;
+mod merge;
+mod physics;
+mod provenance;
+mod query;
+mod run;
+mod serve;
+mod shards;
+mod simulate;
+mod slurm;
+mod spec_fuzz;
+mod store;
+mod submit;
+mod until;
+mod upgrade;
