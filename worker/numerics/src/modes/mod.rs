@@ -163,7 +163,8 @@ impl Subspace {
             for (i, row) in (k + 1..end).zip(rest) {
                 let by = row[k] / top[k][k];
                 row[k..].iter_mut().zip(&top[k][k..]).for_each(|(to, from)| *to -= by * from);
-                y[i] = y[i] - by * y[k];
+                let taken = by * y[k];
+                y[i] -= taken;
             }
         }
         for k in (0..m).rev() {
