@@ -181,9 +181,9 @@ macro_rules! operators {
 pub use x86::{Avx2, Avx512, Half, Pair, SingleAvx2, SingleAvx512, SingleSse2, Sse2};
 
 mod x86 {
-    // SAFETY (this module): values of these types are made only inside the entry points of `dispatch` and of the brain's
-    // `kernels`, which run only where `Width::detect` has seen the instructions; but for `load` and `store`, whose callers
-    // promise it room, the intrinsics touch no memory, and slices are of the value itself.
+    // SAFETY (this module): every x86-64 has SSE2; values of the other types are made only inside the entry points of `dispatch`
+    // and of the brain's `kernels`, which run only where `Width::detect` has seen the instructions; but for `load` and `store`,
+    // whose callers promise it room, the intrinsics touch no memory, and slices are of the value itself.
     #![expect(clippy::undocumented_unsafe_blocks, reason = "one argument for all, above")]
     use super::{Add, Mul, Neg, Sub, Vector};
     use std::arch::x86_64::*;

@@ -40,6 +40,11 @@ fn found(scene: &Scene, design: &[f64], count: usize) -> (Rest, Vec<Mode>) {
     (rest, modes)
 }
 
+/// The net force of a mode, relative to its inertia.
+fn off(rest: &Rest, Mode { s, shape }: &Mode) -> f64 {
+    residual(rest, *s, &rest.free.iter().flat_map(|unit| shape[*unit]).collect::<Vec<_>>())
+}
+
 /// xᵀ D y of the units that move, D diagonal.
 fn product(rest: &Rest, x: &[[c64; 3]], diagonal: &[f64], y: &[[c64; 3]]) -> c64 {
     let at = |i: usize| x[rest.free[i / 3]][i % 3] * y[rest.free[i / 3]][i % 3] * diagonal[i];
@@ -90,12 +95,7 @@ fn modes_solve_the_damped_equation_and_are_orthogonal_in_its_sense() {
     assert_eq!(modes.len(), 18);
     let (mut worst, mut across) = (0.0f64, 0.0f64);
     for (i, Mode { s, shape }) in modes.iter().enumerate() {
-        let x = |i: usize| shape[rest.free[i / 3]][i % 3];
-        let mut left: Vec<c64> =
-            (0..18).map(|i| (s * s * rest.mass[i] + s * rest.damping[i]) * x(i)).collect();
-        let size = left.iter().map(|l| l.norm()).fold(0.0, f64::max);
-        rest.stiffness.iter().for_each(|&(i, j, k)| left[i] += k * x(j));
-        worst = left.iter().map(|l| l.norm() / size).fold(worst, f64::max);
+        worst = worst.max(off(&rest, &modes[i]));
         assert!((product(&rest, shape, &rest.mass, shape) - 1.0).norm() < 1e-12);
         for other in &modes[..i] {
             for conjugate in [false, true] {
@@ -128,8 +128,7 @@ fn modes_that_come_twice_are_found_twice() {
     for count in [10, 30, n] {
         let (rest, modes) = found(&square, &design, count);
         for mode in &modes {
-            let x: Vec<c64> = rest.free.iter().flat_map(|u| mode.shape[*u]).collect();
-            let off = residual(&rest, mode.s, &x);
+            let off = off(&rest, mode);
             assert!(off < 1e-8, "{count}: {} {off:e}", mode.s);
         }
         let frequencies: Vec<f64> = modes.iter().map(Mode::frequency).collect();
