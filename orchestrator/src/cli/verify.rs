@@ -33,7 +33,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         .map_err(|e| Error::Usage(format!("cannot start {} threads: {e}", args.threads)))?;
     let rows = match &args.cases {
         Some(folder) => verify::cases(folder, &pool).map_err(|e| Error::Usage(e.to_string()))?,
-        None => verify::built_in(&pool),
+        None => [verify::numerics(&pool), verify::extremes(&pool)].concat(),
     };
     let columns = "case quantity error tolerance pass note";
     print_rows(&Table::new(columns, rows.iter().map(values)), args.format)?;

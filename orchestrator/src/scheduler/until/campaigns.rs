@@ -58,7 +58,7 @@ struct Outcome {
 fn campaigns(
     question: Question,
     world: &World,
-    is_right: &dyn Fn(Answer) -> bool,
+    is_right: &(dyn Fn(Answer) -> bool + Sync),
     looks: &mut Looks,
 ) -> Outcome {
     let [mut settled, mut wrong, mut run] = [0.0; 3];
@@ -93,7 +93,7 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
     let sensors = |m: Option<f64>| move |answer: Answer| answer == Answer::Sensors(m);
     let mean = |e: &[f64]| e.iter().map(|e| e.ln()).sum::<f64>() / e.len() as f64;
     let linear = (mean(&falling) - mean(&trained)).exp();
-    type Right = Box<dyn Fn(Answer) -> bool>;
+    type Right = Box<dyn Fn(Answer) -> bool + Sync>;
     let heavy = World { heavy: true, ..World::new(&trained, &falling) };
     let cases: Vec<(&str, Question, World, Right)> = vec![
         (
@@ -158,11 +158,15 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
         "{:34} {:>8} {:>7} {:>9}   {:>14} {:>9}",
         "", "settled", "wrong", "of grid", "naive: wrong", "of grid"
     ));
-    let (mut paid_for, mut naive_looks) = (Looks::new(GRID), Looks::naive(GRID));
+    let all = |mut looks: Looks| {
+        let of = |(_, question, world, is_right): &(_, _, _, Right)| {
+            campaigns(*question, world, is_right, &mut looks)
+        };
+        cases.iter().map(of).collect::<Vec<Outcome>>()
+    };
+    let (paid_for, naive) = rayon::join(|| all(Looks::new(GRID)), || all(Looks::naive(GRID)));
     let (mut worst, mut naive_worst) = (0.0f64, 0.0f64);
-    for (name, question, world, is_right) in &cases {
-        let [paid, naive] =
-            [&mut paid_for, &mut naive_looks].map(|looks| campaigns(*question, world, is_right, looks));
+    for (((name, ..), paid), naive) in cases.iter().zip(paid_for).zip(naive) {
         told(&format!(
             "{name:34} {:7.1} % {:5.2} % {:7.0} %   {:12.2} % {:7.0} %",
             100.0 * paid.settled,

@@ -248,14 +248,21 @@ impl<F: Real> Kernels<F> {
         rounds * self.burst_work
     }
 
-    /// Writes B (depth, columns), given by its entries, in panels.
-    pub fn pack(&self, depth: usize, columns: usize, entry: impl Fn(usize, usize) -> F, out: &mut [F]) {
+    /// Writes B (depth, columns), given row by row by its entries, in panels.
+    pub fn pack<E: Fn(usize) -> F>(
+        &self,
+        depth: usize,
+        columns: usize,
+        row: impl Fn(usize) -> E,
+        out: &mut [F],
+    ) {
         let mut column = 0;
         while column < columns {
             let width = panel(columns - column, self.lanes) * self.lanes;
             let rows = &mut out[column * depth..(column + width) * depth];
-            for (d, row) in rows.chunks_exact_mut(width).enumerate() {
-                row.iter_mut().enumerate().for_each(|(c, to)| *to = entry(d, column + c));
+            for (d, out) in rows.chunks_exact_mut(width).enumerate() {
+                let entry = row(d);
+                out.iter_mut().zip(column..).for_each(|(to, c)| *to = entry(c));
             }
             column += width;
         }

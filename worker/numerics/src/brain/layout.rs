@@ -114,30 +114,43 @@ impl<F: Real> Packed<F> {
             let Conv { kernel, inputs, outputs, output_stride: p, .. } = conv;
             let (forward, back) = (&mut self.forward[l], &mut self.back[l]);
             if !forward.direct.is_empty() {
-                kernels.pack(kernel * inputs, p, |d, c| w[d * p + c], &mut forward.direct);
+                let row = |d: usize| {
+                    let w = &w[d * p..][..p];
+                    move |c: usize| w[c]
+                };
+                kernels.pack(kernel * inputs, p, row, &mut forward.direct);
             }
+            // Back: columns beyond the inputs stay 0.
             let columns = conv.back().columns;
             if conv.paired {
-                let entry = |d: usize, c| form(d / inputs, |k| w[(k * inputs + d % inputs) * p + c]);
-                kernels.pack(4 * inputs, p, entry, &mut forward.pairs);
-                // Columns beyond the inputs stay 0.
-                let entry = |d: usize, c: usize| match c < inputs {
-                    true => form(d / outputs, |k| w[((2 - k) * inputs + c) * p + d % outputs]),
-                    false => F::ZERO,
+                let row = |d: usize| {
+                    let w = [0, 1, 2].map(|k| &w[(k * inputs + d % inputs) * p..][..p]);
+                    move |c: usize| form(d / inputs, |k| w[k][c])
                 };
-                kernels.pack(4 * outputs, columns, entry, &mut back.pairs);
+                kernels.pack(4 * inputs, p, row, &mut forward.pairs);
+                let row = |d: usize| {
+                    let (i, output) = (d / outputs, d % outputs);
+                    move |c: usize| match c < inputs {
+                        true => form(i, |k| w[((2 - k) * inputs + c) * p + output]),
+                        false => F::ZERO,
+                    }
+                };
+                kernels.pack(4 * outputs, columns, row, &mut back.pairs);
             } else {
-                let entry = |d: usize, c: usize| match c < inputs {
-                    true => w[((kernel - 1 - d / outputs) * inputs + c) * p + d % outputs],
-                    false => F::ZERO,
+                let row = |d: usize| {
+                    let (k, output) = (kernel - 1 - d / outputs, d % outputs);
+                    move |c: usize| if c < inputs { w[(k * inputs + c) * p + output] } else { F::ZERO }
                 };
-                kernels.pack(kernel * outputs, columns, entry, &mut back.direct);
+                kernels.pack(kernel * outputs, columns, row, &mut back.direct);
             }
         }
         let (conv, w) = (shape.conv(n - 1), &self.padded[padded_range(shape, 2 * n - 1)]);
         let Conv { kernel, outputs, input_stride: p, .. } = conv;
-        let entry = |d: usize, c| w[((kernel - 1 - d / outputs) * outputs + d % outputs) * p + c];
-        kernels.pack(kernel * outputs, p, entry, &mut self.back[n - 1].direct);
+        let row = |d: usize| {
+            let w = &w[((kernel - 1 - d / outputs) * outputs + d % outputs) * p..][..p];
+            move |c: usize| w[c]
+        };
+        kernels.pack(kernel * outputs, p, row, &mut self.back[n - 1].direct);
     }
 
     /// A bias b₁ … b_n or the last w (block 0 … n − 1, 2n − 1), padded.
