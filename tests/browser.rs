@@ -13,8 +13,8 @@ use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use serde_json::{Value, json};
 
+use crate::common::skip;
 use crate::common::{Bench, TINY};
-use crate::support::skip;
 
 /// No page and no event takes so long.
 const DEADLINE: Duration = Duration::from_secs(60);

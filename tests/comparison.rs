@@ -3,10 +3,10 @@
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::common::engine::{children, eventually, is_alive, kill, rows};
+use crate::common::roll;
+use crate::common::roll::Roll;
 use crate::common::{Bench, TINY, results};
-use crate::support::engine::{children, eventually, is_alive, kill, rows};
-use crate::support::roll;
-use crate::support::roll::Roll;
 use metasense::store::Reader;
 
 /// Longest time that a person waits after Ctrl-C: two seconds, and what a busy machine adds.

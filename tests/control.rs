@@ -9,8 +9,8 @@ use std::process::{Child, Command, Output};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
+use crate::common::roll::{Roll, number};
 use crate::common::{Bench, TINY, results};
-use crate::support::roll::{Roll, number};
 use metasense::fleet::children;
 use metasense::plan::Plan;
 use rustix::process::{Pid, Signal, kill_process};

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use crate::support::skip;
+use crate::common::skip;
 use crate::synthetic;
 use metasense_worker::files::content;
 

@@ -5,8 +5,8 @@
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::common::skip;
 use crate::common::{Bench, TINY, results};
-use crate::support::skip;
 
 /// A server with its folder, and what was started; dropped, all of it ends.
 struct Site {

@@ -2,7 +2,6 @@
 //! the machine, and the program is linked once.
 
 mod common;
-mod support;
 mod synthetic;
 
 mod answers;

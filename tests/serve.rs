@@ -13,8 +13,8 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
+use crate::common::roll::{Roll, number};
 use crate::common::{Bench, TINY};
-use crate::support::roll::{Roll, number};
 
 /// What a browser of this machine says of itself.
 const HOST: &str = "Host: localhost\r\n";

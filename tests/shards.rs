@@ -3,9 +3,9 @@
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::common::roll;
+use crate::common::roll::Roll;
 use crate::common::{Bench, TINY, results};
-use crate::support::roll;
-use crate::support::roll::Roll;
 
 /// Four trials, quick ones.
 fn four() -> String {

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::time::Duration;
 
-use crate::support::skip;
-use crate::support::slurm::{Slurm, missing};
+use crate::common::skip;
+use crate::common::slurm::{Slurm, missing};
 
 /// Trials of half a second (4 outer steps) to some seconds.
 fn spec(name: &str, steps: u32, seeds: &str) -> String {

@@ -1,7 +1,7 @@
 //! Specs that were damaged at random: no panic, and each error names a key or says that the file is no TOML.
 
 use crate::common::SPEC;
-use crate::support::roll;
+use crate::common::roll;
 use metasense::plan::Plan;
 use proptest::prelude::*;
 

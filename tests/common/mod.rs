@@ -1,5 +1,10 @@
 //! What end-to-end tests share: a folder of their own, the program, and the reference spec to edit.
 
+pub mod engine;
+pub mod roll;
+pub mod skip;
+pub mod slurm;
+
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 

@@ -3,7 +3,7 @@
 //! An intrinsic of `core::arch` is one instruction where it is inlined, which it is into code of its instruction set alone. A
 //! closure in `#[inline(always)]` code is not such code: intrinsics in it are called, with operands in memory.
 
-#[path = "../../../tests/support/skip.rs"]
+#[path = "../../../tests/common/skip.rs"]
 mod skip;
 
 use metasense_numerics::brain::Workspace;

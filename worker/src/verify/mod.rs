@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn extreme_scenes_are_solved_at_default_settings() {
-        hold(&extremes(&pool()), 20);
+        hold(&extremes(&pool()), 17);
     }
 
     /// Every committed case, every quantity.
