@@ -147,27 +147,30 @@ impl Subspace {
         self.image[j].get(i).copied().unwrap_or(0.0)
     }
 
-    /// H − shift in factors, by elimination with row exchanges.
-    fn factors(&self, shift: c64) -> Factors {
-        let m = self.image.len();
+    /// y ↦ (H − shift)⁻¹ y, by elimination with row exchanges.
+    fn divide(&self, y: &mut [c64], shift: c64) {
+        let m = y.len();
         let below = (0..m).map(|j| self.image[j].len() - j).max().unwrap_or(0);
         let entry = |i: usize, j: usize| c64::from(self.part(i, j)) - if i == j { shift } else { c64::ZERO };
         let mut rows: Vec<Vec<c64>> = (0..m).map(|i| (0..m).map(|j| entry(i, j)).collect()).collect();
-        let mut pivots = Vec::with_capacity(m);
         for k in 0..m {
             let end = (k + below).min(m);
             let pivot =
                 (k..end).max_by(|&i, &j| rows[i][k].norm().total_cmp(&rows[j][k].norm())).unwrap_or(k);
             rows.swap(k, pivot);
+            y.swap(k, pivot);
             let (top, rest) = rows.split_at_mut(k + 1);
-            for row in &mut rest[..end - k - 1] {
-                row[k] /= top[k][k];
-                let by = row[k];
-                row[k + 1..].iter_mut().zip(&top[k][k + 1..]).for_each(|(to, from)| *to -= by * from);
+            for (i, row) in (k + 1..end).zip(rest) {
+                let by = row[k] / top[k][k];
+                row[k..].iter_mut().zip(&top[k][k..]).for_each(|(to, from)| *to -= by * from);
+                let taken = by * y[k];
+                y[i] -= taken;
             }
-            pivots.push(pivot);
         }
-        Factors { rows, pivots }
+        for k in (0..m).rev() {
+            let known: c64 = rows[k][k + 1..].iter().zip(&y[k + 1..]).map(|(a, y)| a * y).sum();
+            y[k] = (y[k] - known) / rows[k][k];
+        }
     }
 
     /// (s, x) of the `count` slowest modes that the subspace knows of, xᵀMx = 1.
@@ -191,9 +194,8 @@ impl Subspace {
             let start: Vec<c64> = (0..2 * n).map(|i| by(i) * x(i)).collect();
             let within = |v: &DVector<f64>| v.iter().zip(&start).map(|(v, z)| z * *v).sum::<c64>();
             let mut y: Vec<c64> = self.basis[..m].iter().map(within).collect();
-            let factors = self.factors(shift);
             for _ in 0..3 {
-                factors.divide(&mut y);
+                self.divide(&mut y, shift);
                 let size = y.iter().map(|y| y.norm_sqr()).sum::<f64>().sqrt();
                 y.iter_mut().for_each(|y| *y /= size);
             }
@@ -211,28 +213,6 @@ impl Subspace {
             pairs.push((s, x));
         }
         pairs
-    }
-}
-
-/// A matrix as P⁻¹ L U.
-struct Factors {
-    /// L below the diagonal, U from it on.
-    rows: Vec<Vec<c64>>,
-    /// The row that each was exchanged with, one after the other.
-    pivots: Vec<usize>,
-}
-
-impl Factors {
-    /// y ↦ the matrix's inverse times y.
-    fn divide(&self, y: &mut [c64]) {
-        let along = |row: &[c64], y: &[c64]| -> c64 { row.iter().zip(y).map(|(a, y)| a * y).sum() };
-        self.pivots.iter().enumerate().for_each(|(k, pivot)| y.swap(k, *pivot));
-        for (k, row) in self.rows.iter().enumerate() {
-            y[k] -= along(&row[..k], y);
-        }
-        for (k, row) in self.rows.iter().enumerate().rev() {
-            y[k] = (y[k] - along(&row[k + 1..], &y[k + 1..])) / row[k];
-        }
     }
 }
 
