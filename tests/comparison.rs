@@ -4,8 +4,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::engine::{children, eventually, is_alive, kill, rows};
-use crate::common::roll;
-use crate::common::roll::Roll;
+use crate::common::roll::{self, Roll};
 use crate::common::{Bench, TINY, results};
 use metasense::store::Reader;
 

@@ -8,8 +8,8 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use crate::common::engine::{Run, children, eventually, is_alive, kill, results, rows};
-use crate::common::roll::Roll;
-use crate::common::{roll, skip};
+use crate::common::roll::{self, Roll};
+use crate::common::skip;
 use metasense::link::SHARED_MEMORY;
 
 const SWEEP: &str = "--trials 24 --steps 12 --step-ms 8 --array 3000 --workers 2";

@@ -7,8 +7,7 @@ use std::panic::AssertUnwindSafe;
 use std::path::Path;
 
 use crate::common::SPEC;
-use crate::common::roll;
-use crate::common::roll::Roll;
+use crate::common::roll::{self, Roll};
 use metasense::analysis::{Question, Terms};
 use metasense::cluster::{Deal, Shard, merge, state};
 use metasense::plan::Plan;

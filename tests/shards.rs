@@ -3,8 +3,7 @@
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::roll;
-use crate::common::roll::Roll;
+use crate::common::roll::{self, Roll};
 use crate::common::{Bench, TINY, results};
 
 /// Four trials, quick ones.

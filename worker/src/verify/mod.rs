@@ -149,8 +149,7 @@ mod tests {
         let kinds: std::collections::BTreeSet<&str> =
             rows.iter().filter_map(|r| r.case.split('_').next()).collect();
         assert_eq!(kinds.len(), 8, "{kinds:?}");
-        let failed: Vec<&Row> = rows.iter().filter(|row| !row.pass).collect();
-        assert!(failed.is_empty(), "{failed:#?}");
+        hold(&rows, kinds.len());
     }
 
     /// A folder without a case, broken JSON, an unknown kind, a missing array, an array cut short, a wrong number: each

@@ -63,6 +63,11 @@ pub fn unpad<F: Real>(shape: Shape, padded: &[F], flat: &mut [F]) {
     pairs(shape, |f, p| flat[f] = padded[p]);
 }
 
+/// A row that lies in one piece, for `Kernels::pack`.
+fn entries<F: Real>(row: &[F]) -> impl Fn(usize) -> F {
+    move |c| row[c]
+}
+
 /// One layer's weights for one direction.
 #[derive(Debug, Clone, Default)]
 pub struct Panels<F> {
@@ -114,13 +119,10 @@ impl<F: Real> Packed<F> {
             let Conv { kernel, inputs, outputs, output_stride: p, .. } = conv;
             let (forward, back) = (&mut self.forward[l], &mut self.back[l]);
             if !forward.direct.is_empty() {
-                let row = |d: usize| {
-                    let w = &w[d * p..][..p];
-                    move |c: usize| w[c]
-                };
+                let row = |d: usize| entries(&w[d * p..][..p]);
                 kernels.pack(kernel * inputs, p, row, &mut forward.direct);
             }
-            // Back: columns beyond the inputs stay 0.
+            // Columns back beyond the inputs stay 0.
             let columns = conv.back().columns;
             if conv.paired {
                 let row = |d: usize| {
@@ -146,10 +148,7 @@ impl<F: Real> Packed<F> {
         }
         let (conv, w) = (shape.conv(n - 1), &self.padded[padded_range(shape, 2 * n - 1)]);
         let Conv { kernel, outputs, input_stride: p, .. } = conv;
-        let row = |d: usize| {
-            let w = &w[((kernel - 1 - d / outputs) * outputs + d % outputs) * p..][..p];
-            move |c: usize| w[c]
-        };
+        let row = |d: usize| entries(&w[((kernel - 1 - d / outputs) * outputs + d % outputs) * p..][..p]);
         kernels.pack(kernel * outputs, p, row, &mut self.back[n - 1].direct);
     }
 
