@@ -39,7 +39,8 @@ struct Page {
     /// Addresses that were asked for, and what was complained of.
     requests: Vec<String>,
     complaints: Vec<String>,
-    loads: usize,
+    /// Navigations that are loaded whole.
+    loaded: Vec<Value>,
 }
 
 impl Page {
@@ -70,9 +71,9 @@ impl Page {
                 bytes.clear();
             }
         });
-        let (requests, complaints) = Default::default();
+        let (requests, complaints, loaded) = Default::default();
         let mut page =
-            Self { _browser: browser, to, from, session: None, asked: 0, requests, complaints, loads: 0 };
+            Self { _browser: browser, to, from, session: None, asked: 0, requests, complaints, loaded };
         let target = page.ask("Target.createTarget", json!({"url": "about:blank"}));
         let attach = json!({"targetId": target["targetId"], "flatten": true});
         let session = page.ask("Target.attachToTarget", attach);
@@ -80,6 +81,7 @@ impl Page {
         for domain in ["Page", "Runtime", "Log", "Network", "Accessibility"] {
             page.ask(&format!("{domain}.enable"), json!({}));
         }
+        page.ask("Page.setLifecycleEventsEnabled", json!({"enabled": true}));
         page
     }
 
@@ -106,7 +108,7 @@ impl Page {
     fn hear(&mut self, heard: &Value) {
         let params = &heard["params"];
         match heard["method"].as_str().unwrap_or_default() {
-            "Page.loadEventFired" => self.loads += 1,
+            "Page.lifecycleEvent" if params["name"] == "load" => self.loaded.push(params["loaderId"].clone()),
             "Network.requestWillBeSent" => {
                 self.requests.push(params["request"]["url"].as_str().unwrap_or_default().to_owned());
             }
@@ -117,11 +119,10 @@ impl Page {
         }
     }
 
-    /// Opens an address and waits until it is loaded.
+    /// Opens an address and waits until it is loaded, and not what was opened before it.
     fn open(&mut self, address: &str) {
-        let before = self.loads;
-        self.ask("Page.navigate", json!({"url": address}));
-        self.until(address, |page| page.loads > before);
+        let navigation = self.ask("Page.navigate", json!({"url": address}))["loaderId"].clone();
+        self.until(address, |page| page.loaded.contains(&navigation));
     }
 
     /// Listens until something holds.
@@ -400,9 +401,9 @@ async fn a_browser_shows_follows_and_asks() {
     assert_ne!(page.value("getComputedStyle(document.activeElement).outlineStyle"), "none");
     page.value("document.querySelector('textarea').focus()");
     page.value("document.querySelector('textarea').value = 'SELECT count(*) AS told FROM v_step'");
-    let before = page.loads;
+    let before = page.loaded.len();
     page.key("Enter", 13, 2);
-    page.until("the answer", |page| page.loads > before);
+    page.until("the answer", |page| page.loaded.len() > before);
     let told = page.value("document.querySelector('td').textContent");
     assert_eq!(told, "14");
 
