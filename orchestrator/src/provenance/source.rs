@@ -7,10 +7,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// What a program is made of, from the workspace's root; the first four compute.
-pub const PROGRAM: [&str; 7] = [
+/// What a program is made of, from the workspace's root; the first five compute.
+pub const PROGRAM: [&str; 8] = [
     "Cargo.lock",
     "schemas/src",
+    "worker/kernels/src",
     "worker/numerics/src",
     "worker/src",
     "Cargo.toml",
@@ -24,7 +25,7 @@ pub const PROGRAM: [&str; 7] = [
 /// If one cannot be read.
 pub fn digest(root: &Path) -> io::Result<String> {
     let mut files = Vec::new();
-    for path in &PROGRAM[..4] {
+    for path in &PROGRAM[..5] {
         add_files(root, Path::new(path), &mut files)?;
     }
     files.sort();

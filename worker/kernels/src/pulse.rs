@@ -7,7 +7,7 @@ static DONE: AtomicU64 = AtomicU64::new(0);
 
 /// Another piece is done.
 #[inline]
-pub(crate) fn beat() {
+pub fn beat() {
     DONE.fetch_add(1, Ordering::Relaxed);
 }
 

@@ -1,6 +1,7 @@
-use super::moments::by_group;
-use super::*;
-use crate::random::{Purpose, Stream};
+//! The linear brain: what is fitted is the minimum, pulled back it is the transpose, and its sensitivity solves H z = V.
+
+use metasense_kernels::brain::linear::{Fit, Lags, Linear, Moments, Order, Singular, Sizes};
+use metasense_kernels::random::{Purpose, Stream};
 
 const SIZES: Sizes = Sizes { instants: 9, channels: 3, outputs: 2 };
 /// Long enough for lags that share a weight.
@@ -197,7 +198,16 @@ fn the_sensitivity_solves_the_second_derivative() {
             (0..said.len()).map(|j| 2.0 * set.w[j / one] / total * (said[j] - set.f[j])).collect();
         let mut gradient = moved.weights_vjp(&set.x, &residual);
         gradient.w.iter_mut().zip(&moved.w).for_each(|(g, w)| *g += 2.0 * ridge * w);
-        let summed = |w: &[f64]| by_group(&lags.groups(), sizes.channels, w);
+        let summed = |w: &[f64]| -> Vec<f64> {
+            let rows: Vec<&[f64]> = w.chunks(sizes.channels).collect();
+            let of_group =
+                |rows: &[&[f64]]| (0..sizes.channels).map(|c| rows.iter().map(|r| r[c]).sum()).collect();
+            rows.chunks(lags.count())
+                .flat_map(|rows| {
+                    lags.groups().into_iter().flat_map(|group| -> Vec<f64> { of_group(&rows[group]) })
+                })
+                .collect()
+        };
         let far = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         let (w, b) = (far(&summed(&gradient.w), &summed(&force.w)), far(&gradient.b, &force.b));
         assert!(w < 1e-9 && b < 1e-9 && force.w.iter().any(|v| v.abs() > 0.1), "{order:?}: {w:e} {b:e}");

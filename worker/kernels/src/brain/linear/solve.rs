@@ -192,7 +192,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 ///
 /// # Errors
 /// If it is not positive definite.
-pub(crate) fn factor(lower: &mut [f64], n: usize) -> Result<(), Singular> {
+pub fn factor(lower: &mut [f64], n: usize) -> Result<(), Singular> {
     let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default()));
     let stack = MemStack::new(&mut memory);
     let found =

@@ -3,13 +3,13 @@
 mod common;
 
 use common::{norm, pool, relative};
-use metasense_numerics::body::{Geometry, Layout};
-use metasense_numerics::dynamics::{
+use metasense_kernels::body::{Geometry, Layout};
+use metasense_kernels::dynamics::{
     Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Solver, Stiffness, choose,
     highest_frequency, pull_back, pull_back_forces, pull_back_parameters, run, run_at, signal_error,
     simulate, tune,
 };
-use metasense_numerics::simd::Width;
+use metasense_kernels::simd::Width;
 use std::f64::consts::TAU;
 
 /// A 3 × 3 lattice read for 0.1 s at 20 instants.
@@ -275,11 +275,11 @@ type Reverse = fn(
     &Scene,
     &[f64],
     &Forces,
-    &metasense_numerics::dynamics::Simulation,
+    &metasense_kernels::dynamics::Simulation,
     &[usize],
     &[f64],
     &rayon::ThreadPool,
-) -> metasense_numerics::dynamics::Gradient;
+) -> metasense_kernels::dynamics::Gradient;
 
 /// Lanczos' estimate against the reference scene's highest mode, 664 Hz.
 #[test]

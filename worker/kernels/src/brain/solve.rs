@@ -134,38 +134,3 @@ pub fn solve_implicit(
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn diagonal<'a>(d: &'a [f64]) -> impl FnMut(&[f64], &mut [f64]) + 'a {
-        move |v, out| out.iter_mut().zip(v).zip(d).for_each(|((o, v), d)| *o = d * v)
-    }
-
-    /// As many iterations as distinct eigenvalues solve it.
-    #[test]
-    fn three_eigenvalues_take_three_iterations() {
-        let solve =
-            conjugate_gradient(diagonal(&[1.0, 1.0, 4.0, 9.0]), &[1.0, 2.0, 4.0, 9.0], 0.0, 1e-10, 20);
-        assert_eq!((solve.outcome, solve.iterations), (SolveOutcome::Converged, 3), "{solve:?}");
-        let error: f64 = solve.z.iter().zip([1.0, 2.0, 1.0, 1.0]).map(|(z, x)| (z - x).abs()).sum();
-        assert!(error < 1e-9, "{error}");
-    }
-
-    /// An indefinite matrix ends it with the iterate before; enough damping cures it; NaN is named, not returned.
-    #[test]
-    fn negative_curvature_and_nan_are_named() {
-        let (d, b) = ([5.0, 1.0, -0.5], [1.0, 1.0, 1.0]);
-        let solve = conjugate_gradient(diagonal(&d), &b, 0.0, 1e-10, 20);
-        assert_eq!(solve.outcome, SolveOutcome::NegativeCurvature, "{solve:?}");
-        assert!(solve.smallest_curvature <= 0.0 && solve.z.iter().all(|z| z.is_finite()), "{solve:?}");
-        let solve = conjugate_gradient(diagonal(&d), &b, 1.0, 1e-10, 20);
-        assert_eq!(solve.outcome, SolveOutcome::Converged, "{solve:?}");
-        let solve = conjugate_gradient(|_, out| out.fill(f64::NAN), &b, 0.0, 1e-10, 20);
-        assert_eq!(solve.outcome, SolveOutcome::NonFinite, "{solve:?}");
-        assert!(solve.z.iter().all(|&z| z == 0.0), "{solve:?}");
-        let solve = conjugate_gradient(diagonal(&d), &[0.0; 3], 0.0, 1e-10, 20);
-        assert_eq!((solve.outcome, solve.iterations), (SolveOutcome::Converged, 0), "{solve:?}");
-    }
-}

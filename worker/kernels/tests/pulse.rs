@@ -1,12 +1,12 @@
 //! What takes long gives signs of life on the way. A test binary of its own: the count is the whole process's.
 
-use metasense_numerics::body::Layout;
-use metasense_numerics::brain::linear::{Fit, Lags, Moments, Order, Sizes};
-use metasense_numerics::brain::{Adam, Architecture, Data, Shape, Workspace, train};
-use metasense_numerics::dynamics::{
+use metasense_kernels::body::Layout;
+use metasense_kernels::brain::linear::{Fit, Lags, Moments, Order, Sizes};
+use metasense_kernels::brain::{Adam, Architecture, Data, Shape, Workspace, train};
+use metasense_kernels::dynamics::{
     Forces, Frame, Method, Panel, Scene, Solver, Stiffness, pull_back, simulate,
 };
-use metasense_numerics::pulse;
+use metasense_kernels::pulse;
 
 /// How much the count grows.
 fn beats<T>(work: impl FnOnce() -> T) -> (T, u64) {

@@ -1,7 +1,7 @@
 //! The implicit term against what it stands for: the derivative through every step of a training.
 
-use metasense_numerics::brain::*;
-use metasense_numerics::random::{Purpose, Stream};
+use metasense_kernels::brain::*;
+use metasense_kernels::random::{Purpose, Stream};
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()

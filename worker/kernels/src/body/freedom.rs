@@ -44,7 +44,7 @@ impl Freedom {
     }
 
     /// Of each group the first one of its block.
-    pub(crate) fn leaders(&self) -> &[usize] {
+    pub fn leaders(&self) -> &[usize] {
         &self.leader
     }
 
@@ -58,7 +58,7 @@ impl Freedom {
     }
 
     /// Coordinates of α at which z stands.
-    pub(crate) fn coordinates(&self) -> Vec<usize> {
+    pub fn coordinates(&self) -> Vec<usize> {
         (0..2 * self.leader.len()).filter(|i| self.leads(i / 2)).collect()
     }
 
@@ -88,39 +88,5 @@ impl Freedom {
             (false, leader) => initial[i] + (design[leader] - initial[leader]),
         };
         (0..design.len()).map(at).collect()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::random::{Purpose, Stream};
-
-    /// ⟨w, P z⟩ = ⟨Pᵀ w, z⟩, and z has as many numbers as there are blocks that move: of 4 × 3 units in pairs along x 3 · 3
-    /// of the horizontal groups, 2 · 4 of the vertical ones.
-    #[test]
-    fn what_is_pulled_back_is_the_transpose_of_what_is_spread() {
-        let layout = Layout::planar(4, 3, 15.0, 2.25);
-        let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
-        for (tie, frozen, parameters) in [
-            ([1, 1], &[][..], layout.design_len()),
-            ([2, 1], &[], 2 * (3 * 3 + 2 * 4)),
-            ([9, 9], &[], 4),
-            ([1, 1], &[5], layout.design_len() - 8),
-            ([9, 9], &[5], 4),
-        ] {
-            let freedom = Freedom::new(&layout, tie, frozen);
-            assert_eq!(freedom.parameters(), parameters, "{tie:?} {frozen:?}");
-            let mut draw = || -> Vec<f64> { (0..layout.design_len()).map(|_| stream.normal()).collect() };
-            let (w, initial, mut z) = (draw(), draw(), vec![0.0; layout.design_len()]);
-            freedom.coordinates().into_iter().zip(draw()).for_each(|(i, x)| z[i] = x);
-            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let pairs = [dot(&w, &freedom.spread(&z)), dot(&freedom.vjp(&w), &z)];
-            assert!((pairs[0] - pairs[1]).abs() < 1e-12 && pairs[0] != 0.0, "{tie:?} {pairs:?}");
-            let moved: Vec<f64> = initial.iter().zip(freedom.spread(&z)).map(|(a, b)| a + b).collect();
-            let snapped = freedom.snap(&initial, moved.clone());
-            let off = snapped.iter().zip(&moved).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            assert!(off < 1e-15 * 10.0, "{tie:?}: {off}");
-        }
     }
 }

@@ -12,7 +12,7 @@ mod moments;
 mod solve;
 
 pub use moments::Moments;
-pub(crate) use solve::factor;
+pub use solve::factor;
 pub use solve::{Fit, Order, Singular, downhill_ridge};
 
 use faer::linalg::matmul::matmul;
@@ -98,12 +98,12 @@ pub struct Linear {
 }
 
 /// A column-major (rows, columns) view.
-pub(crate) fn matrix(values: &[f64], rows: usize, columns: usize) -> MatRef<'_, f64> {
+pub fn matrix(values: &[f64], rows: usize, columns: usize) -> MatRef<'_, f64> {
     MatRef::from_column_major_slice(values, rows, columns)
 }
 
 /// As `matrix`, to be written.
-pub(crate) fn matrix_mut(values: &mut [f64], rows: usize, columns: usize) -> MatMut<'_, f64> {
+pub fn matrix_mut(values: &mut [f64], rows: usize, columns: usize) -> MatMut<'_, f64> {
     MatMut::from_column_major_slice_mut(values, rows, columns)
 }
 
@@ -178,6 +178,3 @@ impl Linear {
         columns
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,9 +1,9 @@
 //! Networks of many shapes against a convolution written down plainly, and their derivatives against differences, on every
 //! instruction set that the machine has.
 
-use metasense_numerics::brain::*;
-use metasense_numerics::random::{Purpose, Stream};
-use metasense_numerics::simd::Width;
+use metasense_kernels::brain::*;
+use metasense_kernels::random::{Purpose, Stream};
+use metasense_kernels::simd::Width;
 
 const SAMPLES: usize = 3;
 

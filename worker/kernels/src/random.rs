@@ -75,34 +75,3 @@ impl Stream {
         order
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Equal keys give equal draws; a change of any part of the key gives others.
-    #[test]
-    fn a_stream_is_its_key() {
-        let draw = |p, s, c| Stream::new(p, s, c).uniform();
-        let base = draw(Purpose::Stimulus, 1, [2, 3]);
-        assert_eq!(base, draw(Purpose::Stimulus, 1, [2, 3]));
-        for other in [
-            draw(Purpose::Holdout, 1, [2, 3]),
-            draw(Purpose::Stimulus, 2, [2, 3]),
-            draw(Purpose::Stimulus, 1, [3, 3]),
-            draw(Purpose::Stimulus, 1, [2, 4]),
-        ] {
-            assert_ne!(base, other);
-        }
-    }
-
-    /// Mean 0 and variance 1 within four standard errors of 10 000 draws.
-    #[test]
-    fn normal_draws_have_unit_variance() {
-        let mut stream = Stream::new(Purpose::Weights, 7, [0, 0]);
-        let draws: Vec<f64> = (0..10_000).map(|_| stream.normal()).collect();
-        let mean = draws.iter().sum::<f64>() / 1e4;
-        let variance = draws.iter().map(|x| x * x).sum::<f64>() / 1e4;
-        assert!(mean.abs() < 0.04 && (variance - 1.0).abs() < 0.06, "{mean} {variance}");
-    }
-}

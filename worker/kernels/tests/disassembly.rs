@@ -6,8 +6,8 @@
 #[path = "../../../tests/common/skip.rs"]
 mod skip;
 
-use metasense_numerics::brain::Workspace;
-use metasense_numerics::dynamics::{pull_back, repeat_kernel, run};
+use metasense_kernels::brain::Workspace;
+use metasense_kernels::dynamics::{pull_back, repeat_kernel, run};
 use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::process::Command;
