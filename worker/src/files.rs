@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
 use std::path::Path;
 
+use csv::{ReaderBuilder, StringRecord, Trim};
 use npyz::NpyFile;
 use zip::ZipArchive;
 
@@ -42,24 +43,37 @@ pub fn content(path: &Path, bytes: &[u8]) -> Result<Content, String> {
 
 /// A CSV: a line of names, then lines of numbers.
 fn table(bytes: &[u8]) -> Result<Vec<(String, Vec<f64>)>, String> {
-    let text = std::str::from_utf8(bytes).map_err(|e| e.to_string())?;
-    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let (_, names) = lines.next().ok_or("is empty")?;
-    let bare = |field: &str| field.trim().trim_matches('"').to_owned();
-    let mut columns: Vec<(String, Vec<f64>)> =
-        names.split(',').map(|name| (bare(name), Vec::new())).collect();
-    for (number, line) in lines {
-        let fields: Vec<&str> = line.split(',').collect();
-        if fields.len() != columns.len() {
-            let (found, wanted) = (fields.len(), columns.len());
-            return Err(format!("line {}: {found} fields where the first line names {wanted}", number + 1));
+    let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
+    let bare = |field: &str| field.trim_matches('"').to_owned(); // those behind a blank, which are none to `csv`
+    let mut reader =
+        ReaderBuilder::new().has_headers(false).flexible(true).trim(Trim::All).from_reader(bytes);
+    for row in reader.records() {
+        let row = row.map_err(|e| e.to_string())?;
+        if row.len() == 1 && row[0].is_empty() {
+            continue; // a line of blanks
         }
-        for ((name, values), field) in columns.iter_mut().zip(fields) {
+        if columns.is_empty() {
+            columns = row.iter().map(|name| (bare(name), Vec::new())).collect();
+            continue;
+        }
+        let line = || line_of(&row, bytes);
+        if row.len() != columns.len() {
+            let (found, wanted) = (row.len(), columns.len());
+            return Err(format!("line {}: {found} fields where the first line names {wanted}", line()));
+        }
+        for ((name, values), field) in columns.iter_mut().zip(&row) {
             let value = bare(field).parse();
-            values.push(value.map_err(|_| format!("line {}: {name} = {field:?} is no number", number + 1))?);
+            values.push(value.map_err(|_| format!("line {}: {name} = {field:?} is no number", line()))?);
         }
     }
-    Ok(columns)
+    if columns.is_empty() { Err("is empty".into()) } else { Ok(columns) }
+}
+
+/// The line of a CSV's row, from 1: `csv` counts it before it skips blank lines and the second half of "\r\n".
+fn line_of(row: &StringRecord, bytes: &[u8]) -> usize {
+    let from = row.position().map_or(0, |position| position.byte() as usize);
+    let skipped = bytes[from..].iter().take_while(|byte| b"\r\n".contains(byte)).count();
+    1 + bytes[..from + skipped].iter().filter(|byte| **byte == b'\n').count()
 }
 
 /// An NPY of real numbers, in either order.
@@ -148,10 +162,15 @@ mod tests {
         let read = |text: &str| content(Path::new("a.csv"), text.as_bytes());
         let expected = vec![("t".to_owned(), vec![0.0, 1e-3]), ("F 1".to_owned(), vec![2.0, -3.5])];
         assert_eq!(read("t,\"F 1\"\n0,2\n\n1e-3, -3.5\n"), Ok(Content::Table(expected)));
+        let expected = vec![("t".to_owned(), vec![0.0]), ("F, left".to_owned(), vec![2.0])];
+        assert_eq!(read(" t ,\"F, left\"\r\n\"0\",2 "), Ok(Content::Table(expected)));
         for (text, said) in [
             ("", "is empty"),
+            (" \n\n", "is empty"),
             ("t,f\n0,1\n0\n", "line 3: 1 fields where the first line names 2"),
             ("t,f\n0,x\n", "line 2: f = \"x\" is no number"),
+            (" \nt,f\r\n0,1\r\n\r\n \r\n0,x\r\n", "line 6: f = \"x\" is no number"),
+            ("t,f\n\n\n0,x\n", "line 4: f = \"x\" is no number"),
         ] {
             assert_eq!(read(text), Err(said.to_owned()));
         }
