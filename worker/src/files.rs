@@ -163,7 +163,7 @@ mod tests {
         let expected = vec![("t".to_owned(), vec![0.0, 1e-3]), ("F 1".to_owned(), vec![2.0, -3.5])];
         assert_eq!(read("t,\"F 1\"\n0,2\n\n1e-3, -3.5\n"), Ok(Content::Table(expected)));
         let expected = vec![("t".to_owned(), vec![0.0]), ("F, left".to_owned(), vec![2.0])];
-        assert_eq!(read(" t ,\"F, left\"\r\n\"0\",2 "), Ok(Content::Table(expected)));
+        assert_eq!(read("\u{feff} t ,\"F, left\"\r\n\"0\",2 "), Ok(Content::Table(expected)));
         for (text, said) in [
             ("", "is empty"),
             (" \n\n", "is empty"),
