@@ -52,22 +52,6 @@ pub fn evaluate(
     Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }
 
-/// What a step of `step` mm against each gradient does to the holdout's loss; [`nested::downhill`].
-///
-/// # Errors
-/// As `run_trial`.
-pub fn downhill(
-    trial: &TrialSpec,
-    network: u64,
-    step: f64,
-    iterations: usize,
-    threads: usize,
-) -> Result<Vec<nested::Downhill>, Failure> {
-    let (problem, pool) = (scene(trial)?, pool(threads)?);
-    nested::downhill(&problem, network, step, iterations, &pool, &mut Alone)
-        .map_err(|failure| Failure::NonFinite(failure.to_string()))
-}
-
 fn scene(trial: &TrialSpec) -> Result<nested::Problem, Failure> {
     problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
 }
@@ -151,11 +135,5 @@ mod tests {
         assert_eq!(milestones[0].design, initial);
         let bodies = evaluate(&trial, &[initial, milestones[1].design.clone()], 1).unwrap();
         assert!(bodies.iter().all(|body| body.networks[0].error_holdout.is_some()), "{bodies:?}");
-
-        let steps = downhill(&trial, 0, 0.01, 2, 1).unwrap();
-        let names: Vec<_> = steps.iter().map(|step| step.gradient).collect();
-        assert_eq!(names, ["none", "random", "training", "direct", "truncate", "gauss_newton"]);
-        assert!((steps[3].cosine - 1.0).abs() < 1e-12 && steps[5].implicit.is_some(), "{steps:?}");
-        assert!(steps.iter().all(|step| step.loss_holdout > 0.0), "{steps:?}");
     }
 }

@@ -9,7 +9,6 @@
 
 mod bounding;
 mod chip;
-mod downhill;
 mod evaluation;
 mod fitted;
 mod implicit;
@@ -28,7 +27,6 @@ mod unseen;
 
 pub use bounding::{Bound, bound};
 pub use chip::{Disturbance, Size};
-pub use downhill::{Downhill, downhill};
 pub use evaluation::{BodyEvaluation, Comparison, Fresh, NetworkEvaluation};
 pub use fitted::Fitted;
 pub use linear::{Decoder, READINGS_MAX, Reading, Ridge, fits};

@@ -4,7 +4,6 @@ mod answers;
 mod brain;
 mod dynamics;
 mod engine;
-mod implicit;
 mod judgement;
 mod linear;
 mod merge;
@@ -40,7 +39,6 @@ enum What {
     Brain(brain::Args),
     Dynamics(dynamics::Args),
     Engine(engine::Args),
-    Implicit(implicit::Args),
     Linear(linear::Args),
     Merge(merge::Args),
     Projection(projection::Args),
@@ -54,7 +52,6 @@ pub async fn execute(args: Args) -> Result<Exit, Error> {
         What::Brain(args) => brain::execute(&args),
         What::Dynamics(args) => dynamics::execute(&args),
         What::Engine(args) => engine::execute(args).await,
-        What::Implicit(args) => implicit::execute(&args),
         What::Linear(args) => linear::execute(&args),
         What::Merge(args) => merge::execute(args).await,
         What::Projection(args) => projection::execute(&args),

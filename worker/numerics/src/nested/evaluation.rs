@@ -45,7 +45,7 @@ pub struct BodyEvaluation {
 }
 
 /// Initial weights of evaluations are numbered from here, out of the way of the outer steps'.
-pub(super) const FIRST_NETWORK: u64 = 1 << 32;
+const FIRST_NETWORK: u64 = 1 << 32;
 
 /// How far a comparison has come.
 #[derive(Debug, Clone, PartialEq, Default)]
