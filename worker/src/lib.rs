@@ -24,4 +24,5 @@ pub mod simulate;
 pub mod verify;
 
 pub use metasense_numerics::brain::milestones;
+pub use metasense_numerics::random::Draw;
 pub use metasense_numerics::student::{chance_above, student, student_above};

@@ -2,27 +2,14 @@
 //!
 //! Every trial is read by its own brain and, whatever that is, by linear ones of several memories (`v_reading`).
 
-use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
+use std::collections::HashMap;
 
-use super::data::{Trial, geometric_mean};
+use super::kinds::{memory, of_each};
+use super::numbers::{distinct, geometric_mean};
 use super::paired::Ratio;
-use super::{Body, Cluster, Set};
-use metasense_schemas::spec::{Brain, BrainKind, Network, Preset};
-use serde_json::Value;
+use super::trial::{Body, Cluster, Set, Trial};
 
-/// What a linear brain of one memory makes of a trial's bodies.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Reading {
-    /// How far it looks back and ahead (s).
-    pub memory: [f64; 2],
-    /// Whether none looks farther.
-    pub whole: bool,
-    /// Error (%) by body and set.
-    pub errors: [[Option<f64>; 2]; 2],
-}
-
-/// What one brain makes of bodies that were trained alike, on the holdout.
+/// Holdout errors by one brain of bodies that were trained alike.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Read {
     /// The brain that the optimised bodies were trained with.
@@ -39,99 +26,6 @@ pub struct Read {
     pub errors: [f64; 2],
     /// Initial over optimised error.
     pub ratio: Ratio,
-}
-
-/// The trial's own brain, and the one that its body was trained with.
-#[must_use]
-pub fn brains(trial: &Trial) -> [String; 2] {
-    let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
-    let own = match text("brain.kind") {
-        Some("stacked") => match network(trial) {
-            shape if shape == "cnn" => "stacked".to_owned(),
-            shape => format!("stacked, {shape}"),
-        },
-        Some(kind) => match trial.setting.get("brain.memory") {
-            Some(memory) => format!("{kind}, memory {memory} s"),
-            None => kind.to_owned(),
-        },
-        None => network(trial),
-    };
-    let with = match text("optimise.brain") {
-        Some(kind) => kind.to_owned(),
-        None => network(trial),
-    };
-    match text("optimise.protocol") {
-        None | Some("joint") => [own, with],
-        Some(protocol) => [own, format!("{with} ({protocol})")],
-    }
-}
-
-/// [`brains`] of each trial; those that share a setting are looked at once.
-#[must_use]
-pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
-    let mut known: HashMap<*const BTreeMap<String, Value>, [String; 2]> = HashMap::new();
-    let mut of = |trial: &&Trial| {
-        let own = trial
-            .setting
-            .own()
-            .keys()
-            .any(|path| path.starts_with("brain.") || path.starts_with("optimise."));
-        match own {
-            true => brains(trial),
-            false => {
-                known.entry(Arc::as_ptr(trial.setting.shared())).or_insert_with(|| brains(trial)).clone()
-            }
-        }
-    };
-    trials.iter().map(&mut of).collect()
-}
-
-/// The brain as the trial's spec has it.
-fn of_spec(trial: &Trial) -> Brain {
-    let leaves = trial.setting.leaves();
-    let keys = leaves
-        .into_iter()
-        .filter_map(|(path, value)| Some((path.strip_prefix("brain.")?.to_owned(), value.clone())));
-    serde_json::from_value(Value::Object(keys.collect())).unwrap_or_default()
-}
-
-/// How far the trial's own brain looks back and ahead (s).
-#[must_use]
-pub fn memory(trial: &Trial) -> [f64; 2] {
-    let number = |path: &str| trial.setting.get(path).and_then(Value::as_f64);
-    let duration = number("time.duration").unwrap_or(1.0);
-    let instant = duration / number("time.samples").unwrap_or(200.0);
-    let brain = of_spec(trial);
-    if brain.kind != BrainKind::Cnn {
-        let whole = duration - instant;
-        return brain.memory.map_or([whole; 2], |memory| memory.map(|s| s.min(whole)));
-    }
-    let Network { kernels, dilations, causal, .. } = brain.network();
-    let reach: usize = kernels.iter().zip(&dilations).map(|(k, d)| (k - 1) * d).sum();
-    let reach = reach as f64 * instant;
-    if causal { [reach, 0.0] } else { [0.5 * reach; 2] }
-}
-
-/// A network's name: `cnn` for the paper's shape.
-fn network(trial: &Trial) -> String {
-    let own = of_spec(trial).resolved();
-    if own.network() == (Brain { preset: Some(Preset::Long), ..Brain::default() }).network() {
-        return "long".into();
-    }
-    let mut name = "cnn".to_owned();
-    if let Some(width) = own.width {
-        name += &format!(", width {width}");
-    }
-    for (list, what) in [(own.kernels, "kernels"), (own.dilations, "dilations")] {
-        if let Some(list) = list {
-            let list: Vec<String> = list.iter().map(ToString::to_string).collect();
-            name += &format!(", {what} {}", list.join(" "));
-        }
-    }
-    if own.causal == Some(true) {
-        name += ", causal";
-    }
-    name
 }
 
 /// What trials that differ in brains, placement and seed alone say: their own brains first, then the linear ones.
@@ -154,10 +48,7 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
         let memory = alike.first().map_or([0.0; 2], |t| memory(t));
         found.extend(read(trained_with, by, (memory, false, true), alike.iter().map(errors)));
     }
-    let mut with: Vec<&String> = kinds.iter().map(|kind| &kind[1]).collect();
-    with.sort();
-    with.dedup();
-    for trained_with in with {
+    for trained_with in distinct(kinds.iter().map(|kind| &kind[1])) {
         // trials that differ in their reader alone have one body, and one reading of it
         let mut alike: Vec<&&Trial> = Vec::new();
         let mut read_so: HashMap<(Cluster, u64), Vec<&&Trial>> = HashMap::new();
@@ -203,6 +94,7 @@ fn read(
 
 #[cfg(test)]
 mod tests {
+    use super::super::trial::Reading;
     use super::*;
     use serde_json::json;
 

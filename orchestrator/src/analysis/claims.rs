@@ -8,15 +8,19 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 
-use super::brains::brains;
 use super::data::{
-    COMPLEXITY, DESIGN, FREEDOM, Grid, Group, SENSORS, clusters, geometric_mean, groups, observations, places,
+    COMPLEXITY, DESIGN, FREEDOM, Grid, Group, Observation, SENSORS, clusters, groups, observations, places,
 };
-use super::paired::{self, Progress, Ratio, error_ratio, long_ratio};
+use super::elbow::{Verdict, elbow};
+use super::kinds::brains;
+use super::numbers::{distinct, geometric_mean};
+use super::paired;
+use super::paired::{Progress, Ratio, error_ratio, long_ratio};
 use super::random::random;
+use super::resample::{Interval, Resampling};
 use super::sensors::{fewer, spread};
 use super::tables::verdict_text;
-use super::{Body, Cluster, Interval, Observation, Resampling, Set, Trial, Verdict, elbow};
+use super::trial::{Body, Cluster, Set, Trial};
 
 /// The share of votes that settles a claim.
 const SURE: f64 = 0.95;
@@ -322,9 +326,7 @@ fn over(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
         let own: Vec<f64> = of.iter().filter(|(c, _)| *c == cluster).map(|(_, x)| *x).collect();
         (!own.is_empty()).then(|| geometric_mean(&own))
     };
-    let mut clusters: Vec<Cluster> = first.iter().map(|(cluster, _)| *cluster).collect();
-    clusters.sort_unstable();
-    clusters.dedup();
+    let clusters = distinct(first.iter().map(|(cluster, _)| *cluster));
     let ratio = |c: Cluster| Some((c, mean(first, c)? / mean(second, c)?));
     Ratio::of(&clusters.into_iter().filter_map(ratio).collect::<Vec<_>>())
 }
@@ -380,8 +382,7 @@ fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 
 /// Groups in which M varies.
 fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
-    let varies = |group: &Group| group.trials.iter().any(|t| t.sensors != group.trials[0].sensors);
-    groups(trials, SENSORS).into_iter().filter(varies).collect()
+    groups(trials, SENSORS).into_iter().filter(|group| group.varies(|t| t.sensors)).collect()
 }
 
 fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::data::{Group, groups};
 use super::paired::{Ratio, ratio_of};
 use super::tables::ratio_cells;
-use super::{Body, Set, Trial};
+use super::trial::{Body, Set, Trial};
 use crate::look::Table;
 
 /// What pairs always agree in.

@@ -1,22 +1,22 @@
 //! Do 95 % intervals hold the truth in 95 % of campaigns? Each question is put to made-up campaigns of known truth, with
 //! placements and seeds that have effects of their own, M nested in placements, and seeded draws.
 
-use super::data::RANDOM;
-use super::data::{Set, Trial};
+use super::data::Observation;
 use super::elbow::gains;
 use super::paired::{Progress, error_ratio, iteration_ratio, iterations};
 use super::random::random;
 use super::records::{Judged, mean_interval, mean_ratio};
-use super::resample::{Draw, LEAST_UNITS};
+use super::resample::{Interval, LEAST_UNITS};
 use super::run_time::{Watched, median_time};
 use super::scaling::{Scaling, scaling};
 use super::sensors::fewer;
-use super::{Cluster, Interval, Observation};
+use super::trial::{Cluster, RANDOM, Set, Trial};
+use metasense_worker::Draw;
 use serde_json::json;
 
 /// Share of campaigns whose interval holds `truth`, in %; those without an interval do not count.
 fn coverage(question: &str, campaigns: u64, truth: f64, ask: impl Fn(&mut Draw) -> Option<Interval>) -> f64 {
-    held(question, truth, (0..campaigns).filter_map(|c| ask(&mut Draw::new(17, c))).collect())
+    held(question, truth, (0..campaigns).filter_map(|c| ask(&mut Draw::numbered(17, c))).collect())
 }
 
 /// The share of intervals that hold `truth`, in %, which is printed.
@@ -191,7 +191,7 @@ fn means_over_records() {
 fn scaling_laws() {
     let laws = |placements: u64| -> Vec<Scaling> {
         let campaign = |c| {
-            let mut draw = Draw::new(17, c);
+            let mut draw = Draw::numbered(17, c);
             let mut observations = Vec::new();
             for placement in 0..placements {
                 let level = 0.1 * draw.normal();
@@ -252,7 +252,7 @@ fn votes_for_what_is_not_so() {
         .into_iter()
         .map(|placements| {
             let sure = (0..250).filter(|c| {
-                let mut draw = Draw::new(17, *c);
+                let mut draw = Draw::numbered(17, *c);
                 let mut errors = |at: f64| -> Vec<Observation> {
                     let error = |placement| Observation {
                         at,

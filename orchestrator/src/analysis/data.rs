@@ -1,65 +1,12 @@
-//! Finished trials as the analysis sees them, and the groups within which they are compared.
+//! The groups within which trials are compared, and the errors of a group along an axis.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use super::brains::{Reading, brains};
-use super::setting::Setting;
 use serde_json::Value;
 
-/// Initial or optimised body.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Body {
-    /// The body before the outer loop.
-    Initial,
-    /// The best body of the outer loop.
-    Optimised,
-}
-
-impl Body {
-    /// Both, in order.
-    pub const ALL: [Self; 2] = [Self::Initial, Self::Optimised];
-
-    /// Its name in the database.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Initial => "initial",
-            Self::Optimised => "optimised",
-        }
-    }
-}
-
-/// Which samples an error is of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Set {
-    /// The test set, by which the outer loop chooses the body.
-    Test,
-    /// Samples that neither loop has seen.
-    Holdout,
-}
-
-impl Set {
-    /// Both, in order.
-    pub const ALL: [Self; 2] = [Self::Test, Self::Holdout];
-
-    /// Its name.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Test => "test",
-            Self::Holdout => "holdout",
-        }
-    }
-}
-
-/// What trials share that are compared with one another, and what is independent of what: sensors and stimuli.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
-pub struct Cluster {
-    /// Sensor placement.
-    pub placement: u64,
-    /// Seed of stimuli, split and networks.
-    pub seed: u64,
-}
+use super::kinds::brains;
+use super::numbers::{distinct, geometric_mean};
+use super::trial::{Body, Cluster, Set, Trial};
 
 /// An error (%) at some place of an axis: a number of sensors, of design parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,82 +19,6 @@ pub struct Observation {
     pub error: f64,
 }
 
-/// A point of a loss curve that was kept.
-pub type CurvePoint = (u32, f64);
-
-/// A trial that is done.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Trial {
-    /// Its name.
-    pub hash: String,
-    /// Everything that it is.
-    pub setting: Setting,
-    /// K.
-    pub panels: u64,
-    /// M.
-    pub sensors: u64,
-    /// Placement and seed.
-    pub cluster: Cluster,
-    /// Units of the body.
-    pub units: u64,
-    /// Length of α.
-    pub design_parameters: u64,
-    /// Error (%) by body and set, `[initial, optimised][test, holdout]`, mean over the evaluation's networks.
-    pub errors: [[Option<f64>; 2]; 2],
-    /// The same after long training, of trials that have it.
-    pub long_errors: [[Option<f64>; 2]; 2],
-    /// By linear brains, whatever the trial's own is; none in trials of versions before 4.
-    pub readings: Vec<Reading>,
-    /// The part of the accelerations and of the angular velocities (%) that a body's linearisation at rest does not give,
-    /// `[initial, optimised][acceleration, rotation]`; none in trials of versions before 6.
-    pub nonlinear: [[Option<f64>; 2]; 2],
-    /// Training loss against iteration (from 1), by body, then network; thinned, as all curves.
-    pub curves: [Vec<Vec<CurvePoint>>; 2],
-    /// Holdout error (%) against iteration likewise; none in trials of versions before 3.
-    pub error_curves: [Vec<Vec<CurvePoint>>; 2],
-    /// Training loss of long training.
-    pub long_curves: [Vec<Vec<CurvePoint>>; 2],
-    /// Iterations on the initial over those on the optimised body to equal training loss and to equal holdout error, by
-    /// network, from the whole curves.
-    pub iterations: [Vec<f64>; 2],
-    /// Seconds and best test error so far (%), at the steps that make it better and at the last one.
-    pub history: Vec<(f64, f64)>,
-    /// Seconds by part of the outer loop, and of the evaluation.
-    pub seconds: Vec<(&'static str, f64)>,
-}
-
-impl Trial {
-    /// An error (%), where there is a positive one.
-    #[must_use]
-    pub fn error(&self, body: Body, set: Set) -> Option<f64> {
-        self.errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
-    }
-
-    /// An error after long training (%), where there is a positive one.
-    #[must_use]
-    pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
-        self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
-    }
-
-    /// Iterations of long training, where it has some.
-    #[must_use]
-    pub fn long_iterations(&self) -> Option<u64> {
-        self.setting.get("evaluation.long_iterations").and_then(Value::as_u64)
-    }
-
-    /// Whether its initial body is a random one.
-    #[must_use]
-    pub fn starts_random(&self) -> bool {
-        self.setting.contains_key(RANDOM)
-    }
-
-    /// A training protocol's name.
-    #[must_use]
-    pub fn protocol(&self) -> &str {
-        self.setting.get("optimise.protocol").and_then(Value::as_str).unwrap_or("unknown")
-    }
-}
-
 /// Trials that agree in everything but what a question varies.
 #[derive(Debug, Clone)]
 pub struct Group<'a> {
@@ -157,8 +28,13 @@ pub struct Group<'a> {
     pub trials: Vec<&'a Trial>,
 }
 
-/// The seed of a random initial body.
-pub const RANDOM: &str = "body.design.random";
+impl Group<'_> {
+    /// Whether its trials differ in a number.
+    #[must_use]
+    pub fn varies(&self, number: fn(&Trial) -> u64) -> bool {
+        self.trials.iter().any(|t| number(t) != number(self.trials[0]))
+    }
+}
 
 /// What placements and seeds vary, and what leaves the ordinary comparison as it is.
 const CLUSTER: &[&str] =
@@ -369,7 +245,7 @@ impl Grid {
 /// The clusters of observations, each once, in order.
 #[must_use]
 pub fn clusters<'a>(observations: impl IntoIterator<Item = &'a Observation>) -> Vec<Cluster> {
-    observations.into_iter().map(|o| o.cluster).collect::<BTreeSet<_>>().into_iter().collect()
+    distinct(observations.into_iter().map(|o| o.cluster))
 }
 
 /// Errors at one place of an axis.
@@ -403,12 +279,6 @@ pub fn levels(observations: &[Observation]) -> Vec<Level> {
             }
         })
         .collect()
-}
-
-/// exp of the mean logarithm.
-#[must_use]
-pub fn geometric_mean(values: &[f64]) -> f64 {
-    (values.iter().map(|v| v.ln()).sum::<f64>() / values.len() as f64).exp()
 }
 
 #[cfg(test)]

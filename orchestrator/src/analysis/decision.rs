@@ -6,8 +6,8 @@
 //! e(M) the geometric mean of the error (%). Votes are shares of the bootstrap's replicates over placements and seeds;
 //! what is left when the largest M is dropped says whether the answer hangs on how far M was tried.
 
-use super::data::{Grid, clusters};
-use super::{Observation, Resampling};
+use super::data::{Grid, Observation, clusters};
+use super::resample::Resampling;
 
 /// What a decision weighs.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]

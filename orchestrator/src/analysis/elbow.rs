@@ -7,8 +7,8 @@
 //! an elbow where the stick beats the straight line by BIC, falls before m and falls at most half as fast after it.
 //! Kneedle (Satopää et al. 2011) and the chord's farthest point stand beside it. Votes by bootstrap.
 
-use super::data::{Grid, Level, clusters, levels};
-use super::{Interval, Observation, Resampling};
+use super::data::{Grid, Level, Observation, clusters, levels};
+use super::resample::{Interval, Resampling};
 
 /// Values of M below which no elbow is sought: a stick has three parameters and a place.
 pub const LEAST_VALUES: usize = 4;
@@ -319,11 +319,11 @@ pub(super) fn gains(observations: &[Observation]) -> Vec<Gain> {
 mod tests {
     use super::*;
     use crate::analysis::Cluster;
-    use crate::analysis::resample::Draw;
+    use metasense_worker::Draw;
 
     /// Observations of a curve at M = 1…6 for five placements and two seeds, each with a level of its own and noise.
     fn curve(error: impl Fn(f64) -> f64, noise: f64) -> Vec<Observation> {
-        let mut draw = Draw::new(11, 0);
+        let mut draw = Draw::numbered(11, 0);
         let mut all = Vec::new();
         for placement in 0..5 {
             for seed in 0..2 {

@@ -7,8 +7,9 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 
-use super::data::{CurvePoint, Set, Trial};
-use super::{Body, Cluster, Interval, Resampling};
+use super::numbers::geometric_mean;
+use super::resample::{Interval, Resampling};
+use super::trial::{Body, Cluster, CurvePoint, Set, Trial};
 
 /// A ratio over trials.
 #[derive(Debug, Clone, PartialEq)]
@@ -126,7 +127,7 @@ pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
         .iter()
         .filter_map(|t| {
             let networks = &t.iterations[by as usize];
-            (!networks.is_empty()).then(|| (t.cluster, super::data::geometric_mean(networks)))
+            (!networks.is_empty()).then(|| (t.cluster, geometric_mean(networks)))
         })
         .collect();
     Ratio::of(&ratios)

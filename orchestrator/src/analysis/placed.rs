@@ -4,9 +4,11 @@
 
 use serde_json::Value;
 
-use super::data::{SEARCH, SENSORS, geometric_mean, groups};
+use super::data::{SEARCH, SENSORS, groups};
+use super::numbers::{distinct, geometric_mean};
 use super::paired::Ratio;
-use super::{Body, Cluster, Resampling, Set, Trial};
+use super::resample::Resampling;
+use super::trial::{Body, Cluster, Set, Trial};
 
 /// Random and searched placements of one setting.
 #[derive(Debug, Clone)]
@@ -37,9 +39,7 @@ pub fn placed<'a>(trials: &[&'a Trial]) -> Vec<Placed<'a>> {
     let mut found = Vec::new();
     let but = [SENSORS, SEARCH].concat();
     for group in groups(trials, &but) {
-        let mut searches: Vec<&str> = group.trials.iter().filter_map(|t| search(t)).collect();
-        searches.sort_unstable();
-        searches.dedup();
+        let searches = distinct(group.trials.iter().filter_map(|t| search(t)));
         let kinds = searches.len();
         for kind in searches {
             let of = |m: u64, by: Option<&str>| -> Vec<&'a Trial> {
@@ -47,9 +47,7 @@ pub fn placed<'a>(trials: &[&'a Trial]) -> Vec<Placed<'a>> {
                 let own = |t: &&&Trial| t.sensors == m && search(t) == by && first(t);
                 group.trials.iter().filter(own).copied().collect()
             };
-            let mut all: Vec<u64> = group.trials.iter().map(|t| t.sensors).collect();
-            all.sort_unstable();
-            all.dedup();
+            let all = distinct(group.trials.iter().map(|t| t.sensors));
             let level = |sensors| Level { sensors, trials: [of(sensors, None), of(sensors, Some(kind))] };
             let levels: Vec<Level> =
                 all.into_iter().map(level).filter(|l| l.trials.iter().all(|t| !t.is_empty())).collect();

@@ -7,10 +7,10 @@ use std::collections::HashMap;
 
 use serde_json::Value;
 
-use super::data::{RANDOM, Trial, geometric_mean};
+use super::numbers::{geometric_mean, log_squares};
 use super::paired::Ratio;
-use super::resample::{PLACEMENTS, SEEDS};
-use super::{Body, Resampling, Set};
+use super::resample::{PLACEMENTS, Resampling, SEEDS};
+use super::trial::{Body, RANDOM, Set, Trial};
 
 /// Random bodies beside the initial and the optimised one.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,9 +30,8 @@ impl Random {
     /// Standard deviation of ln e over random bodies; `None` of a single one.
     #[must_use]
     pub fn deviation(&self) -> Option<f64> {
-        let mean = geometric_mean(&self.errors).ln();
-        let squares: f64 = self.errors.iter().map(|e| (e.ln() - mean).powi(2)).sum();
-        (self.errors.len() > 1).then(|| (squares / (self.errors.len() - 1) as f64).sqrt())
+        let freedom = self.errors.len() - 1;
+        (freedom > 0).then(|| (log_squares(&self.errors) / freedom as f64).sqrt())
     }
 }
 

@@ -5,9 +5,10 @@
 
 use metasense_worker::evaluate::Evaluated;
 
-use super::data::CurvePoint;
+use super::numbers::{deviation, mean};
 use super::paired::iteration_ratio;
-use super::{Interval, Resampling};
+use super::resample::{Interval, Resampling};
+use super::trial::CurvePoint;
 use crate::look::{Table, row};
 
 /// What fresh networks made of a body's records.
@@ -175,19 +176,6 @@ impl Judged {
     pub fn error(&self) -> Option<f64> {
         mean(&self.known())
     }
-}
-
-/// `None` of nothing.
-#[must_use]
-pub fn mean(values: &[f64]) -> Option<f64> {
-    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-}
-
-/// Standard deviation; `None` of fewer than two.
-fn deviation(values: &[f64]) -> Option<f64> {
-    let mean = mean(values)?;
-    let squares = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
-    (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
 }
 
 /// A row a body and kind of signals; ratios are to the first body's row of the same kind. `delta` is an instant's length (s).

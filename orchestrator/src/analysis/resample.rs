@@ -10,8 +10,9 @@
 
 use std::collections::BTreeMap;
 
-use super::Cluster;
-use metasense_worker::student;
+use super::numbers::distinct;
+use super::trial::Cluster;
+use metasense_worker::{Draw, student};
 
 /// Units of a kind below which it is not drawn anew: of three, leaving one out says next to nothing about the spread.
 pub const LEAST_UNITS: usize = 4;
@@ -43,19 +44,6 @@ impl Interval {
     pub fn is_above_one(self) -> Option<bool> {
         (self.low > 1.0 || self.high < 1.0).then_some(self.low > 1.0)
     }
-}
-
-/// Linear interpolation between order statistics of sorted values.
-///
-/// # Panics
-/// If there are none.
-#[must_use]
-pub fn quantile(sorted: &[f64], q: f64) -> f64 {
-    assert!(!sorted.is_empty(), "a quantile of nothing");
-    let at = q * (sorted.len() - 1) as f64;
-    let below = at.floor() as usize;
-    let above = (below + 1).min(sorted.len() - 1);
-    sorted[below] + (at - below as f64) * (sorted[above] - sorted[below])
 }
 
 /// What units are called, one and several.
@@ -90,9 +78,7 @@ impl Resampling {
     #[must_use]
     pub fn of(kinds: impl IntoIterator<Item = ([&'static str; 2], Vec<u64>)>) -> Self {
         let kind = |(name, of_trial): ([&'static str; 2], Vec<u64>)| {
-            let mut values = of_trial.clone();
-            values.sort_unstable();
-            values.dedup();
+            let values = distinct(of_trial.iter().copied());
             let find = |value| values.binary_search(value).expect("collected above");
             Kind { name, count: values.len(), of_trial: of_trial.iter().map(find).collect() }
         };
@@ -136,7 +122,7 @@ impl Resampling {
     /// comes out right (Rao and Wu 1988).
     #[must_use]
     pub fn weights(&self, replicate: usize) -> Vec<f64> {
-        let mut draw = Draw::new(SEED, replicate as u64);
+        let mut draw = Draw::numbered(SEED, replicate as u64);
         let mut weights = vec![1.0; self.trials];
         for kind in self.drawn() {
             let mut counts = vec![0.0; kind.count];
@@ -221,45 +207,6 @@ impl<T> Jackknife<T> {
         let [below, above] = [freedom.floor(), freedom.ceil()].map(|f| student(f as usize));
         let half = (below + (freedom - freedom.floor()) * (above - below)) * variance.sqrt();
         (whole.is_finite() && half.is_finite()).then_some(Interval { low: whole - half, high: whole + half })
-    }
-}
-
-/// A small stream of random numbers (SplitMix64, Steele, Lea and Flood 2014).
-#[derive(Debug, Clone)]
-pub struct Draw(u64);
-
-impl Draw {
-    /// The stream of this seed and number.
-    #[must_use]
-    pub fn new(seed: u64, number: u64) -> Self {
-        let mut draw = Self(seed);
-        draw.0 = draw.next() ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        draw.next();
-        draw
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// Uniform in 0…n−1.
-    pub fn below(&mut self, n: usize) -> usize {
-        ((u128::from(self.next()) * n as u128) >> 64) as usize
-    }
-
-    /// Uniform in [0, 1).
-    pub fn uniform(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    /// Standard normal (Box and Muller 1958; one of the pair).
-    pub fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.uniform()).cos()
     }
 }
 

@@ -5,8 +5,9 @@
 //! Sheather 1986), of one time a unit: it needs six units, since of five the least and the greatest hold the median in
 //! 93.8 % of cases alone.
 
-use super::data::{Trial, geometric_mean};
-use super::{Cluster, Resampling};
+use super::numbers::geometric_mean;
+use super::resample::Resampling;
+use super::trial::{Cluster, Trial};
 
 /// What a run has reached: seconds, and best error (%) so far.
 pub type Reached = (f64, f64);

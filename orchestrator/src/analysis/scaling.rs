@@ -10,9 +10,10 @@
 
 use std::collections::BTreeMap;
 
-use super::data::{Grid, clusters, geometric_mean, places};
-use super::resample::{Jackknife, quantile};
-use super::{Cluster, Interval, Observation, Resampling};
+use super::data::{Grid, Observation, clusters, places};
+use super::numbers::{geometric_mean, median};
+use super::resample::{Interval, Jackknife, Resampling};
+use super::trial::Cluster;
 
 /// Values of N below which three parameters are not fitted.
 pub const LEAST_VALUES: usize = 4;
@@ -137,10 +138,6 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
 
 /// Errors no farther from the median of their N than [`FARTHEST`] standard deviations, by the median of all such distances.
 fn pulled_in(observations: &[Observation]) -> Vec<Observation> {
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        quantile(&values, 0.5)
-    };
     let places = places(observations);
     let at = |at: f64| median(observations.iter().filter(|o| o.at == at).map(|o| o.error.ln()).collect());
     let middles: Vec<f64> = places.iter().map(|place| at(*place)).collect();
@@ -293,10 +290,10 @@ fn residual(points: &[Point], exponent: f64, s: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::resample::Draw;
+    use metasense_worker::Draw;
 
     fn law(exponent: f64, floor: f64, noise: f64, sizes: &[f64]) -> Vec<Observation> {
-        let mut draw = Draw::new(5, 0);
+        let mut draw = Draw::numbered(5, 0);
         let mut all = Vec::new();
         for placement in 0..6 {
             for &n in sizes {

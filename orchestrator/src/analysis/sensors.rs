@@ -1,7 +1,8 @@
 //! How few sensors the optimised body needs to beat the initial one with the most.
 
-use super::data::{Grid, clusters, geometric_mean};
-use super::{Observation, Resampling};
+use super::data::{Grid, Observation, clusters};
+use super::numbers::{distinct, geometric_mean, log_squares};
+use super::resample::Resampling;
 
 /// The smallest M that suffices.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,18 +63,14 @@ pub struct Spread {
 /// How much it matters where the sensors sit; `None` with a single placement.
 #[must_use]
 pub fn spread(observations: &[Observation]) -> Option<Spread> {
-    let mut seeds: Vec<u64> = observations.iter().map(|o| o.cluster.seed).collect();
-    seeds.sort_unstable();
-    seeds.dedup();
     let (mut squares, mut freedom, mut ratios, mut placements) = (0.0, 0usize, Vec::new(), 0);
-    for seed in seeds {
+    for seed in distinct(observations.iter().map(|o| o.cluster.seed)) {
         let errors: Vec<f64> =
             observations.iter().filter(|o| o.cluster.seed == seed).map(|o| o.error).collect();
         if errors.len() < 2 {
             continue;
         }
-        let mean = geometric_mean(&errors).ln();
-        squares += errors.iter().map(|e| (e.ln() - mean).powi(2)).sum::<f64>();
+        squares += log_squares(&errors);
         freedom += errors.len() - 1;
         placements = placements.max(errors.len());
         ratios.push(

@@ -6,17 +6,20 @@ use serde_json::{Value, json};
 
 use super::brains::reads;
 use super::data::{
-    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, SENSORS, TRAINING, geometric_mean, groups, levels,
-    observations,
+    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, SENSORS, TRAINING, groups, levels, observations,
 };
-use super::decision::{Decision, decide};
-use super::paired::{self, Ratio};
+use super::decision::{Decision, Terms, decide};
+use super::elbow::{Verdict, elbow};
+use super::numbers::{geometric_mean, mean};
+use super::paired;
+use super::paired::Ratio;
 use super::placed::placed;
 use super::random::random;
+use super::resample::Interval;
 use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
 use super::scaling::scaling;
 use super::sensors::{fewer, spread};
-use super::{Body, Interval, Set, Terms, Trial, Verdict, elbow};
+use super::trial::{Body, Set, Trial};
 use crate::look::{Table, row};
 
 /// A question to finished trials.
@@ -253,7 +256,7 @@ fn random_table(trials: &[&Trial]) -> Table {
 
 /// The groups with a curve: at least two places on the axis; all groups where none has.
 fn with_curves<'a>(groups: Vec<Group<'a>>, at: fn(&Trial) -> u64) -> Vec<Group<'a>> {
-    let has = |group: &Group| group.trials.iter().any(|t| at(t) != at(group.trials[0]));
+    let has = |group: &Group| group.varies(at);
     match groups.iter().any(has) {
         true => groups.into_iter().filter(has).collect(),
         false => groups,
@@ -436,8 +439,7 @@ fn nonlinear_table(trials: &[&Trial]) -> Table {
         for (kind, name) in ["acceleration", "rotation"].into_iter().enumerate() {
             let shares = nonlinear(&group.trials, body, kind);
             let end = |pick: fn(f64, f64) -> f64| json!(shares.iter().copied().reduce(pick));
-            if !shares.is_empty() {
-                let mean = shares.iter().sum::<f64>() / shares.len() as f64;
+            if let Some(mean) = mean(&shares) {
                 let names = [&group.label, body.name(), name].map(|name| json!(name));
                 let found = [json!(shares.len()), json!(mean), end(f64::min), end(f64::max)];
                 rows.push(names.into_iter().chain(found).collect());

@@ -13,9 +13,9 @@ use super::live::Live;
 use super::pages::Pages;
 use super::simd::Simd;
 use super::{Error, Format, log, print_rows, read_plan};
-use crate::analysis::brains::brains;
-use crate::analysis::data;
+use crate::analysis::kinds::brains;
 use crate::analysis::setting::flatten;
+use crate::analysis::trial;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Deal, Shard};
@@ -378,9 +378,9 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
         let trial = plan.trials.iter().find(|trial| row[STATE + 2] == trial.hash.as_str());
         let spec = trial.and_then(|trial| serde_json::to_value(&trial.spec).ok());
         if let Some(spec) = spec {
-            let names = brains(&data::Trial {
+            let names = brains(&trial::Trial {
                 setting: flatten(&spec).into_iter().collect(),
-                ..data::Trial::default()
+                ..trial::Trial::default()
             });
             row[BRAINS].iter_mut().zip(names).for_each(|(cell, name)| *cell = name.into());
         }

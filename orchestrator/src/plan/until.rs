@@ -4,8 +4,8 @@ use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{SweepSpec, Until};
 
 use super::{Plan, Trial};
-use crate::analysis::data;
 use crate::analysis::setting::flatten;
+use crate::analysis::trial;
 use crate::scheduler::until::{Decision, decide, unanswerable};
 
 /// The spec with the placements and seeds of `until.at_most`.
@@ -67,17 +67,17 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
 }
 
 /// A trial as the analysis sees it, without results.
-fn planned(trial: &Trial) -> data::Trial {
+fn planned(trial: &Trial) -> trial::Trial {
     let point = trial.spec.point;
-    data::Trial {
+    trial::Trial {
         hash: trial.hash.clone(),
         setting: flatten(&serde_json::to_value(&trial.spec).expect("a trial is JSON")).into_iter().collect(),
         panels: point.panels as u64,
         sensors: point.sensors as u64,
-        cluster: data::Cluster { placement: point.placement as u64, seed: point.seed },
+        cluster: trial::Cluster { placement: point.placement as u64, seed: point.seed },
         units: trial.units as u64,
         design_parameters: trial.design_parameters as u64,
-        ..data::Trial::default()
+        ..trial::Trial::default()
     }
 }
 
@@ -98,7 +98,7 @@ impl Plan {
     #[must_use]
     pub fn decide(&self, found: &[Found], workers: u32) -> Option<(Decision, Vec<Trial>)> {
         let until = self.spec.until.as_ref()?;
-        let mut trials: Vec<data::Trial> = self.trials.iter().map(planned).collect();
+        let mut trials: Vec<trial::Trial> = self.trials.iter().map(planned).collect();
         let mut settled = vec![false; trials.len()];
         let places: std::collections::HashMap<&str, &Found> =
             found.iter().map(|f| (f.hash.as_str(), f)).collect();

@@ -1,9 +1,9 @@
 //! The answers in words, the best evidence first.
 
-use super::figures::distinct;
-use crate::analysis::brains::of_each;
-use crate::analysis::data::{DESIGN, Group, SENSORS, geometric_mean, groups, observations};
+use crate::analysis::data::{DESIGN, Group, SENSORS, groups, observations};
 use crate::analysis::decision::{Decision, Decisions, decide};
+use crate::analysis::kinds::of_each;
+use crate::analysis::numbers::{distinct, geometric_mean, mean as mean_of};
 use crate::analysis::paired::Ratio;
 use crate::analysis::placed::{Placed, placed};
 use crate::analysis::random::random;
@@ -22,9 +22,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let mut said = Vec::new();
     let of_trials = of_each(&refs);
-    let mut kinds = of_trials.clone();
-    kinds.sort();
-    kinds.dedup();
+    let kinds = distinct(of_trials.clone());
     for (kind, (set, what)) in kinds.iter().flat_map(|kind| {
         [
             (kind, (Set::Holdout, "samples that neither loop has seen")),
@@ -58,7 +56,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     }
     said.extend(super::brains::answers(trials));
     said.extend(long(&refs));
-    for group in groups(&refs, SENSORS).iter().filter(|g| distinct(g, |t| t.sensors) > 1) {
+    for group in groups(&refs, SENSORS).iter().filter(|g| g.varies(|t| t.sensors)) {
         said.extend(sensors(group, terms));
     }
     said.extend(placed(&refs).iter().filter_map(placing));
@@ -70,10 +68,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
 
 /// What the bodies' linearisation is worth.
 fn linear_model(trials: &[&Trial]) -> Option<Answer> {
-    let mean = |body, kind| {
-        let shares = nonlinear(trials, body, kind);
-        (!shares.is_empty()).then(|| number(shares.iter().sum::<f64>() / shares.len() as f64))
-    };
+    let mean = |body, kind| mean_of(&nonlinear(trials, body, kind)).map(number);
     let [initial, optimised] = Body::ALL.map(|body| Some([mean(body, 0)?, mean(body, 1)?]));
     let ([a, w], [b, v]) = (initial?, optimised?);
     Some(Answer::new(

@@ -2,6 +2,7 @@
 
 use crate::analysis::brains::{Read, reads};
 use crate::analysis::data::{BRAINS, groups};
+use crate::analysis::numbers::distinct;
 use crate::analysis::{Body, Question, Terms, Trial};
 use crate::look::{Answer, Axis, Figure, Plot, Scale, number};
 
@@ -21,10 +22,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         .filter(|(_, reads)| reads.iter().any(|read| read.whole))
         .collect();
     let mut pictures = Vec::new();
-    let mut with: Vec<&str> =
-        drawn.iter().flat_map(|(_, reads)| reads).map(|read| read.trained_with.as_str()).collect();
-    with.sort_unstable();
-    with.dedup();
+    let mut with = distinct(drawn.iter().flat_map(|(_, reads)| reads).map(|read| read.trained_with.as_str()));
     with.truncate(TRAINED.len());
     let shown = |read: &&Read| with.contains(&read.trained_with.as_str());
     for (label, reads) in drawn.iter().take(MOST_SETTINGS) {

@@ -1,15 +1,16 @@
 //! The figures that the analysis alone can draw.
 
 use super::answers::interval;
-use crate::analysis::brains::brains;
 use crate::analysis::data::{
-    COMPLEXITY, CurvePoint, DESIGN, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
+    COMPLEXITY, DESIGN, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
 };
+use crate::analysis::kinds::brains;
+use crate::analysis::numbers::{distinct, quantile};
 use crate::analysis::placed::{Level, placed};
 use crate::analysis::random::random;
-use crate::analysis::resample::quantile;
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
+use crate::analysis::trial::CurvePoint;
 use crate::analysis::{Body, Question, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
@@ -87,15 +88,13 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
 #[must_use]
 pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
-    let drawn: Vec<Group> =
-        groups(&refs, SENSORS).into_iter().filter(|g| distinct(g, |t| t.sensors) > 1).collect();
+    let drawn: Vec<Group> = groups(&refs, SENSORS).into_iter().filter(|g| g.varies(|t| t.sensors)).collect();
     let mut pictures = Vec::new();
     for group in drawn.iter().take(MOST_PLOTS) {
         let curves = Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.sensors)));
         let errors = curves.iter().flat_map(|c| c.1.iter().map(|o| o.error));
-        let mut values: Vec<f64> = group.trials.iter().map(|t| t.sensors as f64).collect();
-        values.sort_by(f64::total_cmp);
-        values.dedup();
+        let values = distinct(group.trials.iter().map(|t| t.sensors));
+        let values: Vec<f64> = values.into_iter().map(|m| m as f64).collect();
         let x = Axis::new("sensors M", Scale::Linear, values.iter().copied().chain([0.7])).with_ticks(values);
         let mut plot = Plot::new(&group.label, x, Axis::new("holdout error (%)", Scale::Log, errors));
         let mut marked = 0;
@@ -188,13 +187,6 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
             Question::Placed.answer(trials, Terms::default()),
         )
     })
-}
-
-pub(super) fn distinct(group: &Group, at: fn(&Trial) -> u64) -> usize {
-    let mut values: Vec<u64> = group.trials.iter().map(|t| at(t)).collect();
-    values.sort_unstable();
-    values.dedup();
-    values.len()
 }
 
 /// Errors of random bodies beside those of the initial and the optimised one.
@@ -335,7 +327,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
     let mut pictures = Vec::new();
     let mut laws: Vec<(String, String)> = Vec::new();
     let drawn: Vec<Group> = [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(&refs, but)).collect();
-    for group in drawn.iter().filter(|g| distinct(g, |t| t.design_parameters) > 1).take(MOST_PLOTS) {
+    for group in drawn.iter().filter(|g| g.varies(|t| t.design_parameters)).take(MOST_PLOTS) {
         let curves =
             Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.design_parameters)));
         let all = || curves.iter().flat_map(|c| c.1.iter());

@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, HashMap};
 use serde_json::Value;
 
 use super::{Story, Sweep};
-use crate::analysis::brains::Reading;
-use crate::analysis::data::CurvePoint;
+
 use crate::analysis::paired::{Progress, iteration_ratio};
 use crate::analysis::setting::Settings;
+use crate::analysis::trial::{CurvePoint, Reading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::store::{Reader, Row, StoreError, npy_values};
 

@@ -13,6 +13,7 @@ pub mod strips;
 
 use maud::{Markup, PreEscaped, html};
 
+use crate::analysis::numbers::distinct;
 use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
@@ -148,9 +149,7 @@ fn state(story: &Story) -> Vec<Answer> {
 }
 
 fn provenance(story: &Story) -> Markup {
-    let mut seeds: Vec<u64> = story.trials.iter().map(|t| t.cluster.seed).collect();
-    seeds.sort_unstable();
-    seeds.dedup();
+    let seeds = distinct(story.trials.iter().map(|t| t.cluster.seed));
     let seeds = seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
     html! {
         h2 { "Spec, versions, seeds" }

@@ -31,9 +31,49 @@ pub enum Purpose {
     Search = 10,
 }
 
+/// Where a stream has its bits from.
+pub trait Bits {
+    /// The next 64.
+    fn next(&mut self) -> u64;
+}
+
+impl Bits for ChaCha8Rng {
+    fn next(&mut self) -> u64 {
+        self.next_u64()
+    }
+}
+
+/// A small generator (SplitMix64, Steele, Lea and Flood 2014).
+#[derive(Debug, Clone)]
+pub struct SplitMix(u64);
+
+impl Bits for SplitMix {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+}
+
 /// A stream of random numbers, addressed by its key.
 #[derive(Debug, Clone)]
-pub struct Stream(ChaCha8Rng);
+pub struct Stream<B = ChaCha8Rng>(B);
+
+/// Draws of a bootstrap.
+pub type Draw = Stream<SplitMix>;
+
+impl Draw {
+    /// The stream of this seed and number.
+    #[must_use]
+    pub fn numbered(seed: u64, number: u64) -> Self {
+        let mut bits = SplitMix(seed);
+        bits.0 = bits.next() ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        bits.next();
+        Self(bits)
+    }
+}
 
 impl Stream {
     /// The stream of this key, at its beginning.
@@ -44,10 +84,12 @@ impl Stream {
         }
         Self(ChaCha8Rng::from_seed(key))
     }
+}
 
+impl<B: Bits> Stream<B> {
     /// Uniform in [0, 1), 53 bits.
     pub fn uniform(&mut self) -> f64 {
-        (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+        (self.0.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 
     /// Uniform in [least, most).
@@ -63,7 +105,7 @@ impl Stream {
 
     /// Uniform in 0…n−1.
     pub fn below(&mut self, n: usize) -> usize {
-        ((u128::from(self.0.next_u64()) * n as u128) >> 64) as usize
+        ((u128::from(self.0.next()) * n as u128) >> 64) as usize
     }
 
     /// A uniformly drawn order of 0…n−1 (Fisher and Yates).

@@ -4,7 +4,7 @@
 use super::ask::{Answer, Question};
 use super::looks::Looks;
 use super::settle;
-use crate::analysis::resample::Draw;
+use metasense_worker::Draw;
 
 /// Campaigns a question.
 const CAMPAIGNS: u64 = 10_000;
@@ -63,7 +63,7 @@ fn campaigns(
 ) -> Outcome {
     let [mut settled, mut wrong, mut run] = [0.0; 3];
     for campaign in 0..CAMPAIGNS {
-        let mut draw = Draw::new(29, campaign);
+        let mut draw = Draw::numbered(29, campaign);
         let curves: Vec<Option<Vec<f64>>> = (0..GRID).map(|_| Some(world.unit(&mut draw))).collect();
         match settle(question, &curves, &world.places, ALPHA, looks) {
             Some((answer, units)) => {

@@ -9,9 +9,9 @@
 
 use std::collections::HashMap;
 
-use metasense_worker::{chance_above, student_above};
+use metasense_worker::{Draw, chance_above, student_above};
 
-use crate::analysis::resample::{Draw, LEAST_UNITS};
+use crate::analysis::resample::LEAST_UNITS;
 
 /// Sequences drawn.
 const SEQUENCES: u64 = 40_000;
@@ -34,7 +34,7 @@ impl Looks {
         let weights: Vec<f64> = (0..=grid).map(weight).collect();
         let mut least: Vec<f64> = (0..SEQUENCES)
             .map(|number| {
-                let (mut draw, [mut sum, mut squares]) = (Draw::new(5, number), [0.0; 2]);
+                let (mut draw, [mut sum, mut squares]) = (Draw::numbered(5, number), [0.0; 2]);
                 let mut least = f64::INFINITY;
                 for k in 1..=grid {
                     let x = draw.normal();

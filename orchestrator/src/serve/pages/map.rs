@@ -9,7 +9,7 @@ use maud::html;
 use serde::Deserialize;
 
 use super::{Served, framed, live, query, to_trial, trouble};
-use crate::analysis::data::geometric_mean;
+use crate::analysis::numbers::geometric_mean;
 use crate::look::Picture;
 use crate::look::grid::{Cell, grid};
 use crate::look::number;
