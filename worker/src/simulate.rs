@@ -1,7 +1,7 @@
 //! One body under given forces: signals, motion and, of a cotangent on the signals, the gradient in the design.
 
 use metasense_numerics::dynamics::{
-    self, Forces, Outcome, Scene, Simulation, Solver, Tuned, energy, pull_back, tune,
+    self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, energy, tune,
 };
 use metasense_numerics::nested::Problem;
 use metasense_schemas::spec::TrialSpec;
@@ -149,7 +149,7 @@ pub fn simulate(
         for n in 1..=instants {
             // As the signals: what a failed sample did before it failed is not told.
             let (x, v) = match (outcome, &run.tape) {
-                (Outcome::Ok, Some(tape)) => tape.state(scene, sample, n),
+                (Outcome::Ok, Some(tape)) => tape.state(sample, n),
                 _ => (vec![[0.0; 3]; units], vec![[0.0; 3]; units]),
             };
             let e = energy(scene, design, &x);
@@ -159,8 +159,7 @@ pub fn simulate(
         }
     }
     if let Some((_, cotangent)) = cotangent {
-        let all: Vec<usize> = (0..samples).collect();
-        let gradient = pull_back(scene, design, &forces, &run, &all, cotangent, &pool);
+        let gradient = run.vjp(cotangent, Wrt::Design, &pool);
         work += gradient.counters;
         found.gradient = Some(gradient.design);
     }

@@ -2,10 +2,7 @@
 
 use std::sync::Arc;
 
-use metasense_numerics::dynamics::{
-    self, Direction, Forces, Gradient, Outcome, Parameters, Scene, Tuned, pull_back, pull_back_forces,
-    pull_back_parameters, push_forward,
-};
+use metasense_numerics::dynamics::{self, Forces, Gradient, Outcome, Parameters, Scene, Tangent, Tuned, Wrt};
 use metasense_worker::simulate::{check_cotangent, finite};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -100,7 +97,7 @@ impl Simulation {
         py: Python<'py>,
         cotangent: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        Ok(self.gradient(py, cotangent, pull_back)?.design.into_pyarray(py))
+        Ok(self.gradient(py, cotangent, Wrt::Design)?.design.into_pyarray(py))
     }
 
     /// As `vjp`, and the derivatives in the material: "stiffness" (3) [stretch, shear, bend], "damping_ratio", "density".
@@ -109,7 +106,7 @@ impl Simulation {
         py: Python<'py>,
         cotangent: &Bound<'py, PyAny>,
     ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyDict>)> {
-        let found = self.gradient(py, cotangent, pull_back_parameters)?;
+        let found = self.gradient(py, cotangent, Wrt::Parameters)?;
         let p = found.parameters.expect("asked for");
         let material = PyDict::new(py);
         material.set_item("stiffness", vec![p.stretch, p.shear, p.bend].into_pyarray(py))?;
@@ -121,7 +118,7 @@ impl Simulation {
     /// As `vjp`, and the derivative in the forces (N, K, R + 1), also at instants where there are none. It takes longer by what
     /// samples are still before their first force; dα is that of `vjp` but for rounding.
     fn vjp_forces<'py>(&self, py: Python<'py>, cotangent: &Bound<'py, PyAny>) -> PyResult<InBoth<'py>> {
-        let found = self.gradient(py, cotangent, pull_back_forces)?;
+        let found = self.gradient(py, cotangent, Wrt::Forces)?;
         let Forces { samples, panels, instants, .. } = self.forces;
         let forces = found.forces.expect("asked for").into_pyarray(py);
         Ok((found.design.into_pyarray(py), forces.reshape([samples, panels, instants + 1])?))
@@ -168,8 +165,7 @@ impl Simulation {
             Outcome::Ok => {
                 let len = pushed.values.len() / given.samples;
                 let forces = &pushed.values[sample * len..][..len];
-                let along = Direction { design: &tangent, parameters, forces };
-                push_forward(&self.scene, &self.design, along, given, &self.run, sample).1
+                self.run.jvp(sample, Tangent { design: &tangent, parameters, forces }).1
             }
             _ => vec![0.0; instants * channels],
         };
@@ -189,17 +185,12 @@ impl Simulation {
 /// Derivatives in α and in the forces.
 type InBoth<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
 
-/// One of the reverse sweeps.
-type Reverse = fn(&Scene, &[f64], &Forces, &dynamics::Simulation, &[usize], &[f64], &ThreadPool) -> Gradient;
-
 impl Simulation {
-    fn gradient(&self, py: Python<'_>, cotangent: &Bound<'_, PyAny>, reverse: Reverse) -> PyResult<Gradient> {
+    fn gradient(&self, py: Python<'_>, cotangent: &Bound<'_, PyAny>, wrt: Wrt) -> PyResult<Gradient> {
         self.taped()?;
         let Numbers { shape, values } = numbers("cotangent", cotangent)?;
         check_cotangent(&self.scene, self.forces.samples, &shape, &values).map_err(|e| raised(&e))?;
-        let Self { pool, scene, design, forces, run, .. } = self;
-        let all: Vec<usize> = (0..forces.samples).collect();
-        let found = py.detach(|| reverse(scene, design, forces, run, &all, &values, pool));
+        let found = py.detach(|| self.run.vjp(&values, wrt, &self.pool));
         match found.design.iter().chain(found.forces.iter().flatten()).all(|g| g.is_finite()) {
             true => Ok(found),
             false => Err(PyRuntimeError::new_err("the gradient is not finite")),

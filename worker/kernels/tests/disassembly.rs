@@ -7,7 +7,7 @@
 mod skip;
 
 use metasense_kernels::brain::Workspace;
-use metasense_kernels::dynamics::{pull_back, repeat_kernel, run};
+use metasense_kernels::dynamics::{Simulation, repeat_kernel, run};
 use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::process::Command;
@@ -31,7 +31,7 @@ const ENTRIES: [&str; 11] = [
 /// function. (Those on integers are the random numbers'.)
 #[test]
 fn no_kernel_calls_an_intrinsic() {
-    black_box((run as *const (), pull_back as *const (), repeat_kernel as *const ()));
+    black_box((run as *const (), Simulation::vjp as *const (), repeat_kernel as *const ()));
     black_box((Workspace::<f32>::with_width as *const (), Workspace::<f64>::with_width as *const ()));
     let Ok(listing) = Command::new("objdump")
         .args(["--disassemble", "--no-show-raw-insn"])

@@ -5,9 +5,8 @@ mod common;
 use common::{norm, pool, relative};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Solver, Stiffness, choose,
-    highest_frequency, pull_back, pull_back_forces, pull_back_parameters, run, run_at, signal_error,
-    simulate, tune,
+    Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Simulation, Solver, Stiffness, Wrt, choose,
+    highest_frequency, run, run_at, signal_error, simulate, tune,
 };
 use metasense_kernels::simd::Width;
 use std::f64::consts::TAU;
@@ -75,16 +74,14 @@ fn every_width_computes_the_same() {
         Scene { frame: Frame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 11, 0.4));
-        let samples: Vec<usize> = (0..forces.samples).collect();
         for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom4, 24)] {
             let plan = Plan { tolerance: 1e-6, ..plan(method, steps) };
             let at = |width| {
                 let run = run_at(width, &scene, &design, &forces, &plan, true, &pool);
                 assert_eq!(run.width, width);
-                let gradient =
-                    pull_back_parameters(&scene, &design, &forces, &run, &samples, &run.signals, &pool);
+                let gradient = run.vjp(&run.signals, Wrt::Parameters, &pool);
                 let parameters = gradient.parameters.expect("asked for").array();
-                let forces = pull_back_forces(&scene, &design, &forces, &run, &samples, &run.signals, &pool);
+                let forces = run.vjp(&run.signals, Wrt::Forces, &pool);
                 (run.signals, gradient.design, parameters, forces.forces.expect("asked for"))
             };
             let truth = at(Width::Baseline);
@@ -117,7 +114,6 @@ fn coarse_steps_in_single_precision_are_those_in_double() {
         Scene { frame: Frame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 19, 0.4));
-        let samples: Vec<usize> = (0..forces.samples).collect();
         for (method, _, steps) in EQUAL_STEPS {
             for width in Width::ALL.into_iter().filter(|w| *w <= Width::detect()) {
                 let at = |tolerance, steps| {
@@ -125,8 +121,7 @@ fn coarse_steps_in_single_precision_are_those_in_double() {
                     assert_eq!(plan.single(), tolerance > 0.0);
                     let run = run_at(width, &scene, &design, &forces, &plan, true, &pool(1));
                     assert_eq!(run.outcomes, [Outcome::Ok; 19]);
-                    let gradient =
-                        pull_back_forces(&scene, &design, &forces, &run, &samples, &run.signals, &pool(1));
+                    let gradient = run.vjp(&run.signals, Wrt::Forces, &pool(1));
                     [run.signals, gradient.design, gradient.forces.expect("asked for")]
                 };
                 let (single, double) = (at(COARSE, steps), at(0.0, steps));
@@ -160,13 +155,10 @@ fn samples_begin_with_their_forces() {
         for (tolerance, method, steps) in [(0.0, Method::Nystrom4, 24), (COARSE, Method::Nystrom4, 24)] {
             let plan = Plan { tolerance, ..plan(method, steps) };
             let all = run(&scene, &design, &forces, &plan, true, &pool(2));
-            let samples: Vec<usize> = (0..forces.samples).collect();
-            let of = |forces: &Forces, run: &_, samples: &[usize], cotangent: &[f64]| {
-                pull_back(&scene, &design, forces, run, samples, cotangent, &pool(1)).design
-            };
-            let together = of(&forces, &all, &samples, &all.signals);
+            let of = |run: &Simulation| run.vjp(&run.signals, Wrt::Design, &pool(1)).design;
+            let together = of(&all);
             let mut sum = vec![0.0; together.len()];
-            for i in samples {
+            for i in 0..forces.samples {
                 let own = Forces { samples: 1, values: forces.sample(i).to_vec(), ..forces };
                 let alone = run(&scene, &design, &own, &plan, true, &pool(1));
                 let signals = &all.signals[i * instants * width..][..instants * width];
@@ -174,7 +166,7 @@ fn samples_begin_with_their_forces() {
                 let still = if i + 1 == forces.samples { instants } else { onset(i) };
                 assert!(signals[..still * width].iter().all(|a| *a == 0.0), "sample {i}");
                 assert_eq!(signals.iter().all(|a| *a == 0.0), still >= instants, "sample {i}");
-                let gradient = of(&own, &alone, &[0], &alone.signals);
+                let gradient = of(&alone);
                 sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
             }
             let off = relative(&together, &sum);
@@ -192,14 +184,13 @@ fn gradients_in_the_forces_pass_a_taylor_test() {
     for scene in [base.clone(), Scene { frame: Frame::Body, contact, ..base }] {
         let fine = Scene { instants: 2 * scene.instants, ..scene.clone() };
         let (design, forces) = (shaken(&scene), pushes(&fine, 9, 0.4));
-        let samples: Vec<usize> = (0..forces.samples).collect();
         for (method, steps) in [(Method::Tsit5, 0), (Method::Leapfrog, 60), (Method::Nystrom6, 12)] {
             let plan = plan(method, steps);
             let at = |forces: &Forces| run(&scene, &design, forces, &plan, true, &pool(1));
             let here = at(&forces);
             let size = norm(&here.signals).powi(2);
             let cotangent: Vec<f64> = here.signals.iter().map(|s| s / size).collect();
-            let gradient = pull_back_forces(&scene, &design, &forces, &here, &samples, &cotangent, &pool(1));
+            let gradient = here.vjp(&cotangent, Wrt::Forces, &pool(1));
             let gradient = gradient.forces.expect("asked for");
             let wave = |i: usize| 0.5 * (0.13 * i as f64).sin() + 0.2 * (2.1 * i as f64).sin();
             let along: Vec<f64> = (0..gradient.len()).map(wave).collect();
@@ -238,17 +229,13 @@ fn forces_of_zero_have_a_gradient() {
             here.outcomes
         );
         let cotangent: Vec<f64> = (0..here.signals.len()).map(|i| (0.7 * i as f64).sin()).collect();
-        let ask = |pull_back: Reverse| {
-            pull_back(&scene, &design, &forces, &here, &[0, 1, 2, 3], &cotangent, &pool(1))
-        };
-        let (plain, gradient) = (ask(pull_back), ask(pull_back_forces));
+        let [plain, gradient] = [Wrt::Design, Wrt::Forces].map(|wrt| here.vjp(&cotangent, wrt, &pool(1)));
         let off = relative(&gradient.design, &plain.design);
         assert!(off < 1e-11 && plain.forces.is_none(), "{method:?}: {off:e}");
-        let work = |pull_back: Reverse| {
-            let own = &cotangent[..cotangent.len() / 4];
-            pull_back(&scene, &design, &forces, &here, &[0], own, &pool(1)).counters.force_evaluations
-        };
-        let (less, more) = (work(pull_back), work(pull_back_forces));
+        let first = at(&Forces { samples: 1, values: forces.sample(0).to_vec(), ..forces });
+        let [less, more] = [Wrt::Design, Wrt::Forces].map(|wrt| {
+            first.vjp(&cotangent[..cotangent.len() / 4], wrt, &pool(1)).counters.force_evaluations
+        });
         assert_eq!(less < more, method != Method::Tsit5, "{method:?}: {less} {more}");
         let found = gradient.forces.expect("asked for");
         assert!(found[3 * 2 * row..].iter().all(|g| *g == 0.0));
@@ -270,16 +257,6 @@ fn forces_of_zero_have_a_gradient() {
         }
     }
 }
-
-type Reverse = fn(
-    &Scene,
-    &[f64],
-    &Forces,
-    &metasense_kernels::dynamics::Simulation,
-    &[usize],
-    &[f64],
-    &rayon::ThreadPool,
-) -> metasense_kernels::dynamics::Gradient;
 
 /// Lanczos' estimate against the reference scene's highest mode, 664 Hz.
 #[test]
@@ -418,7 +395,7 @@ fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
         let gradient = |held: f64| {
             let of = |i: usize| if i % 6 < 3 { (0.7 * i as f64).sin() } else { held };
             let cotangent: Vec<f64> = (0..run.signals.len()).map(of).collect();
-            pull_back(&scene, &design, &forces, &run, &[0, 1], &cotangent, &pool(1)).design
+            run.vjp(&cotangent, Wrt::Design, &pool(1)).design
         };
         assert!(run.signals.chunks_exact(6).all(|s| s[3..] == [0.0; 3]), "{method:?}");
         assert_eq!(gradient(0.0), gradient(1e3), "{method:?}");
@@ -445,10 +422,8 @@ fn forces_may_have_a_finer_clock_than_the_signals() {
         for (to, from) in spread.chunks_mut(4 * width).zip(cotangent.chunks(width)) {
             to[3 * width..].copy_from_slice(from);
         }
-        let gradient = |scene: &Scene, simulation: &_, cotangent: &[f64]| {
-            pull_back(scene, &design, &forces, simulation, &[0, 1], cotangent, &pool(1)).design
-        };
-        let (g, h) = (gradient(&coarse, &ours, &cotangent), gradient(&fine, &theirs, &spread));
+        let gradient = |run: &Simulation, cotangent: &[f64]| run.vjp(cotangent, Wrt::Design, &pool(1)).design;
+        let (g, h) = (gradient(&ours, &cotangent), gradient(&theirs, &spread));
         let errors = [relative(&ours.signals, &every_fourth), relative(&g, &h)];
         assert!(errors.iter().all(|e| *e < 1e-11) && norm(&g) > 0.0, "{method:?}: {errors:?}");
         if steps > 0 {

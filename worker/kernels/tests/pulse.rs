@@ -3,9 +3,7 @@
 use metasense_kernels::body::Layout;
 use metasense_kernels::brain::linear::{Fit, Lags, Moments, Order, Sizes};
 use metasense_kernels::brain::{Adam, Architecture, Data, Shape, Workspace, train};
-use metasense_kernels::dynamics::{
-    Forces, Frame, Method, Panel, Scene, Solver, Stiffness, pull_back, simulate,
-};
+use metasense_kernels::dynamics::{Forces, Frame, Method, Panel, Scene, Solver, Stiffness, Wrt, simulate};
 use metasense_kernels::pulse;
 
 /// How much the count grows.
@@ -43,10 +41,8 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     for method in [Method::Tsit5, Method::Nystrom4] {
         let solver = Solver { method, tolerance: 1e-4 };
         let (simulation, forwards) = beats(|| simulate(&scene, &design, &forces, &solver, true, &pool));
-        let which: Vec<usize> = (0..samples).collect();
         let cotangent = vec![1.0; simulation.signals.len()];
-        let (_, backwards) =
-            beats(|| pull_back(&scene, &design, &forces, &simulation, &which, &cotangent, &pool));
+        let (_, backwards) = beats(|| simulation.vjp(&cotangent, Wrt::Design, &pool));
         let least = (instants * samples.div_ceil(8)) as u64;
         // Tsit5 sweeps several blocks of eight in one
         assert!(forwards >= least && backwards >= instants as u64, "{method:?}: {forwards}, {backwards}");

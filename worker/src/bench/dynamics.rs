@@ -6,8 +6,8 @@
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Contact, Forces, Method, Outcome, Panel, Plan, Scene, Simulation, Solver, choose, highest_frequency,
-    pull_back, repeat_kernel, run_at, signal_error, tune,
+    Contact, Forces, Method, Outcome, Panel, Plan, Scene, Simulation, Solver, Wrt, choose, highest_frequency,
+    repeat_kernel, run_at, signal_error, tune,
 };
 use metasense_numerics::simd::Width;
 use std::time::Instant;
@@ -164,9 +164,7 @@ impl Subject {
     }
 
     fn gradient(&self, simulation: &Simulation, pool: &rayon::ThreadPool) -> (Vec<f64>, Time) {
-        let Self { scene, design, forces, cotangent } = self;
-        let all: Vec<usize> = (0..forces.samples).collect();
-        let (gradient, time) = timed(|| pull_back(scene, design, forces, simulation, &all, cotangent, pool));
+        let (gradient, time) = timed(|| simulation.vjp(&self.cotangent, Wrt::Design, pool));
         (gradient.design, time)
     }
 

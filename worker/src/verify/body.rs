@@ -4,8 +4,8 @@ use super::case::{Case, CaseError};
 use super::{DEFAULT, Row, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::dynamics::{
-    Forces, Method, Outcome, Scene, Simulation, Solver, energy, energy_design_gradient, energy_gradient,
-    pull_back, run, signal_error, simulate, tune,
+    Forces, Method, Outcome, Scene, Simulation, Solver, Wrt, energy, energy_design_gradient, energy_gradient,
+    run, signal_error, simulate, tune,
 };
 use metasense_numerics::stimuli::resample;
 
@@ -162,7 +162,7 @@ fn states(scene: &Scene, design: &[f64], forces: &Forces, run: &Simulation) -> S
     let geometry = Geometry::new(&scene.layout, design, scene.density);
     for sample in (0..forces.samples).filter(|&i| run.outcomes[i] == Outcome::Ok) {
         for n in 1..=scene.instants {
-            let (x, v) = tape.state(scene, sample, n);
+            let (x, v) = tape.state(sample, n);
             let e = energy(scene, design, &x);
             states.elastic.push(e.elastic + e.contact);
             let of =
@@ -185,8 +185,7 @@ pub fn adjoint(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseEr
     let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
     let run = simulate(&scene, &design, &forces, &TIGHT, true, pool);
     let cotangent = case.array_of("cotangent", run.signals.len())?;
-    let all: Vec<usize> = (0..forces.samples).collect();
-    let gradient = pull_back(&scene, &design, &forces, &run, &all, &cotangent, pool);
+    let gradient = run.vjp(&cotangent, Wrt::Design, pool);
     // The reference is a fifth-order run of 40 000 steps: its own error is the difference to 20 000, by 2⁵ − 1. In contact
     // it is the difference itself: ∂²E_c/∂ψ² jumps at ψ_c, and gradients on a fixed grid converge with order 1.
     let order = if scene.contact.is_some() { 1 } else { 5 };

@@ -4,8 +4,8 @@ use super::{Row, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Contact, Direction, Forces, Frame, Method, Panel, Parameters, Plan, Scene, Simulation, Solver, Stiffness,
-    choose, damping, energy, pull_back, pull_back_forces, pull_back_parameters, push_forward, run, simulate,
+    Contact, Forces, Frame, Method, Panel, Parameters, Plan, Scene, Simulation, Solver, Stiffness, Tangent,
+    Wrt, choose, damping, energy, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
@@ -130,7 +130,7 @@ fn balance(solver: Solver, pool: &rayon::ThreadPool) -> Row {
     let (mut powers, mut last) = (vec![0.0], 0.0);
     let mut greatest = 0.0f64;
     for n in 1..=scene.instants {
-        let (x, v) = tape.state(&scene, 0, n);
+        let (x, v) = tape.state(0, n);
         let kinetic = |u: usize| {
             let m = [geometry.mass[u], geometry.mass[u], geometry.moment[u]];
             (0..3).map(|d| 0.5 * m[d] * v[u][d].powi(2)).sum::<f64>()
@@ -165,7 +165,7 @@ fn taylor(solver: Solver, pool: &rayon::ThreadPool) -> Row {
     let cotangent: Vec<f64> = run.signals.iter().map(|_| stream.normal() / scale).collect();
     let direction: Vec<f64> = design.iter().map(|_| 0.1 * stream.normal()).collect();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let gradient = pull_back(&scene, &design, &forces, &run, &[0, 1], &cotangent, pool);
+    let gradient = run.vjp(&cotangent, Wrt::Design, pool);
     let (value, slope) = (dot(&run.signals, &cotangent), dot(&gradient.design, &direction));
     let remainder = |epsilon: f64| {
         let moved: Vec<f64> = design.iter().zip(&direction).map(|(a, d)| a + epsilon * d).collect();
@@ -195,7 +195,7 @@ fn taylor_parameters(solver: Solver, pool: &rayon::ThreadPool) -> Row {
     let cotangent: Vec<f64> = simulation.signals.iter().map(|_| stream.normal() / scale).collect();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let value = dot(&simulation.signals, &cotangent);
-    let gradient = pull_back_parameters(&scene, &design, &forces, &simulation, &[0], &cotangent, pool);
+    let gradient = simulation.vjp(&cotangent, Wrt::Parameters, pool);
     let at = Parameters::of(&scene).array();
     let Some(gradient) = gradient.parameters.map(Parameters::array) else {
         return Row::new(name, f64::NAN, 0.0);
@@ -245,12 +245,12 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
         let v: Vec<f64> = design.iter().map(|_| stream.normal()).collect();
         let turned = Parameters::of(&scene).array().map(|p| p * stream.normal());
         let pushed: Vec<f64> = forces.values.iter().map(|_| 0.1 * stream.normal()).collect();
-        let mut apart = |v: Direction<'_>| {
-            let (signals, along) = push_forward(&scene, &design, v, &forces, &simulation, 0);
+        let mut apart = |v: Tangent<'_>| {
+            let (signals, along) = simulation.jvp(0, v);
             // Of one sign with J v, lest the sum cancel
             let w: Vec<f64> = along.iter().map(|a| a * stream.normal().abs()).collect();
-            let reverse = if v.forces.is_empty() { pull_back_parameters } else { pull_back_forces };
-            let gradient = reverse(&scene, &design, &forces, &simulation, &[0], &w, pool);
+            let wrt = if v.forces.is_empty() { Wrt::Parameters } else { Wrt::Forces };
+            let gradient = simulation.vjp(&w, wrt, pool);
             let slopes = gradient.parameters.unwrap_or_default().array();
             let ours = dot(&gradient.design, v.design)
                 + dot(&slopes, &v.parameters.array())
@@ -258,10 +258,10 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
             let theirs = dot(&w, &along);
             ((ours - theirs).abs() / theirs.abs(), relative(&simulation.signals, &signals))
         };
-        let held = Direction::default();
-        let (design_apart, signals_apart) = apart(Direction { design: &v, ..held });
-        let (parameters_apart, _) = apart(Direction { parameters: Parameters::from_array(turned), ..held });
-        let (forces_apart, _) = apart(Direction { forces: &pushed, ..held });
+        let held = Tangent::default();
+        let (design_apart, signals_apart) = apart(Tangent { design: &v, ..held });
+        let (parameters_apart, _) = apart(Tangent { parameters: Parameters::from_array(turned), ..held });
+        let (forces_apart, _) = apart(Tangent { forces: &pushed, ..held });
         for (worst, apart) in
             worst.iter_mut().zip([design_apart, parameters_apart, forces_apart, signals_apart])
         {
@@ -305,8 +305,7 @@ fn threads(solver: Solver) -> Row {
     let run = |forces: &Forces, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let run = simulate(&scene, &design, forces, &solver, true, &pool);
-        let all: Vec<usize> = (0..forces.samples).collect();
-        let gradient = pull_back(&scene, &design, forces, &run, &all, &run.signals, &pool).design;
+        let gradient = run.vjp(&run.signals, Wrt::Design, &pool).design;
         (run.signals, gradient)
     };
     let (one, three) = (run(&forces, 1), run(&forces, 3));

@@ -5,7 +5,7 @@ use super::body::LEEWAY;
 use super::checks::{bells, reference};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Contact, Forces, Method, Outcome, Panel, Scene, Solver, pull_back, run, signal_error, simulate, tune,
+    Contact, Forces, Method, Outcome, Panel, Scene, Solver, Wrt, run, signal_error, simulate, tune,
 };
 
 /// Two seeded bell samples on a scene, and what is done to them.
@@ -199,18 +199,12 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &rayon::ThreadPo
     let started = std::time::Instant::now();
     let tuned = tune(scene, design, forces, &solver, pool);
     let run = run(scene, design, forces, &tuned.plan, true, pool);
-    let samples: Vec<usize> = (0..forces.samples).filter(|&i| run.outcomes[i] == Outcome::Ok).collect();
-    let per_sample = run.signals.len() / forces.samples;
     let scale = run.signals.iter().map(|s| s * s).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
-    let cotangent: Vec<f64> = samples
-        .iter()
-        .flat_map(|&i| &run.signals[i * per_sample..][..per_sample])
-        .map(|s| s / scale / scale)
-        .collect();
-    let gradient = pull_back(scene, design, forces, &run, &samples, &cotangent, pool);
+    let cotangent: Vec<f64> = run.signals.iter().map(|s| s / scale / scale).collect();
+    let gradient = run.vjp(&cotangent, Wrt::Design, pool);
     let finite = run.signals.iter().chain(&gradient.design).all(|v| v.is_finite());
     let ended = run.outcomes.iter().all(|outcome| *outcome == extreme.expected);
-    let mut names: Vec<&str> = run.outcomes.iter().chain(&gradient.outcomes).map(|o| o.name()).collect();
+    let mut names: Vec<&str> = run.outcomes.iter().map(|o| o.name()).collect();
     names.sort_unstable();
     names.dedup();
     let (evaluations, seconds) = (run.counters.force_evaluations, started.elapsed().as_secs_f64());
@@ -222,7 +216,7 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &rayon::ThreadPo
     );
     let row = if !finite || !ended {
         Row::new(name, f64::NAN, 0.0)
-    } else if extreme.judged && samples.len() == forces.samples {
+    } else if extreme.judged && run.outcomes.iter().all(|o| *o == Outcome::Ok) {
         if forces.values.iter().all(|f| *f == 0.0) {
             return Row::new(name, scale, 1e-6).noted(format!("norm of the signals; {note}"));
         }

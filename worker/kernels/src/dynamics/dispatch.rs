@@ -5,14 +5,14 @@ use super::model::{Bar, Model, ModelCotangent};
 use super::splitting::{self, Scheme};
 use super::system::{First, Kernels, Second, System, Unit};
 use super::tsit5::{self, Queue, Slot, Sweep, take};
-use super::{Beside, Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape};
+use super::{Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape, Wrt};
 use crate::lanes::{Avx2, Avx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
 
 type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &Queue<'_, '_>) -> Counters;
-type Reverse = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], Beside) -> Swept;
+type Reverse = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], Wrt) -> Swept;
 
 /// The cotangents of a block's model and, where asked for, of each of its histories, (n, K, R+1), and the work done.
 type Swept = (ModelCotangent, Vec<f64>, Counters);
@@ -112,9 +112,9 @@ macro_rules! machine {
                 plan: &Plan,
                 parts: usize,
                 sweeps: &[Sweep<'_>],
-                beside: Beside,
+                wrt: Wrt,
             ) -> Swept {
-                let (parameters, asked) = (beside == Beside::Parameters, beside == Beside::Forces);
+                let (parameters, asked) = (wrt == Wrt::Parameters, wrt == Wrt::Forces);
                 let scheme = scheme(plan.method);
                 let kernels = kernels(scene, parameters);
                 let mut system = System::<$vector>::new(scene, model, kernels, scheme.is_none(), parameters);
@@ -274,7 +274,13 @@ pub fn simulate(
         counters: total,
         plan: plan.clone(),
         width,
-        tape: keep_tape.then_some(Tape { parts, samples: tapes }),
+        tape: keep_tape.then(|| Tape {
+            scene: scene.clone(),
+            design: design.to_vec(),
+            forces: forces.clone(),
+            parts,
+            samples: tapes,
+        }),
     }
 }
 
@@ -302,30 +308,25 @@ fn integrate(
     total
 }
 
-/// `super::pull_back` with the code that made the simulation.
-pub fn pull_back(
-    scene: &Scene,
-    design: &[f64],
-    forces: &Forces,
+/// `Simulation::vjp` with the code that made the simulation.
+pub fn vjp(
     simulation: &Simulation,
-    samples: &[usize],
+    tape: &Tape,
     cotangent: &[f64],
-    beside: Beside,
+    wrt: Wrt,
     pool: &rayon::ThreadPool,
 ) -> Gradient {
+    let Tape { scene, design, forces, parts, samples } = tape;
     let model = Model::new(scene, design).moving();
     let plan = &simulation.plan;
     let machine = machine(simulation.width, plan.single());
-    let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
     let len = scene.instants * 3 * scene.sensors.len();
-    let sweeps: Vec<Sweep<'_>> = samples
-        .iter()
-        .enumerate()
-        .filter(|(_, i)| simulation.outcomes[**i] == Outcome::Ok)
-        .map(|(at, &i)| Sweep {
+    let sweeps: Vec<Sweep<'_>> = (0..forces.samples)
+        .filter(|i| simulation.outcomes[*i] == Outcome::Ok)
+        .map(|at| Sweep {
             at,
-            tape: &tape.samples[i],
-            history: forces.sample(i),
+            tape: &samples[at],
+            history: forces.sample(at),
             cotangent: &cotangent[at * len..][..len],
         })
         .collect();
@@ -357,14 +358,14 @@ pub fn pull_back(
             .par_iter()
             // SAFETY: `machine` has checked that this machine has the simulation's width.
             .map(|(plan, sweeps)| unsafe {
-                (machine.reverse)(scene, &model, forces, plan, tape.parts, sweeps, beside)
+                (machine.reverse)(scene, &model, forces, plan, *parts, sweeps, wrt)
             })
             .collect()
     });
     let mut total = ModelCotangent::new(&model);
     let mut counters = Counters::default();
     let history = forces.panels * (forces.instants + 1);
-    let mut pushed = (beside == Beside::Forces).then(|| vec![0.0; samples.len() * history]);
+    let mut pushed = (wrt == Wrt::Forces).then(|| vec![0.0; forces.samples * history]);
     for ((cotangent, histories, work), (_, sweeps)) in swept.iter().zip(&blocks) {
         total.add(cotangent);
         counters += *work;
@@ -374,8 +375,7 @@ pub fn pull_back(
             }
         }
     }
-    let parameters = (beside == Beside::Parameters).then(|| total.parameters(&model, scene));
+    let parameters = (wrt == Wrt::Parameters).then(|| total.parameters(&model, scene));
     let design = total.design(&model, &scene.layout, scene.density);
-    let outcomes = samples.iter().map(|&i| simulation.outcomes[i]).collect();
-    Gradient { design, parameters, forces: pushed, outcomes, counters }
+    Gradient { design, parameters, forces: pushed, counters }
 }

@@ -10,9 +10,9 @@ mod balance;
 mod choose;
 mod dispatch;
 mod energy;
+mod jvp;
 mod ligaments;
 mod model;
-mod push_forward;
 mod rest;
 mod splitting;
 mod system;
@@ -24,8 +24,8 @@ use crate::body::Layout;
 use crate::simd::Width;
 pub use choose::{choose, highest_frequency};
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
+pub use jvp::Tangent;
 pub use model::damping;
-pub use push_forward::{Direction, push_forward};
 pub use rest::Rest;
 pub use tune::{Tuned, signal_error, tune};
 
@@ -315,13 +315,16 @@ impl std::ops::AddAssign for Counters {
     }
 }
 
-/// What a reverse sweep starts from: the state at every instant and the steps in between.
+/// What a reverse sweep starts from: what was simulated, the state at every instant and the steps in between.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tape {
+    scene: Scene,
+    design: Vec<f64>,
+    forces: Forces,
     /// Checkpoints an interval.
-    pub(crate) parts: usize,
+    parts: usize,
     /// One a sample.
-    pub(crate) samples: Vec<SampleTape>,
+    samples: Vec<SampleTape>,
 }
 
 impl Tape {
@@ -332,10 +335,10 @@ impl Tape {
     }
 
     /// Displacement (u, v, θ) and velocity of every unit of a sample at instant n = 1…T.
-    pub fn state(&self, scene: &Scene, sample: usize, n: usize) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
-        let units = scene.layout.units();
+    pub fn state(&self, sample: usize, n: usize) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
+        let units = self.scene.layout.units();
         let (mut x, mut v) = (vec![[0.0; 3]; units], vec![[0.0; 3]; units]);
-        let free: Vec<usize> = (0..units).filter(|u| !scene.clamped.contains(u)).collect();
+        let free: Vec<usize> = (0..units).filter(|u| !self.scene.clamped.contains(u)).collect();
         let state = &self.samples[sample].states[(n * self.parts - 1) * 6 * free.len()..][..6 * free.len()];
         for (i, &u) in free.iter().enumerate() {
             x[u].copy_from_slice(&state[6 * i..][..3]);
@@ -347,7 +350,7 @@ impl Tape {
 
 /// Of one sample.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct SampleTape {
+struct SampleTape {
     /// (T, parts, free units, 6): displacement and velocity at each part's end, the last that of instant n = 1…T.
     pub states: Vec<f64>,
     /// Accepted steps, empty where steps are equal: each as the number of such that were left in the interval, coded.
@@ -371,31 +374,49 @@ pub struct Simulation {
     pub plan: Plan,
     /// By which kernels.
     pub width: Width,
-    /// For `pull_back`.
+    /// For derivatives.
     pub tape: Option<Tape>,
 }
 
-/// A reverse sweep's result.
+/// What a reverse sweep gives.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gradient {
     /// Gradient in α of the sum of cotangent · signals.
     pub design: Vec<f64>,
-    /// Likewise in the parameters, of `pull_back_parameters`.
+    /// Likewise in the parameters, where asked for.
     pub parameters: Option<Parameters>,
-    /// Likewise in the histories of the n samples asked for, (n, K, R+1), of `pull_back_forces`.
+    /// Likewise in the histories, (N, K, R+1), where asked for.
     pub forces: Option<Vec<f64>>,
-    /// Of the samples asked for; one that is not `Ok` adds nothing.
-    pub outcomes: Vec<Outcome>,
     /// Work done.
     pub counters: Counters,
 }
 
-/// What a reverse sweep gives beside the gradient in the design.
+/// With respect to what a reverse sweep differentiates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Beside {
-    Nothing,
+pub enum Wrt {
+    /// The design alone.
+    Design,
+    /// The design and the scene's parameters, those on which damping depends through its formula too.
     Parameters,
+    /// The design and the forces at their instants. As these would move a sample before its first force, it is swept back to its
+    /// beginning: the gradient in the design is the same but for rounding. Steps are held: where nothing moves, Tsit5's are as
+    /// long as an interval, and what forces would do there is known no better than by these.
     Forces,
+}
+
+impl Simulation {
+    /// Gradient of Σ cotangent·signals, cotangent (N, T, 3M), by the method and instruction set of the simulation. Samples
+    /// that failed add nothing.
+    ///
+    /// # Panics
+    /// If the simulation kept no tape, or the length is another.
+    pub fn vjp(&self, cotangent: &[f64], wrt: Wrt, pool: &rayon::ThreadPool) -> Gradient {
+        let tape = self.tape.as_ref().expect("the simulation kept its tape");
+        let scene = &tape.scene;
+        let len = self.outcomes.len() * scene.instants * 3 * scene.sensors.len();
+        assert_eq!(cotangent.len(), len, "length of the cotangent");
+        dispatch::vjp(self, tape, cotangent, wrt, pool)
+    }
 }
 
 /// Integrates all samples and reads the sensors.
@@ -448,74 +469,6 @@ pub fn run_at(
 ) -> Simulation {
     check(scene, design, forces);
     dispatch::simulate(width, scene, design, forces, plan, keep_tape, pool)
-}
-
-/// Gradient in α of Σ cotangent·signals, cotangent (n, T, 3M) for the n `samples` listed; only those are swept.
-///
-/// Method and instruction set are those of the simulation.
-///
-/// # Panics
-/// If the simulation kept no tape, or lengths do not fit together.
-pub fn pull_back(
-    scene: &Scene,
-    design: &[f64],
-    forces: &Forces,
-    simulation: &Simulation,
-    samples: &[usize],
-    cotangent: &[f64],
-    pool: &rayon::ThreadPool,
-) -> Gradient {
-    reverse(scene, design, forces, simulation, samples, cotangent, Beside::Nothing, pool)
-}
-
-/// As `pull_back`, and the gradient in the scene's parameters, those on which damping depends through its formula too.
-///
-/// # Panics
-/// As `pull_back`.
-pub fn pull_back_parameters(
-    scene: &Scene,
-    design: &[f64],
-    forces: &Forces,
-    simulation: &Simulation,
-    samples: &[usize],
-    cotangent: &[f64],
-    pool: &rayon::ThreadPool,
-) -> Gradient {
-    reverse(scene, design, forces, simulation, samples, cotangent, Beside::Parameters, pool)
-}
-
-/// As `pull_back`, and the gradient in the forces at their instants. As these would move a sample before its first force, it is
-/// swept back to its beginning, which `pull_back` does not: that in the design is the same but for rounding. Steps are held: where
-/// nothing moves, Tsit5's are as long as an interval, and what forces would do there is told no better than by these.
-///
-/// # Panics
-/// As `pull_back`.
-pub fn pull_back_forces(
-    scene: &Scene,
-    design: &[f64],
-    forces: &Forces,
-    simulation: &Simulation,
-    samples: &[usize],
-    cotangent: &[f64],
-    pool: &rayon::ThreadPool,
-) -> Gradient {
-    reverse(scene, design, forces, simulation, samples, cotangent, Beside::Forces, pool)
-}
-
-fn reverse(
-    scene: &Scene,
-    design: &[f64],
-    forces: &Forces,
-    simulation: &Simulation,
-    samples: &[usize],
-    cotangent: &[f64],
-    beside: Beside,
-    pool: &rayon::ThreadPool,
-) -> Gradient {
-    check(scene, design, forces);
-    let len = samples.len() * scene.instants * 3 * scene.sensors.len();
-    assert_eq!(cotangent.len(), len, "length of the cotangent");
-    dispatch::pull_back(scene, design, forces, simulation, samples, cotangent, beside, pool)
 }
 
 /// Evaluates the forces, or with `second` their derivatives along a direction, so many times on all lanes of one state, of

@@ -279,7 +279,7 @@ fn copy_lane<V: Vector>(a: &mut [Vec<Unit<V>>; 7], lane: usize) {
 /// One sample's part in a reverse sweep.
 #[derive(Clone, Copy)]
 pub struct Sweep<'a> {
-    /// Its place among the samples asked for.
+    /// Its number.
     pub at: usize,
     /// Its tape.
     pub tape: &'a SampleTape,

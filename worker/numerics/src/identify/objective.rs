@@ -1,12 +1,11 @@
 //! What is minimised, its gradient by the adjoint and its tangents.
 //!
 //! Tangents are one-sided differences with the steps held, five simulations in lanes for five parameters; the plain dual
-//! numbers of `push_forward` check them. Exact to 1e-4, they leave the gradient to the adjoint.
+//! numbers of `jvp` check them. Exact to 1e-4, they leave the gradient to the adjoint.
 
 use super::{BOX, Parameter, TRUST};
 use crate::dynamics::{
-    Counters, Forces, Outcome, Parameters, Plan, Scene, Simulation, Solver, choose, pull_back_parameters,
-    run, tune,
+    Counters, Forces, Outcome, Parameters, Plan, Scene, Simulation, Solver, Wrt, choose, run, tune,
 };
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -234,10 +233,7 @@ impl<'a> Objective<'a> {
         let width = self.width();
         let cotangent: Vec<f64> =
             residual.iter().enumerate().map(|(i, r)| -r / self.noise[kind(i % width)]).collect();
-        let all: Vec<usize> = (0..self.forces.samples).collect();
-        let scene = self.with(&point.parameters);
-        let (design, forces, run) = (self.design, &self.forces, &point.simulation);
-        let found = pull_back_parameters(&scene, design, forces, run, &all, &cotangent, self.pool);
+        let found = point.simulation.vjp(&cotangent, Wrt::Parameters, self.pool);
         self.counters += found.counters;
         let slopes = found.parameters.unwrap_or_default().array();
         let of = |k: &Parameter| slopes[*k as usize] * point.parameters[*k as usize];
@@ -322,7 +318,7 @@ fn kind(channel: usize) -> usize {
 mod tests {
     use super::*;
     use crate::body::Layout;
-    use crate::dynamics::{Direction, Frame, Method, Panel, Stiffness, push_forward};
+    use crate::dynamics::{Frame, Method, Panel, Stiffness, Tangent};
 
     /// Each column against dual numbers with the same steps, and Jᵀr against the adjoint.
     #[test]
@@ -356,17 +352,7 @@ mod tests {
         for k in 0..free.len() {
             let along = Parameters::from_array(std::array::from_fn(|i| if i == k { at[i] } else { 0.0 }));
             let theirs: Vec<f64> = (0..2)
-                .flat_map(|i| {
-                    push_forward(
-                        &scene,
-                        &design,
-                        Direction { parameters: along, ..Direction::default() },
-                        &forces,
-                        &point.simulation,
-                        i,
-                    )
-                    .1
-                })
+                .flat_map(|i| point.simulation.jvp(i, Tangent { parameters: along, ..Tangent::default() }).1)
                 .collect();
             let theirs = DVector::from_vec(theirs);
             let error = (jacobian.column(k) - &theirs).norm() / theirs.norm();

@@ -174,7 +174,7 @@ pub fn motion(
     let simulation = simulate(&problem.scene, design, &forces, &solver, true, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     let tape = simulation.tape.expect("asked for");
-    let states = (1..=problem.scene.instants).map(|n| tape.state(&problem.scene, 0, n));
+    let states = (1..=problem.scene.instants).map(|n| tape.state(0, n));
     let (displacements, velocities) = states.unzip();
     Ok(Motion { displacements, velocities })
 }

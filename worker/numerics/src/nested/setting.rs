@@ -10,7 +10,7 @@ use super::chip::Chip;
 use super::problem::{Kind, Problem};
 use super::report::{Failure, Log, Report, Trouble};
 use crate::brain::{self, Data, Real, Shape, Workspace};
-use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, planned};
+use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, Wrt, planned};
 
 /// The fixed part of a trial.
 pub(super) struct Setting<'a> {
@@ -111,24 +111,18 @@ impl<'a> Setting<'a> {
     }
 
     /// dL/dα of a cotangent on the network's inputs (N, T, 3M), of all samples of the simulation.
-    pub(super) fn pull_back(
+    pub(super) fn vjp(
         &self,
-        design: &[f64],
-        forces: &Forces,
         simulation: &Simulation,
         inputs: &[f64],
         log: &mut Log,
     ) -> Result<Vec<f64>, Trouble> {
-        let samples: Vec<usize> = (0..forces.samples).collect();
         let mut cotangent = self.scales.inputs_vjp(inputs);
         if let Some(chip) = &self.chip {
-            chip.disturb_vjp(&mut cotangent, forces.samples);
+            chip.disturb_vjp(&mut cotangent, simulation.outcomes.len());
         }
-        let scene = &self.problem.scene;
-        let gradient = log.timed(
-            |s| &mut s.differentiate,
-            |_| dynamics::pull_back(scene, design, forces, simulation, &samples, &cotangent, self.pool),
-        );
+        let gradient =
+            log.timed(|s| &mut s.differentiate, |_| simulation.vjp(&cotangent, Wrt::Design, self.pool));
         log.report.counters.dynamics += gradient.counters;
         if gradient.design.iter().all(|g| g.is_finite()) {
             Ok(gradient.design)

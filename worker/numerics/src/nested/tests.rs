@@ -435,8 +435,7 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
         (loss, inputs, simulation)
     };
     let (_, inputs, simulation) = loss(&problem.initial);
-    let gradient =
-        setting.pull_back(&problem.initial, &setting.test, &simulation, &inputs, &mut log).unwrap();
+    let gradient = setting.vjp(&simulation, &inputs, &mut log).unwrap();
 
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
     let freedom = problem.freedom();

@@ -40,7 +40,7 @@ impl Session<'_> {
             }
         }
         known.push(step);
-        let (forces, simulation) = self.meet(&state.design, step, going, true, log)?;
+        let (_, simulation) = self.meet(&state.design, step, going, true, log)?;
 
         let slots = |steps: &[u32]| -> Vec<usize> {
             steps
@@ -55,7 +55,7 @@ impl Session<'_> {
         let loss_train = loss?;
         state.check_trend(loss_train)?;
 
-        let gradient = setting.pull_back(&state.design, &forces, &simulation, &cotangent, log)?;
+        let gradient = setting.vjp(&simulation, &cotangent, log)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }

@@ -6,7 +6,7 @@ use super::super::report::{Log, Trouble};
 use super::super::state::State;
 use super::{Sensed, Session};
 use crate::brain::linear::{Linear, Moments, downhill_ridge};
-use crate::dynamics::{Forces, Simulation};
+use crate::dynamics::Simulation;
 use std::collections::VecDeque;
 
 /// `joint` fits on the batches of so many bodies, the present one among them …
@@ -42,8 +42,7 @@ impl Session<'_> {
         let (said, answers) = (linear.predict(&samples.x), linear.predict(&unseen.x));
         let error_test = unseen.error(&answers);
         let residual = unseen.residual(&answers);
-        let mut gradient =
-            setting.pull_back(design, &setting.test, &test, &linear.predict_vjp(&residual), log)?;
+        let mut gradient = setting.vjp(&test, &linear.predict_vjp(&residual), log)?;
         if implicit {
             let inputs = log.timed(
                 |s| &mut s.implicit,
@@ -52,7 +51,7 @@ impl Session<'_> {
                     through_weights(&samples, &linear, &said, &z)
                 },
             );
-            let through_brain = setting.pull_back(design, &setting.train, &train, &inputs, log)?;
+            let through_brain = setting.vjp(&train, &inputs, log)?;
             gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }
         let error_train = samples.error(&said);
@@ -79,7 +78,7 @@ impl Session<'_> {
         let linear = self.solved(state, &setting.plain(&train.signals, &setting.train), log)?;
         let moving = setting.plain(&subset.signals, &some);
         let residual = moving.residual(&linear.predict(&moving.x));
-        self.linear_step(state, &linear, &some, &subset, &residual, log)
+        self.linear_step(state, &linear, &subset, &residual, log)
     }
 
     /// Solved on this body's fresh samples and those of the last ones; the gradient of the loss on this one's.
@@ -111,7 +110,7 @@ impl Session<'_> {
         let newest = &self.known.0[self.known.0.len() - 1].1;
         let said = linear.predict(&newest.x);
         log.report.error_train = newest.error(&said);
-        self.linear_step(state, &linear, &forces, &simulation, &newest.residual(&said), log)
+        self.linear_step(state, &linear, &simulation, &newest.residual(&said), log)
     }
 
     /// Solved on these training samples, whose error the report gets.
@@ -176,7 +175,6 @@ impl Session<'_> {
         &self,
         state: &State,
         linear: &Linear,
-        forces: &Forces,
         simulation: &Simulation,
         residual: &[f64],
         log: &mut Log,
@@ -186,7 +184,7 @@ impl Session<'_> {
         log.report.loss_train = Some(loss_train);
         state.check_trend(loss_train)?;
         let inputs = linear.predict_vjp(residual);
-        let gradient = self.setting.pull_back(&state.design, forces, simulation, &inputs, log)?;
+        let gradient = self.setting.vjp(simulation, &inputs, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
 

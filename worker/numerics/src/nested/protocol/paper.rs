@@ -31,12 +31,12 @@ impl Session<'_> {
 
         // dL_test/dα, directly
         let (loss_test, direct) = self.input_gradient(&weights, test_data.all(), log);
-        let mut gradient = setting.pull_back(design, &setting.test, &test, &direct, log)?;
+        let mut gradient = setting.vjp(&test, &direct, log)?;
 
         // and through β*
         if let Terms::Implicit(policy) = terms {
             let inputs = implicit_term(setting, &weights, &train.signals, &test.signals, policy, log);
-            let through_brain = setting.pull_back(design, &setting.train, &train, &inputs, log)?;
+            let through_brain = setting.vjp(&train, &inputs, log)?;
             gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }
 

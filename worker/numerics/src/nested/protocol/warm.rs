@@ -24,7 +24,7 @@ impl Session<'_> {
 
         let data = setting.physical_data(&test.signals, &setting.test);
         let (loss_test, cotangent) = self.input_gradient(&state.weights, data.all(), log);
-        let gradient = setting.pull_back(&state.design, &setting.test, &test, &cotangent, log)?;
+        let gradient = setting.vjp(&test, &cotangent, log)?;
         let error_test = setting.error(&state.weights, &data, &setting.test, &mut self.workspace);
         log.report.error_test = error_test;
         log.report.loss_test = Some(loss_test);
@@ -68,7 +68,7 @@ impl Session<'_> {
 
         let (_, cotangent) =
             self.input_gradient(&state.weights, setting.data(&subset.signals, &some).all(), log);
-        let gradient = setting.pull_back(&state.design, &some, &subset, &cotangent, log)?;
+        let gradient = setting.vjp(&subset, &cotangent, log)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }

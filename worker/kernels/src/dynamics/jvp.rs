@@ -1,4 +1,4 @@
-//! Derivative of one sample's signals along a direction in design, parameters and forces: the transpose of `pull_back`, to check it.
+//! Derivative of one sample's signals along a direction in design, parameters and forces: the transpose of `vjp`, to check it.
 //!
 //! Plain dual numbers a + ε b, ε² = 0, unit by unit and without lanes. Of the production code it takes the coefficients of
 //! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
@@ -92,7 +92,7 @@ fn add(to: &mut State, from: &State) {
 
 /// Along what a derivative is taken.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Direction<'a> {
+pub struct Tangent<'a> {
     /// In the design; empty: held.
     pub design: &'a [f64],
     /// In the scene's parameters.
@@ -120,22 +120,16 @@ struct Body<'a> {
 }
 
 impl<'a> Body<'a> {
-    fn new(
-        scene: &'a Scene,
-        design: &[f64],
-        direction: Direction<'a>,
-        forces: &'a Forces,
-        tape: &'a Tape,
-        sample: usize,
-    ) -> Self {
+    fn new(tape: &'a Tape, sample: usize, tangent: Tangent<'a>) -> Self {
+        let Tape { scene, design, forces, .. } = tape;
         let layout = &scene.layout;
-        let (at, along) = (Parameters::of(scene).array(), direction.parameters.array());
+        let (at, along) = (Parameters::of(scene).array(), tangent.parameters.array());
         let [stretch, shear, bend, ratio, density, contact] = std::array::from_fn(|k| Dual(at[k], along[k]));
         let (mut arms, mut mass) = (Vec::new(), Vec::new());
         for u in 0..layout.units() {
             let q: [Pair; 4] = std::array::from_fn(|p| {
                 let (at, group) = (layout.node(design, u, p), layout.groups[u][p]);
-                [0, 1].map(|d| Dual(at[d], or_zero(direction.design, 2 * group + d)))
+                [0, 1].map(|d| Dual(at[d], or_zero(tangent.design, 2 * group + d)))
             });
             let edges = [0, 1, 2, 3].map(|p| (p, (p + 1) % 4));
             let doubled = edges.iter().fold(Dual::default(), |s, &(p, n)| s + cross(q[p], q[n]));
@@ -161,7 +155,7 @@ impl<'a> Body<'a> {
             stiffness: [stretch, shear, bend, contact],
             damping: [shift, shift, turn],
             history: forces.sample(sample),
-            along: direction.forces,
+            along: tangent.forces,
             forces,
             tape,
             sample,
@@ -172,10 +166,10 @@ impl<'a> Body<'a> {
         vec![[Dual::default(); 3]; self.arms.len()]
     }
 
-    /// Gives the state at instant n the values that `pull_back` starts from: own rounding, much amplified in
+    /// Gives the state at instant n the values that `vjp` starts from: own rounding, much amplified in
     /// accelerations, would let the two run apart.
     fn meet(&self, n: usize, x: &mut State, v: &mut State) {
-        let (at, speed) = self.tape.state(self.scene, self.sample, n);
+        let (at, speed) = self.tape.state(self.sample, n);
         for (own, kept) in [(x, at), (v, speed)] {
             for (own, kept) in own.as_flattened_mut().iter_mut().zip(kept.as_flattened()) {
                 own.0 = *kept;
@@ -277,38 +271,34 @@ impl<'a> Body<'a> {
     }
 }
 
-/// The entry of a direction, which may be empty.
-fn or_zero(direction: &[f64], at: usize) -> f64 {
-    if direction.is_empty() { 0.0 } else { direction[at] }
+/// The entry of a tangent, which may be empty.
+fn or_zero(tangent: &[f64], at: usize) -> f64 {
+    if tangent.is_empty() { 0.0 } else { tangent[at] }
 }
 
-/// Signals (T, 3M) of one sample of `simulation`, and their derivative along `direction`, its steps held, from the tape's state
-/// at each instant to the next.
-///
-/// # Panics
-/// If the simulation kept no tape, the sample failed, or lengths do not fit together.
-pub fn push_forward(
-    scene: &Scene,
-    design: &[f64],
-    direction: Direction<'_>,
-    forces: &Forces,
-    simulation: &Simulation,
-    sample: usize,
-) -> (Vec<f64>, Vec<f64>) {
-    for (along, of) in [(direction.design, design), (direction.forces, forces.sample(sample))] {
-        assert!(along.is_empty() || along.len() == of.len(), "{} along {}", along.len(), of.len());
-    }
-    let tape = simulation.tape.as_ref().expect("the simulation kept its tape");
-    let body = Body::new(scene, design, direction, forces, tape, sample);
-    let tape = &tape.samples[sample];
-    let signals = match simulation.plan.method {
-        Method::Tsit5 => {
-            let delta = scene.duration / forces.instants as f64;
-            adaptive(&body, &tsit5::sizes(&tape.steps, &tape.counts, delta), &tape.counts)
+impl Simulation {
+    /// Signals (T, 3M) of one sample, and their derivative along `tangent`, its steps held, from the tape's state at each
+    /// instant to the next.
+    ///
+    /// # Panics
+    /// If the simulation kept no tape, the sample failed, or lengths do not fit together.
+    pub fn jvp(&self, sample: usize, tangent: Tangent<'_>) -> (Vec<f64>, Vec<f64>) {
+        let tape = self.tape.as_ref().expect("the simulation kept its tape");
+        for (along, of) in [(tangent.design, &tape.design[..]), (tangent.forces, tape.forces.sample(sample))]
+        {
+            assert!(along.is_empty() || along.len() == of.len(), "{} along {}", along.len(), of.len());
         }
-        method => equal(&body, method, simulation.plan.steps * tape.refined),
-    };
-    signals.into_iter().map(|s| (s.0, s.1)).unzip()
+        let body = Body::new(tape, sample, tangent);
+        let own = &tape.samples[sample];
+        let signals = match self.plan.method {
+            Method::Tsit5 => {
+                let delta = tape.scene.duration / tape.forces.instants as f64;
+                adaptive(&body, &tsit5::sizes(&own.steps, &own.counts, delta), &own.counts)
+            }
+            method => equal(&body, method, self.plan.steps * own.refined),
+        };
+        signals.into_iter().map(|s| (s.0, s.1)).unzip()
+    }
 }
 
 fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
