@@ -23,6 +23,7 @@ mod merge;
 mod physics;
 mod provenance;
 mod query;
+mod references;
 mod run;
 mod serve;
 mod shards;

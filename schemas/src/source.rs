@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use toml::de::{DeTable, DeValue};
 
-use crate::spec::SweepSpec;
+use crate::spec::{Measured, SweepSpec};
 
 mod keys;
 
@@ -283,6 +283,12 @@ fn no_axis(name: &str, known: &KnownKeys) -> String {
 #[must_use]
 pub fn spec_schema() -> Value {
     schemars::schema_for!(SweepSpec).to_value()
+}
+
+/// The JSON schema of a file of measured records.
+#[must_use]
+pub fn measured_schema() -> Value {
+    schemars::schema_for!(Measured).to_value()
 }
 
 #[cfg(test)]

@@ -17,9 +17,9 @@ pub enum LayoutKind {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Clamp {
-    /// `"bottom"`: the bottom row (planar); `"hub"`: the innermost units (circular).
+    /// `"bottom"`, the bottom row (planar), or `"hub"`, the innermost units (circular).
     Rule(ClampRule),
-    /// Unit indices.
+    /// a list of units.
     Units(Vec<usize>),
 }
 
@@ -37,14 +37,14 @@ pub enum ClampRule {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, deny_unknown_fields)]
 pub enum Design {
-    /// A file, from the spec's folder: NPY of α in the order of MODEL.md, or CSV of nodes (`unit,node,x,y`, mm).
+    /// a file, relative to the spec: NPY of α in the order of MODEL.md, or CSV of nodes (`unit,node,x,y`, mm).
     File(std::path::PathBuf),
-    /// `{ random = SEED }`: rotated squares with every node moved at random, then made castable.
+    /// `{ random = SEED }`, rotated squares with every node moved at random, projected onto the nearest castable design.
     Random {
         /// The seed.
         random: u64,
     },
-    /// `{ shifts = [ … ] }`: α itself (mm); what a file becomes in a trial.
+    /// `{ shifts = [ … ] }`, α itself (mm), which is how a trial stores a file's design.
     Shifts {
         /// α, in the order of MODEL.md.
         shifts: Vec<f64>,
@@ -55,48 +55,49 @@ pub enum Design {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
-    /// Planar or circular.
+    /// Where the units are.
     #[serde(default = "planar")]
     pub layout: LayoutKind,
-    /// Which units are held; by default the bottom row (planar) or the hub (circular).
+    /// Units that are held. Default: `"bottom"` for a planar body, `"hub"` for a circular one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Clamp>,
-    /// Linear strain measures (node displacements stay exact).
+    /// Whether ligaments have linear strain measures; displacements of nodes stay exact.
     #[serde(default)]
     pub linearised: bool,
-    /// Input panels by unit, instead of the rule in MODEL.md.
+    /// Units that are struck. Default: by the rule in MODEL.md.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_units: Option<Vec<usize>>,
-    /// Units along x; across the diameter where circular.
+    /// Units along x; of a circular body across its diameter.
     pub columns: usize,
-    /// Units along y; where circular: left out of a spec, equal to `columns` in a trial.
+    /// Units along y; must be left out of a circular body. Default: must be given for a planar body.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<usize>,
-    /// Of a circular body (mm). Given, the lengths of a unit and its limits follow from it, in the proportions that they are
-    /// written in: `spacing` is `diameter / columns`, and `stiffness.bend` goes with its square. Not in a trial.
+    /// Diameter of a circular body. If given, `spacing` becomes `diameter / columns`; lengths of a unit, limits in mm and the
+    /// design's learning rate scale in proportion, `stiffness.bend` with the square: the same sheet cut finer. Unit: mm.
+    /// Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diameter: Option<f64>,
-    /// Of a planar body along x (mm), likewise.
+    /// Width of a planar body along x, with the same effect as `diameter`. Unit: mm. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub width: Option<f64>,
-    /// Pitch of the units (mm).
+    /// Distance between the centres of neighbouring cells. Unit: mm.
     pub spacing: f64,
-    /// Length of a ligament at rest (mm).
+    /// Length of a ligament at rest. Unit: mm.
     pub ligament_length: f64,
-    /// Angle of the rotated squares of the initial design (degrees).
+    /// Angle by which the squares of the initial design are rotated. Unit: degrees.
     #[serde(default = "initial_angle")]
     pub initial_angle: f64,
-    /// The design to start from, instead of the rotated squares: a file, or `{ random = SEED }`.
+    /// The design to start from. Default: rotated squares.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub design: Option<Design>,
-    /// Plane density (Mg/mm²).
+    /// Mass per area. Unit: Mg/mm².
     pub density: f64,
-    /// ζ: damping of a degree of freedom relative to its own critical one.
+    /// Damping of each degree of freedom relative to its critical damping (ζ). Unit: 1.
     #[serde(default = "damping_ratio")]
     pub damping_ratio: f64,
-    /// Ligament stiffnesses.
+    /// Stiffness of the ligaments.
     pub stiffness: Stiffness,
-    /// Contact between neighbouring units; left out: none.
+    /// Contact between the edges of neighbouring units. Default: no contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
 }
@@ -115,11 +116,11 @@ fn damping_ratio() -> f64 {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stiffness {
-    /// k_l (N/mm).
+    /// Stretching of a ligament (k_l). Unit: N/mm.
     pub stretch: f64,
-    /// k_s (N/mm).
+    /// Shearing of a ligament (k_s). Unit: N/mm.
     pub shear: f64,
-    /// k_θ (N·mm/rad).
+    /// Bending of a ligament (k_θ). Unit: N·mm/rad.
     pub bend: f64,
 }
 
@@ -127,11 +128,11 @@ pub struct Stiffness {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Contact {
-    /// k_c (N·mm/rad²).
+    /// Contact stiffness (k_c). Unit: N·mm/rad².
     pub stiffness: f64,
-    /// ψ_min (degrees).
+    /// Angle between two edges at which the contact energy becomes infinite (ψ_min). Unit: degrees.
     pub min_angle: f64,
-    /// ψ_c (degrees).
+    /// Angle between two edges below which contact begins (ψ_c). Unit: degrees.
     pub cutoff_angle: f64,
 }
 

@@ -7,24 +7,24 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Feasible {
-    /// Least interior angle of a unit (degrees).
+    /// Smallest interior angle of a unit. Unit: degrees.
     pub min_block_angle: f64,
-    /// Greatest interior angle of a unit (degrees).
+    /// Largest interior angle of a unit. Unit: degrees.
     pub max_block_angle: f64,
-    /// Least void angle at a ligament (degrees).
+    /// Smallest angle of the gap between two units at a ligament. Unit: degrees.
     pub min_void_angle: f64,
-    /// Least angle between a ligament and an edge (degrees).
+    /// Smallest angle between a ligament and an edge. Unit: degrees.
     pub min_ligament_angle: f64,
-    /// Least edge of a unit (mm).
+    /// Shortest edge of a unit. Unit: mm.
     pub min_edge: f64,
-    /// Least distance between units (mm).
+    /// Smallest distance between units. Unit: mm.
     pub clearance: f64,
-    /// Least distance where ligaments are involved (mm).
+    /// Smallest distance between a ligament and a unit, or two ligaments. Unit: mm.
     pub ligament_clearance: f64,
-    /// Whether the units that are struck keep their initial shape.
+    /// Whether the units that are struck keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_panels: bool,
-    /// Whether the clamped units keep their initial shape.
+    /// Whether the units that are held keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_clamped: bool,
 }

@@ -22,26 +22,27 @@ pub struct Measured {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MeasuredSignals {
-    /// Files, one for each of the forces'. Left out: the same files.
+    /// Files, one for each of `recorded.files`. Default: the same files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub files: Option<Vec<PathBuf>>,
-    /// a_x, a_y, ω of each sensor in turn, or one array that holds them all. Left out: all that an NPY holds.
+    /// Columns or arrays: a_x, a_y, ω of each sensor in turn, 3M in all; or one array of shape (samples, entries, 3M) or
+    /// (samples, 3M, entries), of one record without samples. Default: all that an NPY holds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Signal>>,
-    /// Their clock, or give `rate`. Both left out: the forces' clock.
+    /// The signals' clock, by column or array. Default: `rate`; without either, the clock of the forces.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time: Option<Signal>,
-    /// Entries a second.
+    /// Entries per second. Unit: 1/s. Default: `time`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate: Option<f64>,
-    /// When the signals' clock reads 0, on the forces' clock (s). By default 0.
+    /// Time on the forces' clock at which the signals' clock reads 0. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<f64>,
     /// Unit of accelerations.
     pub acceleration_unit: AccelerationUnit,
     /// Unit of angular velocities.
     pub angular_velocity_unit: AngularVelocityUnit,
-    /// A factor a channel, −1 where an axis points the other way. By default 1.
+    /// A factor for each channel, −1 if an axis points the other way. Unit: 1. Default: 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub factors: Option<Vec<f64>>,
 }
@@ -49,14 +50,14 @@ pub struct MeasuredSignals {
 /// Unit of measured accelerations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub enum AccelerationUnit {
-    /// mm/s².
+    /// Millimetres per second squared.
     #[default]
     #[serde(rename = "mm/s2")]
     Millimetre,
-    /// m/s².
+    /// Metres per second squared.
     #[serde(rename = "m/s2")]
     Metre,
-    /// Standard gravity.
+    /// Standard gravity, 9806.65 mm/s².
     #[serde(rename = "g")]
     Gravity,
 }
@@ -77,11 +78,11 @@ impl AccelerationUnit {
 /// Unit of measured angular velocities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub enum AngularVelocityUnit {
-    /// rad/s.
+    /// Radians per second.
     #[default]
     #[serde(rename = "rad/s")]
     Radian,
-    /// Degrees a second.
+    /// Degrees per second.
     #[serde(rename = "deg/s")]
     Degree,
 }

@@ -32,39 +32,39 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SweepSpec {
-    /// Names the database (`results/NAME.sqlite`) and the sweep in it.
+    /// Names the sweep and its database, `results/NAME.sqlite`.
     pub name: String,
-    /// The body: layout, sizes, material.
+    /// The body: layout, sizes, material, the design to start from.
     pub body: Body,
-    /// The clock of forces and signals.
+    /// Length and sampling of forces and signals.
     #[serde(default)]
     pub time: Time,
     /// How the equations of motion are integrated.
     #[serde(default)]
     pub solver: Solver,
-    /// Where and how the body is read.
+    /// Where the sensors are, and what a real sensor adds to its signal.
     #[serde(default)]
     pub sensors: Sensors,
-    /// The force histories.
+    /// The forces that strike the body.
     pub stimuli: Stimuli,
-    /// The network and its training.
+    /// What reads forces from signals: the paper's network, a linear decoder, or both.
     #[serde(default)]
     pub brain: Brain,
-    /// The outer loop over the body's design.
+    /// How the body's design is optimised. A key that is left out has the default of its protocol.
     #[serde(default)]
     pub optimise: Optimise,
-    /// The comparison of initial and optimised body at the end, the same for every protocol.
+    /// The comparison of initial and optimised body at the end of a trial, with fresh networks.
     #[serde(default)]
     pub evaluation: Evaluation,
-    /// The limits of a castable design.
+    /// The limits of a design that can be cast. A design outside is projected onto the nearest one inside.
     #[serde(default)]
     pub feasible: Feasible,
-    /// The axes of the sweep.
+    /// What is varied. Lists multiply: a trial for each combination.
     pub sweep: Sweep,
-    /// Questions that end the sweep when they are settled; by default none, and all of it is run.
+    /// Questions that end the sweep once they are answered; without them every trial is run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Until>,
-    /// Limits of the run itself; no part of what a trial is.
+    /// Processes and limits of the run. They change no result and are not part of a trial's hash.
     #[serde(default)]
     pub run: Run,
 }
@@ -72,23 +72,25 @@ pub struct SweepSpec {
 /// The axes of the sweep; lists multiply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Sweep {
-    /// K: numbers of input panels; left out where `points` say it.
+    /// Numbers of input panels (K). Left out if `points` gives them. Default: must be given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<usize>,
-    /// M: numbers of sensors; likewise.
+    /// Numbers of sensors (M). Left out if `points` gives them. Default: must be given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<usize>,
-    /// How many seeded placements.
+    /// Number of sensor placements.
     #[serde(default = "one_placement")]
     pub placements: usize,
-    /// Seeds of stimuli, split and networks.
+    /// Seeds of forces, split into training and test set, and networks.
     #[serde(default = "one_seed")]
     pub seeds: Vec<u64>,
-    /// Values that belong together, multiplied with the lists: keys by their paths, `panels`, `sensors`. A key that an entry
-    /// leaves out is as the spec has it.
+    /// Values that belong together, for instance `[{ panels = 4, "body.columns" = 8 }, { panels = 8, "body.columns" = 16 }]`;
+    /// multiplied with the lists. A key that an entry leaves out is as the spec has it; no key stands in both `points` and a
+    /// list. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub points: Vec<serde_json::Map<String, serde_json::Value>>,
-    /// Points left out: those that agree with every key of an entry.
+    /// Combinations to leave out, for instance `[{ sensors = 2, "body.columns" = 5 }]`: those that agree with every key of an
+    /// entry. Keys are paths, `panels`, `sensors`, `placement`, `seed`. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub exclude: Vec<serde_json::Map<String, serde_json::Value>>,
     /// Further axes: any key of the spec by its path, for instance `"body.columns"`.
@@ -103,13 +105,14 @@ fn one_seed() -> Vec<u64> {
     vec![1]
 }
 
-/// Trials that are given up early: worse than the median of equal K and M.
+/// Which trials are given up early.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Prune {
-    /// Parts of a trial's outer steps at which its best test error so far is compared.
+    /// Fractions of a trial's outer steps at which its best test error so far is compared with that of other trials.
+    /// Unit: 1.
     pub at: Vec<f64>,
-    /// Trials of equal K and M that must have come as far before it.
+    /// Trials of equal K and M that must have come as far before one is given up.
     pub grace: usize,
 }
 
@@ -123,31 +126,33 @@ impl Default for Prune {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Run {
-    /// Worker processes; by default one a core.
+    /// Worker processes; each runs one trial at a time. Default: one per core.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub workers: Option<usize>,
-    /// Threads a worker; by default 1.
+    /// Threads of each worker. Default: 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threads: Option<usize>,
-    /// Added to the workers' niceness, 0 to 19; by default 0.
+    /// Added to the workers' niceness, 0 to 19. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub niceness: Option<u8>,
-    /// Memory of a worker (MiB); by default no limit.
+    /// Memory limit of each worker. A trial that needs more fails with the reason `out_of_memory`. Unit: MiB. Default: no
+    /// limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<u64>,
-    /// How often a trial is tried again after deaths of its worker without a step in between; by default 5.
+    /// How often a trial is retried after its worker has died without completing a step. Default: 5.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub retries: Option<u32>,
-    /// Wait before the first such retry (s), doubled for each further one; by default 0.5.
+    /// Wait before the first retry; doubled for each further one. Unit: s. Default: 0.5.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub backoff: Option<f64>,
-    /// Longest time that a worker gives no sign of life (s); by default 600 and the estimated time of the costliest trial.
+    /// Longest time without a sign of life from a worker, which reports every second while it computes. Unit: s. Default: 600
+    /// plus the estimated time of the longest trial.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub no_progress: Option<f64>,
-    /// Longest time of an attempt at a trial (s); by default no limit.
+    /// Longest time of one attempt at a trial. Unit: s. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_limit: Option<f64>,
-    /// Which trials are given up early; by default none.
+    /// Gives up a trial early if its best test error is above the median of other trials of equal K and M. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub prune: Option<Prune>,
 }

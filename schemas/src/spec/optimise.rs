@@ -9,9 +9,9 @@ use super::solver::{Method, Solver};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
-    /// The paper's: width 64, kernels 3, 3, 1, no dilation: an answer is made of five instants.
+    /// The paper's: width 64, kernels 3, 3, 1; a force is read from five instants.
     Paper,
-    /// Width 24, kernels 9, 9, 9, 1, dilations 1, 4, 16, 1: of 169.
+    /// Width 24, kernels 9, 9, 9, 1, dilations 1, 4, 16, 1; a force is read from 169 instants.
     Long,
 }
 
@@ -19,12 +19,12 @@ pub enum Preset {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum BrainKind {
-    /// The convolutional network.
+    /// The convolutional network of the paper.
     #[default]
     Cnn,
-    /// Least squares of the forces on the signals around each instant.
+    /// Linear least squares of the forces on the signals around each instant.
     Linear,
-    /// The network on the signals and what a linear brain makes of them. It reads; a linear brain trains, or the network.
+    /// A network on the signals and on a linear brain's estimate; the body is trained with the linear brain or the network.
     Stacked,
 }
 
@@ -38,9 +38,9 @@ impl BrainKind {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Ridge {
-    /// λ, for signals and forces in units of their RMS.
+    /// a number, for signals and forces in units of their RMS.
     Given(f64),
-    /// `"auto"`: chosen by folds of the training set.
+    /// `"auto"`, chosen by cross-validation on the training set.
     Auto(Auto),
 }
 
@@ -56,32 +56,33 @@ pub enum Auto {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Brain {
-    /// `"cnn"`, the paper's, `"linear"`, or `"stacked"`.
+    /// What reads the bodies in the comparison at the end. Default: `"cnn"`.
     #[serde(skip_serializing_if = "BrainKind::is_default")]
     pub kind: BrainKind,
-    /// How far a linear brain looks back and ahead (s); by default over the whole sample.
+    /// How far a linear brain looks back and ahead, `[before, after]`; `after = 0` is what a device that answers at once can do.
+    /// Unit: s. Default: the whole sample.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<[f64; 2]>,
-    /// Of a linear brain; by default `"auto"`.
+    /// Weight of the squares of a linear brain's weights (λ). Default: `"auto"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ridge: Option<Ridge>,
-    /// Full-batch Adam iterations of one training.
+    /// Full-batch Adam iterations of one training of the network.
     pub iterations: usize,
-    /// Adam's rate.
+    /// Adam's learning rate for the network. Unit: 1.
     pub learning_rate: f64,
-    /// A shape by its name, of which the keys below replace what they say. By default `"paper"`.
+    /// Shape of the network by name; `width`, `kernels`, `dilations` and `causal` replace parts of it. Default: `"paper"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<Preset>,
-    /// Channels of every hidden layer. By default 64.
+    /// Channels of every hidden layer; multiples of 16 run fastest. Default: 64.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<usize>,
-    /// Kernel of every layer, the output's last; odd, unless causal. By default `[3, 3, 1]`.
+    /// Kernel size of every layer, the output layer last; odd unless `causal`. Default: `[3, 3, 1]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kernels: Option<Vec<usize>>,
-    /// Instants from one entry of a kernel to the next, for every layer. By default 1.
+    /// Instants between the entries of a kernel, for every layer. Default: 1 each.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dilations: Option<Vec<usize>>,
-    /// Whether every layer looks back only, so that no force is told by a later instant. By default `false`.
+    /// Whether every layer looks back only, so that no force is read from later instants. Default: false.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub causal: Option<bool>,
 }
@@ -153,17 +154,17 @@ impl Default for Brain {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Protocol {
-    /// A fresh network each outer step, trained to its optimum; direct and implicit gradient of the test loss.
+    /// The paper's: each outer step trains a fresh network and takes the direct and implicit gradient of its test loss.
     Paper,
     /// The network goes on from body to body, by as many iterations as its loss needs; direct gradient of the test loss.
     Warm,
-    /// The network goes on; the training loss moves the body, from a seeded subset of the samples.
+    /// One network is trained on from body to body; the gradient is that of the training loss on a random batch.
     Envelope,
-    /// Body and network are stepped together on fresh samples, drawn each step.
+    /// Body and network are stepped together, on samples drawn for each step.
     Joint,
-    /// No gradient: each step reads a random body about the initial one. The network goes on from one to the next.
+    /// Search without gradient: each step reads a random body near the initial one.
     Random,
-    /// No gradient: each step reads a candidate of CMA-ES.
+    /// Search without gradient: each step reads a candidate of the evolution strategy CMA-ES.
     Cmaes,
 }
 
@@ -181,9 +182,9 @@ pub enum Placement {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GradientTerms {
-    /// Direct and implicit term.
+    /// The direct term and the term through the brain's optimum.
     Implicit,
-    /// The direct term alone.
+    /// The direct term only.
     Direct,
 }
 
@@ -191,11 +192,11 @@ pub enum GradientTerms {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Curvature {
-    /// Conjugate gradients on the Hessian, ended before negative curvature.
+    /// Conjugate gradients on the Hessian, stopped before negative curvature.
     Truncate,
-    /// The same on the Hessian + `damping` times the identity.
+    /// On the Hessian + `damping` times the identity.
     Damped,
-    /// The same on the Gauss–Newton matrix + `damping` times the identity.
+    /// On the Gauss–Newton matrix + `damping` times the identity.
     GaussNewton,
 }
 
@@ -203,49 +204,49 @@ pub enum Curvature {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Optimise {
-    /// The brain that the body is trained with, where it is not the one that reads it.
+    /// The brain that the body is trained with: `"cnn"` or `"linear"`. Default: `brain.kind`, for `"stacked"` `"linear"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain: Option<BrainKind>,
-    /// How body and brain are trained together. By default `"joint"`, which gains most in its time.
+    /// How body and brain are trained together; details in MODEL.md.
     pub protocol: Protocol,
-    /// Whether sensors that `sensors.search` has placed are placed again on later bodies. By default `"fixed"`.
+    /// Whether sensors that `sensors.search` has placed are placed again on later bodies. Default: `"fixed"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placement: Option<Placement>,
-    /// Outer steps. By default 350, for the other protocols and with a linear brain 100; of a search 80 and 30, which take
-    /// as long as `"joint"` does.
+    /// Outer steps; of a search its candidates. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100; searches
+    /// 80, with a linear brain 30, which take as long as `"joint"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Adam's rate on α (mm). By default 0.2, with a linear brain 0.3; for the other protocols 0.1. Of a search
-    /// the standard deviation of its first candidates, 1.0.
+    /// Adam's learning rate on the design; of a search the standard deviation of its first candidates. Unit: mm. Default: 0.2,
+    /// with a linear brain 0.3; `"paper"`, `"envelope"` 0.1; searches 1.0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
-    /// Terms of the gradient; for `protocol = "paper"` alone. By default `"implicit"`.
+    /// Terms of the gradient, for `protocol = "paper"` only. Default: `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
-    /// What stands for H⁻¹ in the implicit term; for `protocol = "paper"` with it alone. By default `"truncate"`.
+    /// How the brain's Hessian is inverted in the implicit term, for `protocol = "paper"` only. Default: `"truncate"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature: Option<Curvature>,
-    /// λ added to the curvature; for `"damped"`, which needs it, and `"gauss_newton"`, where it is 0 by default.
+    /// What `curvature` adds to the diagonal. Unit: 1. Default: 0 for `"gauss_newton"`; must be given for `"damped"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
-    /// Samples whose gradient moves the body; for `"envelope"` and `"joint"`. By default 32 for
-    /// `"joint"`, 64 for `"envelope"`.
+    /// Samples of each step whose gradient moves the body. Default: 32 for `"joint"`, 64 for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
-    /// Brain iterations an outer step; not for `"paper"`, which has `brain.iterations`. By default 10.
+    /// Iterations of the network in each outer step; `"paper"` has `brain.iterations` instead. Default: 10.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_iterations: Option<usize>,
-    /// Adam's rate of these iterations. By default 1e-3.
+    /// Adam's learning rate of these iterations. Unit: 1. Default: 1e-3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_learning_rate: Option<f64>,
-    /// A cheaper integrator for the first nine tenths of the outer steps; for `"envelope"` and `"joint"`. By default
+    /// A cheaper integrator for the first nine tenths of the outer steps, for `"joint"` and `"envelope"`. Default:
     /// `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,
-    /// `[p, q]`: the nodes of p × q cells are shifted together, horizontal and vertical ones apart. By default `[1, 1]`.
+    /// `[p, q]`: the nodes of p × q cells move together, horizontal and vertical ones apart, which leaves fewer design
+    /// parameters at the same size. Default: `[1, 1]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tie: Option<[usize; 2]>,
-    /// Units whose design stays. By default none.
+    /// Units whose shape stays. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frozen: Option<Vec<usize>>,
 }
@@ -327,9 +328,9 @@ impl Default for Optimise {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Schedule {
-    /// Falls to 0 by a cosine.
+    /// Falls to 0 along a cosine.
     Cosine,
-    /// The paper's.
+    /// Constant, as in the paper.
     Constant,
 }
 
@@ -337,13 +338,14 @@ pub enum Schedule {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Evaluation {
-    /// Fresh networks a body. By default 3, whose errors differ by tens of per cent of one another; a linear brain, solved for
-    /// once, has 1.
+    /// Fresh networks trained for each body; their errors differ by tens of per cent. A linear brain is solved for once.
+    /// Default: 3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seeds: Option<usize>,
-    /// Rate schedule of their training.
+    /// Learning rate over their training.
     pub schedule: Schedule,
-    /// Iterations of as many further networks, for a long training beside the ordinary one; by default none.
+    /// Iterations of as many further networks, trained longer (the paper's 10 000). In `v_network` and `v_curve` they follow the
+    /// others. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub long_iterations: Option<usize>,
 }

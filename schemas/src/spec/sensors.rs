@@ -10,7 +10,7 @@ pub enum Frame {
     /// Fixed axes.
     #[default]
     World,
-    /// Turning with the unit, as a glued chip reads.
+    /// Axes that turn with the unit, as of a chip glued to it.
     Body,
 }
 
@@ -18,9 +18,9 @@ pub enum Frame {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Disturbance {
-    /// Relative to the RMS of each channel over the initial body's training signals.
+    /// a number: relative to the RMS of each channel on the initial body.
     Relative(f64),
-    /// Of accelerations (mm/s²) and of angular velocities (rad/s).
+    /// two numbers: of accelerations (mm/s²) and of angular velocities (rad/s).
     Physical([f64; 2]),
 }
 
@@ -28,7 +28,7 @@ pub enum Disturbance {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Search {
-    /// Seeded shuffles.
+    /// At random, by seed.
     Random,
     /// What a linear brain reads the initial body's training samples from best: greedily, then by exchange.
     Greedy,
@@ -43,9 +43,9 @@ pub enum Search {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum From {
-    /// Neither at the boundary nor held, as seeded placements.
+    /// Units that are neither at the boundary nor held, as for random placements.
     Interior,
-    /// Not held.
+    /// Units that are not held.
     Free,
 }
 
@@ -53,28 +53,29 @@ pub enum From {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Sensors {
-    /// World or body frame.
+    /// Axes of the accelerations.
     pub frame: Frame,
-    /// Lists of units instead of `sweep.placements`; a trial with M sensors takes every list of M units.
+    /// Placements as lists of units, instead of `sweep.placements`; trials with M sensors take the lists of M units.
+    /// Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placements: Option<Vec<Vec<usize>>>,
-    /// How `sweep.placements` placements are found; by default at random. Of a search the first is the best, the n-th
-    /// the best that holds the n-th best single unit.
+    /// How the `sweep.placements` placements are chosen. Of a search placement 1 is the best; placement n is the best that
+    /// contains the n-th best single unit. Default: `"random"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub search: Option<Search>,
-    /// Where a search looks; by default in the interior.
+    /// Units that a search may choose. Default: `"interior"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from: Option<From>,
-    /// Least distance (mm) of the cells of two sensors that a search places; by default none.
+    /// Smallest distance between two sensors that a search places. Unit: mm. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f64>,
-    /// White noise of every reading; by default none.
+    /// White noise of every reading, as a standard deviation. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<Disturbance>,
-    /// A constant added to every reading of a sample and channel, drawn anew a sample; by default none.
+    /// A constant offset of every channel, drawn for each sample, as a standard deviation. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bias: Option<Disturbance>,
-    /// How late the signals come (s); by default not.
+    /// Delay of the signals. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
 }

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Time {
-    /// Length of a sample (s).
+    /// Length of a sample. Unit: s.
     pub duration: f64,
-    /// T: instants t_n = n·duration/T, n = 1…T.
+    /// Number of instants in a sample (T): t_n = n·duration/T, n = 1 … T.
     pub samples: usize,
 }
 
@@ -23,15 +23,15 @@ impl Default for Time {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// Chosen from the scene's highest frequency and the tolerance.
+    /// The cheapest method that keeps the tolerance, found by a pilot on the first samples.
     Auto,
-    /// Tsitouras 5(4), error control a sample.
+    /// Tsitouras 5(4), adaptive steps.
     Tsit5,
-    /// Störmer and Verlet's, equal steps, order 2.
+    /// Störmer and Verlet's method of order 2, equal steps.
     Leapfrog,
-    /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 4.
+    /// Blanes and Moan's Runge–Kutta–Nyström splitting of order 4, equal steps.
     Nystrom4,
-    /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 6.
+    /// Blanes and Moan's Runge–Kutta–Nyström splitting of order 6, equal steps.
     Nystrom6,
     /// What old databases may hold; no longer an integrator.
     #[schemars(skip)]
@@ -44,7 +44,8 @@ pub enum Method {
 pub struct Solver {
     /// The integrator.
     pub method: Method,
-    /// Relative error asked of the signals, whatever the method.
+    /// Relative error of the signals that is asked for, root mean square over their channels. Whatever the method, a pilot on
+    /// the first samples finds the steps that keep it. Unit: 1.
     pub tolerance: f64,
 }
 

@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum StimuliKind {
-    /// Smooth bell pulses on every panel.
+    /// Smooth pulses, one on every panel.
     Bell,
-    /// Rough, skewed, at times double blows of a hand-held hammer; each sample strikes one panel.
+    /// Blows of a hand-held hammer, rough, skewed and at times double, on one panel a sample.
     Irregular,
-    /// Histories read from files, see `stimuli.recorded`.
+    /// Force histories from files, see `stimuli.recorded`.
     Recorded,
 }
 
@@ -22,48 +22,51 @@ pub enum StimuliKind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stimuli {
-    /// What kind of histories.
+    /// Kind of forces.
     pub kind: StimuliKind,
-    /// N: samples that train and test the brain.
+    /// Samples that train and test the brain (N).
     #[serde(default = "stimuli_samples")]
     pub samples: usize,
-    /// How many of the N are the test set.
+    /// Those of the N that are the test set. The test error steers the body's design.
     #[serde(default = "stimuli_test")]
     pub test: usize,
-    /// Further samples that neither loop ever sees.
+    /// Further samples that training never sees: the errors to quote.
     #[serde(default = "stimuli_holdout")]
     pub holdout: usize,
-    /// Amplitude A (N). By default `[0.15, 0.5]`, irregular `[0.3, 1.0]`.
+    /// Amplitude of a pulse: an interval `[least, most]`, drawn from uniformly for each sample and panel. Unit: N. Default:
+    /// `[0.15, 0.5]`; irregular `[0.3, 1.0]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub amplitude: Option<[f64; 2]>,
-    /// Width W (s). By default `[0.06, 0.25]`, irregular `[0.02, 0.08]`.
+    /// Width of a pulse, an interval. Unit: s. Default: `[0.06, 0.25]`; irregular `[0.02, 0.08]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<[f64; 2]>,
-    /// Onset O (s). By default `[0.0, 0.5]`.
+    /// Onset of a pulse, an interval. Unit: s. Default: `[0.0, 0.5]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub onset: Option<[f64; 2]>,
-    /// Peak position p, as a part of the width. By default `[0.35, 0.65]`, irregular `[0.2, 0.45]`: a steep rise.
+    /// Position of the peak as a fraction of the width, an interval. Unit: 1. Default: `[0.35, 0.65]`; irregular
+    /// `[0.2, 0.45]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub peak: Option<[f64; 2]>,
-    /// Power q. By default `[1.5, 4.0]`, irregular `[1.0, 2.0]`.
+    /// Sharpness of a pulse (a power of its sine), an interval. Unit: 1. Default: `[1.5, 4.0]`; irregular `[1.0, 2.0]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<[f64; 2]>,
-    /// RMS of the rough part of a blow relative to its smooth one; irregular alone. By default `[0.1, 0.35]`.
+    /// RMS of the rough part of a blow relative to its smooth part, an interval; irregular only. Unit: 1. Default:
+    /// `[0.1, 0.35]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roughness: Option<[f64; 2]>,
-    /// Probability that the hammer hits twice; irregular alone. By default 0.25.
+    /// Probability that the hammer hits twice; irregular only. Unit: 1. Default: 0.25.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub double: Option<f64>,
-    /// Time from the end of the first hit to the second (s); irregular alone. By default `[0.01, 0.05]`.
+    /// Time from the end of the first hit to the second, an interval; irregular only. Unit: s. Default: `[0.01, 0.05]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap: Option<[f64; 2]>,
-    /// Amplitude of the second hit relative to the first; irregular alone. By default `[0.2, 0.7]`.
+    /// Amplitude of the second hit relative to the first, an interval; irregular only. Unit: 1. Default: `[0.2, 0.7]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rebound: Option<[f64; 2]>,
-    /// Instants of the forces' own clock over the sample's length, a multiple of `time.samples`. By default the same.
+    /// Instants of the forces' own clock in a sample, a multiple of `time.samples`. Default: `time.samples`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_samples: Option<usize>,
-    /// Where recorded histories come from; recorded alone.
+    /// Files of force histories, for `kind = "recorded"`. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recorded: Option<Recorded>,
 }
@@ -106,9 +109,9 @@ fn stimuli_holdout() -> usize {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Signal {
-    /// By number.
+    /// the number of a column or row, from 0.
     Number(usize),
-    /// By name.
+    /// the name of a column or array.
     Name(String),
 }
 
@@ -170,10 +173,10 @@ impl ForceUnit {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Resample {
-    /// Without what the new clock cannot say.
+    /// Through a low-pass filter at the new clock's limit.
     #[default]
     Antialias,
-    /// Linear between its entries.
+    /// Linear between entries.
     Linear,
 }
 
@@ -181,9 +184,9 @@ pub enum Resample {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Trigger {
-    /// The first entry whose force reaches this, either way (N).
+    /// Force that the first entry of a blow reaches, in either direction, after `scale`. Unit: N.
     pub threshold: f64,
-    /// When it comes in the sample (s).
+    /// Time of that entry in the sample. Unit: s.
     #[serde(default)]
     pub before: f64,
 }
@@ -192,9 +195,9 @@ pub struct Trigger {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Augment {
-    /// Interval of a factor on the force.
+    /// Factor on the force, an interval. Unit: 1.
     pub scale: [f64; 2],
-    /// Interval of a shift in time (s).
+    /// Shift in time, an interval. Unit: s.
     pub shift: [f64; 2],
 }
 
@@ -208,15 +211,16 @@ impl Default for Augment {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recorded {
-    /// CSV, NPY or NPZ files, from the spec's folder.
+    /// CSV, NPY or NPZ files, relative to the spec.
     pub files: Vec<PathBuf>,
-    /// The clock in a file; or give `rate`.
+    /// The clock of a file, by column or array. Default: `rate` must be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time: Option<Signal>,
-    /// Entries a second, where a file has no clock; its first entry is at 0.
+    /// Entries per second, if a file has no clock; its first entry is at 0. Unit: 1/s. Default: `time` must be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate: Option<f64>,
-    /// The force, or one a panel. Left out: all that an array of (samples, panels, entries) holds.
+    /// The force, or one for each panel, by columns or arrays. Default: all that an array of shape (samples, panels, entries)
+    /// holds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force: Option<Vec<Signal>>,
     /// Unit of the clock.
@@ -225,25 +229,26 @@ pub struct Recorded {
     /// Unit of the force.
     #[serde(default)]
     pub force_unit: ForceUnit,
-    /// Factor on all forces, to suit a blow to a body.
+    /// Factor on all forces, to suit the blows to the body. Unit: 1.
     #[serde(default = "one")]
     pub scale: f64,
-    /// Whether each record's median is taken off it: the sensor's offset.
+    /// Whether the median of each record, the force sensor's offset, is subtracted.
     #[serde(default)]
     pub remove_offset: bool,
-    /// Which panel, from 0, each record strikes, where it holds one force. Left out: drawn.
+    /// Panel, from 0, that each record of one force strikes. Default: drawn by seed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panels: Option<Vec<usize>>,
-    /// How records are read onto the clock of forces and targets.
+    /// How records are resampled onto the clocks of the simulation and of the signals.
     #[serde(default)]
     pub resample: Resample,
-    /// Aligns the blows. Left out: the file's clock holds, 0 is the sample's beginning.
+    /// Aligns blows by the first force above a threshold. Default: none, the file's clock counts from the sample's beginning.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trigger: Option<Trigger>,
-    /// How fresh samples are drawn.
+    /// How a record is varied to make fresh samples, for `optimise.protocol = "joint"`.
     #[serde(default)]
     pub augment: Augment,
-    /// BLAKE3 of the files' contents: by it, not by their paths, a trial is named. Filled in where left out.
+    /// BLAKE3 hash of the files' contents, which is part of the trial's hash; the paths are not. If given, it must agree.
+    /// Default: filled in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub digest: Option<String>,
 }

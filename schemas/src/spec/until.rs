@@ -7,21 +7,23 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Until {
-    /// Error of the initial over that of the optimised body, to an interval this part of it wide.
+    /// The gain: error of the initial over error of the optimised body, until its interval is this fraction of it wide.
+    /// Unit: 1. Default: not asked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paired: Option<f64>,
-    /// The smallest M whose error on the optimised body is within this part of the best M's.
+    /// The smallest M whose error on the optimised body exceeds the best M's by at most this fraction. Unit: 1. Default: not
+    /// asked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within: Option<f64>,
-    /// Where more sensors on the optimised body stop to pay.
+    /// The M beyond which more sensors on the optimised body gain little; needs four values of M.
     pub elbow: bool,
     /// The fewest sensors on the optimised body that beat the most on the initial one.
     pub fewer: bool,
     /// Whether the optimised body's error falls with the number of design parameters.
     pub complexity: bool,
-    /// Least probability that an answer is right, each question and setting by itself.
+    /// Probability that an answer is right, of each question and setting by itself. Unit: 1.
     pub confidence: f64,
-    /// The most that may be run, where it is not the lists of the sweep.
+    /// The most that may be run. Without it, that is what the lists of the sweep say.
     pub at_most: AtMost,
 }
 
@@ -43,13 +45,13 @@ impl Default for Until {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AtMost {
-    /// Placements, for `sweep.placements`.
+    /// Placements. Default: `sweep.placements`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placements: Option<usize>,
-    /// Seeds: those of `sweep.seeds` and as many after the last one.
+    /// Seeds: those of `sweep.seeds`, then the numbers after the last one. Default: `sweep.seeds`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seeds: Option<usize>,
-    /// CPU hours of all trials; no further ones are begun beyond.
+    /// CPU time of all trials; beyond it no trial is begun. Unit: h. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hours: Option<f64>,
 }

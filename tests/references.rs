@@ -1,0 +1,155 @@
+//! The documents: generated blocks say what the program and the committed rows say, links lead somewhere, README is short.
+//!
+//! A block stands between `<!-- generated: NAME -->` and `<!-- end -->`. To write all blocks anew:
+//! `METASENSE_UPDATE=1 cargo test -p metasense --test program -- references::`.
+
+mod program;
+mod results;
+mod spec;
+
+use std::path::{Path, PathBuf};
+
+/// Every document of the project, from its root.
+const DOCUMENTS: &[&str] = &[
+    "README.md",
+    "CONTRIBUTING.md",
+    "schemas/README.md",
+    "orchestrator/README.md",
+    "orchestrator/python/README.md",
+    "worker/README.md",
+    "worker/numerics/MODEL.md",
+    "results/README.md",
+    "tests/README.md",
+];
+
+/// Every block by its name, and what renders it.
+const BLOCKS: &[(&str, fn() -> String)] = &[
+    ("spec keys", spec::keys),
+    ("records keys", spec::records),
+    ("specs", spec::files),
+    ("commands", program::commands),
+    ("options", program::options),
+    ("exit codes", program::exit_codes),
+    ("views", program::views),
+    ("tests", program::tests),
+    ("quickstart", results::quickstart),
+    ("brains", results::brains),
+    ("linear bodies", results::linear_bodies),
+    ("placed", results::placed),
+    ("claims", results::claims),
+    ("sensors", results::sensors),
+    ("evaluate", results::evaluate),
+];
+
+const BEGIN: &str = "<!-- generated: ";
+const END: &str = "<!-- end -->";
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+}
+
+fn read(document: &str) -> String {
+    std::fs::read_to_string(root().join(document)).unwrap_or_else(|e| panic!("{document}: {e}"))
+}
+
+/// The document with every block rendered anew, and the names of its blocks.
+fn rendered(document: &str, text: &str) -> (String, Vec<String>) {
+    let (mut fresh, mut names, mut rest) = (String::with_capacity(text.len()), Vec::new(), text);
+    while let Some((before, after)) = rest.split_once(BEGIN) {
+        let (name, after) = after.split_once(" -->").expect("the end of the block's name");
+        let (_, after) = after.split_once(END).unwrap_or_else(|| panic!("{document}: {name} has no {END}"));
+        let (_, render) = BLOCKS.iter().find(|(known, _)| *known == name).unwrap_or_else(|| {
+            panic!("{document}: no block is called {name:?}: tests/references.rs lists them")
+        });
+        fresh += &format!("{before}{BEGIN}{name} -->\n{}\n{END}", render().trim());
+        names.push(name.to_owned());
+        rest = after;
+    }
+    (fresh + rest, names)
+}
+
+/// Shown by rendering every block again; the first line that differs is printed.
+#[test]
+fn generated_blocks_are_fresh() {
+    let update = std::env::var_os("METASENSE_UPDATE").is_some();
+    let mut found = Vec::new();
+    let mut stale = Vec::new();
+    for document in DOCUMENTS {
+        let text = read(document);
+        let (fresh, names) = rendered(document, &text);
+        found.extend(names);
+        if fresh == text {
+            continue;
+        }
+        if update {
+            std::fs::write(root().join(document), &fresh).unwrap();
+            continue;
+        }
+        let differs = text.lines().zip(fresh.lines()).find(|(old, new)| old != new);
+        let (old, new) = differs.unwrap_or(("", "(only the lengths differ)"));
+        stale.push(format!("{document}:\n  is        {old}\n  should be {new}"));
+    }
+    assert!(
+        stale.is_empty(),
+        "{}\nMETASENSE_UPDATE=1 cargo test -p metasense --test program -- references:: writes them anew",
+        stale.join("\n")
+    );
+    for (name, _) in BLOCKS {
+        assert!(found.iter().any(|used| used == name), "no document has the block {name:?}");
+    }
+}
+
+/// Paths in `[text](path)`, without those of the web.
+fn links(text: &str) -> impl Iterator<Item = &str> {
+    text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(link, _)| link))
+}
+
+/// GitHub's name of a heading: lower case, blanks as hyphens, other signs dropped.
+fn anchor(heading: &str) -> String {
+    let kept = heading.trim_start_matches('#').trim().to_lowercase();
+    kept.chars()
+        .filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'))
+        .map(|c| if c == ' ' { '-' } else { c })
+        .collect()
+}
+
+#[test]
+fn links_lead_somewhere() {
+    let mut broken = Vec::new();
+    for document in DOCUMENTS {
+        let text = read(document);
+        let folder = root().join(document).parent().unwrap().to_owned();
+        for link in links(&text).filter(|link| !link.contains("://")) {
+            let (path, heading) = link.split_once('#').unwrap_or((link, ""));
+            let target = if path.is_empty() { root().join(document) } else { folder.join(path) };
+            let there = match heading {
+                "" => target.exists(),
+                heading => std::fs::read_to_string(&target)
+                    .is_ok_and(|text| text.lines().any(|l| l.starts_with('#') && anchor(l) == heading)),
+            };
+            if !there {
+                broken.push(format!("{document}: {link}"));
+            }
+        }
+    }
+    assert!(broken.is_empty(), "{}", broken.join("\n"));
+}
+
+#[test]
+fn the_readme_can_be_read_in_ten_minutes() {
+    let text = read("README.md");
+    let (lines, bytes) = (text.lines().count(), text.len());
+    assert!(lines <= 150 && bytes <= 10_240, "README.md has {lines} lines, {bytes} bytes");
+}
+
+/// A Markdown table.
+fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+    let line = |cells: &mut dyn Iterator<Item = String>| {
+        let cells: Vec<String> = cells.map(|cell| cell.replace('|', "\\|").replace('\n', " ")).collect();
+        format!("| {} |\n", cells.join(" | "))
+    };
+    let mut text = line(&mut head.iter().map(|&cell| cell.to_owned()));
+    text += &format!("|{}\n", "---|".repeat(head.len()));
+    rows.into_iter().for_each(|row| text += &line(&mut row.into_iter()));
+    text
+}

@@ -1,0 +1,289 @@
+//! The tables of results, from the rows that are committed. A number is rounded once, here.
+
+use std::collections::BTreeMap;
+
+use super::{root, table};
+
+type Row = BTreeMap<String, String>;
+
+fn rows(file: &str) -> Vec<Row> {
+    let path = root().join("results/committed").join(file);
+    let mut reader = csv::Reader::from_path(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let names = reader.headers().unwrap().clone();
+    let pair = |row: csv::StringRecord| {
+        names.iter().zip(row.iter()).map(|(name, cell)| (name.to_owned(), cell.to_owned())).collect()
+    };
+    reader.records().map(|row| pair(row.unwrap())).collect()
+}
+
+/// Rows whose cells are these.
+fn of<'a>(rows: &'a [Row], wanted: &'a [(&str, &str)]) -> impl Iterator<Item = &'a Row> {
+    rows.iter().filter(|row| wanted.iter().all(|(name, cell)| row[*name] == *cell))
+}
+
+/// The only row whose cells are these.
+fn one<'a>(rows: &'a [Row], wanted: &[(&str, &str)]) -> &'a Row {
+    let mut found = rows.iter().filter(|row| wanted.iter().all(|(name, cell)| row[*name] == *cell));
+    let row = found.next().unwrap_or_else(|| panic!("no row has {wanted:?}"));
+    // A trial's own brain may be one of the readers of every body: both rows then say the same.
+    assert!(found.all(|other| other == row), "rows that have {wanted:?} differ");
+    row
+}
+
+/// Two significant digits, three after a leading 1.
+fn short(text: &str) -> String {
+    let x: f64 = text.parse().unwrap_or_else(|_| panic!("{text:?} is no number"));
+    let digits = |count: i32| {
+        let magnitude = x.abs().log10().floor() as i32;
+        format!("{x:.*}", (count - 1 - magnitude).max(0) as usize)
+    };
+    let two = digits(2);
+    if two.trim_start_matches(['0', '.', '-']).starts_with('1') { digits(3) } else { two }
+}
+
+fn percent(row: &Row, name: &str) -> String {
+    format!("{} %", short(&row[name]))
+}
+
+/// Initial → optimised.
+fn change(row: &Row) -> String {
+    format!("{} → {} %", short(&row["initial"]), short(&row["optimised"]))
+}
+
+/// A ratio with its interval, where it has one.
+fn ratio(row: &Row, value: &str, low: &str, high: &str) -> String {
+    match row[value].as_str() {
+        "" => "–".into(),
+        value if row[low].is_empty() => short(value),
+        value => format!("{} ({} … {})", short(value), short(&row[low]), short(&row[high])),
+    }
+}
+
+fn brain(name: &str) -> &'static str {
+    match name {
+        "cnn" => "the paper's network",
+        "long" => "long network",
+        "linear" => "linear brain",
+        "stacked" => "stacked network",
+        "stacked, long" => "stacked long network",
+        other => panic!("no words for the brain {other:?}"),
+    }
+}
+
+pub fn quickstart() -> String {
+    let mut rows = rows("quickstart.csv");
+    rows.sort_by_key(|row| (row["sensors"].clone(), row["brain"].clone()));
+    let line = |row: &Row| {
+        let mut cells = vec![row["sensors"].clone(), brain(&row["brain"]).to_owned()];
+        let errors = ["holdout_error_initial", "holdout_error_optimised"];
+        let linear = ["linear_holdout_error_initial", "linear_holdout_error_optimised"];
+        cells.extend(errors.iter().chain(&linear).map(|name| percent(row, name)));
+        cells
+    };
+    table(
+        &[
+            "sensors M",
+            "trained with and read by",
+            "error, initial body",
+            "trained body",
+            "a linear decoder on the same bodies: initial",
+            "trained",
+        ],
+        rows.iter().map(line),
+    )
+}
+
+/// `setting` of a table of answers.
+fn setting(stimuli: &str, noise: &str) -> String {
+    let noise = if noise.is_empty() { String::new() } else { format!("sensors.noise = {noise}, ") };
+    format!("K = 2, M = 1, {noise}stimuli.kind = {stimuli}")
+}
+
+const STIMULI: [(&str, &str); 2] = [("bell", "smooth pulses"), ("irregular", "hammer blows")];
+
+pub fn brains() -> String {
+    let all = rows("brains-two-core/answer-brains.csv");
+    let mut lines = Vec::new();
+    for (kind, words) in STIMULI {
+        for (noise, percent) in [("", "none"), ("0.01", "1 %"), ("0.03", "3 %"), ("0.1", "10 %")] {
+            let setting = setting(kind, noise);
+            let own = |name: &str, memory: &str| {
+                let wanted =
+                    [("setting", &*setting), ("trained_with", name), ("read_by", name), ("before", memory)];
+                // Of the linear brain there are shorter waits, too.
+                let after = [("after", memory)];
+                change(one(&all, &[&wanted[..], &after].concat()))
+            };
+            let read = |name: &str| {
+                let wanted = [("setting", &*setting), ("trained_with", name), ("read_by", "linear")];
+                change(one(&all, &[&wanted[..], &[("before", "0.995"), ("after", "0.995")]].concat()))
+            };
+            lines.push(vec![
+                words.to_owned(),
+                percent.to_owned(),
+                own("cnn", "0.01"),
+                own("long", "0.42"),
+                own("linear", "0.995"),
+                read("cnn"),
+                read("long"),
+            ]);
+        }
+    }
+    table(
+        &[
+            "stimuli",
+            "sensor noise",
+            "the paper's network",
+            "long network",
+            "linear brain",
+            "bodies of the paper's network, read by the linear brain",
+            "bodies of the long network, read by the linear brain",
+        ],
+        lines,
+    )
+}
+
+pub fn linear_bodies() -> String {
+    let all = rows("fig2-linear/answer-brains.csv");
+    let line = |reader: &str| {
+        let mut cells = vec![brain(reader).to_owned()];
+        for (kind, _) in STIMULI {
+            let setting = setting(kind, "");
+            let wanted = [("setting", &*setting), ("trained_with", "linear"), ("read_by", reader)];
+            // A linear brain reads by shorter memories, too: the longest comes first.
+            cells.push(change(of(&all, &wanted).find(|row| row["after"] == row["before"]).unwrap()));
+        }
+        cells
+    };
+    let readers = ["cnn", "long", "linear", "stacked", "stacked, long"];
+    table(&["read by", "smooth pulses", "hammer blows"], readers.map(line))
+}
+
+pub fn placed() -> String {
+    let all = rows("placed-two-core/answer-placed.csv");
+    let readers = [
+        ("linear brain", "K = 4, linear, stimuli.kind = bell"),
+        ("long network", "K = 4, trained with linear, read by long, stimuli.kind = bell"),
+    ];
+    let mut lines = Vec::new();
+    for (reader, setting) in readers {
+        let by_sensors = |cell: &dyn Fn(&Row) -> String| {
+            ["1", "2", "3", "4", "5", "6"]
+                .map(|m| cell(one(&all, &[("setting", setting), ("set", "holdout"), ("M", m)])))
+        };
+        for (what, name) in [
+            ("initial body, sensors at random", "random_initial"),
+            ("initial body, sensors placed", "placed_initial"),
+            ("trained body, sensors at random", "random_optimised"),
+            ("trained body, sensors placed", "placed_optimised"),
+        ] {
+            let cells = by_sensors(&|row| percent(row, name));
+            lines.push([vec![reader.to_owned(), what.to_owned()], cells.to_vec()].concat());
+        }
+        for (what, name) in [
+            ("gain by placing, initial body", "by_placing"),
+            ("gain by training, sensors placed", "by_training"),
+        ] {
+            let (low, high) = (format!("{name}_low"), format!("{name}_high"));
+            let cells = by_sensors(&|row| ratio(row, name, &low, &high));
+            lines.push([vec![reader.to_owned(), what.to_owned()], cells.to_vec()].concat());
+        }
+    }
+    table(&["read by", "", "M = 1", "2", "3", "4", "5", "6"], lines)
+}
+
+/// Error against the number of sensors, for the bodies of Figs. 4B and 4C.
+pub fn sensors() -> String {
+    let mut lines = Vec::new();
+    for (file, forces) in [("four-forces", "K = 4"), ("eight-forces", "K = 8")] {
+        let all = rows(&format!("claims/{file}-answer-sensors.csv"));
+        for name in ["cnn", "linear"] {
+            let setting = format!("{forces}, {name}");
+            let error = |body: &str, m: &str| {
+                let row = one(&all, &[("setting", &setting), ("body", body), ("set", "holdout"), ("M", m)]);
+                short(&row["error"])
+            };
+            let cells = ["1", "2", "3", "4", "5", "6"]
+                .map(|m| format!("{} → {} %", error("initial", m), error("optimised", m)));
+            lines.push([vec![format!("{forces}, {}", brain(name))], cells.to_vec()].concat());
+        }
+    }
+    table(&["", "M = 1", "2", "3", "4", "5", "6"], lines)
+}
+
+/// The brain of a row of evidence and what else sets the row apart; `None` for rows beside the main ones.
+fn with(text: &str) -> Option<(&str, &str)> {
+    match text.split_once(", ").unwrap_or((text, "")) {
+        (brain @ ("cnn" | "long" | "linear"), "" | "evaluation.seeds = 3") => Some((brain, "")),
+        ("cnn", "evaluation.seeds = 1") => Some(("cnn", "one network a body")),
+        ("linear", rest) => Some(("linear", rest)),
+        _ => None,
+    }
+}
+
+/// The verdict of a brain on a claim: the ratio, or what the row says in words.
+fn verdict(row: &Row) -> String {
+    let note = row["note"].split([';', '(']).next().unwrap().trim();
+    let ratio = ratio(row, "found", "low", "high");
+    let words = match note {
+        note if note.is_empty() || note.starts_with("worst over best") => ratio,
+        note if ratio == "–" => note.to_owned(),
+        note => format!("{ratio}, {note}"),
+    };
+    format!("{words}: {}", row["rating"])
+}
+
+pub fn claims() -> String {
+    let evidence = rows("claims/evidence.csv");
+    let mut lines = Vec::new();
+    for claim in rows("claims/claims.csv") {
+        let of_claim: Vec<&Row> = evidence
+            .iter()
+            .filter(|row| row["claim"] == claim["claim"])
+            .filter(|row| row["set"].starts_with("holdout"))
+            .collect();
+        let kinds = |row: &&Row| with(&row["with"]).map(|(_, kind)| kind.to_owned());
+        let mut found: Vec<String> = Vec::new();
+        for kind in of_claim.iter().filter_map(kinds) {
+            if !found.contains(&kind) {
+                found.push(kind);
+            }
+        }
+        // Single networks count where there are no others.
+        if found.len() > 1 {
+            found.retain(|kind| kind != "one network a body");
+        }
+        for kind in found {
+            let cell = |name: &str| {
+                let row = of_claim.iter().find(|row| with(&row["with"]) == Some((name, &kind)));
+                row.map_or(String::new(), |row| verdict(row))
+            };
+            let says = if kind.is_empty() { String::new() } else { format!(" ({kind})") };
+            let mut cells = vec![format!("{}{says}", claim["says"]), claim["source"].clone()];
+            cells.extend(["cnn", "long", "linear"].map(cell));
+            lines.push(cells);
+        }
+    }
+    table(&["claim", "in the paper", "the paper's network", "long network", "linear brain"], lines)
+}
+
+pub fn evaluate() -> String {
+    let all = rows("evaluate/table.csv");
+    let line = |body: &str| {
+        let [measured, simulated] =
+            ["measured", "simulated"].map(|signals| one(&all, &[("body", body), ("signals", signals)]));
+        let interval = ratio(measured, "error_test", "test_low", "test_high");
+        let gain = |row: &Row| ratio(row, "ratio", "ratio_low", "ratio_high");
+        vec![body.to_owned(), interval, percent(simulated, "error_test"), gain(measured), gain(simulated)]
+    };
+    table(
+        &[
+            "body",
+            "error on unseen records (%, 95 % interval over records)",
+            "expected from the model",
+            "initial error over this one",
+            "expected from the model",
+        ],
+        ["initial", "optimised"].map(line),
+    )
+}
