@@ -3,7 +3,7 @@
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::engine::{children, eventually, is_alive, kill, rows};
+use crate::common::processes::{children, eventually, is_alive, kill, rows};
 use crate::common::roll::{self, Roll};
 use crate::common::{Bench, TINY, results};
 use metasense::store::Reader;

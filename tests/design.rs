@@ -143,15 +143,3 @@ fn a_design_that_cannot_be_cast_is_refused_with_the_list() {
     assert!(refused("design = \"none.npy\"").contains("none.npy"));
     assert!(refused("design = { randon = 1 }").contains("random"));
 }
-
-/// The bench runs, tiny; and random projections leave nothing broken.
-#[test]
-fn the_bench_counts_no_violation() {
-    let bench = Bench::new();
-    let rows = bench.output(&["bench", "projection", "--sizes", "3x3", "--calls", "3", "--format", "json"]);
-    let rows: serde_json::Value = serde_json::from_str(&rows).unwrap();
-    assert_eq!(rows.as_array().unwrap().len(), 4, "{rows}");
-    let count = bench.output(&["bench", "projection", "--random", "60", "--format", "json"]);
-    let count: serde_json::Value = serde_json::from_str(&count).unwrap();
-    assert_eq!((&count[0]["violations"], &count[0]["projections"]), (&0.into(), &60.into()), "{count}");
-}

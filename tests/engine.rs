@@ -3,14 +3,96 @@
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
-use std::path::Path;
-use std::process::Command;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::engine::{Run, children, eventually, is_alive, kill, results, rows};
+use crate::common::processes::{children, eventually, is_alive, kill, rows};
 use crate::common::roll::{self, Roll};
 use crate::common::skip;
 use metasense::link::SHARED_MEMORY;
+
+/// A run of `metasense-bench engine` on a database, in a process of its own. Dropped, it is killed.
+struct Run {
+    child: Child,
+    db: PathBuf,
+}
+
+impl Run {
+    fn start(db: &Path, arguments: &str) -> Self {
+        let child = Command::new(env!("CARGO_BIN_EXE_metasense-bench"))
+            .args(["engine", "--db"])
+            .arg(db)
+            .args(arguments.split_whitespace())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the binary starts");
+        Self { child, db: db.to_owned() }
+    }
+
+    /// To the end; the exit code.
+    fn wait(&mut self) -> Option<i32> {
+        let ended = eventually(Duration::from_secs(60), || self.child.try_wait().unwrap());
+        ended.expect("the run ends within a minute").code()
+    }
+
+    fn signal(&self, signal: i32) {
+        kill(self.child.id(), signal);
+    }
+
+    /// Worker processes that live.
+    fn workers(&self) -> Vec<u32> {
+        children(self.child.id())
+    }
+
+    /// Waits for `n` worker processes.
+    fn some_workers(&self, n: usize) -> Vec<u32> {
+        eventually(Duration::from_secs(20), || Some(self.workers()).filter(|workers| workers.len() >= n))
+            .expect("workers start within 20 s")
+    }
+
+    /// Names in shared memory of all runs on this database, as its log has them.
+    fn places(&self) -> Vec<String> {
+        let log = std::fs::read_to_string(self.db.with_extension("log")).unwrap_or_default();
+        let names = log.lines().filter_map(|line| line.split_once("place=")).map(|(_, rest)| rest);
+        names.map(|rest| rest.split_whitespace().next().unwrap().trim_matches('"').to_owned()).collect()
+    }
+
+    /// What of those is still there.
+    fn leftovers(&self) -> Vec<String> {
+        let places = self.places();
+        assert!(!places.is_empty(), "the log names no place");
+        let there = std::fs::read_dir(SHARED_MEMORY).unwrap().flatten();
+        let there = there.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        there.filter(|name| places.iter().any(|place| name.starts_with(place))).collect()
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Everything that a run's result is: all but times and attempts.
+fn results(db: &Path) -> Vec<String> {
+    [
+        "SELECT hash, state, reason, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised,
+           best_step, simd, solver, result FROM trial ORDER BY hash",
+        "SELECT t.hash, p.step, p.error_test, p.projection, p.outcome, p.fresh_samples
+           FROM step p JOIN trial t ON t.id = p.trial_id ORDER BY t.hash, p.step",
+        "SELECT t.hash, n.body, n.network, n.error_train, n.error_test, n.error_holdout, n.iterations, n.outcome
+           FROM network n JOIN trial t ON t.id = n.trial_id ORDER BY 1, 2, 3",
+        "SELECT t.hash, a.name, a.shape, hex(a.bytes)
+           FROM artifact a JOIN trial t ON t.id = a.trial_id ORDER BY 1, 2",
+        "SELECT count(*) FROM checkpoint",
+    ]
+    .iter()
+    .flat_map(|sql| rows(db, sql))
+    .collect()
+}
 
 const SWEEP: &str = "--trials 24 --steps 12 --step-ms 8 --array 3000 --workers 2";
 
@@ -168,8 +250,8 @@ fn a_full_shared_memory_is_a_reason_of_its_own() {
     let db = folder.path().join("s.sqlite");
     let arguments = "--trials 1 --workers 1 --retries 1 --array 6000000";
     let command = format!(
-        "mount -t tmpfs -o size=40m tmpfs {SHARED_MEMORY} && exec {} bench engine --db {} {arguments}",
-        env!("CARGO_BIN_EXE_metasense"),
+        "mount -t tmpfs -o size=40m tmpfs {SHARED_MEMORY} && exec {} engine --db {} {arguments}",
+        env!("CARGO_BIN_EXE_metasense-bench"),
         db.display()
     );
     let ended = Command::new("unshare").args(["-m", "bash", "-c", &command]).output().unwrap();
@@ -303,10 +385,10 @@ fn a_stale_run_of_another_user_is_in_nobodys_way() {
     let folder = tempfile::tempdir().unwrap();
     fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o777)).unwrap();
     let binary = folder.path().join("metasense");
-    fs::copy(env!("CARGO_BIN_EXE_metasense"), &binary).unwrap();
+    fs::copy(env!("CARGO_BIN_EXE_metasense-bench"), &binary).unwrap();
     let db = folder.path().join("s.sqlite");
     let ended = Command::new(binary)
-        .args(["bench", "engine", "--trials", "3", "--db"])
+        .args(["engine", "--trials", "3", "--db"])
         .arg(&db)
         .uid(65534)
         .gid(65534)
@@ -322,7 +404,7 @@ fn a_stale_run_of_another_user_is_in_nobodys_way() {
 #[test]
 fn a_worker_of_another_build_does_not_connect() {
     let start = r#"{"root": "/nowhere", "prefix": "x_", "build": "another", "parent": 1, "niceness": 0, "memory_mib": null, "simd": "baseline"}"#;
-    let ended = Command::new(env!("CARGO_BIN_EXE_metasense")).args(["worker", start]).output().unwrap();
+    let ended = Command::new(env!("CARGO_BIN_EXE_metasense-bench")).args(["worker", start]).output().unwrap();
     assert_eq!(ended.status.code(), Some(metasense_worker::process::OTHER_BUILD));
     assert!(String::from_utf8_lossy(&ended.stderr).contains("build another"), "{ended:?}");
 }
@@ -350,8 +432,8 @@ fn a_full_disk_ends_the_run_in_order_and_room_lets_it_go_on() {
     let db = folder.path().join("s.sqlite");
     let sweep = "--trials 600 --steps 6 --workers 2";
     let command = format!(
-        "trap '' XFSZ; ulimit -f 1500; exec {} bench engine --db {} {sweep}",
-        env!("CARGO_BIN_EXE_metasense"),
+        "trap '' XFSZ; ulimit -f 1500; exec {} engine --db {} {sweep}",
+        env!("CARGO_BIN_EXE_metasense-bench"),
         db.display()
     );
     let ended = Command::new("timeout").args(["-s", "KILL", "60", "bash", "-c", &command]).output().unwrap();

@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::Bench;
-use crate::common::engine::{eventually, kill};
+use crate::common::processes::{eventually, kill};
 use metasense_worker::design::{self, Layout};
 
 const SPEC: &str = r#"name = "s"

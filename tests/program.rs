@@ -11,7 +11,6 @@ mod browser;
 mod comparison;
 mod control;
 mod design;
-mod engine;
 mod evaluate;
 mod expand;
 mod exports;

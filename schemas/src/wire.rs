@@ -45,39 +45,6 @@ pub struct Start {
     pub simd: String,
 }
 
-/// What is to be done.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Work {
-    /// A trial: its `TrialSpec` as JSON (untagged parts of it need a self-describing format).
-    Trial(String),
-    /// Steps of a known length and a result that depends on all of them: to measure and to test the engine.
-    Noop {
-        /// Outer steps.
-        steps: u32,
-        /// Length of a step (ms).
-        millis: u32,
-        /// Length of an array sent with the result.
-        array: u64,
-        /// Makes results of trials differ.
-        seed: u64,
-        /// What goes wrong, if anything.
-        fault: Option<Fault>,
-    },
-}
-
-/// What goes wrong in a `Work::Noop`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Fault {
-    /// The step never ends and says nothing.
-    Hang,
-    /// The worker kills itself at once.
-    Die,
-    /// The result is not finite.
-    NonFinite,
-    /// The trial is refused.
-    Reject,
-}
-
 /// To the worker.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ToWorker {
@@ -85,8 +52,8 @@ pub enum ToWorker {
     Job {
         /// Whose it is.
         lease: Lease,
-        /// What is to be done.
-        work: Work,
+        /// What is to be done: a `TrialSpec` as JSON (untagged parts of it need a self-describing format).
+        work: String,
         /// Where to go on from.
         checkpoint: Option<Box<Checkpoint>>,
         /// Threads to use.

@@ -1,6 +1,6 @@
 //! What end-to-end tests share: a folder of their own, the program, and the reference spec to edit.
 
-pub mod engine;
+pub mod processes;
 pub mod roll;
 pub mod skip;
 pub mod slurm;

@@ -8,18 +8,11 @@ use metasense_schemas::wire::ArrayHead;
 
 /// The values of an array with one index.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Values {
+enum Values {
     /// Single precision.
     F32(Vec<f32>),
     /// Double precision.
     F64(Vec<f64>),
-    /// This many numbers from `first` up in steps of 1, which nobody needs to hold: to measure with.
-    Ramp {
-        /// The first of them.
-        first: f64,
-        /// How many.
-        len: usize,
-    },
 }
 
 impl Values {
@@ -27,7 +20,6 @@ impl Values {
         match self {
             Self::F32(values) => values.len(),
             Self::F64(values) => values.len(),
-            Self::Ramp { len, .. } => *len,
         }
     }
 
@@ -38,7 +30,7 @@ impl Values {
     fn header(&self) -> Vec<u8> {
         match self {
             Self::F32(values) => header::<f32>(values.len()),
-            Self::F64(_) | Self::Ramp { .. } => header::<f64>(self.len()),
+            Self::F64(values) => header::<f64>(values.len()),
         }
     }
 }
@@ -84,8 +76,7 @@ impl Arrays {
         arrays
     }
 
-    /// Adds an array.
-    pub fn add(&mut self, name: String, values: Values) {
+    fn add(&mut self, name: String, values: Values) {
         self.parts.push((name, values.header(), values));
     }
 
@@ -124,15 +115,6 @@ impl Arrays {
             match values {
                 Values::F32(values) => drop(body.write_copy_of_slice(bytemuck::cast_slice(values))),
                 Values::F64(values) => drop(body.write_copy_of_slice(bytemuck::cast_slice(values))),
-                Values::Ramp { first, .. } => {
-                    let mut block = [0.0; 512];
-                    for (n, place) in body.chunks_mut(size_of_val(&block)).enumerate() {
-                        for (i, value) in block.iter_mut().enumerate() {
-                            *value = first + (512 * n + i) as f64;
-                        }
-                        place.write_copy_of_slice(&bytemuck::cast_slice(&block)[..place.len()]);
-                    }
-                }
             }
             rest = after;
         }
@@ -172,8 +154,7 @@ mod tests {
     #[test]
     fn every_array_of_a_result_is_a_file_of_its_own_and_nothing_of_it_stays() {
         let mut taken = result();
-        let mut arrays = Arrays::of(&mut taken, 0);
-        arrays.add("ramp".into(), Values::Ramp { first: 3.0, len: 4 });
+        let arrays = Arrays::of(&mut taken, 0);
         assert_eq!(bytes(&taken), 0);
         let mut target = vec![MaybeUninit::new(0xffu8); arrays.len()];
         arrays.write(&mut target);
@@ -194,16 +175,14 @@ mod tests {
                 &format!("{}_0", optimised[1]),
                 &format!("{}_0", optimised[2]),
                 &format!("{}_1", optimised[2]),
-                "ramp"
             ]
         );
-        assert_eq!((heads[0].start, heads[8].end), (0, written.len()));
+        assert_eq!((heads[0].start, heads[7].end), (0, written.len()));
         assert!(heads.windows(2).all(|pair| pair[0].end == pair[1].start), "{heads:?}");
         let file = |i: usize| npyz::NpyFile::new(&written[heads[i].start..heads[i].end]).unwrap();
         assert_eq!(file(4).into_vec::<f64>().unwrap(), [2.0; 5]);
         assert_eq!(file(1).into_vec::<f32>().unwrap(), [1.0; 7]);
         assert_eq!(file(2).into_vec::<f32>().unwrap(), [1.0, 0.5, 0.25]);
-        assert_eq!(file(8).into_vec::<f64>().unwrap(), [3.0, 4.0, 5.0, 6.0]);
     }
 
     #[test]

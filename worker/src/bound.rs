@@ -20,7 +20,7 @@ pub fn bound(
     noise: Option<f64>,
     threads: usize,
 ) -> Result<Bound, Failure> {
-    let mut problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let mut problem = problem(trial)?;
     check(design, problem.initial.len())?;
     if let Some(part) = noise {
         let none = Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay: 0.0 };
@@ -38,7 +38,7 @@ pub fn bound(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::course::evaluate;
+    use crate::run::evaluate_designs;
 
     /// A body of 6 × 6 units, random or not, K = 2, sensors on these units with 3 % noise, seed 11.
     fn trial(design: &str, units: &[usize]) -> TrialSpec {
@@ -82,7 +82,7 @@ mod tests {
                 let trial = trial(&design, units);
                 let problem = problem(&trial).unwrap();
                 let found = super::bound(&trial, &problem.initial, 2, None, 2).unwrap();
-                let of = evaluate(&trial, &[problem.initial], 2).unwrap();
+                let of = evaluate_designs(&trial, &[problem.initial], 2).unwrap();
                 let error = of[0].networks[0].error_holdout.unwrap();
                 println!(
                     "body {body}, units {units:?}: bound {:.3} % ({} directions), linear brain {error:.3} %, without signals {:.1} %",

@@ -92,10 +92,10 @@ pub fn evaluate(
     threads: usize,
     kept: &dyn Kept,
 ) -> Result<Evaluated, Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let problem = problem(trial)?;
     let Effort { folds, seeds, iterations, brain } = effort;
     if brain != BrainKind::Cnn {
-        solvable(trial, problem.decoder.lags).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+        solvable(trial, problem.decoder.lags)?;
     }
     let Measured { forces, signals, low_pass } = measured;
     let samples = forces.samples;

@@ -1,18 +1,15 @@
 //! The process around the maths of metasense: job in, records out, heartbeat, stop.
 
 pub mod arrays;
-pub mod bench;
 pub mod bound;
 pub mod clock;
 pub mod convert;
-pub mod course;
 pub mod design;
 pub mod evaluate;
 pub mod files;
 pub mod identify;
 pub mod measured;
 pub mod modes;
-pub mod noop;
 pub mod place;
 pub mod problem;
 pub mod process;

@@ -14,7 +14,7 @@ use crate::run::Failure;
 /// # Errors
 /// If the spec stands for no trial, the design is of another length, or nothing holds the body.
 pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let problem = problem(trial)?;
     check(design, problem.initial.len())?;
     let scene = &problem.scene;
     let loose =
@@ -35,7 +35,7 @@ pub fn responses(
     unit: usize,
     frequencies: &[f64],
 ) -> Result<Vec<Vec<Response>>, Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let problem = problem(trial)?;
     check(design, problem.initial.len())?;
     let (scene, units) = (&problem.scene, problem.scene.layout.units());
     if unit >= units || scene.clamped.contains(&unit) {

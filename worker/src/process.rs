@@ -15,12 +15,11 @@ use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{
     self, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress, Services, Sleeper,
-    Start, ToOrchestrator, ToWorker, Trouble, Waker, Work,
+    Start, ToOrchestrator, ToWorker, Trouble, Waker,
 };
 use rustix::process;
 
-use crate::arrays::{Arrays, Values};
-use crate::noop::{self, Noop};
+use crate::arrays::Arrays;
 use crate::run::{self, Control, Failure, Observe};
 use crate::simd;
 
@@ -51,8 +50,25 @@ fn complain(what: std::fmt::Arguments) {
     let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("{what}\n"));
 }
 
+/// Does the work of a job, from a checkpoint or from the start, on so many threads.
+pub type Perform = fn(&str, Option<Checkpoint>, usize, &mut dyn Observe) -> Result<TrialResult, Failure>;
+
+/// `Perform` for trials: the job is a `TrialSpec` as JSON.
+///
+/// # Errors
+/// As `run_trial`.
+pub fn perform_trial(
+    job: &str,
+    checkpoint: Option<Checkpoint>,
+    threads: usize,
+    observer: &mut dyn Observe,
+) -> Result<TrialResult, Failure> {
+    let trial: TrialSpec = serde_json::from_str(job).map_err(|error| Failure::Rejected(error.to_string()))?;
+    run::run_trial(&trial, checkpoint, threads, observer)
+}
+
 /// The hidden subcommand: `start` is a `wire::Start` as JSON. Returns the exit code.
-pub fn run(start: &str) -> i32 {
+pub fn run(start: &str, perform: Perform) -> i32 {
     let start: Start = match serde_json::from_str(start) {
         Ok(start) => start,
         Err(error) => {
@@ -71,7 +87,7 @@ pub fn run(start: &str) -> i32 {
     if !bind_to_parent(&start) {
         return ORPHAN;
     }
-    match Worker::connect(&start).and_then(|mut worker| worker.serve()) {
+    match Worker::connect(&start, perform).and_then(|mut worker| worker.serve()) {
         Ok(()) => 0,
         Err(error) => {
             complain(format_args!("worker: {error}"));
@@ -107,6 +123,7 @@ fn bind_to_parent(start: &Start) -> bool {
 
 /// The worker's end of its domain. Ports are dropped before the node.
 struct Worker {
+    perform: Perform,
     up: MessageSender,
     arrays: MessageSender,
     beats: BeatSender,
@@ -117,13 +134,14 @@ struct Worker {
 }
 
 impl Worker {
-    fn connect(start: &Start) -> Result<Self, LinkError> {
+    fn connect(start: &Start, perform: Perform) -> Result<Self, LinkError> {
         iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
         let config =
             wire::config(&start.root, &start.prefix).map_err(LinkError::of("reading the domain's name"))?;
         let node = wire::node(&config)?;
         let services = Services::new(&node, End::Worker)?;
         let worker = Self {
+            perform,
             down: Services::receiver(&services.down)?,
             sleeper: Services::sleeper(&services.wake_worker)?,
             up: Services::sender(&services.up)?,
@@ -174,7 +192,7 @@ impl Worker {
     fn perform(
         &self,
         lease: Lease,
-        work: &Work,
+        work: &str,
         checkpoint: Option<Checkpoint>,
         threads: usize,
     ) -> Result<(), LinkError> {
@@ -182,20 +200,7 @@ impl Worker {
             Beats { sender: &self.beats, lease, sent: AtomicU64::new(0), fraction: AtomicU64::new(0) };
         let mut reporter =
             Reporter { worker: self, lease, beats: &beats, beaten: None, stop: false, broken: None };
-        let perform = || match work {
-            Work::Trial(json) => match serde_json::from_str::<TrialSpec>(json) {
-                Ok(trial) => run::run_trial(&trial, checkpoint, threads, &mut reporter),
-                Err(error) => Err(Failure::Rejected(error.to_string())),
-            },
-            Work::Noop { steps, millis, seed, fault, .. } => {
-                let step_length = Duration::from_millis(u64::from(*millis));
-                noop::run(
-                    &Noop { steps: *steps, step_length, seed: *seed, fault: *fault },
-                    checkpoint,
-                    &mut reporter,
-                )
-            }
-        };
+        let perform = || (self.perform)(work, checkpoint, threads, &mut reporter);
         let done = AtomicBool::new(false);
         let ended = std::thread::scope(|scope| {
             let beats = std::thread::Builder::new()
@@ -214,7 +219,7 @@ impl Worker {
         }
         let failed = |trouble, detail: String| ToOrchestrator::Failed { lease, trouble, detail };
         let message = match ended {
-            Ok(Ok(result)) => self.finished(lease, work, result)?,
+            Ok(Ok(result)) => self.finished(lease, result)?,
             Ok(Err(Failure::Stopped)) => ToOrchestrator::Stopped { lease },
             Ok(Err(Failure::Rejected(detail))) => failed(Trouble::Rejected, detail),
             Ok(Err(Failure::NonFinite(detail))) => failed(Trouble::NonFinite, detail),
@@ -228,18 +233,8 @@ impl Worker {
     }
 
     /// Puts the arrays of a result into shared memory, where they are written once.
-    fn finished(
-        &self,
-        lease: Lease,
-        work: &Work,
-        mut result: TrialResult,
-    ) -> Result<ToOrchestrator, LinkError> {
-        let mut arrays = Arrays::of(&mut result, wire::APART);
-        if let Work::Noop { array, seed, .. } = work
-            && *array > 0
-        {
-            arrays.add("noop".into(), Values::Ramp { first: *seed as f64, len: *array as usize });
-        }
+    fn finished(&self, lease: Lease, mut result: TrialResult) -> Result<ToOrchestrator, LinkError> {
+        let arrays = Arrays::of(&mut result, wire::APART);
         if !arrays.is_empty() {
             self.send_arrays(&arrays)?;
         }

@@ -1,12 +1,12 @@
 //! One trial from its spec to its result, for a worker process or in the foreground.
 
 use metasense_numerics::nested::{self, Optimised, Problem, State};
-use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::clock::cpu_seconds;
 use crate::convert;
-use crate::problem::problem;
+use crate::problem::{Invalid, problem};
 use crate::simd;
 
 /// Who watches a trial.
@@ -43,6 +43,12 @@ pub enum Failure {
     NonFinite(String),
 }
 
+impl From<Invalid> for Failure {
+    fn from(invalid: Invalid) -> Self {
+        Self::Rejected(invalid.to_string())
+    }
+}
+
 /// Runs a trial, from the beginning or from a checkpoint of its own, on a pool of `threads` threads (0 counts as 1).
 ///
 /// # Errors
@@ -53,7 +59,7 @@ pub fn run_trial(
     threads: usize,
     observer: &mut dyn Observe,
 ) -> Result<TrialResult, Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let problem = problem(trial)?;
     let resume = match checkpoint {
         None => None,
         Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(Failure::Rejected)?),
@@ -88,10 +94,25 @@ fn result(optimised: Optimised) -> TrialResult {
 /// # Errors
 /// If the spec stands for no trial, or the search comes to nothing.
 pub fn placed(trial: &TrialSpec, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let problem = problem(trial)?;
     let (problem, _) =
         nested::placed(&problem, pool).map_err(|failure| Failure::NonFinite(failure.to_string()))?;
     Ok(problem)
+}
+
+/// Fresh networks on each design, all of the same initial weights: the comparison at the end of a trial.
+///
+/// # Errors
+/// As `run_trial`.
+pub fn evaluate_designs(
+    trial: &TrialSpec,
+    designs: &[Vec<f64>],
+    threads: usize,
+) -> Result<Vec<BodyEvaluation>, Failure> {
+    let (problem, pool) = (problem(trial)?, pool(threads)?);
+    let bodies = nested::evaluate_designs(&problem, designs, &pool, &mut Alone)
+        .map_err(|failure| Failure::NonFinite(failure.to_string()))?;
+    Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }
 
 /// Threads for the maths; 0 counts as 1.
@@ -145,5 +166,21 @@ fn control(control: Control) -> nested::Control {
     match control {
         Control::Continue => nested::Control::Continue,
         Control::Stop => nested::Control::Stop,
+    }
+}
+
+/// Nobody watches, and time does not count.
+struct Alone;
+
+impl nested::Observe for Alone {
+    fn seconds(&mut self) -> f64 {
+        0.0
+    }
+    fn progress(&mut self, _: f64) -> nested::Control {
+        nested::Control::Continue
+    }
+    fn save(&mut self, _: &State) {}
+    fn step(&mut self, _: &nested::Report, _: &State) -> nested::Control {
+        nested::Control::Continue
     }
 }

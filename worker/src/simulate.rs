@@ -172,6 +172,6 @@ pub fn simulate(
 /// # Errors
 /// If the spec stands for no trial.
 pub fn body(trial: &TrialSpec) -> Result<(crate::design::Layout, Vec<f64>), Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let problem = problem(trial)?;
     Ok((problem.scene.layout, problem.initial))
 }

@@ -4,7 +4,6 @@
 mod say;
 
 mod analyse;
-mod bench;
 mod bound;
 mod claims;
 mod control;
@@ -14,7 +13,7 @@ mod expand;
 mod export;
 mod identify;
 mod live;
-mod log;
+pub mod log;
 mod merge;
 mod modes;
 mod one;
@@ -26,7 +25,7 @@ mod report;
 mod run;
 mod schema;
 mod serve;
-mod simd;
+pub mod simd;
 mod simulate;
 mod status;
 mod submit;
@@ -54,6 +53,7 @@ use crate::store::StoreError;
 use metasense_schemas::source::SpecError;
 use metasense_worker::design::DesignError;
 use metasense_worker::measured::MeasuredError;
+use metasense_worker::process;
 
 use crate::look::duration;
 pub use crate::look::{Format, print_rows};
@@ -95,7 +95,13 @@ enum Command {
     Export(export::Args),
     Evaluate(evaluate::Args),
     Schema(schema::Args),
-    Bench(bench::Args),
+    /// Where the benches went.
+    #[command(hide = true, disable_help_flag = true)]
+    Bench {
+        /// Whatever was asked.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// What the orchestrator starts; not for people.
     #[command(hide = true)]
     Worker {
@@ -111,8 +117,11 @@ enum Command {
 /// Bad input and failed I/O, each with its exit code.
 pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
     match cli.command {
-        Command::Bench(args) => block_on(bench::execute(args)),
-        Command::Worker { start } => std::process::exit(metasense_worker::process::run(&start)),
+        Command::Bench { arguments } => Err(Error::Usage(format!(
+            "`bench` is a program of its own now, for development: `cargo run --release -p metasense-bench -- {}`",
+            arguments.join(" ")
+        ))),
+        Command::Worker { start } => std::process::exit(process::run(&start, process::perform_trial)),
         Command::Run(args) => block_on(run::execute(args)),
         Command::Expand(args) => expand::execute(&args),
         Command::Submit(args) => block_on(submit::execute(args)),
@@ -142,7 +151,10 @@ pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
 }
 
 /// Runs a command that waits for the database, in a runtime of its own.
-fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'static) -> Result<T, Error> {
+///
+/// # Errors
+/// The command's own, or no runtime can be started.
+pub fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'static) -> Result<T, Error> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
@@ -166,7 +178,10 @@ fn end_on_signal(kept: Option<&Path>) {
 }
 
 /// Reads and expands a spec file.
-fn read_plan(file: &Path) -> Result<Plan, Error> {
+///
+/// # Errors
+/// If it cannot be read, or is no spec.
+pub fn read_plan(file: &Path) -> Result<Plan, Error> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| Error::Unreadable { path: file.to_owned(), source })?;
     Ok(Plan::new(file, text)?)

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use metasense_schemas::spec::Run;
-use metasense_schemas::wire::Work;
 use serde_json::Value;
 use tokio::sync::oneshot;
 
@@ -291,7 +290,7 @@ impl Round<'_> {
         log::start(log)?;
         let run = store.begin_run(&planned).await?;
         let mut live = Live::new(open.len(), trials.len() - open.len(), options.settings.workers);
-        let work = |trial: &Trial| Work::Trial(serde_json::to_string(&trial.spec).expect("a trial is JSON"));
+        let work = |trial: &Trial| serde_json::to_string(&trial.spec).expect("a trial is JSON");
         let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
         let noted = match &ended {
             Ok(summary) => store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await,

@@ -6,7 +6,7 @@ use metasense_worker::simd::{NAMES, choose};
 
 /// Which kernels a command uses.
 #[derive(Debug, clap::Args)]
-pub(super) struct Simd {
+pub struct Simd {
     /// Instruction set of the kernels; by default the widest that the machine has
     #[arg(long, global = true, value_name = "SET", value_parser = PossibleValuesParser::new(NAMES))]
     simd: Option<String>,
@@ -14,7 +14,7 @@ pub(super) struct Simd {
 
 impl Simd {
     /// Makes this process use what was asked for, before anything is computed.
-    pub(super) fn choose(&self) -> Result<(), Error> {
+    pub fn choose(&self) -> Result<(), Error> {
         match &self.simd {
             Some(name) => choose(name).map_err(|e| Error::Usage(format!("--simd {name}: {e}"))),
             None => Ok(()),

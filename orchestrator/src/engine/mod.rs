@@ -19,7 +19,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
-use metasense_schemas::wire::{Lease, Sample, ToOrchestrator, ToWorker, Work};
+use metasense_schemas::wire::{Lease, Sample, ToOrchestrator, ToWorker};
 use metasense_worker::process;
 use tokio::sync::mpsc;
 
@@ -102,7 +102,7 @@ pub enum EngineError {
 
 /// Runs trials until all are settled or somebody wants it to end. What people want beside that comes by `control`.
 ///
-/// `work` says what a worker is to do for a trial. To be called from the main thread: workers end with the thread
+/// `work` gives the job of a trial as its worker reads it. To be called from the main thread: workers end with the thread
 /// that has started them.
 ///
 /// # Errors
@@ -110,7 +110,7 @@ pub enum EngineError {
 pub async fn run<'a>(
     store: &mut Store,
     trials: &[&'a Trial],
-    work: &'a dyn Fn(&Trial) -> Work,
+    work: &'a dyn Fn(&Trial) -> String,
     options: &'a Options,
     signals: &mut Signals,
     control: &'a Control,
@@ -202,7 +202,7 @@ struct Engine<'a> {
     state: State,
     priors: Vec<Prior>,
     trials: Vec<&'a Trial>,
-    work: &'a dyn Fn(&Trial) -> Work,
+    work: &'a dyn Fn(&Trial) -> String,
     options: &'a Options,
     began: Instant,
     clock: Clock,

@@ -16,6 +16,7 @@ pub struct Table {
 }
 
 /// A row of a table, from anything that is JSON; after a semicolon, what holds more of it.
+#[macro_export]
 macro_rules! row {
     ($($cell:expr),* $(,)?) => { vec![$(serde_json::json!($cell)),*] };
     ($($cell:expr),*; $rest:expr) => {

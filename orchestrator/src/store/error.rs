@@ -105,7 +105,9 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    pub(crate) fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
+    /// An error of SQLite while `doing` something to this database.
+    #[must_use]
+    pub fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
         let code = source.as_database_error().and_then(|e| e.code().map(|c| c.into_owned()));
         match code.as_deref() {
             Some("26") => Self::NotOurs { path: path.to_owned() },

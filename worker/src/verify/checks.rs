@@ -11,7 +11,8 @@ use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
 
 /// K = 2, M = 1 on 6 × 6 units: the reference scene of `MODEL.md`.
-pub(crate) fn reference() -> Scene {
+#[must_use]
+pub fn reference() -> Scene {
     let layout = Layout::planar(6, 6, 15.0, 2.25);
     Scene {
         density: 1e-8,
@@ -30,7 +31,8 @@ pub(crate) fn reference() -> Scene {
 }
 
 /// Bell pulses of the usual intervals, seed 1.
-pub(crate) fn bells(scene: &Scene, samples: u64) -> Forces {
+#[must_use]
+pub fn bells(scene: &Scene, samples: u64) -> Forces {
     let bell = Bell {
         amplitude: [0.15, 0.5],
         width: [0.06, 0.25],

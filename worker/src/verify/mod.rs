@@ -6,10 +6,11 @@
 mod body;
 mod brain;
 mod case;
-pub(crate) mod checks;
+mod checks;
 mod extreme;
 
 use case::{Case, CaseError};
+pub use checks::{bells, reference};
 use metasense_numerics::dynamics::{Method, Solver};
 use serde::Serialize;
 use std::path::Path;
@@ -108,7 +109,8 @@ fn compare(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError>
 }
 
 /// ‖a − b‖/‖b‖, or ‖a‖ where b is zero; infinite where lengths differ.
-pub(crate) fn relative(a: &[f64], b: &[f64]) -> f64 {
+#[must_use]
+pub fn relative(a: &[f64], b: &[f64]) -> f64 {
     if a.len() != b.len() {
         return f64::INFINITY;
     }

@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
+use metasense::engine::{View, Watch};
+use metasense::fleet::children;
+use metasense::plan::Trial;
+use metasense::print_line;
 use metasense_schemas::record::TrialResult;
 use rustix::process::{Pid, Signal, getpid, kill_process};
 use serde_json::json;
-
-use crate::engine::{View, Watch};
-use crate::fleet::children;
-use crate::plan::Trial;
 
 /// Mean time between two kills.
 const KILL_EVERY: Duration = Duration::from_secs(2);

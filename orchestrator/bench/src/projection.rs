@@ -1,17 +1,17 @@
-//! `bench projection`: what making a design castable costs, and that it always does.
+//! `projection`: what making a design castable costs, and that it always does.
 //!
 //! It decides whether the projection stays below 2 % of an outer step. A walk keeps its direction, with noise, so that
 //! it runs into the constraints and along them, as an optimiser does; single steps start from rotated squares.
 
 use std::time::Instant;
 
+use metasense::cli::{Error, Format, print_rows};
+use metasense::exit::Exit;
+use metasense::look::Table;
+use metasense::row;
 use metasense_worker::design::{Feasible, Layout, Limits, Projection, Purpose, Stage, Status, Stream};
 use rayon::prelude::*;
 use serde_json::Value;
-
-use super::super::{Error, Format, print_rows};
-use crate::exit::Exit;
-use crate::look::{Table, row};
 
 const SPACING: f64 = 15.0;
 const LIGAMENT: f64 = 2.25;
@@ -19,7 +19,7 @@ const ANGLE: f64 = 25.0;
 
 /// Time of a projection against size and step length, share of the stages, Clarabel's iterations
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct Args {
+pub struct Args {
     /// Bodies, columns × rows
     #[arg(long, value_delimiter = ',', value_parser = size, default_value = "2x2,6x6,12x12,24x16,40x40")]
     sizes: Vec<(usize, usize)>,
@@ -47,7 +47,7 @@ fn size(text: &str) -> Result<(usize, usize), String> {
     parse(columns).zip(parse(rows)).ok_or_else(|| "columns and rows must be from 2 to 200".into())
 }
 
-pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
+pub fn execute(args: &Args) -> Result<Exit, Error> {
     if let Some(count) = args.random {
         return random(count, args.format);
     }

@@ -1,4 +1,4 @@
-//! `bench merge`: databases of shards, made up, into one.
+//! `merge`: databases of shards, made up, into one.
 //!
 //! It decides how many trials one merge, and one file, can hold. Rows and bytes of a trial are chosen; README says what
 //! they are for a real one.
@@ -6,15 +6,15 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use metasense::cli::Error;
+use metasense::cluster::Shard;
+use metasense::cluster::merge::merge;
+use metasense::exit::Exit;
+use metasense::print_line;
+use metasense::store::{Store, StoreError};
 use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
-
-use super::super::Error;
-use crate::cluster::Shard;
-use crate::cluster::merge::merge;
-use crate::exit::Exit;
-use crate::store::{Store, StoreError};
 
 /// Trials a second, and bytes a second, of a merge of made-up shards.
 #[derive(Debug, clap::Args)]
@@ -73,7 +73,7 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
         "rows_per_second": summary.trials as f64 * f64::from(args.steps + args.points + 12) / seconds,
         "bytes_per_second": bytes as f64 / seconds,
         "merged_bytes": size(&out),
-        "resident_mib": super::engine::resident_mib(),
+        "resident_mib": crate::peak_mib(),
         "version": env!("CARGO_PKG_VERSION"),
     });
     print_line!("{row}")?;

@@ -10,15 +10,14 @@ use metasense_numerics::dynamics::{
     repeat_kernel, run_at, signal_error, tune,
 };
 use metasense_numerics::simd::Width;
+use metasense_worker::clock::cpu_seconds;
+use metasense_worker::verify::{bells, reference, relative};
 use std::time::Instant;
 
-use super::widths;
-use crate::clock::cpu_seconds;
-use crate::verify::checks::{bells, reference};
-use crate::verify::relative;
+use crate::{pool, widths};
 
 /// A scene of the diagram.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum BenchScene {
     /// K = 2, M = 1 on 6 × 6 units.
     Reference,
@@ -31,11 +30,7 @@ pub enum BenchScene {
 }
 
 impl BenchScene {
-    /// All, cheapest first.
-    pub const ALL: [Self; 4] = [Self::Reference, Self::Contact, Self::Stretch100, Self::Stretch10000];
-
     /// The name on the command line and in rows.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Reference => "reference",
@@ -186,10 +181,6 @@ impl Subject {
     }
 }
 
-fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
-}
-
 /// The points of one scene, `samples` samples of `instants` instants (200: one second), on one thread.
 ///
 /// `report` is told of every point as it is measured.
@@ -277,7 +268,6 @@ const KERNELS: usize = 10_000;
 
 /// Tsit5 at 1e-6 of its own error norm, as the peer runs, the default and the default of coarse steps, each on one thread
 /// and on `threads`, the last two on one thread with narrower instruction sets, too; least of `repeat` runs.
-#[must_use]
 pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Lap> {
     let mut subject = Subject::new(reference(), samples, instants);
     let mut laps = Vec::new();
@@ -376,17 +366,5 @@ mod tests {
         }
         let last = points.iter().rfind(|p| p.method == "tsit5").and_then(|p| p.signals);
         assert!(last.is_some_and(|e| e < 1e-5), "the truth against another method: {last:?}");
-    }
-
-    /// The race itself, tiny: every figure is a positive number.
-    #[test]
-    fn the_race_runs() {
-        let laps = race(2, 4, 2, 1);
-        assert_eq!(laps.len(), 4 + 2 * widths().count(), "{laps:?}");
-        for lap in laps {
-            let figures = [lap.forward.cpu, lap.both.cpu, lap.forward.wall, lap.both.wall, lap.cycles];
-            let figures = figures.into_iter().chain(lap.kernels).collect::<Vec<f64>>();
-            assert!(figures.iter().all(|x| x.is_finite() && *x > 0.0), "{lap:?}");
-        }
     }
 }

@@ -4,32 +4,46 @@
 use std::time::{Duration, Instant};
 
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
-use metasense_schemas::wire::Fault;
+use metasense_worker::run::{Control, Failure, Observe};
+use serde::{Deserialize, Serialize};
 
-use crate::run::{Control, Failure, Observe};
-
-/// What a no-op trial is.
-#[derive(Debug, Clone, Copy)]
+/// What a no-op trial is: the text of its job.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct Noop {
     /// Outer steps.
     pub steps: u32,
-    /// Length of a step.
-    pub step_length: Duration,
+    /// Length of a step (ms).
+    pub millis: u32,
+    /// Length of an array that comes with the result; none if 0.
+    pub array: u64,
     /// Makes results differ.
     pub seed: u64,
     /// What goes wrong, if anything.
     pub fault: Option<Fault>,
 }
 
-/// Runs it from a checkpoint or from the start.
-///
-/// # Errors
-/// What its fault asks for, or a stop.
-pub fn run(
-    noop: &Noop,
+/// What goes wrong.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, clap::ValueEnum)]
+pub enum Fault {
+    /// The step never ends and gives no sign of life.
+    Hang,
+    /// The worker kills itself at once.
+    Die,
+    /// The result is not finite.
+    NonFinite,
+    /// The trial is refused.
+    Reject,
+}
+
+/// Runs it from a checkpoint or from the start, as `metasense_worker::process::Perform`.
+pub fn perform(
+    job: &str,
     checkpoint: Option<Checkpoint>,
+    _threads: usize,
     observer: &mut dyn Observe,
 ) -> Result<TrialResult, Failure> {
+    let noop: Noop = serde_json::from_str(job).map_err(|error| Failure::Rejected(error.to_string()))?;
+    let step_length = Duration::from_millis(noop.millis.into());
     let mut state =
         checkpoint.unwrap_or_else(|| Checkpoint { design: vec![mixed(noop.seed)], ..Default::default() });
     match noop.fault {
@@ -46,9 +60,9 @@ pub fn run(
     }
     while state.step < noop.steps {
         let began = Instant::now();
-        while began.elapsed() < noop.step_length {
+        while began.elapsed() < step_length {
             std::thread::sleep(
-                (noop.step_length - began.elapsed().min(noop.step_length)).min(Duration::from_millis(20)),
+                (step_length - began.elapsed().min(step_length)).min(Duration::from_millis(20)),
             );
             observer.progress(f64::from(state.step) / f64::from(noop.steps));
         }
@@ -66,8 +80,8 @@ pub fn run(
             return Err(Failure::Stopped);
         }
     }
-    let evaluation = |design: f64| BodyEvaluation {
-        design: vec![design],
+    let evaluation = |design: f64, array: u64| BodyEvaluation {
+        design: std::iter::once(design).chain((0..array).map(|n| (noop.seed + n) as f64)).collect(),
         networks: vec![NetworkEvaluation {
             error_test: Some(100.0 * design),
             error_holdout: Some(100.0 * design),
@@ -77,8 +91,8 @@ pub fn run(
         ..Default::default()
     };
     Ok(TrialResult {
-        initial: evaluation(mixed(noop.seed)),
-        optimised: evaluation(state.design[0]),
+        initial: evaluation(mixed(noop.seed), 0),
+        optimised: evaluation(state.design[0], noop.array),
         best_step: noop.steps,
         simd: "none".into(),
         solver: "none".into(),

@@ -1,24 +1,28 @@
-//! `bench protocols`: the holdout error that each protocol's body has reached against the CPU seconds that it took.
+//! `protocols`: the holdout error that each protocol's body has reached against the CPU seconds that it took.
 //!
 //! It decides the default of `optimise.protocol`. All bodies meet fresh networks of the same initial weights; these
 //! evaluations are not counted.
 
+mod course;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use metasense::cli::{Error, Format, print_rows, read_plan};
+use metasense::exit::Exit;
+use metasense::look::{Axis, Plot, SERIES, Scale, Table, file};
+use metasense::{row, say};
 use metasense_schemas::record::BodyEvaluation;
 use metasense_schemas::spec::{Optimise, Protocol, TrialSpec};
-use metasense_worker::course::{course, evaluate};
+use metasense_worker::run::{Failure, evaluate_designs};
 use serde_json::{Value, json};
 
-use super::super::{Error, Format, print_rows, read_plan};
-use super::{append, file_name};
-use crate::exit::Exit;
-use crate::look::{Axis, Plot, SERIES, Scale, Table, file, row};
+use crate::{append, file_name};
+use course::course;
 
 /// Holdout error against CPU seconds, a line a protocol
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct Args {
+pub struct Args {
     /// The spec file (TOML), whose first trial is the scene
     #[arg(required_unless_present = "redraw")]
     spec: Option<PathBuf>,
@@ -41,7 +45,7 @@ pub(in crate::cli) struct Args {
 
 const COLUMNS: &str = "protocol cpu_seconds step fresh_samples error_percent holdout_error_percent";
 
-pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
+pub fn execute(args: &Args) -> Result<Exit, Error> {
     if let Some(spec) = &args.spec {
         measure(args, spec)?;
     }
@@ -63,13 +67,13 @@ fn measure(args: &Args, path: &Path) -> Result<(), Error> {
         args.protocols.iter().map(|name| with_protocol(spec, name)).collect::<Result<_, _>>()?;
 
     let mut table = Table::new(COLUMNS, []);
-    let initial = evaluate(spec, &[initial_design(spec)?], 1).map_err(failed)?;
+    let initial = evaluate_designs(spec, &[initial_design(spec)?], 1).map_err(failed)?;
     table.rows.push(row!["initial", 0, 0, 0, test(&initial[0]), holdout(&initial[0])]);
     for (trial, name) in trials.iter().zip(&args.protocols) {
         say!("{name}: {} steps or {} s", trial.optimise.steps(), args.seconds[args.seconds.len() - 1]);
         let milestones = course(trial, &args.seconds, 1).map_err(failed)?;
         let designs: Vec<Vec<f64>> = milestones.iter().map(|m| m.design.clone()).collect();
-        for (m, body) in milestones.iter().zip(evaluate(spec, &designs, 1).map_err(failed)?) {
+        for (m, body) in milestones.iter().zip(evaluate_designs(spec, &designs, 1).map_err(failed)?) {
             table.rows.push(row![name, m.seconds, m.step, m.fresh_samples, test(&body), holdout(&body)]);
         }
     }
@@ -81,7 +85,7 @@ fn measure(args: &Args, path: &Path) -> Result<(), Error> {
     append(&args.append, &head, &table)
 }
 
-fn failed(failure: metasense_worker::run::Failure) -> Error {
+fn failed(failure: Failure) -> Error {
     Error::Usage(failure.to_string())
 }
 

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::super::Error;
-use crate::look::{Axis, Legend, Picture, Plot, SERIES, Scale, file};
+use metasense::cli::Error;
+use metasense::look::{Axis, Legend, Picture, Plot, SERIES, Scale, file};
 
 /// A panel's size (px).
 const PANEL: [f64; 2] = [310.0, 250.0];

@@ -1,24 +1,26 @@
-//! `bench engine`: trials without maths through the real engine: processes, shared memory, database.
+//! `engine`: trials without maths through the real engine: processes, shared memory, database.
 //!
 //! It decides whether the engine is ever what a sweep waits for. The tests of the engine use it too: the result of such
 //! a trial depends on every step of it, and its database can be kept, interrupted and gone on with.
 
+pub mod noop;
+mod soak;
+
 use std::path::PathBuf;
 use std::time::Instant;
 
+use metasense::cli::{self, Error};
+use metasense::engine::{self, Again, Control, Options, Signals, Silent, Watch};
+use metasense::exit::Exit;
+use metasense::plan::Trial;
+use metasense::print_line;
+use metasense::scheduler::{Outcome, Settings};
+use metasense::store::Store;
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
-use metasense_schemas::wire::{Fault, Work};
 use metasense_worker::clock::cpu_seconds;
+use noop::{Fault, Noop};
 use serde_json::json;
-
-use super::super::Error;
-use super::soak::Soak;
-use crate::engine::{self, Again, Control, Options, Signals, Silent, Watch};
-use crate::exit::Exit;
-use crate::fleet::peak_mib;
-use crate::plan::Trial;
-use crate::scheduler::{Outcome, Settings};
-use crate::store::Store;
+use soak::Soak;
 
 /// Durable trials a second, and the rate of arrays, of an engine whose trials do nothing.
 #[derive(Debug, clap::Args)]
@@ -49,7 +51,7 @@ pub struct Args {
     db: Option<PathBuf>,
     /// What goes wrong in every trial.
     #[arg(long, hide = true, value_enum)]
-    fault: Option<FaultName>,
+    fault: Option<Fault>,
     /// Longest time without a sign of life (ms).
     #[arg(long, hide = true, default_value_t = 60_000)]
     no_progress_ms: u64,
@@ -61,18 +63,10 @@ pub struct Args {
     retries: u32,
 }
 
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum FaultName {
-    Hang,
-    Die,
-    NonFinite,
-    Reject,
-}
-
 pub async fn execute(args: Args) -> Result<Exit, Error> {
     let scratch = std::env::temp_dir().join(format!("metasense-bench-{}.sqlite", std::process::id()));
     if let Some(db) = &args.db {
-        super::super::log::start(&super::super::log::path(db))?;
+        cli::log::start(&cli::log::path(db))?;
     }
     let db = args.db.clone().unwrap_or_else(|| scratch.clone());
     let done = measure(&args, &db).await;
@@ -95,18 +89,15 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         store.close().await?;
         return Ok(Exit::Interrupted);
     };
-    let fault = args.fault.map(|fault| match fault {
-        FaultName::Hang => Fault::Hang,
-        FaultName::Die => Fault::Die,
-        FaultName::NonFinite => Fault::NonFinite,
-        FaultName::Reject => Fault::Reject,
-    });
-    let work = |trial: &Trial| Work::Noop {
-        steps: args.steps,
-        millis: args.step_ms,
-        array: args.array,
-        seed: trial.order as u64,
-        fault,
+    let work = |trial: &Trial| {
+        let noop = Noop {
+            steps: args.steps,
+            millis: args.step_ms,
+            array: args.array,
+            seed: trial.order as u64,
+            fault: args.fault,
+        };
+        serde_json::to_string(&noop).expect("numbers are JSON")
     };
     let options = Options {
         settings: Settings {
@@ -148,7 +139,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         "trials_per_second": summary.done as f64 / seconds,
         "array_bytes_per_second": (summary.done as u64 * args.array * 8) as f64 / seconds,
         "orchestrator_core_percent": 100.0 * (cpu_seconds() - cpu) / seconds,
-        "orchestrator_resident_mib": resident_mib(),
+        "orchestrator_resident_mib": crate::peak_mib(),
         "version": env!("CARGO_PKG_VERSION"),
     });
     print_line!("{row}")?;
@@ -157,11 +148,6 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         _ if summary.failed > 0 => Exit::Failed,
         _ => Exit::Done,
     })
-}
-
-/// Highest resident size of this process so far.
-pub(super) fn resident_mib() -> f64 {
-    peak_mib(std::process::id()).unwrap_or(f64::NAN)
 }
 
 fn sweep() -> SweepSpec {

@@ -1,25 +1,29 @@
-//! `bench dynamics`: error of the signals and of dα against milliseconds a sample, for every integrator, and what that
+//! `dynamics`: error of the signals and of dα against milliseconds a sample, for every integrator, and what that
 //! says of each scene; or the race.
 //!
 //! It decides what `auto` picks and whether a stiff scene has a method of its own; `--race` is what is set beside a peer.
 
+mod judgement;
+mod measure;
+mod picture;
+
 use std::path::PathBuf;
 
-use clap::ValueEnum;
-use metasense_worker::bench::dynamics::{BenchScene, Lap, Point, race, work_precision};
+use metasense::cli::{Error, Format, print_rows};
+use metasense::exit::Exit;
+use metasense::look::Table;
+use metasense::{row, say};
 use serde_json::{Value, json};
 
-use super::super::{Error, Format, print_rows};
-use super::{append, judgement, picture};
-use crate::exit::Exit;
-use crate::look::{Table, row};
+use crate::append;
+use measure::{BenchScene, Lap, Point, race, work_precision};
 
 /// Error of the signals and of dα against milliseconds a sample, for every integrator; or the race against a peer
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct Args {
+pub struct Args {
     /// Scenes of the diagram, cheapest first
     #[arg(long, value_enum, value_delimiter = ',', default_values = ["reference", "contact", "stretch100", "stretch10000"])]
-    scenes: Vec<SceneName>,
+    scenes: Vec<BenchScene>,
     /// Samples: sixteen fill the lanes, of f32 too; of the race 300
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     samples: Option<u16>,
@@ -48,25 +52,6 @@ pub(in crate::cli) struct Args {
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum SceneName {
-    Reference,
-    Contact,
-    Stretch100,
-    Stretch10000,
-}
-
-impl From<SceneName> for BenchScene {
-    fn from(name: SceneName) -> Self {
-        match name {
-            SceneName::Reference => Self::Reference,
-            SceneName::Contact => Self::Contact,
-            SceneName::Stretch100 => Self::Stretch100,
-            SceneName::Stretch10000 => Self::Stretch10000,
-        }
-    }
 }
 
 const POINT: &str = "scene method setting auto force_evaluations forward_ms gradient_ms signals_error \
@@ -106,7 +91,7 @@ fn lap(l: &Lap) -> Vec<Value> {
     ]
 }
 
-pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
+pub fn execute(args: &Args) -> Result<Exit, Error> {
     let instants: u16 = if args.quick { 20 } else { 200 };
     if args.race {
         let samples = args.samples.unwrap_or(300);
@@ -119,7 +104,7 @@ pub(in crate::cli) fn execute(args: &Args) -> Result<Exit, Error> {
     let samples = args.samples.unwrap_or(16);
     let mut all = Vec::new();
     for &scene in args.scenes.iter().filter(|_| !args.redraw) {
-        let points = work_precision(scene.into(), samples.into(), instants.into(), |p| {
+        let points = work_precision(scene, samples.into(), instants.into(), |p| {
             say!("{}: {} {}, {:.2} ms a sample", p.scene, p.method, p.setting, p.forward);
         });
         let rows: Vec<Vec<Value>> = points.iter().map(point).collect();

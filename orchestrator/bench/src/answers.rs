@@ -1,4 +1,4 @@
-//! `bench answers`: what `status`, `query`, `analyse` and `report` cost on a large database.
+//! `answers`: what `status`, `query`, `analyse` and `report` cost on a large database.
 //!
 //! It decides how many trials one database can be asked about. Its trials are made up, planned from a real spec: five M in
 //! twenty placements at ten seeds are a thousand, of one size after another.
@@ -7,15 +7,15 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use metasense::cli::Error;
+use metasense::exit::Exit;
+use metasense::fleet;
+use metasense::plan::Plan;
+use metasense::print_line;
+use metasense::store::{Store, StoreError, npy_bytes};
 use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
-
-use super::super::Error;
-use crate::exit::Exit;
-use crate::fleet;
-use crate::plan::Plan;
-use crate::store::{Store, StoreError, npy_bytes};
 
 /// Seconds and peak memory of what is asked of databases with many trials.
 #[derive(Debug, clap::Args)]
@@ -72,7 +72,8 @@ fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
     let began = Instant::now();
     let (null, quiet) = (Stdio::null(), Stdio::null());
     let mut command = Command::new("/proc/self/exe");
-    let mut child = command.args(arguments).stdout(null).stderr(quiet).spawn().map_err(failed)?;
+    let mut child =
+        command.arg("metasense").args(arguments).stdout(null).stderr(quiet).spawn().map_err(failed)?;
     let (mut cpu, mut most) = (0.0, 0.0f64);
     loop {
         cpu = fleet::cpu_seconds(child.id()).unwrap_or(cpu).max(cpu);

@@ -1,0 +1,131 @@
+//! The `metasense-bench` command: how fast metasense is on this machine, in rows that can be compared over the years.
+
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+mod answers;
+mod brain;
+mod dynamics;
+mod engine;
+mod linear;
+mod merge;
+mod projection;
+mod protocols;
+
+use std::ffi::OsString;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::Path;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use metasense::cli::simd::Simd;
+use metasense::cli::{self, Error, block_on};
+use metasense::exit::{EXIT_CODES, Exit};
+use metasense::look::Table;
+use metasense_numerics::simd::Width;
+use serde_json::{Value, json};
+
+/// Measures what metasense costs on this machine. For development: `cargo run --release -p metasense-bench -- BENCH`
+#[derive(Debug, Parser)]
+#[command(version, after_help = EXIT_CODES, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    what: What,
+    #[command(flatten)]
+    simd: Simd,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Answers(answers::Args),
+    Brain(brain::Args),
+    Dynamics(dynamics::Args),
+    Engine(engine::Args),
+    Linear(linear::Args),
+    Merge(merge::Args),
+    Projection(projection::Args),
+    Protocols(protocols::Args),
+    /// What the engine starts as its workers.
+    #[command(hide = true)]
+    Worker {
+        /// Where to connect to.
+        start: String,
+    },
+    /// The `metasense` command, which `answers` starts.
+    #[command(hide = true, disable_help_flag = true)]
+    Metasense {
+        /// Its arguments.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<OsString>,
+    },
+}
+
+fn main() -> ExitCode {
+    match dispatch(Cli::parse()) {
+        Ok(exit) => exit.into(),
+        // Whoever reads our output has had enough of it.
+        Err(e) if e.is_broken_pipe() => Exit::Done.into(),
+        Err(e) => {
+            e.say();
+            e.exit().into()
+        }
+    }
+}
+
+fn dispatch(cli: Cli) -> Result<Exit, Error> {
+    cli.simd.choose()?;
+    match cli.what {
+        What::Answers(args) => block_on(answers::execute(args)),
+        What::Brain(args) => brain::execute(&args),
+        What::Dynamics(args) => dynamics::execute(&args),
+        What::Engine(args) => block_on(engine::execute(args)),
+        What::Linear(args) => linear::execute(&args),
+        What::Merge(args) => block_on(merge::execute(args)),
+        What::Projection(args) => projection::execute(&args),
+        What::Protocols(args) => protocols::execute(&args),
+        What::Worker { start } => {
+            std::process::exit(metasense_worker::process::run(&start, engine::noop::perform))
+        }
+        What::Metasense { arguments } => {
+            let name = std::iter::once(OsString::from("metasense"));
+            cli::dispatch(cli::Cli::parse_from(name.chain(arguments)))
+        }
+    }
+}
+
+/// Appends rows as JSON lines: the fields of `head`, the version and the instruction set, then those of the row.
+fn append(path: &Path, head: &Value, table: &Table) -> Result<(), Error> {
+    let failed = |source| Error::Io { doing: "appending to", path: path.to_owned(), source };
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(failed)?;
+    }
+    let mut file = OpenOptions::new().create(true).append(true).open(path).map_err(failed)?;
+    for values in &table.rows {
+        let mut line = head.clone();
+        line["version"] = json!(env!("CARGO_PKG_VERSION"));
+        line["simd"] = json!(metasense_worker::simd::name());
+        let fields = line.as_object_mut().expect("a head that is an object");
+        fields.extend(table.columns.iter().cloned().zip(values.iter().cloned()));
+        writeln!(file, "{line}").map_err(failed)?;
+    }
+    Ok(())
+}
+
+/// The name of a file, for such a head.
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// The instruction sets up to the process's own, that first.
+fn widths() -> impl Iterator<Item = Width> {
+    Width::ALL.into_iter().rev().filter(|width| *width <= Width::chosen())
+}
+
+fn pool(threads: usize) -> rayon::ThreadPool {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
+}
+
+/// Most memory that this process has had.
+fn peak_mib() -> f64 {
+    metasense::fleet::peak_mib(std::process::id()).unwrap_or(f64::NAN)
+}

@@ -1,0 +1,64 @@
+//! The course of a trial: what its body is worth after so many CPU seconds. Decides between protocols.
+
+use metasense_schemas::record::{Checkpoint, StepRecord};
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::clock::cpu_seconds;
+use metasense_worker::run::{Control, Failure, Observe, run_trial};
+
+/// A body that a trial had reached.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Milestone {
+    /// CPU seconds of this process since the trial began.
+    pub seconds: f64,
+    /// Outer steps done.
+    pub step: u32,
+    /// Samples drawn beside the N.
+    pub fresh_samples: u64,
+    /// α of the best body so far by the test set, or of the present one where none has been tested (mm).
+    pub design: Vec<f64>,
+}
+
+/// Runs a trial's outer steps on `threads` threads until it is done or has used the last of `seconds`, which ascend;
+/// keeps the body at the first step after each of them and at the end.
+///
+/// # Errors
+/// As `run_trial`.
+pub fn course(trial: &TrialSpec, seconds: &[f64], threads: usize) -> Result<Vec<Milestone>, Failure> {
+    let steps = trial.optimise.steps() as u32;
+    let mut keeper =
+        Keeper { start: cpu_seconds(), due: seconds, steps, fresh_samples: 0, milestones: Vec::new() };
+    match run_trial(trial, None, threads, &mut keeper) {
+        Ok(_) | Err(Failure::Stopped) => Ok(keeper.milestones),
+        Err(failure) => Err(failure),
+    }
+}
+
+struct Keeper<'a> {
+    start: f64,
+    due: &'a [f64],
+    steps: u32,
+    fresh_samples: u64,
+    milestones: Vec<Milestone>,
+}
+
+impl Observe for Keeper<'_> {
+    fn progress(&mut self, _: f64) -> Control {
+        Control::Continue
+    }
+
+    fn save(&mut self, _: Checkpoint) {}
+
+    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
+        let seconds = cpu_seconds() - self.start;
+        self.fresh_samples += record.fresh_samples;
+        let passed = self.due.iter().filter(|&&due| due <= seconds).count();
+        let ended = passed == self.due.len() || checkpoint.step == self.steps;
+        if passed > 0 || ended {
+            let design = checkpoint.best.map_or(checkpoint.design, |best| best.0);
+            let fresh_samples = self.fresh_samples;
+            self.milestones.push(Milestone { seconds, step: checkpoint.step, fresh_samples, design });
+            self.due = &self.due[passed..];
+        }
+        if ended { Control::Stop } else { Control::Continue }
+    }
+}

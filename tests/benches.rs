@@ -1,0 +1,128 @@
+//! Each bench, tiny: every figure that it gives is a positive number. And what has become of `metasense bench`.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+const SPEC: &str = r#"name = "s"
+[body]
+columns = 4
+rows = 3
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+[time]
+duration = 0.1
+samples = 20
+[stimuli]
+kind = "bell"
+samples = 6
+test = 2
+holdout = 2
+onset = [0.0, 0.02]
+[brain]
+iterations = 3
+[optimise]
+protocol = "joint"
+iterations = 3
+batch = 4
+[sweep]
+panels = [2]
+sensors = [1]
+"#;
+
+/// What a bench prints: rows as one list, or a row a line.
+fn rows(folder: &Path, arguments: &str) -> Vec<Value> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metasense-bench"));
+    let output = command.args(arguments.split(' ')).current_dir(folder).output().unwrap();
+    assert!(output.status.success(), "{arguments}: {output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    match serde_json::from_str(&text) {
+        Ok(Value::Array(rows)) => rows,
+        _ => text.lines().map(|line| serde_json::from_str(line).unwrap()).collect(),
+    }
+}
+
+/// Numbers of a row under these names.
+fn numbers<'a>(row: &'a Value, names: &'a str) -> impl Iterator<Item = f64> + 'a {
+    names.split(' ').map(move |name| row[name].as_f64().unwrap_or_else(|| panic!("{name}: {row}")))
+}
+
+fn positive(rows: &[Value], names: &str) {
+    for row in rows {
+        assert!(numbers(row, names).all(|x| x > 0.0), "{names}: {row}");
+    }
+}
+
+#[test]
+fn kernels_are_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = "--samples 4 --instants 40 --panels 2 --format json";
+    let brain = rows(folder.path(), &format!("brain --sensors 1 --repeat 1 {small}"));
+    assert!(brain.len() >= 5 && (brain.len() - 2) % 3 == 0, "{brain:?}");
+    positive(&brain, "forward_ms iteration_ms hessian_ms gauss_newton_ms gflop peak_gflops share_of_peak");
+
+    let linear = rows(folder.path(), &format!("linear --sensors 1,2 --memories 4,99 {small}"));
+    assert_eq!(
+        linear.iter().map(|row| row["unknowns"].as_u64().unwrap()).collect::<Vec<_>>(),
+        [27, 237, 54, 474]
+    );
+    positive(&linear, "moments_ms solve_ms answers_ms pull_back_ms factor_gflops");
+    let kept = std::fs::read_to_string(folder.path().join("results/bench.jsonl")).unwrap();
+    assert_eq!(kept.lines().count(), brain.len() + linear.len());
+}
+
+/// The race, and the diagram of one scene with its picture.
+#[test]
+fn integrators_are_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let race = rows(folder.path(), "dynamics --race --quick --samples 2 --repeat 1 --format json");
+    assert!(race.len() >= 6 && race.len() % 2 == 0, "{race:?}");
+    positive(
+        &race,
+        "forward_s forward_cpu_s gradient_s gradient_cpu_s cycles_a_ligament_and_lane kernel_cycles",
+    );
+
+    let points = rows(folder.path(), "dynamics --scenes reference --quick --samples 2 --format json");
+    positive(&points, "force_evaluations forward_ms gradient_ms");
+    let picture = std::fs::read_to_string(folder.path().join("results/work-precision.svg")).unwrap();
+    assert!(picture.contains("reference scene"), "{picture}");
+}
+
+#[test]
+fn projections_are_measured_and_break_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let sizes = rows(folder.path(), "projection --sizes 3x3 --calls 3 --format json");
+    assert_eq!(sizes.len(), 4, "{sizes:?}");
+    let count = &rows(folder.path(), "projection --random 60 --format json")[0];
+    assert_eq!(numbers(count, "violations projections").collect::<Vec<_>>(), [0.0, 60.0], "{count}");
+}
+
+#[test]
+fn protocols_are_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("s.toml"), SPEC).unwrap();
+    let found = rows(folder.path(), "protocols s.toml --protocols joint --seconds 0,1000 --format json");
+    let steps: Vec<f64> = found.iter().flat_map(|row| numbers(row, "step fresh_samples")).collect();
+    assert_eq!(steps, [0.0, 0.0, 1.0, 4.0, 3.0, 12.0], "{found:?}");
+    positive(&found, "holdout_error_percent");
+    let picture = std::fs::read_to_string(folder.path().join("results/protocols.svg")).unwrap();
+    assert!(picture.contains("joint"), "{picture}");
+}
+
+/// The engine's own rows, with arrays and without; a merge; questions to a database of a thousand trials.
+#[test]
+fn databases_are_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let engine = rows(folder.path(), "engine --trials 20 --array 1000 --drop-arrays");
+    positive(&engine, "trials_per_second array_bytes_per_second orchestrator_resident_mib");
+    let merge =
+        rows(folder.path(), "merge --shards 2 --trials 3 --steps 4 --points 8 --bytes 600 --folder .");
+    assert_eq!(numbers(&merge[0], "trials").collect::<Vec<_>>(), [6.0]);
+    let answers = rows(folder.path(), "answers --thousands 1 --steps 2 --iterations 3 --folder .");
+    assert_eq!(answers.len(), 5, "{answers:?}");
+    positive(&answers, "seconds peak_mib");
+    assert_eq!(answers[0]["asked"], "status");
+}
