@@ -4,9 +4,8 @@ pub use metasense_numerics::nested::Bound;
 use metasense_numerics::nested::{self, Disturbance, Size};
 use metasense_schemas::spec::TrialSpec;
 
-use crate::problem::problem;
 use crate::replay::check;
-use crate::run::{Failure, pool};
+use crate::run::{Failure, pool, prepared};
 
 /// The bound of a body under the first `samples` of a trial's holdout, with its chips' noise or, in its place, with white noise of
 /// this part of each channel's RMS on the initial body.
@@ -20,7 +19,7 @@ pub fn bound(
     noise: Option<f64>,
     threads: usize,
 ) -> Result<Bound, Failure> {
-    let mut problem = problem(trial)?;
+    let mut problem = prepared(trial)?;
     check(design, problem.initial.len())?;
     if let Some(part) = noise {
         let none = Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay: 0.0 };
@@ -38,6 +37,7 @@ pub fn bound(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::problem::problem;
     use crate::run::evaluate_designs;
 
     /// A body of 6 × 6 units, random or not, K = 2, sensors on these units with 3 % noise, seed 11.

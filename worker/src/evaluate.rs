@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::convert::finite;
 use crate::measured::Measured;
-use crate::problem::{problem, solvable};
+use crate::problem::solvable;
 use crate::replay::check;
-use crate::run::{Failure, placed, pool};
+use crate::run::{Failure, placed, pool, prepared};
 
 /// How many networks, and how long they train.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -92,10 +92,10 @@ pub fn evaluate(
     threads: usize,
     kept: &dyn Kept,
 ) -> Result<Evaluated, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     let Effort { folds, seeds, iterations, brain } = effort;
     if brain != BrainKind::Cnn {
-        solvable(trial, problem.decoder.lags)?;
+        solvable(trial, problem.decoder.lags).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     }
     let Measured { forces, signals, low_pass } = measured;
     let samples = forces.samples;

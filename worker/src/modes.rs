@@ -5,16 +5,15 @@ use metasense_numerics::modes;
 pub use metasense_numerics::modes::{Mode, Response};
 use metasense_schemas::spec::TrialSpec;
 
-use crate::problem::problem;
 use crate::replay::check;
-use crate::run::Failure;
+use crate::run::{Failure, prepared};
 
 /// The `count` slowest modes of a body; fewer where it has fewer.
 ///
 /// # Errors
 /// If the spec stands for no trial, the design is of another length, or nothing holds the body.
 pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     check(design, problem.initial.len())?;
     let scene = &problem.scene;
     let loose =
@@ -35,7 +34,7 @@ pub fn responses(
     unit: usize,
     frequencies: &[f64],
 ) -> Result<Vec<Vec<Response>>, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     check(design, problem.initial.len())?;
     let (scene, units) = (&problem.scene, problem.scene.layout.units());
     if unit >= units || scene.clamped.contains(&unit) {

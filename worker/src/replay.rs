@@ -7,8 +7,7 @@ use metasense_numerics::nested::{Decoder, fits};
 pub use metasense_numerics::nested::{LinearReplay, Motion, Replay};
 use metasense_schemas::spec::TrialSpec;
 
-use crate::problem::problem;
-use crate::run::{Failure, pool};
+use crate::run::{Failure, pool, prepared};
 
 /// A body to draw.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,7 +39,7 @@ pub struct Drawing {
 /// # Errors
 /// If the spec stands for no trial, or the design is not one of its body.
 pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     let scene = &problem.scene;
     check(design, problem.initial.len())?;
     let geometry = Geometry::new(&scene.layout, design, scene.density);
@@ -73,7 +72,7 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
 /// # Errors
 /// If the spec stands for no trial, lengths do not fit it, or a simulation does not end well.
 pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize) -> Result<Replay, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     check(design, problem.initial.len())?;
     if !weights.is_empty() {
         check_length("network", weights.len(), problem.reader_shape().weights())?;
@@ -86,7 +85,7 @@ pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize
 /// # Errors
 /// If the spec stands for no trial, or the brain cannot be solved for.
 pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     let (instants, channels) = (problem.scene.instants, replay.signal_scale.len());
     if !fits(instants, channels, problem.scene.panels.len()) {
         return Ok(None);
@@ -100,7 +99,7 @@ pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>
 /// # Errors
 /// As [`replay`].
 pub fn motion(trial: &TrialSpec, design: &[f64], sample: usize, threads: usize) -> Result<Motion, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     check(design, problem.initial.len())?;
     nested::motion(&problem, design, sample, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
 }

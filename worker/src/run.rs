@@ -6,7 +6,7 @@ use metasense_schemas::spec::TrialSpec;
 
 use crate::clock::cpu_seconds;
 use crate::convert;
-use crate::problem::{Invalid, problem};
+use crate::problem::problem;
 use crate::simd;
 
 /// Who watches a trial.
@@ -43,12 +43,6 @@ pub enum Failure {
     NonFinite(String),
 }
 
-impl From<Invalid> for Failure {
-    fn from(invalid: Invalid) -> Self {
-        Self::Rejected(invalid.to_string())
-    }
-}
-
 /// Runs a trial, from the beginning or from a checkpoint of its own, on a pool of `threads` threads (0 counts as 1).
 ///
 /// # Errors
@@ -59,7 +53,7 @@ pub fn run_trial(
     threads: usize,
     observer: &mut dyn Observe,
 ) -> Result<TrialResult, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     let resume = match checkpoint {
         None => None,
         Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(Failure::Rejected)?),
@@ -89,12 +83,20 @@ fn result(optimised: Optimised) -> TrialResult {
     }
 }
 
+/// The problem that a spec stands for.
+///
+/// # Errors
+/// If it stands for no trial.
+pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
+    problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
+}
+
 /// The problem that a spec stands for, on these threads, its sensors in place: searched for where that is to be done.
 ///
 /// # Errors
 /// If the spec stands for no trial, or the search comes to nothing.
 pub fn placed(trial: &TrialSpec, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     let (problem, _) =
         nested::placed(&problem, pool).map_err(|failure| Failure::NonFinite(failure.to_string()))?;
     Ok(problem)
@@ -109,7 +111,7 @@ pub fn evaluate_designs(
     designs: &[Vec<f64>],
     threads: usize,
 ) -> Result<Vec<BodyEvaluation>, Failure> {
-    let (problem, pool) = (problem(trial)?, pool(threads)?);
+    let (problem, pool) = (prepared(trial)?, pool(threads)?);
     let bodies = nested::evaluate_designs(&problem, designs, &pool, &mut Alone)
         .map_err(|failure| Failure::NonFinite(failure.to_string()))?;
     Ok(bodies.into_iter().map(convert::body_evaluation).collect())

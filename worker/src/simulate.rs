@@ -7,8 +7,7 @@ use metasense_numerics::nested::Problem;
 use metasense_schemas::spec::TrialSpec;
 use rayon::ThreadPool;
 
-use crate::problem::problem;
-use crate::run::{Failure, placed, pool};
+use crate::run::{Failure, placed, pool, prepared};
 
 /// What a body does; N samples, T instants, M sensors.
 #[derive(Debug, Clone, PartialEq)]
@@ -172,6 +171,6 @@ pub fn simulate(
 /// # Errors
 /// If the spec stands for no trial.
 pub fn body(trial: &TrialSpec) -> Result<(crate::design::Layout, Vec<f64>), Failure> {
-    let problem = problem(trial)?;
+    let problem = prepared(trial)?;
     Ok((problem.scene.layout, problem.initial))
 }
