@@ -15,7 +15,7 @@ fn spec() -> String {
 #[test]
 fn sensors_are_searched_for() {
     let bench = Bench::new();
-    let searched = "sensors = [2]\n\"sensors.search\" = [\"random\", \"greedy\", \"d_optimal\", \"pivots\"]";
+    let searched = "sensors = [2]\n\"sensors.search\" = [\"random\", \"greedy\"]";
     let spec = TINY
         .replace("sensors = [1, 2]", searched)
         .replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"");
@@ -26,15 +26,15 @@ fn sensors_are_searched_for() {
         "SELECT placed, replace(sensor_units, ',', ' '), hash, holdout_error_initial FROM v_trial ORDER BY placed",
     );
     let ways: Vec<&str> = found.iter().map(|row| row[0].as_str()).collect();
-    assert_eq!(ways, ["d_optimal", "greedy", "pivots", "random"]);
+    assert_eq!(ways, ["greedy", "random"]);
     assert!(found.iter().all(|row| row[1].split_whitespace().count() == 2), "{found:?}");
     let table =
-        bench.output(&["place", "s.toml", "--hash", &found[1][2], "--out", "p.svg", "--format", "json"]);
-    let units = found[1][1].trim_matches(['[', ']']);
+        bench.output(&["place", "s.toml", "--hash", &found[0][2], "--out", "p.svg", "--format", "json"]);
+    let units = found[0][1].trim_matches(['[', ']']);
     assert!(table.contains(&format!("\"units\":\"{units}\"")), "{units}: {table}");
     let svg = std::fs::read_to_string(bench.path("p.svg")).unwrap();
     assert_eq!(svg.matches("class=\"number\"").count(), 2);
-    bench.output(&["export", "results/tiny.sqlite", &found[1][2], "--format", "npz", "--out", "t.npz"]);
+    bench.output(&["export", "results/tiny.sqlite", &found[0][2], "--format", "npz", "--out", "t.npz"]);
     let one = Bench::new();
     one.file("s.toml", &spec);
     one.output(&["run", "s.toml", "--workers", "1"]);

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use toml::de::{DeTable, DeValue};
 
-use crate::spec::{Measured, SweepSpec};
+use crate::spec::{Measured, SweepSpec, gone_key};
 
 mod keys;
 
@@ -95,6 +95,10 @@ impl Source {
 
     fn check_key(&self, place: &Place, known: &KnownKeys) -> Result<(), SpecError> {
         let key = place.key.as_str();
+        if let Some(remedy) = gone_key(key.strip_prefix("sweep.").map_or(key, |axis| axis.trim_matches('"')))
+        {
+            return Err(self.wrong(place, remedy));
+        }
         if let Some(linked) = key.strip_prefix(POINTS) {
             let linked = linked.trim_matches('"');
             if !known.is_axis(linked) && !COUNTS.contains(&linked) {

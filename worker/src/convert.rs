@@ -3,7 +3,7 @@
 use metasense_numerics::brain::Adam;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::dynamics;
-use metasense_numerics::nested::{self, Best, Fresh, Move, Problem, State, Waypoint};
+use metasense_numerics::nested::{self, Best, Fresh, Problem, State, Waypoint};
 use metasense_schemas::record::{
     BodyEvaluation, Checkpoint, Comparison, Counters, ImplicitRecord, NetworkEvaluation, Placed, Reading,
     Seconds, StepRecord, Training,
@@ -120,7 +120,7 @@ pub fn checkpoint(state: &State) -> Checkpoint {
         best: state.best.as_ref().map(|best| (best.design.clone(), best.error, best.step)),
         protocol,
         comparison: Some(&state.comparison).filter(|c| !c.bodies.is_empty()).map(comparison).map(Box::new),
-        moves: state.moves.iter().cloned().map(|Move { step, units }| (step, units)).collect(),
+        moves: Vec::new(),
         found: state.found.clone(),
     }
 }
@@ -155,8 +155,8 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         best,
         protocol,
         comparison,
-        moves,
         found,
+        ..
     } = checkpoint;
     let lengths = [design.len(), design_moments.0.len(), design_moments.1.len()];
     // one number beside whole waypoints is the ridge
@@ -184,7 +184,6 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         trend: (protocol[2] > 0.0).then_some(protocol[2]),
         ridge,
         trail: waypoints.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect(),
-        moves: moves.into_iter().map(|(step, units)| Move { step, units }).collect(),
         comparison: comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default(),
         found,
     })
@@ -287,18 +286,10 @@ mod tests {
                 Waypoint { step: 5, design: design.clone() },
                 Waypoint { step: 6, design: design.clone() },
             ],
-            moves: vec![Move { step: 4, units: vec![4] }],
             comparison: nested::Comparison::default(),
             found: Vec::new(),
         };
-        let bare = State {
-            best: None,
-            trend: None,
-            trail: Vec::new(),
-            moves: Vec::new(),
-            weights: Vec::new(),
-            ..full.clone()
-        };
+        let bare = State { best: None, trend: None, trail: Vec::new(), weights: Vec::new(), ..full.clone() };
         let linear = State { ridge: Some(1e-4), weights: Vec::new(), ..full.clone() };
         let network = nested::NetworkEvaluation {
             error_test: Some(3.0),

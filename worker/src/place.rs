@@ -1,7 +1,7 @@
 //! Where a trial's sensors are best placed, and what other places are worth.
 
 use metasense_numerics::nested::Candidates;
-use metasense_numerics::place::{Method, Search};
+use metasense_numerics::place::Search;
 use metasense_schemas::record::Placed;
 use metasense_schemas::spec::{self, TrialSpec};
 
@@ -18,10 +18,6 @@ pub struct Looked {
     pub placed: Vec<Placed>,
     /// Each candidate with the first `given` of the M units placed, and the error, best first.
     pub worth: Vec<(usize, f64)>,
-    /// Of D-optimal placements.
-    pub d_optimal: Vec<f64>,
-    /// By pivots of the signals' covariance.
-    pub pivots: Vec<f64>,
     /// Of random placements: best, median, worst.
     pub random: Vec<[f64; 3]>,
 }
@@ -29,14 +25,14 @@ pub struct Looked {
 /// Random placements beside the one that is searched for.
 pub const RANDOM: u64 = 30;
 
-/// Searches for a trial's sensors on this design, greedily where its spec says no other way.
+/// Searches for a trial's sensors on this design.
 ///
 /// # Errors
 /// If the spec stands for no trial, the design is of another length or cannot be simulated, or there is no placement.
 pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> Result<Looked, Failure> {
     let mut trial = trial.clone();
     trial.sensor_units.clear();
-    trial.sensors.search.get_or_insert(spec::Search::Greedy);
+    trial.sensors.search = Some(spec::Search::Greedy);
     let problem = problem(&trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     check(design, problem.initial.len())?;
     let search = problem.search.as_ref().expect("asked for");
@@ -44,17 +40,12 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let trouble = |what: &dyn std::fmt::Display| Failure::NonFinite(what.to_string());
     let nowhere = |_| trouble(&"nowhere_to_sense");
     let all = Candidates::new(&problem, search, design, &pool).map_err(|e| trouble(&e))?;
-    let best = all.clone().thinned(&[], &problem, &pool);
+    let best = all.clone().thinned(&problem, &pool);
     let scores = best.scores(&problem, &pool);
-    let found = |method: Method| -> Result<Vec<_>, Failure> {
-        let of = |sensors| Search { method, sensors, candidates: best.units.clone(), ..search.clone() };
-        (1..=search.sensors).map(|m| scores.search(&of(m)).map_err(nowhere)).collect()
-    };
-    let placed = found(search.method)?;
-    let errors =
-        |placed: &metasense_numerics::place::Placed| placed.errors.last().copied().unwrap_or(f64::NAN);
-    let of_method = |method| Ok(found(method)?.iter().map(errors).collect());
-    let (d_optimal, pivots) = (of_method(Method::DOptimal)?, of_method(Method::Pivots)?);
+    let of = |sensors| Search { sensors, candidates: best.units.clone(), ..search.clone() };
+    let placed: Vec<_> = (1..=search.sensors)
+        .map(|m| scores.search(&of(m)).map_err(nowhere))
+        .collect::<Result<_, Failure>>()?;
 
     // errors of the first m units of each random placement
     let of_order = |p: u64| -> Option<Vec<f64>> {
@@ -75,5 +66,5 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
 
     let last = &placed[search.sensors - 1];
     let worth = all.worth(&last.units[..given.min(search.sensors)], last.ridge, &problem, &pool);
-    Ok(Looked { worth, d_optimal, pivots, random, placed: placed.into_iter().map(convert::placed).collect() })
+    Ok(Looked { worth, random, placed: placed.into_iter().map(convert::placed).collect() })
 }

@@ -13,7 +13,7 @@ use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::nested::{
     Decoder, Evaluation, Kind, Optimise, Problem, Ridge, Schedule, Training, fits,
 };
-use metasense_numerics::place::{self, Search};
+use metasense_numerics::place::Search;
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
 
 mod optimise;
@@ -71,6 +71,9 @@ fn at_most(key: &str, value: usize, most: usize) -> Result<(), Invalid> {
 /// # Errors
 /// Names the first key whose value no trial can have, and what the value must be.
 pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
+    if let Some((key, value, remedy)) = spec::gone(trial) {
+        return Err(invalid(key, value, remedy));
+    }
     let layout = layout(&trial.body)?;
     check_material(&trial.body)?;
     check_clock_and_training(trial)?;
@@ -101,7 +104,6 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
             rate: trial.optimise.clone().resolved().learning_rate.unwrap_or_default(),
-            again: placed_again(trial)?,
             coarse: coarse.as_ref().map(|coarse| solver("optimise.coarse.method", coarse)).transpose()?,
         },
         evaluation: Evaluation {
@@ -478,32 +480,16 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
     })
 }
 
-/// Whether sensors are placed again on later bodies.
-fn placed_again(trial: &TrialSpec) -> Result<bool, Invalid> {
-    let again = trial.optimise.placement == Some(spec::Placement::Again);
-    let remedy = "is for sensors that sensors.search places: \"greedy\", \"d_optimal\" or \"pivots\"";
-    require(!again || trial.sensors.search.is_some(), "optimise.placement", "again", remedy)?;
-    let search = matches!(trial.optimise.protocol, spec::Protocol::Random | spec::Protocol::Cmaes);
-    let remedy = "is for bodies that a gradient moves: candidates are compared by the same sensors";
-    require(!(again && search), "optimise.placement", "again", remedy)?;
-    Ok(again)
-}
-
 /// How the sensors are placed that are not given.
 fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Search>, Invalid> {
     let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
-    let method = match search {
-        None | Some(spec::Search::Random) => {
-            let remedy = "is for sensors.search = \"greedy\", \"d_optimal\" or \"pivots\"";
-            let shown = from.map_or(String::new(), |from| format!("{from:?}").to_lowercase());
-            require(from.is_none(), "sensors.from", shown, remedy)?;
-            require(spacing.is_none(), "sensors.spacing", spacing.unwrap_or_default(), remedy)?;
-            return Ok(None);
-        }
-        Some(spec::Search::Greedy) => place::Method::Greedy,
-        Some(spec::Search::DOptimal) => place::Method::DOptimal,
-        Some(spec::Search::Pivots) => place::Method::Pivots,
-    };
+    if matches!(search, None | Some(spec::Search::Random)) {
+        let remedy = "is for sensors.search = \"greedy\"";
+        let shown = from.map_or(String::new(), |from| format!("{from:?}").to_lowercase());
+        require(from.is_none(), "sensors.from", shown, remedy)?;
+        require(spacing.is_none(), "sensors.spacing", spacing.unwrap_or_default(), remedy)?;
+        return Ok(None);
+    }
     let spacing = spacing.unwrap_or(0.0);
     not_negative("sensors.spacing", spacing)?;
     let inside = from.unwrap_or(spec::SearchFrom::Interior) == spec::SearchFrom::Interior;
@@ -523,7 +509,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Search>, Invalid> {
     let remedy = format!("leaves room for {} sensors, where sweep.sensors asks for {sensors}", apart.len());
     require(sensors <= apart.len(), "sensors.spacing", spacing, &remedy)?;
     let given = !trial.sensor_units.is_empty();
-    Ok((!given).then_some(Search { method, candidates, sensors, turn: placement, spacing }))
+    Ok((!given).then_some(Search { candidates, sensors, turn: placement, spacing }))
 }
 
 /// Panels are struck along −y where planar, inward where circular: along the direction of the rule that gave them, or

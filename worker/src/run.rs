@@ -79,7 +79,7 @@ fn result(optimised: Optimised) -> TrialResult {
         signal_errors: optimised.signal_errors.map(convert::finite),
         placed: optimised.placed.map(convert::placed),
         nonlinear: optimised.nonlinear,
-        moves: optimised.moves.into_iter().map(|to| (to.step, to.units)).collect(),
+        moves: Vec::new(),
     }
 }
 

@@ -12,7 +12,7 @@ use crate::look::body::{Notes, Unit, body, frame, legend};
 use crate::look::{Table, file, level, row};
 use crate::plan::Trial;
 
-/// Searches for the units that carry a trial's sensors best: error by their number, beside other searches and random placements
+/// Searches for the units that carry a trial's sensors best: error by their number, beside random placements
 ///
 /// Errors are a linear brain's on training samples that it has not seen; test set and holdout are not looked at. As in a
 /// sweep with sensors.search, which needs no such call. Without --hash: of the first trial with the most sensors.
@@ -75,12 +75,11 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
 }
 
 fn table(found: &Looked) -> Table {
-    let columns = "sensors units error next_best d_optimal pivots random_best random_median random_worst";
+    let columns = "sensors units error next_best random_best random_median random_worst";
     let rows = found.placed.iter().enumerate().map(|(m, placed)| {
         let [best, median, worst] = found.random[m];
         let units = placed.units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
-        let [d_optimal, pivots] = [found.d_optimal[m], found.pivots[m]];
-        row![m + 1, units, placed.errors[m], placed.runner_up_error, d_optimal, pivots, best, median, worst]
+        row![m + 1, units, placed.errors[m], placed.runner_up_error, best, median, worst]
     });
     Table::new(columns, rows)
 }

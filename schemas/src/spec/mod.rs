@@ -4,6 +4,7 @@
 
 mod body;
 mod feasible;
+mod gone;
 mod measured;
 mod optimise;
 mod sensors;
@@ -14,10 +15,11 @@ mod until;
 
 pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
+pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
 pub use optimise::{
-    Auto, Brain, BrainKind, Curvature, Evaluation, GradientTerms, Network, Optimise, Placement, Preset,
-    Protocol, Ridge, Schedule,
+    Auto, Brain, BrainKind, Curvature, Evaluation, GradientTerms, Network, Optimise, Preset, Protocol, Ridge,
+    Schedule,
 };
 pub use sensors::{Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};

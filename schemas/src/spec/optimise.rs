@@ -156,7 +156,8 @@ impl Default for Brain {
 pub enum Protocol {
     /// The paper's: each outer step trains a fresh network and takes the direct and implicit gradient of its test loss.
     Paper,
-    /// The network goes on from body to body, by as many iterations as its loss needs; direct gradient of the test loss.
+    /// Gone: see [`super::gone`].
+    #[schemars(skip)]
     Warm,
     /// One network is trained on from body to body; the gradient is that of the training loss on a random batch.
     Envelope,
@@ -166,16 +167,6 @@ pub enum Protocol {
     Random,
     /// Search without gradient: each step reads a candidate of the evolution strategy CMA-ES.
     Cmaes,
-}
-
-/// Whether sensors move with the body.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Placement {
-    /// They stay.
-    Fixed,
-    /// Three times on the way they are placed again, by exchange, where that lowers a linear brain's error by a tenth.
-    Again,
 }
 
 /// Which terms of the gradient of the test loss are taken.
@@ -209,9 +200,10 @@ pub struct Optimise {
     pub brain: Option<BrainKind>,
     /// How body and brain are trained together; details in MODEL.md.
     pub protocol: Protocol,
-    /// Whether sensors that `sensors.search` has placed are placed again on later bodies. Default: `"fixed"`.
+    /// Gone: see [`super::gone`].
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub placement: Option<Placement>,
+    #[schemars(skip)]
+    pub placement: Option<String>,
     /// Outer steps; of a search its candidates. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100; searches
     /// 80, with a linear brain 30, which take as long as `"joint"`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -268,7 +260,6 @@ impl Optimise {
             Protocol::Joint if self.linear() => (100, 0.3),
             Protocol::Joint => (350, 0.2),
         };
-        self.placement = self.placement.filter(|placement| *placement != Placement::Fixed);
         self.iterations.get_or_insert(iterations);
         self.learning_rate.get_or_insert(learning_rate);
         if self.protocol == Protocol::Paper {

@@ -30,12 +30,14 @@ pub enum Disturbance {
 pub enum Search {
     /// At random, by seed.
     Random,
-    /// What a linear brain reads the initial body's training samples from best: greedily, then by exchange.
+    /// The units from which a linear brain reads the initial body's training samples best: greedily, then by exchange.
     Greedy,
-    /// The same by what signals say of forces, were both Gaussian (Bayesian D-optimality).
+    /// Gone: see [`super::gone`].
     #[serde(rename = "d_optimal")]
+    #[schemars(skip)]
     DOptimal,
-    /// Pivots of the signals' covariance (PySensors' SSPOR), forces unseen.
+    /// Likewise.
+    #[schemars(skip)]
     Pivots,
 }
 

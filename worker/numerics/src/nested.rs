@@ -35,12 +35,11 @@ pub use placing::{Candidates, placed};
 pub use problem::{Evaluation, Going, Kind, Optimise, Problem, Protocol, Schedule, Stimuli, Terms, Training};
 pub use replay::{LinearReplay, Motion, Replay, motion, replay};
 pub use report::{Control, Counters, Failure, Implicit, Observe, Report, Seconds, Trouble};
-pub use state::{Best, Move, State, Waypoint};
+pub use state::{Best, State, Waypoint};
 pub use unseen::{Records, Unseen, folds, sense};
 
 use evaluation::evaluate;
 use linearity::nonlinear;
-use placing::moves;
 use protocol::Session;
 use report::Log;
 use search::Search;
@@ -60,8 +59,6 @@ pub struct Optimised {
     pub best_step: u32,
     /// Where a search put the sensors, where there was one.
     pub placed: Option<Placed>,
-    /// Where the sensors went from there; the best body has the last.
-    pub moves: Vec<Move>,
     /// The part of both bodies' signals that their linearisation at rest does not give.
     pub nonlinear: [Option<Nonlinear>; 2],
     /// What the solvers came to, and why.
@@ -85,36 +82,29 @@ pub fn optimise(
     pool: &rayon::ThreadPool,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
-    let again = problem.search.as_ref().filter(|_| problem.optimise.again);
     let tuning = Tuning::new(problem, pool)?;
     let Tuning { asked, problem, placed, reason: solver, error, counters: pilot } = &tuning;
-    let first = Setting::new(problem, pool)?;
+    let setting = Setting::new(problem, pool)?;
     let (mut castable, freedom) = (problem.castable(), problem.freedom());
-    let mut state = resume.unwrap_or_else(|| State::new(problem, &first.shape));
-    let mut search = Search::new(problem, &state.found);
+    let mut state = resume.unwrap_or_else(|| State::new(problem, &setting.shape));
+    let (mut search, mut session) = (Search::new(problem, &state.found), Session::new(&setting));
 
     while state.step < problem.optimise.iterations {
-        let (later, mut moved) = (tuning.moved(&state.moves, pool)?, false);
-        let other = later.as_ref().map(|later| Setting::new(&later.problem, pool)).transpose()?;
-        let mut session = Session::new(other.as_ref().unwrap_or(&first));
-        while !moved && state.step < problem.optimise.iterations {
-            let mut log = Log::new(state.step, observer);
-            let before = state.clone();
-            match (session.sense(&mut state, &mut log), &mut search) {
-                (sensed, Some(search)) => search.step(sensed, &mut state, &mut castable, &mut log)?,
-                (Ok(sensed), None) => {
-                    state.remember(&sensed);
-                    state.move_body(problem, &freedom, &sensed.gradient, &mut castable, &mut log);
-                }
-                (Err(trouble), None) => state = before.taken_back(trouble, &mut log)?,
+        let mut log = Log::new(state.step, observer);
+        let before = state.clone();
+        match (session.sense(&mut state, &mut log), &mut search) {
+            (sensed, Some(search)) => search.step(sensed, &mut state, &mut castable, &mut log)?,
+            (Ok(sensed), None) => {
+                state.remember(&sensed);
+                state.move_body(problem, &freedom, &sensed.gradient, &mut castable, &mut log);
             }
-            state.step += 1;
-            moved = again.is_some_and(|search| moves(search, &mut state, asked, &mut log, pool));
-            let report = log.report;
-            observer.progress(problem.progress(state.step));
-            if observer.step(&report, &state) == Control::Stop {
-                return Ok(None);
-            }
+            (Err(trouble), None) => state = before.taken_back(trouble, &mut log)?,
+        }
+        state.step += 1;
+        let report = log.report;
+        observer.progress(problem.progress(state.step));
+        if observer.step(&report, &state) == Control::Stop {
+            return Ok(None);
         }
     }
 
@@ -122,23 +112,17 @@ pub fn optimise(
         Some(best) => (best.design.clone(), best.step),
         None => (problem.initial.clone(), 0),
     };
-    let later = tuning.moved(&state.moves, pool)?;
-    let other = later.as_ref().map(|later| Setting::new(&later.problem, pool)).transpose()?;
-    let asked = later.as_ref().map_or(asked, |later| &later.asked);
     let mut log = Log::new(state.step, observer);
     (log.report.counters, log.report.seconds) = (state.comparison.counters, state.comparison.seconds);
     let tuned = log.timed(|s| &mut s.simulate, |_| Tuning::of_body(asked, &design, pool));
-    let bodies = [
-        (&first, &problem.initial, &problem.solver),
-        (other.as_ref().unwrap_or(&first), &design, &tuned.solver),
-    ];
-    for (turn, &(setting, design, solver)) in bodies.iter().enumerate() {
-        if evaluate(setting, design, solver, turn, &mut state, &mut log).is_none() {
+    let bodies = [(&problem.initial, &problem.solver), (&design, &tuned.solver)];
+    for (turn, (design, solver)) in bodies.into_iter().enumerate() {
+        if evaluate(&setting, design, solver, turn, &mut state, &mut log).is_none() {
             return Ok(None);
         }
     }
-    let nonlinear = bodies.map(|(setting, design, solver)| {
-        log.timed(|s| &mut s.simulate, |report| nonlinear(setting, design, solver, report))
+    let nonlinear = bodies.map(|(design, solver)| {
+        log.timed(|s| &mut s.simulate, |report| nonlinear(&setting, design, solver, report))
     });
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += *pilot;
@@ -151,7 +135,6 @@ pub fn optimise(
         optimised,
         best_step,
         placed,
-        moves: state.moves,
         nonlinear,
         solver,
         signal_errors,

@@ -32,12 +32,12 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         unread(
             "optimise.brain_iterations",
             brain_iterations.map(|n| n.to_string()),
-            "warm, envelope, joint, random and cmaes",
+            "envelope, joint, random and cmaes",
         )?;
         unread(
             "optimise.brain_learning_rate",
             brain_learning_rate.map(|r| r.to_string()),
-            "warm, envelope, joint, random and cmaes",
+            "envelope, joint, random and cmaes",
         )?;
     } else {
         let name =
@@ -69,8 +69,7 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
             None | Some(spec::GradientTerms::Implicit) => Terms::Implicit(policy(curvature, damping)?),
             Some(spec::GradientTerms::Direct) => Terms::Direct,
         }),
-        spec::Protocol::Warm => Protocol::Warm(going),
-        spec::Protocol::Envelope => Protocol::Envelope(going),
+        spec::Protocol::Warm | spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),
         spec::Protocol::Random => Protocol::Random(going),
         spec::Protocol::Cmaes => Protocol::Cmaes(going),

@@ -162,17 +162,32 @@ fn the_curvature_policy_is_as_the_spec_says() {
 fn each_protocol_refuses_the_keys_of_the_others() {
     for (protocol, key, value) in [
         ("joint", "optimise.gradient", json!("direct")),
-        ("warm", "optimise.gradient", json!("implicit")),
+        ("envelope", "optimise.gradient", json!("implicit")),
         ("joint", "optimise.curvature", json!("damped")),
-        ("warm", "optimise.damping", json!(0.1)),
-        ("warm", "optimise.batch", json!(8)),
+        ("random", "optimise.damping", json!(0.1)),
+        ("cmaes", "optimise.batch", json!(8)),
         ("paper", "optimise.brain_learning_rate", json!(1e-3)),
     ] {
         let invalid = problem(&trial(&[("optimise.protocol", json!(protocol)), (key, value)])).unwrap_err();
         assert_eq!(invalid.key, key, "{protocol}");
     }
-    for protocol in ["paper", "warm", "envelope", "joint"] {
+    for protocol in ["paper", "envelope", "joint", "random", "cmaes"] {
         problem(&trial(&[("optimise.protocol", json!(protocol))])).unwrap();
+    }
+}
+
+/// What has not paid is gone: such a trial is refused, with what to write instead.
+#[test]
+fn what_is_gone_is_refused_with_what_to_write_instead() {
+    for (key, value, instead) in [
+        ("optimise.placement", "again", "leave it out"),
+        ("optimise.protocol", "warm", "envelope"),
+        ("sensors.search", "d_optimal", "greedy"),
+        ("sensors.search", "pivots", "greedy"),
+    ] {
+        let invalid = problem(&trial(&[(key, json!(value))])).unwrap_err();
+        assert_eq!((invalid.key.as_str(), invalid.value.as_str()), (key, value));
+        assert!(invalid.remedy.contains(instead), "{invalid}");
     }
 }
 

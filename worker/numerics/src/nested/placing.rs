@@ -4,9 +4,8 @@
 
 use super::linear::Plain;
 use super::problem::Problem;
-use super::report::{Failure, Log, Report, Trouble};
+use super::report::{Failure, Report, Trouble};
 use super::setting::Setting;
-use super::state::State;
 use super::tuning::Tuning;
 use super::unseen::folds;
 use crate::brain::linear::Sizes;
@@ -70,17 +69,15 @@ impl Candidates {
         Ok(Self { energies, ..plain })
     }
 
-    /// As many as can be searched: where there are more, those that are to stay and the best alone.
+    /// As many as can be searched: where there are more, those that are best alone.
     #[must_use]
-    pub fn thinned(self, staying: &[usize], problem: &Problem, pool: &rayon::ThreadPool) -> Self {
+    pub fn thinned(self, problem: &Problem, pool: &rayon::ThreadPool) -> Self {
         if self.units.len() <= CANDIDATES {
             return self;
         }
         let alone = self.worth(&[], FIRST_RIDGE, problem, pool);
         let mut best: Vec<usize> = alone[..CANDIDATES].iter().map(|(unit, _)| *unit).collect();
-        best.extend(staying);
         best.sort_unstable();
-        best.dedup();
         self.of(&best)
     }
 
@@ -138,7 +135,7 @@ impl Candidates {
 /// If the initial body cannot be simulated, or there is no such placement.
 pub fn placed(problem: &Problem, pool: &rayon::ThreadPool) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
-    let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(&[], problem, pool);
+    let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);
     let search = Search { candidates: candidates.units.clone(), ..search.clone() };
     let found = candidates.scores(problem, pool).search(&search);
     let found = found.map_err(|Nowhere| Failure::Initial(Trouble::Nowhere))?;
@@ -146,30 +143,4 @@ pub fn placed(problem: &Problem, pool: &rayon::ThreadPool) -> Result<(Problem, O
     problem.scene.sensors = found.units.clone();
     problem.search = None;
     Ok((problem, Some(found)))
-}
-
-/// Whether it is time to place the sensors again, on a body that training has changed, and the state's move.
-pub(super) fn moves(
-    search: &Search,
-    state: &mut State,
-    asked: &Problem,
-    log: &mut Log,
-    pool: &rayon::ThreadPool,
-) -> bool {
-    if !asked.optimise.places_again(state.step) {
-        return false;
-    }
-    let present = state.moves.last().map_or(&asked.scene.sensors, |last| &last.units).clone();
-    let candidates = log.timed(|s| &mut s.simulate, |_| Candidates::new(asked, search, &state.design, pool));
-    // a body that cannot be simulated is the next step's trouble
-    let Ok(candidates) = candidates else { return false };
-    let better = log.timed(
-        |s| &mut s.train,
-        |_| {
-            let some = candidates.thinned(&present, asked, pool);
-            let search = Search { candidates: some.units.clone(), ..search.clone() };
-            some.scores(asked, pool).better(&present, &search)
-        },
-    );
-    better.map(|units| state.listen(units)).is_some()
 }

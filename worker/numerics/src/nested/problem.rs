@@ -95,8 +95,6 @@ pub struct Optimise {
     pub iterations: u32,
     /// Adam's rate on α (mm); of a search the standard deviation of its first candidates.
     pub rate: f64,
-    /// Whether sensors that a search placed are placed again on later bodies.
-    pub again: bool,
     /// A cheaper integrator for the steps that move the body far; the accurate one finishes. `joint` and `envelope`.
     pub coarse: Option<Solver>,
 }
@@ -106,8 +104,6 @@ pub struct Optimise {
 pub enum Protocol {
     /// A fresh network each outer step, trained `Training::iterations`; the test loss moves the body.
     Paper(Terms),
-    /// The network goes on, by as many iterations as its loss needs; the test loss moves the body, directly.
-    Warm(Going),
     /// The network goes on; the training loss moves the body, from a subset of samples.
     Envelope(Going),
     /// The network goes on; the loss on samples drawn for the step alone moves the body.
@@ -172,9 +168,6 @@ impl Schedule {
 const LOOKS: u32 = 20;
 const APART: u32 = 10;
 
-/// Sensors are placed again after every fifth part of the outer steps, the last two left to the body.
-const PARTS: u32 = 5;
-
 /// The part of the outer steps for which a coarse integrator serves.
 const COARSE: f64 = 0.9;
 
@@ -209,12 +202,6 @@ impl Optimise {
     pub(super) fn solver_of(&self, step: u32, accurate: Solver) -> Solver {
         let far = f64::from(step) < COARSE * f64::from(self.iterations);
         self.coarse.filter(|_| far).unwrap_or(accurate)
-    }
-
-    /// Whether sensors are placed again before this step.
-    pub(super) fn places_again(&self, step: u32) -> bool {
-        let part = self.iterations.div_ceil(PARTS);
-        self.again && step > 0 && step.is_multiple_of(part) && step <= 3 * part
     }
 
     /// Whether a step looks at the test set: some do, and the last.
@@ -331,7 +318,7 @@ impl Problem {
     fn step_share(&self) -> f64 {
         match self.optimise.protocol {
             Protocol::Paper(_) => 1.0,
-            Protocol::Warm(_) | Protocol::Envelope(_) | Protocol::Random(_) | Protocol::Cmaes(_) => 0.1,
+            Protocol::Envelope(_) | Protocol::Random(_) | Protocol::Cmaes(_) => 0.1,
             Protocol::Joint(_) => 0.05,
         }
     }

@@ -1,13 +1,13 @@
 //! How far the brain is trained on a body, and which loss moves that body: one file a protocol.
 
+mod envelope;
 mod joint;
 mod linear;
 mod paper;
 mod search;
-mod warm;
 
 use super::evaluation::fresh_weights;
-use super::problem::{Going, Kind, Protocol, Terms};
+use super::problem::{Going, Kind, Protocol};
 use super::report::{Log, Trouble};
 use super::setting::Setting;
 use super::state::State;
@@ -58,7 +58,6 @@ impl<'a> Session<'a> {
         if optimise.brain == Kind::Linear {
             return match optimise.protocol {
                 Protocol::Paper(terms) => self.linear_paper(state, terms, log),
-                Protocol::Warm(_) => self.linear_paper(state, Terms::Direct, log),
                 Protocol::Envelope(going) => self.linear_envelope(state, going, log),
                 Protocol::Joint(going) => self.linear_joint(state, going, log),
                 Protocol::Random(_) | Protocol::Cmaes(_) => unreachable!("read above"),
@@ -66,7 +65,6 @@ impl<'a> Session<'a> {
         }
         match optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
-            Protocol::Warm(going) => self.warm(state, going, log),
             Protocol::Envelope(going) => self.envelope(state, going, log),
             Protocol::Joint(going) => self.joint(state, going, log),
             Protocol::Random(_) | Protocol::Cmaes(_) => unreachable!("read above"),

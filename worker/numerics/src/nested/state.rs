@@ -31,8 +31,6 @@ pub struct State {
     pub trend: Option<f64>,
     /// λ of the linear brain, where the body is trained with one and a step has found it.
     pub ridge: Option<f64>,
-    /// Where the sensors have moved since the beginning.
-    pub moves: Vec<Move>,
     /// The last designs before this one, newest last.
     pub trail: Vec<Waypoint>,
     /// What the comparison at the end has come to.
@@ -50,16 +48,7 @@ pub struct Waypoint {
     pub design: Vec<f64>,
 }
 
-/// Sensors placed again.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Move {
-    /// The first outer step with them there.
-    pub step: u32,
-    /// Their units.
-    pub units: Vec<usize>,
-}
-
-/// The best design so far, of those with the sensors where they are.
+/// The best design so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Best {
     /// α (mm).
@@ -89,7 +78,6 @@ impl State {
             setbacks: 0,
             trend: None,
             ridge: None,
-            moves: Vec::new(),
             trail: Vec::new(),
             comparison: Comparison::default(),
             found: Vec::new(),
@@ -173,13 +161,6 @@ impl State {
         self.weights.clear();
         self.weight_adam = Adam::new(self.weight_adam.m.len());
         self.trend = None;
-    }
-
-    /// The sensors move: what was learnt and judged by other signals goes.
-    pub(super) fn listen(&mut self, units: Vec<usize>) {
-        self.moves.push(Move { step: self.step, units });
-        self.best = None;
-        self.forget_network();
     }
 }
 

@@ -8,7 +8,6 @@ use crate::feasible::{Feasible, Limits};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 
-mod again;
 mod known;
 mod linear;
 
@@ -60,7 +59,6 @@ fn small(protocol: Protocol) -> Problem {
             protocol,
             iterations: 4,
             rate: 0.1,
-            again: false,
             coarse: Some(Solver { method: Method::Auto, tolerance: 1e-3 }),
         },
         evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None },
@@ -69,9 +67,8 @@ fn small(protocol: Protocol) -> Problem {
 }
 
 const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
-const PROTOCOLS: [Protocol; 6] = [
+const PROTOCOLS: [Protocol; 5] = [
     Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)),
-    Protocol::Warm(GOING),
     Protocol::Envelope(GOING),
     Protocol::Joint(GOING),
     Protocol::Random(GOING),
@@ -517,10 +514,10 @@ fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
     }
 }
 
-/// `warm` trains on while its loss is above the trend, to a limit, and ends after a round where it is not.
+/// A search's network trains on while its loss is above the trend, to a limit, and ends after a round where it is not.
 #[test]
-fn a_warm_network_trains_by_need() {
-    let problem = small(Protocol::Warm(GOING));
+fn a_search_s_network_trains_by_need() {
+    let problem = small(Protocol::Random(GOING));
     let mut keeper = Keeper { stop_after: Some(1), ..Keeper::default() };
     optimise(&problem, None, &pool(1), &mut keeper).unwrap();
     let mut iterations = Vec::new();

@@ -3,8 +3,7 @@
 use super::placing::placed;
 use super::problem::Problem;
 use super::report::Failure;
-use super::state::Move;
-use crate::dynamics::{Counters, Scene, Tuned, tune};
+use crate::dynamics::{Counters, Tuned, tune};
 use crate::place::Placed;
 use crate::random::Purpose;
 
@@ -47,16 +46,6 @@ impl Tuning {
             problem.optimise.coarse = Some(coarse.solver);
         }
         Ok(Self { asked, problem, placed, reason, error, counters })
-    }
-
-    /// The same with the sensors where they have moved to; none where they have not.
-    ///
-    /// # Errors
-    /// None that [`Tuning::new`] would not have had.
-    pub(super) fn moved(&self, moves: &[Move], pool: &rayon::ThreadPool) -> Result<Option<Self>, Failure> {
-        let there = |to: &Move| Scene { sensors: to.units.clone(), ..self.asked.scene.clone() };
-        let problem = |to| Problem { scene: there(to), ..self.asked.clone() };
-        moves.last().map(|to| Self::new(&problem(to), pool)).transpose()
     }
 
     /// What the accurate solver of the spec comes to on another body, by a pilot of its own.

@@ -1,9 +1,7 @@
 //! Which units carry the sensors: those whose signals a linear brain reads the forces from best.
 //!
-//! An error is that of folds of the training samples (`spectra`). Greedy: the unit that lowers it most joins the chosen
-//! ones, then each gives way to another as long as that lowers it; up to two sensors all sets are tried. D-optimal: the
-//! same by what the signals say of the forces, were all Gaussian. Pivots: the unit whose signals those of the chosen ones
-//! explain least (Manohar et al., IEEE Control Systems 38, 63, 2018), forces unseen.
+//! An error is that of folds of the training samples (`spectra`). The unit that lowers it most joins the chosen ones, then
+//! each gives way to another as long as that lowers it; up to two sensors all sets are tried.
 
 mod spectra;
 
@@ -13,23 +11,9 @@ use rayon::prelude::*;
 use spectra::Spectra;
 use std::ops::{Range, RangeInclusive};
 
-/// How units are chosen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Method {
-    /// By what a linear brain makes of them.
-    Greedy,
-    /// By the mutual information of signals and forces as Gaussian ones: Bayesian D-optimality (Chaloner and Verdinelli,
-    /// Statistical Science 10, 273, 1995).
-    DOptimal,
-    /// By the pivots of the signals' covariance.
-    Pivots,
-}
-
 /// A search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Search {
-    /// How units are chosen.
-    pub method: Method,
     /// Units that may carry a sensor.
     pub candidates: Vec<usize>,
     /// M.
@@ -64,8 +48,6 @@ pub struct Nowhere;
 
 /// More candidates are thinned out to those that are best alone: what the exchange goes through grows with their square.
 pub const CANDIDATES: usize = 64;
-/// Sensors that are placed move when that leaves so much of their error.
-const WORTH_IT: f64 = 0.9;
 /// Where the search for λ begins, and how far it goes.
 pub const FIRST_RIDGE: f64 = 1e-4;
 const RIDGES: RangeInclusive<f64> = 1e-10..=1e2;
@@ -132,22 +114,11 @@ impl<'a> Scores<'a> {
         at..at + width
     }
 
-    /// What a method wants least of.
-    fn cost(&self, method: Method, units: &[usize], ridge: f64) -> f64 {
-        match method {
-            Method::DOptimal => {
-                let said = self.spectra.information(&self.channels_of(units), ridge);
-                said.map_or(f64::INFINITY, |nats| -nats)
-            }
-            Method::Greedy | Method::Pivots => self.error(units, ridge),
-        }
-    }
-
-    /// Sets and what they cost by a method, best first; equal ones as they came.
-    fn rated(&self, method: Method, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<Rated> {
+    /// Sets and their errors (%), best first; equal ones as they came.
+    fn rated(&self, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<Rated> {
         let of = |set: Vec<usize>| {
-            let cost = self.cost(method, &set, ridge);
-            (set, cost)
+            let error = self.error(&set, ridge);
+            (set, error)
         };
         let mut rated: Vec<_> = self.pool.install(|| sets.into_par_iter().map(of).collect());
         rated.sort_by(|a: &(_, f64), b| a.1.total_cmp(&b.1));
@@ -178,21 +149,9 @@ impl<'a> Scores<'a> {
         spacing: f64,
         ridge: f64,
     ) -> Vec<(usize, f64)> {
-        self.next(Method::Greedy, chosen, candidates, spacing, ridge)
-    }
-
-    /// The same by what a method wants.
-    fn next(
-        &self,
-        method: Method,
-        chosen: &[usize],
-        candidates: &[usize],
-        spacing: f64,
-        ridge: f64,
-    ) -> Vec<(usize, f64)> {
         let sets = self.beside(candidates, chosen, spacing).into_iter().map(|unit| with(chosen, unit));
-        let rated = self.rated(method, sets.collect(), ridge);
-        rated.into_iter().map(|(set, cost)| (set[chosen.len()], cost)).collect()
+        let rated = self.rated(sets.collect(), ridge);
+        rated.into_iter().map(|(set, error)| (set[chosen.len()], error)).collect()
     }
 
     /// Searches.
@@ -200,19 +159,14 @@ impl<'a> Scores<'a> {
     /// # Errors
     /// If there is no such placement.
     pub fn search(&self, search: &Search) -> Result<Placed, Nowhere> {
-        let &Search { method, ref candidates, turn, .. } = search;
-        let alone = self.next(method, &[], candidates, search.spacing, FIRST_RIDGE);
+        let &Search { ref candidates, turn, .. } = search;
+        let alone = self.worth(&[], candidates, search.spacing, FIRST_RIDGE);
         let first = alone.get(turn).ok_or(Nowhere)?.0;
         let ridge = self.ridge(&[first], FIRST_RIDGE);
         // the unit of a later turn stays; of the first one all may give way
         let kept = usize::from(turn > 0);
-        let (chosen, runner_up, ridge) = match method {
-            Method::Pivots => (self.pivots(search)?, None, ridge),
-            Method::Greedy | Method::DOptimal => {
-                let (chosen, ridge) = self.grown(first, ridge, search)?;
-                self.exchanged(chosen, kept, ridge, search)
-            }
-        };
+        let (chosen, ridge) = self.grown(first, ridge, search)?;
+        let (chosen, runner_up, ridge) = self.exchanged(chosen, kept, ridge, search);
         let units = self.by_worth(chosen, kept, ridge);
         let errors: Vec<f64> = (1..=units.len()).map(|m| self.error(&units[..m], ridge)).collect();
         match errors.last() {
@@ -223,20 +177,11 @@ impl<'a> Scores<'a> {
         }
     }
 
-    /// The units to which sensors that are placed should move, by exchange; none where that is not worth it.
-    pub fn better(&self, present: &[usize], search: &Search) -> Option<Vec<usize>> {
-        let kept = usize::from(search.turn > 0);
-        let ridge = self.ridge(present, FIRST_RIDGE);
-        let (chosen, _, after) = self.exchanged(present.to_vec(), kept, ridge, search);
-        let gains = self.error(&chosen, after) < WORTH_IT * self.error(present, ridge);
-        gains.then(|| self.by_worth(chosen, kept, after))
-    }
-
-    /// From the first unit on, each time the one that the method wants most, and λ after it.
+    /// From the first unit on, each time the one that lowers the error most, and λ after it.
     fn grown(&self, first: usize, mut ridge: f64, search: &Search) -> Result<(Vec<usize>, f64), Nowhere> {
         let mut chosen = vec![first];
         while chosen.len() < search.sensors {
-            let next = self.next(search.method, &chosen, &search.candidates, search.spacing, ridge);
+            let next = self.worth(&chosen, &search.candidates, search.spacing, ridge);
             chosen.push(next.first().ok_or(Nowhere)?.0);
             ridge = self.ridge(&chosen, ridge);
         }
@@ -253,20 +198,12 @@ impl<'a> Scores<'a> {
     ) -> (Vec<usize>, Option<Rated>, f64) {
         loop {
             let neighbours = self.neighbours(&chosen, kept, search);
-            let best = self.rated(search.method, neighbours, ridge).into_iter().next();
-            let own = self.cost(search.method, &chosen, ridge);
-            match best {
-                Some((set, cost)) if cost < own => {
+            match self.rated(neighbours, ridge).into_iter().next() {
+                Some((set, error)) if error < self.error(&chosen, ridge) => {
                     ridge = self.ridge(&set, ridge);
                     chosen = set;
                 }
-                other => {
-                    let read = |(set, _): Rated| {
-                        let error = self.error(&set, ridge);
-                        (set, error)
-                    };
-                    return (chosen, other.map(read), ridge);
-                }
+                other => return (chosen, other, ridge),
             }
         }
     }
@@ -299,31 +236,6 @@ impl<'a> Scores<'a> {
             ordered.push(self.worth(&ordered, &rest, 0.0, ridge)[0].0);
         }
         ordered
-    }
-
-    /// Pivots of the covariance by units: again and again the one whose channels have most left.
-    fn pivots(&self, search: &Search) -> Result<Vec<usize>, Nowhere> {
-        let n = self.channels_of(&self.units).len();
-        let mut left = self.spectra.covariance();
-        let mut chosen = Vec::new();
-        for turn in 0..search.sensors {
-            let most = |unit: usize| -> f64 { self.channels(unit).map(|c| left[c * n + c]).sum() };
-            let mut open = self.beside(&search.candidates, &chosen, search.spacing);
-            open.sort_by(|a, b| most(*b).total_cmp(&most(*a)));
-            let unit = *open.get(if turn == 0 { search.turn } else { 0 }).ok_or(Nowhere)?;
-            chosen.push(unit);
-            for c in self.channels(unit) {
-                let pivot = left[c * n + c];
-                if pivot > 0.0 {
-                    let column = left[c * n..(c + 1) * n].to_vec();
-                    for (j, to) in left.chunks_exact_mut(n).enumerate() {
-                        let factor = column[j] / pivot;
-                        to.iter_mut().zip(&column).for_each(|(to, x)| *to -= factor * x);
-                    }
-                }
-            }
-        }
-        Ok(chosen)
     }
 }
 

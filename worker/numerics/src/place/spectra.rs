@@ -127,47 +127,10 @@ impl Spectra {
         error.is_finite().then(|| 100.0 * error / self.power[self.folds])
     }
 
-    /// What these channels say of the forces, were both Gaussian and λ their noise (nats a sample): Σ_b ½ ln det of either
-    /// over that of both together; none where λ is too small for a factor.
-    pub(super) fn information(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
-        let scale = self.power[self.folds].recip();
-        let log_determinant = |gram: &Gram, channels: &[usize]| {
-            let n = 2 * channels.len();
-            let mut lower = vec![0.0; n * n];
-            gram.cut(channels, &mut lower);
-            lower.iter_mut().for_each(|x| *x *= scale);
-            lower.iter_mut().step_by(n + 1).for_each(|d| *d += ridge);
-            factor(&mut lower, n).ok()?;
-            Some(lower.iter().step_by(n + 1).map(|d| d.ln()).sum::<f64>())
-        };
-        let forces = self.forces();
-        let both = [chosen, &forces].concat();
-        let of = |(grams, share): (&[Gram], &f64)| {
-            let gram = &grams[self.folds];
-            let parts = log_determinant(gram, chosen)? + log_determinant(gram, &forces)?;
-            // det L is the root; [[A, S], [−S, A]] has that of A − iS squared; padded samples have every frequency twice
-            Some(0.5 * share * self.sizes.instants as f64 * (parts - log_determinant(gram, &both)?))
-        };
-        let sum: Option<f64> = self.grams.chunks_exact(self.folds + 1).zip(&self.shares).map(of).sum();
-        sum.filter(|sum| sum.is_finite())
-    }
-
     /// The forces' own channels, after the signals'.
     fn forces(&self) -> Vec<usize> {
         let Sizes { channels, outputs, .. } = self.sizes;
         (channels..channels + outputs).collect()
-    }
-
-    /// Σ_t x xᵀ (C, C), column-major: what pivots by signals alone look at.
-    pub(super) fn covariance(&self) -> Vec<f64> {
-        let Sizes { channels, outputs, .. } = self.sizes;
-        let mut sum = vec![0.0; channels * channels];
-        for (grams, share) in self.grams.chunks_exact(self.folds + 1).zip(&self.shares) {
-            let columns = grams[self.folds].a.chunks_exact(channels + outputs);
-            let a = columns.take(channels).flat_map(|column| &column[..channels]);
-            sum.iter_mut().zip(a).for_each(|(sum, a)| *sum += share * a);
-        }
-        sum
     }
 }
 

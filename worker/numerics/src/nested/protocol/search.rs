@@ -5,7 +5,12 @@ use super::super::report::{Log, Trouble};
 use super::super::state::State;
 use super::linear::part;
 use super::{Sensed, Session};
-use crate::brain::TrainOutcome;
+use crate::brain::{Batch, TrainOutcome};
+
+/// The network trains until its loss is within this factor of its trend …
+const NEED: f64 = 1.05;
+/// … but at most so many times `brain_iterations`.
+const ROUNDS_MAX: usize = 8;
 
 impl Session<'_> {
     /// A linear brain is solved for; the network goes on from candidate to candidate, by as many iterations as its loss
@@ -35,5 +40,23 @@ impl Session<'_> {
             true => Ok(Sensed { gradient: Vec::new(), loss_train, error_test }),
             false => Err(Trouble::Training(TrainOutcome::NonFinite)),
         }
+    }
+
+    /// Rounds of iterations until the loss is in line with its trend; the loss after them.
+    fn go_on_by_need(
+        &mut self,
+        state: &mut State,
+        batch: Batch<f32>,
+        going: Going,
+        log: &mut Log,
+    ) -> Result<f64, Trouble> {
+        let mut loss = f64::INFINITY;
+        for _ in 0..ROUNDS_MAX {
+            loss = self.go_on(state, batch, going, log)?;
+            if state.trend.is_none_or(|trend| loss < NEED * trend) {
+                break;
+            }
+        }
+        Ok(loss)
     }
 }

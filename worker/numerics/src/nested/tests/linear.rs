@@ -60,7 +60,7 @@ fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
 /// A search puts the sensor where it reads best; the trial goes on to the bits of one that is told so. Nowhere is named.
 #[test]
 fn a_searched_placement_is_a_given_one() {
-    use crate::place::{Method, Search};
+    use crate::place::Search;
     let mut problem = linear(LINEAR[3]);
     let candidates = vec![4, 5, 6, 7];
     let alone = |unit: usize| {
@@ -70,8 +70,7 @@ fn a_searched_placement_is_a_given_one() {
         (errors(&found.initial), found)
     };
     let each: Vec<_> = candidates.iter().map(|&unit| alone(unit)).collect();
-    let search =
-        Search { method: Method::Greedy, candidates: candidates.clone(), sensors: 1, turn: 0, spacing: 0.0 };
+    let search = Search { candidates: candidates.clone(), sensors: 1, turn: 0, spacing: 0.0 };
     problem.scene.sensors.clear();
     problem.search = Some(search.clone());
     let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
