@@ -56,7 +56,8 @@ impl Drop for Run {
 fn number(bench: &Bench, db: &str, sql: &str) -> u64 {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     let found = runtime.block_on(async {
-        let table = Reader::open(&bench.path(db)).await.ok()?.query(sql).await.ok()?;
+        let table =
+            Reader::open(&bench.path(db)).await.ok()?.query::<metasense::look::Table>(sql).await.ok()?;
         table.rows.first()?.first()?.as_u64()
     });
     found.unwrap_or(0)

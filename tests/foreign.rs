@@ -79,7 +79,7 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
     let _ = merge::merge(&[file.to_owned()], &folder.join("merged.sqlite")).await;
     if let Ok(mut reader) = Reader::open(file).await {
         for (view, _) in VIEWS {
-            let _ = reader.query(&format!("SELECT * FROM {view}")).await;
+            let _ = reader.query::<metasense::look::Table>(&format!("SELECT * FROM {view}")).await;
         }
         if let Ok(trials) = load::finished_trials(&mut reader).await {
             for question in Question::ALL {
@@ -94,7 +94,7 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
     }
     if let Ok(mut store) = Store::open(file).await {
         let _ = store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await;
-        let _ = store.priors().await;
+        let _ = store.attempted().await;
         let _ = store.reached(0.5).await;
         for trial in &plan.trials {
             let _ = store.checkpoint(&trial.hash).await;

@@ -152,7 +152,8 @@ fn ask(db: &Path, sql: &str) -> Vec<String> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let mut reader = Reader::open(db).await.unwrap();
-        let rows = reader.query(sql).await.unwrap_or_else(|e| panic!("{sql}: {e}")).rows;
+        let rows =
+            reader.query::<metasense::look::Table>(sql).await.unwrap_or_else(|e| panic!("{sql}: {e}")).rows;
         reader.close().await;
         rows.iter().map(|row| serde_json::to_string(row).unwrap()).collect()
     })
@@ -329,7 +330,10 @@ async fn a_live_database_can_be_read_but_not_written() {
     let refused = merge(std::slice::from_ref(&out), &db).await;
     assert!(matches!(refused, Err(MergeError::Store(StoreError::InUse { .. }))), "{refused:?}");
     let mut reader = Reader::open(&out).await.unwrap();
-    let states = reader.query("SELECT state, count(*) FROM v_trial GROUP BY 1").await.unwrap();
+    let states = reader
+        .query::<metasense::look::Table>("SELECT state, count(*) FROM v_trial GROUP BY 1")
+        .await
+        .unwrap();
     assert_eq!(serde_json::to_string(&states.rows).unwrap(), r#"[["done",1],["pending",5]]"#);
     // Goes on where the live one stood.
     let mut merged = Store::open(&out).await.unwrap();

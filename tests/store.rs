@@ -47,7 +47,7 @@ fn result() -> TrialResult {
 
 async fn value(db: &std::path::Path, sql: &str) -> serde_json::Value {
     let mut reader = Reader::open(db).await.unwrap();
-    reader.query(sql).await.unwrap().rows[0][0].clone()
+    reader.query::<metasense::look::Table>(sql).await.unwrap().rows[0][0].clone()
 }
 
 /// A trial's whole life, read back through the views and through a second opening.
@@ -241,7 +241,12 @@ async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
         let mut queries = 0;
         let mut reader = Reader::open(&path).await.unwrap();
         while stopped.try_recv().is_err() {
-            reader.query("SELECT count(*), sum(seconds), max(error_initial) FROM v_trial").await.unwrap();
+            reader
+                .query::<metasense::look::Table>(
+                    "SELECT count(*), sum(seconds), max(error_initial) FROM v_trial",
+                )
+                .await
+                .unwrap();
             queries += 1;
         }
         queries

@@ -81,7 +81,7 @@ async fn databases_of_all_versions_go_on() {
         store.close().await.unwrap();
         let mut reader = Reader::open(&db).await.unwrap();
         let sql = "SELECT group_concat(state), sum(error_optimised), sum(steps) FROM v_trial";
-        let rows = reader.query(sql).await.unwrap().rows;
+        let rows = reader.query::<metasense::look::Table>(sql).await.unwrap().rows;
         assert_eq!(rows, [[serde_json::json!("done,done"), 20.0.into(), 2.into()]], "version {version}");
     }
 }
@@ -96,7 +96,10 @@ async fn reading_an_old_database_upgrades_it() {
         for (view, _) in metasense_schemas::database::VIEWS {
             let sql = format!("SELECT count(*) FROM {view}");
             let mut reader = Reader::open(&db).await.unwrap();
-            let table = reader.query(&sql).await.unwrap_or_else(|e| panic!("version {version}: {view}: {e}"));
+            let table = reader
+                .query::<metasense::look::Table>(&sql)
+                .await
+                .unwrap_or_else(|e| panic!("version {version}: {view}: {e}"));
             assert!(table.rows[0][0].as_i64().is_some(), "version {version}: {view}");
             reader.close().await;
         }

@@ -24,37 +24,10 @@ use metasense_worker::problem::{self, Invalid};
 use metasense_worker::records;
 
 use axes::Combination;
-pub use until::Found;
+pub use metasense_schemas::record::Trial;
 
 /// More trials than this are taken for a mistake.
 const MOST_TRIALS: usize = 1_000_000;
-
-/// A trial to run.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Trial {
-    /// Names the trial for ever.
-    pub hash: String,
-    /// All that it is.
-    pub spec: TrialSpec,
-    /// Position in the order of running, from 0.
-    pub order: usize,
-    /// Units of its body.
-    pub units: usize,
-    /// Length of α.
-    pub design_parameters: usize,
-    /// Weights of its brain.
-    pub brain_parameters: usize,
-    /// Estimated seconds on one core.
-    pub cost: f64,
-}
-
-impl Trial {
-    /// What of `cost` is the comparison at the end.
-    #[must_use]
-    pub fn comparison_cost(&self) -> f64 {
-        cost::seconds(&self.spec, self.units).comparison
-    }
-}
 
 /// Why a hash names no trial.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -83,7 +83,7 @@ impl Looks {
     /// # Errors
     /// Where the database cannot be read.
     pub async fn look(&mut self, reader: &mut Reader) -> Result<Progress, StoreError> {
-        let (whole, running) = (reader.query(WHOLE).await?, reader.query(RUNNING).await?);
+        let (whole, running) = (reader.query::<Table>(WHOLE).await?, reader.query::<Table>(RUNNING).await?);
         let run = writer_of(reader.path());
         let workers = run.map(|run| look(run, &mut self.before)).unwrap_or_default();
         let number = |i: usize| whole.rows[0][i].as_f64();

@@ -3,40 +3,22 @@
 #[cfg(test)]
 mod source;
 
+use metasense_schemas::record::Provenance;
 use metasense_worker::simd;
 
-/// What an attempt records of its making.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Provenance {
-    /// Digest of the sources that compute.
-    pub code: &'static str,
-    /// Commit, with `-dirty` where the build had changes that it lacks; `None` of a build without git.
-    pub revision: Option<&'static str>,
-    /// The compiler.
-    pub rustc: &'static str,
-    /// Name of the machine.
-    pub host: String,
-    /// Model of its processor; `None` where the system does not say.
-    pub cpu: Option<String>,
-    /// Instruction set of the kernels.
-    pub simd: &'static str,
-    /// Threads of a worker.
-    pub threads: u32,
-}
+use crate::store::Made;
 
-impl Provenance {
-    /// Of this program on this machine, with so many threads.
-    #[must_use]
-    pub fn here(threads: u32) -> Self {
-        Self {
-            code: code(),
-            revision: revision(),
-            rustc: env!("METASENSE_RUSTC"),
-            host: host(),
-            cpu: cpu(),
-            simd: simd::name(),
-            threads,
-        }
+/// Of this program on this machine, with so many threads a worker.
+#[must_use]
+pub fn here(threads: u32) -> Provenance {
+    Provenance {
+        code: code().into(),
+        revision: revision().map(str::to_owned),
+        rustc: env!("METASENSE_RUSTC").into(),
+        host: host(),
+        cpu: cpu(),
+        simd: simd::name().into(),
+        threads,
     }
 }
 
@@ -63,17 +45,6 @@ fn cpu() -> Option<String> {
     let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
     let line = text.lines().find(|line| line.starts_with("model name"))?;
     Some(line.split_once(':')?.1.trim().to_owned())
-}
-
-/// Trials that one code has worked on, or several in turn.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Made {
-    /// Its digest, `unknown` of what versions before 6 made; of several in the order of their work, with blanks between.
-    pub code: String,
-    /// Commits whose builds were this code.
-    pub revisions: Vec<String>,
-    /// How many.
-    pub trials: usize,
 }
 
 /// What is to be said where different code has been at work; `None` where it was one.
@@ -147,7 +118,7 @@ mod tests {
 
     #[test]
     fn this_program_knows_what_it_is() {
-        let here = Provenance::here(3);
+        let here = super::here(3);
         assert_eq!(here.code, source::digest(&Path::new(env!("CARGO_MANIFEST_DIR")).join("..")).unwrap());
         assert!(here.rustc.starts_with("rustc 1.") && here.threads == 3 && !here.host.is_empty(), "{here:?}");
     }

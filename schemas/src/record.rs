@@ -4,6 +4,57 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::spec::TrialSpec;
+
+/// A trial as a plan has it, before it has run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trial {
+    /// Names the trial for ever.
+    pub hash: String,
+    /// All that it is.
+    pub spec: TrialSpec,
+    /// Position in the order of running, from 0.
+    pub order: usize,
+    /// Units of its body.
+    pub units: usize,
+    /// Length of α.
+    pub design_parameters: usize,
+    /// Weights of its brain.
+    pub brain_parameters: usize,
+    /// Estimated seconds on one core.
+    pub cost: f64,
+}
+
+/// The result of a settled trial, as far as the questions of `[until]` are about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Found {
+    /// Which.
+    pub hash: String,
+    /// Holdout errors (%) of the initial and the optimised body; none of a trial that has failed.
+    pub errors: [Option<f64>; 2],
+    /// CPU seconds.
+    pub seconds: f64,
+}
+
+/// By what code, and where, a trial is computed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Provenance {
+    /// Digest of the sources that compute.
+    pub code: String,
+    /// Commit, with `-dirty` where the build had changes that it lacks; `None` of a build without git.
+    pub revision: Option<String>,
+    /// The compiler.
+    pub rustc: String,
+    /// Name of the machine.
+    pub host: String,
+    /// Model of its processor; `None` where the system does not say.
+    pub cpu: Option<String>,
+    /// Instruction set of the kernels.
+    pub simd: String,
+    /// Threads of a worker.
+    pub threads: u32,
+}
+
 /// Exact counts of work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]

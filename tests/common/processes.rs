@@ -46,7 +46,7 @@ pub fn rows(db: &Path, sql: &str) -> Vec<String> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let mut reader = Reader::open(db).await.unwrap();
-        let table = reader.query(sql).await.unwrap();
+        let table = reader.query::<metasense::look::Table>(sql).await.unwrap();
         table.rows.iter().map(|row| serde_json::to_string(row).unwrap()).collect()
     })
 }

@@ -107,7 +107,7 @@ pub fn views() -> String {
         let mut rows = Vec::new();
         for (view, means) in VIEWS {
             let sql = format!("SELECT name FROM pragma_table_info('{view}')");
-            let columns = reader.query(&sql).await.unwrap();
+            let columns = reader.query::<metasense::look::Table>(&sql).await.unwrap();
             let columns: Vec<String> =
                 columns.rows.iter().map(|row| format!("`{}`", row[0].as_str().unwrap())).collect();
             rows.push(vec![format!("`{view}`"), (*means).to_owned(), columns.join(", ")]);

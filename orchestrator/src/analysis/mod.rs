@@ -26,6 +26,7 @@ pub mod sensors;
 pub mod setting;
 pub mod tables;
 pub mod trial;
+pub mod until;
 
 pub use data::{Group, Observation};
 pub use decision::Terms;

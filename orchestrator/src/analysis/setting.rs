@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
+pub use metasense_schemas::spec::flatten;
 use serde_json::Value;
 
 /// Values by path (`body.columns`), as the spec says them.
@@ -72,25 +73,6 @@ impl Settings {
     pub fn shared(&self) -> impl Iterator<Item = &BTreeMap<String, Value>> {
         self.known.values().map(Arc::as_ref)
     }
-}
-
-/// A JSON object's leaves by path.
-#[must_use]
-pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
-    fn walk(path: &str, value: &Value, leaves: &mut BTreeMap<String, Value>) {
-        match value {
-            Value::Object(map) => {
-                for (key, value) in map {
-                    let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-                    walk(&path, value, leaves);
-                }
-            }
-            other => drop(leaves.insert(path.to_owned(), other.clone())),
-        }
-    }
-    let mut leaves = BTreeMap::new();
-    walk("", value, &mut leaves);
-    leaves
 }
 
 #[cfg(test)]

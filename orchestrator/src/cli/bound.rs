@@ -89,7 +89,7 @@ async fn achieved(
                      holdout_error_optimised, linear_holdout_error_optimised
                    FROM v_trial WHERE state = 'done' ORDER BY trained_with, brain, hash";
         let mut found = Vec::new();
-        for row in reader.query(sql).await?.rows {
+        for row in reader.query::<Table>(sql).await?.rows {
             let text = |i: usize| row[i].as_str().unwrap_or_default().to_owned();
             let own: Value = serde_json::from_str(&text(1)).unwrap_or_default();
             if self::scene(&own) == scene

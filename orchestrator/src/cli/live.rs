@@ -4,13 +4,14 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{BodyEvaluation, TrialResult};
 
 use super::duration;
 use crate::control::Command;
 use crate::engine::{View, Watch};
 use crate::plan::{Trial, counted};
-use crate::scheduler::{Outcome, Reason};
+use crate::scheduler::Outcome;
 
 /// Resolution of the bar.
 const BAR: u64 = 10_000;

@@ -93,7 +93,7 @@ async fn views(reader: &mut Reader, format: Format) -> Result<Table, Error> {
         _ => text.to_owned(),
     };
     for (view, description) in VIEWS {
-        let columns = reader
+        let columns: Table = reader
             .query(&format!("SELECT group_concat(name, ', ') FROM pragma_table_info('{view}')"))
             .await?;
         let columns = columns.rows[0][0].as_str().unwrap_or_default();

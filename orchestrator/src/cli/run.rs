@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use metasense_schemas::reason::{CANCELLED, PRUNED};
 use metasense_schemas::spec::Run;
 use serde_json::Value;
 use tokio::sync::oneshot;
@@ -21,8 +22,9 @@ use crate::cluster::{Deal, Shard};
 use crate::control::{Listener, WORKERS_MAX};
 use crate::engine::{self, Again, Control, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
+use crate::look::Table;
 use crate::plan::{Plan, Trial, cost, counted};
-use crate::scheduler::{CANCELLED, Outcome, PRUNED, Prune, Settings};
+use crate::scheduler::{Outcome, Settings};
 use crate::store::{Reader, RunPlan, Store};
 
 /// Rows of the final table that a person may want to read at once.
@@ -339,7 +341,7 @@ fn options(run: &Run, args: &Args) -> Options {
             backoff: millis(run.backoff.unwrap_or(0.5)),
             no_progress: millis(patience),
             time_limit: run.time_limit.map(millis),
-            prune: run.prune.as_ref().map(|prune| Prune { at: prune.at.clone(), grace: prune.grace }),
+            prune: run.prune.clone(),
         },
         threads: threads as u32,
         niceness: run.niceness.unwrap_or(0).into(),
@@ -358,7 +360,10 @@ async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, 
     let limit = if format == Format::Table { MOST_ROWS } else { usize::MAX };
     let (name, text) = (&*plan.spec.name, &*plan.source.text);
     let ((mut table, count), failures) = Reader::asked(db, async |reader| {
-        Ok::<_, Error>((reader.results(name, text, limit).await?, reader.failures(name, text).await?))
+        Ok::<_, Error>((
+            reader.results::<Table>(name, text, limit).await?,
+            reader.failures(name, text).await?,
+        ))
     })
     .await?;
     let (pruned, failures): (Vec<_>, Vec<_>) = failures.into_iter().partition(|(_, reason)| reason == PRUNED);

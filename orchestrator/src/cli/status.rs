@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use metasense_schemas::reason::{CANCELLED, PRUNED};
+
 use super::{Error, Format, print_rows};
 use crate::cluster::queue;
 use crate::cluster::state::{self, State};
@@ -11,7 +13,6 @@ use crate::look::{Table, row};
 use crate::plan::counted;
 use crate::progress::FAILED;
 use crate::provenance;
-use crate::scheduler::{CANCELLED, PRUNED};
 use crate::store::{Reader, quoted};
 
 /// Shows what is done, running, pending and failed, and why; also while a run goes on
@@ -45,7 +46,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return one(&db, hash, args.format).await;
     }
     let (table, failed, made) = Reader::asked(&db, async |reader| {
-        Ok::<_, Error>((reader.query(STATES).await?, reader.query(FAILED).await?, reader.made().await?))
+        Ok::<_, Error>((
+            reader.query(STATES).await?,
+            reader.query::<Table>(FAILED).await?,
+            reader.made().await?,
+        ))
     })
     .await?;
     say!("{}", db.display());
@@ -72,7 +77,7 @@ async fn one(db: &Path, hash: &str, format: Format) -> Result<Exit, Error> {
         let hash = reader.hash_of(hash).await?;
         let named = quoted(&hash);
         let state = format!("SELECT state, reason FROM trial WHERE hash = {named}");
-        let state = reader.query(&state).await?.rows.swap_remove(0);
+        let state = reader.query::<Table>(&state).await?.rows.swap_remove(0);
         let log =
             format!("SELECT attempt, at, level, text FROM v_log WHERE hash = {named} ORDER BY attempt, line");
         let [state, reason] = [0, 1].map(|i| state[i].as_str().unwrap_or_default().to_owned());

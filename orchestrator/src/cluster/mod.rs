@@ -5,7 +5,6 @@
 //! each.
 
 mod deal;
-pub mod disk;
 pub mod home;
 pub mod merge;
 pub mod queue;

@@ -2,12 +2,13 @@
 
 use std::collections::{HashMap, HashSet};
 
-use metasense_schemas::spec::SweepSpec;
+use metasense_schemas::spec::{Prune, SweepSpec};
 
 use super::Signals;
 use crate::plan::Trial;
-use crate::scheduler::{Prior, Prune, State};
-use crate::store::{Reopen, Store, StoreError};
+use crate::provenance;
+use crate::scheduler::{Prior, State};
+use crate::store::{Attempted, Reopen, Store, StoreError};
 
 /// Which settled trials are run again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -33,6 +34,7 @@ pub async fn begin<'a>(
     signals: &mut Signals,
 ) -> Result<Option<Vec<&'a Trial>>, StoreError> {
     let work = async {
+        store.set_provenance(provenance::here(1));
         store.begin_sweep(spec, text, trials).await?;
         for (wanted, which) in [(again.pruned, Reopen::Pruned), (again.failed, Reopen::Failed)] {
             if wanted {
@@ -57,12 +59,13 @@ pub(super) async fn priors(
     state: impl FnOnce(&[Prior]) -> State,
     prune: Option<&Prune>,
 ) -> Result<(Vec<Prior>, State, Kinds), StoreError> {
-    let known: HashMap<String, Prior> = store.priors().await?.into_iter().collect();
+    let known = store.attempted().await?;
     let mut kinds = Kinds::default();
     let prior = |trial: &&Trial| {
         let point = trial.spec.point;
         let kind = kinds.number((point.panels as u32, point.sensors as u32));
-        Prior { kind, ..known.get(&trial.hash).copied().unwrap_or_default() }
+        let Attempted { attempts, steps } = known.get(&trial.hash).copied().unwrap_or_default();
+        Prior { attempts, steps, kind, judged: 0 }
     };
     let mut priors: Vec<Prior> = trials.iter().map(prior).collect();
     let mut reached = Vec::new();

@@ -8,7 +8,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::time::Duration;
 
-use crate::plan::Trial;
+use crate::plan::{Trial, cost};
 
 /// More open trials than this are spread evenly instead of one by one.
 const ONE_BY_ONE: usize = 2000;
@@ -29,7 +29,7 @@ impl Planned {
     pub fn new(trial: &Trial, behind: u32) -> Self {
         let steps = trial.spec.optimise.steps().max(1) as u32;
         let cost = trial.cost.max(1e-9);
-        let comparison = trial.comparison_cost().clamp(0.0, cost);
+        let comparison = cost::comparison(trial).clamp(0.0, cost);
         let step = (cost - comparison) / f64::from(steps);
         Self { step, comparison, steps, behind: behind.min(steps), open: true }
     }

@@ -3,13 +3,14 @@
 
 use std::time::{Duration, Instant};
 
+use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::{LinkError, Start};
 use metasense_worker::{process, simd};
 
 use super::{Engine, Events};
 use crate::fleet::Heard;
 use crate::link::Line;
-use crate::scheduler::{Event, Reason, WorkerId};
+use crate::scheduler::{Event, WorkerId};
 use crate::store::Level;
 
 /// Longest wait for the link of a process that has ended; what it had not read then counts as not sent.

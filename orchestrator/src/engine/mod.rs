@@ -18,6 +18,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::wire::{Lease, Sample, ToOrchestrator, ToWorker};
 use metasense_worker::process;
@@ -31,16 +32,17 @@ pub use watch::{Silent, View, Watch};
 use clock::Clock;
 use links::Link;
 use spent::Ledger;
-use steer::Steering;
+use steer::{Asker, Steering};
 
 use crate::fleet::Fleet;
 use crate::link::{Runtime, RuntimeError, Word};
 use crate::plan::Trial;
+use crate::provenance;
 use crate::scheduler::{
-    self, Action, Event, Mark, Outcome, Phase, Prior, Reason, Settings, Standing, State, WorkerId,
+    self, Action, Event, Mark, Outcome, Payload, Phase, Prior, Settings, Standing, State, WorkerId,
 };
 use crate::store::{Level, Store, StoreError};
-use writer::{Arrays, Write, Written};
+use writer::{Arrays, Entry, Write, Written};
 
 /// Time between two looks at deadlines, and between two views.
 const TICK: Duration = Duration::from_millis(200);
@@ -119,7 +121,7 @@ pub async fn run<'a>(
     let settings = &options.settings;
     let state = |priors: &[Prior]| State::new(settings.clone(), priors);
     let (priors, state, kinds) = begin::priors(store, trials, state, settings.prune.as_ref()).await?;
-    store.set_threads(options.threads);
+    store.set_provenance(provenance::here(options.threads));
     let runtime = Runtime::new(settings.workers)?;
     let (heard_out, mut heard) = mpsc::channel(QUEUE);
     let (words_out, mut words) = mpsc::channel(QUEUE);
@@ -147,7 +149,6 @@ pub async fn run<'a>(
         words: words_out,
         queue,
         checkpoints: HashMap::new(),
-        results: HashMap::new(),
         leases: HashMap::new(),
         said: Vec::new(),
         details: HashMap::new(),
@@ -192,10 +193,13 @@ pub async fn run<'a>(
 
 /// What the scheduler passes on unread.
 #[derive(Debug)]
-enum Record {
-    Step(Box<StepRecord>, Arc<Checkpoint>),
-    Checkpoint(Arc<Checkpoint>),
-    Result(Box<TrialResult>, Option<Arrays>),
+enum Records {}
+
+impl Payload for Records {
+    type Step = (Box<StepRecord>, Arc<Checkpoint>);
+    type Saved = Arc<Checkpoint>;
+    type Result = (Box<TrialResult>, Option<Arrays>);
+    type Asker = Asker;
 }
 
 struct Engine<'a> {
@@ -211,11 +215,9 @@ struct Engine<'a> {
     links: HashMap<WorkerId, Link>,
     runtime: Runtime,
     words: mpsc::Sender<(WorkerId, Word)>,
-    queue: mpsc::Sender<Write>,
+    queue: mpsc::Sender<Entry>,
     /// The last one of each open trial that has come further in this run.
     checkpoints: HashMap<u32, Arc<Checkpoint>>,
-    /// Results on their way to the disk, to be shown when they are there.
-    results: HashMap<u32, TrialResult>,
     view: View,
     /// What each worker was given last.
     leases: HashMap<WorkerId, Lease>,
@@ -234,7 +236,7 @@ struct Engine<'a> {
     watch: &'a mut dyn Watch,
 }
 
-type Events = VecDeque<Event<Record>>;
+type Events = VecDeque<Event<Records>>;
 
 impl Engine<'_> {
     /// Puts the events to the scheduler, and carries out what it wants. The outcome, once the run is over.
@@ -244,17 +246,18 @@ impl Engine<'_> {
         loop {
             self.record_said().await;
             while let Some(action) = actions.pop_front() {
-                if let Action::End(outcome) = action {
+                if let Some(outcome) = self.act(action, events).await {
                     return Some(outcome);
                 }
-                self.act(action, events).await;
             }
             actions = scheduler::on_event(&mut self.state, events.pop_front()?).into();
         }
     }
 
-    async fn act(&mut self, action: Action<Record>, events: &mut Events) {
+    /// Carries an action out; the outcome, if it is the end.
+    async fn act(&mut self, action: Action<Records>, events: &mut Events) -> Option<Outcome> {
         match action {
+            Action::End(outcome) => return Some(outcome),
             Action::Spawn(worker) => self.open(worker, events),
             Action::Assign(worker, lease) => {
                 self.leases.insert(worker, lease);
@@ -269,29 +272,25 @@ impl Engine<'_> {
                     self.send_job(worker, lease, known);
                 }
             }
-            Action::RecordStep(lease, Record::Step(record, checkpoint)) => {
+            Action::RecordStep(lease, (record, checkpoint)) => {
                 self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
                 self.view.stepped(lease.trial, self.began.elapsed());
                 self.watch.step(self.trials[lease.trial as usize], &record);
                 self.record_spent(lease).await;
                 self.record(Write::Step(lease, record, checkpoint)).await;
             }
-            Action::RecordResult(lease, Record::Result(result, arrays)) => {
+            Action::RecordResult(lease, (result, arrays)) => {
                 self.checkpoints.remove(&lease.trial);
                 self.details.remove(&lease);
                 self.view.finished(lease.trial, self.began.elapsed());
-                self.results.insert(lease.trial, TrialResult::clone(&result));
                 self.record_spent(lease).await;
                 self.spent.end(lease);
                 self.record(Write::Result(lease, result, arrays)).await;
             }
-            Action::RecordCheckpoint(lease, Record::Checkpoint(checkpoint)) => {
+            Action::RecordCheckpoint(lease, checkpoint) => {
                 self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
                 self.record_spent(lease).await;
                 self.record(Write::Checkpoint(lease, checkpoint)).await;
-            }
-            Action::RecordStep(..) | Action::RecordCheckpoint(..) | Action::RecordResult(..) => {
-                unreachable!("records keep their kind")
             }
             Action::RecordFailure { lease, reason, settled } => {
                 let trial = self.trials[lease.trial as usize];
@@ -321,7 +320,7 @@ impl Engine<'_> {
                 tracing::info!(trial.hash, "the trial is given up before it was begun, or begun again");
                 self.record(Write::Cancelled(lease)).await;
             }
-            Action::Answer(answer) => self.answered(answer),
+            Action::Answer(asker, answer) => self.answered(asker, answer),
             Action::AskStop(worker) => {
                 if let (Some(link), Some(&lease)) = (self.links.get(&worker), self.leases.get(&worker))
                     && !link.line.send(&ToWorker::Stop { lease }).is_ok_and(|sent| sent)
@@ -345,14 +344,18 @@ impl Engine<'_> {
                     "dropped a message of an attempt that is not current"
                 );
             }
-            Action::End(_) => unreachable!("ends the loop"),
         }
+        None
     }
 
     /// Waits while the writer's queue is full. Once the store is broken, there is nobody to write.
     async fn record(&mut self, write: Write) {
+        self.enqueue(Entry::Write(write)).await;
+    }
+
+    async fn enqueue(&mut self, entry: Entry) {
         if self.store_error.is_none() {
-            let _ = self.queue.send(write).await;
+            let _ = self.queue.send(entry).await;
         }
     }
 
@@ -436,11 +439,9 @@ impl Engine<'_> {
                     part: f64::from(checkpoint.step) / steps.max(1) as f64,
                     error: checkpoint.best.as_ref().map(|best| best.1),
                 };
-                Event::Step(worker, lease, standing, Record::Step(record, Arc::from(checkpoint)))
+                Event::Step(worker, lease, standing, (record, Arc::from(checkpoint)))
             }
-            ToOrchestrator::Saved { lease, checkpoint } => {
-                Event::Saved(worker, lease, Record::Checkpoint(Arc::from(checkpoint)))
-            }
+            ToOrchestrator::Saved { lease, checkpoint } => Event::Saved(worker, lease, Arc::from(checkpoint)),
             ToOrchestrator::Finished { lease, result, arrays: heads } => {
                 let mut arrays = sample.map(|sample| Arrays { heads, sample });
                 if !self.options.keep_arrays
@@ -448,7 +449,7 @@ impl Engine<'_> {
                 {
                     arrays.read();
                 }
-                Event::Finished(worker, lease, Record::Result(result, arrays))
+                Event::Finished(worker, lease, (result, arrays))
             }
             ToOrchestrator::Failed { lease, trouble, detail } => {
                 let reason = Reason::from(trouble);
@@ -463,14 +464,11 @@ impl Engine<'_> {
 
     fn written(&mut self, word: Written, events: &mut Events) {
         match word {
-            Written::Recorded(lease, mark) => {
-                if mark == Mark::Result
-                    && let Some(result) = self.results.remove(&lease.trial)
-                {
-                    self.view.done();
-                    self.watch.done(self.trials[lease.trial as usize], &result);
-                }
-                events.push_back(Event::Recorded(lease, mark));
+            Written::Recorded(lease, mark) => events.push_back(Event::Recorded(lease, mark)),
+            Written::Done(lease, result) => {
+                self.view.done();
+                self.watch.done(self.trials[lease.trial as usize], &result);
+                events.push_back(Event::Recorded(lease, Mark::Result));
             }
             Written::Loaded(worker, lease, checkpoint) => {
                 let checkpoint = checkpoint.unwrap_or_else(|why| {
@@ -485,7 +483,7 @@ impl Engine<'_> {
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
                 }
             }
-            Written::Planned(fresh) => self.planned(fresh, events),
+            Written::Planned(fresh, request) => self.planned(fresh, request, events),
             Written::Broken(error) => {
                 tracing::error!(%error, "nothing can be recorded any more; the run ends");
                 self.store_error = Some(error);

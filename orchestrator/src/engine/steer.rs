@@ -1,14 +1,14 @@
 //! What people ask of a run: their commands become events of the scheduler, whose answers go back to them.
 
-use std::collections::{HashSet, VecDeque};
+use std::collections::HashSet;
 use std::fmt;
 use std::sync::{Arc, OnceLock};
 
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::mpsc;
 
 use super::Engine;
 use super::begin::Kinds;
-use super::writer::Write;
+use super::writer::{Entry, Fresh};
 use crate::control::{Command, Listener, Request, Said};
 use crate::plan::{NotOne, Plan, Trial, counted};
 use crate::scheduler::{Answer, Event, Prior, Steer};
@@ -67,37 +67,19 @@ impl Plans {
     }
 }
 
-/// Who waits for an answer.
+/// Who waits for the scheduler's answer, and what is said beside it.
 #[derive(Debug)]
 pub(super) struct Asker {
-    command: Command,
-    answer: oneshot::Sender<Said>,
-    /// Said beside it.
+    request: Request,
     note: String,
 }
 
-/// Trials of a plan that was read again: those that are new to the run, by their places in it, and how many of the rest are
-/// settled.
-#[derive(Debug)]
-pub struct Fresh {
-    /// The plan.
-    pub plan: Arc<Plan>,
-    /// Places and what earlier runs have left.
-    pub trials: Vec<(usize, Prior)>,
-    /// Settled before this run began.
-    pub settled: usize,
-}
-
 /// A plan that was read, for whoever has asked.
-pub(super) type Read = (Result<Plan, String>, Asker);
+pub(super) type Read = (Result<Plan, String>, Request);
 
-/// What is under way of people's wishes.
+/// What commands need.
 #[derive(Debug)]
 pub(super) struct Steering {
-    /// Their events are with the scheduler, in this order.
-    asked: VecDeque<Asker>,
-    /// Their plans are with the writer, in this order.
-    recording: VecDeque<Asker>,
     read: mpsc::UnboundedSender<Read>,
     kinds: Kinds,
 }
@@ -105,39 +87,35 @@ pub(super) struct Steering {
 impl Steering {
     pub fn new(kinds: Kinds) -> (Self, mpsc::UnboundedReceiver<Read>) {
         let (read, reads) = mpsc::unbounded_channel();
-        (Self { asked: VecDeque::new(), recording: VecDeque::new(), read, kinds }, reads)
+        (Self { read, kinds }, reads)
     }
 }
 
 impl Engine<'_> {
-    /// Somebody wants something.
+    /// A command has come.
     pub(super) fn asked(&mut self, request: Request, events: &mut super::Events) {
-        let Request { command, answer } = request;
-        if answer.is_closed() {
+        if request.answer.is_closed() {
             return;
         }
-        let asker = Asker { command, answer, note: String::new() };
-        let steer = match &asker.command {
-            Command::State => return self.answer(asker, true, self.in_words()),
+        let steer = match &request.command {
+            Command::State => return self.answer(request, true, self.in_words()),
             Command::Pause => Steer::Pause,
             Command::Resume => Steer::Resume,
             Command::Stop => Steer::Stop,
             Command::Workers(count) => Steer::Workers(*count),
             Command::Cancel(hash) | Command::Next(hash) => match self.find(hash) {
-                Ok(trial) if matches!(asker.command, Command::Next(_)) => Steer::Next(trial),
+                Ok(trial) if matches!(request.command, Command::Next(_)) => Steer::Next(trial),
                 Ok(trial) => Steer::Cancel(trial),
-                Err(why) => return self.answer(asker, false, why),
+                Err(why) => return self.answer(request, false, why),
             },
             Command::Reload => {
                 let (reread, read) = (Arc::clone(&self.control.reread), self.steering.read.clone());
-                // 10⁵ trials take seconds
-                // where nobody listens any more the run has ended, and its asker is told so
-                drop(tokio::task::spawn_blocking(move || drop(read.send((reread(), asker)))));
+                // 10⁵ trials take seconds. Where nobody listens any more the run has ended, and the asker is told so.
+                drop(tokio::task::spawn_blocking(move || drop(read.send((reread(), request)))));
                 return;
             }
         };
-        self.steering.asked.push_back(asker);
-        events.push_back(Event::Steer(steer));
+        events.push_back(Event::Steer(steer, Asker { request, note: String::new() }));
     }
 
     /// How the run is.
@@ -167,19 +145,16 @@ impl Engine<'_> {
     }
 
     /// A spec has been read again: its trials are recorded, in case that there are new ones.
-    pub(super) async fn read(&mut self, (plan, asker): Read) {
+    pub(super) async fn read(&mut self, (plan, request): Read) {
         match plan {
-            Err(why) => self.answer(asker, false, why),
-            Ok(plan) => {
-                self.steering.recording.push_back(asker);
-                self.record(Write::Plan(Arc::new(plan))).await;
-            }
+            Err(why) => self.answer(request, false, why),
+            Ok(plan) => self.enqueue(Entry::Plan(Arc::new(plan), request)).await,
         }
     }
 
     /// They are on disk.
-    pub(super) fn planned(&mut self, fresh: Fresh, events: &mut super::Events) {
-        let mut asker = self.steering.recording.pop_front().expect("one a plan");
+    pub(super) fn planned(&mut self, fresh: Fresh, request: Request, events: &mut super::Events) {
+        let mut asker = Asker { request, note: String::new() };
         let own: HashSet<&str> = fresh.plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
         let vanished = self.trials.iter().filter(|trial| !own.contains(trial.hash.as_str())).count();
         if fresh.settled > 0 {
@@ -198,30 +173,28 @@ impl Engine<'_> {
             let part = f64::from(known.steps.unwrap_or(0)) / steps as f64;
             let kind = self.steering.kinds.number((point.panels as u32, point.sensors as u32));
             let judged = prune.iter().filter(|mark| part >= **mark).count();
-            priors.push(Prior { kind, judged, ..known });
+            priors.push(Prior { attempts: known.attempts, steps: known.steps, kind, judged });
             self.view.add(trial, known.steps.unwrap_or(0));
             self.trials.push(trial);
         }
         self.priors.extend(&priors);
-        self.steering.asked.push_back(asker);
-        events.push_back(Event::Steer(Steer::Add(priors)));
+        events.push_back(Event::Steer(Steer::Add(priors), asker));
     }
 
     /// The scheduler has answered.
-    pub(super) fn answered(&mut self, answer: Answer) {
-        let asker = self.steering.asked.pop_front().expect("one an answer");
+    pub(super) fn answered(&mut self, asker: Asker, answer: Answer) {
         self.view.set_workers(self.state.workers());
         self.view.paused = self.state.is_paused();
         let text = format!("{answer}{}", asker.note);
-        self.answer(asker, !matches!(answer, Answer::Refused(_)), text);
+        self.answer(asker.request, !matches!(answer, Answer::Refused(_)), text);
     }
 
-    fn answer(&mut self, asker: Asker, done: bool, text: String) {
-        if asker.command != Command::State {
-            tracing::info!(command = %asker.command, done, answer = text, "somebody steers the run");
-            self.watch.steered(&asker.command, done, &text);
+    fn answer(&mut self, Request { command, answer }: Request, done: bool, text: String) {
+        if command != Command::State {
+            tracing::info!(%command, done, answer = text, "somebody steers the run");
+            self.watch.steered(&command, done, &text);
         }
         // Whoever has asked may be gone.
-        let _ = asker.answer.send(Said { done, text });
+        let _ = answer.send(Said { done, text });
     }
 }

@@ -1,19 +1,20 @@
 //! The one writer: a queue in front of the store, whose entries share transactions.
 //!
 //! What waits when a transaction begins goes into it together, so that one fsync serves many records. `Written` is
-//! said after the commit alone.
+//! said only after the commit.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 use std::sync::Arc;
 
+use metasense_schemas::reason::{CANCELLED, Reason};
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::wire::{ArrayHead, Lease, Sample};
 use tokio::sync::mpsc::{Receiver, UnboundedSender};
 
-use super::steer::Fresh;
+use crate::control::Request;
 use crate::plan::Plan;
-use crate::scheduler::{CANCELLED, Mark, Prior, Reason, WorkerId};
-use crate::store::{Array, Level, Store, StoreError};
+use crate::scheduler::{Mark, WorkerId};
+use crate::store::{Array, Attempted, Level, Store, StoreError};
 
 /// Most entries of one transaction.
 const BATCH: usize = 128;
@@ -39,8 +40,26 @@ pub enum Write {
     Load(WorkerId, Lease),
     /// A trial that waits is not to be run.
     Cancelled(Lease),
-    /// The spec as it is by now.
-    Plan(Arc<Plan>),
+}
+
+/// What comes through the queue.
+#[derive(Debug)]
+pub enum Entry {
+    /// What shares a transaction with its neighbours.
+    Write(Write),
+    /// The spec as it is by now, in transactions of its own, for whoever has asked for it.
+    Plan(Arc<Plan>, Request),
+}
+
+/// Trials of a plan that was read again.
+#[derive(Debug)]
+pub struct Fresh {
+    /// The plan.
+    pub plan: Arc<Plan>,
+    /// Those that are new to the run, by their places in the plan, and how far earlier runs have come with them.
+    pub trials: Vec<(usize, Attempted)>,
+    /// Of the others: how many were settled before this run began.
+    pub settled: usize,
 }
 
 /// The arrays of a result, in shared memory.
@@ -78,10 +97,12 @@ impl Arrays {
 pub enum Written {
     /// It is on disk.
     Recorded(Lease, Mark),
+    /// So is a result.
+    Done(Lease, Box<TrialResult>),
     /// The checkpoint that was wanted; or why the one that is there is of no use.
     Loaded(WorkerId, Lease, Result<Option<Box<Checkpoint>>, String>),
-    /// Trials of a plan that are to be run beside the others; they are numbered on.
-    Planned(Fresh),
+    /// The trials that are to be run beside the others are on disk; they are numbered on.
+    Planned(Fresh, Request),
     /// Nothing can be recorded any more.
     Broken(StoreError),
 }
@@ -90,71 +111,86 @@ pub enum Written {
 pub async fn write(
     store: &mut Store,
     mut hashes: Vec<String>,
-    mut queue: Receiver<Write>,
+    mut queue: Receiver<Entry>,
     said: UnboundedSender<Written>,
 ) {
-    let mut batch = Vec::with_capacity(BATCH);
-    while queue.recv_many(&mut batch, BATCH).await > 0 {
-        let is_plan = |entry: &Write| matches!(entry, Write::Plan(_));
-        for entries in batch.chunk_by(|a, b| !is_plan(a) && !is_plan(b)) {
-            let written = match entries {
-                [Write::Plan(plan)] => {
-                    add(store, &mut hashes, plan).await.map(|fresh| vec![Written::Planned(fresh)])
-                }
-                entries => transact(store, &hashes, entries).await,
-            };
-            match written {
-                Ok(written) => written.into_iter().for_each(|word| drop(said.send(word))),
-                Err(error) => {
-                    let _ = said.send(Written::Broken(error));
-                    return;
+    let done = async {
+        let mut batch = Vec::with_capacity(BATCH);
+        while let Some(first) = queue.recv().await {
+            let (mut next, mut reread) = (Some(first), None);
+            while let Some(entry) = next.take() {
+                match entry {
+                    Entry::Plan(plan, request) => reread = Some((plan, request)),
+                    Entry::Write(write) => {
+                        batch.push(write);
+                        next = if batch.len() < BATCH { queue.try_recv().ok() } else { None };
+                    }
                 }
             }
+            for word in transact(store, &hashes, batch.drain(..)).await? {
+                drop(said.send(word));
+            }
+            if let Some((plan, request)) = reread {
+                let fresh = add(store, &mut hashes, plan).await?;
+                drop(said.send(Written::Planned(fresh, request)));
+            }
         }
-        // Releases the arrays.
-        batch.clear();
+        Ok(())
+    };
+    if let Err(error) = done.await {
+        drop(said.send(Written::Broken(error)));
     }
 }
 
 /// Records a plan; the trials that are new to the run, and open, are its trials from here on.
-async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: &Arc<Plan>) -> Result<Fresh, StoreError> {
+async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: Arc<Plan>) -> Result<Fresh, StoreError> {
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
     let settled: HashSet<String> = store.settled().await?.into_iter().collect();
-    let priors: HashMap<String, Prior> = store.priors().await?.into_iter().collect();
+    let attempted = store.attempted().await?;
     let known: HashSet<&str> = hashes.iter().map(String::as_str).collect();
-    let mut fresh = Fresh { plan: Arc::clone(plan), trials: Vec::new(), settled: 0 };
-    for (place, trial) in plan.trials.iter().enumerate().filter(|(_, t)| !known.contains(t.hash.as_str())) {
-        match settled.contains(&trial.hash) {
-            true => fresh.settled += 1,
-            false => fresh.trials.push((place, priors.get(&trial.hash).copied().unwrap_or_default())),
-        }
-    }
-    hashes.extend(fresh.trials.iter().map(|(place, _)| plan.trials[*place].hash.clone()));
-    Ok(fresh)
+    let new = plan.trials.iter().enumerate().filter(|(_, trial)| !known.contains(trial.hash.as_str()));
+    let (old, open): (Vec<_>, Vec<_>) = new.partition(|(_, trial)| settled.contains(&trial.hash));
+    let found = |hash| attempted.get(hash).copied().unwrap_or_default();
+    let trials: Vec<_> = open.iter().map(|(place, trial)| (*place, found(&trial.hash))).collect();
+    let (settled, open): (_, Vec<_>) =
+        (old.len(), open.iter().map(|(_, trial)| trial.hash.clone()).collect());
+    hashes.extend(open);
+    Ok(Fresh { plan, trials, settled })
 }
 
-async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Result<Vec<Written>, StoreError> {
+/// Records a batch in one transaction. Arrays stay in shared memory until it is committed.
+async fn transact(
+    store: &mut Store,
+    hashes: &[String],
+    batch: impl ExactSizeIterator<Item = Write>,
+) -> Result<Vec<Written>, StoreError> {
     let mut written = Vec::with_capacity(batch.len());
-    let hash = |lease: &Lease| hashes[lease.trial as usize].as_str();
+    if batch.len() == 0 {
+        return Ok(written);
+    }
+    let mut held = Vec::new();
+    let hash = |lease: Lease| hashes[lease.trial as usize].as_str();
     store.begin_batch().await?;
     for entry in batch {
-        match entry {
+        written.push(match entry {
             Write::Begin(lease) => {
                 let attempt = store.begin_attempt(hash(lease)).await?;
                 assert_eq!(attempt, lease.attempt, "attempts at {} are counted twice", hash(lease));
+                continue;
             }
             Write::Step(lease, record, checkpoint) => {
-                store.record_step(hash(lease), lease.attempt, record, checkpoint).await?;
-                written.push(Written::Recorded(*lease, Mark::Step));
+                store.record_step(hash(lease), lease.attempt, &record, &checkpoint).await?;
+                Written::Recorded(lease, Mark::Step)
             }
             Write::Checkpoint(lease, checkpoint) => {
-                store.record_checkpoint(hash(lease), lease.attempt, checkpoint).await?;
-                written.push(Written::Recorded(*lease, Mark::Step));
+                store.record_checkpoint(hash(lease), lease.attempt, &checkpoint).await?;
+                Written::Recorded(lease, Mark::Step)
             }
             Write::Result(lease, result, arrays) => {
-                let arrays = arrays.as_ref().map(Arrays::all).unwrap_or_default();
-                store.finish(hash(lease), lease.attempt, result, &arrays).await?;
-                written.push(Written::Recorded(*lease, Mark::Result));
+                let all = arrays.as_ref().map(Arrays::all).unwrap_or_default();
+                store.finish(hash(lease), lease.attempt, &result, &all).await?;
+                held.push(arrays);
+                Written::Done(lease, result)
             }
             Write::Failure(lease, reason, settled) => {
                 let (hash, reason) = (hash(lease), reason.to_string());
@@ -162,25 +198,28 @@ async fn transact(store: &mut Store, hashes: &[String], batch: &[Write]) -> Resu
                     true => store.fail(hash, lease.attempt, &reason).await?,
                     false => store.give_up_attempt(hash, lease.attempt, &reason).await?,
                 }
-                written.push(Written::Recorded(*lease, Mark::Failure));
+                Written::Recorded(lease, Mark::Failure)
             }
             Write::Cancelled(lease) => {
                 store.settle(hash(lease), CANCELLED).await?;
-                written.push(Written::Recorded(*lease, Mark::Failure));
+                Written::Recorded(lease, Mark::Failure)
             }
-            Write::Plan(_) => unreachable!("comes alone, in transactions of its own"),
-            Write::Spent(lease, seconds) => store.spend(hash(lease), lease.attempt, *seconds).await?,
+            Write::Spent(lease, seconds) => {
+                store.spend(hash(lease), lease.attempt, seconds).await?;
+                continue;
+            }
             Write::Log(lease, level, text) => {
-                store.log(hash(lease), lease.attempt, *level, text).await?;
+                store.log(hash(lease), lease.attempt, level, &text).await?;
+                continue;
             }
             Write::Load(worker, lease) => {
                 let checkpoint = match store.checkpoint(hash(lease)).await {
                     Err(StoreError::Unreadable { message, .. }) => Err(message),
                     other => Ok(other?.map(Box::new)),
                 };
-                written.push(Written::Loaded(*worker, *lease, checkpoint));
+                Written::Loaded(worker, lease, checkpoint)
             }
-        }
+        });
     }
     store.commit_batch().await?;
     Ok(written)

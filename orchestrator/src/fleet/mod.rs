@@ -11,6 +11,7 @@ use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
+use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Start;
 use metasense_worker::process;
 use tokio::io::{AsyncBufReadExt, BufReader};
@@ -22,7 +23,7 @@ use tokio::time::timeout;
 
 pub use processes::{Seen, children, cpu_seconds, peak_mib, workers_of, writer_of};
 
-use crate::scheduler::{Reason, WorkerId};
+use crate::scheduler::WorkerId;
 
 /// Starts, watches and ends worker processes.
 #[derive(Debug)]

@@ -25,6 +25,13 @@ macro_rules! row {
 }
 pub(crate) use row;
 
+/// As a database answers: names of the columns, and rows.
+impl From<(Vec<String>, Vec<Vec<Value>>)> for Table {
+    fn from((columns, rows): (Vec<String>, Vec<Vec<Value>>)) -> Self {
+        Self { columns, rows }
+    }
+}
+
 impl Table {
     /// Rows under columns of these names, which blanks part.
     #[must_use]

@@ -138,6 +138,12 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     Seconds { steps: optimise.steps() as f64 * step, comparison }
 }
 
+/// What of a trial's cost is the comparison at its end.
+#[must_use]
+pub fn comparison(trial: &Trial) -> f64 {
+    seconds(&trial.spec, trial.units).comparison
+}
+
 /// Seconds that trials take on so many workers of so many threads: the work shared out, but no less than the longest.
 #[must_use]
 pub fn seconds_on(trials: &[&Trial], workers: u32, threads: u32) -> f64 {

@@ -1,12 +1,11 @@
 //! A plan with questions: the grid that they may grow to, and whether it can answer them.
 
+use metasense_schemas::record::Found;
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{SweepSpec, Until};
 
 use super::{Plan, Trial};
-use crate::analysis::setting::flatten;
-use crate::analysis::trial;
-use crate::scheduler::until::{Decision, decide, unanswerable};
+use crate::analysis::until::{self, Decision};
 
 /// The spec with the placements and seeds of `until.at_most`.
 ///
@@ -49,7 +48,7 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
     {
         return Err(source.error("until", "needs a question: paired, within, elbow, fewer or complexity"));
     }
-    match unanswerable(until, &trials.iter().map(planned).collect::<Vec<_>>()) {
+    match until::unanswerable(until, trials) {
         Some(question) => {
             let what = match question.key() {
                 "until.complexity" => "two sizes of a body",
@@ -66,58 +65,13 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
     }
 }
 
-/// A trial as the analysis sees it, without results.
-fn planned(trial: &Trial) -> trial::Trial {
-    let point = trial.spec.point;
-    trial::Trial {
-        hash: trial.hash.clone(),
-        setting: flatten(&serde_json::to_value(&trial.spec).expect("a trial is JSON")).into_iter().collect(),
-        panels: point.panels as u64,
-        sensors: point.sensors as u64,
-        cluster: trial::Cluster { placement: point.placement as u64, seed: point.seed },
-        units: trial.units as u64,
-        design_parameters: trial.design_parameters as u64,
-        ..trial::Trial::default()
-    }
-}
-
-/// What a trial has come to.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Found {
-    /// Which.
-    pub hash: String,
-    /// Holdout errors (%) of the initial and the optimised body; none of a trial that has failed.
-    pub errors: [Option<f64>; 2],
-    /// CPU seconds.
-    pub seconds: f64,
-}
-
 impl Plan {
-    /// Where the questions stand by what is in the database, and the trials that are wanted, in the order of the plan; none
-    /// that is not settled once the hours are spent.
+    /// Where the questions stand by what is in the database, and the trials that are wanted, in the order of the plan; `None`
+    /// of a plan without questions.
     #[must_use]
     pub fn decide(&self, found: &[Found], workers: u32) -> Option<(Decision, Vec<Trial>)> {
-        let until = self.spec.until.as_ref()?;
-        let mut trials: Vec<trial::Trial> = self.trials.iter().map(planned).collect();
-        let mut settled = vec![false; trials.len()];
-        let places: std::collections::HashMap<&str, &Found> =
-            found.iter().map(|f| (f.hash.as_str(), f)).collect();
-        let mut seconds = 0.0;
-        for (trial, settled) in trials.iter_mut().zip(&mut settled) {
-            if let Some(found) = places.get(trial.hash.as_str()) {
-                trial.errors = found.errors.map(|error| [None, error]);
-                (*settled, seconds) = (true, seconds + found.seconds);
-            }
-        }
-        let points = self.trials.iter().filter(|t| {
-            let (first, own) = (self.trials[0].spec.point, t.spec.point);
-            (own.placement, own.seed) == (first.placement, first.seed)
-        });
-        let ahead = (workers as usize).div_ceil(points.count().max(1));
-        let decision = decide(until, &trials, &settled, ahead);
-        let spent = until.at_most.hours.is_some_and(|hours| seconds >= 3600.0 * hours);
-        let wanted = decision.wanted.iter().filter(|&&i| settled[i] || !spent);
-        let wanted = wanted.map(|&i| self.trials[i].clone()).collect();
+        let decision = until::of_plan(self.spec.until.as_ref()?, &self.trials, found, workers);
+        let wanted = decision.wanted.iter().map(|&place| self.trials[place].clone()).collect();
         Some((decision, wanted))
     }
 }

@@ -18,8 +18,8 @@ use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
 use crate::look::{Answer, Figure, Table, answers as listed, page};
-use crate::provenance::{self, Made};
-use crate::store::Stored;
+use crate::provenance;
+use crate::store::{Made, Stored};
 
 /// Everything that a report tells.
 #[derive(Debug, Clone)]

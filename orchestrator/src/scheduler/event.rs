@@ -1,12 +1,25 @@
 //! What may happen in a run, and what is to be done.
 
+use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Answer, Millis, Reason, Standing, Steer, WorkerId};
+use super::{Answer, Millis, Standing, Steer, WorkerId};
+
+/// What passes through the scheduler unread.
+pub trait Payload {
+    /// An outer step.
+    type Step;
+    /// A checkpoint behind the last step.
+    type Saved;
+    /// A result.
+    type Result;
+    /// Who has given a command, and waits for the answer.
+    type Asker;
+}
 
 /// What may happen.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Event<P> {
+pub enum Event<P: Payload> {
     /// Time has passed.
     Clock(Millis),
     /// A worker has said hello.
@@ -14,11 +27,11 @@ pub enum Event<P> {
     /// A sign of life.
     Beat(WorkerId, Lease),
     /// An outer step is done.
-    Step(WorkerId, Lease, Standing, P),
+    Step(WorkerId, Lease, Standing, P::Step),
     /// The comparison at the end of the trial has come further.
-    Saved(WorkerId, Lease, P),
+    Saved(WorkerId, Lease, P::Saved),
     /// The trial is done.
-    Finished(WorkerId, Lease, P),
+    Finished(WorkerId, Lease, P::Result),
     /// The attempt came to no result; the worker goes on.
     Failed(WorkerId, Lease, Reason),
     /// A worker is gone, and everything it said has been read.
@@ -29,8 +42,8 @@ pub enum Event<P> {
     StoreBroken,
     /// A person wants the run to end.
     Interrupt,
-    /// A person wants something else of it.
-    Steer(Steer),
+    /// A person gives a command.
+    Steer(Steer, P::Asker),
 }
 
 /// What was recorded.
@@ -46,17 +59,17 @@ pub enum Mark {
 
 /// What is to be done.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Action<P> {
+pub enum Action<P: Payload> {
     /// Start this worker process.
     Spawn(WorkerId),
     /// Record that the attempt begins, and give the trial to the worker, from its last checkpoint.
     Assign(WorkerId, Lease),
     /// Record a step.
-    RecordStep(Lease, P),
+    RecordStep(Lease, P::Step),
     /// Record how far the comparison has come.
-    RecordCheckpoint(Lease, P),
+    RecordCheckpoint(Lease, P::Saved),
     /// Record a result.
-    RecordResult(Lease, P),
+    RecordResult(Lease, P::Result),
     /// Record that the attempt came to nothing; `settled`: and so did the trial.
     RecordFailure {
         /// Which attempt.
@@ -68,8 +81,8 @@ pub enum Action<P> {
     },
     /// Record that a trial which waits is not to be run.
     RecordCancelled(Lease),
-    /// Tell the person what came of the last `Steer`; there is one each.
-    Answer(Answer),
+    /// Tell a person what came of the command.
+    Answer(P::Asker, Answer),
     /// Ask for the trial back after the step in progress, or in the middle of the comparison.
     AskStop(WorkerId),
     /// End the process in order.

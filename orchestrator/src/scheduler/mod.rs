@@ -2,23 +2,23 @@
 //!
 //! A trial is `pending → running → recording → done`, or `failed`, or pending again; a worker's slot is
 //! `empty → starting → idle ⇄ busy → ending → empty`. Every message carries the lease (trial, attempt) it speaks of, and
-//! one whose lease its worker does not hold is counted and dropped. `P` is what is recorded: the scheduler passes it on unread.
+//! one whose lease its worker does not hold is counted and dropped. [`Payload`] is what is recorded, which the scheduler
+//! passes on unread.
 
 mod event;
 mod prune;
-mod reason;
 #[cfg(test)]
 mod simulation;
 mod steer;
-pub mod until;
 
 use std::collections::BTreeSet;
 
+use metasense_schemas::reason::Reason;
+use metasense_schemas::spec::Prune;
 use metasense_schemas::wire::Lease;
 
-pub use event::{Action, Event, Mark, Outcome};
-pub use prune::{Prune, Standing};
-pub use reason::{CANCELLED, PRUNED, Reason};
+pub use event::{Action, Event, Mark, Outcome, Payload};
+pub use prune::Standing;
 pub use steer::{Answer, Refusal, Steer};
 
 use prune::Standings;
@@ -198,7 +198,7 @@ pub struct State {
 
 /// The only place that decides.
 #[must_use = "actions must be carried out"]
-pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
+pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
     let mut actions = Vec::new();
     if state.ended {
         return actions;
@@ -255,7 +255,10 @@ pub fn on_event<P>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
         }
         Event::StoreBroken => state.stopping = Stopping::Broken,
         Event::Interrupt => state.interrupt(),
-        Event::Steer(steer) => state.steer(steer, out),
+        Event::Steer(steer, asker) => {
+            let answer = state.steer(steer, out);
+            out.push(Action::Answer(asker, answer));
+        }
     }
     state.stop(out);
     state.take_back(out);
@@ -370,7 +373,7 @@ impl State {
         }
     }
 
-    fn clock<P>(&mut self, now: Millis, out: &mut Vec<Action<P>>) {
+    fn clock<P: Payload>(&mut self, now: Millis, out: &mut Vec<Action<P>>) {
         self.now = self.now.max(now);
         while let Some(&(until, trial)) = self.delayed.first()
             && until <= self.now
@@ -401,7 +404,7 @@ impl State {
         }
     }
 
-    fn lost<P>(&mut self, worker: WorkerId, reason: Reason, out: &mut Vec<Action<P>>) {
+    fn lost<P: Payload>(&mut self, worker: WorkerId, reason: Reason, out: &mut Vec<Action<P>>) {
         let now = self.now;
         // whoever ends the run may end its workers, too
         let with_the_run = self.stopping != Stopping::No && reason == Reason::WorkerKilled(9);
@@ -438,7 +441,7 @@ impl State {
     }
 
     /// An attempt came to nothing: again, later, or never.
-    fn attempt_failed<P>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
+    fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
         let trial = &mut self.trials[lease.trial as usize];
         let reason = trial.unwanted.filter(|_| reason.is_retried()).unwrap_or(reason);
         let by_request =
@@ -463,7 +466,7 @@ impl State {
     }
 
     /// Ends workers where the run is to end.
-    fn stop<P>(&mut self, out: &mut Vec<Action<P>>) {
+    fn stop<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let finished = self.unsettled == 0;
         if self.stopping == Stopping::No && !finished {
             return;
@@ -491,7 +494,7 @@ impl State {
     }
 
     /// Hands trials to idle workers.
-    fn assign<P>(&mut self, out: &mut Vec<Action<P>>) {
+    fn assign<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         if self.stopping != Stopping::No || self.settings.paused {
             return;
         }
@@ -513,7 +516,7 @@ impl State {
     }
 
     /// Starts as many workers as there are trials that wait for one.
-    fn spawn<P>(&mut self, out: &mut Vec<Action<P>>) {
+    fn spawn<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         if self.stopping != Stopping::No || self.settings.paused {
             return;
         }
@@ -536,7 +539,7 @@ impl State {
     }
 
     /// Says so when the run is over.
-    fn end<P>(&mut self, out: &mut Vec<Action<P>>) {
+    fn end<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let deserted = self.slots.iter().all(|slot| matches!(slot.work, Work::Empty { .. } | Work::GivenUp));
         // A broken store records nothing more: also not what a worker said before it went.
         let recording = self.unrecorded > 0 && self.stopping != Stopping::Broken;

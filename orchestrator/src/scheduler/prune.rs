@@ -5,15 +5,6 @@
 
 use std::collections::BTreeMap;
 
-/// When trials are judged.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Prune {
-    /// Parts of a trial's steps at which it is judged, ascending in (0, 1).
-    pub at: Vec<f64>,
-    /// Trials of its kind that must have been there before it.
-    pub grace: usize,
-}
-
 /// How far a trial has come with a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Standing {

@@ -31,8 +31,16 @@ impl Dice {
     }
 }
 
-/// What is recorded of a trial in the simulated store: its steps, or its result.
-type Payload = (u32, u32);
+/// What is recorded of a trial in the simulated store, its steps or its result: which trial, which step.
+#[derive(Debug, Clone, PartialEq)]
+struct Simulated;
+
+impl Payload for Simulated {
+    type Step = (u32, u32);
+    type Saved = (u32, u32);
+    type Result = (u32, u32);
+    type Asker = ();
+}
 
 /// A simulated worker process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,7 +56,7 @@ struct World {
     state: State,
     now: Millis,
     /// What will happen, by time and order of scheduling.
-    queue: BTreeMap<(Millis, u64), Event<Payload>>,
+    queue: BTreeMap<(Millis, u64), Event<Simulated>>,
     scheduled: u64,
     processes: HashMap<WorkerId, Process>,
     working: HashMap<WorkerId, Lease>,
@@ -166,9 +174,9 @@ impl World {
                 17..19 => Steer::Add(Vec::new()),
                 _ => Steer::Stop,
             };
-            self.at(when, Event::Steer(steer));
+            self.at(when, Event::Steer(steer, ()));
         }
-        self.at(30_000, Event::Steer(Steer::Resume));
+        self.at(30_000, Event::Steer(Steer::Resume, ()));
     }
 
     /// The wish with the trial or trials that it is about.
@@ -187,18 +195,18 @@ impl World {
         }
     }
 
-    fn at(&mut self, when: Millis, event: Event<Payload>) {
+    fn at(&mut self, when: Millis, event: Event<Simulated>) {
         self.scheduled += 1;
         self.queue.insert((when, self.scheduled), event);
     }
 
-    fn soon(&mut self, most: Millis, event: Event<Payload>) {
+    fn soon(&mut self, most: Millis, event: Event<Simulated>) {
         let when = self.now + self.dice.below(most);
         self.at(when, event);
     }
 
     /// Messages of a worker keep their order; an echo of one may come at any time, also after the worker's death.
-    fn say(&mut self, when: Millis, event: Event<Payload>) {
+    fn say(&mut self, when: Millis, event: Event<Simulated>) {
         if self.dice.percent(self.chance_of_echo) {
             let late = when + self.dice.below(30_000);
             self.at(late, event.clone());
@@ -229,7 +237,7 @@ impl World {
     }
 
     /// What a process that is gone would still have done does not happen; what it has said does.
-    fn happens(&mut self, event: &Event<Payload>) -> bool {
+    fn happens(&mut self, event: &Event<Simulated>) -> bool {
         match event {
             Event::Lost(worker, _) => {
                 let gone = self.processes.insert(*worker, Process::Gone);
@@ -250,13 +258,13 @@ impl World {
         }
     }
 
-    fn event(&mut self, event: Event<Payload>) {
+    fn event(&mut self, event: Event<Simulated>) {
         let event = match event {
-            Event::Steer(steer) => Event::Steer(self.drawn(steer)),
+            Event::Steer(steer, ()) => Event::Steer(self.drawn(steer), ()),
             event => event,
         };
-        let wish = match &event {
-            Event::Steer(steer) => Some(steer.clone()),
+        let command = match &event {
+            Event::Steer(steer, ()) => Some(steer.clone()),
             _ => None,
         };
         let answered = self.answers.len();
@@ -279,8 +287,8 @@ impl World {
             }
             self.act(action);
         }
-        assert_eq!(self.answers.len(), answered + usize::from(wish.is_some()), "one answer a wish");
-        match (wish, self.answers.last()) {
+        assert_eq!(self.answers.len(), answered + usize::from(command.is_some()), "one answer a command");
+        match (command, self.answers.last()) {
             (Some(Steer::Cancel(trial)), Some(Answer::Cancelled(_))) => {
                 self.cancelled.insert(trial);
             }
@@ -293,7 +301,7 @@ impl World {
         self.check();
     }
 
-    fn act(&mut self, action: Action<Payload>) {
+    fn act(&mut self, action: Action<Simulated>) {
         match action {
             Action::Spawn(worker) => {
                 assert!(
@@ -327,7 +335,7 @@ impl World {
             }
             Action::RecordFailure { lease, .. } => self.soon(50, Event::Recorded(lease, Mark::Failure)),
             Action::RecordCancelled(lease) => self.soon(50, Event::Recorded(lease, Mark::Failure)),
-            Action::Answer(answer) => self.answers.push(answer),
+            Action::Answer((), answer) => self.answers.push(answer),
             Action::AskStop(worker) => {
                 if let Some(lease) = self.working.get(&worker).copied()
                     && self.processes[&worker] == Process::Up

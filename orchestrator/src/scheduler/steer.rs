@@ -1,15 +1,16 @@
-//! What a person may want of a run that goes on: each wish is an event and gets one answer; what cannot be changes nothing.
+//! What a person may command of a run that goes on: each command is an event and gets one answer; a refused one changes nothing.
 //!
 //! A pause takes running trials back after the step in progress, as the end of a run does: who pauses wants the machine, and
 //! what it costs is the beginning of another attempt, while a trial may go on for hours. Workers stay, idle.
 
 use std::fmt;
 
+use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Action, Phase, Prior, Reason, Slot, State, Stopping, Trial, Work, WorkerId};
+use super::{Action, Payload, Phase, Prior, Slot, State, Stopping, Trial, Work, WorkerId};
 
-/// What a person wants.
+/// A command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Steer {
     /// Hand no trial out, and take those that run back.
@@ -102,8 +103,8 @@ impl State {
         }
     }
 
-    pub(super) fn steer<P>(&mut self, steer: Steer, out: &mut Vec<Action<P>>) {
-        let answer = match steer {
+    pub(super) fn steer<P: Payload>(&mut self, steer: Steer, out: &mut Vec<Action<P>>) -> Answer {
+        match steer {
             Steer::Add(priors) => self.add(&priors),
             _ if self.stopping != Stopping::No => Answer::Refused(Refusal::Stopping),
             Steer::Pause => {
@@ -121,8 +122,7 @@ impl State {
             Steer::Cancel(trial) => self.give_up(trial, out),
             Steer::Next(trial) => self.put_first(trial),
             Steer::Workers(workers) => self.set_workers(workers),
-        };
-        out.push(Action::Answer(answer));
+        }
     }
 
     fn add(&mut self, priors: &[Prior]) -> Answer {
@@ -135,7 +135,7 @@ impl State {
         Answer::Added(priors.len())
     }
 
-    fn give_up<P>(&mut self, number: u32, out: &mut Vec<Action<P>>) -> Answer {
+    fn give_up<P: Payload>(&mut self, number: u32, out: &mut Vec<Action<P>>) -> Answer {
         let trial = &mut self.trials[number as usize];
         match trial.phase {
             Phase::Pending => {
@@ -189,7 +189,7 @@ impl State {
     }
 
     /// Asks for the trials back that are not to be finished, all of them in a pause.
-    pub(super) fn take_back<P>(&mut self, out: &mut Vec<Action<P>>) {
+    pub(super) fn take_back<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         for (slot, number) in self.slots.iter_mut().zip(0..) {
             let worker = WorkerId { slot: number, generation: slot.generation };
             if let Work::Busy { lease, asked: asked @ false, .. } = &mut slot.work
@@ -202,7 +202,7 @@ impl State {
     }
 
     /// Ends idle workers where there are more than are wanted.
-    pub(super) fn shrink<P>(&mut self, out: &mut Vec<Action<P>>) {
+    pub(super) fn shrink<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
         let surplus = alive.saturating_sub(self.settings.workers as usize);
         let idle = |(slot, _): &(&mut Slot, u32)| matches!(slot.work, Work::Starting { .. } | Work::Idle);
@@ -218,7 +218,18 @@ mod tests {
     use super::super::{Event, Mark, Outcome, Settings, on_event};
     use super::*;
 
-    type Actions = Vec<Action<()>>;
+    /// Nothing is recorded, and answers are for nobody.
+    #[derive(Debug, Clone, PartialEq)]
+    struct Nothing;
+
+    impl Payload for Nothing {
+        type Step = ();
+        type Saved = ();
+        type Result = ();
+        type Asker = ();
+    }
+
+    type Actions = Vec<Action<Nothing>>;
 
     /// A run whose workers are up: they have the first trials.
     fn run(trials: usize, workers: u32) -> State {
@@ -237,7 +248,7 @@ mod tests {
     }
 
     /// An event, after which workers that it starts come up; all actions.
-    fn up(state: &mut State, event: Event<()>) -> Actions {
+    fn up(state: &mut State, event: Event<Nothing>) -> Actions {
         let mut actions = on_event(state, event);
         let spawned: Vec<WorkerId> =
             actions.iter().filter_map(|a| if let Action::Spawn(id) = a { Some(*id) } else { None }).collect();
@@ -247,10 +258,15 @@ mod tests {
         actions
     }
 
-    fn steer(state: &mut State, wish: Steer) -> (Answer, Actions) {
-        let mut actions = up(state, Event::Steer(wish));
-        let at = actions.iter().position(|a| matches!(a, Action::Answer(_))).expect("an answer");
-        let Action::Answer(answer) = actions.remove(at) else { unreachable!() };
+    fn steer(state: &mut State, command: Steer) -> (Answer, Actions) {
+        let mut actions = up(state, Event::Steer(command, ()));
+        let answer = |action: &Action<Nothing>| match action {
+            Action::Answer((), answer) => Some(*answer),
+            _ => None,
+        };
+        let (at, answer) =
+            actions.iter().enumerate().find_map(|(at, a)| Some((at, answer(a)?))).expect("an answer");
+        actions.remove(at);
         (answer, actions)
     }
 
@@ -268,7 +284,7 @@ mod tests {
         actions
     }
 
-    const fn failed(trial: u32, reason: Reason, settled: bool) -> Action<()> {
+    const fn failed(trial: u32, reason: Reason, settled: bool) -> Action<Nothing> {
         Action::RecordFailure { lease: lease(trial, 1), reason, settled }
     }
 
@@ -381,10 +397,10 @@ mod tests {
         assert_eq!(state.waiting(), 1);
         let (answer, actions) = steer(&mut state, Steer::Stop);
         assert_eq!((answer, &actions[..]), (Answer::Stopping(1), &[Action::AskStop(worker)][..]));
-        for wish in
+        for command in
             [Steer::Stop, Steer::Pause, Steer::Resume, Steer::Cancel(2), Steer::Next(2), Steer::Workers(9)]
         {
-            assert_eq!(steer(&mut state, wish), (Answer::Refused(Refusal::Stopping), vec![]));
+            assert_eq!(steer(&mut state, command), (Answer::Refused(Refusal::Stopping), vec![]));
         }
         assert_eq!(steer(&mut state, Steer::Add(vec![Prior::default()])).0, Answer::Added(1));
         up(&mut state, Event::Failed(worker, lease(1, 5), Reason::Stopped));

@@ -252,7 +252,7 @@ impl Watcher {
             self.seen.db = db;
         }
         let (reader, _) = self.reader.as_mut().expect("it was just opened");
-        let version = reader.query("PRAGMA data_version").await.map_err(|e| chain(&e))?;
+        let version = reader.query::<Table>("PRAGMA data_version").await.map_err(|e| chain(&e))?;
         let version = version.rows[0][0].as_i64().unwrap_or(0);
         let ticks = self.seen.progress.run.is_some() && self.read.elapsed() > PROCESSES;
         if version == self.version && !ticks {

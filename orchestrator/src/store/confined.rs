@@ -6,9 +6,8 @@ use std::time::{Duration, Instant};
 
 use libsqlite3_sys as ffi;
 
-use super::read::{connect, options};
+use super::read::{Answer, connect, options};
 use super::{OPENING, Reader, StoreError, check_version};
-use crate::look::{Table, number};
 
 /// What an answer may come to.
 #[derive(Debug, Clone, Copy)]
@@ -57,11 +56,11 @@ impl Reader {
     ///
     /// # Errors
     /// With SQLite's message, or where no row has come in time.
-    pub async fn limited(
+    pub async fn limited<T: From<Answer>>(
         &mut self,
         sql: &str,
         limits: Limits,
-    ) -> Result<(Table, Option<String>), StoreError> {
+    ) -> Result<(T, Option<String>), StoreError> {
         let begun = Instant::now();
         let path = self.path.clone();
         let mut handle = self
@@ -71,13 +70,13 @@ impl Reader {
             .map_err(|source| StoreError::sql(&path, "querying", source))?;
         handle.set_progress_handler(OPERATIONS, move || begun.elapsed() < limits.time);
         drop(handle);
-        let late = || format!("it took more than {} s", number(limits.time.as_secs_f64()));
-        let mut table = Table { columns: self.columns(sql).await?, rows: Vec::new() };
+        let late = || format!("it took more than {} s", limits.time.as_secs_f64());
+        let (columns, mut rows) = (self.columns(sql).await?, Vec::new());
         let mut bytes = 0;
         let mut full = None;
         let taken = self
             .each(sql, |row| {
-                if table.rows.len() == limits.rows {
+                if rows.len() == limits.rows {
                     full = Some(format!("there are more than {} rows", limits.rows));
                 } else if begun.elapsed() >= limits.time {
                     full = Some(late());
@@ -87,22 +86,23 @@ impl Reader {
                     if bytes > limits.bytes {
                         full = Some(format!("there are more than {} bytes", limits.bytes));
                     } else {
-                        table.rows.push(row);
+                        rows.push(row);
                         return Ok(());
                     }
                 }
                 Err(StoreError::Query { message: String::new() })
             })
             .await;
-        match (taken, full) {
-            (_, Some(why)) => Ok((table, Some(why))),
-            (Ok(()), None) => Ok((table, None)),
-            (Err(_), None) if begun.elapsed() >= limits.time && table.rows.is_empty() => {
-                Err(StoreError::Query { message: late() })
+        let why = match (taken, full) {
+            (Ok(()), None) => None,
+            (_, Some(why)) => Some(why),
+            (Err(_), None) if begun.elapsed() >= limits.time && rows.is_empty() => {
+                return Err(StoreError::Query { message: late() });
             }
-            (Err(_), None) if begun.elapsed() >= limits.time => Ok((table, Some(late()))),
-            (Err(e), None) => Err(e),
-        }
+            (Err(_), None) if begun.elapsed() >= limits.time => Some(late()),
+            (Err(e), None) => return Err(e),
+        };
+        Ok((T::from((columns, rows)), why))
     }
 }
 
@@ -151,12 +151,13 @@ mod tests {
             "BEGIN".into(),
             "SELECT '\0'".into(),
         ] {
-            let answer = reader.limited(&sql, LIMITS).await;
+            let answer = reader.limited::<Answer>(&sql, LIMITS).await;
             assert!(answer.is_err(), "{sql}: {answer:?}");
         }
         assert!(!other.exists());
-        let (table, cut) = reader.limited("SELECT count(*) AS n FROM v_trial", LIMITS).await.unwrap();
-        assert_eq!((table.rows[0][0].as_i64(), cut), (Some(0), None));
+        let (table, cut) =
+            reader.limited::<Answer>("SELECT count(*) AS n FROM v_trial", LIMITS).await.unwrap();
+        assert_eq!((table.1[0][0].as_i64(), cut), (Some(0), None));
     }
 
     /// Rows, bytes, time and the length of a value.
@@ -176,8 +177,8 @@ mod tests {
             (count(11, "n"), 10, Some("more than 10 rows")),
             (count(9, "printf('%400c', 'x')"), 2, Some("more than 1000 bytes")),
         ] {
-            let (table, cut) = reader.limited(&sql, LIMITS).await.unwrap();
-            assert_eq!(table.rows.len(), rows, "{sql}");
+            let (table, cut) = reader.limited::<Answer>(&sql, LIMITS).await.unwrap();
+            assert_eq!(table.1.len(), rows, "{sql}");
             assert!(
                 why.is_none_or(|why| cut.as_ref().is_some_and(|cut| cut.contains(why))),
                 "{sql}: {cut:?}"
@@ -187,7 +188,7 @@ mod tests {
             [(count(1 << 40, "count(*)"), "more than 0.3 s"), ("SELECT zeroblob(9000000)".into(), "too big")]
         {
             let begun = Instant::now();
-            let said = reader.limited(&sql, LIMITS).await.unwrap_err().to_string();
+            let said = reader.limited::<Answer>(&sql, LIMITS).await.unwrap_err().to_string();
             assert!(said.contains(why) && begun.elapsed() < Duration::from_secs(5), "{sql}: {said}");
         }
     }

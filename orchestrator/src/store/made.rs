@@ -2,11 +2,21 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use metasense_schemas::spec::flatten;
 use serde_json::Value;
 
 use super::{Reader, StoreError};
-use crate::analysis::setting::flatten;
-use crate::provenance::Made;
+
+/// Trials that one code has worked on, or several in turn.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Made {
+    /// Its digest, `unknown` of what versions before 6 made; of several in the order of their work, with blanks between.
+    pub code: String,
+    /// Commits whose builds were this code.
+    pub revisions: Vec<String>,
+    /// How many.
+    pub trials: usize,
+}
 
 /// The trial of a database that differs least from another.
 #[derive(Debug, Clone, PartialEq)]

@@ -6,6 +6,7 @@
 
 mod confined;
 mod designs;
+mod disk;
 mod error;
 mod log;
 mod made;
@@ -23,9 +24,8 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::cluster::disk;
-use crate::provenance::Provenance;
 use metasense_schemas::database::{APPLICATION_ID, MIGRATIONS};
+use metasense_schemas::record::Provenance;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
@@ -33,9 +33,10 @@ pub use confined::Limits;
 use error::OPENING;
 pub use error::StoreError;
 pub use log::Level;
-pub use made::Nearest;
+pub use made::{Made, Nearest};
 pub use npy::{npy_bytes, npy_values};
-pub use read::{Artifact, Reader, Row, quoted};
+pub use prior::{Attempted, Reached};
+pub use read::{Answer, Artifact, Reader, Row, quoted};
 pub use runs::{RunKey, RunPlan};
 pub use stored::Stored;
 pub use sweep::Reopen;
@@ -50,8 +51,8 @@ pub struct Store {
     /// The sweep that was begun.
     sweep: Option<i64>,
     in_batch: bool,
-    /// Of the attempts that are begun.
-    provenance: Provenance,
+    /// Of the attempts that are begun, where it is known.
+    provenance: Option<Provenance>,
     // Last field: SQLite's own locks on the file would go with an earlier close.
     _lock: File,
 }
@@ -88,7 +89,7 @@ impl Store {
             ids: HashMap::new(),
             sweep: None,
             in_batch: false,
-            provenance: Provenance::here(1),
+            provenance: None,
             _lock: lock,
         };
         store.release_orphans().await?;
@@ -101,9 +102,9 @@ impl Store {
         &self.path
     }
 
-    /// From here on attempts have so many threads a worker; without, one.
-    pub fn set_threads(&mut self, threads: u32) {
-        self.provenance.threads = threads;
+    /// From here on this is recorded with each attempt and run.
+    pub fn set_provenance(&mut self, provenance: Provenance) {
+        self.provenance = Some(provenance);
     }
 
     /// Folds the journal into the file and closes it, so that one file alone is left.

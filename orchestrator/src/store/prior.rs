@@ -1,7 +1,17 @@
 //! What earlier runs have left of the trials of a sweep.
 
+use std::collections::HashMap;
+
 use super::{Store, StoreError};
-use crate::scheduler::Prior;
+
+/// How far earlier runs have come with a trial.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Attempted {
+    /// Attempts at it.
+    pub attempts: u32,
+    /// Steps behind its checkpoint, if it has one.
+    pub steps: Option<u32>,
+}
 
 /// What a trial of the sweep had at a part of its steps.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,11 +25,11 @@ pub struct Reached {
 }
 
 impl Store {
-    /// For each trial that is not settled and has been attempted: its hash, and how far it came.
+    /// How far each trial came that has been attempted and is not settled, by its hash.
     ///
     /// # Errors
     /// Where SQLite fails.
-    pub async fn priors(&mut self) -> Result<Vec<(String, Prior)>, StoreError> {
+    pub async fn attempted(&mut self) -> Result<HashMap<String, Attempted>, StoreError> {
         let rows: Vec<(String, u32, Option<u32>)> = sqlx::query_as(
             "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)
              FROM trial t JOIN attempt a ON a.trial_id = t.id
@@ -28,8 +38,7 @@ impl Store {
         .fetch_all(&mut self.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        let prior = |attempts, steps| Prior { attempts, steps, ..Prior::default() };
-        Ok(rows.into_iter().map(|(hash, attempts, steps)| (hash, prior(attempts, steps))).collect())
+        Ok(rows.into_iter().map(|(hash, attempts, steps)| (hash, Attempted { attempts, steps })).collect())
     }
 
     /// The trials of the sweep that was begun which have done this part of their steps, and what they had then.

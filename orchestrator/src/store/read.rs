@@ -17,9 +17,11 @@ use sqlx::{
 use super::error::is_trouble;
 use super::write::read_checkpoint;
 use super::{OPENING, Store, StoreError, check_version, lock, npy_values};
-use crate::look::Table;
 use metasense_schemas::database::MIGRATIONS;
 use metasense_schemas::record::Checkpoint;
+
+/// An answer in whole: names of its columns, and its rows; a blob stands as the text `blob of N bytes`.
+pub type Answer = (Vec<String>, Vec<Vec<Value>>);
 
 /// A row of an answer, as SQLite holds it.
 #[derive(Debug)]
@@ -148,12 +150,12 @@ impl Reader {
     ///
     /// # Errors
     /// Where SQLite fails.
-    pub async fn results(
+    pub async fn results<T: From<Answer>>(
         &mut self,
         name: &str,
         text: &str,
         limit: usize,
-    ) -> Result<(Table, usize), StoreError> {
+    ) -> Result<(T, usize), StoreError> {
         let path = &self.path;
         let at = |source| StoreError::sql(path, "reading", source);
         let sweep: i64 = sqlx::query_scalar("SELECT id FROM sweep WHERE name = ? AND text = ?")
@@ -181,7 +183,7 @@ impl Reader {
         .map_err(at)?;
         let columns =
             rows.first().map_or(Vec::new(), |row| row.columns().iter().map(|c| c.name().into()).collect());
-        Ok((Table { columns, rows: rows.iter().map(values).collect() }, count as usize))
+        Ok((T::from((columns, rows.iter().map(values).collect())), count as usize))
     }
 
     /// Hash and reason of the trials of a sweep that have failed.
@@ -204,14 +206,14 @@ impl Reader {
     ///
     /// # Errors
     /// With SQLite's message.
-    pub async fn query(&mut self, sql: &str) -> Result<Table, StoreError> {
-        let mut table = Table { columns: self.columns(sql).await?, rows: Vec::new() };
+    pub async fn query<T: From<Answer>>(&mut self, sql: &str) -> Result<T, StoreError> {
+        let (columns, mut rows) = (self.columns(sql).await?, Vec::new());
         self.each(sql, |row| {
-            table.rows.push(row.values());
+            rows.push(row.values());
             Ok::<_, StoreError>(())
         })
         .await?;
-        Ok(table)
+        Ok(T::from((columns, rows)))
     }
 
     /// The names of an answer's columns.

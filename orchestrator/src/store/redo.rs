@@ -30,7 +30,7 @@ impl Store {
     pub async fn redo_other_code(&mut self) -> Result<usize, StoreError> {
         let path = self.path.clone();
         let at = |source| StoreError::sql(&path, "reopening trials in", source);
-        let (sweep, code) = (self.sweep, self.provenance.code);
+        let (sweep, code) = (self.sweep, self.provenance.as_ref().map(|made| made.code.clone()));
         let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(at)?;
         sqlx::query("DROP TABLE IF EXISTS temp.other").execute(&mut *tx).await.map_err(at)?;
         sqlx::query(OTHERS).bind(sweep).bind(code).execute(&mut *tx).await.map_err(at)?;

@@ -34,7 +34,7 @@ impl Store {
     pub async fn begin_run(&mut self, plan: &RunPlan<'_>) -> Result<RunKey, StoreError> {
         let path = self.path.clone();
         let at = |source| StoreError::sql(&path, "recording a run in", source);
-        let host = self.provenance.host.clone();
+        let host = self.provenance.as_ref().map_or(String::new(), |made| made.host.clone());
         let (sweep, started_at): (i64, String) = sqlx::query_as(
             "INSERT INTO run (sweep_id, started_at, host, shard, shards, job, version, workers, threads, trials,
                estimated_seconds)

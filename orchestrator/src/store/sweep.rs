@@ -1,12 +1,12 @@
 //! The writer's methods for sweeps: their trials, recorded once, and which of them are settled.
 
+use metasense_schemas::reason::PRUNED;
+use metasense_schemas::record::{Found, Trial};
 use metasense_schemas::spec::SweepSpec;
 use sqlx::Connection;
 
 use super::write::VERSION;
 use super::{Store, StoreError};
-use crate::plan::{Found, Trial};
-use crate::scheduler::PRUNED;
 
 /// Trials that are to be run again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

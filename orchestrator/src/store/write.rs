@@ -91,7 +91,7 @@ impl Store {
     }
 
     async fn insert_attempt(&mut self, id: i64) -> sqlx::Result<u32> {
-        let made = &self.provenance;
+        let made = self.provenance.as_ref();
         // An attempt that was not ended by name was superseded.
         sqlx::query(
             "UPDATE attempt SET state = 'failed', reason = coalesce(reason, 'superseded'),
@@ -112,13 +112,13 @@ impl Store {
         )
         .bind(id)
         .bind(VERSION)
-        .bind(made.code)
-        .bind(made.revision)
-        .bind(made.rustc)
-        .bind(&made.host)
-        .bind(&made.cpu)
-        .bind(made.simd)
-        .bind(made.threads)
+        .bind(made.map(|made| &made.code))
+        .bind(made.and_then(|made| made.revision.as_ref()))
+        .bind(made.map(|made| &made.rustc))
+        .bind(made.map(|made| &made.host))
+        .bind(made.and_then(|made| made.cpu.as_ref()))
+        .bind(made.map(|made| &made.simd))
+        .bind(made.map(|made| made.threads))
         .fetch_one(&mut self.connection)
         .await
     }

@@ -24,7 +24,7 @@ pub use optimise::{
 pub use sensors::{Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{Augment, ForceUnit, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger};
-pub use trial::{Point, TrialSpec};
+pub use trial::{Point, TrialSpec, flatten};
 pub use until::{AtMost, Until};
 
 use schemars::JsonSchema;

@@ -1,6 +1,9 @@
 //! What one point of a sweep resolves to, and the hash that names it.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::{Body, Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Stimuli, Time};
 
@@ -95,4 +98,23 @@ fn write_canonical(value: &serde_json::Value, text: &mut String) {
         }
         scalar => *text += &scalar.to_string(),
     }
+}
+
+/// A JSON object's leaves by path.
+#[must_use]
+pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
+    fn walk(path: &str, value: &Value, leaves: &mut BTreeMap<String, Value>) {
+        match value {
+            Value::Object(map) => {
+                for (key, value) in map {
+                    let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                    walk(&path, value, leaves);
+                }
+            }
+            other => drop(leaves.insert(path.to_owned(), other.clone())),
+        }
+    }
+    let mut leaves = BTreeMap::new();
+    walk("", value, &mut leaves);
+    leaves
 }

@@ -231,7 +231,7 @@ mod tests {
         std::fs::write(built.join("x"), "").unwrap();
         assert!(put_in_place(&built, &out).await.is_err());
         let mut reader = crate::store::Reader::open(&out).await.unwrap();
-        let rows = reader.query("SELECT count(*) FROM v_trial").await.unwrap().rows;
+        let rows = reader.query::<crate::look::Table>("SELECT count(*) FROM v_trial").await.unwrap().rows;
         assert_eq!(rows[0][0], 2);
     }
 }

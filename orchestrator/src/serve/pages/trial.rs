@@ -52,7 +52,7 @@ impl Trial {
         let hash = reader.hash_of(hash).await?;
         let of = format!("WHERE hash = {}", quoted(&hash));
         let moves = format!("SELECT result->>'$.moves' FROM trial {of}");
-        let said = reader
+        let said: Table = reader
             .query(&format!("SELECT state, coalesce(reason, ''), spec, ({moves}) FROM v_trial {of}"))
             .await?;
         let [state, reason, spec, moves] =

@@ -1,10 +1,11 @@
 //! Ten thousand campaigns of known truth a question: how often a settled answer is wrong, with looks paid for and by naive
 //! peeking, and what of the grid is run. `cargo test -p metasense --lib campaigns -- --nocapture` prints the table.
 
+use metasense_worker::Draw;
+
 use super::ask::{Answer, Question};
 use super::looks::Looks;
 use super::settle;
-use metasense_worker::Draw;
 
 /// Campaigns a question.
 const CAMPAIGNS: u64 = 10_000;

@@ -13,11 +13,12 @@ mod looks;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
 
-use metasense_schemas::spec::Until;
+use metasense_schemas::record::{Found, Trial as Planned};
+use metasense_schemas::spec::{Until, flatten};
 
-use crate::analysis::data::{COMPLEXITY, SENSORS, groups, places};
-use crate::analysis::resample::LEAST_UNITS;
-use crate::analysis::{Body, Cluster, Observation, Set, Trial};
+use super::data::{COMPLEXITY, SENSORS, groups, places};
+use super::resample::LEAST_UNITS;
+use super::{Body, Cluster, Observation, Set, Trial};
 
 use ask::Curves;
 pub use ask::{Answer, Question};
@@ -124,15 +125,51 @@ fn by_unit<'a>(trials: &[&'a Trial]) -> (Vec<Vec<&'a Trial>>, &'static str) {
 
 /// The first question that no setting of the plan can answer.
 #[must_use]
-pub fn unanswerable(until: &Until, trials: &[Trial]) -> Option<Question> {
-    let found = asked(until, trials);
+pub fn unanswerable(until: &Until, plan: &[Planned]) -> Option<Question> {
+    let found = asked(until, &plan.iter().map(planned).collect::<Vec<_>>());
     Question::all(until).into_iter().find(|question| found.iter().all(|a| a.question != *question))
+}
+
+/// A trial as the analysis sees it, without results.
+fn planned(trial: &Planned) -> Trial {
+    let point = trial.spec.point;
+    Trial {
+        hash: trial.hash.clone(),
+        setting: flatten(&serde_json::to_value(&trial.spec).expect("a trial is JSON")).into_iter().collect(),
+        panels: point.panels as u64,
+        sensors: point.sensors as u64,
+        cluster: Cluster { placement: point.placement as u64, seed: point.seed },
+        units: trial.units as u64,
+        design_parameters: trial.design_parameters as u64,
+        ..Trial::default()
+    }
+}
+
+/// Where the questions to a plan stand by what is in the database, and which trials are wanted, in the order of the plan:
+/// once the hours are spent, settled ones alone. So many units are run ahead of an open question as keep the workers busy.
+#[must_use]
+pub fn of_plan(until: &Until, plan: &[Planned], found: &[Found], workers: u32) -> Decision {
+    let mut trials: Vec<Trial> = plan.iter().map(planned).collect();
+    let mut settled = vec![false; trials.len()];
+    let places: HashMap<&str, &Found> = found.iter().map(|f| (f.hash.as_str(), f)).collect();
+    let mut seconds = 0.0;
+    for (trial, settled) in trials.iter_mut().zip(&mut settled) {
+        if let Some(found) = places.get(trial.hash.as_str()) {
+            trial.errors = found.errors.map(|error| [None, error]);
+            (*settled, seconds) = (true, seconds + found.seconds);
+        }
+    }
+    let points = trials.iter().filter(|trial| trial.cluster == trials[0].cluster).count();
+    let mut decision = decide(until, &trials, &settled, (workers as usize).div_ceil(points.max(1)));
+    if until.at_most.hours.is_some_and(|hours| seconds >= 3600.0 * hours) {
+        decision.wanted.retain(|&trial| settled[trial]);
+    }
+    decision
 }
 
 /// Where the questions stand by what is `settled` (done, or failed for good) of the plan's trials, and what is wanted: of
 /// every open question the units before the first one that is not settled, and so many `ahead`.
-#[must_use]
-pub fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> Decision {
+fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> Decision {
     let alpha = 1.0 - until.confidence;
     let mut looks: BTreeMap<usize, Looks> = BTreeMap::new();
     let (mut standings, mut wanted) = (Vec::new(), BTreeSet::new());
@@ -200,7 +237,6 @@ fn settle(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::setting::flatten;
     use serde_json::json;
 
     /// M = 1 … 4 in twelve placements at one seed, in the plan's order; the optimised body's error is that of its M, and a

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use metasense_schemas::wire::Trouble;
+use crate::wire::Trouble;
 
 /// Why an attempt ended without a result. Its `Display` is its name in the database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -11,7 +11,7 @@ use std::collections::HashMap;
 
 use metasense_worker::{Draw, chance_above, student_above};
 
-use crate::analysis::resample::LEAST_UNITS;
+use super::super::resample::LEAST_UNITS;
 
 /// Sequences drawn.
 const SEQUENCES: u64 = 40_000;
