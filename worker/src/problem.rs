@@ -8,7 +8,7 @@ use std::fmt::Display;
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
-use metasense_numerics::dynamics::{Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
+use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::nested::{
     Decoder, Evaluation, Kind, Optimise, Problem, Ridge, Schedule, Training, fits,
@@ -263,7 +263,7 @@ fn solver(key: &str, solver: &spec::Solver) -> Result<Solver, Invalid> {
             ));
         }
     };
-    Ok(Solver { method, tolerance: solver.tolerance })
+    Ok(Solver::new(method, Accuracy(solver.tolerance)))
 }
 
 /// Of a linear brain's system: 3 GB and a minute a step.

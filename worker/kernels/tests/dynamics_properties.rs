@@ -5,8 +5,8 @@ mod common;
 use common::{norm, pool, relative};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Outcome, Panel, Plan, Scene, Simulation, Solver, Stiffness, Wrt, choose,
-    highest_frequency, run, run_at, signal_error, simulate, tune,
+    Accuracy, Contact, Forces, Frame, Method, Outcome, Panel, Plan, Precision, Scene, Simulation, Solver,
+    Stiffness, Tolerance, Wrt, choose, highest_frequency, run, run_at, signal_error, simulate, tune,
 };
 use metasense_kernels::simd::Width;
 use std::f64::consts::TAU;
@@ -52,11 +52,11 @@ fn shaken(scene: &Scene) -> Vec<f64> {
 }
 
 fn plan(method: Method, steps: usize) -> Plan {
-    Plan { method, tolerance: 1e-10, steps, reason: String::new() }
+    match method {
+        Method::Tsit5 => Plan::tsit5(Tolerance::both(1e-10)),
+        method => Plan::equal(method, steps),
+    }
 }
-
-/// Steps so coarse by their law that they go in f32, however many they are.
-const COARSE: f64 = 1e300;
 
 const EQUAL_STEPS: [(Method, f64, usize); 3] =
     [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
@@ -74,8 +74,7 @@ fn every_width_computes_the_same() {
         Scene { frame: Frame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 11, 0.4));
-        for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom4, 24)] {
-            let plan = Plan { tolerance: 1e-6, ..plan(method, steps) };
+        for plan in [Plan::tsit5(Tolerance::both(1e-6)), Plan::equal(Method::Nystrom4, 24)] {
             let at = |width| {
                 let run = run_at(width, &scene, &design, &forces, &plan, true, &pool);
                 assert_eq!(run.width, width);
@@ -94,7 +93,7 @@ fn every_width_computes_the_same() {
                     relative(&of.3, &truth.3),
                 ];
                 let off = off.into_iter().fold(0.0, f64::max);
-                apart.push((width, method, off));
+                apart.push((width, plan.method, off));
             }
         }
     }
@@ -116,15 +115,14 @@ fn coarse_steps_in_single_precision_are_those_in_double() {
         let (design, forces) = (shaken(&scene), pushes(&scene, 19, 0.4));
         for (method, _, steps) in EQUAL_STEPS {
             for width in Width::ALL.into_iter().filter(|w| *w <= Width::detect()) {
-                let at = |tolerance, steps| {
-                    let plan = Plan { tolerance, ..plan(method, steps) };
-                    assert_eq!(plan.single(), tolerance > 0.0);
+                let at = |precision, steps| {
+                    let plan = Plan { precision, ..plan(method, steps) };
                     let run = run_at(width, &scene, &design, &forces, &plan, true, &pool(1));
                     assert_eq!(run.outcomes, [Outcome::Ok; 19]);
                     let gradient = run.vjp(&run.signals, Wrt::Forces, &pool(1));
                     [run.signals, gradient.design, gradient.forces.expect("asked for")]
                 };
-                let (single, double) = (at(COARSE, steps), at(0.0, steps));
+                let (single, double) = (at(Precision::Single, steps), at(Precision::Double, steps));
                 apart.push([0, 1, 2].map(|i| relative(&single[i], &double[i])));
             }
         }
@@ -152,8 +150,8 @@ fn samples_begin_with_their_forces() {
                     .for_each(|(n, f)| *f = if n <= begin { 0.0 } else { *f + 0.1 });
             }
         }
-        for (tolerance, method, steps) in [(0.0, Method::Nystrom4, 24), (COARSE, Method::Nystrom4, 24)] {
-            let plan = Plan { tolerance, ..plan(method, steps) };
+        for precision in [Precision::Double, Precision::Single] {
+            let plan = Plan { precision, ..plan(Method::Nystrom4, 24) };
             let all = run(&scene, &design, &forces, &plan, true, &pool(2));
             let of = |run: &Simulation| run.vjp(&run.signals, Wrt::Design, &pool(1)).design;
             let together = of(&all);
@@ -170,7 +168,7 @@ fn samples_begin_with_their_forces() {
                 sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
             }
             let off = relative(&together, &sum);
-            assert!(off < 1e-12 && norm(&sum) > 0.0, "{frame:?} {tolerance}: {off:e}");
+            assert!(off < 1e-12 && norm(&sum) > 0.0, "{frame:?} {precision:?}: {off:e}");
         }
     }
 }
@@ -269,7 +267,7 @@ fn the_highest_frequency_is_that_of_the_model() {
 }
 
 /// Signals at the tuned steps are as good as asked, by every method that a spec may name, for one scene of each kind, and
-/// the tuned tolerance makes the law give these steps.
+/// the tuned accuracy makes the law give these steps.
 #[test]
 fn a_pilot_keeps_the_accuracy_asked() {
     let base = small_scene();
@@ -283,23 +281,20 @@ fn a_pilot_keeps_the_accuracy_asked() {
         ("linearised", Scene { linearised: true, ..base }),
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
-        let tight = Solver { method: Method::Nystrom6, tolerance: 1e-8 };
+        let tight = Solver::new(Method::Nystrom6, Accuracy(1e-8));
         let truth = simulate(&scene, &design, &forces, &tight, false, &pool(1));
         let named = [Method::Tsit5, Method::Leapfrog, Method::Nystrom4, Method::Nystrom6].map(|m| (m, 1e-3));
-        let auto = [3e-2, 1e-3, 1e-4].map(|tolerance| (Method::Auto, tolerance));
-        for (method, tolerance) in auto.into_iter().chain(named) {
-            let solver = Solver { method, tolerance };
+        let auto = [3e-2, 1e-3, 1e-4].map(|asked| (Method::Auto, asked));
+        for (method, asked) in auto.into_iter().chain(named) {
+            let solver = Solver::new(method, Accuracy(asked));
             let tuned = tune(&scene, &design, &forces, &solver, &pool(1));
             assert_eq!(tuned, tune(&scene, &design, &forces, &solver, &pool(2)), "{what}: threads");
             let reason = &tuned.plan.reason;
             let run = simulate(&scene, &design, &forces, &tuned.solver, false, &pool(1));
-            assert_eq!(
-                run.plan.steps, tuned.plan.steps,
-                "{what}: the law with the tuned tolerance; {reason}"
-            );
+            assert_eq!(run.plan.steps, tuned.plan.steps, "{what}: the law with the tuned accuracy; {reason}");
             let error = signal_error(&run.signals, &truth.signals, 3 * scene.sensors.len());
-            assert!(error <= tolerance, "{what}: {error:e} where {tolerance:e} was asked; {reason}");
-            assert!(tuned.error.is_some_and(|e| e <= tolerance), "{what}: {:?}; {reason}", tuned.error);
+            assert!(error <= asked, "{what}: {error:e} where {asked:e} was asked; {reason}");
+            assert!(tuned.error.is_some_and(|e| e <= asked), "{what}: {:?}; {reason}", tuned.error);
         }
     }
 }
@@ -312,8 +307,9 @@ fn stiff_scenes_and_fine_steps_are_no_matter_for_single_precision() {
         Scene { layout: Layout::planar(6, 6, 15.0, 2.25), clamped: (0..6).collect(), ..small_scene() };
     let stiff = Scene { stiffness: Stiffness { stretch: 300.0, ..scene.stiffness }, ..scene.clone() };
     let design = scene.layout.initial_design(25f64.to_radians());
-    let single = |scene: &Scene, tolerance| {
-        choose(scene, &design, &Solver { method: Method::Auto, tolerance }).single()
+    let single = |scene: &Scene, error| {
+        let plan = choose(scene, &design, &Solver::new(Method::Auto, Accuracy(error)));
+        plan.precision == Precision::Single
     };
     assert_eq!([3e-2, 1e-2, 1e-3, 1e-6].map(|t| single(&scene, t)), [true, true, false, false]);
     assert_eq!([3e-2, 1e-3].map(|t| single(&stiff, t)), [false; 2]);
@@ -342,7 +338,7 @@ fn a_pilot_is_not_blind_to_steps_that_contact_halves() {
     let contact = Some(Contact { stiffness: 0.02, min_angle: 0.3, cutoff_angle: 0.62 });
     let scene = Scene { contact, ..small_scene() };
     let design = scene.layout.initial_design(25f64.to_radians());
-    let solver = Solver { method: Method::Auto, tolerance: 1e-3 };
+    let solver = Solver::new(Method::Auto, Accuracy(1e-3));
     let mut halved = 0;
     for amplitude in [0.2, 0.4, 0.6, 0.8, 1.0, 1.2] {
         let forces = pushes(&scene, 2, amplitude);
@@ -351,7 +347,7 @@ fn a_pilot_is_not_blind_to_steps_that_contact_halves() {
             continue;
         }
         halved += 1;
-        let tight = Solver { method: Method::Tsit5, tolerance: 1e-10 };
+        let tight = Solver::tsit5(Tolerance::both(1e-10));
         let truth = simulate(&scene, &design, &forces, &tight, false, &pool(1));
         let tuned = tune(&scene, &design, &forces, &solver, &pool(1));
         let run = run(&scene, &design, &forces, &tuned.plan, false, &pool(1));
@@ -368,14 +364,14 @@ fn a_pilot_is_not_blind_to_steps_that_contact_halves() {
 fn a_pilot_says_what_it_cannot_measure() {
     let scene = small_scene();
     let (design, mut forces) = (shaken(&scene), pushes(&scene, 1, 0.4));
-    let auto = Solver { method: Method::Auto, tolerance: 1e-3 };
-    let law = choose(&scene, &design, &auto).steps;
+    let auto = Solver::new(Method::Auto, Accuracy(1e-3));
+    let law = choose(&scene, &design, &auto).steps.count();
     // So hard that errors fall but not to 1e-3, and so hard that motion is chaotic
     for (factor, refined) in [(300.0, 8), (10_000.0, 1)] {
         let forces = Forces { values: forces.values.iter().map(|f| factor * f).collect(), ..forces };
         let wild = tune(&scene, &design, &forces, &auto, &pool(1));
         assert!(wild.error.is_none() && wild.plan.reason.contains("no steps of the pilot"), "{wild:?}");
-        assert_eq!(wild.plan.steps, refined * law, "{factor}: {}", wild.plan.reason);
+        assert_eq!(wild.plan.steps.count(), refined * law, "{factor}: {}", wild.plan.reason);
     }
     forces.values.fill(0.0);
     let still = tune(&scene, &design, &forces, &auto, &pool(1));
@@ -430,9 +426,9 @@ fn forces_may_have_a_finer_clock_than_the_signals() {
             assert_eq!(solve(&coarse, 4 * steps - 1).signals, ours.signals, "{method:?}");
         }
     }
-    let solver = Solver { method: Method::Auto, tolerance: 1e-3 };
+    let solver = Solver::new(Method::Auto, Accuracy(1e-3));
     let tuned = tune(&coarse, &design, &forces, &solver, &pool(1));
-    assert!(tuned.plan.steps.is_multiple_of(4) && tuned.error.is_some_and(|e| e < 1e-3), "{tuned:?}");
+    assert!(tuned.plan.steps.count().is_multiple_of(4) && tuned.error.is_some_and(|e| e < 1e-3), "{tuned:?}");
 }
 
 /// Steps that a blow a hundred times as hard makes unstable are refined for that sample alone.
@@ -461,7 +457,7 @@ fn steps_that_make_energy_of_nothing_are_unstable() {
         let base = small_scene();
         let scene = Scene { stiffness: Stiffness { stretch, ..base.stiffness }, ..base };
         let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
-        let tight = Solver { method: Method::Nystrom6, tolerance: 1e-4 };
+        let tight = Solver::new(Method::Nystrom6, Accuracy(1e-4));
         let truth = norm(&simulate(&scene, &design, &forces, &tight, false, &pool(2)).signals);
         for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
             for steps in [1, 2, 3, 5, 8, 13, 21] {
@@ -496,7 +492,7 @@ fn contact_that_acts_at_rest_moves_the_body_from_the_start() {
     let mut forces = pushes(&scene, 3, 0.3);
     let per_sample = forces.values.len() / 3;
     forces.values[2 * per_sample..].fill(0.0);
-    let tight = Solver { method: Method::Tsit5, tolerance: 1e-12 };
+    let tight = Solver::tsit5(Tolerance::both(1e-12));
     let adaptive = simulate(&scene, &design, &forces, &tight, false, &pool(1));
     assert_eq!(adaptive.outcomes, [Outcome::Ok; 3]);
     let equal = run(&scene, &design, &forces, &plan(Method::Nystrom6, 96), false, &pool(1));

@@ -3,7 +3,9 @@
 use metasense_kernels::body::Layout;
 use metasense_kernels::brain::linear::{Fit, Lags, Moments, Order, Sizes};
 use metasense_kernels::brain::{Adam, Architecture, Data, Shape, Workspace, train};
-use metasense_kernels::dynamics::{Forces, Frame, Method, Panel, Scene, Solver, Stiffness, Wrt, simulate};
+use metasense_kernels::dynamics::{
+    Accuracy, Forces, Frame, Method, Panel, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
+};
 use metasense_kernels::pulse;
 
 /// How much the count grows.
@@ -39,7 +41,10 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let forces = Forces { samples, panels: 1, instants, values };
     let mut signals = Vec::new();
     for method in [Method::Tsit5, Method::Nystrom4] {
-        let solver = Solver { method, tolerance: 1e-4 };
+        let solver = match method {
+            Method::Tsit5 => Solver::tsit5(Tolerance::both(1e-4)),
+            method => Solver::new(method, Accuracy(1e-4)),
+        };
         let (simulation, forwards) = beats(|| simulate(&scene, &design, &forces, &solver, true, &pool));
         let cotangent = vec![1.0; simulation.signals.len()];
         let (_, backwards) = beats(|| simulation.vjp(&cotangent, Wrt::Design, &pool));

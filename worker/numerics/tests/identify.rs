@@ -2,7 +2,7 @@
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Forces, Frame, Method, Panel, Parameters, Scene, Solver, Stiffness, simulate,
+    Accuracy, Forces, Frame, Method, Panel, Parameters, Scene, Solver, Stiffness, simulate,
 };
 use metasense_numerics::identify::{Fit, Outcome, Parameter, Settings, Turn, fit};
 use metasense_numerics::random::{Purpose, Stream};
@@ -46,7 +46,7 @@ fn blows(scene: &Scene, samples: u64) -> Forces {
 
 /// Signals of the scene with noise of a part of each kind's RMS, correlated from instant to instant by `memory`.
 fn records(scene: &Scene, design: &[f64], forces: &Forces, noise: f64, memory: f64, seed: u64) -> Vec<f64> {
-    let solver = Solver { method: Method::Nystrom6, tolerance: 1e-5 };
+    let solver = Solver::new(Method::Nystrom6, Accuracy(1e-5));
     let mut signals = simulate(scene, design, forces, &solver, false, &pool(1)).signals;
     let rms = |kind: bool| {
         let of: Vec<f64> =
@@ -66,7 +66,7 @@ fn records(scene: &Scene, design: &[f64], forces: &Forces, noise: f64, memory: f
 }
 
 fn settings(free: &[Parameter]) -> Settings {
-    let solver = Solver { method: Method::Auto, tolerance: 1e-3 };
+    let solver = Solver::new(Method::Auto, Accuracy(1e-3));
     Settings { free: free.to_vec(), solver, iterations: 1000 }
 }
 

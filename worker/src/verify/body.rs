@@ -4,8 +4,8 @@ use super::case::{Case, CaseError};
 use super::{DEFAULT, Row, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::dynamics::{
-    Forces, Method, Outcome, Scene, Simulation, Solver, Wrt, energy, energy_design_gradient, energy_gradient,
-    run, signal_error, simulate, tune,
+    Forces, Outcome, Scene, Simulation, Solver, Tolerance, Wrt, energy, energy_design_gradient,
+    energy_gradient, run, signal_error, simulate, tune,
 };
 use metasense_numerics::stimuli::resample;
 
@@ -16,7 +16,7 @@ const ROUNDING: f64 = 1e-12;
 pub(super) const LEEWAY: f64 = 1.2;
 
 /// What every agreement with trajectories is asked at.
-const TIGHT: Solver = Solver { method: Method::Tsit5, tolerance: 1e-11 };
+const TIGHT: Solver = Solver::tsit5(Tolerance::both(1e-11));
 
 /// Initial design, vertices, centroids, arms, area, mass, moment, void angles, ligaments.
 pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
@@ -137,7 +137,7 @@ pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, Cas
         ("sensors at default settings", signal_error(&usual.signals, &signals, 3 * scene.sensors.len()));
     // Where the pilot found that no steps keep the tolerance, none was promised.
     let row = match tuned.error {
-        Some(_) => Row::new(name, error, LEEWAY * DEFAULT.tolerance),
+        Some(_) => Row::new(name, error, LEEWAY * DEFAULT.accuracy.0),
         None => Row::shown(name, error),
     };
     let note = format!("{work} forces a sample; {} {}", tuned.plan.reason, outcomes(&usual));

@@ -4,8 +4,8 @@ use super::{Row, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Contact, Forces, Frame, Method, Panel, Parameters, Plan, Scene, Simulation, Solver, Stiffness, Tangent,
-    Wrt, choose, damping, energy, run, simulate,
+    Accuracy, Contact, Forces, Frame, Method, Panel, Parameters, Plan, Scene, Simulation, Solver, Stiffness,
+    Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
@@ -57,13 +57,11 @@ fn fine() -> (Scene, Vec<f64>, Forces) {
 }
 
 /// All checks for `method`.
-pub fn rows(methods: &[(Method, f64)], pool: &rayon::ThreadPool) -> Vec<Row> {
+pub fn rows(solvers: &[Solver], pool: &rayon::ThreadPool) -> Vec<Row> {
     let mut rows = orders(pool);
-    rows.extend(
-        [(Method::Nystrom6, 1e-3), (Method::Tsit5, 1e-6), (Method::Tsit5, 1e-12)].map(|m| tape(m, pool)),
-    );
-    for &(method, tolerance) in methods {
-        let solver = Solver { method, tolerance };
+    rows.push(tape(Solver::new(Method::Nystrom6, Accuracy(1e-3)), 1e-3, pool));
+    rows.extend([1e-6, 1e-12].map(|t| tape(Solver::tsit5(Tolerance::both(t)), t, pool)));
+    for &solver in solvers {
         rows.push(balance(solver, pool));
         rows.push(taylor(solver, pool));
         rows.push(taylor_parameters(solver, pool));
@@ -86,21 +84,19 @@ fn short() -> (Scene, Vec<f64>, Forces) {
 /// light and heavy: the drift carries it exactly; of Tsit5 from the steps that two tolerances take.
 fn orders(pool: &rayon::ThreadPool) -> Vec<Row> {
     let (light, design, forces) = short();
-    let solve = |scene: &Scene, method, steps, tolerance| {
-        run(scene, &design, &forces, &Plan { method, tolerance, steps, reason: String::new() }, false, pool)
-    };
+    let solve = |scene: &Scene, plan| run(scene, &design, &forces, &plan, false, pool);
     let mut rows = Vec::new();
     for scene in [light.clone(), Scene { damping_ratio: 1.0, ..light.clone() }] {
-        let truth = solve(&scene, Method::Nystrom6, 120, 0.0).signals;
+        let truth = solve(&scene, Plan::equal(Method::Nystrom6, 120)).signals;
         for (method, order, steps) in
             [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 16)]
         {
             let [coarse, fine] =
-                [steps, 2 * steps].map(|n| relative(&solve(&scene, method, n, 0.0).signals, &truth));
+                [steps, 2 * steps].map(|n| relative(&solve(&scene, Plan::equal(method, n)).signals, &truth));
             rows.push(order_row(method, scene.damping_ratio, order, (coarse / fine).log2()));
         }
         if scene == light {
-            let [coarse, fine] = [1e-8, 1e-11].map(|tolerance| solve(&scene, Method::Tsit5, 0, tolerance));
+            let [coarse, fine] = [1e-8, 1e-11].map(|t| solve(&scene, Plan::tsit5(Tolerance::both(t))));
             let ratio = |f: &dyn Fn(&Simulation) -> f64| (f(&coarse) / f(&fine)).ln();
             let steps = -ratio(&|s| s.counters.steps as f64);
             let seen = ratio(&|s| relative(&s.signals, &truth)) / steps;
@@ -188,7 +184,7 @@ fn taylor_parameters(solver: Solver, pool: &rayon::ThreadPool) -> Row {
     let name = format!("Taylor tests of the parameters, slope 2, {}", solver.method.name());
     // What error control changes from value to value would drown the remainder.
     let plan = match solver.method {
-        Method::Tsit5 => Plan { tolerance: 1e-11, ..choose(&scene, &design, &solver) },
+        Method::Tsit5 => Plan::tsit5(Tolerance::both(1e-11)),
         _ => choose(&scene, &design, &solver),
     };
     let simulation = run(&scene, &design, &forces, &plan, true, pool);
@@ -235,7 +231,10 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
         ("heavily damped", Scene { damping_ratio: 0.5, ..base.clone() }, 1),
     ];
     let mut stream = Stream::new(Purpose::Design, 6, [0, 0]);
-    let solver = Solver { tolerance: solver.tolerance.max(1e-7), ..solver };
+    let solver = match solver.method {
+        Method::Tsit5 => Solver::tsit5(Tolerance::both(1e-7)),
+        method => Solver::new(method, Accuracy(solver.accuracy.0.max(1e-7))),
+    };
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let mut worst = [("", 0.0); 4];
     for (name, scene, kinks) in scenes {
@@ -283,18 +282,18 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
 
 /// What 300 samples of the reference scene keep for their gradient, in MB: the states at the instants and, of adaptive steps
 /// alone, a count an interval and one or two bytes a step.
-fn tape((method, tolerance): (Method, f64), pool: &rayon::ThreadPool) -> Row {
+fn tape(solver: Solver, asked: f64, pool: &rayon::ThreadPool) -> Row {
     let scene = reference();
     let design = scene.layout.initial_design(25f64.to_radians());
-    let run = simulate(&scene, &design, &bells(&scene, 2), &Solver { method, tolerance }, true, pool);
+    let run = simulate(&scene, &design, &bells(&scene, 2), &solver, true, pool);
     let bytes = run.tape.map_or(0, |tape| tape.bytes());
     let (states, steps) = (scene.instants * 6 * 30 * 8 * 2, run.counters.steps as usize);
     let rest = bytes.wrapping_sub(states);
-    let as_it_should = match method {
+    let as_it_should = match solver.method {
         Method::Tsit5 => (steps..=2 * steps).contains(&rest.wrapping_sub(2 * 4 * scene.instants)),
         _ => rest == 0,
     };
-    let name = format!("MB of tape for 300 samples, {} at {tolerance:.0e}", method.name());
+    let name = format!("MB of tape for 300 samples, {} at {asked:.0e}", solver.method.name());
     let megabytes = if as_it_should { bytes as f64 * 150e-6 } else { f64::NAN };
     Row::new(name, megabytes, 200.0).noted(format!("{rest} of {bytes} bytes for {steps} steps"))
 }

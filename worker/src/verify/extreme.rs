@@ -5,7 +5,7 @@ use super::body::LEEWAY;
 use super::checks::{bells, reference};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Contact, Forces, Method, Outcome, Panel, Scene, Solver, Wrt, run, signal_error, simulate, tune,
+    Contact, Forces, Outcome, Panel, Scene, Solver, Tolerance, Wrt, run, signal_error, simulate, tune,
 };
 
 /// Two seeded bell samples on a scene, and what is done to them.
@@ -222,11 +222,11 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &rayon::ThreadPo
         }
         // At the instants of T = 2 the absolute part of a wider tolerance would swallow the ringing that is left.
         let tolerance = if scene.instants > 2 { 1e-11 } else { 1e-13 };
-        let tight = Solver { method: Method::Tsit5, tolerance };
+        let tight = Solver::tsit5(Tolerance::both(tolerance));
         let exact = simulate(scene, design, forces, &tight, false, pool);
         let error = signal_error(&run.signals, &exact.signals, 3 * scene.sensors.len());
         match tuned.error {
-            Some(_) => Row::new(name, error, LEEWAY * solver.tolerance),
+            Some(_) => Row::new(name, error, LEEWAY * solver.accuracy.0),
             None => Row::shown(name, error),
         }
     } else {

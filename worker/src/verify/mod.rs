@@ -11,12 +11,12 @@ mod extreme;
 
 use case::{Case, CaseError};
 pub use checks::{bells, reference};
-use metasense_numerics::dynamics::{Method, Solver};
+use metasense_numerics::dynamics::{Accuracy, Method, Solver, Tolerance};
 use serde::Serialize;
 use std::path::Path;
 
 /// What a spec gets that says nothing.
-const DEFAULT: Solver = Solver { method: Method::Auto, tolerance: 1e-3 };
+const DEFAULT: Solver = Solver::new(Method::Auto, Accuracy(1e-3));
 
 /// One quantity compared.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -76,13 +76,13 @@ pub fn cases(folder: &Path, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseEr
 
 /// Energy balance, Taylor tests and equal bits of every integrator.
 pub fn numerics(pool: &rayon::ThreadPool) -> Vec<Row> {
-    let methods = [
-        (Method::Tsit5, 1e-11),
-        (Method::Leapfrog, 1e-3),
-        (Method::Nystrom4, 1e-6),
-        (Method::Nystrom6, 1e-7),
+    let solvers = [
+        Solver::tsit5(Tolerance::both(1e-11)),
+        Solver::new(Method::Leapfrog, Accuracy(1e-3)),
+        Solver::new(Method::Nystrom4, Accuracy(1e-6)),
+        Solver::new(Method::Nystrom6, Accuracy(1e-7)),
     ];
-    of_case("numerics", checks::rows(&methods, pool))
+    of_case("numerics", checks::rows(&solvers, pool))
 }
 
 /// Stiff and extreme scenes at default settings.

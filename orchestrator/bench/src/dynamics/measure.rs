@@ -6,8 +6,8 @@
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Contact, Forces, Method, Outcome, Panel, Plan, Scene, Simulation, Solver, Wrt, choose, highest_frequency,
-    repeat_kernel, run_at, signal_error, tune,
+    Accuracy, Contact, Forces, Method, Outcome, Panel, Plan, Precision, Scene, Simulation, Solver, Tolerance,
+    Wrt, highest_frequency, repeat_kernel, run_at, signal_error, tune,
 };
 use metasense_numerics::simd::Width;
 use metasense_worker::clock::cpu_seconds;
@@ -170,14 +170,9 @@ impl Subject {
         (highest_frequency(&self.scene, &self.design) * interval / (radians * stages)).ceil() as usize
     }
 
-    fn plan(&self, method: Method, at: f64) -> Plan {
-        let steps = match method {
-            Method::Tsit5 => 0,
-            _ => self.steps(method, at),
-        };
-        // Of equal steps, in f64 whatever they are
-        let tolerance = if steps == 0 { at } else { 0.0 };
-        Plan { method, tolerance, steps, reason: String::new() }
+    /// One force in so many radians of the highest mode, in f64.
+    fn plan(&self, method: Method, radians: f64) -> Plan {
+        Plan::equal(method, self.steps(method, radians))
     }
 }
 
@@ -206,7 +201,11 @@ pub fn work_precision(
         let n = samples as f64;
         let point = Point {
             scene: kind.name(),
-            method: if plan.single() && !auto { "nystrom4_f32" } else { plan.method.name() },
+            method: if plan.precision == Precision::Single && !auto {
+                "nystrom4_f32"
+            } else {
+                plan.method.name()
+            },
             setting,
             auto,
             evaluations: run.counters.force_evaluations as f64 / n,
@@ -220,23 +219,23 @@ pub fn work_precision(
         points.push(point);
     };
     for &tolerance in kind.tolerances() {
-        measure(&subject.plan(Method::Tsit5, tolerance), format!("tolerance {tolerance:.0e}"), false);
+        measure(&Plan::tsit5(Tolerance::both(tolerance)), format!("tolerance {tolerance:.0e}"), false);
     }
     for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
         for &at in ladder(kind, method) {
             let plan = subject.plan(method, at);
-            measure(&plan, format!("{} steps", plan.steps), false);
+            measure(&plan, format!("{} steps", plan.steps.count()), false);
         }
     }
     for &at in ladder(kind, Method::Nystrom4) {
-        let plan = Plan { tolerance: 1e300, ..subject.plan(Method::Nystrom4, at) };
-        measure(&plan, format!("{} steps in f32", plan.steps), false);
+        let plan = Plan { precision: Precision::Single, ..subject.plan(Method::Nystrom4, at) };
+        measure(&plan, format!("{} steps in f32", plan.steps.count()), false);
     }
-    for tolerance in [3e-2, 1e-2, 1e-3, 1e-4] {
-        let solver = Solver { method: Method::Auto, tolerance };
+    for error in [3e-2, 1e-2, 1e-3, 1e-4] {
+        let solver = Solver::new(Method::Auto, Accuracy(error));
         let plan = tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool).plan;
-        let precision = if plan.single() { " in f32" } else { "" };
-        let setting = format!("auto {tolerance:.0e}: {} steps{precision}", plan.steps);
+        let precision = if plan.precision == Precision::Single { " in f32" } else { "" };
+        let setting = format!("auto {error:.0e}: {} steps{precision}", plan.steps.count());
         measure(&plan, setting, true);
     }
     points
@@ -271,12 +270,14 @@ const KERNELS: usize = 10_000;
 pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Lap> {
     let mut subject = Subject::new(reference(), samples, instants);
     let mut laps = Vec::new();
-    for (method, tolerance) in [(Method::Tsit5, 1e-6), (Method::Auto, 1e-3), (Method::Auto, 3e-2)] {
+    for (method, asked) in [(Method::Tsit5, 1e-6), (Method::Auto, 1e-3), (Method::Auto, 3e-2)] {
         // The pilot of a trial comes once, before its hundreds of simulations.
-        let solver = Solver { method, tolerance };
         let plan = match method {
-            Method::Tsit5 => choose(&subject.scene, &subject.design, &solver),
-            _ => tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool(1)).plan,
+            Method::Tsit5 => Plan::tsit5(Tolerance::both(asked)),
+            _ => {
+                let solver = Solver::new(method, Accuracy(asked));
+                tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool(1)).plan
+            }
         };
         let mut rows = vec![(1, Width::chosen())];
         if threads > 1 {
@@ -302,7 +303,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
                 for (second, least) in [false, true].into_iter().zip(&mut kernels) {
                     let (count, time) = timed(|| {
                         repeat_kernel(
-                            (width, plan.single()),
+                            (width, plan.precision),
                             &subject.scene,
                             &subject.design,
                             KERNELS,
@@ -316,7 +317,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
                 both = Some(least(both, sum));
             }
             laps.push(Lap {
-                solver: format!("{} {tolerance:.0e}", method.name()),
+                solver: format!("{} {asked:.0e}", method.name()),
                 simd: width.name(),
                 threads,
                 samples,

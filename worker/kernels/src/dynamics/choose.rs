@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use super::rest::hessian_at_rest;
-use super::{Method, Plan, Scene, Solver};
+use super::{Accuracy, Method, Plan, Precision, Scene, Solver, Steps, Tolerance};
 
 /// Highest angular frequency of small motions about rest (rad/s), undamped: the largest eigenvalue of M^-½ H M^-½ by
 /// Lanczos' method, whose estimate is good to a per mille long before its vectors lose orthogonality.
@@ -76,15 +76,6 @@ const ROUNDING: f64 = 3e-6;
 /// It is no less where instants are closer: the motion is the same.
 const RADIANS_MIN: f64 = 20.0;
 
-/// Whether rounding to f32 adds at most a third of the error that the steps have by their law.
-pub(super) fn single(plan: &Plan) -> bool {
-    LAWS.iter().find(|law| law.method == plan.method).is_some_and(|law| {
-        let w = (plan.tolerance / law.factor).powf(1.0 / law.power);
-        let radians = (w * (law.work * plan.steps) as f64).max(RADIANS_MIN);
-        3.0 * ROUNDING * radians * radians < plan.tolerance
-    })
-}
-
 /// A method of equal steps in a scene.
 pub(super) struct Candidate {
     pub(super) law: &'static Law,
@@ -98,8 +89,8 @@ pub(super) struct Candidate {
 
 impl Candidate {
     /// Steps an interval by the law.
-    pub(super) fn steps(&self, tolerance: f64) -> usize {
-        let w = (tolerance / self.law.factor).powf(1.0 / self.law.power).min(self.law.limit);
+    pub(super) fn steps(&self, Accuracy(error): Accuracy) -> usize {
+        let w = (error / self.law.factor).powf(1.0 / self.law.power).min(self.law.limit);
         self.whole(self.highest * self.interval / (w * self.stages()))
     }
 
@@ -108,13 +99,20 @@ impl Candidate {
         (steps / self.kinks as f64).ceil().clamp(1.0, 1e6) as usize * self.kinks
     }
 
-    /// The tolerance for which the law gives so many steps, rounded up.
-    pub(super) fn tolerance(&self, steps: f64) -> f64 {
-        self.law.factor * (self.highest * self.interval / (steps * self.stages())).powf(self.law.power)
+    /// The accuracy for which the law gives so many steps, rounded up.
+    pub(super) fn accuracy(&self, steps: f64) -> Accuracy {
+        let w = self.highest * self.interval / (steps * self.stages());
+        Accuracy(self.law.factor * w.powf(self.law.power))
     }
 
+    /// In f32 where rounding adds at most a third of the error that the steps have by their law.
     pub(super) fn plan(&self, steps: usize, reason: String) -> Plan {
-        Plan { method: self.law.method, tolerance: self.tolerance(steps as f64), steps, reason }
+        let Accuracy(error) = self.accuracy(steps as f64);
+        let w = (error / self.law.factor).powf(1.0 / self.law.power);
+        let radians = (w * (self.law.work * steps) as f64).max(RADIANS_MIN);
+        let single = 3.0 * ROUNDING * radians * radians < error;
+        let precision = if single { Precision::Single } else { Precision::Double };
+        Plan { method: self.law.method, steps: Steps::Equal(steps), precision, reason }
     }
 
     /// The method and its steps, why, and the frequency that decides about them, in words.
@@ -146,17 +144,18 @@ pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
 
 /// The same under forces with so many kinks an interval.
 pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: &Solver) -> Plan {
-    let Solver { method, tolerance } = *solver;
+    let Solver { method, accuracy, tolerance } = *solver;
     if method == Method::Tsit5 {
-        return Plan { method, tolerance, steps: 0, reason: "asked for".to_owned() };
+        let tolerance = tolerance.unwrap_or_else(|| Tolerance::from(accuracy));
+        return Plan { reason: "asked for".to_owned(), ..Plan::tsit5(tolerance) };
     }
     let best = candidates(scene, design, kinks)
         .into_iter()
         .filter(|c| method == Method::Auto || method == c.law.method)
-        .min_by_key(|c| c.steps(tolerance) * c.law.work)
+        .min_by_key(|c| c.steps(accuracy) * c.law.work)
         .expect("a law for every method of equal steps");
-    let steps = best.steps(tolerance);
-    let reason = best.reason(steps, &format!("by a law for errors of {tolerance:.0e}"));
+    let steps = best.steps(accuracy);
+    let reason = best.reason(steps, &format!("by a law for errors of {:.0e}", accuracy.0));
     // whole steps may be far finer than was asked, where one an interval is
     best.plan(steps, reason)
 }

@@ -2,10 +2,13 @@
 
 use super::ligaments::{Shape, Turn, gradient, product};
 use super::model::{Bar, Model, ModelCotangent};
-use super::splitting::{self, Scheme};
+use super::splitting;
 use super::system::{First, Kernels, Second, System, Unit};
 use super::tsit5::{self, Queue, Slot, Sweep, take};
-use super::{Counters, Forces, Gradient, Method, Outcome, Plan, SampleTape, Scene, Simulation, Tape, Wrt};
+use super::{
+    Counters, Forces, Gradient, Method, Outcome, Plan, Precision, SampleTape, Scene, Simulation, Steps, Tape,
+    Wrt,
+};
 use crate::lanes::{Avx2, Avx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
 use rayon::prelude::*;
@@ -88,19 +91,22 @@ macro_rules! machine {
                 parts: usize,
                 queue: &Queue<'_, '_>,
             ) -> Counters {
-                let scheme = scheme(plan.method);
+                let scheme = plan.method.scheme();
                 let damped = scheme.is_none();
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), damped, false);
-                let Some(scheme) = scheme else {
-                    return if <$vector>::SINGLE { unreachable!("{plan:?}") } else { tsit5::forward(system, forces, plan.tolerance, queue) };
-                };
-                let mut counters = Counters::default();
-                loop {
-                    let slots = take(queue, <$vector>::LANES);
-                    if slots.is_empty() {
-                        return counters;
+                match (scheme, plan.steps) {
+                    (None, Steps::Adaptive(tolerance)) if !<$vector>::SINGLE => tsit5::forward(system, forces, tolerance, queue),
+                    (Some(scheme), Steps::Equal(steps)) => {
+                        let mut counters = Counters::default();
+                        loop {
+                            let slots = take(queue, <$vector>::LANES);
+                            if slots.is_empty() {
+                                return counters;
+                            }
+                            counters += splitting::forward(&mut system, &scheme, steps, parts, forces, slots);
+                        }
                     }
-                    counters += splitting::forward(&mut system, &scheme, plan.steps, parts, forces, slots);
+                    _ => unreachable!("{plan:?}"),
                 }
             }
 
@@ -115,14 +121,14 @@ macro_rules! machine {
                 wrt: Wrt,
             ) -> Swept {
                 let (parameters, asked) = (wrt == Wrt::Parameters, wrt == Wrt::Forces);
-                let scheme = scheme(plan.method);
+                let scheme = plan.method.scheme();
                 let kernels = kernels(scene, parameters);
                 let mut system = System::<$vector>::new(scene, model, kernels, scheme.is_none(), parameters);
                 let (histories, counters) = match scheme {
                     None if <$vector>::SINGLE => unreachable!("{plan:?}"),
                     None => tsit5::reverse(&mut system, forces, sweeps, asked),
                     Some(scheme) => {
-                        splitting::reverse(&mut system, &scheme, plan.steps, parts, forces, sweeps, asked)
+                        splitting::reverse(&mut system, &scheme, plan.steps.count(), parts, forces, sweeps, asked)
                     }
                 };
                 (system.take_cotangent(), histories, counters)
@@ -161,38 +167,28 @@ machine!(single_avx512, SingleAvx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 /// # Panics
 /// If the machine lacks `width`.
-fn machine(width: Width, single: bool) -> Machine {
+fn machine(width: Width, precision: Precision) -> Machine {
     width.check();
-    match (width, single) {
-        (Width::Avx512, false) => avx512::MACHINE,
-        (Width::Avx512, true) => single_avx512::MACHINE,
-        (Width::Avx2, false) => avx2::MACHINE,
-        (Width::Avx2, true) => single_avx2::MACHINE,
-        (Width::Baseline, false) => baseline::MACHINE,
-        (Width::Baseline, true) => single_baseline::MACHINE,
-    }
-}
-
-/// The splitting scheme of a method, if it is one.
-pub fn scheme(method: Method) -> Option<Scheme> {
-    match method {
-        Method::Leapfrog => Some(Scheme::leapfrog()),
-        Method::Nystrom4 => Some(Scheme::fourth()),
-        Method::Nystrom6 => Some(Scheme::sixth()),
-        Method::Auto | Method::Tsit5 => None,
+    match (width, precision) {
+        (Width::Avx512, Precision::Double) => avx512::MACHINE,
+        (Width::Avx512, Precision::Single) => single_avx512::MACHINE,
+        (Width::Avx2, Precision::Double) => avx2::MACHINE,
+        (Width::Avx2, Precision::Single) => single_avx2::MACHINE,
+        (Width::Baseline, Precision::Double) => baseline::MACHINE,
+        (Width::Baseline, Precision::Single) => single_baseline::MACHINE,
     }
 }
 
 /// `super::repeat_kernel` with the code of `width`, which the machine must have.
 pub fn repeat_kernel(
-    (width, single): (Width, bool),
+    (width, precision): (Width, Precision),
     scene: &Scene,
     design: &[f64],
     times: usize,
     second: bool,
 ) -> u64 {
     let model = Model::new(scene, design).moving();
-    let machine = machine(width, single);
+    let machine = machine(width, precision);
     // SAFETY: `machine` has checked that this machine has `width`.
     unsafe { (machine.repeat)(scene, &model, times, second) };
     (times * machine.lanes * model.bars.len()) as u64
@@ -209,14 +205,20 @@ pub fn simulate(
     pool: &rayon::ThreadPool,
 ) -> Simulation {
     let model = Model::new(scene, design).moving();
-    let plan = &Plan { steps: plan.steps.next_multiple_of(forces.kinks(scene)), ..plan.clone() };
-    let machine = machine(width, plan.single());
+    let steps = match plan.steps {
+        Steps::Equal(steps) => Steps::Equal(steps.next_multiple_of(forces.kinks(scene))),
+        adaptive @ Steps::Adaptive(_) => adaptive,
+    };
+    let plan = &Plan { steps, ..plan.clone() };
+    let machine = machine(width, plan.precision);
     let n = forces.samples;
     let len = scene.instants * 3 * scene.sensors.len();
     let mut signals = vec![0.0; n * len];
     let mut outcomes = vec![Outcome::Ok; n];
-    let parts =
-        if scheme(plan.method).is_some() { splitting::segments(scene, &model, plan.steps) } else { 1 };
+    let parts = match plan.steps {
+        Steps::Equal(steps) => splitting::segments(scene, &model, steps),
+        Steps::Adaptive(_) => 1,
+    };
     let mut tapes: Vec<SampleTape> = Vec::new();
     if keep_tape {
         let states = scene.instants * parts * 6 * model.free.len();
@@ -236,7 +238,7 @@ pub fn simulate(
         rest = others;
         slots.push(Slot { signals, outcome, tape, index });
     }
-    let adaptive = plan.method.stages().is_none();
+    let adaptive = matches!(plan.steps, Steps::Adaptive(_));
     if !adaptive {
         // Lanes that begin together wait together.
         slots.sort_by_key(|s| forces.onset(scene, forces.sample(s.index)));
@@ -258,7 +260,7 @@ pub fn simulate(
         if failed.is_empty() {
             break;
         }
-        let finer = Plan { steps: plan.steps * refined, ..plan.clone() };
+        let finer = Plan { steps: plan.steps.times(refined), ..plan.clone() };
         total.rejected += failed.len() as u64;
         total += integrate(&machine, scene, &model, forces, &finer, parts, &mut failed, pool);
     }
@@ -319,7 +321,7 @@ pub fn vjp(
     let Tape { scene, design, forces, parts, samples } = tape;
     let model = Model::new(scene, design).moving();
     let plan = &simulation.plan;
-    let machine = machine(simulation.width, plan.single());
+    let machine = machine(simulation.width, plan.precision);
     let len = scene.instants * 3 * scene.sensors.len();
     let sweeps: Vec<Sweep<'_>> = (0..forces.samples)
         .filter(|i| simulation.outcomes[*i] == Outcome::Ok)
@@ -333,7 +335,7 @@ pub fn vjp(
     // Lanes of one block take the same steps.
     let mut blocks: Vec<(Plan, Vec<Sweep<'_>>)> = Vec::new();
     for refined in [1, 2, 4, 8] {
-        let finer = Plan { steps: plan.steps * refined, ..plan.clone() };
+        let finer = Plan { steps: plan.steps.times(refined), ..plan.clone() };
         let mut group: Vec<&Sweep<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
         group.sort_by_key(|s| match plan.method {
             Method::Tsit5 => s.tape.counts.iter().sum::<u32>() as usize,

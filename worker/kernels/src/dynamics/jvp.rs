@@ -5,7 +5,7 @@
 //! that signals which agree to rounding check those too.
 
 use super::splitting::Drift;
-use super::{Forces, Frame, Method, Parameters, Scene, Simulation, Tape, dispatch, tsit5};
+use super::{Forces, Frame, Method, Parameters, Scene, Simulation, Tape, tsit5};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -295,7 +295,7 @@ impl Simulation {
                 let delta = tape.scene.duration / tape.forces.instants as f64;
                 adaptive(&body, &tsit5::sizes(&own.steps, &own.counts, delta), &own.counts)
             }
-            method => equal(&body, method, self.plan.steps * own.refined),
+            method => equal(&body, method, self.plan.steps.count() * own.refined),
         };
         signals.into_iter().map(|s| (s.0, s.1)).unzip()
     }
@@ -303,7 +303,7 @@ impl Simulation {
 
 fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
     let Body { scene, forces, .. } = body;
-    let scheme = dispatch::scheme(method).expect("a splitting scheme");
+    let scheme = method.scheme().expect("a splitting scheme");
     let h = scene.duration / (scene.instants * substeps) as f64;
     let span = substeps / forces.kinks(scene);
     let gamma = |u: usize, d: usize| match scene.clamped.contains(&u) {

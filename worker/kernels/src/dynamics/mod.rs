@@ -14,6 +14,7 @@ mod jvp;
 mod ligaments;
 mod model;
 mod rest;
+mod solver;
 mod splitting;
 mod system;
 mod trigonometry;
@@ -27,6 +28,7 @@ pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
 pub use jvp::Tangent;
 pub use model::damping;
 pub use rest::Rest;
+pub use solver::{Accuracy, Method, Plan, Precision, Solver, Steps, Tolerance};
 pub use tune::{Tuned, signal_error, tune};
 
 /// Stiffnesses of a ligament.
@@ -148,58 +150,6 @@ pub struct Scene {
     pub instants: usize,
 }
 
-/// How to integrate.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Solver {
-    /// The integrator.
-    pub method: Method,
-    /// Relative error asked of the signals, by `signal_error`, as `tune` takes it; to `choose` and `simulate`, of Tsit5,
-    /// tolerance of its own error norm, relative and absolute.
-    pub tolerance: f64,
-}
-
-/// Integrators.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Method {
-    /// Chosen from the scene and the tolerance.
-    Auto,
-    /// Tsitouras 5(4), error control a sample.
-    Tsit5,
-    /// Störmer and Verlet's, equal steps, order 2.
-    Leapfrog,
-    /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 4.
-    Nystrom4,
-    /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 6.
-    Nystrom6,
-}
-
-/// What `choose` made of a solver for one scene, and why.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Plan {
-    /// Never `Auto`.
-    pub method: Method,
-    /// Tsit5: tolerance of its error norm. Else the error by the method's law, on which the precision depends.
-    pub tolerance: f64,
-    /// Equal steps an interval; 0 where steps are adaptive. A sample that fails with them is tried again with more.
-    pub steps: usize,
-    /// Why, in words.
-    pub reason: String,
-}
-
-impl Plan {
-    /// Whether it is carried out in f32 lanes, twice as many as of f64: its steps are so coarse that rounding hardly shows.
-    pub fn single(&self) -> bool {
-        choose::single(self)
-    }
-
-    /// The same in f64 whatever its steps are, for runs whose differences count.
-    #[must_use]
-    pub fn double(self) -> Self {
-        let tolerance = if self.steps > 0 { 0.0 } else { self.tolerance };
-        Self { tolerance, ..self }
-    }
-}
-
 /// Force histories (N, K, R+1), f_k at t_n = n·duration/R, n = 0…R, linear in between.
 ///
 /// R is `instants`: that of the scene, T, or a whole multiple of it, for histories with more detail than T instants hold
@@ -252,24 +202,6 @@ pub enum Outcome {
     ForbiddenContact,
     /// Steps too long for the highest mode made kinetic energy out of nothing.
     Unstable,
-}
-
-impl Method {
-    /// The name by which specs and records know it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Tsit5 => "tsit5",
-            Self::Leapfrog => "leapfrog",
-            Self::Nystrom4 => "nystrom4",
-            Self::Nystrom6 => "nystrom6",
-        }
-    }
-
-    /// Forces a step of equal steps.
-    pub fn stages(self) -> Option<usize> {
-        dispatch::scheme(self).map(|s| s.stages())
-    }
 }
 
 impl Outcome {
@@ -471,19 +403,18 @@ pub fn run_at(
     dispatch::simulate(width, scene, design, forces, plan, keep_tape, pool)
 }
 
-/// Evaluates the forces, or with `second` their derivatives along a direction, so many times on all lanes of one state, of
-/// f32 if `single`, to be timed; returns ligaments times lanes times `times`, without ligaments between held units, which none evaluates.
+/// Evaluates the forces, or with `second` their derivatives along a direction, so many times on all lanes of one state, to be timed; returns ligaments times lanes times `times`, without ligaments between held units, which none evaluates.
 ///
 /// # Panics
 /// If the machine lacks `width`.
 pub fn repeat_kernel(
-    (width, single): (Width, bool),
+    (width, precision): (Width, Precision),
     scene: &Scene,
     design: &[f64],
     times: usize,
     second: bool,
 ) -> u64 {
-    dispatch::repeat_kernel((width, single), scene, design, times, second)
+    dispatch::repeat_kernel((width, precision), scene, design, times, second)
 }
 
 fn check(scene: &Scene, design: &[f64], forces: &Forces) {

@@ -12,7 +12,7 @@ mod stages;
 mod steps;
 
 use super::system::{System, Unit, read_lane, store_lane};
-use super::{Counters, Forces, Outcome, SampleTape};
+use super::{Counters, Forces, Outcome, SampleTape, Tolerance};
 use crate::lanes::{LANES, Vector};
 pub use reverse::reverse;
 pub use stages::{A, A2, C};
@@ -70,7 +70,7 @@ struct Lane<'s, 'a> {
 pub fn forward<V: Vector>(
     mut system: System<'_, V>,
     forces: &Forces,
-    tolerance: f64,
+    tolerance: Tolerance,
     queue: &Queue<'_, '_>,
 ) -> Counters {
     let scene = system.scene;

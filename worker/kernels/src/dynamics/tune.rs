@@ -5,13 +5,13 @@
 //! least work by its law is measured at this many steps, and at more or fewer, until no cheaper one is left.
 
 use super::choose::{Candidate, candidates, choose_under};
-use super::{Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, run};
+use super::{Accuracy, Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, Tolerance, run};
 use crate::lanes::LANES;
 
 /// What a pilot made of a solver.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tuned {
-    /// Never `Auto`, its tolerance one by which the method's law keeps the asked error, for other designs too.
+    /// Never `Auto`; by its accuracy or tolerance other designs keep the asked error, too.
     pub solver: Solver,
     /// What that is for the design of the pilot, and why.
     pub plan: Plan,
@@ -27,15 +27,12 @@ const SAFETY: f64 = 1.25;
 const REFINED: usize = 8;
 /// Runs of one method.
 const TRIES: usize = 6;
-/// Tsit5's tolerance by the error asked, to begin with, and the least: below it rounding decides.
-const LOCAL: f64 = 1e-3;
-const LOCAL_LEAST: f64 = 1e-13;
 
-/// Finds the cheapest way to keep the solver's tolerance, a relative error of the signals, in this scene under these forces.
+/// Finds the cheapest way to keep the solver's accuracy in this scene under these forces.
 ///
 /// Takes the first eight samples, in the order given; the same inputs give the same answer on any number of threads.
-/// Where no steps reach the tolerance, those of least error remain and the plan's reason says so. `Tsit5` comes back with the
-/// tolerance of its own error norm that keeps the error asked.
+/// Where no steps reach it, those of least error remain and the plan's reason says so. `Tsit5` comes back with the tolerance of
+/// its own error norm that keeps the error asked.
 ///
 /// # Panics
 /// As `simulate`.
@@ -46,12 +43,12 @@ pub fn tune(
     solver: &Solver,
     pool: &rayon::ThreadPool,
 ) -> Tuned {
-    let asked = solver.tolerance;
+    let asked = solver.accuracy.0;
     let mut pilot =
         Pilot { scene, design, forces: first(forces, LANES), pool, counters: Counters::default() };
     let adaptive = solver.method == Method::Tsit5;
     let as_it_is = |why: Option<String>, counters| {
-        let tolerance = if adaptive { (LOCAL * asked).max(LOCAL_LEAST) } else { asked };
+        let tolerance = adaptive.then(|| Tolerance::from(solver.accuracy));
         let solver = Solver { tolerance, ..*solver };
         let mut plan = choose_under(scene, design, forces.kinks(scene), &solver);
         if let Some(why) = why {
@@ -75,10 +72,10 @@ pub fn tune(
             let Some(candidate) = method.filter(|_| refined > 1) else {
                 return as_it_is(Some(why), pilot.counters);
             };
-            let steps = refined * candidate.steps(asked.min(0.01));
+            let steps = refined * candidate.steps(Accuracy(asked.min(0.01)));
             let plan = candidate.plan(steps, candidate.reason(steps, &why));
             let exact = steps as f64 * (1.0 - 1e-9);
-            let solver = Solver { method: plan.method, tolerance: candidate.tolerance(exact) };
+            let solver = Solver::new(plan.method, candidate.accuracy(exact));
             return Tuned { solver, plan, error: None, counters: pilot.counters };
         }
     };
@@ -92,19 +89,20 @@ pub fn tune(
         let reason = format!(
             "tsit5, tolerance {tolerance:.1e} of its own error norm: error {error:.0e} measured, asked {asked:.0e}"
         );
-        let solver = Solver { method: Method::Tsit5, tolerance };
-        let plan = Plan { method: Method::Tsit5, tolerance, steps: 0, reason };
+        let tolerance = Tolerance::both(tolerance);
+        let solver = Solver { tolerance: Some(tolerance), ..*solver };
+        let plan = Plan { reason, ..Plan::tsit5(tolerance) };
         return Tuned { solver, plan, error: Some(error), counters: pilot.counters };
     }
     let mut open: Vec<Candidate> =
         all.into_iter().filter(|c| solver.method == Method::Auto || solver.method == c.law.method).collect();
     let mut best: Option<(Candidate, Fewest)> = None;
     // By their laws, the cheapest first; none is tried that would do more work than the best that was measured.
-    open.sort_by_key(|c| c.steps(asked) * c.law.work);
+    open.sort_by_key(|c| c.steps(solver.accuracy) * c.law.work);
     for candidate in open {
         let work = |steps: usize| steps * candidate.law.work;
         let bound = best.as_ref().map_or(usize::MAX, |(c, f)| f.steps * c.law.work);
-        if work(candidate.steps(asked)) >= bound {
+        if work(candidate.steps(solver.accuracy)) >= bound {
             continue;
         }
         let known = Some(known).filter(|_| candidate.law.method == Method::Nystrom6);
@@ -119,7 +117,7 @@ pub fn tune(
     };
     let reason = candidate.reason(steps, &format!("error {error:.0e} measured, asked {asked:.0e}"));
     let plan = candidate.plan(steps, reason);
-    let solver = Solver { method: plan.method, tolerance: candidate.tolerance(exact) };
+    let solver = Solver::new(plan.method, candidate.accuracy(exact));
     Tuned { solver, plan, error: Some(error), counters: pilot.counters }
 }
 
@@ -169,7 +167,7 @@ impl Pilot<'_> {
     /// Error against the truth; infinite where samples failed that need not, or steps were halved, which is not cheap.
     fn error(&self, simulation: &Simulation, truth: &Simulation) -> f64 {
         let fails = |(a, b): (&Outcome, &Outcome)| *a != Outcome::Ok && *b == Outcome::Ok;
-        let halved = simulation.plan.steps > 0 && simulation.counters.rejected > 0;
+        let halved = simulation.plan.steps.count() > 0 && simulation.counters.rejected > 0;
         if halved || simulation.outcomes.iter().zip(&truth.outcomes).any(fails) {
             return f64::INFINITY;
         }
@@ -178,11 +176,10 @@ impl Pilot<'_> {
 
     /// The largest tolerance of Tsit5's own norm found to keep the error, with safety, and the error.
     fn tolerance(&mut self, truth: &Simulation, asked: f64) -> Option<(f64, f64)> {
-        let mut tolerance = (LOCAL * asked).max(LOCAL_LEAST);
+        let mut tolerance = Tolerance::from(Accuracy(asked)).relative;
         let mut good: Option<(f64, f64)> = None;
         for _ in 0..TRIES {
-            let plan = Plan { method: Method::Tsit5, tolerance, steps: 0, reason: String::new() };
-            let found = self.run_plan(&plan);
+            let found = self.run_plan(&Plan::tsit5(Tolerance::both(tolerance)));
             let error = self.error(&found, truth);
             let keeps = SAFETY * error <= asked;
             if keeps && good.is_none_or(|(t, _)| tolerance > t) {
@@ -194,7 +191,7 @@ impl Pilot<'_> {
             }
             // Errors are about as the tolerance, until steps no longer resolve the motion.
             let factor = (0.5 * asked / (SAFETY * error)).clamp(1e-2, 1e2);
-            let next = (tolerance * factor).clamp(LOCAL_LEAST, 0.5);
+            let next = (tolerance * factor).clamp(Tolerance::LEAST, 0.5);
             if next == tolerance || good.is_some_and(|(t, _)| next <= t) {
                 break;
             }
@@ -206,7 +203,7 @@ impl Pilot<'_> {
     /// Signals that are exact to well below `asked`, with steps and error of the run before; or by how much the law's steps
     /// are best refined, and the error left: the least, or up to twice that for fewer steps, as where motion is chaotic.
     fn truth(&mut self, six: &Candidate, asked: f64) -> Result<(Simulation, Measured), Measured> {
-        let start = six.steps(asked.min(0.01));
+        let start = six.steps(Accuracy(asked.min(0.01)));
         let (mut refined, mut errors) = (1, Vec::new());
         let mut coarse = self.run(six, start);
         while refined < REFINED {
@@ -242,9 +239,9 @@ impl Pilot<'_> {
         asked: f64,
         known: Option<Measured>,
     ) -> Option<Fewest> {
-        let start = candidate.steps(asked);
+        let start = candidate.steps(Accuracy(asked));
         // What stability asks for whatever the error
-        let least = candidate.steps(f64::INFINITY);
+        let least = candidate.steps(Accuracy(f64::INFINITY));
         let most = REFINED * start.max(least);
         let mut tried: Vec<(usize, f64)> = Vec::new();
         let mut steps = start;

@@ -298,7 +298,7 @@ impl<'a> Objective<'a> {
     /// changes it, relative.
     pub fn weigh(&mut self, point: &Point) -> f64 {
         let [off, size] = self.sizes(point.signals());
-        let least = self.solver.tolerance.clamp(1e-6, 1e-2);
+        let least = self.solver.accuracy.0.clamp(1e-6, 1e-2);
         let noise = [0, 1].map(|c| {
             let noise = off[c].max(least * size[c]);
             if noise > 0.0 { noise } else { 1.0 }
@@ -318,7 +318,7 @@ fn kind(channel: usize) -> usize {
 mod tests {
     use super::*;
     use crate::body::Layout;
-    use crate::dynamics::{Frame, Method, Panel, Stiffness, Tangent};
+    use crate::dynamics::{Accuracy, Frame, Method, Panel, Stiffness, Tangent};
 
     /// Each column against dual numbers with the same steps, and Jᵀr against the adjoint.
     #[test]
@@ -343,7 +343,7 @@ mod tests {
         let forces = Forces { samples: 2, panels: 1, instants: 20, values: (0..42).map(push).collect() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
         let signals: Vec<f64> = (0..120).map(|i| (0.9 * i as f64).sin()).collect();
-        let solver = Solver { method: Method::Nystrom6, tolerance: 1e-4 };
+        let solver = Solver::new(Method::Nystrom6, Accuracy(1e-4));
         let free = &Parameter::ALL[..5];
         let mut objective = Objective::new(&scene, &design, &forces, &signals, solver, free, &pool);
         let at = Parameters::of(&scene).array();

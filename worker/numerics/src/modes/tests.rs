@@ -189,7 +189,7 @@ fn small_motions_of_a_simulation_are_those_of_the_modes() {
     let values = sides.flat_map(|(sign, k)| (0..=20).map(move |n| sign * force(k, n))).collect();
     let forces = Forces { samples: 2, panels: 2, instants: 20, values };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let plan = Plan { method: Method::Nystrom6, tolerance: 0.0, steps: 24, reason: String::new() };
+    let plan = Plan::equal(Method::Nystrom6, 24);
     let simulated = run(&scene, &design, &forces, &plan, false, &pool).signals;
     let h = scene.duration / 20.0;
     let mut q = vec![c64::ZERO; modes.len()];

@@ -61,8 +61,7 @@ pub fn bound(
     let prior = Prior::new(&setting.train, &known, |forces| problem.targets(forces));
 
     let unseen = problem.forces(Purpose::Holdout, 0, samples.min(problem.stimuli.holdout));
-    let Solver { method, tolerance } = Tuning::of_body(asked, design, pool).solver;
-    let plan = choose(scene, design, &Solver { method, tolerance: tolerance.min(EXACT) });
+    let plan = choose(scene, design, &Tuning::of_body(asked, design, pool).solver.at_most(EXACT));
     let trouble = |outcome| Failure::Initial(Trouble::Simulation(outcome));
     let mut left = Vec::new();
     for sample in 0..unseen.samples {

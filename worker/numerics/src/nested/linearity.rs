@@ -3,17 +3,17 @@
 //! ```text
 //! 100 · mean over channels of Σ (s(f) − s_lin(f))² / Σ s(f)²,   s_lin(f) = s(ε f)/ε
 //! ```
-//! Both by the same integrator with the same steps; what is not linear in s_lin is of the order of ε.
+//! Both by the same integrator with the same steps, Tsit5 with a tolerance that is ε times as small where it is absolute; what is not linear in s_lin is of the order of ε.
 
 use super::report::Report;
 use super::setting::Setting;
-use crate::dynamics::{Forces, Outcome, Simulation, Solver, signal_error, simulate};
+use crate::dynamics::{Accuracy, Forces, Outcome, Simulation, Solver, signal_error, simulate};
 use crate::random::Purpose;
 
 /// ε: errors of 1e-5 in s_lin, which rounding stays a thousand times below.
 const SMALL: f64 = 1e-5;
-/// Tolerance from which on no run is in f32, whose rounding would hide the differences that are asked for.
-pub(super) const EXACT: f64 = 1e-3;
+/// Accuracy from which on no run is in f32, whose rounding would hide the differences that are asked for.
+pub(super) const EXACT: Accuracy = Accuracy(1e-3);
 /// Samples that are looked at: three blocks of lanes.
 const SAMPLES: usize = 24;
 
@@ -28,12 +28,14 @@ pub(super) fn nonlinear(
     report: &mut Report,
 ) -> Option<Nonlinear> {
     let (problem, scene) = (setting.problem, &setting.problem.scene);
-    let solver = &Solver { tolerance: solver.tolerance.min(EXACT), ..*solver };
+    let solver = solver.at_most(EXACT);
     let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout.min(SAMPLES));
     let scaled =
         |by: f64| -> Forces { Forces { values: forces.values.iter().map(|f| by * f).collect(), ..forces } };
-    let [full, small] =
-        [1.0, SMALL].map(|by| simulate(scene, design, &scaled(by), solver, false, setting.pool));
+    let [full, small] = [1.0, SMALL].map(|by| {
+        let solver = Solver { tolerance: solver.tolerance.map(|t| t.of_motion(by)), ..solver };
+        simulate(scene, design, &scaled(by), &solver, false, setting.pool)
+    });
     [&full, &small].iter().for_each(|run| report.counters.dynamics += run.counters);
     let well = |run: &Simulation| run.outcomes.iter().all(|o| *o == Outcome::Ok);
     let channels = 3 * scene.sensors.len();

@@ -3,7 +3,7 @@ use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
 use crate::brain::{self, Architecture, TrainOutcome, Workspace};
-use crate::dynamics::{Frame, Method, Panel, Scene, Solver, Stiffness};
+use crate::dynamics::{Accuracy, Frame, Method, Panel, Scene, Solver, Stiffness};
 use crate::feasible::{Feasible, Limits};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
@@ -32,7 +32,7 @@ fn small(protocol: Protocol) -> Problem {
             instants: 40,
         },
         search: None,
-        solver: Solver { method: Method::Auto, tolerance: 1e-4 },
+        solver: Solver::new(Method::Auto, Accuracy(1e-4)),
         limits: Limits::default(),
         kept: vec![],
         frozen: vec![],
@@ -59,7 +59,7 @@ fn small(protocol: Protocol) -> Problem {
             protocol,
             iterations: 4,
             rate: 0.1,
-            coarse: Some(Solver { method: Method::Auto, tolerance: 1e-3 }),
+            coarse: Some(Solver::new(Method::Auto, Accuracy(1e-3))),
         },
         evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None },
         seed: 3,
@@ -417,7 +417,7 @@ fn chips_are_as_noisy_on_every_body() {
 /// L_test(α + εδ) at fixed weights, in N², against the gradient: a central difference along a random direction.
 fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let mut problem = Problem { disturbance, ..problem };
-    problem.solver.tolerance = 1e-10;
+    problem.solver.accuracy = Accuracy(1e-10);
     let pool = pool(2);
     let setting = Setting::new(&problem, &pool).unwrap();
     let weights: Vec<f64> = fresh_weights(setting.shape, 1, 0).into_iter().map(f64::from).collect();

@@ -1,6 +1,7 @@
 //! Tsit5's coefficients, and its sums over stages with the number of terms known to the compiler: written as loops
 //! they took as long as half the forces.
 
+use super::super::Tolerance;
 use super::super::system::{Unit, Weigh};
 use crate::lanes::Vector;
 use std::ops::Range;
@@ -130,7 +131,7 @@ fn nth_stage<V: Vector, const I: usize>(
 #[inline(always)]
 pub fn land<V: Vector>(
     h: V,
-    tolerance: f64,
+    tolerance: Tolerance,
     within: &Range<usize>,
     (x, v): (&[Unit<V>], &[Unit<V>]),
     a: &mut [Vec<Unit<V>>; 7],
@@ -145,7 +146,8 @@ pub fn land<V: Vector>(
         (&mut a1[within.clone()].as_flattened_mut()[..n], &mut a2[within.clone()].as_flattened_mut()[..n]);
     let (a0, a3, a4, a5) =
         (&of(a0, within)[..n], &of(a3, within)[..n], &of(a4, within)[..n], &of(a5, within)[..n]);
-    let (zero, one, tol) = (V::splat(0.0), V::splat(1.0), V::splat(tolerance));
+    let (zero, one) = (V::splat(0.0), V::splat(1.0));
+    let (relative, absolute) = (V::splat(tolerance.relative), V::splat(tolerance.absolute));
     let (h2, he) = (h * h, h * V::splat(E[6]));
     let mut square = zero;
     for k in 0..n {
@@ -161,8 +163,8 @@ pub fn land<V: Vector>(
         }
         xs[k] = h2.mul_add(second, h.mul_add(v[k], x[k]));
         vs[k] = h.mul_add(first, v[k]);
-        let sx = x[k].abs().max(xs[k].abs()).mul_add(tol, tol);
-        let sv = v[k].abs().max(vs[k].abs()).mul_add(tol, tol);
+        let sx = x[k].abs().max(xs[k].abs()).mul_add(relative, absolute);
+        let sv = v[k].abs().max(vs[k].abs()).mul_add(relative, absolute);
         // Both quotients by one division
         let inverse = one.over(sx * sv);
         let (ix, iv) = (sv * inverse, sx * inverse);

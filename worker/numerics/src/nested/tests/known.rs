@@ -1,7 +1,7 @@
 //! What a linear model of a body is worth, and what its signals can tell at most.
 
 use super::*;
-use crate::dynamics::{Forces, simulate};
+use crate::dynamics::{Forces, simulate, tune};
 use crate::stimuli::{select, split, targets};
 use nalgebra::{DMatrix, DVector};
 
@@ -11,7 +11,7 @@ fn with_amplitude(times: f64) -> Problem {
     if let Source::Bell(bell) = &mut problem.stimuli.source {
         bell.amplitude = bell.amplitude.map(|a| times * a);
     }
-    problem.solver = Solver { method: Method::Nystrom6, tolerance: 1e-6 };
+    problem.solver = Solver::new(Method::Nystrom6, Accuracy(1e-6));
     problem
 }
 
@@ -29,6 +29,23 @@ fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
         let ratio = second[kind] / first[kind];
         assert!((ratio - 4.0).abs() < 0.1, "{kind}: {first:?} {second:?}");
         assert!(second[kind] < 0.1 && (1.0..300.0).contains(&whole[kind]), "{whole:?} {second:?}");
+    }
+}
+
+/// By Tsit5 it is what it is by equal steps: forces of a hundred thousandth do not fall below a tolerance made for whole ones.
+#[test]
+fn the_nonlinear_part_does_not_depend_on_the_integrator() {
+    for times in [0.1, 1.0] {
+        let (problem, pool) = (with_amplitude(times), pool(1));
+        let setting = Setting::new(&problem, &pool).unwrap();
+        let share = |solver| nonlinear(&setting, &problem.initial, solver, &mut Report::default()).unwrap();
+        let asked = Solver::new(Method::Tsit5, Accuracy(1e-4));
+        let tsit5 = tune(&problem.scene, &problem.initial, &setting.train, &asked, &pool).solver;
+        let (adaptive, equal) = (share(&tsit5), share(&problem.solver));
+        for kind in 0..2 {
+            let off = (adaptive[kind] / equal[kind] - 1.0).abs();
+            assert!(off < 0.02, "× {times}: {adaptive:?} by Tsit5, {equal:?} by equal steps");
+        }
     }
 }
 
