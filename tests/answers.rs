@@ -140,7 +140,7 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     let (folder, db) = database();
     let (page, figures) = (folder.path().join("r.html"), folder.path().join("figures"));
     let (ok, _, err) =
-        metasense(&db, &["report", "--out", page.to_str().unwrap(), "--figures", figures.to_str().unwrap()]);
+        metasense(&db, &["report", "--out", page.to_str().unwrap(), "--out-dir", figures.to_str().unwrap()]);
     assert!(ok, "{err}");
     let html = std::fs::read_to_string(&page).unwrap();
     for fetched in ["src=", "<link", "@import", "url(", "fetch("] {
@@ -204,7 +204,7 @@ fn figures_stay_in_their_folder_whatever_sweeps_are_called() {
     });
     let (inner, page) = (folder.path().join("a/b/figures"), folder.path().join("r.html"));
     let to = |path: &Path| path.to_str().unwrap().to_owned();
-    let (ok, _, err) = metasense(&db, &["report", "--out", &to(&page), "--figures", &to(&inner)]);
+    let (ok, _, err) = metasense(&db, &["report", "--out", &to(&page), "--out-dir", &to(&inner)]);
     assert!(ok, "{err}");
     let mut texts: Vec<String> = std::fs::read_dir(&inner)
         .unwrap()
@@ -231,7 +231,7 @@ fn readers_leave_no_file_behind() {
     for (expected, args) in [
         (true, vec!["analyse".to_owned(), "--question".into(), "paired".into()]),
         (true, vec!["report".into(), "--out".into(), at("r.html")]),
-        (false, vec!["report".into(), "--trial".into(), "no-such".into(), "--out".into(), at("r.html")]),
+        (false, vec!["report".into(), "no-such".into(), "--out".into(), at("r.html")]),
         (
             true,
             vec![
@@ -295,7 +295,7 @@ fn claims_are_rated_by_what_was_put_into_the_database() {
     assert_eq!(rating("K = 8: the elbow"), "not tried");
     let out = folder.path().join("claims");
     let (ok, evidence, err) =
-        metasense(&db, &["claims", "--evidence", "--format", "csv", "--out", out.to_str().unwrap()]);
+        metasense(&db, &["claims", "--evidence", "--format", "csv", "--out-dir", out.to_str().unwrap()]);
     assert!(ok, "{err}");
     assert_eq!(evidence.lines().next(), Some("claim,with,set,rating,stated,found,low,high,note,trials,over"));
     for (file, part) in [

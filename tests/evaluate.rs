@@ -63,7 +63,7 @@ fn bench() -> (Bench, String) {
     }
     bench.write_array("forces.npy", &[RECORDS as u64, 2, INSTANTS as u64 + 1], &forces);
     let simulate =
-        ["simulate", "s.toml", "--hash", &hash, "--forces", "forces.npy", "--format", "csv", "--out"];
+        ["simulate", "s.toml", "--hash", &hash, "--forces", "forces.npy", "--format", "csv", "--out-dir"];
     bench.output(&[&simulate[..], &["a"]].concat());
     bench.output(&[&simulate[..], &["b", "--design", "other.npy"]].concat());
 
@@ -117,9 +117,9 @@ fn the_body_that_is_truly_better_is_found_so() {
     let call = |more: &[&str]| {
         let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
         let rest = ["--folds", "3", "--seeds", "2", "--format", "csv"];
-        bench.output(&[&["evaluate", "s.toml", &hash][..], &bodies, &rest, more].concat())
+        bench.output(&[&["evaluate", "s.toml", "--hash", &hash][..], &bodies, &rest, more].concat())
     };
-    let csv = call(&["--design", "other=other.npy", "--out", "out"]);
+    let csv = call(&["--design", "other=other.npy", "--out-dir", "out"]);
     assert_eq!(csv, call(&["--design", "other=other.npy", "--threads", "2"]));
     let [bad, good, promised] = ["initial,measured", "other,measured", "other,simulated"]
         .map(|row| value(&csv, row, "error_test").unwrap());
@@ -139,8 +139,13 @@ fn the_body_that_is_truly_better_is_found_so() {
     let linear = |more: &[&str]| {
         let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
         bench.output(
-            &[&["evaluate", "s.toml", &hash][..], &bodies, &["--brain", "linear", "--format", "csv"], more]
-                .concat(),
+            &[
+                &["evaluate", "s.toml", "--hash", &hash][..],
+                &bodies,
+                &["--brain", "linear", "--format", "csv"],
+                more,
+            ]
+            .concat(),
         )
     };
     let by_linear = linear(&["--folds", "3"]);
@@ -255,13 +260,14 @@ fn bad_calls_are_refused() {
         (vec!["--records", "initial=typo.toml"], "typo.toml:2: recorded.file = "),
     ] {
         bench.file("typo.toml", "[recorded]\nfile = [\"0.csv\"]\n");
-        let output = bench.metasense(&[vec!["evaluate", "s.toml", &hash], arguments.clone()].concat());
+        let output =
+            bench.metasense(&[vec!["evaluate", "s.toml", "--hash", &hash], arguments.clone()].concat());
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
         assert!(errors.contains(said), "{errors}\n{said}");
     }
-    let output = bench.metasense(&["evaluate", "s.toml", "ffff", initial]);
-    assert!(String::from_utf8_lossy(&output.stderr).contains("holds no such trial"));
+    let output = bench.metasense(&["evaluate", "s.toml", "--hash", "ffff", initial]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("no trial begins so"));
 }
 
 /// Killed after every network or two: the same files as in one go, of both bodies; what is kept serves no other command.
@@ -271,7 +277,7 @@ fn an_evaluation_goes_on_where_it_was_killed() {
     let call = |out: &'static str| {
         let bodies = ["--records", "initial=good.toml", "--records", "b=bad.toml"];
         let effort = ["--folds", "4", "--seeds", "2", "--threads", "2", "--iterations", "500"];
-        [&["evaluate", "s.toml", hash.as_str()], &bodies[..], &effort, &["--out", out]].concat()
+        [&["evaluate", "s.toml", "--hash", hash.as_str()], &bodies[..], &effort, &["--out-dir", out]].concat()
     };
     let (whole, again) = (bench.output(&call("whole")), call("again"));
     let (kills, last) = bench.killed_until_done(&again, "again/unfinished.bin");
@@ -290,7 +296,8 @@ fn an_evaluation_goes_on_where_it_was_killed() {
 #[test]
 fn commands_that_compute_in_one_piece_end_at_once_on_request() {
     let (bench, hash) = bench();
-    let evaluate = ["evaluate", "s.toml", &hash, "--records", "initial=good.toml", "--iterations", "1000000"];
+    let evaluate =
+        ["evaluate", "s.toml", "--hash", &hash, "--records", "initial=good.toml", "--iterations", "1000000"];
     let identify = ["identify", "s.toml", "--hash", &hash, "--records", "good.toml"];
     let trial = ["trial", "s.toml", "--hash", &hash];
     for (arguments, signal) in [

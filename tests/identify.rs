@@ -68,7 +68,16 @@ fn bench() -> Bench {
             .collect()
     };
     let run = |spec: &str, forces: &str, out: &str| {
-        bench.output(&["simulate", spec, "--hash", &hash(&bench, spec), "--forces", forces, "--out", out]);
+        bench.output(&[
+            "simulate",
+            spec,
+            "--hash",
+            &hash(&bench, spec),
+            "--forces",
+            forces,
+            "--out-dir",
+            out,
+        ]);
         let bytes = std::fs::read(bench.path(&format!("{out}/signals.npy"))).unwrap();
         npyz::NpyFile::new(&bytes[..]).unwrap().into_vec::<f64>().unwrap()
     };
@@ -135,7 +144,7 @@ fn records_tell_the_material() {
         bench.output(&call)
     };
     let one = fit(&["--format", "csv"]);
-    let two = fit(&["--format", "csv", "--threads", "2", "--out", "fit"]);
+    let two = fit(&["--format", "csv", "--threads", "2", "--out-dir", "fit"]);
     assert_eq!(one, two);
     assert_true(&estimates(&one), 0.1);
     for (name, start) in [
@@ -170,7 +179,7 @@ fn a_fit_goes_on_where_it_was_killed() {
             "r.toml",
             "--format",
             "csv",
-            "--out",
+            "--out-dir",
             out,
         ]
     };

@@ -36,7 +36,7 @@ fn a_body_rings() {
 
     refused(&bench, &["modes", "s.toml", "--response", "16"], "--response 16: ");
     refused(&bench, &["modes", "s.toml", "--response", "0"], "unit 0: it is held");
-    refused(&bench, &["modes", "s.toml", "--hash", "zz"], "--hash zz: ");
+    refused(&bench, &["modes", "s.toml", "--hash", "zz"], "trial zz: no trial begins so");
     bench.file("loose.toml", &TINY.replacen("[time]", "clamp = []\n[time]", 1));
     refused(&bench, &["modes", "loose.toml"], "body.clamp = []: ");
 }

@@ -19,6 +19,7 @@ mod hyperqueue;
 mod identify;
 mod measured;
 mod merge;
+mod names;
 mod physics;
 mod provenance;
 mod query;

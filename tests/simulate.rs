@@ -12,7 +12,7 @@ fn a_body_is_simulated_under_given_forces() {
     let at = lines.next().and_then(|mut names| names.position(|name| name == "hash")).unwrap();
     let hash = lines.next().and_then(|mut row| row.nth(at)).unwrap();
     let simulate = |out: &str, more: &[&str]| {
-        let call = [&["simulate", "s.toml", "--hash", hash, "--out", out], more].concat();
+        let call = [&["simulate", "s.toml", "--hash", hash, "--out-dir", out], more].concat();
         bench.output(&call)
     };
     let force = |s: f64, k: usize| 0.3 * (std::f64::consts::PI * s * (1.0 + k as f64)).sin().powi(2);
@@ -56,7 +56,7 @@ fn a_body_is_simulated_under_given_forces() {
     assert!(rows.lines().count() == 6 && rows.contains("\n4,ok,"), "{rows}");
 
     bench.write_array("short.npy", &[1, 2, 200], &knots[..400]);
-    let call = ["simulate", "s.toml", "--hash", hash, "--out", "e", "--forces", "short.npy"];
+    let call = ["simulate", "s.toml", "--hash", hash, "--out-dir", "e", "--forces", "short.npy"];
     let refused = bench.metasense(&call);
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(refused.status.code() == Some(2) && said.contains("(N, 2, 201)"), "{said}");

@@ -184,7 +184,7 @@ fn a_time_limit_cuts_a_shard_off_in_order() {
     std::fs::write(site.home.join("long.toml"), spec("long", 6000, "[1]")).unwrap();
     // A name that neither a shell nor sbatch is to take for more than that.
     let folder = "$(touch${IFS}pwned)#'%d.shards";
-    site.says(0, &format!("submit slurm long.toml --shards 1 --cpus 1 --time 1 --folder {folder}"));
+    site.says(0, &format!("submit slurm long.toml --shards 1 --cpus 1 --time 1 --out-dir {folder}"));
     site.slurm.until_empty(100);
     assert!(site.home.join(folder).join("shard-1-of-1.out").exists() && !site.home.join("pwned").exists());
     let outcome = "SELECT outcome, shards, estimated_seconds > 0 FROM v_run";

@@ -84,7 +84,7 @@ fn what_was_accepted_is_written_down_before_anything_else_can_fail() {
     assert!(said(&status).contains("2 in the queue"), "{}", said(&status));
     // Where nothing can be written down, nothing is submitted.
     std::fs::create_dir_all(bench.path("no/jobs.jsonl")).unwrap();
-    let output = with_hq(&bench, "touch called; echo 8", &["submit", "hq", "s.toml", "--folder", "no"]);
+    let output = with_hq(&bench, "touch called; echo 8", &["submit", "hq", "s.toml", "--out-dir", "no"]);
     assert!(output.status.code() == Some(3) && !bench.path("called").exists(), "{}", said(&output));
     // A line that is none is not overlooked.
     bench.file("results/s.shards/jobs.jsonl", "{\"scheduler\": \"hq\", \"jo");
@@ -98,7 +98,7 @@ fn no_part_of_a_folder_is_run() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
     let folder = "a $(touch pwned) `touch pwned` 'b' $HOME %d";
-    let output = with_hq(&bench, "echo 7", &["submit", "hq", "s.toml", "--shards", "1", "--folder", folder]);
+    let output = with_hq(&bench, "echo 7", &["submit", "hq", "s.toml", "--shards", "1", "--out-dir", folder]);
     assert!(output.status.success(), "{}", said(&output));
     // Changed since, so that the shard ends at once.
     bench.file("s.toml", &SPEC.replace("columns = 6", "columns = 5"));
@@ -114,7 +114,7 @@ fn no_part_of_a_folder_is_run() {
     assert!(log.contains("has changed since") && !bench.path("pwned").exists(), "{log}");
     assert!(bench.path(folder).join("merge.out").exists());
     for (scheduler, folder) in [("hq", "a\nb"), ("slurm", "a\nb"), ("slurm", "a\"b"), ("slurm", "a\\b")] {
-        let args = ["submit", scheduler, "s.toml", "--shards", "1", "--folder", folder, "--dry-run"];
+        let args = ["submit", scheduler, "s.toml", "--shards", "1", "--out-dir", folder, "--dry-run"];
         let output = bench.metasense(&args);
         assert!(output.status.code() == Some(2) && said(&output).contains("folder"), "{}", said(&output));
     }

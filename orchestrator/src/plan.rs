@@ -17,7 +17,8 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    Body, Design, Disturbance, LayoutKind, Point, Run, Search, SearchFrom, Stimuli, SweepSpec, TrialSpec,
+    Body, Design, Disturbance, LayoutKind, NotOne, Point, Run, Search, SearchFrom, Stimuli, SweepSpec,
+    TrialSpec, position_of,
 };
 use metasense_worker::design::{self, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
@@ -28,17 +29,6 @@ pub use metasense_schemas::record::Trial;
 
 /// More trials than this are taken for a mistake.
 const MOST_TRIALS: usize = 1_000_000;
-
-/// Why a hash names no trial.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum NotOne {
-    /// Nor does its beginning.
-    #[error("{0}: the spec holds no such trial")]
-    None(String),
-    /// More than one begins so.
-    #[error("{0}: several trials begin so")]
-    Several(String),
-}
 
 /// A spec file, read, and the trials it stands for.
 #[derive(Debug, Clone)]
@@ -57,7 +47,14 @@ impl Plan {
     /// # Errors
     /// At the first key that is unknown, or whose value no trial can have.
     pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
-        let source = Source::new(file, text)?;
+        Self::of(Source::spec(file, text, &[])?)
+    }
+
+    /// Expands a spec.
+    ///
+    /// # Errors
+    /// As [`Plan::new`].
+    pub fn of(source: Source) -> Result<Self, SpecError> {
         let spec = until::grid(source.parse()?, &source)?;
         check_sweep(&spec, &source)?;
         let combinations = axes::combinations(&spec, &source)?;
@@ -79,12 +76,8 @@ impl Plan {
     /// # Errors
     /// If none does, or several.
     pub fn find(&self, hash: &str) -> Result<&Trial, NotOne> {
-        let mut found = self.trials.iter().filter(|trial| trial.hash.starts_with(hash));
-        match (found.next(), found.next()) {
-            (Some(trial), None) => Ok(trial),
-            (Some(_), Some(_)) => Err(NotOne::Several(hash.into())),
-            (None, _) => Err(NotOne::None(hash.into())),
-        }
+        let at = position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str()))?;
+        Ok(&self.trials[at])
     }
 
     /// The database where none is named.
@@ -342,15 +335,14 @@ pub struct OneBody {
 }
 
 impl OneBody {
-    /// The body of a spec file's text; none of a sweep over bodies.
+    /// The body of a spec; none of a sweep over bodies.
     ///
     /// # Errors
     /// At the first key that is unknown, or whose value no body can have.
-    pub fn new(file: impl AsRef<Path>, text: String) -> Result<Option<Self>, SpecError> {
-        let source = Source::new(file, text)?;
+    pub fn new(source: &Source) -> Result<Option<Self>, SpecError> {
         let sweep = source.parse()?;
         let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
-        let mut combinations = axes::combinations(&sweep, &source)?;
+        let mut combinations = axes::combinations(&sweep, source)?;
         let first = combinations.swap_remove(0).spec;
         let keeps_panels = first.feasible.keep_panels;
         let other = |spec: &SweepSpec| {
@@ -363,7 +355,7 @@ impl OneBody {
         }
         let (first, _) = size::of_size(&first).map_err(located)?;
         let layout = layout(&first.body).map_err(located)?;
-        let body = with_design(&first.body, &layout, &source)?;
+        let body = with_design(&first.body, &layout, source)?;
         let limits = problem::limits(&first.feasible).map_err(located)?;
         let initial = problem::initial_design(&body, &layout, limits).map_err(located)?;
         let clamped = problem::clamped(&body, &layout).map_err(located)?;

@@ -1,6 +1,8 @@
 //! A spec file as text: reading it into a `SweepSpec`, and saying where in it something is wrong.
 //!
-//! Every error names file, line, key and value. Known keys come from the JSON schema of the types themselves.
+//! A spec may stand on another one (`base`) and be changed on the command line: such layers are merged into one text.
+//! Every error names file, line, key and value, each of the layer that has the key. Known keys come from the JSON schema
+//! of the types themselves.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -8,21 +10,22 @@ use std::path::{Path, PathBuf};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
-use toml::de::{DeTable, DeValue};
 
 use crate::spec::{Measured, SweepSpec, gone_key};
 
 mod keys;
+mod layers;
 
 pub use keys::KnownKeys;
+use layers::{Layer, merged};
 
 /// Something wrong in a spec file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{}:{line}: {what}", file.display())]
+#[error("{}{}: {what}", file.display(), if *line > 0 { format!(":{line}") } else { String::new() })]
 pub struct SpecError {
-    /// The file.
+    /// The file, or `command line`.
     pub file: PathBuf,
-    /// The line of the key, or of the table that lacks it; from 1.
+    /// The line of the key, or of the table that lacks it; from 1, or 0 on the command line.
     pub line: usize,
     /// The key by its path, for instance `body.stiffness.bend`; empty where the file is no TOML.
     pub key: String,
@@ -30,20 +33,26 @@ pub struct SpecError {
     pub what: String,
 }
 
-/// A spec file's text and where its keys stand in it.
+/// A spec's text and where its keys stand.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Source {
     /// The file.
     pub file: PathBuf,
-    /// What it holds.
+    /// What it holds; of several layers, what they come to together.
     pub text: String,
+    /// The file, what stands above it and what it stands on: what comes first, counts.
+    layers: Vec<Layer>,
+    /// Keys that count, and tables, layer by layer.
     places: Vec<Place>,
+    /// Keys of `text`, where that is not the only layer.
+    flat: Vec<Place>,
 }
 
-/// A key of the file.
+/// A key of a layer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Place {
     key: String,
+    layer: usize,
     at: usize,
     value: Range<usize>,
     is_table: bool,
@@ -58,19 +67,25 @@ impl Source {
     /// # Errors
     /// Where it is no TOML.
     pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
-        let mut source = Self { file: file.as_ref().to_owned(), text, places: Vec::new() };
-        let mut places = Vec::new();
-        match DeTable::parse(&source.text) {
-            Ok(table) => find_places(table.get_ref(), "", &mut places),
-            Err(e) => {
-                let line = source.line(e.span().map_or(0, |span| span.start));
-                let what = format!("not valid TOML: {}", e.message().trim());
-                return Err(SpecError { file: source.file, line, key: String::new(), what });
-            }
+        let file = file.as_ref().to_owned();
+        let layer = Layer { file: file.clone(), text: text.clone() };
+        let places = layer.places(0)?;
+        Ok(Self { file, text, layers: vec![layer], places, flat: Vec::new() })
+    }
+
+    /// Finds the keys of a spec: of its text, of the files that it stands on, and of changes, each `KEY=VALUE`.
+    ///
+    /// # Errors
+    /// Where one is no TOML or cannot be read, or files stand on each other in a circle.
+    pub fn spec(file: impl AsRef<Path>, text: String, changes: &[String]) -> Result<Self, SpecError> {
+        let own = Self::new(&file, text)?;
+        let layers = Layer::all(&own, changes)?;
+        if layers.len() == 1 {
+            return Ok(own);
         }
-        places.sort_by_key(|place| place.at);
-        source.places = places;
-        Ok(source)
+        let (text, places) = merged(&layers, &own.file)?;
+        let flat = Layer { file: own.file.clone(), text: text.clone() }.places(0)?;
+        Ok(Self { file: own.file, text, layers, places, flat })
     }
 
     /// Reads the spec. Types and names are right afterwards; whether the values make sense is the plan's to say.
@@ -142,15 +157,18 @@ impl Source {
     fn type_error(&self, e: &toml::de::Error, known: &KnownKeys) -> SpecError {
         let span = e.span().unwrap_or(0..0);
         // The innermost key around the value that serde refused.
-        let place = self.places.iter().rfind(|p| p.value.start <= span.start && span.end <= p.value.end);
+        let around = |p: &&Place| p.value.start <= span.start && span.end <= p.value.end;
+        let place = match &self.flat[..] {
+            [] => self.places.iter().rfind(around),
+            flat => flat.iter().rfind(around).and_then(|place| self.origin(place)),
+        };
         let message = e.message().trim().replace('\n', " ");
         let missing = message.strip_prefix("missing field `").and_then(|m| m.strip_suffix('`'));
         match (missing, place) {
             (Some(field), place) => {
                 let table = place.map_or(String::new(), |p| format!("{}.", p.key));
-                let line = place.map_or(1, |p| self.line(p.at));
                 let what = format!("{table}{field}: must be given, it has no default");
-                SpecError { file: self.file.clone(), line, key: format!("{table}{field}"), what }
+                self.located(place, format!("{table}{field}"), what)
             }
             (None, Some(place)) => self.wrong(place, &known.in_words(&place.key, &message)),
             (None, None) => self.error("", &message),
@@ -188,8 +206,14 @@ impl Source {
             (key, Some(value)) if !value.is_empty() => format!("{key} = {value}: {remedy}"),
             (key, _) => format!("{key}: {remedy}"),
         };
-        let line = place.map_or(1, |p| self.line(p.at));
-        SpecError { file: self.file.clone(), line, key: key.to_owned(), what }
+        self.located(place, key.to_owned(), what)
+    }
+
+    /// Where a key of the merged text comes from. Of keys that stand there several times, in `sweep.points`, the same one.
+    fn origin(&self, place: &Place) -> Option<&Place> {
+        let same = |p: &&Place| p.key == place.key;
+        let number = self.flat.iter().filter(same).take_while(|p| p.at < place.at).count();
+        self.places.iter().filter(same).nth(number)
     }
 
     /// The entry of `sweep.points` that gives a key this value, else the first that gives it one.
@@ -197,65 +221,40 @@ impl Source {
         let key = key.strip_prefix("sweep.").filter(|key| COUNTS.contains(key)).unwrap_or(key);
         let named = |p: &&Place| p.key.strip_prefix(POINTS).is_some_and(|k| k.trim_matches('"') == key);
         let bare = |text: &str| text.split_whitespace().collect::<String>();
-        let same = |p: &&Place| value.is_some_and(|v| bare(&self.text[p.value.clone()]) == bare(v));
+        let same = |p: &&Place| value.is_some_and(|v| bare(self.written(p)) == bare(v));
         let places = || self.places.iter().filter(named);
         places().find(same).or_else(|| places().next())
     }
 
     fn at(&self, place: &Place, what: String) -> SpecError {
-        SpecError { file: self.file.clone(), line: self.line(place.at), key: place.key.clone(), what }
+        self.located(Some(place), place.key.clone(), what)
+    }
+
+    fn located(&self, place: Option<&Place>, key: String, what: String) -> SpecError {
+        match place {
+            Some(place) => self.layers[place.layer].error(place.at, key, what),
+            None => SpecError { file: self.file.clone(), line: 1, key, what },
+        }
+    }
+
+    fn written(&self, place: &Place) -> &str {
+        &self.layers[place.layer].text[place.value.clone()]
     }
 
     /// A value as it is written, cut where it is long.
     fn value(&self, place: &Place) -> String {
         const LONGEST: usize = 60;
-        let text = self.text[place.value.clone()].split_whitespace().collect::<Vec<_>>().join(" ");
+        let text = self.written(place).split_whitespace().collect::<Vec<_>>().join(" ");
         match text.char_indices().nth(LONGEST) {
             Some((end, _)) => format!("{}…", &text[..end]),
             None => text,
         }
-    }
-
-    fn line(&self, at: usize) -> usize {
-        1 + self.text.as_bytes()[..at.min(self.text.len())].iter().filter(|&&b| b == b'\n').count()
     }
 }
 
 /// Before the keys of an entry of `sweep.points`, and those of them that are no paths.
 const POINTS: &str = "sweep.points.";
 const COUNTS: [&str; 2] = ["panels", "sensors"];
-
-/// Keys with their paths; one that holds a dot keeps its quotes. Of lists those of `sweep.points` alone.
-fn find_places(table: &DeTable<'_>, prefix: &str, places: &mut Vec<Place>) {
-    for (name, value) in table {
-        let name_text = name.get_ref();
-        let shown = if name_text.contains('.') { format!("\"{name_text}\"") } else { name_text.to_string() };
-        let key = if prefix.is_empty() { shown } else { format!("{prefix}.{shown}") };
-        let is_table = matches!(value.get_ref(), DeValue::Table(_));
-        if let DeValue::Table(inner) = value.get_ref() {
-            find_places(inner, &key, places);
-        }
-        let is_list = matches!(value.get_ref(), DeValue::Array(_));
-        if let DeValue::Array(entries) = value.get_ref()
-            && key == POINTS.trim_end_matches('.')
-        {
-            let tables = entries.iter().filter_map(|entry| entry.get_ref().as_table());
-            tables.for_each(|table| find_places(table, &key, places));
-        }
-        let not_finite = if is_table { None } else { not_finite(value.get_ref()) };
-        places.push(Place { key, at: name.span().start, value: value.span(), is_table, is_list, not_finite });
-    }
-}
-
-/// The first number of a value, or of a list in it, that is none.
-fn not_finite(value: &DeValue<'_>) -> Option<String> {
-    match value {
-        DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => Some(x.as_str().to_owned()),
-        DeValue::Array(values) => values.iter().find_map(|v| not_finite(v.get_ref())),
-        DeValue::Table(table) => table.values().find_map(|v| not_finite(v.get_ref())),
-        _ => None,
-    }
-}
 
 /// What to say of a key that nothing knows.
 fn unknown(nearest: Option<&str>) -> String {
@@ -296,171 +295,4 @@ pub fn measured_schema() -> Value {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const GOOD: &str = r#"name = "example"
-[body]
-columns = 6
-rows = 6
-spacing = 15.0
-ligament_length = 2.25
-density = 1e-8
-stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
-[stimuli]
-kind = "bell"
-[sweep]
-panels = [2]
-sensors = [1, 2]
-"body.columns" = [5, 6]
-exclude = [{ sensors = 2, "body.columns" = 5 }]
-"#;
-
-    fn parse(text: &str) -> Result<SweepSpec, SpecError> {
-        Source::new("a.toml", text.to_owned())?.parse()
-    }
-
-    fn complaint(from: &str, to: &str) -> String {
-        assert!(GOOD.contains(from), "{from}");
-        parse(&GOOD.replacen(from, to, 1)).unwrap_err().to_string()
-    }
-
-    #[test]
-    fn keys_left_out_have_the_defaults_of_the_documentation() {
-        let spec = parse(GOOD).unwrap();
-        assert_eq!((spec.time.duration, spec.time.samples), (1.0, 200));
-        assert_eq!((spec.stimuli.samples, spec.stimuli.test, spec.stimuli.holdout), (300, 30, 60));
-        assert_eq!(
-            (spec.brain.iterations, spec.optimise.steps(), spec.evaluation.networks()),
-            (1000, 350, 3)
-        );
-        assert_eq!((spec.sweep.placements, &spec.sweep.seeds[..]), (1, &[1][..]));
-        assert_eq!(spec.sweep.axes["body.columns"], [5, 6]);
-    }
-
-    #[test]
-    fn errors_name_file_line_key_value_and_the_nearest_key() {
-        for (from, to, expected) in [
-            (
-                "columns = 6",
-                "colums = 6",
-                "a.toml:3: body.colums = 6: unknown key; the nearest known one is \"body.columns\"",
-            ),
-            (
-                "[stimuli]",
-                "[stimulus]",
-                "a.toml:9: stimulus: unknown key; the nearest known one is \"stimuli\"",
-            ),
-            (
-                "name = \"example\"",
-                "name = \"e\"\nspacing = 3.0",
-                "a.toml:2: spacing = 3.0: unknown key; the nearest known one is \"body.spacing\"",
-            ),
-            (
-                "bend = 1.0",
-                "bent = 1.0",
-                "a.toml:8: body.stiffness.bent = 1.0: unknown key; the nearest known one is \"body.stiffness.bend\"",
-            ),
-            (
-                "\"body.columns\" = [5, 6]",
-                "\"body.column\" = [5, 6]",
-                "a.toml:14: sweep.\"body.column\" = [5, 6]: unknown key; the nearest known one is \"body.columns\"",
-            ),
-            (
-                "\"body.columns\" = [5, 6]",
-                "body.columns = [5, 6]",
-                "a.toml:14: sweep.body: no table here; an axis is written in quotes, for instance \"body.…\" = [ … ]",
-            ),
-            (
-                "panels = [2]",
-                "panel = [2]",
-                "a.toml:12: sweep.panel = [2]: unknown key; the nearest known one is \"sweep.panels\"",
-            ),
-            ("rows = 6", "rows = \"six\"", "a.toml:4: body.rows = \"six\": must be a whole number from 0 up"),
-            ("rows = 6", "rows = -6", "a.toml:4: body.rows = -6: must be a whole number from 0 up"),
-            ("columns = 6\n", "", "a.toml:2: body.columns: must be given, it has no default"),
-            (", bend = 1.0", "", "a.toml:8: body.stiffness.bend: must be given, it has no default"),
-            ("[stimuli]\nkind = \"bell\"\n", "", "a.toml:1: stimuli: must be given, it has no default"),
-            (
-                "\"bell\"",
-                "\"ball\"",
-                "a.toml:10: stimuli.kind = \"ball\": must be \"bell\", \"irregular\" or \"recorded\"",
-            ),
-            (
-                "columns = 6",
-                "columns = \"six\"",
-                "a.toml:3: body.columns = \"six\": must be a whole number from 0 up",
-            ),
-            ("spacing = 15.0", "spacing = -inf", "a.toml:5: body.spacing = -inf: -inf is no finite number"),
-            (
-                "\"body.columns\" = [5, 6]",
-                "\"body.spacing\" = [15.0, nan]",
-                "a.toml:14: sweep.\"body.spacing\" = [15.0, nan]: nan is no finite number",
-            ),
-            (
-                "rows = 6",
-                "clamp = \"top\"",
-                "a.toml:4: body.clamp = \"top\": must be \"bottom\", \"hub\" or a list of whole numbers from 0 up",
-            ),
-            (
-                "{ stretch = 3.0, shear = 0.5, bend = 1.0 }",
-                "3.0",
-                "a.toml:8: body.stiffness = 3.0: must be a table { bend, shear, stretch }",
-            ),
-            (
-                "[stimuli]",
-                "[sensors]\nnoise = [1.0]\n[stimuli]",
-                "a.toml:10: sensors.noise = [1.0]: must be a number or a list of 2 numbers",
-            ),
-            (
-                "[stimuli]",
-                "[run]\nniceness = 300\n[stimuli]",
-                "a.toml:10: run.niceness = 300: must be a whole number from 0 to 255",
-            ),
-            (
-                "sensors = [1, 2]",
-                "sensors = [1.5]",
-                "a.toml:13: sweep.sensors = [1.5]: must be a list of whole numbers from 0 up",
-            ),
-            (
-                "rows = 6",
-                "design = 7",
-                "a.toml:4: body.design = 7: must be a text in quotes, a table { random } or a table { shifts }",
-            ),
-            (
-                "\"body.columns\" = [5, 6]",
-                "\"foo\" = [5, 6]",
-                "a.toml:14: sweep.foo = [5, 6]: unknown key; an axis is a key by its path in quotes, for instance",
-            ),
-            (
-                "panels = [2]",
-                "\"sweep.panels\" = [2]",
-                "a.toml:12: sweep.\"sweep.panels\" = [2]: a key of [sweep] itself, written without quotes and table: panels = …",
-            ),
-            (
-                "\"body.columns\" = [5, 6]",
-                "\"run.workers\" = [5, 6]",
-                "a.toml:14: sweep.\"run.workers\" = [5, 6]: no part of a trial, and cannot be swept",
-            ),
-            (
-                "rows = 6",
-                "colour = \"red\"",
-                "a.toml:4: body.colour = \"red\": unknown key; `metasense schema` lists",
-            ),
-            (
-                "rows = 6",
-                "rows = 99999999999999999999",
-                "a.toml:4: body.rows = 99999999999999999999: is too large a",
-            ),
-            ("rows = 6", "rows = ", "a.toml:4: not valid TOML: "),
-            (
-                "\"body.columns\" = [5, 6]",
-                "\"body.columns\" = 5",
-                "a.toml:14: sweep.\"body.columns\" = 5: an axis is a list of values",
-            ),
-        ] {
-            let complaint = complaint(from, to);
-            assert!(complaint.starts_with(expected), "{to}:\n{complaint}\n{expected}");
-        }
-    }
-}
+mod tests;

@@ -61,15 +61,7 @@ enum What {
 }
 
 fn main() -> ExitCode {
-    match dispatch(Cli::parse()) {
-        Ok(exit) => exit.into(),
-        // Whoever reads our output has had enough of it.
-        Err(e) if e.is_broken_pipe() => Exit::Done.into(),
-        Err(e) => {
-            e.say();
-            e.exit().into()
-        }
-    }
+    cli::exit_code(dispatch(Cli::parse()))
 }
 
 fn dispatch(cli: Cli) -> Result<Exit, Error> {
@@ -88,7 +80,7 @@ fn dispatch(cli: Cli) -> Result<Exit, Error> {
         }
         What::Metasense { arguments } => {
             let name = std::iter::once(OsString::from("metasense"));
-            cli::dispatch(cli::Cli::parse_from(name.chain(arguments)))
+            cli::execute(name.chain(arguments))
         }
     }
 }

@@ -41,7 +41,7 @@ pub struct Body {
 impl Body {
     fn of_plan(plan: &Plan, hash: Option<&str>, threads: usize) -> PyResult<Self> {
         let hash = hash.unwrap_or(&plan.trials[0].hash);
-        let trial = plan.find(hash).map_err(|e| PyValueError::new_err(format!("hash = {e}")))?;
+        let trial = plan.find(hash).map_err(|e| PyValueError::new_err(e.to_string()))?;
         let pool = pool(threads).map_err(|e| raised(&e))?;
         let problem = placed(&trial.spec, &pool).map_err(|e| raised(&e))?;
         // where a search has put the sensors

@@ -14,7 +14,7 @@ def test_signals_and_gradient_are_those_of_the_command(body, spec, command, tmp_
     for name, array in [("f", forces), ("a", alpha), ("c", cotangent)]:
         np.save(tmp_path / f"{name}.npy", array)
     arguments = ["simulate", spec, "--hash", body.hash, "--forces", "f.npy", "--design", "a.npy"]
-    command(*arguments, "--cotangent", "c.npy", "--out", "o", cwd=tmp_path)
+    command(*arguments, "--cotangent", "c.npy", "--out-dir", "o", cwd=tmp_path)
     simulation = body.simulate(alpha, forces)
     assert np.array_equal(simulation.signals, np.load(tmp_path / "o/signals.npy"))
     assert np.array_equal(simulation.vjp(cotangent), np.load(tmp_path / "o/gradient.npy"))
@@ -132,7 +132,7 @@ def test_a_body_by_keywords_is_that_of_the_file(body, spec):
 def test_specs_and_hashes_that_are_none(spec, tmp_path):
     with pytest.raises(OSError, match="missing.toml"):
         metasense.Body.from_spec(tmp_path / "missing.toml")
-    with pytest.raises(ValueError, match="zzzz: the spec holds no such trial"):
+    with pytest.raises(ValueError, match="zzzz: no trial begins so"):
         metasense.Body.from_spec(spec, "zzzz")
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(spec.read_text().replace("columns = 3", "columns = 1"))

@@ -12,9 +12,11 @@ use crate::provenance;
 use crate::report::load::finished_trials;
 use crate::store::Reader;
 
-/// Answers what a sweep was run to learn: is the optimised body better, how many sensors are enough, what does
-/// complexity buy, what did the error cost in time
+/// Answers a sweep's questions as tables: gain, sensors needed, complexity, time
+///
+/// Is the optimised body better? How many sensors are enough? What does complexity buy? What did the error cost in time?
 #[derive(Debug, clap::Args)]
+#[command(visible_alias = "analyze")]
 pub(super) struct Args {
     /// The database
     db: PathBuf,

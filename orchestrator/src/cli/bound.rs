@@ -7,14 +7,13 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::bound::{Bound, bound};
 use serde_json::{Value, json};
 
-use super::one::One;
+use super::named::Designed;
 use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::look::Table;
-use crate::plan::Trial;
 use crate::store::Reader;
 
-/// The error that no decoder can beat, to first order, given the noise of a trial's sensors; beside it, what brains achieve
+/// Computes the least error that any decoder can reach, given the noise of the sensors
 ///
 /// Around each of the first samples of the holdout the body is taken as linear, and the forces as normal with mean and covariance of
 /// the training samples: then least error is that of the posterior given the signals. A decoder that knows more of the stimuli than
@@ -23,15 +22,15 @@ use crate::store::Reader;
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
-    one: One,
+    one: Designed,
     /// How many samples of the holdout
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=10_000))]
     samples: u16,
     /// White noise of every reading, as a part of each channel's RMS on the initial body [default: the spec's sensors.noise]
     #[arg(long, value_name = "σ", value_parser = above_zero)]
     noise: Option<f64>,
-    /// A database that has finished the trial, or others that differ from it in their brains alone: bounds of their initial and their
-    /// optimised bodies, and the holdout errors of all brains that have read them
+    /// Beside SPEC: a database that has finished the trial, or others that differ from it in their brains alone. With one, as with DB
+    /// HASH, bounds of the initial and the optimised bodies, and the holdout errors of all brains that have read them
     #[arg(long, value_name = "FILE", conflicts_with = "design")]
     db: Option<PathBuf>,
     /// Threads
@@ -48,17 +47,18 @@ fn above_zero(text: &str) -> Result<f64, String> {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let (trial, design) = args.one.read()?;
+    let (hash, trial, design) = args.one.read().await?;
     let of = |trial: &TrialSpec, design: &[f64]| {
         bound(trial, design, args.samples.into(), args.noise, args.threads.into())
-            .map_err(|e| args.one.refused(e))
+            .map_err(|e| args.one.trial.refused(e))
     };
-    let rows = match &args.db {
+    let own = args.one.trial.is_database() && args.one.design.is_none();
+    let rows = match args.db.as_ref().or(own.then_some(&args.one.trial.source)) {
         None => {
             let body = if args.one.design.is_some() { "given" } else { "initial" };
-            bounds([json!(body), Value::Null], &of(&trial.spec, &design)?)
+            bounds([json!(body), Value::Null], &of(&trial, &design)?)
         }
-        Some(db) => achieved(db, &trial, of).await?,
+        Some(db) => achieved(db, &hash, &trial, of).await?,
     };
     print_rows(&Table::new("body trained_with read_by sample error", rows), args.format)?;
     Ok(Exit::Done)
@@ -79,10 +79,11 @@ fn bounds(body: [Value; 2], found: &Bound) -> Vec<Vec<Value>> {
 /// What trials of a database that agree in all but their brains have achieved, under the bounds of their bodies.
 async fn achieved(
     db: &Path,
-    trial: &Trial,
+    hash: &str,
+    trial: &TrialSpec,
     of: impl Fn(&TrialSpec, &[f64]) -> Result<Bound, Error>,
 ) -> Result<Vec<Vec<Value>>, Error> {
-    let scene = scene(&json!(trial.spec));
+    let scene = scene(&json!(trial));
     let trials = Reader::asked(db, async |reader| -> Result<_, Error> {
         let sql =
             "SELECT hash, spec, brain, trained_with, holdout_error_initial, linear_holdout_error_initial,
@@ -102,9 +103,9 @@ async fn achieved(
     })
     .await?;
     if trials.is_empty() {
-        let (db, hash) = (db.display(), &trial.hash[..8]);
+        let (db, hash) = (db.display(), &hash[..8]);
         return Err(Error::Usage(format!(
-            "--db {db}: it has finished no trial with the scene of {hash}; `metasense status {db}` says what it holds"
+            "{db} has finished no trial with the scene of {hash}; `metasense status {db}` says what it holds"
         )));
     }
     // bodies as bits: equal ones are looked at once

@@ -13,8 +13,9 @@ use crate::report::claims::{claims_table, evidence_table, figure, tried};
 use crate::report::load::finished_trials;
 use crate::store::Reader;
 
-/// Rates the claims of arXiv:2605.23967 by finished trials: holds, in part, fails, open, or by which brain it depends
+/// Rates the claims of arXiv:2605.23967 by finished trials
 ///
+/// A claim holds, holds in part, fails, is open, or depends on the brain.
 /// The specs in schemas/claims have the trials that it takes; run them into one database (run SPEC --db FILE).
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -25,7 +26,7 @@ pub(super) struct Args {
     evidence: bool,
     /// Also write both tables (CSV), the picture (SVG) and a page of all (index.html) into this folder
     #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
+    out_dir: Option<PathBuf>,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -39,7 +40,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let found = tried(&trials);
     let [claims, evidence] = [claims_table(&found), evidence_table(&found)];
     print_rows(if args.evidence { &evidence } else { &claims }, args.format)?;
-    if let Some(folder) = &args.out {
+    if let Some(folder) = &args.out_dir {
         let drawn: Vec<_> = figure(&found).into_iter().collect();
         write_figures(folder, &drawn)?;
         write(&folder.join("claims.csv"), claims.shortened().csv())?;

@@ -8,7 +8,7 @@ use super::Error;
 use crate::control::{self, Command, ControlError, WORKERS_MAX};
 use crate::exit::Exit;
 
-/// Steers a run that goes on, from any terminal: pauses it, changes its workers, cancels a trial, reads its spec again
+/// Steers a run: pauses or stops it, changes its workers, cancels a trial, reloads its spec
 ///
 /// It speaks to the `run` that holds the database, through DB.control beside it, which its user alone may open. Nothing that it
 /// does loses anything: trials are taken back after the step in progress, and keep their checkpoints. What was asked and

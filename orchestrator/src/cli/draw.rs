@@ -5,19 +5,20 @@ use std::path::PathBuf;
 use metasense_worker::design::{self, Feasible};
 use metasense_worker::replay::Drawing;
 
-use super::{Error, read_body, write};
+use super::named::Named;
+use super::{Error, write};
 use crate::exit::Exit;
 use crate::look::body::{self, Notes, frame};
 use crate::look::file;
 
-/// Draws a design as SVG, constraints at their limit in amber, broken ones in red; by default the initial body
+/// Draws a design as SVG; by default the initial body
+///
+/// Constraints at their limit are amber, broken ones red. Without a hash: the body that all trials of the spec have, with its
+/// first panels and sensors.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML); without --hash, its first panels and sensors are shown
-    spec: PathBuf,
-    /// The trial whose body it is, by its hash or the beginning of it; not needed where all trials of the spec have one body
-    #[arg(long)]
-    hash: Option<String>,
+    #[command(flatten)]
+    trial: Named,
     /// The design to draw (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: Option<PathBuf>,
@@ -29,7 +30,7 @@ pub(super) struct Args {
     design_out: Option<PathBuf>,
 }
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("svg")) {
         let named = args.out.with_extension("svg");
         return Err(Error::Usage(format!(
@@ -38,7 +39,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
             named.display()
         )));
     }
-    let body = read_body(&args.spec, args.hash.as_deref())?;
+    let body = args.trial.body().await?;
     let drawn = match &args.design {
         Some(file) => design::read(file, &body.layout)?,
         None => body.initial.clone(),

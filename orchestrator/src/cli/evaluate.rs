@@ -10,26 +10,23 @@ use metasense_worker::evaluate::{Effort, Evaluated, Kept, Network, evaluate, sim
 use metasense_worker::measured::{self, Measured};
 use metasense_worker::run::Failure;
 
+use super::named::Named;
 use super::report::write_figures;
-use super::trial::find;
 use super::unfinished::Unfinished;
-use super::{Error, Format, duration, end_on_signal, print_rows, read_plan, write};
+use super::{Error, Format, duration, end_on_signal, print_rows, write};
 use crate::exit::Exit;
 use crate::export::npz::Zip;
 use crate::report::records::{Body, Comparison};
-use crate::store::Reader;
 
-/// Compares bodies by measured signals: fresh networks read forces from what the bodies' own sensors gave
+/// Compares bodies by measured signals: fresh networks read the forces from them
 ///
-/// Each record is predicted by networks that have not seen it (cross-validation). Where a body's design is known, the
+/// The trial's panels, sensors, clock and networks are those of the records. Each record is predicted by networks that have not seen it (cross-validation). Where a body's design is known, the
 /// trial's model of it is put under the same forces and judged in the same way: what it promises, and how its signals
 /// agree with the measured ones. README describes the files of records.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database, or the spec file (.toml), that holds the trial
-    source: PathBuf,
-    /// The trial, by the beginning of its hash: its panels, sensors, clock and networks are those of the records
-    trial: String,
+    #[command(flatten)]
+    trial: Named,
     /// A body and the file (TOML) of its records; more bodies, more of these: ratios are to the first. `initial` and
     /// `optimised` are the trial's own
     #[arg(long, value_name = "BODY=FILE", required = true, value_parser = pair)]
@@ -52,7 +49,7 @@ pub(super) struct Args {
     /// Writes into this folder the page to look at (index.html), its figures, the table and every record's error (CSV),
     /// forces, predictions and signals (records.npz); until then the networks that are done, from which the same command goes on
     #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
+    out_dir: Option<PathBuf>,
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
@@ -91,7 +88,7 @@ const LINE_EVERY: Duration = Duration::from_secs(10);
 const FOLDS: usize = 10;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    end_on_signal(args.out.as_deref());
+    end_on_signal(args.out_dir.as_deref());
     let (specs, mut designs) = of_trial(&args).await?;
     let (layout, initial) =
         metasense_worker::simulate::body(&specs[0]).map_err(|e| Error::Usage(format!("trial: {e}")))?;
@@ -111,7 +108,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         |(name, file): &(String, PathBuf)| Ok((name.clone(), measured::read(file, of_body(&specs, name))?));
     let records = args.records.iter().map(read).collect::<Result<Vec<_>, Error>>()?;
     let (comparison, unfinished) = compare(&args, &specs, records, &designs)?;
-    if let Some(folder) = &args.out {
+    if let Some(folder) = &args.out_dir {
         write_parts(folder, &comparison)?;
     }
     unfinished.done()?;
@@ -122,13 +119,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 /// The trial's spec for its initial and for its optimised body, whose sensors may have moved, and the designs that are known.
 async fn of_trial(args: &Args) -> Result<([TrialSpec; 2], BTreeMap<String, Vec<f64>>), Error> {
-    if args.source.extension().is_some_and(|e| e == "toml") {
-        let plan = read_plan(&args.source)?;
-        let spec = &find(&plan, &args.trial, &args.source)?.spec;
-        return Ok(([spec.clone(), spec.clone()], BTreeMap::new()));
+    if !args.trial.is_database() {
+        let (_, spec) = args.trial.read().await?;
+        return Ok(([spec.clone(), spec], BTreeMap::new()));
     }
-    let stored = Reader::asked(&args.source, async |reader| reader.stored(&args.trial).await).await?;
-    let stored = stored.ok_or_else(|| Error::Usage(format!("trial {} is not done yet", args.trial)))?;
+    let stored = args.trial.stored().await?;
     let [initial, optimised] = stored.designs;
     Ok((stored.specs, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))
 }
@@ -173,7 +168,8 @@ fn compare(
         })
         .collect();
     let specs_of = specs.each_ref().map(|spec| serde_json::to_string(spec).expect("a trial is JSON"));
-    let (unfinished, kept) = Unfinished::new(args.out.as_deref(), "evaluate", &(specs_of, effort, inputs))?;
+    let (unfinished, kept) =
+        Unfinished::new(args.out_dir.as_deref(), "evaluate", &(specs_of, effort, inputs))?;
     let all = (records.len() + known) * effort.folds * effort.seeds;
     let progress = Progress::new(all, &unfinished, kept.unwrap_or_default());
     let threads = usize::from(args.threads);

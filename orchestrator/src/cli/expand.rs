@@ -6,18 +6,19 @@ use std::path::PathBuf;
 use metasense_worker::simd::name;
 use serde_json::Value;
 
+use super::named::Spec;
 use super::simd::Simd;
-use super::{Error, Format, print_rows, read_plan};
+use super::{Error, Format, print_rows};
 use crate::cluster::{Deal, Shard};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 use crate::plan::{Trial, counted};
 
-/// Shows the trials that a spec stands for, with hash, parameter counts and a cost estimate; starts nothing
+/// Lists the trials of a spec with hash, size and estimated cost; starts nothing
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML)
-    spec: PathBuf,
+    #[command(flatten)]
+    spec: Spec,
     /// Only those of shard I of N
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
@@ -31,9 +32,9 @@ pub(super) struct Args {
     format: Format,
 }
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.simd.choose()?;
-    let mut plan = read_plan(&args.spec)?;
+    let mut plan = args.spec.plan()?;
     if let Some(shard) = args.shard {
         let deal = match &args.folder {
             Some(folder) => Deal::in_folder(folder, &plan.trials, shard.count())?,

@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
 use metasense_worker::replay::drawing;
 
+use super::named::{Named, Which};
 use super::query::answer_in;
 use super::{Error, write};
 use crate::analysis::Body;
@@ -34,27 +35,17 @@ enum Form {
     Stl,
 }
 
-/// Which body of a trial.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Which {
-    /// Before the outer loop
-    Initial,
-    /// After it
-    Optimised,
-}
-
-/// Writes a trial, or a view, as a file for other programs
+/// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database
-    db: PathBuf,
-    /// The trial, by the beginning of its hash; or a view's name, for csv and parquet
-    what: String,
+    /// In place of a hash: the name of a view, for csv and parquet
+    #[command(flatten)]
+    trial: Named,
     /// The form
     #[arg(long, value_enum)]
     format: Form,
     /// The file to write
-    #[arg(long)]
+    #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Which body, for npy, svg, dxf and stl
     #[arg(long, value_enum, default_value = "optimised")]
@@ -77,8 +68,8 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let Args { db, what, out, .. } = &args;
-    if VIEWS.iter().any(|(view, _)| view == what) {
+    let Args { trial: Named { source: db, words, .. }, out, .. } = &args;
+    if let Some((what, _)) = VIEWS.iter().find(|(view, _)| words.iter().any(|word| word == view)) {
         let format = match args.format {
             Form::Csv => Format::Csv,
             Form::Parquet => Format::Parquet,
@@ -87,9 +78,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let sql = format!("SELECT * FROM {what}");
         Reader::asked(db, async |reader| answer_in(reader, &sql, out, format).await).await?;
     } else {
-        let stored = Reader::asked(db, async |reader| reader.stored(what).await).await?;
-        let stored = stored.ok_or_else(|| Error::Usage(format!("trial {what} is not done yet")))?;
-        write(out, trial(&stored, &args)?)?;
+        write(out, trial(&args.trial.stored().await?, &args)?)?;
     }
     print_line!("{}", out.display())?;
     Ok(Exit::Done)

@@ -9,24 +9,23 @@ use metasense_worker::measured;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::one::One;
+use super::named::Designed;
 use super::report::write_figures;
 use super::unfinished::Unfinished;
 use super::{Error, Format, duration, end_on_signal, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, digits, row};
-use crate::plan::Trial;
 use crate::report::fit as pictures;
 use crate::store::npy_bytes;
 
-/// Fits stiffnesses, damping and density of a trial's body to measured records, with 95 % intervals
+/// Fits stiffness, damping and density to measured records, with 95 % intervals
 ///
 /// Starts from the spec's values. Records are forces and the signals that sensors gave under them, described by a TOML file.
 /// Exit code 1 if the fit does not converge, or the records do not tell all parameters that were asked for.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
-    one: One,
+    one: Designed,
     /// What was measured (TOML, see README)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
@@ -39,7 +38,7 @@ pub(super) struct Args {
     /// Writes a page with the figures, the figures (SVG) and their data, and the fitted signals (NPY) into this folder; until then
     /// the iterations that are done, from which the same command goes on
     #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
+    out_dir: Option<PathBuf>,
     /// The form of the estimates
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -55,9 +54,9 @@ enum Fitted {
     Contact,
 }
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    end_on_signal(args.out.as_deref());
-    let (Trial { spec: trial, .. }, design) = &args.one.read()?;
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    end_on_signal(args.out_dir.as_deref());
+    let (_, trial, design) = &args.one.read().await?;
     let measured = measured::read(&args.records, trial)?;
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();
     let begun = Instant::now();
@@ -66,7 +65,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
     let names: Vec<&str> = free.iter().map(|parameter| parameter.name()).collect();
     let spec = serde_json::to_string(trial).expect("a trial is JSON");
     let inputs = (spec, design, forces, &measured.signals, measured.low_pass, names);
-    let (unfinished, kept) = Unfinished::new(args.out.as_deref(), "identify", &inputs)?;
+    let (unfinished, kept) = Unfinished::new(args.out_dir.as_deref(), "identify", &inputs)?;
     let mut kept: Vec<Kept> = kept.unwrap_or_default();
     let known: Vec<Turn> = kept.iter().map(Kept::turn).collect();
     if !known.is_empty() {
@@ -83,7 +82,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         bar.tick();
     };
     let fit = identify(trial, design, &measured, &free, args.threads.into(), &known, &mut watch);
-    let fit = fit.map_err(|e| args.one.refused(e))?;
+    let fit = fit.map_err(|e| args.one.trial.refused(e))?;
     bar.finish_and_clear();
     let found = estimates(&fit);
     let shown = readable(&found);
@@ -98,10 +97,10 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         said.iter().try_for_each(|line| print_line!("{line}"))?;
     }
     say!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
-    if let Some(folder) = &args.out {
+    if let Some(folder) = &args.out_dir {
         let title = format!(
             "{}: parameters from {records} records",
-            args.one.spec.file_stem().unwrap_or_default().display()
+            args.one.trial.source.file_stem().unwrap_or_default().display()
         );
         let drawn = pictures::figures(trial, &measured.signals, &fit);
         write_figures(folder, &drawn)?;

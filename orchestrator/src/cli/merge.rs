@@ -9,8 +9,9 @@ use crate::exit::Exit;
 use crate::look::{Table, row};
 use crate::plan::counted;
 
-/// Merges databases into one: the same rows whatever the order of the files, and however often they are merged
+/// Merges databases into one
 ///
+/// The rows are the same whatever the order of the files, and however often they are merged.
 /// Of each trial the copy that has come farthest is kept. What disagrees or is left out is listed; bits are compared
 /// between runs of one instruction set alone. Inputs are not changed; `run SPEC --db FILE` finishes what is missing.
 #[derive(Debug, clap::Args)]

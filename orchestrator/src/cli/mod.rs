@@ -1,4 +1,6 @@
 //! The command line: one file a command.
+//!
+//! A new command is a file with `Args` and `execute`, and a word in the list [`commands!`] below.
 
 #[macro_use]
 mod say;
@@ -8,6 +10,7 @@ mod bound;
 mod claims;
 mod control;
 mod draw;
+mod error;
 mod evaluate;
 mod expand;
 mod export;
@@ -16,7 +19,8 @@ mod live;
 pub mod log;
 mod merge;
 mod modes;
-mod one;
+mod named;
+mod old;
 mod pages;
 mod place;
 mod project;
@@ -33,124 +37,125 @@ mod trial;
 mod unfinished;
 mod verify;
 mod watch;
-mod why;
 
-use std::error::Error as _;
+use std::ffi::OsString;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
+use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
-use crate::cluster::DealError;
-use crate::cluster::home::HomeError;
-use crate::cluster::merge::MergeError;
-use crate::cluster::queue::QueueError;
-use crate::control::ControlError;
-use crate::engine::{EngineError, Signals};
+use crate::engine::Signals;
 use crate::exit::{EXIT_CODES, Exit};
-use crate::plan::{OneBody, Plan};
-use crate::store::StoreError;
-use metasense_schemas::source::SpecError;
-use metasense_worker::design::DesignError;
-use metasense_worker::measured::MeasuredError;
+use crate::plan::Plan;
 use metasense_worker::process;
 
 use crate::look::duration;
 pub use crate::look::{Format, print_rows};
+pub use error::Error;
 
 /// Trains bodies of flexible metamaterial together with the neural networks that read them, many variants at a time.
 ///
 /// A sweep is a spec file (TOML); it expands into trials; each trial trains one body with its brain. `run` works through
 /// the trials with worker processes and keeps everything in one SQLite file; stopped or killed, the same command goes on.
 #[derive(Debug, Parser)]
-#[command(version, after_help = EXIT_CODES, max_term_width = 100)]
+#[command(name = "metasense", version, after_help = EXIT_CODES, max_term_width = 100)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
 }
 
-#[derive(Debug, Subcommand)]
-enum Command {
-    Run(run::Args),
-    Expand(expand::Args),
-    Submit(submit::Args),
-    Merge(merge::Args),
-    Trial(trial::Args),
-    Simulate(simulate::Args),
-    Identify(identify::Args),
-    Status(status::Args),
-    Watch(watch::Args),
-    Serve(serve::Args),
-    Control(control::Args),
-    Why(why::Args),
-    Query(query::Args),
-    Analyse(analyse::Args),
-    Claims(claims::Args),
-    Report(report::Args),
-    Place(place::Args),
-    Modes(modes::Args),
-    Bound(bound::Args),
-    Project(project::Args),
-    Draw(draw::Args),
-    Export(export::Args),
-    Evaluate(evaluate::Args),
-    Schema(schema::Args),
-    /// Where the benches went.
-    #[command(hide = true, disable_help_flag = true)]
-    Bench {
-        /// Whatever was asked.
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        arguments: Vec<String>,
-    },
-    /// What the orchestrator starts; not for people.
-    #[command(hide = true)]
-    Worker {
-        /// Where to connect to.
-        start: String,
-    },
-    Verify(verify::Args),
+/// Commands, each its module, by what they are for.
+macro_rules! commands {
+    ($($heading:literal: $($variant:ident $module:ident),+;)+) => {
+        #[derive(Debug, Subcommand)]
+        enum Command {
+            $($($variant($module::Args),)+)+
+            /// What the orchestrator starts; not for people.
+            #[command(hide = true)]
+            Worker {
+                /// Where to connect to.
+                start: String,
+            },
+        }
+
+        /// The names of the commands under their headings.
+        pub const GROUPS: &[(&str, &[&str])] = &[$(($heading, &[$(stringify!($module)),+])),+];
+
+        impl Command {
+            async fn execute(self) -> Result<Exit, Error> {
+                match self {
+                    // Boxed: each future as large as itself.
+                    $($(Self::$variant(args) => Box::pin($module::execute(args)).await,)+)+
+                    Self::Worker { .. } => unreachable!("carried out before"),
+                }
+            }
+        }
+    };
 }
 
-/// Carries a command out.
+commands! {
+    "A sweep": Run run, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
+    "A cluster": Submit submit, Merge merge;
+    "Results": Query query, Analyse analyse, Report report, Claims claims, Export export;
+    "Bodies": Simulate simulate, Modes modes, Bound bound, Place place, Project project, Draw draw;
+    "Measured data": Identify identify, Evaluate evaluate;
+    "Checks": Verify verify, Schema schema;
+}
+
+/// The command line as clap has it, with the commands in groups.
+#[must_use]
+pub fn command() -> clap::Command {
+    let command = Cli::command();
+    let (header, literal) = (command.get_styles().get_header(), command.get_styles().get_literal());
+    let mut list = String::new();
+    for (heading, names) in GROUPS {
+        let _ = writeln!(list, "{header}{heading}:{header:#}");
+        for name in *names {
+            let about = command.find_subcommand(name).and_then(clap::Command::get_about);
+            let _ = writeln!(
+                list,
+                "  {literal}{name:10}{literal:#}{}",
+                about.map(ToString::to_string).unwrap_or_default()
+            );
+        }
+        list.push('\n');
+    }
+    let template = format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{list}{header}Options:{header:#}\n{{options}}{{after-help}}"
+    );
+    command.help_template(template)
+}
+
+/// Carries out a command line, the name of the program first.
 ///
 /// # Errors
 /// Bad input and failed I/O, each with its exit code.
-pub fn dispatch(cli: Cli) -> Result<Exit, Error> {
+pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
+    let matches = command().get_matches_from(old::rewritten(args)?);
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     match cli.command {
-        Command::Bench { arguments } => Err(Error::Usage(format!(
-            "`bench` is a program of its own now, for development: `cargo run --release -p metasense-bench -- {}`",
-            arguments.join(" ")
-        ))),
         Command::Worker { start } => std::process::exit(process::run(&start, process::perform_trial)),
-        Command::Run(args) => block_on(run::execute(args)),
-        Command::Expand(args) => expand::execute(&args),
-        Command::Submit(args) => block_on(submit::execute(args)),
-        Command::Merge(args) => block_on(merge::execute(args)),
-        Command::Trial(args) => trial::execute(&args),
-        Command::Simulate(args) => simulate::execute(&args),
-        Command::Identify(args) => identify::execute(&args),
-        Command::Status(args) => block_on(status::execute(args)),
-        Command::Watch(args) => block_on(watch::execute(args)),
-        Command::Serve(args) => serve::execute(args),
-        Command::Control(args) => block_on(control::execute(args)),
-        Command::Why(args) => block_on(why::execute(args)),
-        Command::Query(args) => block_on(query::execute(args)),
-        Command::Analyse(args) => block_on(analyse::execute(args)),
-        Command::Claims(args) => block_on(claims::execute(args)),
-        Command::Place(args) => place::execute(&args),
-        Command::Modes(args) => modes::execute(&args),
-        Command::Bound(args) => block_on(bound::execute(args)),
-        Command::Project(args) => project::execute(&args),
-        Command::Draw(args) => draw::execute(&args),
-        Command::Schema(args) => schema::execute(&args),
-        Command::Report(args) => block_on(report::execute(args)),
-        Command::Export(args) => block_on(export::execute(args)),
-        Command::Evaluate(args) => block_on(evaluate::execute(args)),
-        Command::Verify(args) => verify::execute(&args),
+        command => block_on(command.execute()),
     }
 }
 
-/// Runs a command that waits for the database, in a runtime of its own.
+/// How the program ends after this; an error is said.
+#[must_use]
+pub fn exit_code(ended: Result<Exit, Error>) -> ExitCode {
+    let exit = ended.unwrap_or_else(|e| match e.is_broken_pipe() {
+        // Whoever reads our output has had enough of it.
+        true => Exit::Done,
+        false => {
+            e.say();
+            e.exit()
+        }
+    });
+    exit.into()
+}
+
+/// Runs a command in a runtime of its own.
 ///
 /// # Errors
 /// The command's own, or no runtime can be started.
@@ -182,26 +187,7 @@ fn end_on_signal(kept: Option<&Path>) {
 /// # Errors
 /// If it cannot be read, or is no spec.
 pub fn read_plan(file: &Path) -> Result<Plan, Error> {
-    let text = std::fs::read_to_string(file)
-        .map_err(|source| Error::Unreadable { path: file.to_owned(), source })?;
-    Ok(Plan::new(file, text)?)
-}
-
-/// Reads the body of a trial of a spec file; without its hash, the one that all trials have.
-fn read_body(file: &Path, hash: Option<&str>) -> Result<OneBody, Error> {
-    if let Some(hash) = hash {
-        let plan = read_plan(file)?;
-        let trial = trial::find(&plan, hash, file)?;
-        return OneBody::of_trial(&trial.spec).map_err(|e| Error::Usage(format!("{}: {e}", file.display())));
-    }
-    let text = std::fs::read_to_string(file)
-        .map_err(|source| Error::Unreadable { path: file.to_owned(), source })?;
-    OneBody::new(file, text)?.ok_or_else(|| {
-        let path = file.display();
-        Error::Usage(format!(
-            "{path} has several bodies: choose a trial's with --hash; `metasense expand {path}` lists them"
-        ))
-    })
+    named::Spec { file: file.to_owned(), changes: Vec::new() }.plan()
 }
 
 /// Writes a whole file.
@@ -222,107 +208,5 @@ fn make_folder(path: &Path) -> Result<(), Error> {
     })
 }
 
-/// Why a command could not be carried out.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum Error {
-    /// The spec.
-    #[error(transparent)]
-    Spec(#[from] SpecError),
-    /// A file that the command line names.
-    #[error("cannot read {}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// A design file.
-    #[error(transparent)]
-    Design(#[from] DesignError),
-    /// Measured records.
-    #[error(transparent)]
-    Measured(#[from] MeasuredError),
-    /// The database.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// A file.
-    #[error("{doing} {}", path.display())]
-    Io {
-        /// What was being done.
-        doing: &'static str,
-        /// To which file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The terminal or pipe that we write to.
-    #[error("writing the output")]
-    Output(#[from] std::io::Error),
-    /// Arguments that do not go together.
-    #[error("{0}")]
-    Usage(String),
-    /// A run that could not go on.
-    #[error(transparent)]
-    Engine(#[from] EngineError),
-    /// A merge.
-    #[error(transparent)]
-    Merge(#[from] MergeError),
-    /// Which shard runs what.
-    #[error(transparent)]
-    Deal(#[from] DealError),
-    /// A scheduler's queue.
-    #[error(transparent)]
-    Queue(#[from] QueueError),
-    /// A shard's database.
-    #[error(transparent)]
-    Home(#[from] HomeError),
-    /// A run that is to be steered.
-    #[error(transparent)]
-    Control(#[from] ControlError),
-}
-
-impl Error {
-    /// The exit code.
-    #[must_use]
-    pub fn exit(&self) -> Exit {
-        match self {
-            Self::Store(e)
-            | Self::Merge(MergeError::Store(e))
-            | Self::Home(HomeError::Store(e) | HomeError::Merge(MergeError::Store(e)))
-                if e.is_bad_input() =>
-            {
-                Exit::BadInput
-            }
-            Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
-            Self::Engine(_) => Exit::Io,
-            Self::Merge(MergeError::Nothing { .. }) => Exit::BadInput,
-            Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
-            Self::Merge(_) | Self::Home(_) | Self::Queue(_) | Self::Deal(DealError::File { .. }) => Exit::Io,
-            Self::Deal(_) => Exit::BadInput,
-            Self::Control(e) => control::exit(e),
-            Self::Usage(_)
-            | Self::Spec(_)
-            | Self::Design(_)
-            | Self::Measured(_)
-            | Self::Unreadable { .. } => Exit::BadInput,
-            Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
-        }
-    }
-
-    /// Says what went wrong and why on standard error.
-    pub fn say(&self) {
-        say!("error: {self}");
-        let mut cause = self.source();
-        while let Some(e) = cause {
-            say!("  because: {e}");
-            cause = e.source();
-        }
-    }
-
-    /// Whether the reader of our output has gone.
-    #[must_use]
-    pub fn is_broken_pipe(&self) -> bool {
-        matches!(self, Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe)
-    }
-}
+#[cfg(test)]
+mod tests;

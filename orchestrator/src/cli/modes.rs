@@ -4,14 +4,13 @@ use std::path::PathBuf;
 
 use metasense_worker::modes::{Response, responses, slowest};
 
-use super::one::One;
+use super::named::Designed;
 use super::{Error, Format, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, file, row};
-use crate::plan::Trial;
 use crate::report::modes as pictures;
 
-/// Eigenmodes of a trial's body at rest: frequencies, damping ratios, shapes; or how a panel's force moves a unit there
+/// Computes a body's eigenmodes at rest, or how a panel's force moves a unit there
 ///
 /// Small motions only: under a sweep's stimuli bodies move strongly nonlinearly (`v_trial` says how much the linear model leaves
 /// out). Frequencies are |s|/2π of exp(s t), damping ratios −Re s/|s|, with all of the damping, which no mode shares evenly. A mode of
@@ -19,7 +18,7 @@ use crate::report::modes as pictures;
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
-    one: One,
+    one: Designed,
     /// How many modes, from the slowest on
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=1000))]
     count: u16,
@@ -38,13 +37,13 @@ pub(super) struct Args {
 /// Frequencies of responses.
 const FREQUENCIES: usize = 200;
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let (Trial { spec, .. }, design) = &args.one.read()?;
-    let modes = slowest(spec, design, args.count.into()).map_err(|e| args.one.refused(e))?;
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let (_, spec, design) = &args.one.read().await?;
+    let modes = slowest(spec, design, args.count.into()).map_err(|e| args.one.trial.refused(e))?;
     let (table, columns, (drawn, legend)) = match args.response {
         None => {
             let rows = modes.iter().enumerate().map(|(n, mode)| pictures::row(n, mode));
-            let drawn = pictures::shapes(spec, design, &modes).map_err(|e| args.one.refused(e))?;
+            let drawn = pictures::shapes(spec, design, &modes).map_err(|e| args.one.trial.refused(e))?;
             (Table::new(pictures::COLUMNS, rows), modes.len().clamp(1, 4), drawn)
         }
         Some(unit) => {

@@ -5,21 +5,21 @@ use std::path::PathBuf;
 use metasense_worker::place::{Looked, look};
 use metasense_worker::replay::Drawing;
 
-use super::one::One;
-use super::{Error, Format, print_rows, read_plan, write};
+use super::named::Designed;
+use super::{Error, Format, print_rows, write};
 use crate::exit::Exit;
 use crate::look::body::{Notes, Unit, body, frame, legend};
 use crate::look::{Table, file, level, row};
-use crate::plan::Trial;
+use crate::plan::{Plan, Trial};
 
-/// Searches for the units that carry a trial's sensors best: error by their number, beside random placements
+/// Searches for the units that carry sensors best, and compares with random placements
 ///
 /// Errors are a linear brain's on training samples that it has not seen; test set and holdout are not looked at. As in a
 /// sweep with sensors.search, which needs no such call. Without --hash: of the first trial with the most sensors.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
-    one: One,
+    one: Designed,
     /// Draws the body, units coloured by the error with a sensor there, those placed numbered
     #[arg(long, value_name = "FILE.svg")]
     out: Option<PathBuf>,
@@ -34,17 +34,15 @@ pub(super) struct Args {
     format: Format,
 }
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let plan = read_plan(&args.one.spec)?;
-    let most = plan.trials.iter().rev().max_by_key(|trial| trial.spec.point.sensors);
-    let (Trial { spec, .. }, design) = &args.one.of(&plan, most.expect("a plan has a trial"))?;
-    let found = look(spec, design, args.given, args.threads.into()).map_err(|e| args.one.refused(e))?;
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let (_, spec, design) = &args.one.read_or(most_sensors).await?;
+    let found = look(spec, design, args.given, args.threads.into()).map_err(|e| args.one.trial.refused(e))?;
     print_rows(&table(&found), args.format)?;
     if found.placed.iter().any(|placed| placed.energies) {
         say!("read by a linear brain that sees |signal|² of each unit, too: it reads these forces better");
     }
     if let Some(out) = &args.out {
-        let drawn = metasense_worker::replay::drawing(spec, design).map_err(|e| args.one.refused(e))?;
+        let drawn = metasense_worker::replay::drawing(spec, design).map_err(|e| args.one.trial.refused(e))?;
         let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
         let drawn = Drawing { sensors, active: Vec::new(), ..drawn };
         let caption = format!(
@@ -72,6 +70,12 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         say!("written {}", out.display());
     }
     Ok(Exit::Done)
+}
+
+/// The first trial with the most sensors.
+fn most_sensors(plan: &Plan) -> &Trial {
+    let trials = plan.trials.iter().rev();
+    trials.max_by_key(|trial| trial.spec.point.sensors).expect("a plan has a trial")
 }
 
 fn table(found: &Looked) -> Table {

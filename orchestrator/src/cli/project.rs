@@ -4,21 +4,20 @@ use std::path::PathBuf;
 
 use metasense_worker::design::{self, Feasible, Projection, Status};
 
-use super::{Error, Format, print_rows, read_body};
+use super::named::Named;
+use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 
-/// Projects a design onto the feasible ones: the nearest that can be cast, or the previous one where none is found
+/// Projects a design onto the nearest one that can be cast
 ///
+/// Where none is found, the previous design comes back. Without a hash: the body that all trials of the spec have.
 /// Prints status, distance and the constraints at their limit. Ends with 0 wherever what is written can be cast; with 1,
 /// and writes nothing, where neither the result nor the previous design can.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML)
-    spec: PathBuf,
-    /// The trial whose body it is, by its hash or the beginning of it; not needed where all trials of the spec have one body
-    #[arg(long)]
-    hash: Option<String>,
+    #[command(flatten)]
+    trial: Named,
     /// The design to project (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: PathBuf,
@@ -36,8 +35,8 @@ pub(super) struct Args {
     format: Format,
 }
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let body = read_body(&args.spec, args.hash.as_deref())?;
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let body = args.trial.body().await?;
     let target = design::read(&args.design, &body.layout)?;
     let previous = match &args.from {
         Some(file) => design::read(file, &body.layout)?,

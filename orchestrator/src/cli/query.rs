@@ -10,7 +10,7 @@ use crate::exit::Exit;
 use crate::look::{RowWriter, Table, lines, standard_output};
 use crate::store::Reader;
 
-/// Asks a database in SQL; it cannot be changed this way, and may be asked while a run writes to it
+/// Asks a database in SQL, read-only, also while a run writes to it
 ///
 /// For instance:
 ///   metasense query results/quickstart.sqlite "SELECT sensors, avg(holdout_error_optimised) FROM v_trial GROUP BY 1"

@@ -11,20 +11,19 @@ use crate::look::{Figure, file};
 use crate::report::{Story, figures, html, load};
 use crate::store::Reader;
 
-/// Writes what a database's trials teach as one HTML file: question and answer first, then figures with their data
+/// Writes answers and figures of a database as one HTML file
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database
     db: PathBuf,
+    /// The trial whose forces, bodies and waves are shown, by its hash or the beginning of it [default: a typical one]
+    hash: Option<String>,
     /// The file to write; by default beside the database
-    #[arg(long)]
+    #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// The trial whose forces, bodies and waves are shown (the beginning of its hash); by default a typical one
-    #[arg(long)]
-    trial: Option<String>,
-    /// Also write into this folder every figure (SVG) with its data, every answer and the trials (CSV), and the specs
-    #[arg(long)]
-    figures: Option<PathBuf>,
+    /// Also writes into this folder every figure (SVG) with its data, every answer and the trials (CSV), and the specs
+    #[arg(long, value_name = "DIR")]
+    out_dir: Option<PathBuf>,
     /// Threads for simulating the shown trial again
     #[arg(long, default_value_t = 1)]
     threads: usize,
@@ -33,13 +32,13 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let asked = async |reader: &mut Reader| load::story(reader, args.trial.as_deref(), args.terms).await;
+    let asked = async |reader: &mut Reader| load::story(reader, args.hash.as_deref(), args.terms).await;
     let story = Reader::asked(&args.db, asked).await?;
     let (drawn, missing) = figures(&story, args.threads);
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
     write(&out, html(&story, &drawn, missing.as_deref()))?;
     print_line!("{}", out.display())?;
-    if let Some(folder) = &args.figures {
+    if let Some(folder) = &args.out_dir {
         write_parts(folder, &story, &drawn)?;
         print_line!("{}", folder.display())?;
     }

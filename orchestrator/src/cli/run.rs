@@ -10,9 +10,10 @@ use serde_json::Value;
 use tokio::sync::oneshot;
 
 use super::live::Live;
+use super::named::Spec;
 use super::pages::Pages;
 use super::simd::Simd;
-use super::{Error, Format, log, print_rows, read_plan};
+use super::{Error, Format, log, print_rows};
 use crate::analysis::kinds::brains;
 use crate::analysis::setting::flatten;
 use crate::analysis::trial;
@@ -30,15 +31,15 @@ use crate::store::{Reader, RunPlan, Store};
 /// Rows of the final table that a person may want to read at once.
 const MOST_ROWS: usize = 400;
 
-/// Runs the trials of a spec with worker processes, or goes on where an earlier run has stopped
+/// Runs the trials of a spec, or goes on where an earlier run has stopped
 ///
 /// Every step is kept in an SQLite file as it is done: after Ctrl-C, `kill -9` or a power cut the same command goes on.
 /// Trials that are finished are never run again; trials that a changed spec adds are run beside them. `metasense control DB`
 /// steers it from another terminal.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML), for instance schemas/sweeps/quickstart.toml
-    spec: PathBuf,
+    #[command(flatten)]
+    spec: Spec,
     /// The database; by default results/NAME.sqlite
     #[arg(long, value_name = "FILE")]
     db: Option<PathBuf>,
@@ -91,7 +92,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(time) = stop_after {
         end_after(time);
     }
-    let mut plan = read_plan(&args.spec)?;
+    let mut plan = args.spec.plan()?;
     if args.shard.is_some() {
         not_in_shards(&plan)?;
     }
@@ -211,13 +212,13 @@ fn listener(db: &Path) -> Option<Listener> {
 
 /// Reads the spec again, where trials can be added to what the plan says.
 fn reread(plan: &Plan, args: &Args) -> Arc<Reread> {
-    let (file, name) = (args.spec.clone(), plan.spec.name.clone());
+    let (spec, name) = (args.spec.clone(), plan.spec.name.clone());
     let (is_shard, asks) = (args.shard.is_some(), plan.spec.until.is_some());
     Arc::new(move || {
         if is_shard {
             return Err("a shard's trials are dealt out before it begins: submit the edited spec".into());
         }
-        let plan = read_plan(&file).map_err(|error| chain(&error))?;
+        let plan = spec.plan().map_err(|error| chain(&error))?;
         if asks || plan.spec.until.is_some() {
             return Err("[until] decides which trials are run: stop the run, the same command goes on by the edited spec".into());
         }

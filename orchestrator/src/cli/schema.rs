@@ -7,11 +7,11 @@ use metasense_schemas::source::spec_schema;
 use super::Error;
 use crate::exit::Exit;
 
-/// Prints the JSON schema of a spec file, for editors that complete and check TOML
+/// Prints the JSON schema of a spec, for editors that complete and check TOML
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {}
 
-pub(super) fn execute(_: &Args) -> Result<Exit, Error> {
+pub(super) async fn execute(_: Args) -> Result<Exit, Error> {
     let text = serde_json::to_string_pretty(&spec_schema()).expect("a schema is JSON");
     writeln!(std::io::stdout().lock(), "{text}")?;
     Ok(Exit::Done)

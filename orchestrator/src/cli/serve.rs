@@ -13,8 +13,9 @@ use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::serve::{Served, Source, Token, serve};
 
-/// Shows databases in a browser, live: how far, what they answer so far, every trial, SQL; until Ctrl-C
+/// Shows databases in a browser, live, until Ctrl-C
 ///
+/// How far a run is, what its trials answer so far, every trial, and SQL.
 /// It reads databases and nothing else; a run does not know that it is watched. From another machine: ssh -L
 /// 8017:localhost:8017 HOST. With --control, pages can steer runs, too (see `control`).
 #[derive(Debug, clap::Args)]
@@ -41,7 +42,7 @@ const NICENESS: i32 = 10;
 /// Threads of the runtime; they wait most of the time.
 const THREADS: usize = 6;
 
-pub(super) fn execute(args: Args) -> Result<Exit, Error> {
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(parent) = args.parent {
         let _ = set_parent_process_death_signal(Some(Signal::TERM));
         if std::os::unix::process::parent_id() != parent {
@@ -50,13 +51,14 @@ pub(super) fn execute(args: Args) -> Result<Exit, Error> {
     }
     // SAFETY: cannot fail, touches no memory.
     unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
-    // several threads: who reads a large database keeps one
+    // a runtime of its own with several threads: who reads a large database keeps one
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(THREADS)
         .enable_all()
         .build()
         .map_err(|source| Error::Io { doing: "starting", path: PathBuf::from("the runtime"), source })?;
-    runtime.block_on(serve_until_stopped(args))
+    let served = std::thread::spawn(move || runtime.block_on(serve_until_stopped(args)));
+    served.join().expect("no page panics")
 }
 
 async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {

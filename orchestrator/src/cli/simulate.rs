@@ -4,21 +4,20 @@ use std::path::{Path, PathBuf};
 
 use metasense_worker::simulate::{Simulated, simulate};
 
-use super::one::One;
+use super::named::Designed;
 use super::{Error, Format, make_folder, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, row};
-use crate::plan::Trial;
 use crate::store::npy_bytes;
 
-/// Simulates the body of a trial under given forces: signals, motion and energies as NPY arrays, and dα of a cotangent
+/// Simulates a body under given forces: signals, motion, energies and a gradient
 ///
 /// Writes signals.npy (N, T, 3M), displacements.npy and velocities.npy (N, T, units, 3), energies.npy (N, T) and, with
 /// --cotangent, gradient.npy, in the units and orders of MODEL.md. Exit code 1 if a sample does not reach its end.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
-    one: One,
+    one: Designed,
     /// Force histories (N, K, T + 1) in N, as NPY; a clock finer by a whole factor will do, too
     #[arg(long, value_name = "NPY")]
     forces: PathBuf,
@@ -27,7 +26,7 @@ pub(super) struct Args {
     cotangent: Option<PathBuf>,
     /// The folder for the arrays; made where it is missing
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    out_dir: PathBuf,
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
@@ -39,18 +38,19 @@ pub(super) struct Args {
     format: Format,
 }
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
-    let (Trial { spec, .. }, design) = &args.one.read()?;
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let (_, spec, design) = &args.one.read().await?;
     let (shape, forces) = array(&args.forces)?;
     let cotangent = args.cotangent.as_deref().map(array).transpose()?;
     let cotangent = cotangent.as_ref().map(|(shape, values)| (&shape[..], &values[..]));
     let found = simulate(spec, design, (&shape, &forces), cotangent, args.threads.into());
-    let found = found.map_err(|e| args.one.refused(e))?;
+    let found = found.map_err(|e| args.one.trial.refused(e))?;
 
     let Simulated { shape: [samples, instants, units, sensors], .. } = found;
-    make_folder(&args.out)?;
-    let write =
-        |name: &str, shape: &[usize], values: &[f64]| write(&args.out.join(name), npy_bytes(shape, values));
+    make_folder(&args.out_dir)?;
+    let write = |name: &str, shape: &[usize], values: &[f64]| {
+        write(&args.out_dir.join(name), npy_bytes(shape, values))
+    };
     write("signals.npy", &[samples, instants, 3 * sensors], &found.signals)?;
     write("displacements.npy", &[samples, instants, units, 3], &found.displacements)?;
     write("velocities.npy", &[samples, instants, units, 3], &found.velocities)?;

@@ -4,47 +4,75 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use metasense_schemas::reason::{CANCELLED, PRUNED};
+use serde_json::{Value, json};
 
+use super::named::Named;
 use super::{Error, Format, print_rows};
 use crate::cluster::queue;
 use crate::cluster::state::{self, State};
 use crate::exit::Exit;
 use crate::look::{Table, row};
-use crate::plan::counted;
+use crate::plan::{Trial, counted};
 use crate::progress::FAILED;
 use crate::provenance;
-use crate::store::{Reader, quoted};
+use crate::store::{Nearest, Reader, quoted};
 
-/// Shows what is done, running, pending and failed, and why; also while a run goes on
+/// Shows what is done, running, pending or failed, and why; or one trial, or shards
+///
+/// Of a trial, by DB HASH or SPEC --hash HASH: its attempts and what was said of them. Of one that the database has not: the
+/// keys by which it differs from the nearest one there, and by what code that was made.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database; by default the one under results/ that was written last
+    /// The database, or the spec whose database is meant; by default the one under results/ that was written last
+    #[arg(value_name = "DB|SPEC|DIR")]
+    source: Option<PathBuf>,
+    /// After DB: a trial, by its hash or the beginning of it. After SPEC: values in place of the spec's, as in `run`
+    #[arg(value_name = "HASH|KEY=VALUE")]
+    words: Vec<String>,
+    /// After SPEC: a trial, by its hash or the beginning of it
+    #[arg(long, conflicts_with = "cluster")]
+    hash: Option<String>,
+    /// After SPEC: the database, where it is not results/NAME.sqlite
+    #[arg(long, value_name = "FILE", conflicts_with = "cluster")]
     db: Option<PathBuf>,
-    /// Shows shards: by the queue, and by what they have handed in; DB is their folder, by default the only
+    /// Shows shards: by the queue, and by what they have handed in; DIR is their folder, by default the only
     /// results/*.shards
     #[arg(long)]
     cluster: bool,
-    /// Shows one trial, by its hash or the beginning of it: its attempts, and what was said of them
-    #[arg(long, conflicts_with = "cluster")]
-    hash: Option<String>,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let Args { source, words, hash, db, format, .. } = args;
     if args.cluster {
-        return cluster(args.db, args.format).await;
+        return cluster(source, format).await;
     }
-    let db = match args.db {
-        Some(db) => db,
-        None => newest(Path::new("results")).ok_or_else(|| {
-            Error::Usage("there is no database under results/; name one: metasense status DB".into())
-        })?,
+    let source = source.or_else(|| newest(Path::new("results"))).ok_or_else(|| {
+        Error::Usage("there is no database under results/; name one: metasense status DB".into())
+    })?;
+    let named = Named { source, words, hash };
+    let db = if named.is_database() {
+        if db.is_some() {
+            return Err(Error::Usage("--db is for a spec; a database is named in its place".into()));
+        }
+        if let Some(hash) = named.asked()? {
+            return Reader::asked(&named.source, async |reader| {
+                let hash = reader.hash_of(hash).await?;
+                one(reader, &hash, format).await
+            })
+            .await;
+        }
+        named.source
+    } else {
+        let plan = named.plan()?;
+        let db = db.unwrap_or_else(|| plan.default_database());
+        if named.asked()?.is_some() {
+            return planned(&db, &named.of(&plan, &plan.trials[0])?, format).await;
+        }
+        db
     };
-    if let Some(hash) = &args.hash {
-        return one(&db, hash, args.format).await;
-    }
     let (table, failed, made) = Reader::asked(&db, async |reader| {
         Ok::<_, Error>((
             reader.query(STATES).await?,
@@ -54,16 +82,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     })
     .await?;
     say!("{}", db.display());
-    print_rows(&table, args.format)?;
+    print_rows(&table, format)?;
     for row in failed.rows.iter().take(MOST_FAILURES) {
         let [reason, text, hash] = [0, 1, 2].map(|i| row[i].as_str().unwrap_or_default());
         let what = if text.is_empty() { reason } else { text };
         let count = counted(row[3].as_u64().unwrap_or_default() as usize, "trial");
-        say!(
-            "failed: {count}: {what} (metasense status {} --hash {})",
-            db.display(),
-            hash.get(..8).unwrap_or(hash)
-        );
+        say!("failed: {count}: {what} (metasense status {} {})", db.display(), hash.get(..8).unwrap_or(hash));
     }
     if let Some(mixed) = provenance::mixed(&made) {
         say!("{mixed}");
@@ -72,28 +96,53 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// A trial's attempts, and what was said of them.
-async fn one(db: &Path, hash: &str, format: Format) -> Result<Exit, Error> {
-    let (said, attempts, log, failed) = Reader::asked(db, async |reader| {
-        let hash = reader.hash_of(hash).await?;
-        let named = quoted(&hash);
-        let state = format!("SELECT state, reason FROM trial WHERE hash = {named}");
-        let state = reader.query::<Table>(&state).await?.rows.swap_remove(0);
-        let log =
-            format!("SELECT attempt, at, level, text FROM v_log WHERE hash = {named} ORDER BY attempt, line");
-        let [state, reason] = [0, 1].map(|i| state[i].as_str().unwrap_or_default().to_owned());
-        let said = format!("trial {hash}: {state} {reason}");
-        let (attempts, log) = (attempts(reader, &hash).await?, reader.query(&log).await?);
-        Ok::<_, Error>((said, attempts, log, state == "failed" && ![PRUNED, CANCELLED].contains(&&*reason)))
-    })
-    .await?;
-    say!("{}", said.trim_end());
-    attempts.iter().for_each(|line| say!("  {line}"));
-    print_rows(&log, format)?;
+async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Error> {
+    let named = quoted(hash);
+    let state = format!("SELECT state, reason FROM trial WHERE hash = {named}");
+    let state = reader.query::<Table>(&state).await?.rows.swap_remove(0);
+    let log =
+        format!("SELECT attempt, at, level, text FROM v_log WHERE hash = {named} ORDER BY attempt, line");
+    let [state, reason] = [0, 1].map(|i| state[i].as_str().unwrap_or_default().to_owned());
+    say!("{}", format!("trial {hash}: {state} {reason}").trim_end());
+    say_attempts(reader, hash).await?;
+    print_rows(&reader.query(&log).await?, format)?;
+    let failed = state == "failed" && ![PRUNED, CANCELLED].contains(&&*reason);
     Ok(if failed { Exit::Failed } else { Exit::Done })
 }
 
+/// A trial of a spec: what became of it, or how it differs from the nearest one.
+async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error> {
+    let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
+    Reader::asked(db, async |reader| {
+        let Some(nearest) = reader.nearest(&spec).await? else {
+            return Err(Error::Usage(format!("{} holds no trial at all", db.display())));
+        };
+        if nearest.hash == trial.hash {
+            return one(reader, &trial.hash, format).await;
+        }
+        let Nearest { hash, state, differs } = nearest;
+        say!("trial {} is not in {}", trial.hash, db.display());
+        say!("the nearest there: {hash}, {state}; {} keys differ", differs.len());
+        say_attempts(reader, &hash).await?;
+        let shown =
+            |value: &Option<Value>| value.as_ref().map_or(Value::Null, |value| json!(value.to_string()));
+        let rows = differs.iter().map(|(key, [there, here])| row![key, shown(here), shown(there)]);
+        print_rows(&Table::new("key here nearest", rows), format)?;
+        Ok(Exit::Done)
+    })
+    .await
+}
+
+/// Says the attempts at a trial, and by what code this program would make another.
+async fn say_attempts(reader: &mut Reader, hash: &str) -> Result<(), Error> {
+    attempts(reader, hash).await?.iter().for_each(|line| say!("  {line}"));
+    let revision = provenance::revision().map_or(String::new(), |r| format!(" ({r})"));
+    say!("this program: code {}{revision}", provenance::code());
+    Ok(())
+}
+
 /// The attempts at a trial, in words.
-pub(super) async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error> {
+async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error> {
     let mut lines = Vec::new();
     let named = quoted(hash);
     let sql = format!("SELECT * FROM v_attempt WHERE hash = {named} ORDER BY attempt");

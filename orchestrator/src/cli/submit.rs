@@ -6,7 +6,8 @@ use std::process::Command;
 
 use sqlx::{ConnectOptions, Connection};
 
-use super::{Error, duration, make_folder, read_plan, write};
+use super::named::Spec;
+use super::{Error, duration, make_folder, write};
 use crate::cluster::home::{SUBMITTED_SPEC, tries};
 use crate::cluster::queue::{self, Job, Notes};
 use crate::cluster::submit::{Scheduler, Submission, estimate, line, planned, seconds};
@@ -14,15 +15,17 @@ use crate::cluster::{Deal, Shard, ranges};
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
 
-/// Submits a sweep to a cluster: an array of shards, each an ordinary run on one node, and a merge when all have ended
+/// Submits a sweep to Slurm or HyperQueue as shards, with a merge behind them
 ///
+/// A shard is an ordinary run on one node; they are merged when all have ended.
 /// Called again, it submits the shards that are not complete; they go on from where they were.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The cluster's scheduler
     scheduler: Scheduler,
-    /// The spec file (TOML); to be left as it is until the shards have ended
-    spec: PathBuf,
+    /// To be left as it is until the shards have ended
+    #[command(flatten)]
+    spec: Spec,
     /// Shards; by default as many as make each take half of its time, by the estimate
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(Shard::MOST)))]
     shards: Option<u32>,
@@ -37,7 +40,7 @@ pub(super) struct Args {
     partition: Option<String>,
     /// Where scripts, outputs and databases of shards go; by default results/NAME.shards
     #[arg(long, value_name = "DIR")]
-    folder: Option<PathBuf>,
+    out_dir: Option<PathBuf>,
     /// The merged database; by default results/NAME.sqlite
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -50,20 +53,20 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let plan = read_plan(&args.spec)?;
+    let plan = args.spec.plan()?;
     super::run::not_in_shards(&plan)?;
     if args.partition.is_some() && args.scheduler == Scheduler::Hq {
         return Err(Error::Usage("--partition: HyperQueue has none; leave it out".into()));
     }
     let results = Path::new("results");
-    let folder = args.folder.clone().unwrap_or_else(|| results.join(format!("{}.shards", plan.spec.name)));
+    let folder = args.out_dir.clone().unwrap_or_else(|| results.join(format!("{}.shards", plan.spec.name)));
     let jobs = submitted(&folder)?;
     let before = shards_of(&folder, &jobs);
     let shards = match (args.shards, before) {
         (Some(asked), Some(before)) if asked != before => {
             return Err(Error::Usage(format!(
                 "--shards {asked}: {} holds shards of {before}; leave --shards out to go on with them, or merge them \
-                 and choose another --folder",
+                 and choose another --out-dir",
                 folder.display()
             )));
         }
@@ -106,7 +109,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         scheduler: args.scheduler,
         name: plan.spec.name.clone(),
         program,
-        spec: absolute(&args.spec)?,
+        spec: absolute(&args.spec.file)?,
+        changes: args.spec.changes.clone(),
         folder: absolute(&folder)?,
         out: absolute(&args.out.clone().unwrap_or_else(|| plan.default_database()))?,
         shards,

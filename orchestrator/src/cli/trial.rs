@@ -1,28 +1,24 @@
 //! `trial`: one trial in the foreground, without scheduler, workers and database.
 
-use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord};
 use metasense_worker::run::{Control, Failure, Observe, run_trial};
 use serde_json::json;
 
+use super::named::Named;
 use super::simd::Simd;
-use super::{Error, Format, duration, end_on_signal, print_rows, read_plan};
+use super::{Error, Format, duration, end_on_signal, print_rows};
 use crate::exit::Exit;
 use crate::look::Table;
-use crate::plan::{Plan, Trial};
 
-/// Runs one trial in the foreground, without scheduler and database: to reproduce, profile or debug it
+/// Runs one trial in the foreground, without a database: to reproduce or profile it
 ///
 /// The result equals that of a run to the bit. Steps are shown on standard error as they are done.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The spec file (TOML)
-    spec: PathBuf,
-    /// The trial, by its hash or the beginning of it; `metasense expand SPEC` lists them
-    #[arg(long)]
-    hash: String,
+    #[command(flatten)]
+    trial: Named,
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
@@ -33,20 +29,19 @@ pub(super) struct Args {
     format: Format,
 }
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(None);
     args.simd.choose()?;
-    let plan = read_plan(&args.spec)?;
-    let trial = find(&plan, &args.hash, &args.spec)?;
+    let (hash, spec) = args.trial.read().await?;
     let start = Instant::now();
-    let result = match run_trial(&trial.spec, None, args.threads.into(), &mut Steps) {
+    let result = match run_trial(&spec, None, args.threads.into(), &mut Steps) {
         Ok(result) => result,
         Err(failure @ (Failure::NonFinite(_) | Failure::Stopped)) => {
-            say!("failed: trial {}: {failure}", trial.hash);
+            say!("failed: trial {hash}: {failure}");
             return Ok(Exit::Failed);
         }
         Err(failure @ Failure::Rejected(_)) => {
-            return Err(Error::Usage(format!("trial {}: {failure}", trial.hash)));
+            return Err(Error::Usage(format!("trial {hash}: {failure}")));
         }
     };
     let seconds = start.elapsed().as_secs_f64();
@@ -56,7 +51,7 @@ pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
         table.columns.push(name.into());
         row.push(value);
     };
-    add("hash", json!(trial.hash));
+    add("hash", json!(hash));
     for (name, error) in ERRORS {
         add(&format!("{name}_initial"), json!(mean(&result.initial.networks, *error)));
         add(&format!("{name}_optimised"), json!(mean(&result.optimised.networks, *error)));
@@ -82,14 +77,6 @@ const ERRORS: &[(&str, ErrorOf)] =
 fn mean(networks: &[NetworkEvaluation], error: ErrorOf) -> Option<f64> {
     let errors: Vec<f64> = networks.iter().filter_map(error).collect();
     (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
-}
-
-/// The one trial whose hash begins so.
-pub(super) fn find<'a>(plan: &'a Plan, hash: &str, spec: &Path) -> Result<&'a Trial, Error> {
-    plan.find(hash).map_err(|e| {
-        let path = spec.display();
-        Error::Usage(format!("{path}: --hash {e}; `metasense expand {path}` lists them"))
-    })
 }
 
 /// A line a step.

@@ -9,8 +9,9 @@ use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 
-/// Checks the maths: one row a quantity with its error, tolerance and verdict; exit code 1 if any fails
+/// Checks the maths against itself, or against reference cases
 ///
+/// One row a quantity, with its error, tolerance and verdict; exit code 1 if any fails.
 /// Without --cases: energy balance, Taylor tests of the gradient, equal bits on any number of threads, and stiff and
 /// extreme scenes, each with its named outcome.
 #[derive(Debug, clap::Args)]
@@ -26,7 +27,7 @@ pub(super) struct Args {
     format: Format,
 }
 
-pub(super) fn execute(args: &Args) -> Result<Exit, Error> {
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.threads)
         .build()

@@ -10,7 +10,7 @@ use crate::exit::Exit;
 use crate::progress::Looks;
 use crate::store::Reader;
 
-/// Watches a run from another terminal: its workers with their trials, steps and errors, rate and time to go
+/// Watches a run in a terminal: workers, steps, errors, time to go
 ///
 /// Trials come from the database, workers from /proc, the run itself is not asked. Ends with the run. `silent_s` is
 /// the time since the last record of a trial, `cpu_%` its part of a core since the look before.

@@ -31,6 +31,8 @@ pub struct Submission {
     pub program: PathBuf,
     /// The spec file.
     pub spec: PathBuf,
+    /// What is changed of it, as `run` takes it.
+    pub changes: Vec<String>,
     /// Where scripts, outputs and databases of shards go.
     pub folder: PathBuf,
     /// The merged database.
@@ -91,9 +93,11 @@ impl Submission {
             path.to_str().is_none_or(|text| control(text) || *name == "folder" && directive(text))
         });
         let partition = self.partition.as_ref().filter(|p| p.contains(char::is_whitespace) || control(p));
+        let change = self.changes.iter().find(|change| control(change));
         path.map(|(name, path)| {
             format!("{name} {path:?}: must be text without line ends, quotes and backslashes")
         })
+        .or_else(|| change.map(|change| format!("{change:?}: must be text without line ends")))
         .or_else(|| partition.map(|name| format!("partition {name:?}: is no name of a partition")))
     }
 
@@ -181,7 +185,9 @@ impl Submission {
 
     /// Up to the number of the shard.
     fn run(&self) -> String {
-        format!("{} run {} --shard", quoted(&self.program), quoted(&self.spec))
+        let changes: String =
+            self.changes.iter().map(|change| format!(" {}", quoted(Path::new(change)))).collect();
+        format!("{} run {}{changes} --shard", quoted(&self.program), quoted(&self.spec))
     }
 
     /// From there on.

@@ -4,13 +4,14 @@ use std::collections::HashSet;
 use std::fmt;
 use std::sync::{Arc, OnceLock};
 
+use metasense_schemas::spec::{NotOne, position_of};
 use tokio::sync::mpsc;
 
 use super::Engine;
 use super::begin::Kinds;
 use super::writer::{Entry, Fresh};
 use crate::control::{Command, Listener, Request, Said};
-use crate::plan::{NotOne, Plan, Trial, counted};
+use crate::plan::{Plan, Trial, counted};
 use crate::scheduler::{Answer, Event, Prior, Steer};
 
 /// How a run can be steered.
@@ -106,7 +107,7 @@ impl Engine<'_> {
             Command::Cancel(hash) | Command::Next(hash) => match self.find(hash) {
                 Ok(trial) if matches!(request.command, Command::Next(_)) => Steer::Next(trial),
                 Ok(trial) => Steer::Cancel(trial),
-                Err(why) => return self.answer(request, false, why),
+                Err(why) => return self.answer(request, false, why.to_string()),
             },
             Command::Reload => {
                 let (reread, read) = (Arc::clone(&self.control.reread), self.steering.read.clone());
@@ -135,13 +136,8 @@ impl Engine<'_> {
     }
 
     /// The one trial of this run whose hash begins so.
-    fn find(&self, hash: &str) -> Result<u32, String> {
-        let mut found = self.trials.iter().zip(0..).filter(|(trial, _)| trial.hash.starts_with(hash));
-        match (found.next(), found.next()) {
-            (Some((_, number)), None) => Ok(number),
-            (Some(_), Some(_)) => Err(NotOne::Several(hash.into()).to_string()),
-            (None, _) => Err(format!("{hash}: no trial that this run has, or had, to run")),
-        }
+    fn find(&self, hash: &str) -> Result<u32, NotOne> {
+        position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str())).map(|at| at as u32)
     }
 
     /// A spec has been read again: its trials are recorded, in case that there are new ones.

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use metasense_schemas::spec::NotOne;
+
 /// What is being done when nothing has been started yet.
 pub(super) const OPENING: &str = "opening";
 
@@ -91,6 +93,14 @@ pub enum StoreError {
         path: PathBuf,
         /// The trial.
         hash: String,
+    },
+    /// The beginning of a hash that names no trial, or several.
+    #[error("{}: {which}", path.display())]
+    NotOne {
+        /// The file.
+        path: PathBuf,
+        /// Which there are.
+        which: NotOne,
     },
     /// A stored value that this program cannot read.
     #[error("trial {hash}: the stored {what} cannot be read: {message}")]

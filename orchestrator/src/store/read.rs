@@ -19,6 +19,7 @@ use super::write::read_checkpoint;
 use super::{OPENING, Store, StoreError, check_version, lock, npy_values};
 use metasense_schemas::database::MIGRATIONS;
 use metasense_schemas::record::Checkpoint;
+use metasense_schemas::spec::position_of;
 
 /// An answer in whole: names of its columns, and its rows; a blob stands as the text `blob of N bytes`.
 pub type Answer = (Vec<String>, Vec<Vec<Value>>);
@@ -267,19 +268,24 @@ impl Reader {
     /// The one trial whose hash begins so.
     ///
     /// # Errors
-    /// `UnknownTrial` where there is none, or are several.
+    /// `NotOne` where there is none, or are several.
     pub async fn hash_of(&mut self, beginning: &str) -> Result<String, StoreError> {
         // Hashes are hex digits, none of which comes after f.
-        let found: Vec<String> =
-            sqlx::query_scalar("SELECT hash FROM trial WHERE hash >= ?1 AND hash < ?1 || 'g' LIMIT 2")
-                .bind(beginning)
-                .fetch_all(&mut self.connection)
-                .await
-                .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        match <[String; 1]>::try_from(found) {
-            Ok([hash]) => Ok(hash),
-            Err(_) => Err(StoreError::UnknownTrial { path: self.path.clone(), hash: beginning.to_owned() }),
+        let sql = "SELECT hash FROM trial WHERE hash >= ?1 AND hash < ?1 || 'g' LIMIT 2";
+        if let [hash] = &self.hashes(sql, beginning).await?[..] {
+            return Ok(hash.clone());
         }
+        let all = self.hashes("SELECT hash FROM trial ORDER BY hash", "").await?;
+        let found = position_of(beginning, all.iter().map(String::as_str));
+        let at = found.map_err(|which| StoreError::NotOne { path: self.path.clone(), which })?;
+        Ok(all[at].clone())
+    }
+
+    async fn hashes(&mut self, sql: &'static str, beginning: &str) -> Result<Vec<String>, StoreError> {
+        let query = sqlx::query_scalar(sql);
+        let query = if sql.contains('?') { query.bind(beginning) } else { query };
+        let found = query.fetch_all(&mut self.connection).await;
+        found.map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
     /// A trial's last checkpoint; `None` where it has none.

@@ -6,6 +6,7 @@ mod body;
 mod feasible;
 mod gone;
 mod measured;
+mod named;
 mod optimise;
 mod sensors;
 mod solver;
@@ -17,6 +18,7 @@ pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
 pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
+pub use named::{NotOne, position_of};
 pub use optimise::{
     Auto, Brain, BrainKind, Curvature, Evaluation, GradientTerms, Network, Optimise, Preset, Protocol, Ridge,
     Schedule,
@@ -34,6 +36,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SweepSpec {
+    /// Another spec (TOML), by its path from the folder of this one. It gives the keys that this one leaves out: tables are
+    /// merged key by key, any other value here replaces the one there. It may have a base, too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base: Option<std::path::PathBuf>,
     /// Names the sweep and its database, `results/NAME.sqlite`.
     pub name: String,
     /// The body: layout, sizes, material, the design to start from.

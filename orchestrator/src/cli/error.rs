@@ -1,0 +1,123 @@
+//! Why a command could not be carried out.
+
+use std::error::Error as _;
+use std::path::PathBuf;
+
+use metasense_schemas::source::SpecError;
+use metasense_worker::design::DesignError;
+use metasense_worker::measured::MeasuredError;
+
+use super::control;
+use crate::cluster::DealError;
+use crate::cluster::home::HomeError;
+use crate::cluster::merge::MergeError;
+use crate::cluster::queue::QueueError;
+use crate::control::ControlError;
+use crate::engine::EngineError;
+use crate::exit::Exit;
+use crate::store::StoreError;
+
+/// Why a command could not be carried out.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The spec.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// A file that the command line names.
+    #[error("cannot read {}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A design file.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+    /// Measured records.
+    #[error(transparent)]
+    Measured(#[from] MeasuredError),
+    /// The database.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A file.
+    #[error("{doing} {}", path.display())]
+    Io {
+        /// What was being done.
+        doing: &'static str,
+        /// To which file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The terminal or pipe that we write to.
+    #[error("writing the output")]
+    Output(#[from] std::io::Error),
+    /// Arguments that do not go together.
+    #[error("{0}")]
+    Usage(String),
+    /// A run that could not go on.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// A merge.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
+    /// Which shard runs what.
+    #[error(transparent)]
+    Deal(#[from] DealError),
+    /// A scheduler's queue.
+    #[error(transparent)]
+    Queue(#[from] QueueError),
+    /// A shard's database.
+    #[error(transparent)]
+    Home(#[from] HomeError),
+    /// A run that is to be steered.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+}
+
+impl Error {
+    /// The exit code.
+    #[must_use]
+    pub fn exit(&self) -> Exit {
+        match self {
+            Self::Store(e)
+            | Self::Merge(MergeError::Store(e))
+            | Self::Home(HomeError::Store(e) | HomeError::Merge(MergeError::Store(e)))
+                if e.is_bad_input() =>
+            {
+                Exit::BadInput
+            }
+            Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
+            Self::Engine(_) => Exit::Io,
+            Self::Merge(MergeError::Nothing { .. }) => Exit::BadInput,
+            Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
+            Self::Merge(_) | Self::Home(_) | Self::Queue(_) | Self::Deal(DealError::File { .. }) => Exit::Io,
+            Self::Deal(_) => Exit::BadInput,
+            Self::Control(e) => control::exit(e),
+            Self::Usage(_)
+            | Self::Spec(_)
+            | Self::Design(_)
+            | Self::Measured(_)
+            | Self::Unreadable { .. } => Exit::BadInput,
+            Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
+        }
+    }
+
+    /// Says what went wrong and why on standard error.
+    pub fn say(&self) {
+        say!("error: {self}");
+        let mut cause = self.source();
+        while let Some(e) = cause {
+            say!("  because: {e}");
+            cause = e.source();
+        }
+    }
+
+    /// Whether the reader of our output has gone.
+    #[must_use]
+    pub fn is_broken_pipe(&self) -> bool {
+        matches!(self, Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe)
+    }
+}

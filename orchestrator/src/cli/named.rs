@@ -1,0 +1,221 @@
+//! Specs with their changes, and trials by name: `SPEC --hash HASH` or `DB HASH`, the same in all commands.
+
+use std::fmt::Display;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use metasense_schemas::source::Source;
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::{design, simulate};
+
+use super::{Error, old};
+use crate::look::Table;
+use crate::plan::{OneBody, Plan, Trial};
+use crate::store::{Reader, StoreError, Stored, quoted};
+
+/// A spec with changes.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct Spec {
+    /// The spec file (TOML), for instance schemas/sweeps/quickstart.toml
+    #[arg(value_name = "SPEC")]
+    pub file: PathBuf,
+    /// Values in place of the spec's, as it would have them: optimise.iterations=20 brain.kind=linear 'sweep.seeds=[1, 2]'
+    #[arg(value_name = "KEY=VALUE")]
+    pub changes: Vec<String>,
+}
+
+impl Spec {
+    /// The spec with its changes.
+    pub fn source(&self) -> Result<Source, Error> {
+        let text = std::fs::read_to_string(&self.file)
+            .map_err(|source| Error::Unreadable { path: self.file.clone(), source })?;
+        Ok(Source::spec(&self.file, text, &self.changes)?)
+    }
+
+    /// Its trials.
+    pub fn plan(&self) -> Result<Plan, Error> {
+        Ok(Plan::of(self.source()?)?)
+    }
+}
+
+/// One trial.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct Named {
+    /// The spec file or the database that has the trial
+    #[arg(value_name = "SPEC|DB")]
+    pub source: PathBuf,
+    /// After DB: the trial, by its hash or the beginning of it. After SPEC: values in place of the spec's, as in `run`
+    #[arg(value_name = "HASH|KEY=VALUE")]
+    pub words: Vec<String>,
+    /// After SPEC: the trial, by its hash or the beginning of it; `metasense expand SPEC` lists them [default: the first]
+    #[arg(long, value_name = "HASH")]
+    pub hash: Option<String>,
+}
+
+/// Which body of a trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum Which {
+    /// Before the outer loop
+    Initial,
+    /// After it
+    Optimised,
+}
+
+impl Named {
+    /// Whether a database is named, and not a spec.
+    pub fn is_database(&self) -> bool {
+        const MAGIC: &[u8; 16] = b"SQLite format 3\0";
+        let begins = |path: &Path| {
+            let mut start = [0; MAGIC.len()];
+            std::fs::File::open(path)
+                .and_then(|mut file| file.read_exact(&mut start))
+                .is_ok_and(|()| start == *MAGIC)
+        };
+        self.source.extension().is_some_and(|e| e == "sqlite") || begins(&self.source)
+    }
+
+    /// The hash that was asked for, or its beginning.
+    pub fn asked(&self) -> Result<Option<&str>, Error> {
+        let database = self.is_database();
+        let mut words = self.words.iter().filter(|word| !word.contains('=')).chain(&self.hash);
+        let asked = words.next().map(String::as_str);
+        if words.next().is_some() {
+            return Err(Error::Usage("name one trial: SPEC --hash HASH or DB HASH".into()));
+        }
+        match (database, &self.hash) {
+            (true, _) if self.words.iter().any(|word| word.contains('=')) => {
+                Err(Error::Usage("KEY=VALUE changes a spec; a database's trials are as they are".into()))
+            }
+            (true, Some(_)) => Ok(old::trial_of_database(asked)),
+            (false, None) => Ok(old::trial_of_spec(asked)),
+            _ => Ok(asked),
+        }
+    }
+
+    /// The spec that is named.
+    fn spec(&self) -> Spec {
+        let changes = self.words.iter().filter(|word| word.contains('=')).cloned().collect();
+        Spec { file: self.source.clone(), changes }
+    }
+
+    /// The trials of the spec that is named.
+    pub fn plan(&self) -> Result<Plan, Error> {
+        self.spec().plan()
+    }
+
+    /// The trial of the plan; where none is asked for, this one.
+    pub fn of(&self, plan: &Plan, default: &Trial) -> Result<Trial, Error> {
+        let Some(hash) = self.asked()? else { return Ok(default.clone()) };
+        let path = self.source.display();
+        let found = plan.find(hash).cloned();
+        found.map_err(|e| Error::Usage(format!("{path}: {e}; `metasense expand {path}` lists them")))
+    }
+
+    /// The database, and the trial's hash or its beginning: of a spec, in the database that it writes to.
+    pub fn in_database(&self) -> Result<(PathBuf, String), Error> {
+        if self.is_database() {
+            let path = self.source.display();
+            let asked = self.asked()?.ok_or_else(|| Error::Usage(format!("name the trial: {path} HASH")))?;
+            return Ok((self.source.clone(), asked.to_owned()));
+        }
+        let plan = self.plan()?;
+        let trial = self.of(&plan, &plan.trials[0])?;
+        Ok((plan.default_database(), trial.hash))
+    }
+
+    /// The trial as it is stored; an error where it is not done.
+    pub async fn stored(&self) -> Result<Stored, Error> {
+        let (db, hash) = self.in_database()?;
+        let stored = Reader::asked(&db, async |reader| reader.stored(&hash).await).await?;
+        stored.ok_or_else(|| Error::Usage(format!("trial {hash} is not done yet")))
+    }
+
+    /// Hash and spec of the trial; of a spec by default its first.
+    pub async fn read(&self) -> Result<(String, TrialSpec), Error> {
+        self.read_or(|plan| &plan.trials[0]).await
+    }
+
+    async fn read_or(&self, default: impl Fn(&Plan) -> &Trial) -> Result<(String, TrialSpec), Error> {
+        if !self.is_database() {
+            let plan = self.plan()?;
+            let trial = self.of(&plan, default(&plan))?;
+            return Ok((trial.hash, trial.spec));
+        }
+        let (db, hash) = self.in_database()?;
+        Reader::asked(&db, async |reader| {
+            let hash = reader.hash_of(&hash).await?;
+            let sql = format!("SELECT spec FROM trial WHERE hash = {}", quoted(&hash));
+            let text = reader.query::<Table>(&sql).await?.rows.swap_remove(0).swap_remove(0);
+            let spec = serde_json::from_str(text.as_str().unwrap_or_default());
+            let spec = spec.map_err(|e| StoreError::Unreadable {
+                hash: hash.clone(),
+                what: "spec",
+                message: e.to_string(),
+            })?;
+            Ok((hash, spec))
+        })
+        .await
+    }
+
+    /// The body of the trial; where none is asked for, the one that all trials of the spec have.
+    pub async fn body(&self) -> Result<OneBody, Error> {
+        let path = self.source.display();
+        if self.is_database() || self.asked()?.is_some() {
+            return OneBody::of_trial(&self.read().await?.1).map_err(|e| self.refused(e));
+        }
+        OneBody::new(&self.spec().source()?)?.ok_or_else(|| {
+            Error::Usage(format!(
+                "{path} has several bodies: choose a trial's with --hash; `metasense expand {path}` lists them"
+            ))
+        })
+    }
+
+    /// What cannot be done with it.
+    pub fn refused(&self, why: impl Display) -> Error {
+        Error::Usage(format!("{}: {why}", self.source.display()))
+    }
+}
+
+/// One trial, and a design of its body.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct Designed {
+    #[command(flatten)]
+    pub trial: Named,
+    /// Of a trial that a database has finished: which body
+    #[arg(long, value_enum, default_value = "initial")]
+    body: Which,
+    /// The design (.npy or .csv) in place of the trial's
+    #[arg(long, value_name = "FILE")]
+    pub design: Option<PathBuf>,
+}
+
+impl Designed {
+    /// Hash and spec of the trial, and the design; of a spec by default the first trial.
+    pub async fn read(&self) -> Result<(String, TrialSpec, Vec<f64>), Error> {
+        self.read_or(|plan| &plan.trials[0]).await
+    }
+
+    /// The same, with another default.
+    pub async fn read_or(
+        &self,
+        default: impl Fn(&Plan) -> &Trial,
+    ) -> Result<(String, TrialSpec, Vec<f64>), Error> {
+        let (hash, spec, own) = match self.body {
+            Which::Initial => {
+                let (hash, spec) = self.trial.read_or(default).await?;
+                (hash, spec, None)
+            }
+            Which::Optimised if !self.trial.is_database() => {
+                return Err(Error::Usage("--body optimised: name a finished trial by DB HASH".into()));
+            }
+            Which::Optimised => {
+                let Stored { hash, specs: [_, spec], designs: [_, design], .. } = self.trial.stored().await?;
+                (hash, spec, Some(design))
+            }
+        };
+        let (layout, initial) = simulate::body(&spec).map_err(|e| self.trial.refused(e))?;
+        let given = self.design.as_ref().map(|file| design::read(file, &layout)).transpose()?;
+        Ok((hash, spec, given.or(own).unwrap_or(initial)))
+    }
+}

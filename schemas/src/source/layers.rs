@@ -1,0 +1,238 @@
+//! The layers of a spec: the file, the files that it stands on (`base`), and changes on the command line.
+//!
+//! Tables are merged key by key; any other value, lists too, replaces that of the layers below.
+
+use std::path::{Path, PathBuf};
+
+use toml::de::{DeTable, DeValue};
+use toml::{Table, Value};
+
+use super::{POINTS, Place, Source, SpecError};
+
+/// The key that names the file below.
+const BASE: &str = "base";
+/// Keys that name files, from the folder of the spec that has them.
+const FILES: [&str; 2] = ["body.design", "stimuli.recorded.files"];
+/// What a change is.
+const COMMAND_LINE: &str = "command line";
+
+/// A text with keys.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Layer {
+    pub file: PathBuf,
+    pub text: String,
+}
+
+impl Layer {
+    /// What stands above a spec, itself, and what it stands on.
+    pub fn all(own: &Source, changes: &[String]) -> Result<Vec<Self>, SpecError> {
+        let mut layers =
+            changes.iter().rev().map(|text| Self::change(text)).collect::<Result<Vec<_>, _>>()?;
+        layers.extend_from_slice(&own.layers);
+        let mut below = own.clone();
+        let mut files = vec![canonical(&own.file)];
+        while below.places.iter().any(|place| place.key == BASE) {
+            let Some(Value::String(base)) = below.layers[0].table()?.remove(BASE) else {
+                return Err(below.error(BASE, "must be the name of a file, in quotes"));
+            };
+            let file = folder(&below.file).join(base);
+            if files.contains(&canonical(&file)) {
+                return Err(below.error(BASE, "leads back to a spec that stands on this one"));
+            }
+            let text = std::fs::read_to_string(&file).map_err(|e| {
+                below.error(
+                    BASE,
+                    &format!("cannot be read: {e}; names of files are taken from the folder of the spec"),
+                )
+            })?;
+            files.push(canonical(&file));
+            below = Source::new(&file, text)?;
+            layers.extend_from_slice(&below.layers);
+        }
+        Ok(layers)
+    }
+
+    /// `KEY=VALUE` as a text of its own. A value that is no TOML is taken for words without their quotes.
+    fn change(text: &str) -> Result<Self, SpecError> {
+        let layer = |text: String| Self { file: COMMAND_LINE.into(), text };
+        let (key, value) = text.split_once('=').unwrap_or((text, ""));
+        let key = match key.trim().strip_prefix("sweep.") {
+            // an axis, as a shell likes it
+            Some(axis) if axis.contains('.') && !axis.contains('"') => format!("sweep.\"{axis}\""),
+            _ => key.trim().to_owned(),
+        };
+        let as_written = layer(format!("{key} = {value}"));
+        let with_quotes = layer(format!("{key} = {}", quoted_words(value)));
+        let found = [as_written, with_quotes].into_iter().find(|layer| layer.places(0).is_ok());
+        let wrong = |what: &str| SpecError {
+            file: COMMAND_LINE.into(),
+            line: 0,
+            key: key.clone(),
+            what: format!("{text}: {what}"),
+        };
+        match found {
+            Some(_) if key == BASE => Err(wrong("a base is named in the spec")),
+            Some(layer) => Ok(layer),
+            None => Err(wrong("must be KEY=VALUE, for instance optimise.iterations=20 or brain.kind=linear")),
+        }
+    }
+
+    /// Its keys with their paths, in order.
+    pub fn places(&self, layer: usize) -> Result<Vec<Place>, SpecError> {
+        let table = DeTable::parse(&self.text).map_err(|e| self.no_toml(&e))?;
+        let mut places = Vec::new();
+        find_places(table.get_ref(), "", layer, &mut places);
+        places.sort_by_key(|place| place.at);
+        Ok(places)
+    }
+
+    fn table(&self) -> Result<Table, SpecError> {
+        toml::from_str(&self.text).map_err(|e| self.no_toml(&e))
+    }
+
+    fn no_toml(&self, e: &toml::de::Error) -> SpecError {
+        let at = e.span().map_or(0, |span| span.start);
+        self.error(at, String::new(), format!("not valid TOML: {}", e.message().trim()))
+    }
+
+    /// An error at a place in the text.
+    pub fn error(&self, at: usize, key: String, what: String) -> SpecError {
+        let before = &self.text.as_bytes()[..at.min(self.text.len())];
+        let line = 1 + before.iter().filter(|&&b| b == b'\n').count();
+        let line = if self.file == Path::new(COMMAND_LINE) { 0 } else { line };
+        SpecError { file: self.file.clone(), line, key, what }
+    }
+}
+
+fn folder(file: &Path) -> &Path {
+    file.parent().unwrap_or(Path::new(""))
+}
+
+fn canonical(file: &Path) -> PathBuf {
+    file.canonicalize().unwrap_or_else(|_| file.to_owned())
+}
+
+/// Quotes around each word that has none.
+fn quoted_words(text: &str) -> String {
+    let is_word = |c: char| c.is_alphanumeric() || "_-./".contains(c);
+    let mut quoted = String::new();
+    let (mut in_word, mut in_quotes) = (false, false);
+    for c in text.trim().chars() {
+        in_quotes ^= c == '"';
+        let goes_on = is_word(c) && !in_quotes;
+        if goes_on != in_word {
+            quoted.push('"');
+        }
+        in_word = goes_on;
+        quoted.push(c);
+    }
+    if in_word {
+        quoted.push('"');
+    }
+    quoted
+}
+
+/// What layers come to together, as one text, and the places of the keys that count.
+pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place>), SpecError> {
+    let mut all = Table::new();
+    let mut places: Vec<Place> = Vec::new();
+    for (number, layer) in layers.iter().enumerate() {
+        let mut table = layer.table()?;
+        table.remove(BASE);
+        if layer.file != Path::new(COMMAND_LINE) && folder(&layer.file) != folder(file) {
+            let mut value = Value::Table(std::mem::take(&mut table));
+            from_folder(&mut value, "", &canonical(folder(&layer.file)));
+            let Value::Table(moved) = value else { unreachable!("it was one") };
+            table = moved;
+        }
+        add_below(&mut all, table);
+        let above = places.clone();
+        let covers = |above: &Place, place: &Place| {
+            let within = place.key.strip_prefix(&above.key).is_some_and(|rest| rest.starts_with('.'));
+            !(above.is_table && place.is_table) && above.key == place.key || within && !above.is_table
+        };
+        let counts = |place: &Place| place.key != BASE && !above.iter().any(|above| covers(above, place));
+        places.extend(layer.places(number)?.into_iter().filter(counts));
+    }
+    Ok((toml::to_string(&all).expect("tables of TOML are TOML"), places))
+}
+
+/// Adds what a table has not yet.
+fn add_below(table: &mut Table, below: Table) {
+    for (key, value) in below {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(table)), Value::Table(below)) => add_below(table, below),
+            (Some(_), _) => {}
+            (None, value) => drop(table.insert(key, value)),
+        }
+    }
+}
+
+/// Names of files in a spec from this folder.
+fn from_folder(value: &mut Value, path: &str, folder: &Path) {
+    match value {
+        Value::Table(table) => {
+            for (key, value) in table {
+                let path = match (path, key.as_str()) {
+                    ("", key) | ("sweep", key @ ("points" | "exclude")) => {
+                        if path.is_empty() {
+                            key.to_owned()
+                        } else {
+                            path.to_owned()
+                        }
+                    }
+                    ("sweep", axis) => axis.to_owned(),
+                    (path, key) => format!("{path}.{key}"),
+                };
+                from_folder(value, &path, folder);
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(|value| from_folder(value, path, folder)),
+        Value::String(file) if FILES.contains(&path) => {
+            if let Some(path) = folder.join(&*file).to_str() {
+                *file = path.to_owned();
+            }
+        }
+        _ => {}
+    }
+}
+
+/// Keys with their paths; one that holds a dot keeps its quotes. Of lists those of `sweep.points` alone.
+fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec<Place>) {
+    for (name, value) in table {
+        let name_text = name.get_ref();
+        let shown = if name_text.contains('.') { format!("\"{name_text}\"") } else { name_text.to_string() };
+        let key = if prefix.is_empty() { shown } else { format!("{prefix}.{shown}") };
+        let is_table = matches!(value.get_ref(), DeValue::Table(_));
+        if let DeValue::Table(inner) = value.get_ref() {
+            find_places(inner, &key, layer, places);
+        }
+        let is_list = matches!(value.get_ref(), DeValue::Array(_));
+        if let DeValue::Array(entries) = value.get_ref()
+            && key == POINTS.trim_end_matches('.')
+        {
+            let tables = entries.iter().filter_map(|entry| entry.get_ref().as_table());
+            tables.for_each(|table| find_places(table, &key, layer, places));
+        }
+        let not_finite = if is_table { None } else { not_finite(value.get_ref()) };
+        places.push(Place {
+            key,
+            layer,
+            at: name.span().start,
+            value: value.span(),
+            is_table,
+            is_list,
+            not_finite,
+        });
+    }
+}
+
+/// The first number of a value, or of a list in it, that is none.
+fn not_finite(value: &DeValue<'_>) -> Option<String> {
+    match value {
+        DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => Some(x.as_str().to_owned()),
+        DeValue::Array(values) => values.iter().find_map(|v| not_finite(v.get_ref())),
+        DeValue::Table(table) => table.values().find_map(|v| not_finite(v.get_ref())),
+        _ => None,
+    }
+}

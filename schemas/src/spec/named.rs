@@ -1,0 +1,85 @@
+//! A trial by its hash, or by the beginning of it: the one rule, for specs, databases and runs.
+
+/// Why a text names no trial.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NotOne {
+    /// No hash begins so.
+    #[error("trial {text}: no trial begins so{}", nearest.as_ref().map_or(String::new(), |n| format!("; the nearest is {n}")))]
+    None {
+        /// What was asked for.
+        text: String,
+        /// The hash most like it, if one is.
+        nearest: Option<String>,
+    },
+    /// More than one hash begins so.
+    #[error("trial {text}: several trials begin so: {}{}", shown.join(", "), more(*count - shown.len()))]
+    Several {
+        /// What was asked for.
+        text: String,
+        /// The first of them.
+        shown: Vec<String>,
+        /// How many there are.
+        count: usize,
+    },
+}
+
+fn more(count: usize) -> String {
+    if count > 0 { format!(" and {count} more") } else { String::new() }
+}
+
+/// Candidates that a message lists.
+const SHOWN: usize = 5;
+/// Digits of a hash in a message.
+const DIGITS: usize = 12;
+
+/// Position of the one hash that begins with a text.
+///
+/// # Errors
+/// Where none does, with the nearest; or several, with the first of them.
+pub fn position_of<'a>(text: &str, hashes: impl Iterator<Item = &'a str> + Clone) -> Result<usize, NotOne> {
+    let mut found = hashes.clone().enumerate().filter(|(_, hash)| hash.starts_with(text));
+    match (found.next(), found.next()) {
+        (Some((at, _)), None) => Ok(at),
+        (None, _) => Err(NotOne::None { text: text.to_owned(), nearest: nearest(text, hashes) }),
+        (Some(first), Some(second)) => {
+            let count = 2 + found.clone().count();
+            let shown = [first, second].into_iter().chain(found).take(SHOWN).map(|(_, hash)| short(hash));
+            Err(NotOne::Several { text: text.to_owned(), shown: shown.collect(), count })
+        }
+    }
+}
+
+/// As much of a hash as a message shows.
+fn short(hash: &str) -> String {
+    hash.chars().take(DIGITS).collect()
+}
+
+/// The hash whose beginning is most like a text: a digit may be wrong, and one in four more.
+fn nearest<'a>(text: &str, hashes: impl Iterator<Item = &'a str>) -> Option<String> {
+    let digits = text.chars().count();
+    let distance = |hash: &str| {
+        let beginning: String = hash.chars().take(digits).collect();
+        strsim::damerau_levenshtein(&beginning, text)
+    };
+    let (distance, hash) = hashes.map(|hash| (distance(hash), hash)).min()?;
+    (distance <= digits / 3).then(|| short(hash))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_beginning_names_one_trial_or_says_which_ones_there_are() {
+        let hashes = ["3f6a00000000aa", "3f6b00000000bb", "77aa00000000cc"];
+        let find = |text: &str| position_of(text, hashes.iter().copied()).map_err(|e| e.to_string());
+        assert_eq!(find("77"), Ok(2));
+        assert_eq!(find("3f6b00000000bb"), Ok(1));
+        assert_eq!(find("3f").unwrap_err(), "trial 3f: several trials begin so: 3f6a00000000, 3f6b00000000");
+        assert_eq!(find("3f7b").unwrap_err(), "trial 3f7b: no trial begins so; the nearest is 3f6b00000000");
+        assert_eq!(find("zz").unwrap_err(), "trial zz: no trial begins so");
+        let many: Vec<String> = (0..9).map(|i| format!("a{i}")).collect();
+        let several = position_of("", many.iter().map(String::as_str)).unwrap_err().to_string();
+        assert_eq!(several, "trial : several trials begin so: a0, a1, a2, a3, a4 and 4 more");
+    }
+}

@@ -1,0 +1,147 @@
+//! One way to name a trial, a spec with changes, and what stands on a base.
+
+use crate::common::{Bench, TINY};
+
+/// Hashes of a spec's trials.
+fn hashes(bench: &Bench, spec: &[&str]) -> Vec<String> {
+    let csv = bench.output(&[&["expand"], spec, &["--format", "csv"]].concat());
+    csv.lines().skip(1).map(|line| line[..32].to_owned()).collect()
+}
+
+/// Commands that take a trial, with what else they must have.
+const COMMANDS: &[&[&str]] = &[
+    &["trial"],
+    &["simulate", "--forces", "f.npy", "--out-dir", "o"],
+    &["identify", "--records", "r.toml"],
+    &["status"],
+    &["bound"],
+    &["modes"],
+    &["place"],
+    &["project", "--design", "d.npy", "--out", "o.npy"],
+    &["draw", "--out", "o.svg"],
+    &["export", "--format", "npz", "--out", "o"],
+    &["evaluate", "--records", "initial=r.toml"],
+];
+
+#[test]
+fn a_trial_is_named_in_one_way_by_all_commands() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml"]);
+    let db = "results/tiny.sqlite";
+    let hashes = hashes(&bench, &["tiny.toml"]);
+    // No name of a trial, or one of both.
+    for (name, why) in [("zz", "no trial begins so"), ("", "several trials begin so: ")] {
+        for command in COMMANDS.iter().chain([&["report"][..]].iter()) {
+            let calls = [(db, vec![db, name]), ("tiny.toml", vec!["tiny.toml", "--hash", name])];
+            for (source, call) in calls.into_iter().filter(|call| call.0 == db || command[0] != "report") {
+                let output = bench.metasense(&[command, &call[..]].concat());
+                let said = String::from_utf8_lossy(&output.stderr);
+                let expected = format!("{source}: trial {name}: {why}");
+                assert!(output.status.code() == Some(2) && said.contains(&expected), "{command:?}: {said}");
+                assert!(name == "zz" || hashes.iter().all(|hash| said.contains(&hash[..12])), "{said}");
+            }
+        }
+    }
+    // A typing error.
+    let [a, b] = [&hashes[0][..8], &hashes[0][..12]];
+    let typed = format!("{}{}", &a[..7], if a.ends_with('0') { '1' } else { '0' });
+    let output = bench.metasense(&["status", db, &typed]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(said.contains(&format!("trial {typed}: no trial begins so; the nearest is {b}")), "{said}");
+    // The same trial by either.
+    let of_spec = ["tiny.toml", "--hash", a];
+    for command in [&["modes", "--format", "csv"][..], &["draw", "--out", "o.svg"]] {
+        let answers = [&of_spec[..], &[db, a]].map(|name| {
+            let out = bench.output(&[command, name].concat());
+            (out, std::fs::read(bench.path("o.svg")).ok())
+        });
+        assert_eq!(answers[0], answers[1], "{command:?}");
+    }
+    let errors = |name: &[&str]| {
+        let row = bench.output(&[&["trial", "--format", "csv"], name].concat());
+        row.lines().nth(1).unwrap().split(',').take(5).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(errors(&of_spec), errors(&[db, a]));
+    let export = |name: &[&str]| {
+        bench.output(&[&["export", "--format", "npy", "--out", "o.npy"], name].concat());
+        bench.array("o.npy")
+    };
+    let optimised = export(&of_spec);
+    assert_eq!(optimised, export(&[db, a]));
+    // The optimised body of a finished trial is another than the initial one.
+    let modes = |body: &str| bench.output(&["modes", db, a, "--body", body, "--format", "csv"]);
+    assert!(modes("optimised") != modes("initial"));
+    let refused = bench.metasense(&["modes", "tiny.toml", "--body", "optimised"]);
+    assert_eq!(refused.status.code(), Some(2));
+}
+
+#[test]
+fn the_spelling_of_the_version_before_is_understood_with_a_hint() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml"]);
+    let db = "results/tiny.sqlite";
+    let hash = &hashes(&bench, &["tiny.toml"])[0];
+    for (call, hint) in [
+        (&["why", "tiny.toml", "--hash", hash][..], "`why` is now `status`"),
+        (&["status", db, "--hash", hash], "`DB --hash HASH` is now `DB HASH`"),
+        (&["modes", "tiny.toml", hash], "`SPEC HASH` is now `SPEC --hash HASH`"),
+        (&["claims", db, "--out", "o"], "`claims --out` is now `claims --out-dir`"),
+        (&["report", db, "--trial", hash], "`report DB --trial HASH` is now `report DB HASH`"),
+    ] {
+        let output = bench.metasense(call);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.contains(hint), "{call:?}: {said}");
+    }
+}
+
+/// Changes on the command line make the trials that the edited file has; the same command goes on with them, and scripts of
+/// shards have them.
+#[test]
+fn changes_are_in_the_hash_as_if_written() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.file("edited.toml", &TINY.replace("iterations = 4", "iterations = 3").replace("[1, 2]", "[1]"));
+    let changed = ["tiny.toml", "optimise.iterations=3", "sweep.sensors=[1]"];
+    let hash = hashes(&bench, &changed);
+    assert_eq!(hash, hashes(&bench, &["edited.toml"]));
+    bench.output(&[&["run"], &changed[..]].concat());
+    let again = bench.metasense(&[&["run"], &changed[..]].concat());
+    assert!(String::from_utf8_lossy(&again.stderr).contains("nothing left to do"), "{again:?}");
+    let status = bench.metasense(&[&["status"], &changed[..], &["--hash", &hash[0][..6]]].concat());
+    assert!(String::from_utf8_lossy(&status.stderr).contains(&format!("trial {}: done", hash[0])));
+    let text = bench.output(&["query", "results/tiny.sqlite", "SELECT text FROM sweep", "--format", "json"]);
+    assert!(text.contains("iterations = 3"), "{text}");
+    let scripts = bench.output(&[&["submit", "slurm", "--dry-run"], &changed[..]].concat());
+    assert!(scripts.contains("tiny.toml optimise.iterations=3 'sweep.sensors=[1]' --shard"), "{scripts}");
+    let refused = bench.metasense(&["run", "tiny.toml", "optimise.iteratons=3"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    let expected =
+        "command line: optimise.iteratons = 3: unknown key; the nearest known one is \"optimise.iterations\"";
+    assert!(refused.status.code() == Some(2) && said.contains(expected), "{said}");
+}
+
+/// A spec on a base has the trials of the whole one; what is stored needs no other file.
+#[test]
+fn a_spec_on_a_base_is_stored_whole() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    let (head, sweep) = TINY.split_once("[sweep]").unwrap();
+    std::fs::create_dir(bench.path("bases")).unwrap();
+    bench.file("bases/body.toml", head);
+    bench.file("on.toml", &format!("base = \"bases/body.toml\"\nname = \"on\"\n[sweep]{sweep}"));
+    assert_eq!(hashes(&bench, &["on.toml"]), hashes(&bench, &["tiny.toml"]));
+    bench.output(&["run", "on.toml"]);
+    let text = bench.output(&["query", "results/on.sqlite", "SELECT text FROM sweep", "--format", "json"]);
+    let rows: serde_json::Value = serde_json::from_str(&text).unwrap();
+    bench.file("stored.toml", rows[0]["text"].as_str().unwrap());
+    std::fs::remove_dir_all(bench.path("bases")).unwrap();
+    assert_eq!(hashes(&bench, &["stored.toml"]), hashes(&bench, &["tiny.toml"]));
+    let refused = bench.metasense(&["run", "on.toml"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(
+        refused.status.code() == Some(2)
+            && said.contains("on.toml:1: base = \"bases/body.toml\": cannot be read")
+    );
+}
