@@ -22,8 +22,10 @@ const DOCUMENTS: &[&str] = &[
     "tests/README.md",
 ];
 
+type Render = fn() -> String;
+
 /// Every block by its name, and what renders it.
-const BLOCKS: &[(&str, fn() -> String)] = &[
+const BLOCKS: &[(&str, Render)] = &[
     ("spec keys", spec::keys),
     ("records keys", spec::records),
     ("specs", spec::files),
