@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-use metasense::look::body::picture;
 use metasense::plan::Plan;
+use metasense::report::body::sketch;
 use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, Tuned, tune};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::nested::Problem;
@@ -363,7 +363,7 @@ impl Body {
         let alpha = alpha.map(|alpha| self.design("alpha", alpha)).transpose()?;
         let alpha = alpha.as_ref().unwrap_or(&self.problem.initial);
         let drawing = drawing(&self.trial, alpha).map_err(|e| raised(&e))?;
-        Ok(picture(drawing, "a metamaterial body"))
+        Ok(sketch(&drawing, &[]).file("a metamaterial body"))
     }
 
     fn _repr_svg_(&self) -> PyResult<String> {

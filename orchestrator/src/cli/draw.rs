@@ -8,8 +8,9 @@ use metasense_worker::replay::Drawing;
 use super::named::Named;
 use super::{Error, write};
 use crate::exit::Exit;
-use crate::look::body::{self, Notes, frame};
+use crate::look::body::{Unit, frame};
 use crate::look::file;
+use crate::report::body::sketch;
 
 /// Draws a design as SVG; by default the initial body
 ///
@@ -71,10 +72,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         clock: Vec::new(),
         units,
     };
-    let notes = Notes { numbers: true, violations: &violations };
-    let view = frame(&[&drawing]);
-    let picture = body::body(&drawing, view, &caption, notes, |_| body::Unit::default());
-    let text = file(&[picture], 1, 640.0, &body::legend(&drawing, &violations));
+    let sketch = sketch(&drawing, &violations);
+    let picture = sketch.drawn(frame([&sketch]), &caption, true, |_| Unit::default());
+    let text = file(&[picture], 1, 640.0, &sketch.legend());
     write(&args.out, text)?;
     if let Some(file) = &args.design_out {
         design::write(file, &body.layout, &drawn)?;

@@ -13,7 +13,7 @@ use crate::analysis::Body;
 use crate::exit::Exit;
 use crate::export::{Mould, Outline, dxf, mould, npz, replays, series, unreadable};
 use crate::look::Format;
-use crate::look::body::picture;
+use crate::report::body::sketch;
 use crate::store::{Reader, Stored, npy_bytes};
 
 /// The form of an export.
@@ -109,7 +109,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         }
         Form::Svg => {
             let title = format!("{} body of trial {}", Body::ALL[args.body as usize].name(), stored.hash);
-            picture(body, &title).into_bytes()
+            sketch(&body, &[]).file(&title).into_bytes()
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {

@@ -8,9 +8,10 @@ use metasense_worker::replay::Drawing;
 use super::named::Designed;
 use super::{Error, Format, print_rows, write};
 use crate::exit::Exit;
-use crate::look::body::{Notes, Unit, body, frame, legend};
+use crate::look::body::{Unit, frame};
 use crate::look::{Table, file, level, row};
 use crate::plan::{Plan, Trial};
+use crate::report::body::sketch;
 
 /// Searches for the units that carry sensors best, and compares with random placements
 ///
@@ -44,7 +45,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(out) = &args.out {
         let drawn = metasense_worker::replay::drawing(spec, design).map_err(|e| args.one.trial.refused(e))?;
         let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
-        let drawn = Drawing { sensors, active: Vec::new(), ..drawn };
+        let drawn = sketch(&Drawing { sensors, active: Vec::new(), ..drawn }, &[]);
         let caption = format!(
             "Error with {}: {:.1} % (strong) … {:.1} % (pale)",
             match args.given {
@@ -60,11 +61,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             let part = 1.0 - rank as f64 / (found.worth.len() - 1).max(1) as f64;
             Some(format!("unit {}", level(part * part)))
         };
-        let mut key = legend(&drawn, &[]);
+        let mut key = drawn.legend();
         key.push(("speed", "what a sensor there is worth".to_owned()));
-        let notes = Notes { numbers: true, violations: &[] };
         let unit = |u| Unit { class: shade(u), ..Unit::default() };
-        let picture = body(&drawn, frame(&[&drawn]), &caption, notes, unit);
+        let picture = drawn.drawn(frame([&drawn]), &caption, true, unit);
         let text = file(&[picture], 1, 640.0, &key);
         write(out, text)?;
         say!("written {}", out.display());

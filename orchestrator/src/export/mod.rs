@@ -6,6 +6,9 @@ pub mod npz;
 pub mod outline;
 pub mod series;
 
+#[cfg(test)]
+pub(crate) mod tests;
+
 pub use mould::Mould;
 pub use outline::Outline;
 

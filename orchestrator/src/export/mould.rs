@@ -121,8 +121,8 @@ mod tests {
     use metasense_worker::replay::Drawing;
 
     use super::super::outline::tests::{area_of_units, mould};
+    use super::super::tests::{squares, squares_moved};
     use super::*;
-    use crate::look::body::tests::{squares, squares_moved};
 
     fn volume(triangles: &[Triangle]) -> f64 {
         let of = |[a, b, c]: &Triangle| {

@@ -141,8 +141,8 @@ fn strip(a: [f64; 2], b: [f64; 2], radius: f64) -> impl Iterator<Item = [f64; 2]
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use super::super::tests::squares;
     use super::*;
-    use crate::look::body::tests::squares;
 
     /// A mould without clearance for ligaments of a width.
     pub fn mould(width: f64) -> Mould {

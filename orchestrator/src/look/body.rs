@@ -1,31 +1,69 @@
 //! A body: units, ligaments, what is at its limit or broken, panels with the direction of the blow, sensors.
 
 use maud::{Markup, html};
-use metasense_worker::design::{Kind, Violation};
-use metasense_worker::replay::Drawing;
 
 use super::{Legend, Picture, file};
 
-type Point = [f64; 2];
+/// x and y (mm).
+pub type Point = [f64; 2];
 
 /// What a picture lies within: left, top, width, height (mm), y downward.
 pub type Frame = [f64; 4];
 
+/// A body to be drawn; lengths in mm, y upward.
+#[derive(Debug, Clone, Default)]
+pub struct Sketch {
+    /// Corners of every unit.
+    pub units: Vec<[Point; 4]>,
+    /// Their centroids.
+    pub centroids: Vec<Point>,
+    /// Ends of every ligament.
+    pub ligaments: Vec<[Point; 2]>,
+    /// The two corners (unit, node) that each ligament joins.
+    pub joints: Vec<[(usize, usize); 2]>,
+    /// Struck units, and the direction of the blow.
+    pub panels: Vec<(usize, Point)>,
+    /// Units that carry sensors.
+    pub sensors: Vec<usize>,
+    /// Units that are held.
+    pub clamped: Vec<usize>,
+    /// Constraints at their limit.
+    pub held: Vec<Mark>,
+    /// Broken constraints.
+    pub broken: Vec<Mark>,
+    /// Units that a broken constraint is about as a whole.
+    pub wrong: Vec<usize>,
+    /// Pitch of the grid.
+    pub spacing: f64,
+}
+
+/// Where a constraint is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Mark {
+    /// Between two points.
+    Line(Point, Point),
+    /// At a point, with the dot's radius.
+    Dot(Point, f64),
+}
+
 /// A frame around all of these bodies, so that they are drawn alike.
 #[must_use]
-pub fn frame(drawings: &[&Drawing]) -> Frame {
-    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    for corner in drawings.iter().flat_map(|d| d.units.iter().flatten()) {
-        for i in 0..2 {
-            low[i] = low[i].min(corner[i]);
-            high[i] = high[i].max(corner[i]);
+pub fn frame<'a>(bodies: impl IntoIterator<Item = &'a Sketch>) -> Frame {
+    let (mut low, mut high, mut spacing) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], None);
+    for sketch in bodies {
+        spacing.get_or_insert(sketch.spacing);
+        for corner in sketch.units.iter().flatten() {
+            for i in 0..2 {
+                low[i] = low[i].min(corner[i]);
+                high[i] = high[i].max(corner[i]);
+            }
         }
     }
-    let air = 0.75 * drawings.first().map_or(1.0, |d| d.spacing);
+    let air = 0.75 * spacing.unwrap_or(1.0);
     [low[0] - air, -high[1] - air, high[0] - low[0] + 2.0 * air, high[1] - low[1] + 2.0 * air]
 }
 
-/// What a unit has beside its shape.
+/// How a unit is drawn.
 #[derive(Debug, Clone, Default)]
 pub struct Unit {
     /// Its class in place of the usual one.
@@ -36,80 +74,70 @@ pub struct Unit {
     pub style: Option<String>,
 }
 
-/// What a drawing shows beside the body.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Notes<'a> {
-    /// Whether units and sensors are numbered.
-    pub numbers: bool,
-    /// Broken constraints.
-    pub violations: &'a [Violation],
-}
+impl Sketch {
+    /// The body, its units as usual.
+    #[must_use]
+    pub fn picture(&self, view: Frame, title: &str) -> Picture {
+        self.drawn(view, title, false, |_| Unit::default())
+    }
 
-/// The whole drawing.
-#[must_use]
-pub fn body(
-    drawing: &Drawing,
-    view: Frame,
-    title: &str,
-    notes: Notes,
-    unit: impl Fn(usize) -> Unit,
-) -> Picture {
-    let turned: Vec<[Point; 4]> = drawing.units.iter().map(|u| u.map(|[x, y]| [x, -y])).collect();
-    let broken = |u: usize| notes.violations.iter().any(|v| v.node.is_none() && v.units.contains(&u));
-    let class = |u: usize| {
-        let clamped = if drawing.clamped.contains(&u) { " clamped" } else { "" };
-        format!("unit{clamped}{}", if broken(u) { " broken" } else { "" })
-    };
-    let marks = html! {
-        @for [[ax, ay], [bx, by]] in &drawing.ligaments {
-            path class="ligament" d=(format!("M{ax:.3} {:.3}L{bx:.3} {:.3}", -ay, -by)) {}
-        }
-        @for (u, corners) in turned.iter().enumerate() {
-            @let points = corners.map(|[x, y]| format!("{x:.3},{y:.3}")).join(" ");
-            @let Unit { class: other, transform, style } = unit(u);
-            polygon class=(other.unwrap_or_else(|| class(u))) points=(points) transform=[transform] style=[style] {}
-        }
-        @for a in &drawing.active { (mark(a.kind, a.units, Some(a.node), ["active", "active-node"], &turned)) }
-        @for v in notes.violations { (mark(v.kind, v.units, v.node, ["wrong", "wrong-node"], &turned)) }
-        @if notes.numbers {
-            @for (u, corners) in turned.iter().enumerate().filter(|(u, _)| !drawing.sensors.contains(u)) {
-                @let [x, y] = middle(corners);
-                text class="index" x=(format!("{x:.2}")) y=(format!("{:.2}", y + 0.7)) { (u) }
+    /// The body. `numbers`: units and sensors are numbered.
+    #[must_use]
+    pub fn drawn(&self, view: Frame, title: &str, numbers: bool, unit: impl Fn(usize) -> Unit) -> Picture {
+        let class = |u: usize| {
+            let clamped = if self.clamped.contains(&u) { " clamped" } else { "" };
+            format!("unit{clamped}{}", if self.wrong.contains(&u) { " broken" } else { "" })
+        };
+        let marks = html! {
+            @for [[ax, ay], [bx, by]] in &self.ligaments {
+                path class="ligament" d=(format!("M{ax:.3} {:.3}L{bx:.3} {:.3}", -ay, -by)) {}
             }
-        }
-        (panels_and_sensors(drawing, notes.numbers))
-    };
-    Picture { title: title.into(), class: "body", view, marks }
-}
+            @for (u, corners) in self.units.iter().enumerate() {
+                @let points = corners.map(|[x, y]| format!("{x:.3},{:.3}", -y)).join(" ");
+                @let Unit { class: other, transform, style } = unit(u);
+                polygon class=(other.unwrap_or_else(|| class(u))) points=(points) transform=[transform] style=[style] {}
+            }
+            @for at in &self.held { (mark(at, ["active", "active-node"])) }
+            @for at in &self.broken { (mark(at, ["wrong", "wrong-node"])) }
+            @if numbers {
+                @for (u, corners) in self.units.iter().enumerate().filter(|(u, _)| !self.sensors.contains(u)) {
+                    @let [x, y] = middle(corners);
+                    text class="index" x=(format!("{x:.2}")) y=(format!("{:.2}", 0.7 - y)) { (u) }
+                }
+            }
+            (panels_and_sensors(self, numbers))
+        };
+        Picture { title: title.into(), class: "body", view, marks }
+    }
 
-/// A body as a file of its own, without the constraints that hold it.
-#[must_use]
-pub fn picture(drawing: Drawing, title: &str) -> String {
-    let drawing = Drawing { active: Vec::new(), ..drawing };
-    let drawn = body(&drawing, frame(&[&drawing]), title, Notes::default(), |_| Unit::default());
-    file(&[drawn], 1, 640.0, &Legend::default())
-}
+    /// A file of its own, without the constraints that hold the body.
+    #[must_use]
+    pub fn file(mut self, title: &str) -> String {
+        self.held.clear();
+        file(&[self.picture(frame([&self]), title)], 1, 640.0, &Legend::default())
+    }
 
-/// What a drawing has, by number.
-#[must_use]
-pub fn legend(drawing: &Drawing, violations: &[Violation]) -> Legend {
-    let kinds = [
-        (drawing.clamped.len(), "unit clamped", "clamped unit", "clamped units"),
-        (drawing.panels.len(), "arrow", "input panel", "input panels"),
-        (drawing.sensors.len(), "dot sensor", "sensor", "sensors"),
-        (drawing.active.len(), "active", "constraint at its limit", "constraints at their limit"),
-        (violations.len(), "wrong", "broken constraint", "broken constraints"),
-    ];
-    let told = |(n, class, one, many)| (class, format!("{n} {}", if n == 1 { one } else { many }));
-    kinds.into_iter().filter(|kind| kind.0 > 0).map(told).collect()
+    /// What there is to see, by number.
+    #[must_use]
+    pub fn legend(&self) -> Legend {
+        let kinds = [
+            (self.clamped.len(), "unit clamped", "clamped unit", "clamped units"),
+            (self.panels.len(), "arrow", "input panel", "input panels"),
+            (self.sensors.len(), "dot sensor", "sensor", "sensors"),
+            (self.held.len(), "active", "constraint at its limit", "constraints at their limit"),
+            (self.broken.len(), "wrong", "broken constraint", "broken constraints"),
+        ];
+        let told = |(n, class, one, many)| (class, format!("{n} {}", if n == 1 { one } else { many }));
+        kinds.into_iter().filter(|kind| kind.0 > 0).map(told).collect()
+    }
 }
 
 /// Arrows at the panels and dots at the sensors.
-fn panels_and_sensors(drawing: &Drawing, numbers: bool) -> Markup {
-    let pitch = drawing.spacing;
+fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
+    let pitch = sketch.spacing;
     let arrow = |&(unit, [dx, dy]): &(usize, Point)| {
         // it ends at the unit's middle, or before it where a number stands there, and begins outside
-        let ([x, y], dy) = (drawing.centroids[unit], -dy);
+        let ([x, y], dy) = (sketch.centroids[unit], -dy);
         let before = if numbers { 0.5 } else { 0.0 };
         let at = |along: f64, aside: f64| {
             let along = along - before;
@@ -120,12 +148,12 @@ fn panels_and_sensors(drawing: &Drawing, numbers: bool) -> Markup {
         (format!("M{a:.2} {b:.2}L{c:.2} {d:.2}"), tip.join(" "))
     };
     html! {
-        @for (k, panel) in drawing.panels.iter().enumerate() {
+        @for (k, panel) in sketch.panels.iter().enumerate() {
             @let (shaft, tip) = arrow(panel);
             g class="panel" { title { "panel " (k) ": unit " (panel.0) } path d=(shaft) {} polygon points=(tip) {} }
         }
-        @for (m, &unit) in drawing.sensors.iter().enumerate() {
-            @let [x, y] = drawing.centroids[unit];
+        @for (m, &unit) in sketch.sensors.iter().enumerate() {
+            @let [x, y] = sketch.centroids[unit];
             circle class="sensor" cx=(format!("{x:.2}")) cy=(format!("{:.2}", -y)) r=(format!("{:.2}", 0.17 * pitch)) {
                 title { "sensor " (m) ": unit " (unit) }
             }
@@ -136,131 +164,20 @@ fn panels_and_sensors(drawing: &Drawing, numbers: bool) -> Markup {
     }
 }
 
-/// What a constraint holds, as line or dot: a class for each. `units` with y downward.
-fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, class: [&str; 2], units: &[[Point; 4]]) -> Markup {
-    let corners = &units[of[0]];
-    let line = |[x, y]: Point, [s, t]: Point| {
-        html! { path class=(class[0]) d=(format!("M{x:.3} {y:.3}L{s:.3} {t:.3}")) {} }
-    };
-    let dot = |[x, y]: Point, r: &str| {
-        html! { circle class=(class[1]) cx=(format!("{x:.3}")) cy=(format!("{y:.3}")) r=(r) {} }
-    };
-    match (kind, node) {
-        (Kind::Edge, Some(p)) => line(corners[p], corners[(p + 1) % 4]),
-        (Kind::Clearance | Kind::Overlap, _) => {
-            let (a, b) = closest(corners, &units[of[1]]);
-            line(a, b)
+/// A mark of a class for lines, or one for dots.
+fn mark(at: &Mark, [line, dot]: [&str; 2]) -> Markup {
+    match at {
+        Mark::Line([x, y], [s, t]) => {
+            html! { path class=(line) d=(format!("M{x:.3} {:.3}L{s:.3} {:.3}", -y, -t)) {} }
         }
-        (Kind::LigamentClearance, Some(p)) => line(corners[p], closest(&[corners[p]], &units[of[1]]).1),
-        (Kind::VoidAngle, Some(p)) => {
-            // an arc's chord, drawn in the void beside the node
-            let (here, next) = (corners[p], corners[(p + 1) % 4]);
-            let along = [0, 1].map(|i| here[i] + 0.35 * (next[i] - here[i]));
-            let (_, b) = closest(&[along], &units[of[1]]);
-            line(along, if b == along { middle(&units[of[1]]) } else { b })
+        Mark::Dot([x, y], r) => {
+            html! { circle class=(dot) cx=(format!("{x:.3}")) cy=(format!("{:.3}", -y)) r=(r) {} }
         }
-        (_, Some(p)) => dot(corners[p], ".8"),
-        (_, None) => dot(middle(corners), "1.2"),
     }
 }
 
-fn middle(corners: &[Point; 4]) -> Point {
+/// The mean of a unit's corners.
+#[must_use]
+pub fn middle(corners: &[Point; 4]) -> Point {
     [0, 1].map(|c| corners.iter().map(|q| q[c]).sum::<f64>() / 4.0)
-}
-
-/// The closest points of two rings of corners.
-fn closest(a: &[Point], b: &[Point]) -> (Point, Point) {
-    let mut best = (f64::INFINITY, a[0], b[0]);
-    for (corners, ring, swap) in [(a, b, false), (b, a, true)] {
-        for &p in corners {
-            for i in 0..ring.len() {
-                let (s, t) = (ring[i], ring[(i + 1) % ring.len()]);
-                let along = [t[0] - s[0], t[1] - s[1]];
-                let square = along[0] * along[0] + along[1] * along[1];
-                let part = ((p[0] - s[0]) * along[0] + (p[1] - s[1]) * along[1]) / square;
-                let part = if square > 0.0 { part.clamp(0.0, 1.0) } else { 0.0 };
-                let q = [s[0] + part * along[0], s[1] + part * along[1]];
-                let distance = (p[0] - q[0]).hypot(p[1] - q[1]);
-                if distance < best.0 {
-                    best = if swap { (distance, q, p) } else { (distance, p, q) };
-                }
-            }
-        }
-    }
-    (best.1, best.2)
-}
-
-#[cfg(test)]
-pub(crate) mod tests {
-    use metasense_worker::design::Active;
-
-    use super::*;
-
-    /// 3 × 3 rotated squares of 20°, pitch 15 mm, ligaments 2.25 mm long.
-    pub fn squares() -> Drawing {
-        squares_moved(|_, _| [0.0; 2])
-    }
-
-    /// The same with every joint, two corners and the ligament between them, moved: the one right of unit u by
-    /// `shift(u, 0)`, the one above it by `shift(u, 1)`, and free corners by nothing.
-    pub fn squares_moved(shift: impl Fn(usize, usize) -> [f64; 2]) -> Drawing {
-        let (n, pitch, half) = (3usize, 15.0, 6.375);
-        let mut units = Vec::new();
-        let mut joints = Vec::new();
-        for j in 0..n {
-            for i in 0..n {
-                let angle = 20f64.to_radians() * if (i + j) % 2 == 0 { 1.0 } else { -1.0 };
-                units.push(std::array::from_fn(|p| {
-                    let turn = angle + p as f64 * std::f64::consts::FRAC_PI_2;
-                    let radius = half / angle.cos();
-                    [i as f64 * pitch + radius * turn.cos(), j as f64 * pitch + radius * turn.sin()]
-                }));
-                if i + 1 < n {
-                    joints.push([(j * n + i, 0), (j * n + i + 1, 2)]);
-                }
-                if j + 1 < n {
-                    joints.push([(j * n + i, 1), (j * n + n + i, 3)]);
-                }
-            }
-        }
-        for &[(u, p), other] in &joints {
-            let [x, y] = shift(u, p);
-            for (unit, corner) in [(u, p), other] {
-                let [cx, cy]: [f64; 2] = units[unit][corner];
-                units[unit][corner] = [cx + x, cy + y];
-            }
-        }
-        let corner = |(u, p): (usize, usize)| -> [f64; 2] {
-            let unit: &[[f64; 2]; 4] = &units[u];
-            unit[p]
-        };
-        let ligaments = joints.iter().map(|&[a, b]| [corner(a), corner(b)]).collect();
-        let centroids = (0..n * n).map(|u| [(u % n) as f64 * pitch, (u / n) as f64 * pitch]).collect();
-        Drawing {
-            ligaments,
-            joints,
-            centroids,
-            panels: vec![(7, [0.0, -1.0])],
-            sensors: vec![4],
-            clamped: vec![0, 1, 2],
-            active: vec![],
-            spacing: pitch,
-            clock: vec![],
-            units,
-        }
-    }
-
-    /// A gap as a line between its units, an angle as a dot at its corner; y downward.
-    #[test]
-    fn what_holds_a_body_is_drawn_where_it_is() {
-        let mut drawing = squares();
-        let [x, y] = drawing.units[4][2];
-        let held = |kind, units| Active { kind, units, node: 2, slack: 0.0 };
-        drawing.active = vec![held(Kind::Clearance, [4, 5]), held(Kind::BlockAngleLow, [4, 4])];
-        let drawn = body(&drawing, frame(&[&drawing]), "", Notes::default(), |_| Unit::default());
-        let svg = drawn.marks.into_string();
-        assert_eq!(svg.matches("class=\"active\"").count(), 1, "{svg}");
-        let dot = format!("class=\"active-node\" cx=\"{x:.3}\" cy=\"{:.3}\"", -y);
-        assert!(svg.contains(&dot), "{dot} is not in {svg}");
-    }
 }

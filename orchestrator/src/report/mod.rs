@@ -1,6 +1,7 @@
 //! From a database to one HTML file to look at: no network, no scripts but the animation's, both themes, phone and print.
 
 pub mod answers;
+pub mod body;
 pub mod brains;
 pub mod claims;
 pub mod figures;

@@ -2,12 +2,13 @@
 
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::modes::{Mode, Response, slowest};
-use metasense_worker::replay::{Drawing, drawing};
+use metasense_worker::replay::drawing;
 use metasense_worker::run::Failure;
 use serde_json::Value;
 
+use super::body::sketch;
 use crate::analysis::Body;
-use crate::look::body::frame;
+use crate::look::body::{Frame, Sketch, frame};
 use crate::look::{Axis, Figure, Legend, Picture, Plot, SERIES, Scale, Table, legend, number, row, wave};
 use crate::store::Stored;
 
@@ -36,14 +37,14 @@ pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_
 ///
 /// # Errors
 /// If nothing holds them.
-pub fn figure(stored: &Stored, drawings: &[Drawing; 2], who: &str) -> Result<Figure, Failure> {
-    let frame = frame(&[&drawings[0], &drawings[1]]);
+pub fn figure(stored: &Stored, drawings: &[Sketch; 2], who: &str) -> Result<Figure, Failure> {
+    let frame = frame(drawings);
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
     for body in Body::ALL {
         let modes = slowest(&stored.specs[body as usize], &stored.designs[body as usize], SHOWN)?;
         for (n, mode) in modes.iter().enumerate() {
             let label = format!("{} {}", body.name(), title(n, mode));
-            pictures.push(wave::mode(&drawings[body as usize], frame, mode, &label));
+            pictures.push(swinging(&drawings[body as usize], frame, mode, &label));
             rows.push([row![body.name()], row(n, mode)].concat());
         }
     }
@@ -62,14 +63,20 @@ pub fn figure(stored: &Stored, drawings: &[Drawing; 2], who: &str) -> Result<Fig
     .small(None))
 }
 
+fn swinging(sketch: &Sketch, frame: Frame, mode: &Mode, title: &str) -> Picture {
+    let shape: Vec<[f64; 3]> = mode.shape.iter().map(|unit| unit.map(|c| c.re)).collect();
+    let travel: Vec<f64> = mode.shape.iter().map(|unit| unit[0].norm().hypot(unit[1].norm())).collect();
+    wave::mode(sketch, frame, &shape, &travel, title)
+}
+
 /// Modes of one body, and what their marks are.
 ///
 /// # Errors
 /// If the spec stands for no trial.
 pub fn shapes(trial: &TrialSpec, design: &[f64], modes: &[Mode]) -> Result<(Vec<Picture>, Legend), Failure> {
-    let drawing = drawing(trial, design)?;
-    let frame = frame(&[&drawing]);
-    let shape = |(n, mode)| wave::mode(&drawing, frame, mode, &title(n, mode));
+    let sketch = sketch(&drawing(trial, design)?, &[]);
+    let frame = frame([&sketch]);
+    let shape = |(n, mode)| swinging(&sketch, frame, mode, &title(n, mode));
     Ok((modes.iter().enumerate().map(shape).collect(), legend(&LEGEND)))
 }
 

@@ -8,13 +8,14 @@ use maud::{Markup, html};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::trial::{Trial, bodies, curves};
+use super::trial::{Trial, curves};
 use super::trials::short;
 use super::{Served, framed, to_trial};
 use crate::analysis::compare::Comparison;
 use crate::analysis::setting::flatten;
 use crate::look::{Figure, Table, legend, number, row};
 use crate::plan::counted;
+use crate::report::body;
 use crate::report::load::finished_trials;
 use crate::serve::{Refusal, file_of};
 use crate::store::Reader;
@@ -104,7 +105,7 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
         .into_iter()
         .flat_map(|(trial, who)| {
             let last = trial.drawings().pop();
-            last.map(|(name, drawing)| (format!("{who}: {name}"), drawing))
+            last.map(|(title, name, sketch)| (format!("{who}: {title}"), name, sketch))
         })
         .collect();
     let lines = [("initial", a.column("error_test")), ("optimised", b.column("error_test"))];
@@ -127,8 +128,7 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
             (Figure::new("both", "Steps", "Test error after every outer step.", keys, vec![errors], data).html(&[]))
         }
         @if !drawings.is_empty() {
-            h2 { "Bodies" }
-            div class="plots" { @for picture in bodies(&drawings) { div { h3 { (picture.title) } (picture.svg(None)) } } }
+            (body::figure("body", "Bodies", "The bodies, drawn to one scale (mm).", &drawings).html(&[]))
         }
     })
 }

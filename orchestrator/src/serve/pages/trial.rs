@@ -6,17 +6,18 @@ use axum::extract::{Path, Query, State};
 use axum::response::Html;
 use maud::{Markup, html};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::replay::{Drawing, drawing};
+use metasense_worker::replay::drawing;
 use metasense_worker::simulate;
 use serde::Deserialize;
 
 use super::trials::short;
 use super::{Served, framed, live, query, trouble};
 use crate::analysis::setting::flatten;
-use crate::look::body::{Notes, Unit, body, frame};
+use crate::look::body::Sketch;
 use crate::look::wave::course;
-use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
+use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number};
 use crate::plan::counted;
+use crate::report::body::{self, sketch};
 use crate::report::load::PARTS;
 use crate::report::samples::Replayed;
 use crate::serve::steer::of_trial;
@@ -46,56 +47,41 @@ pub(super) struct Trial {
     pub stored: Option<Stored>,
 }
 
+/// What is told of a trial, and of its attempts.
+const FACTS: &str = "panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with, placed, protocol,
+  design_parameters, brain_parameters, holdout_error_initial, holdout_error_optimised, error_initial AS test_error_initial,
+  error_optimised AS test_error_optimised, best_step, steps, attempts, seconds AS cpu_seconds, sensor_units,
+  sensor_units_optimised, finished_at";
+const ATTEMPTS: &str =
+    "attempt, state, reason, steps, round(seconds, 1) AS seconds, cpu_seconds, started_at, code, revision,
+  rustc, host, cpu, simd, threads";
+
 impl Trial {
     /// Reads it.
     pub async fn read(reader: &mut Reader, hash: &str) -> Result<Self, StoreError> {
         let hash = reader.hash_of(hash).await?;
         let of = format!("WHERE hash = {}", quoted(&hash));
         let moves = format!("SELECT result->>'$.moves' FROM trial {of}");
-        let said: Table = reader
-            .query(&format!("SELECT state, coalesce(reason, ''), spec, ({moves}) FROM v_trial {of}"))
-            .await?;
+        let mut ask = async |what: &str, from: &str, more: &str| -> Result<Table, StoreError> {
+            reader.query(&format!("SELECT {what} FROM {from} {of} {more}")).await
+        };
+        let said = ask(&format!("state, coalesce(reason, ''), spec, ({moves})"), "v_trial", "").await?;
         let [state, reason, spec, moves] =
             [0, 1, 2, 3].map(|i| said.rows[0][i].as_str().unwrap_or_default().to_owned());
         let mut moves: Vec<(u32, Vec<usize>)> = serde_json::from_str(&moves).unwrap_or_default();
-        let facts = reader
-            .query(&format!(
-                "SELECT panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with, placed, protocol,
-                   design_parameters, brain_parameters, holdout_error_initial, holdout_error_optimised, error_initial AS
-                   test_error_initial, error_optimised AS test_error_optimised, best_step, steps, attempts, seconds AS cpu_seconds,
-                   sensor_units, sensor_units_optimised, finished_at FROM v_trial {of}"
-            ))
-            .await?;
+        let facts = ask(FACTS, "v_trial", "").await?;
         let parts = PARTS.map(|(column, _)| column).join(", ");
-        let steps = reader
-            .query(&format!(
-                "SELECT step, error_test, error_train, gradient_norm, step_length, outcome, {parts} FROM v_step {of} ORDER BY step"
-            ))
-            .await?;
-        let networks = reader
-            .query(&format!(
-                "SELECT body, network, error_train, error_test, error_holdout, iterations, outcome FROM v_network {of} ORDER BY 1, 2"
-            ))
-            .await?;
-        let curves = reader
-            .query(&format!(
-                "SELECT body, network, iteration, error_holdout FROM v_curve {of} AND error_holdout IS NOT NULL ORDER BY 1, 2, 3"
-            ))
-            .await?;
-        let readings = reader
-            .query(&format!(
-                "SELECT body, before AS seconds_before, after AS seconds_after, error_train, error_test, error_holdout FROM v_reading {of} ORDER BY 2, 3, 1"
-            ))
-            .await?;
-        let attempts = reader
-            .query(&format!(
-                "SELECT attempt, state, reason, steps, round(seconds, 1) AS seconds, cpu_seconds, started_at, code, revision, rustc,
-                   host, cpu, simd, threads FROM v_attempt {of} ORDER BY attempt"
-            ))
-            .await?;
-        let log = reader
-            .query(&format!("SELECT attempt, at, level, text FROM v_log {of} ORDER BY attempt, line"))
-            .await?;
+        let steps = format!("step, error_test, error_train, gradient_norm, step_length, outcome, {parts}");
+        let steps = ask(&steps, "v_step", "ORDER BY step").await?;
+        let networks = "body, network, error_train, error_test, error_holdout, iterations, outcome";
+        let networks = ask(networks, "v_network", "ORDER BY 1, 2").await?;
+        let curves = "body, network, iteration, error_holdout";
+        let curves = ask(curves, "v_curve", "AND error_holdout IS NOT NULL ORDER BY 1, 2, 3").await?;
+        let readings =
+            "body, before AS seconds_before, after AS seconds_after, error_train, error_test, error_holdout";
+        let readings = ask(readings, "v_reading", "ORDER BY 2, 3, 1").await?;
+        let attempts = ask(ATTEMPTS, "v_attempt", "ORDER BY attempt").await?;
+        let log = ask("attempt, at, level, text", "v_log", "ORDER BY attempt, line").await?;
         let stored =
             reader.stored(&hash).await?.filter(|stored| stored.designs.iter().all(|d| !d.is_empty()));
         let mut designs = Vec::new();
@@ -111,11 +97,8 @@ impl Trial {
                 let sensor_units =
                     now.moves.last().map_or(spec.sensor_units.clone(), |moved| moved.1.clone());
                 let heard = TrialSpec { sensor_units, ..spec };
-                designs.push((
-                    format!("body after {}", counted(now.step as usize, "step")),
-                    heard,
-                    now.design,
-                ));
+                let name = format!("body after {}", counted(now.step as usize, "step"));
+                designs.push((name, heard, now.design));
                 moves = now.moves;
             }
         }
@@ -154,9 +137,9 @@ impl Trial {
     }
 
     /// Its bodies as they can be drawn.
-    pub fn drawings(&self) -> Vec<(String, Drawing)> {
+    pub fn drawings(&self) -> Vec<(String, String, Sketch)> {
         let drawn = |(name, spec, design): &(String, TrialSpec, Vec<f64>)| {
-            drawing(spec, design).ok().map(|drawing| (name.clone(), drawing))
+            drawing(spec, design).ok().map(|drawing| (name.clone(), name.clone(), sketch(&drawing, &[])))
         };
         self.designs.iter().filter_map(drawn).collect()
     }
@@ -172,12 +155,6 @@ pub(super) fn curves(title: &str, label: &str, lines: &[(&str, Vec<(f64, f64)>)]
         plot.line(class, points.iter().copied());
     }
     Some(plot.picture())
-}
-
-/// Bodies as pictures, drawn alike.
-pub(super) fn bodies(drawings: &[(String, Drawing)]) -> Vec<Picture> {
-    let frame = frame(&drawings.iter().map(|(_, drawing)| drawing).collect::<Vec<_>>());
-    drawings.iter().map(|(name, d)| body(d, frame, name, Notes::default(), |_| Unit::default())).collect()
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -346,32 +323,15 @@ fn bodies_of(trial: &Trial) -> Markup {
     if drawings.is_empty() {
         return html! {};
     }
-    let mut keys = legend(&[("arrow", "input panel"), ("dot sensor", "sensor")]);
-    if drawings.iter().any(|(_, drawing)| !drawing.active.is_empty()) {
-        keys.push(("active", "constraint at its limit".into()));
-    }
-    let corners = drawings.iter().flat_map(|(name, drawing)| {
-        let units = drawing.units.iter().enumerate();
-        units.flat_map(move |(unit, corners)| {
-            corners.iter().enumerate().map(move |(node, [x, y])| row![name, unit, node, x, y])
-        })
-    });
-    let data = Table::new("body unit node x y", corners);
-    Figure::new(
-        "body",
-        "Bodies",
-        "Units, ligaments, panels, sensors, clamped units in a shade of their own (mm).",
-        keys,
-        bodies(&drawings),
-        data,
-    )
-    .html(&[])
+    let caption = "Units, ligaments, panels, sensors (mm). Clamped units have a shade of their own.";
+    body::figure("body", "Bodies", caption, &drawings).html(&[])
 }
 
 /// Its designs so far, from step to step; none where none was kept, and none will be.
 fn course_of(trial: &Trial) -> Markup {
-    let drawn =
-        |(step, spec, design): &(u32, TrialSpec, Vec<f64>)| Some((*step, drawing(spec, design).ok()?));
+    let drawn = |(step, spec, design): &(u32, TrialSpec, Vec<f64>)| {
+        Some((*step, sketch(&drawing(spec, design).ok()?, &[])))
+    };
     let designs: Vec<_> = trial.course.iter().filter_map(drawn).collect();
     let steps = trial.course.first().map_or(0, |initial| initial.1.optimise.steps());
     let open = ["pending", "running"].contains(&trial.state.as_str());

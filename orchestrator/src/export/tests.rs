@@ -1,0 +1,57 @@
+//! A body that exports are tried on.
+
+use metasense_worker::replay::Drawing;
+
+/// 3 × 3 rotated squares of 20°, pitch 15 mm, ligaments 2.25 mm long.
+pub fn squares() -> Drawing {
+    squares_moved(|_, _| [0.0; 2])
+}
+
+/// The same with every joint, two corners and the ligament between them, moved: the one right of unit u by
+/// `shift(u, 0)`, the one above it by `shift(u, 1)`, and free corners by nothing.
+pub fn squares_moved(shift: impl Fn(usize, usize) -> [f64; 2]) -> Drawing {
+    let (n, pitch, half) = (3usize, 15.0, 6.375);
+    let mut units = Vec::new();
+    let mut joints = Vec::new();
+    for j in 0..n {
+        for i in 0..n {
+            let angle = 20f64.to_radians() * if (i + j) % 2 == 0 { 1.0 } else { -1.0 };
+            units.push(std::array::from_fn(|p| {
+                let turn = angle + p as f64 * std::f64::consts::FRAC_PI_2;
+                let radius = half / angle.cos();
+                [i as f64 * pitch + radius * turn.cos(), j as f64 * pitch + radius * turn.sin()]
+            }));
+            if i + 1 < n {
+                joints.push([(j * n + i, 0), (j * n + i + 1, 2)]);
+            }
+            if j + 1 < n {
+                joints.push([(j * n + i, 1), (j * n + n + i, 3)]);
+            }
+        }
+    }
+    for &[(u, p), other] in &joints {
+        let [x, y] = shift(u, p);
+        for (unit, corner) in [(u, p), other] {
+            let [cx, cy]: [f64; 2] = units[unit][corner];
+            units[unit][corner] = [cx + x, cy + y];
+        }
+    }
+    let corner = |(u, p): (usize, usize)| -> [f64; 2] {
+        let unit: &[[f64; 2]; 4] = &units[u];
+        unit[p]
+    };
+    let ligaments = joints.iter().map(|&[a, b]| [corner(a), corner(b)]).collect();
+    let centroids = (0..n * n).map(|u| [(u % n) as f64 * pitch, (u / n) as f64 * pitch]).collect();
+    Drawing {
+        ligaments,
+        joints,
+        centroids,
+        panels: vec![(7, [0.0, -1.0])],
+        sensors: vec![4],
+        clamped: vec![0, 1, 2],
+        active: vec![],
+        spacing: pitch,
+        clock: vec![],
+        units,
+    }
+}

@@ -1,0 +1,98 @@
+//! A trial's body as `look` draws it.
+
+use metasense_worker::design::{Active, Kind, Violation};
+use metasense_worker::replay::Drawing;
+
+use crate::look::body::{Mark, Point, Sketch, frame, middle};
+use crate::look::{Figure, Table, legend, row};
+
+/// The body with its constraints at their limit, and those that are broken.
+#[must_use]
+pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
+    let Drawing { units, centroids, ligaments, joints, panels, sensors, clamped, spacing, .. } = drawing;
+    let held = |a: &Active| mark(a.kind, a.units, Some(a.node), units);
+    let broken = |v: &Violation| mark(v.kind, v.units, v.node, units);
+    Sketch {
+        units: units.clone(),
+        centroids: centroids.clone(),
+        ligaments: ligaments.clone(),
+        joints: joints.clone(),
+        panels: panels.clone(),
+        sensors: sensors.clone(),
+        clamped: clamped.clone(),
+        held: drawing.active.iter().map(held).collect(),
+        broken: violations.iter().map(broken).collect(),
+        wrong: violations.iter().filter(|v| v.node.is_none()).flat_map(|v| v.units).collect(),
+        spacing: *spacing,
+    }
+}
+
+/// Bodies side by side, drawn alike: title, name in the data, body.
+#[must_use]
+pub fn figure(
+    name: &'static str,
+    title: &str,
+    caption: impl Into<String>,
+    bodies: &[(String, String, Sketch)],
+) -> Figure {
+    let view = frame(bodies.iter().map(|body| &body.2));
+    let mut entries = vec![("arrow", "input panel"), ("dot sensor", "sensor")];
+    if bodies.iter().any(|body| !body.2.held.is_empty()) {
+        entries.push(("active", "constraint at its limit"));
+    }
+    let rows = bodies.iter().flat_map(|(_, name, sketch)| {
+        let corners = |(unit, corners): (usize, &[Point; 4])| {
+            corners.iter().enumerate().map(|(node, [x, y])| row![name, unit, node, x, y]).collect::<Vec<_>>()
+        };
+        sketch.units.iter().enumerate().flat_map(corners).collect::<Vec<_>>()
+    });
+    let pictures = bodies.iter().map(|(title, _, sketch)| sketch.picture(view, title)).collect();
+    Figure::new(name, title, caption, legend(&entries), pictures, Table::new("body unit node x y", rows))
+}
+
+/// Where a constraint holds: a line or a dot.
+fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[[Point; 4]]) -> Mark {
+    let (corners, other) = (&units[of[0]], &units[of[1]]);
+    match (kind, node) {
+        (Kind::Edge, Some(p)) => Mark::Line(corners[p], corners[(p + 1) % 4]),
+        (Kind::Clearance | Kind::Overlap, _) => {
+            let (a, b) = closest(corners, other);
+            Mark::Line(a, b)
+        }
+        (Kind::LigamentClearance, Some(p)) => Mark::Line(corners[p], closest(&[corners[p]], other).1),
+        (Kind::VoidAngle, Some(p)) => {
+            // an arc's chord, drawn in the void beside the node
+            let (here, next) = (corners[p], corners[(p + 1) % 4]);
+            let along = [0, 1].map(|i| here[i] + 0.35 * (next[i] - here[i]));
+            let (_, b) = closest(&[along], other);
+            Mark::Line(along, if b == along { middle(other) } else { b })
+        }
+        (_, Some(p)) => Mark::Dot(corners[p], 0.8),
+        (_, None) => Mark::Dot(middle(corners), 1.2),
+    }
+}
+
+/// The closest points of two rings of corners.
+fn closest(a: &[Point], b: &[Point]) -> (Point, Point) {
+    let mut best = (f64::INFINITY, a[0], b[0]);
+    for (corners, ring, swap) in [(a, b, false), (b, a, true)] {
+        for &p in corners {
+            for i in 0..ring.len() {
+                let (s, t) = (ring[i], ring[(i + 1) % ring.len()]);
+                let along = [t[0] - s[0], t[1] - s[1]];
+                let square = along[0] * along[0] + along[1] * along[1];
+                let part = ((p[0] - s[0]) * along[0] + (p[1] - s[1]) * along[1]) / square;
+                let part = if square > 0.0 { part.clamp(0.0, 1.0) } else { 0.0 };
+                let q = [s[0] + part * along[0], s[1] + part * along[1]];
+                let distance = (p[0] - q[0]).hypot(p[1] - q[1]);
+                if distance < best.0 {
+                    best = if swap { (distance, q, p) } else { (distance, p, q) };
+                }
+            }
+        }
+    }
+    (best.1, best.2)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,52 @@
+//! Bodies as they are drawn.
+
+use super::*;
+use crate::export::tests::squares;
+use crate::look::wave::course;
+
+/// A gap as a line between its units, an angle as a dot at its corner; y downward.
+#[test]
+fn what_holds_a_body_is_drawn_where_it_is() {
+    let mut drawing = squares();
+    let [x, y] = drawing.units[4][2];
+    let held = |kind, units| Active { kind, units, node: 2, slack: 0.0 };
+    drawing.active = vec![held(Kind::Clearance, [4, 5]), held(Kind::BlockAngleLow, [4, 4])];
+    let drawn = sketch(&drawing, &[]);
+    let svg = drawn.picture(frame([&drawn]), "").marks.into_string();
+    assert_eq!(svg.matches("class=\"active\"").count(), 1, "{svg}");
+    let dot = format!("class=\"active-node\" cx=\"{x:.3}\" cy=\"{:.3}\"", -y);
+    assert!(svg.contains(&dot), "{dot} is not in {svg}");
+}
+
+/// Of every design its corners and, as they are drawn from the first, how far panel and sensor have gone since: the unit
+/// of the panel with its corners, the sensor to another unit.
+#[test]
+fn a_course_has_every_design_and_where_its_marks_have_gone() {
+    let squares = || sketch(&squares(), &[]);
+    let mut designs = [(0, squares()), (8, squares())];
+    for (_, sketch) in &mut designs {
+        (sketch.panels, sketch.sensors) = (vec![(0, [1.0, 0.0])], vec![1]);
+    }
+    let [_, (_, last)] = &mut designs;
+    last.units[0] = last.units[0].map(|[x, y]| [x + 1.5, y - 0.25]);
+    last.centroids[0] = [last.centroids[0][0] + 1.5, last.centroids[0][1] - 0.25];
+    last.sensors = vec![2];
+    let page = course(&designs, 50).into_string();
+    let data = page.split("hidden>").nth(1).unwrap().split('<').next().unwrap();
+    let lines: Vec<Vec<f64>> =
+        data.lines().map(|line| line.split(',').map(|x| x.parse().unwrap()).collect()).collect();
+    let [joints, first, last] = &lines[..] else { panic!("{data}") };
+    assert_eq!(joints.len(), 2 * designs[0].1.ligaments.len());
+    for (l, ends) in designs[0].1.ligaments.iter().enumerate() {
+        for (end, [x, y]) in ends.iter().enumerate() {
+            let corner = 1 + 2 * joints[2 * l + end] as usize;
+            assert!((first[corner] - x).abs() < 1e-3 && (first[corner + 1] + y).abs() < 1e-3, "{l} {end}");
+        }
+    }
+    assert!((first[0], first.len(), last.len()) == (0.0, 1 + 9 * 8 + 4, 1 + 9 * 8 + 4), "{data}");
+    assert_eq!(first[73..], [0.0; 4]);
+    assert_eq!((last[0], &last[73..]), (8.0, &[1.5, 0.25, 15.0, 0.0][..]));
+    assert!((last[1] - first[1] - 1.5).abs() < 1e-3 && last[9..73] == first[9..73], "{data}");
+    assert!(page.contains("max=\"1\"") && page.contains("aria-valuetext=\"step 0 of 50\""), "{page}");
+    assert_eq!(page.matches("<script").count(), 0, "numbers alone");
+}
