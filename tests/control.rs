@@ -223,7 +223,7 @@ fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     assert_eq!(nowhere.status.code(), Some(2));
 }
 
-/// Where questions or a deal decide what is run, a spec that is read again adds nothing; workers, and a pause, last from one
+/// Where questions or an assignment decide what is run, a spec that is read again adds nothing; workers, and a pause, last from one
 /// look at the questions to the next.
 #[test]
 fn questions_and_shards_decide_themselves_what_is_run() {
@@ -262,7 +262,7 @@ fn questions_and_shards_decide_themselves_what_is_run() {
     std::fs::remove_file(bench.path("s.sqlite")).unwrap();
     let mut run = Run::start(&bench, &["--workers", "1", "--shard", "1/2"]);
     run.busy("1 of 1 worker busy");
-    run.asked(&["reload"], 1, "refused: a shard's trials are dealt out before it begins");
+    run.asked(&["reload"], 1, "refused: a shard's trials are assigned before it begins");
     run.asked(&["stop"], 0, "stopping");
     assert_eq!(run.wait(), Some(4), "{}", run.told());
 }

@@ -218,6 +218,6 @@ fn shards_are_dealt_by_cost_and_stay_as_they_are_written_down() {
     assert_eq!(shards.iter().map(Vec::len).sum::<usize>(), rows(&[]).len());
     // All to the first one, once: what is written down counts.
     let lines = rows(&[]).iter().map(|row| format!("{},1\n", row.0)).collect::<String>();
-    bench.file("deal-of-3.csv", &format!("hash,shard\n{lines}"));
+    bench.file("assignment-of-3.csv", &format!("hash,shard\n{lines}"));
     assert_eq!(rows(&["--shard", "1/3", "--folder", "."]), rows(&[]));
 }

@@ -9,7 +9,7 @@ use std::path::Path;
 use crate::common::SPEC;
 use crate::common::roll::{self, Roll};
 use metasense::analysis::{Question, Terms};
-use metasense::cluster::{Deal, Shard, merge, state};
+use metasense::cluster::{Assignment, Shard, merge, state};
 use metasense::plan::Plan;
 use metasense::report::load;
 use metasense::store::{Reader, Store};
@@ -75,7 +75,7 @@ fn damage_bytes(file: &Path, roll: &mut Roll) {
 /// Everything that reads databases, as far as it comes.
 async fn read(folder: &Path, file: &Path, plan: &Plan) {
     let _ = state::states(folder, 1, &Default::default()).await;
-    let _ = Deal::in_folder(folder, &plan.trials, 1);
+    let _ = Assignment::in_folder(folder, &plan.trials, 1);
     let _ = merge::merge(&[file.to_owned()], &folder.join("merged.sqlite")).await;
     if let Ok(mut reader) = Reader::open(file).await {
         for (view, _) in VIEWS {

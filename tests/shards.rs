@@ -105,15 +105,15 @@ fn a_shard_goes_on_on_another_node() {
     let tiny = four().replace("iterations = 4\n", "iterations = 100\n");
     bench.file("tiny.toml", &tiny);
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
-    // Of each try one file; named by when it began.
-    let tries = || {
+    // Of each attempt one file; named by when it began.
+    let attempts = || {
         let files = bench.path("out").read_dir().into_iter().flatten().flatten();
-        let mut tries: Vec<String> = files.map(|f| f.file_name().into_string().unwrap()).collect();
-        tries.retain(|name| name.starts_with("shard-1-of-1.") && name.ends_with(".sqlite"));
-        tries.sort();
-        tries
+        let mut attempts: Vec<String> = files.map(|f| f.file_name().into_string().unwrap()).collect();
+        attempts.retain(|name| name.starts_with("shard-1-of-1.") && name.ends_with(".sqlite"));
+        attempts.sort();
+        attempts
     };
-    let handed_in = || format!("out/{}", tries().pop().unwrap_or_default());
+    let handed_in = || format!("out/{}", attempts().pop().unwrap_or_default());
     let steps = || number(&bench, &handed_in(), "SELECT count(*) FROM v_step");
     let left = |node: &str| bench.path(node).read_dir().unwrap().count();
 
@@ -149,7 +149,7 @@ fn a_shard_goes_on_on_another_node() {
     let mut last = start(&bench, "node3");
     assert_eq!(wait(&mut last), Some(0));
     assert_eq!(left("node3"), 0);
-    assert_eq!(tries().len(), 3, "{:?}", tries());
+    assert_eq!(attempts().len(), 3, "{:?}", attempts());
     assert_eq!(results(&bench, &handed_in()), results(&bench, "whole.sqlite"));
     bench.output(&["merge", "out", "--out", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));

@@ -7,7 +7,7 @@
 
 use std::ffi::OsString;
 use std::fmt;
-use std::fs::{File, Permissions};
+use std::fs::{File, Permissions, TryLockError};
 use std::io;
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::PermissionsExt;
@@ -21,8 +21,6 @@ use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::{Mutex, Semaphore, mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
-
-use crate::fleet::writer_of;
 
 /// The longest question and answer (bytes).
 const LINE: u64 = 4 << 10;
@@ -143,14 +141,12 @@ pub enum ControlError {
     },
     /// Somebody writes to it, but does not listen.
     #[error(
-        "process {writer} holds {}, and takes no commands: it begins or ends just now, or could not make its socket (see its log)",
+        "a process holds {}, and takes no commands: it begins or ends just now, or could not make its socket (see its log)",
         db.display()
     )]
     Deaf {
         /// The database.
         db: PathBuf,
-        /// Its writer.
-        writer: u32,
     },
     /// The socket does not work.
     #[error("asking the run that holds {}", db.display())]
@@ -251,7 +247,9 @@ async fn converse(mut stream: UnixStream, out: mpsc::Sender<Request>) -> io::Res
     let (from, mut to) = stream.split();
     let mut from = BufReader::new(from.take(LINE));
     let mut line = String::new();
-    timeout(ASKING, from.read_line(&mut line)).await??;
+    if timeout(ASKING, from.read_line(&mut line)).await?? == 0 {
+        return Ok(());
+    }
     let said = match line.parse() {
         Err(error) => Said::refused(NoCommand::to_string(&error)),
         Ok(command) => {
@@ -271,6 +269,18 @@ async fn converse(mut stream: UnixStream, out: mpsc::Sender<Request>) -> io::Res
     timeout(ASKING, to.write_all(format!("{word} {}", said.text).as_bytes())).await?
 }
 
+/// The process that runs the sweep of a database. It is not asked anything: a busy or stopped one is found, too.
+pub async fn run_of(db: &Path) -> Option<u32> {
+    let (_folder, address, _) = address(db).ok()?;
+    let pid = UnixStream::connect(address).await.ok()?.peer_cred().ok()?.pid();
+    pid.and_then(|pid| pid.try_into().ok())
+}
+
+/// Whether somebody writes to a database. A run that begins just then tries its lock again.
+fn is_held(db: &Path) -> bool {
+    File::open(db).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
+}
+
 /// Asks the run that holds a database.
 ///
 /// # Errors
@@ -280,9 +290,9 @@ pub async fn ask(db: &Path, command: &Command) -> Result<Said, ControlError> {
     let (_folder, address, _) =
         address(db).map_err(|source| ControlError::NoDatabase { db: db.to_owned(), source })?;
     let stream = UnixStream::connect(address).await.map_err(|source| match source.kind() {
-        io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => match writer_of(db) {
-            Some(writer) => ControlError::Deaf { db: db.to_owned(), writer },
-            None => ControlError::NoRun { db: db.to_owned() },
+        io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => match is_held(db) {
+            true => ControlError::Deaf { db: db.to_owned() },
+            false => ControlError::NoRun { db: db.to_owned() },
         },
         _ => at(source),
     })?;
@@ -358,11 +368,10 @@ mod tests {
         assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoRun { .. })));
         let store = Store::open(&db).await.unwrap();
         let deaf = ask(&db, &Command::Pause).await;
-        assert!(
-            matches!(deaf, Err(ControlError::Deaf { writer, .. }) if writer == std::process::id()),
-            "{deaf:?}"
-        );
+        assert!(matches!(deaf, Err(ControlError::Deaf { .. })), "{deaf:?}");
+        assert_eq!(run_of(&db).await, None);
         let listener = Listener::new(&db).unwrap();
+        assert_eq!(run_of(&db).await, Some(std::process::id()));
         assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o600);
 
         let (_held, address, _) = address(&db).unwrap();

@@ -10,6 +10,7 @@ pub mod control;
 pub mod engine;
 pub mod exit;
 pub mod export;
+pub mod files;
 pub mod fleet;
 pub mod link;
 pub mod look;

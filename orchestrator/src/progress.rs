@@ -1,4 +1,5 @@
-//! How a run is: its trials and steps by its database, its workers by /proc. The run itself is not asked.
+//! How a run is: its trials and steps by its database, its process by its socket, its workers by /proc. The run itself is
+//! not asked.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -7,7 +8,8 @@ use std::time::Instant;
 use metasense_worker::process::IDLE;
 use serde_json::{Value, json};
 
-use crate::fleet::{Seen, workers_of, writer_of};
+use crate::control::run_of;
+use crate::fleet::{Seen, workers_of};
 use crate::look::{Table, duration};
 use crate::store::{Reader, StoreError};
 
@@ -60,7 +62,7 @@ pub struct Progress {
     pub correction: Option<f64>,
     /// A row a worker, with its trial if it has one; then the trials whose worker is not seen from here.
     pub workers: Table,
-    /// The process that writes to the database.
+    /// The process of the run.
     pub run: Option<u32>,
 }
 
@@ -73,8 +75,8 @@ pub struct Looks {
 
 impl Looks {
     /// Looks at what workers compute, so that the next look can say how fast. Whether there is a run.
-    pub fn begin(&mut self, db: &Path) -> bool {
-        let run = writer_of(db);
+    pub async fn begin(&mut self, db: &Path) -> bool {
+        let run = run_of(db).await;
         run.inspect(|run| drop(look(*run, &mut self.before))).is_some()
     }
 
@@ -84,7 +86,7 @@ impl Looks {
     /// Where the database cannot be read.
     pub async fn look(&mut self, reader: &mut Reader) -> Result<Progress, StoreError> {
         let (whole, running) = (reader.query::<Table>(WHOLE).await?, reader.query::<Table>(RUNNING).await?);
-        let run = writer_of(reader.path());
+        let run = run_of(reader.path()).await;
         let workers = run.map(|run| look(run, &mut self.before)).unwrap_or_default();
         let number = |i: usize| whole.rows[0][i].as_f64();
         let (left, all) = (number(4).unwrap_or(0.0), number(11).unwrap_or(0.0));

@@ -6,6 +6,7 @@ mod source;
 use metasense_schemas::record::Provenance;
 use metasense_worker::simd;
 
+use crate::files::host;
 use crate::store::Made;
 
 /// Of this program on this machine, with so many threads a worker.
@@ -32,12 +33,6 @@ pub fn code() -> &'static str {
 #[must_use]
 pub fn revision() -> Option<&'static str> {
     option_env!("METASENSE_REVISION")
-}
-
-/// Name of this machine.
-#[must_use]
-pub fn host() -> String {
-    std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default().trim().to_owned()
 }
 
 /// Model of this machine's first processor.

@@ -146,7 +146,7 @@ pub struct ArrayHead {
     pub end: usize,
 }
 
-/// The heartbeat: what a worker is doing. May be lost.
+/// The heartbeat: that a worker comes further with an attempt. May be lost.
 #[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
 pub struct Progress {
@@ -154,10 +154,6 @@ pub struct Progress {
     pub trial: u32,
     /// `Lease::attempt`.
     pub attempt: u32,
-    /// Part of the trial that is done, 0 to 1.
-    pub fraction: f64,
-    /// Counts up with every sign of life.
-    pub beat: u64,
 }
 
 /// Longest time a worker goes without looking at its messages while idle, and the orchestrator without looking at progress.

@@ -7,7 +7,7 @@
 use std::io::Read;
 use std::os::unix::fs::MetadataExt;
 use std::panic::AssertUnwindSafe;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use metasense_numerics::pulse;
@@ -196,8 +196,7 @@ impl Worker {
         checkpoint: Option<Checkpoint>,
         threads: usize,
     ) -> Result<(), LinkError> {
-        let beats =
-            Beats { sender: &self.beats, lease, sent: AtomicU64::new(0), fraction: AtomicU64::new(0) };
+        let beats = Beats { sender: &self.beats, lease };
         let mut reporter =
             Reporter { worker: self, lease, beats: &beats, beaten: None, stop: false, broken: None };
         let perform = || (self.perform)(work, checkpoint, threads, &mut reporter);
@@ -302,18 +301,13 @@ pub fn free_space(path: &std::path::Path) -> Option<u64> {
 struct Beats<'a> {
     sender: &'a BeatSender,
     lease: Lease,
-    sent: AtomicU64,
-    /// Bits of the part that is done.
-    fraction: AtomicU64,
 }
 
 impl Beats<'_> {
     fn send(&self) {
-        let beat = 1 + self.sent.fetch_add(1, Ordering::Relaxed);
-        let fraction = f64::from_bits(self.fraction.load(Ordering::Relaxed));
         let Lease { trial, attempt } = self.lease;
         // A beat may be lost.
-        let _ = self.sender.send_copy(Progress { trial, attempt, fraction, beat });
+        let _ = self.sender.send_copy(Progress { trial, attempt });
     }
 
     /// Beats as long as the maths comes further, until `done`.
@@ -362,10 +356,9 @@ impl Reporter<'_> {
 }
 
 impl Observe for Reporter<'_> {
-    fn progress(&mut self, fraction: f64) -> Control {
+    fn progress(&mut self, _: f64) -> Control {
         if self.beaten.is_none_or(|at| at.elapsed() >= BEAT) {
             self.beaten = Some(Instant::now());
-            self.beats.fraction.store(fraction.to_bits(), Ordering::Relaxed);
             self.beats.send();
             self.listen();
         }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use metasense::analysis::{Question, Terms};
+use metasense::control::run_of;
 use metasense::export::npz;
-use metasense::fleet::writer_of;
 use metasense::report::load::finished_trials;
 use metasense::store::{Reader, StoreError, quoted};
 use numpy::{IntoPyArray, PyArray1};
@@ -118,8 +118,8 @@ impl Database {
     }
 
     /// Whether a run is at work on it.
-    fn is_running(&self) -> bool {
-        writer_of(&self.path).is_some()
+    fn is_running(&self, py: Python<'_>) -> PyResult<bool> {
+        self.asked(py, async |reader| Ok(run_of(reader.path()).await.is_some()))
     }
 
     fn __repr__(&self) -> String {

@@ -8,7 +8,7 @@ use metasense_worker::design::DesignError;
 use metasense_worker::measured::MeasuredError;
 
 use super::control;
-use crate::cluster::DealError;
+use crate::cluster::AssignmentError;
 use crate::cluster::home::HomeError;
 use crate::cluster::merge::MergeError;
 use crate::cluster::queue::QueueError;
@@ -65,7 +65,7 @@ pub enum Error {
     Merge(#[from] MergeError),
     /// Which shard runs what.
     #[error(transparent)]
-    Deal(#[from] DealError),
+    Assignment(#[from] AssignmentError),
     /// A scheduler's queue.
     #[error(transparent)]
     Queue(#[from] QueueError),
@@ -93,8 +93,11 @@ impl Error {
             Self::Engine(_) => Exit::Io,
             Self::Merge(MergeError::Nothing { .. }) => Exit::BadInput,
             Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
-            Self::Merge(_) | Self::Home(_) | Self::Queue(_) | Self::Deal(DealError::File { .. }) => Exit::Io,
-            Self::Deal(_) => Exit::BadInput,
+            Self::Merge(_)
+            | Self::Home(_)
+            | Self::Queue(_)
+            | Self::Assignment(AssignmentError::File { .. }) => Exit::Io,
+            Self::Assignment(_) => Exit::BadInput,
             Self::Control(e) => control::exit(e),
             Self::Usage(_)
             | Self::Spec(_)

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::named::Spec;
 use super::simd::Simd;
 use super::{Error, Format, print_rows};
-use crate::cluster::{Deal, Shard};
+use crate::cluster::{Assignment, Shard};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 use crate::plan::{Trial, counted};
@@ -22,7 +22,7 @@ pub(super) struct Args {
     /// Only those of shard I of N
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
-    /// The folder of the shards, by what is written down there; else as they would be dealt now
+    /// The folder of the shards, by what is written down there; else as they would be assigned now
     #[arg(long, value_name = "DIR", requires = "shard")]
     folder: Option<PathBuf>,
     #[command(flatten)]
@@ -36,11 +36,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.simd.choose()?;
     let mut plan = args.spec.plan()?;
     if let Some(shard) = args.shard {
-        let deal = match &args.folder {
-            Some(folder) => Deal::in_folder(folder, &plan.trials, shard.count())?,
-            None => Deal::new(&plan.trials, shard.count()),
+        let assignment = match &args.folder {
+            Some(folder) => Assignment::in_folder(folder, &plan.trials, shard.count())?,
+            None => Assignment::new(&plan.trials, shard.count()),
         };
-        deal.restrict(shard, &mut plan);
+        assignment.restrict(shard, &mut plan);
     }
     let sweep = &plan.spec.sweep;
     let linked = sweep.points.iter().flat_map(|point| point.keys()).filter(|key| key.contains('.'));

@@ -192,7 +192,7 @@ pub fn read_plan(file: &Path) -> Result<Plan, Error> {
 
 /// Writes a whole file.
 fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Error> {
-    std::fs::write(path, bytes).map_err(|source| Error::Io {
+    crate::files::write(path, bytes.as_ref()).map_err(|source| Error::Io {
         doing: "writing",
         path: path.to_owned(),
         source,

@@ -19,7 +19,7 @@ use crate::analysis::setting::flatten;
 use crate::analysis::trial;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
-use crate::cluster::{Deal, Shard};
+use crate::cluster::{Assignment, Shard};
 use crate::control::{Listener, WORKERS_MAX};
 use crate::engine::{self, Again, Control, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
@@ -59,11 +59,11 @@ pub(super) struct Args {
     /// Make again, from the beginning, what other code than this program's has made of the spec; `status` says what has
     #[arg(long)]
     redo_other_code: bool,
-    /// Only the trials of shard I of N: dealt out by their estimates, as the folder of --copy-to has it, else as the spec
+    /// Only the trials of shard I of N: assigned by their estimates, as the folder of --copy-to has it, else as the spec
     /// has it now
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
-    /// Of a shard: goes on from what an earlier try has put into this folder, and puts the database there when the run
+    /// Of a shard: goes on from what an earlier attempt has put into this folder, and puts the database there when the run
     /// ends, whether by itself or by a signal; the live database is on the node's own disk, in TMPDIR or --db
     #[arg(long, value_name = "DIR", requires = "shard")]
     copy_to: Option<PathBuf>,
@@ -98,7 +98,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
         if let Some(shard) = args.shard {
-            Deal::new(&plan.trials, shard.count()).restrict(shard, &mut plan);
+            Assignment::new(&plan.trials, shard.count()).restrict(shard, &mut plan);
         }
         let db = args.db.clone().unwrap_or_else(|| match args.shard {
             Some(shard) => plan.default_database().with_extension(format!("{}.sqlite", shard.file_stem())),
@@ -108,10 +108,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return end(&db, &plan, args.format, outcome).await;
     };
     check_submitted(folder, &plan)?;
-    let deal = Deal::in_folder(folder, &plan.trials, shard.count())?;
+    let assignment = Assignment::in_folder(folder, &plan.trials, shard.count())?;
     let home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
-    deal.write(folder)?;
-    deal.restrict(shard, &mut plan);
+    assignment.write(folder)?;
+    assignment.restrict(shard, &mut plan);
     home.take_in().await?;
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();
@@ -216,7 +216,7 @@ fn reread(plan: &Plan, args: &Args) -> Arc<Reread> {
     let (is_shard, asks) = (args.shard.is_some(), plan.spec.until.is_some());
     Arc::new(move || {
         if is_shard {
-            return Err("a shard's trials are dealt out before it begins: submit the edited spec".into());
+            return Err("a shard's trials are assigned before it begins: submit the edited spec".into());
         }
         let plan = spec.plan().map_err(|error| chain(&error))?;
         if asks || plan.spec.until.is_some() {

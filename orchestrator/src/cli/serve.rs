@@ -8,7 +8,7 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use tokio::net::TcpListener;
 
 use super::Error;
-use crate::cluster::home::tries;
+use crate::cluster::home::attempts;
 use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::serve::{Served, Source, Token, serve};
@@ -104,8 +104,8 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
 /// What a path stands for: a file or a folder of shards for itself, another folder for all that is in it.
 fn databases(path: &Path) -> Vec<PathBuf> {
     let is_database =
-        |path: &PathBuf| path.extension().is_some_and(|e| e == "sqlite") || !tries(path).is_empty();
-    let shards = path.extension().is_some_and(|e| e == "shards") || !tries(path).is_empty();
+        |path: &PathBuf| path.extension().is_some_and(|e| e == "sqlite") || !attempts(path).is_empty();
+    let shards = path.extension().is_some_and(|e| e == "shards") || !attempts(path).is_empty();
     if !path.is_dir() || shards {
         return vec![path.to_owned()];
     }

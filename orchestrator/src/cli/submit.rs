@@ -4,16 +4,15 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use sqlx::{ConnectOptions, Connection};
-
 use super::named::Spec;
 use super::{Error, duration, make_folder, write};
-use crate::cluster::home::{SUBMITTED_SPEC, tries};
+use crate::cluster::home::{SUBMITTED_SPEC, attempts};
 use crate::cluster::queue::{self, Job, Notes};
 use crate::cluster::submit::{Scheduler, Submission, estimate, line, planned, seconds};
-use crate::cluster::{Deal, Shard, ranges};
+use crate::cluster::{Assignment, Shard, ranges};
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
+use crate::store::ask_unchanging;
 
 /// Submits a sweep to Slurm or HyperQueue as shards, with a merge behind them
 ///
@@ -72,10 +71,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         (asked, before) => asked.or(before).unwrap_or_else(|| planned(&plan.trials, args.cpus, args.time)),
     };
-    let deal = Deal::in_folder(&folder, &plan.trials, shards)?;
+    let assignment = Assignment::in_folder(&folder, &plan.trials, shards)?;
     // In this order: what ends in between has been handed in when that is looked at.
     let queue = queue::ask(&jobs)?;
-    let incomplete = incomplete(&folder, &plan, &deal, shards).await?;
+    let incomplete = incomplete(&folder, &plan, &assignment, shards).await?;
     let (queued, which): (Vec<u32>, Vec<u32>) =
         incomplete.into_iter().partition(|shard| queue.shards.contains_key(shard));
     if !queued.is_empty() {
@@ -124,18 +123,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(unfit) = submission.unfit() {
         return Err(Error::Usage(format!("{unfit}; it would stand in a script")));
     }
-    say(&plan, &deal, &submission);
+    say(&plan, &assignment, &submission);
     match args.dry_run {
         true => print(&submission)?,
-        false => submit(&plan, &deal, &submission, &queue.jobs)?,
+        false => submit(&plan, &assignment, &submission, &queue.jobs)?,
     }
     Ok(Exit::Done)
 }
 
 /// What is going to be submitted, and how long it is thought to take.
-fn say(plan: &Plan, deal: &Deal, submission: &Submission) {
+fn say(plan: &Plan, assignment: &Assignment, submission: &Submission) {
     let Submission { shards, which, cpus, seconds, .. } = submission;
-    let (mean, longest) = estimate(&plan.trials, deal, *cpus);
+    let (mean, longest) = estimate(&plan.trials, assignment, *cpus);
     say!(
         "{} in {}, each about {} on {}, the longest {}; the time limit is {}",
         counted(plan.trials.len(), "trial"),
@@ -161,11 +160,16 @@ fn print(submission: &Submission) -> std::io::Result<()> {
     print_line!("$ {}", line(&submission.submit_merge("JOB", &[])))
 }
 
-fn submit(plan: &Plan, deal: &Deal, submission: &Submission, others: &[String]) -> Result<(), Error> {
+fn submit(
+    plan: &Plan,
+    assignment: &Assignment,
+    submission: &Submission,
+    others: &[String],
+) -> Result<(), Error> {
     let folder = &submission.folder;
     make_folder(folder)?;
     write(&folder.join(SUBMITTED_SPEC), &plan.source.text)?;
-    deal.write(folder)?;
+    assignment.write(folder)?;
     for script in submission.scripts() {
         write(&folder.join(script.name), script.text)?;
     }
@@ -226,16 +230,21 @@ pub(super) fn submitted(folder: &Path) -> Result<Vec<Job>, Error> {
 /// Of how many shards a folder holds databases, or has had some submitted.
 fn shards_of(folder: &Path, jobs: &[Job]) -> Option<u32> {
     let submitted = jobs.last().map(|job| job.shards);
-    submitted.or_else(|| tries(folder).keys().next_back().map(|shard| shard.count()))
+    submitted.or_else(|| attempts(folder).keys().next_back().map(|shard| shard.count()))
 }
 
 /// Shards that have handed nothing in, or not all of their trials settled. One without trials has to say so too.
-async fn incomplete(folder: &Path, plan: &Plan, deal: &Deal, shards: u32) -> Result<Vec<u32>, Error> {
+async fn incomplete(
+    folder: &Path,
+    plan: &Plan,
+    assignment: &Assignment,
+    shards: u32,
+) -> Result<Vec<u32>, Error> {
     let mut trials = vec![Vec::new(); shards as usize];
     for trial in &plan.trials {
-        trials[deal.shard(&trial.hash) as usize - 1].push(trial.hash.as_str());
+        trials[assignment.shard(&trial.hash) as usize - 1].push(trial.hash.as_str());
     }
-    let (mut which, mut handed_in) = (Vec::new(), tries(folder));
+    let (mut which, mut handed_in) = (Vec::new(), attempts(folder));
     for (shard, hashes) in (1..=shards).filter_map(|i| Shard::new(i, shards)).zip(trials) {
         let (mut there, mut all) = (false, HashSet::new());
         for file in handed_in.remove(&shard).unwrap_or_default() {
@@ -253,11 +262,6 @@ async fn incomplete(folder: &Path, plan: &Plan, deal: &Deal, shards: u32) -> Res
 }
 
 async fn settled(file: &Path) -> sqlx::Result<Vec<String>> {
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).immutable(true).read_only(true);
-    let mut db = options.disable_statement_logging().connect().await?;
-    let hashes: Vec<String> = sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
-        .fetch_all(&mut db)
-        .await?;
-    db.close().await?;
-    Ok(hashes)
+    let settled = "SELECT hash FROM trial WHERE state IN ('done', 'failed')";
+    ask_unchanging(file, async |db| sqlx::query_scalar(settled).fetch_all(db).await).await
 }

@@ -59,9 +59,7 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
     pub fn keep(&self, state: &T) {
         let Some(path) = &self.path else { return };
         let bytes = postcard::to_extend(state, self.digest.to_vec()).expect("a state is plain data");
-        let beside = path.with_extension("new");
-        let kept = write(&beside, bytes).map_err(|e| e.to_string());
-        if let Err(why) = kept.and_then(|()| std::fs::rename(&beside, path).map_err(|e| e.to_string())) {
+        if let Err(why) = write(path, bytes) {
             say!("what has been computed is not kept: {why}");
         }
     }
@@ -69,10 +67,11 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
     /// The command has written its results.
     pub fn done(&self) -> Result<(), Error> {
         let Some(path) = &self.path else { return Ok(()) };
-        for path in [path.with_extension("new"), path.clone()].into_iter().filter(|path| path.exists()) {
-            let removed = std::fs::remove_file(&path);
-            removed.map_err(|source| Error::Io { doing: "removing", path, source })?;
+        match std::fs::remove_file(path) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                Err(Error::Io { doing: "removing", path: path.clone(), source })
+            }
+            _ => Ok(()),
         }
-        Ok(())
     }
 }

@@ -36,7 +36,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let live = std::io::stdout().is_terminal() && !args.once;
     let mut looks = Looks::default();
-    if looks.begin(&db) {
+    if looks.begin(&db).await {
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
     loop {

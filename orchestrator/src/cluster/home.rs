@@ -1,11 +1,11 @@
 //! A shard's database: live on a disk of its node, handed in to the results folder as one file.
 //!
-//! What earlier tries have handed in is taken in first, so that a shard goes on on another node. It is handed in when
-//! the run ends, by itself or by a signal, and from time to time, should the node be lost. Each try has a file of its own
+//! What earlier attempts have handed in is taken in first, so that a shard can go on on another node. It is handed in when
+//! the run ends, by itself or by a signal, and from time to time, should the node be lost. Each attempt has a file of its own
 //! name, so that none overwrites another's, and one that is there is whole: it is renamed into its place.
 
 use std::collections::BTreeMap;
-use std::fs::{DirBuilder, File};
+use std::fs::DirBuilder;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
@@ -16,9 +16,10 @@ use rustix::process::{Signal, getpid, kill_process};
 
 use super::Shard;
 use super::merge::{self, MergeError};
+use crate::files;
 use crate::store::StoreError;
 
-/// Between two tries to hand in for the last time.
+/// Between two attempts to hand in for the last time.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// In a folder of shards: the spec that they were submitted with.
@@ -32,7 +33,7 @@ pub struct Home {
     scratch: Option<PathBuf>,
     folder: PathBuf,
     shard: Shard,
-    /// What this try hands in.
+    /// What this attempt hands in.
     handed_in: PathBuf,
 }
 
@@ -50,7 +51,7 @@ pub enum HomeError {
     /// The folder of another user.
     #[error("{} belongs to another user; set TMPDIR, or name a database with --db", .0.display())]
     Foreign(PathBuf),
-    /// What an earlier try has handed in.
+    /// What an earlier attempt has handed in.
     #[error("{} cannot be gone on with: {why}; move it away to go on without it", path.display())]
     Refused {
         /// The file.
@@ -58,12 +59,12 @@ pub enum HomeError {
         /// Why not.
         why: String,
     },
-    /// After many tries.
+    /// After many attempts.
     #[error("the database of the shard could not be handed in; it is left in {}", live.display())]
     NotHandedIn {
         /// Where it is, on this node.
         live: PathBuf,
-        /// The last try.
+        /// The last attempt.
         source: Box<HomeError>,
     },
     /// Merging it.
@@ -76,7 +77,7 @@ pub enum HomeError {
 
 impl Home {
     /// For a shard of the sweep `name` whose results go to `folder`; by default the database is in `TMPDIR`, under a name
-    /// by which the next try on the same node finds it.
+    /// by which the next attempt on the same node finds it.
     ///
     /// # Errors
     /// If a folder cannot be made.
@@ -86,7 +87,7 @@ impl Home {
         let folder = folder.canonicalize().map_err(|e| at(folder, e))?;
         let began = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
         let stem = shard.file_stem();
-        let handed_in = folder.join(format!("{stem}.{began}-{}-{}.sqlite", host(), std::process::id()));
+        let handed_in = folder.join(format!("{stem}.{began}-{}.sqlite", files::own_mark()));
         let (live, scratch) = match db {
             Some(db) => (db, None),
             None => {
@@ -117,12 +118,12 @@ impl Home {
         self.folder.join(format!("{}.log", self.shard.file_stem()))
     }
 
-    /// Takes in what earlier tries have handed in. To be called before the database is opened.
+    /// Takes in what earlier attempts have handed in. To be called before the database is opened.
     ///
     /// # Errors
     /// If it cannot be read.
     pub async fn take_in(&self) -> Result<(), HomeError> {
-        let earlier = tries(&self.folder).remove(&self.shard).unwrap_or_default();
+        let earlier = attempts(&self.folder).remove(&self.shard).unwrap_or_default();
         if earlier.is_empty() {
             return Ok(());
         }
@@ -139,21 +140,19 @@ impl Home {
     /// Copies the database, live or not, to the results folder.
     ///
     /// # Errors
-    /// If it cannot be copied; what this try has handed in before still lies there.
+    /// If it cannot be copied; what this attempt has handed in before still lies there.
     pub async fn hand_in(&self) -> Result<(), HomeError> {
-        let at = |path: &Path, source| HomeError::Folder { path: path.to_owned(), source };
         let copy = self.handed_in.with_extension("tmp");
         let _ = std::fs::remove_file(&copy);
         merge::snapshot(&self.live, &copy, true).await?;
-        File::open(&copy).and_then(|file| file.sync_all()).map_err(|e| at(&copy, e))?;
-        std::fs::rename(&copy, &self.handed_in).map_err(|e| at(&self.handed_in, e))?;
-        File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(|e| at(&self.folder, e))
+        files::put_in_place(&copy, &self.handed_in)
+            .map_err(|source| HomeError::Folder { path: self.handed_in.clone(), source })
     }
 
     /// Hands in for the last time, again and again until it has worked or `notice` is over.
     ///
     /// # Errors
-    /// The last try's.
+    /// The last attempt's.
     pub async fn hand_in_within(&self, notice: Duration) -> Result<(), HomeError> {
         let end = tokio::time::Instant::now() + notice;
         loop {
@@ -193,23 +192,16 @@ impl Home {
 
 /// The databases that shards have handed in to a folder.
 #[must_use]
-pub fn tries(folder: &Path) -> BTreeMap<Shard, Vec<PathBuf>> {
-    let mut tries = BTreeMap::<Shard, Vec<PathBuf>>::new();
+pub fn attempts(folder: &Path) -> BTreeMap<Shard, Vec<PathBuf>> {
+    let mut attempts = BTreeMap::<Shard, Vec<PathBuf>>::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
         if let Some(shard) = Shard::of_file(&name).filter(|_| name.ends_with(".sqlite")) {
-            tries.entry(shard).or_default().push(entry.path());
+            attempts.entry(shard).or_default().push(entry.path());
         }
     }
-    tries.values_mut().for_each(|files| files.sort());
-    tries
-}
-
-/// This machine, as part of a file's name.
-#[must_use]
-pub fn host() -> String {
-    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    name.trim().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect()
+    attempts.values_mut().for_each(|files| files.sort());
+    attempts
 }
 
 /// Asks this process to end, as SIGTERM does, when so much time has passed: for a scheduler that gives no notice.
@@ -237,6 +229,6 @@ mod tests {
         assert!(error.to_string().contains(db.to_str().unwrap()) && db.exists(), "{error}");
         std::fs::rename(bench.path().join("away"), &folder).unwrap();
         home.hand_in_within(Duration::ZERO).await.unwrap();
-        assert_eq!(tries(&folder).into_values().map(|files| files.len()).sum::<usize>(), 1);
+        assert_eq!(attempts(&folder).into_values().map(|files| files.len()).sum::<usize>(), 1);
     }
 }

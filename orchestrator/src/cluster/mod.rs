@@ -1,10 +1,10 @@
 //! Beyond one machine: shards of a sweep, and their databases merged.
 //!
 //! A shard is an ordinary run, with its own orchestrator, workers and database on a disk of its node; the cluster's own
-//! scheduler starts it. Shards know nothing of each other: trials are dealt out to them, and what comes back is a database
+//! scheduler starts it. Shards know nothing of each other: trials are assigned to them, and what comes back is a database
 //! each.
 
-mod deal;
+mod assignment;
 pub mod home;
 pub mod merge;
 pub mod queue;
@@ -12,5 +12,5 @@ mod shard;
 pub mod state;
 pub mod submit;
 
-pub use deal::{Deal, DealError};
+pub use assignment::{Assignment, AssignmentError};
 pub use shard::{Shard, ShardError, ranges};

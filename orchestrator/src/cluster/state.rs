@@ -4,11 +4,9 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::time::SystemTime;
 
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
-
 use super::Shard;
-use super::home::tries;
+use super::home::attempts;
+use crate::store::ask_unchanging;
 
 /// A shard.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,11 +26,11 @@ pub struct State {
 /// The shards of a folder. `queued`: what the scheduler says of each.
 pub async fn states(folder: &Path, shards: u32, queued: &HashMap<u32, String>) -> Vec<State> {
     let mut states = Vec::with_capacity(shards as usize);
-    let mut tries = tries(folder);
+    let mut attempts = attempts(folder);
     for shard in (1..=shards).filter_map(|index| Shard::new(index, shards)) {
         let mut state = State { shard, state: "nothing".into(), trials: None, run: None, age: None };
         let settled = |state: &State| state.trials.map(|[_, done, failed]| done + failed);
-        for file in tries.remove(&shard).unwrap_or_default() {
+        for file in attempts.remove(&shard).unwrap_or_default() {
             let this = of_try(&file, shard).await;
             let age = [state.age, this.age].into_iter().flatten().reduce(f64::min);
             // The one that has come farthest; of several, the last.
@@ -66,19 +64,14 @@ async fn of_try(file: &Path, shard: Shard) -> State {
 }
 
 async fn read(file: &Path, state: &mut State) -> sqlx::Result<[u32; 3]> {
-    let options = SqliteConnectOptions::new().filename(file).immutable(true).read_only(true);
-    let mut db = options.disable_statement_logging().connect().await?;
-    let trials: (u32, u32, u32) = sqlx::query_as(
-        "SELECT count(*), coalesce(sum(state = 'done'), 0), coalesce(sum(state = 'failed'), 0) FROM trial",
-    )
-    .fetch_one(&mut db)
-    .await?;
-    state.run = sqlx::query_as(
-        "SELECT estimated_seconds, seconds, host || coalesce(', ' || job, ''), outcome FROM v_run ORDER BY started_at DESC
-         LIMIT 1",
-    )
-    .fetch_optional(&mut db)
-    .await?;
-    db.close().await?;
-    Ok(trials.into())
+    let trials =
+        "SELECT count(*), coalesce(sum(state = 'done'), 0), coalesce(sum(state = 'failed'), 0) FROM trial";
+    let run = "SELECT estimated_seconds, seconds, host || coalesce(', ' || job, ''), outcome FROM v_run
+        ORDER BY started_at DESC LIMIT 1";
+    ask_unchanging(file, async |db| {
+        let trials: (u32, u32, u32) = sqlx::query_as(trials).fetch_one(&mut *db).await?;
+        state.run = sqlx::query_as(run).fetch_optional(db).await?;
+        Ok(trials.into())
+    })
+    .await
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::Deal;
+use super::Assignment;
 use super::shard::ranges;
 use crate::plan::Trial;
 
@@ -72,8 +72,8 @@ pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
 
 /// Estimated seconds of the mean and of the longest shard, each on its cores.
 #[must_use]
-pub fn estimate(trials: &[Trial], deal: &Deal, cpus: u32) -> (f64, f64) {
-    let costs = deal.costs(trials);
+pub fn estimate(trials: &[Trial], assignment: &Assignment, cpus: u32) -> (f64, f64) {
+    let costs = assignment.costs(trials);
     let cores = f64::from(cpus);
     let longest_trial = trials.iter().map(|trial| trial.cost).fold(0.0, f64::max);
     let longest = costs.iter().fold(0.0_f64, |most, cost| most.max(cost / cores)).max(longest_trial);
@@ -127,7 +127,7 @@ impl Submission {
              #SBATCH --open-mode=append\n\
              #SBATCH --output={}\n\
              # A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on\n\
-             # from what an earlier try has left here, and puts its database here when it ends: also by SIGTERM, which\n\
+             # from what an earlier attempt has left here, and puts its database here when it ends: also by SIGTERM, which\n\
              # comes {NOTICE} s before the time limit and reaches it because of exec.\n\
              exec {} \"$SLURM_ARRAY_TASK_ID/{shards}\" {}\n",
             ranges(&self.which),
@@ -162,7 +162,7 @@ impl Submission {
         format!(
             "#!/bin/sh\n\
              # A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on\n\
-             # from what an earlier try has left here, and puts its database here when it ends: by itself {NOTICE} s before\n\
+             # from what an earlier attempt has left here, and puts its database here when it ends: by itself {NOTICE} s before\n\
              # the time limit, of which HyperQueue gives no notice.\n\
              exec {} \"$HQ_TASK_ID/{}\" {} --stop-after {} \\\n  >> {output} 2>&1\n",
             self.run(),

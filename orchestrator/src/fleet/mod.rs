@@ -21,7 +21,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-pub use processes::{Seen, children, cpu_seconds, peak_mib, workers_of, writer_of};
+pub use processes::{Seen, children, cpu_seconds, peak_mib, workers_of};
 
 use crate::scheduler::WorkerId;
 

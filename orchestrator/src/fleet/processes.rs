@@ -1,6 +1,5 @@
 //! What `/proc` says of processes that somebody else may have started.
 
-use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 use metasense_schemas::wire::Start;
@@ -77,14 +76,4 @@ fn stat(pid: u32) -> Option<Stat> {
         parent: fields.get(1)?.parse().ok()?,
         ticks: fields.get(11)?.parse::<u64>().ok()? + fields.get(12)?.parse::<u64>().ok()?,
     })
-}
-
-/// The process that writes to a database. Asked of the kernel: to try the lock would keep a run that begins just then from
-/// it.
-#[must_use]
-pub fn writer_of(db: &Path) -> Option<u32> {
-    let inode = format!(":{} ", db.metadata().ok()?.ino());
-    let locks = std::fs::read_to_string("/proc/locks").ok()?;
-    let held = |line: &&str| line.contains("FLOCK") && line.contains("WRITE") && line.contains(&inode);
-    locks.lines().find(held)?.split_whitespace().nth(4)?.parse().ok()
 }

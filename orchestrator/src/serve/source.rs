@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 
 use super::trials::{Keeper, Trials};
 use crate::analysis::Terms;
-use crate::cluster::home::tries;
+use crate::cluster::home::attempts;
 use crate::cluster::merge::merge;
 use crate::exit::chain;
 use crate::fleet::cpu_seconds;
@@ -164,7 +164,7 @@ impl Merged {
 
     /// Merges what shards have handed in since.
     async fn look(&mut self, folder: &Path) -> Result<(), String> {
-        let files: Vec<PathBuf> = tries(folder).into_values().flatten().collect();
+        let files: Vec<PathBuf> = attempts(folder).into_values().flatten().collect();
         let stamp = |path: PathBuf| {
             let known = path.metadata().ok();
             let (size, at) = (known.as_ref().map_or(0, |m| m.len()), known.and_then(|m| m.modified().ok()));
@@ -248,7 +248,7 @@ impl Watcher {
             }
             self.reader = Some((Reader::open(&db).await.map_err(|e| chain(&e))?, number));
             self.version = -1;
-            self.looks.begin(&db);
+            self.looks.begin(&db).await;
             self.seen.db = db;
         }
         let (reader, _) = self.reader.as_mut().expect("it was just opened");

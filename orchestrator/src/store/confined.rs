@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use libsqlite3_sys as ffi;
 
-use super::read::{Answer, connect, options};
+use super::read::{Answer, connect, reading};
 use super::{OPENING, Reader, StoreError, check_version};
 
 /// What an answer may come to.
@@ -38,7 +38,7 @@ impl Reader {
             return Err(StoreError::Missing { path: path.to_owned() });
         }
         let at = |source| StoreError::sql(path, OPENING, source);
-        let mut connection = connect(options(path).row_buffer_size(ROWS_AHEAD), path).await?;
+        let mut connection = connect(reading(path).row_buffer_size(ROWS_AHEAD), path).await?;
         check_version(&mut connection, path).await?;
         let mut handle = connection.lock_handle().await.map_err(at)?;
         let db = handle.as_raw_handle().as_ptr();

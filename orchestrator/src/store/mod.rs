@@ -36,7 +36,7 @@ pub use log::Level;
 pub use made::{Made, Nearest};
 pub use npy::{npy_bytes, npy_values};
 pub use prior::{Attempted, Reached};
-pub use read::{Answer, Artifact, Reader, Row, quoted};
+pub use read::{Answer, Artifact, Reader, Row, ask_unchanging, quoted};
 pub use runs::{RunKey, RunPlan};
 pub use stored::Stored;
 pub use sweep::Reopen;
@@ -70,14 +70,7 @@ impl Store {
     async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
         let lock = lock(&path)?;
         let at = |source| StoreError::sql(&path, OPENING, source);
-        let mut connection = SqliteConnectOptions::new()
-            .filename(&path)
-            .busy_timeout(Duration::from_secs(10))
-            .foreign_keys(true)
-            .disable_statement_logging()
-            .connect()
-            .await
-            .map_err(at)?;
+        let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
         for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
@@ -117,12 +110,20 @@ impl Store {
     }
 }
 
+/// A connection that waits for others, and says nothing of what it is asked.
+pub(crate) fn options(path: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(path)
+        .busy_timeout(Duration::from_secs(10))
+        .disable_statement_logging()
+}
+
 /// Makes the folder and the file where they are missing, and keeps other writers out.
 fn lock(path: &Path) -> Result<File, StoreError> {
     let unwritable = |source| StoreError::Unwritable { path: path.to_owned(), source };
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder).map_err(unwritable)?;
-    if let Some(system) = disk::network_of(folder) {
+    let folder = Path::new(".").join(path.parent().unwrap_or(Path::new("")));
+    std::fs::create_dir_all(&folder).map_err(unwritable)?;
+    if let Some(system) = disk::network_of(&folder) {
         return Err(StoreError::NetworkDisk { path: path.to_owned(), system });
     }
     let file = OpenOptions::new()
@@ -178,8 +179,7 @@ pub(crate) async fn check_version(
 /// Brings a copy of an older database to the newest version. Nobody else may know of it: nothing is locked.
 pub(crate) async fn upgrade(path: &Path) -> Result<(), StoreError> {
     let at = |source| StoreError::sql(path, "upgrading", source);
-    let options = SqliteConnectOptions::new().filename(path).pragma("journal_mode", "MEMORY");
-    let mut connection = options.disable_statement_logging().connect().await.map_err(at)?;
+    let mut connection = options(path).pragma("journal_mode", "MEMORY").connect().await.map_err(at)?;
     let version = check_version(&mut connection, path).await?;
     migrate(&mut connection, version).await.map_err(at)?;
     connection.close().await.map_err(at)

@@ -4,7 +4,6 @@
 //! does, unless somebody else is at work on the database.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use futures_util::TryStreamExt;
 use serde_json::Value;
@@ -16,7 +15,7 @@ use sqlx::{
 
 use super::error::is_trouble;
 use super::write::read_checkpoint;
-use super::{OPENING, Store, StoreError, check_version, lock, npy_values};
+use super::{OPENING, Store, StoreError, check_version, lock, npy_values, options};
 use metasense_schemas::database::MIGRATIONS;
 use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::position_of;
@@ -107,12 +106,12 @@ impl Reader {
             return Err(StoreError::Missing { path });
         }
         let alone = !journal(&path).exists();
-        let mut connection = connect(options(&path), &path).await?;
+        let mut connection = connect(reading(&path), &path).await?;
         let version = check_version(&mut connection, &path).await?;
         if version < MIGRATIONS.len() {
             drop(connection);
             Store::open(&path).await?.close().await?;
-            connection = connect(options(&path), &path).await?;
+            connection = connect(reading(&path), &path).await?;
         }
         Ok(Self { connection, path, alone })
     }
@@ -139,7 +138,7 @@ impl Reader {
         if closed.is_ok()
             && alone
             && let Ok(_lock) = lock(&path)
-            && let Ok(mut writable) = SqliteConnectOptions::new().filename(&path).connect().await
+            && let Ok(mut writable) = options(&path).connect().await
         {
             let _ = writable.execute("SELECT count(*) FROM sqlite_schema").await;
             let _ = writable.close().await;
@@ -342,14 +341,24 @@ fn journal(path: &Path) -> PathBuf {
     name.into()
 }
 
+/// Asks a database that nobody writes to, as a file that does not change: neither locks nor a journal are looked for. It may
+/// be of an older version.
+///
+/// # Errors
+/// Where SQLite fails.
+pub async fn ask_unchanging<T>(
+    path: &Path,
+    ask: impl AsyncFnOnce(&mut SqliteConnection) -> sqlx::Result<T>,
+) -> sqlx::Result<T> {
+    let mut connection = options(path).read_only(true).immutable(true).connect().await?;
+    let answer = ask(&mut connection).await?;
+    connection.close().await?;
+    Ok(answer)
+}
+
 /// Read-only.
-pub(super) fn options(path: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new()
-        .filename(path)
-        .read_only(true)
-        .busy_timeout(Duration::from_secs(10))
-        .pragma("query_only", "ON")
-        .disable_statement_logging()
+pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
+    options(path).read_only(true).pragma("query_only", "ON")
 }
 
 /// Where the folder cannot hold the journal's index (a read-only medium), as an unchanging file.

@@ -5,15 +5,14 @@
 
 use std::path::Path;
 
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, ConnectOptions, Executor, Row};
 
 use crate::store;
 
 /// A new database, made at the speed of the disk: if the machine goes down in the middle, nothing has been done.
 pub(super) async fn create(path: &Path) -> sqlx::Result<SqliteConnection> {
-    let mut out = SqliteConnectOptions::new()
-        .filename(path)
+    let mut out = store::options(path)
         .create_if_missing(true)
         .foreign_keys(false)
         .pragma("locking_mode", "EXCLUSIVE")
@@ -21,7 +20,6 @@ pub(super) async fn create(path: &Path) -> sqlx::Result<SqliteConnection> {
         .pragma("synchronous", "OFF")
         .pragma("cache_size", "-131072")
         .pragma("temp_store", "MEMORY")
-        .disable_statement_logging()
         .connect()
         .await?;
     store::migrate(&mut out, 0).await?;

@@ -3,10 +3,8 @@
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use metasense_schemas::database::MIGRATIONS;
-use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
 use super::{MergeError, name_of};
@@ -42,20 +40,9 @@ impl Input {
             snapshot(file, &copy, false).await.map_err(|e| text(&e))?;
             path.clone_from(&copy);
         }
-        let version = async {
-            let mut connection = SqliteConnectOptions::new()
-                .filename(&path)
-                .immutable(true)
-                .read_only(true)
-                .disable_statement_logging()
-                .connect()
-                .await
-                .map_err(|source| StoreError::sql(&path, "opening", source))?;
-            let version = store::check_version(&mut connection, file).await?;
-            connection.close().await.map_err(|source| StoreError::sql(&path, "closing", source))?;
-            Ok::<_, StoreError>(version)
-        };
-        if version.await.map_err(|e| text(&e))? < MIGRATIONS.len() {
+        let version = store::ask_unchanging(&path, async |db| Ok(store::check_version(db, file).await)).await;
+        let version = version.map_err(|source| StoreError::sql(&path, "opening", source)).and_then(|v| v);
+        if version.map_err(|e| text(&e))? < MIGRATIONS.len() {
             if path != copy {
                 std::fs::copy(&path, &copy).map_err(|e| text(&e))?;
                 path.clone_from(&copy);
@@ -77,8 +64,7 @@ pub(super) async fn fold(file: &Path) -> Result<(), StoreError> {
         return Ok(());
     }
     let at = |source| StoreError::sql(file, "folding the log into", source);
-    let options = SqliteConnectOptions::new().filename(file).busy_timeout(Duration::from_secs(10));
-    let mut connection = options.disable_statement_logging().connect().await.map_err(at)?;
+    let mut connection = store::options(file).connect().await.map_err(at)?;
     // Busy, frames in the log, those of them that are in the file.
     let folded: (i64, i64, i64) =
         sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&mut connection).await.map_err(at)?;
@@ -96,14 +82,7 @@ pub(super) async fn fold(file: &Path) -> Result<(), StoreError> {
 /// Where SQLite fails.
 pub(in crate::cluster) async fn snapshot(file: &Path, copy: &Path, ours: bool) -> Result<(), StoreError> {
     let at = |source| StoreError::sql(file, "copying", source);
-    let mut connection = SqliteConnectOptions::new()
-        .filename(file)
-        .read_only(!ours)
-        .busy_timeout(Duration::from_secs(10))
-        .disable_statement_logging()
-        .connect()
-        .await
-        .map_err(at)?;
+    let mut connection = store::options(file).read_only(!ours).connect().await.map_err(at)?;
     let done = sqlx::query("VACUUM INTO ?").bind(writable_uri(copy)).execute(&mut connection).await;
     connection.close().await.map_err(at)?;
     done.map(|_| ()).map_err(at)

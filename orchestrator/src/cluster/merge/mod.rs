@@ -8,12 +8,12 @@ mod compare;
 mod copy;
 mod input;
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
 
+use crate::files;
 use crate::store::StoreError;
 pub use compare::{Finding, Kind};
 use input::Input;
@@ -78,7 +78,7 @@ fn first(refused: &[(PathBuf, String)]) -> String {
 /// If the result is in use, cannot be written, or nothing can be read.
 pub async fn merge(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
-    let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = files::folder(out);
     std::fs::create_dir_all(folder).map_err(unwritable)?;
     let _lock = input::keep_writers_out(out)?;
     let scratch = folder.join(format!(".{}.merge-{}", name_of(out), std::process::id()));
@@ -125,14 +125,11 @@ async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path) -> Result<Summa
 /// would be taken for the new one's, and goes when all that it holds is in the former file.
 async fn put_in_place(built: &Path, out: &Path) -> Result<(), MergeError> {
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
-    File::open(built).and_then(|file| file.sync_all()).map_err(unwritable)?;
     input::fold(out).await?;
     for journal in ["-wal", "-shm"] {
         let _ = std::fs::remove_file(input::beside(out, journal));
     }
-    std::fs::rename(built, out).map_err(unwritable)?;
-    let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    File::open(folder).and_then(|folder| folder.sync_all()).map_err(unwritable)
+    files::put_in_place(built, out).map_err(unwritable)
 }
 
 /// Where something went wrong: in an input, or in what is made.

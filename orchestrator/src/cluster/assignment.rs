@@ -1,7 +1,7 @@
 //! Which shard runs which trial: the longest first, by their estimates, each to the shard that has least to do.
 //!
-//! What has been dealt stays dealt: it is written down with the shards, and what a sweep gains later is dealt on top of
-//! it. Two that deal the same trials write the same.
+//! The assignment is written down with the shards, and stays: trials that a sweep gains later are added to it. Equal trials
+//! give equal files.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -9,19 +9,20 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use super::Shard;
-use super::home::{host, tries};
+use super::home::attempts;
+use crate::files;
 use crate::plan::{Plan, Trial};
 
-/// Trials by their hashes, and the shards that they belong to.
+/// The shard of each trial, by its hash.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Deal {
+pub struct Assignment {
     shards: u32,
     of: BTreeMap<String, u32>,
 }
 
-/// Why shards cannot be dealt out.
+/// Why shards cannot be assigned.
 #[derive(Debug, thiserror::Error)]
-pub enum DealError {
+pub enum AssignmentError {
     /// Reading or writing it.
     #[error("cannot {doing} {}, which says what shard runs what trial", path.display())]
     File {
@@ -58,40 +59,41 @@ pub enum DealError {
     },
 }
 
-impl Deal {
-    /// Of trials that have not been dealt yet.
+impl Assignment {
+    /// Of trials that have not been assigned yet.
     #[must_use]
     pub fn new(trials: &[Trial], shards: u32) -> Self {
-        let mut deal = Self { shards, of: BTreeMap::new() };
-        deal.add(trials);
-        deal
+        let mut assignment = Self { shards, of: BTreeMap::new() };
+        assignment.add(trials);
+        assignment
     }
 
-    /// As a folder has it, with the trials that are new.
+    /// As a folder has it, with the trials that are new. A file of the former name is read, too.
     ///
     /// # Errors
     /// If what is written there cannot be read, or is gone.
-    pub fn in_folder(folder: &Path, trials: &[Trial], shards: u32) -> Result<Self, DealError> {
-        let mut deal = Self { shards, of: BTreeMap::new() };
-        let path = folder.join(file_name(shards));
+    pub fn in_folder(folder: &Path, trials: &[Trial], shards: u32) -> Result<Self, AssignmentError> {
+        let mut assignment = Self { shards, of: BTreeMap::new() };
+        let [path, former] = [file_name(shards), former_name(shards)].map(|name| folder.join(name));
+        let path = if former.exists() && !path.exists() { former } else { path };
         match std::fs::read_to_string(&path) {
-            Ok(text) => deal.of = read(&text, shards, &path)?,
+            Ok(text) => assignment.of = read(&text, shards, &path)?,
             Err(error) if error.kind() == ErrorKind::NotFound => {
-                if tries(folder).keys().any(|shard| shard.count() == shards) {
-                    return Err(DealError::Lost { folder: folder.to_owned(), file: file_name(shards) });
+                if attempts(folder).keys().any(|shard| shard.count() == shards) {
+                    return Err(AssignmentError::Lost { folder: folder.to_owned(), file: file_name(shards) });
                 }
             }
-            Err(source) => return Err(DealError::File { doing: "read", path, source }),
+            Err(source) => return Err(AssignmentError::File { doing: "read", path, source }),
         }
-        deal.add(trials);
-        Ok(deal)
+        assignment.add(trials);
+        Ok(assignment)
     }
 
     /// Writes it down, where that has not been done.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn write(&self, folder: &Path) -> Result<(), DealError> {
+    pub fn write(&self, folder: &Path) -> Result<(), AssignmentError> {
         let path = folder.join(file_name(self.shards));
         let text: String = [HEAD.to_owned() + "\n"]
             .into_iter()
@@ -100,12 +102,14 @@ impl Deal {
         if std::fs::read_to_string(&path).is_ok_and(|written| written == text) {
             return Ok(());
         }
-        let new = path.with_extension(format!("{}-{}.tmp", host(), std::process::id()));
-        let written = std::fs::write(&new, text).and_then(|()| std::fs::rename(&new, &path));
-        written.map_err(|source| DealError::File { doing: "write", path, source })
+        files::write(&path, text.as_bytes()).map_err(|source| AssignmentError::File {
+            doing: "write",
+            path,
+            source,
+        })
     }
 
-    /// Deals out what has not been, and leaves the rest where it is.
+    /// Assigns what has not been, and leaves the rest where it is.
     fn add(&mut self, trials: &[Trial]) {
         // In whole milliseconds: sums that do not depend on their order. Nothing is for free, so that all shards get some.
         let cost = |trial: &Trial| (trial.cost * 1e3).round().max(1.0) as u64;
@@ -126,10 +130,10 @@ impl Deal {
         }
     }
 
-    /// The shard of a trial that has been dealt.
+    /// The shard of a trial that has been assigned.
     #[must_use]
     pub fn shard(&self, hash: &str) -> u32 {
-        *self.of.get(hash).unwrap_or_else(|| panic!("trial {hash} has not been dealt to a shard"))
+        *self.of.get(hash).unwrap_or_else(|| panic!("trial {hash} has not been assigned to a shard"))
     }
 
     /// Leaves a plan only the trials of one shard, in their places.
@@ -151,10 +155,15 @@ impl Deal {
 const HEAD: &str = "hash,shard";
 
 fn file_name(shards: u32) -> String {
+    format!("assignment-of-{shards}.csv")
+}
+
+/// Its name in folders of older programs.
+fn former_name(shards: u32) -> String {
     format!("deal-of-{shards}.csv")
 }
 
-fn read(text: &str, shards: u32, path: &Path) -> Result<BTreeMap<String, u32>, DealError> {
+fn read(text: &str, shards: u32, path: &Path) -> Result<BTreeMap<String, u32>, AssignmentError> {
     let mut of = BTreeMap::new();
     for (number, text) in text.lines().enumerate().filter(|(number, text)| *number > 0 || *text != HEAD) {
         let entry = text.split_once(',').and_then(|(hash, shard)| {
@@ -163,7 +172,7 @@ fn read(text: &str, shards: u32, path: &Path) -> Result<BTreeMap<String, u32>, D
         });
         let Some((hash, shard)) = entry else {
             let (path, text) = (path.to_owned(), text.to_owned());
-            return Err(DealError::Line { path, line: number + 1, text, shards });
+            return Err(AssignmentError::Line { path, line: number + 1, text, shards });
         };
         of.insert(hash.to_owned(), shard);
     }
@@ -187,8 +196,8 @@ mod tests {
         samples = 8\ntest = 2\n[sweep]\npanels = [2]\nsensors = [1]\n";
 
     /// Longest over mean.
-    fn ratio(deal: &Deal, trials: &[Trial]) -> f64 {
-        let costs = deal.costs(trials);
+    fn ratio(assignment: &Assignment, trials: &[Trial]) -> f64 {
+        let costs = assignment.costs(trials);
         costs.iter().copied().fold(0.0, f64::max) * costs.len() as f64 / costs.iter().sum::<f64>()
     }
 
@@ -196,7 +205,7 @@ mod tests {
         #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
         /// Costs over a factor of twenty, as over the sensors of a sweep: from 10 trials a shard on, no shard has more
-        /// than 1.15 times the mean, also when half as many are added; what was dealt stays; the order of trials is nothing.
+        /// than 1.15 times the mean, also when half as many are added; what was assigned stays; the order of trials is nothing.
         #[test]
         fn shards_are_even_and_trials_stay_in_theirs(
             shards in 2_u32..40,
@@ -207,16 +216,16 @@ mod tests {
             prop_assume!(count >= 10 * shards as usize);
             let all = trials(&logs.iter().map(|x| x.exp()).collect::<Vec<_>>());
             let first = &all[..count];
-            let deal = Deal::new(first, shards);
-            prop_assert!(ratio(&deal, first) <= 1.15, "{} of {shards}", ratio(&deal, first));
+            let assignment = Assignment::new(first, shards);
+            prop_assert!(ratio(&assignment, first) <= 1.15, "{} of {shards}", ratio(&assignment, first));
             let backwards: Vec<_> = first.iter().rev().cloned().collect();
-            prop_assert_eq!(&Deal::new(&backwards, shards), &deal);
+            prop_assert_eq!(&Assignment::new(&backwards, shards), &assignment);
 
             let folder = tempfile::tempdir().unwrap();
-            deal.write(folder.path()).unwrap();
+            assignment.write(folder.path()).unwrap();
             let more = &all[..count * 3 / 2];
-            let later = Deal::in_folder(folder.path(), more, shards).unwrap();
-            prop_assert!(first.iter().all(|t| later.shard(&t.hash) == deal.shard(&t.hash)));
+            let later = Assignment::in_folder(folder.path(), more, shards).unwrap();
+            prop_assert!(first.iter().all(|t| later.shard(&t.hash) == assignment.shard(&t.hash)));
             prop_assert!(ratio(&later, more) <= 1.15, "{} of {shards}, later", ratio(&later, more));
         }
     }
@@ -226,9 +235,9 @@ mod tests {
     fn small_sweeps_are_dealt_evenly() {
         let sizes = |count: usize, shards: u32| {
             let trials = trials(&vec![0.0; count]);
-            let deal = Deal::new(&trials, shards);
+            let assignment = Assignment::new(&trials, shards);
             (1..=shards)
-                .map(|s| trials.iter().filter(|t| deal.shard(&t.hash) == s).count())
+                .map(|s| trials.iter().filter(|t| assignment.shard(&t.hash) == s).count())
                 .collect::<Vec<_>>()
         };
         assert_eq!(sizes(4, 2), [2, 2]);
@@ -238,17 +247,19 @@ mod tests {
     #[test]
     fn what_cannot_be_read_is_no_deal() {
         let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("deal-of-2.csv");
+        let file = folder.path().join("assignment-of-2.csv");
         for text in
             ["hash,shard\nab,3\n", "hash,shard\nab\n", "hash,shard\nxy,1\n", "hash,shard\nab,0\n", "\u{0}"]
         {
             std::fs::write(&file, text).unwrap();
-            let read = Deal::in_folder(folder.path(), &[], 2);
-            assert!(matches!(read, Err(DealError::Line { .. })), "{text:?}: {read:?}");
+            let read = Assignment::in_folder(folder.path(), &[], 2);
+            assert!(matches!(read, Err(AssignmentError::Line { .. })), "{text:?}: {read:?}");
         }
         std::fs::remove_file(&file).unwrap();
         std::fs::write(folder.path().join("shard-1-of-2.sqlite"), "").unwrap();
-        assert!(matches!(Deal::in_folder(folder.path(), &[], 2), Err(DealError::Lost { .. })));
-        assert!(Deal::in_folder(folder.path(), &[], 3).is_ok());
+        assert!(matches!(Assignment::in_folder(folder.path(), &[], 2), Err(AssignmentError::Lost { .. })));
+        assert!(Assignment::in_folder(folder.path(), &[], 3).is_ok());
+        std::fs::write(folder.path().join(former_name(2)), "hash,shard\nab,2\n").unwrap();
+        assert_eq!(Assignment::in_folder(folder.path(), &[], 2).unwrap().shard("ab"), 2);
     }
 }
