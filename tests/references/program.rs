@@ -1,18 +1,18 @@
 //! Commands with their options, exit codes and views, from the program itself; its tests, from the heads of their files.
 
-use clap::CommandFactory;
-use metasense::cli::Cli;
+use metasense::cli::{GROUPS, command};
 use metasense::exit::EXIT_CODES;
 use metasense::store::{Reader, Store};
 use metasense_schemas::database::VIEWS;
 
 use super::table;
 
-/// The commands that people use, built, so that they know their own full usage.
-fn visible() -> Vec<clap::Command> {
-    let mut program = Cli::command();
+/// Each heading with its commands, built, so that they know their own full usage.
+fn groups() -> impl Iterator<Item = (&'static str, Vec<clap::Command>)> {
+    let mut program = command();
     program.build();
-    program.get_subcommands().filter(|c| !c.is_hide_set() && c.get_name() != "help").cloned().collect()
+    let find = move |name: &&str| program.find_subcommand(name).unwrap().clone();
+    GROUPS.iter().map(move |(heading, names)| (*heading, names.iter().map(&find).collect()))
 }
 
 fn usage(command: &clap::Command) -> String {
@@ -29,15 +29,17 @@ fn line(text: Option<&clap::builder::StyledStr>) -> String {
 }
 
 pub fn commands() -> String {
-    table(
-        &["command", "does"],
-        visible().iter().map(|c| vec![format!("`{}`", usage(c)), line(c.get_about())]),
-    )
+    let mut rows = Vec::new();
+    for (heading, commands) in groups() {
+        rows.push(vec![format!("**{heading}**"), String::new()]);
+        rows.extend(commands.iter().map(|c| vec![format!("`{}`", usage(c)), line(c.get_about())]));
+    }
+    table(&["command", "does"], rows)
 }
 
 pub fn options() -> String {
     let mut text = String::new();
-    for command in visible() {
+    for command in groups().flat_map(|(_, commands)| commands) {
         text += &format!("#### {}\n\n", command.get_name());
         add_options(&command, &mut text);
     }
@@ -123,7 +125,7 @@ pub fn tests() -> String {
     let mut rows = Vec::new();
     for entry in std::fs::read_dir(super::root().join("tests")).unwrap() {
         let file = entry.unwrap().file_name().into_string().unwrap();
-        if !file.ends_with(".rs") || file == "program.rs" {
+        if !file.ends_with(".rs") || matches!(&*file, "program.rs" | "bench.rs") {
             continue;
         }
         let text = super::read(&format!("tests/{file}"));

@@ -38,6 +38,7 @@ use serde::{Deserialize, Serialize};
 pub struct SweepSpec {
     /// Another spec (TOML), by its path from the folder of this one. It gives the keys that this one leaves out: tables are
     /// merged key by key, any other value here replaces the one there. It may have a base, too.
+    /// Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<std::path::PathBuf>,
     /// Names the sweep and its database, `results/NAME.sqlite`.
