@@ -10,7 +10,7 @@ use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use metasense_numerics::pulse;
+use metasense_numerics::Heartbeat;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{
@@ -50,8 +50,9 @@ fn complain(what: std::fmt::Arguments) {
     let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("{what}\n"));
 }
 
-/// Does the work of a job, from a checkpoint or from the start, on so many threads.
-pub type Perform = fn(&str, Option<Checkpoint>, usize, &mut dyn Observe) -> Result<TrialResult, Failure>;
+/// Does the work of a job, from a checkpoint or from the start, on so many threads; counts what it has done.
+pub type Perform =
+    fn(&str, Option<Checkpoint>, usize, Heartbeat, &mut dyn Observe) -> Result<TrialResult, Failure>;
 
 /// `Perform` for trials: the job is a `TrialSpec` as JSON.
 ///
@@ -61,10 +62,11 @@ pub fn perform_trial(
     job: &str,
     checkpoint: Option<Checkpoint>,
     threads: usize,
+    heartbeat: Heartbeat,
     observer: &mut dyn Observe,
 ) -> Result<TrialResult, Failure> {
     let trial: TrialSpec = serde_json::from_str(job).map_err(|error| Failure::Rejected(error.to_string()))?;
-    run::run_trial(&trial, checkpoint, threads, observer)
+    run::run_trial(&trial, checkpoint, &run::pool_counting(threads, heartbeat)?, observer)
 }
 
 /// The hidden subcommand: `start` is a `wire::Start` as JSON. Returns the exit code.
@@ -196,10 +198,11 @@ impl Worker {
         checkpoint: Option<Checkpoint>,
         threads: usize,
     ) -> Result<(), LinkError> {
-        let beats = Beats { sender: &self.beats, lease };
+        let heartbeat = Heartbeat::default();
+        let beats = Beats { sender: &self.beats, lease, heartbeat: heartbeat.clone() };
         let mut reporter =
             Reporter { worker: self, lease, beats: &beats, beaten: None, stop: false, broken: None };
-        let perform = || (self.perform)(work, checkpoint, threads, &mut reporter);
+        let perform = || (self.perform)(work, checkpoint, threads, heartbeat, &mut reporter);
         let done = AtomicBool::new(false);
         let ended = std::thread::scope(|scope| {
             let beats = std::thread::Builder::new()
@@ -301,6 +304,8 @@ pub fn free_space(path: &std::path::Path) -> Option<u64> {
 struct Beats<'a> {
     sender: &'a BeatSender,
     lease: Lease,
+    /// Of the maths.
+    heartbeat: Heartbeat,
 }
 
 impl Beats<'_> {
@@ -312,10 +317,10 @@ impl Beats<'_> {
 
     /// Beats as long as the maths comes further, until `done`.
     fn while_work_is_done(&self, done: &AtomicBool) {
-        let mut seen = pulse::count();
+        let mut seen = self.heartbeat.count();
         while !done.load(Ordering::Acquire) {
             std::thread::park_timeout(PULSE);
-            let before = std::mem::replace(&mut seen, pulse::count());
+            let before = std::mem::replace(&mut seen, self.heartbeat.count());
             if seen != before {
                 self.send();
             }

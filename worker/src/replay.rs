@@ -149,7 +149,7 @@ pub(crate) mod tests {
     #[test]
     fn a_replay_has_the_errors_that_the_trial_recorded() {
         let trial = small_trial();
-        let result = run_trial(&trial, None, 1, &mut Blind).unwrap();
+        let result = run_trial(&trial, None, &pool(1).unwrap(), &mut Blind).unwrap();
         for BodyEvaluation { design, networks, .. } in [&result.initial, &result.optimised] {
             let found = replay(&trial, design, &networks[0].weights, 1).unwrap();
             let recorded = [networks[0].error_train, networks[0].error_test, networks[0].error_holdout];

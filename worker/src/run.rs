@@ -1,5 +1,7 @@
 //! One trial from its spec to its result, for a worker process or in the foreground.
 
+use metasense_numerics::Heartbeat;
+pub use metasense_numerics::Pool;
 use metasense_numerics::nested::{self, Optimised, Problem, State};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
@@ -43,14 +45,14 @@ pub enum Failure {
     NonFinite(String),
 }
 
-/// Runs a trial, from the beginning or from a checkpoint of its own, on a pool of `threads` threads (0 counts as 1).
+/// Runs a trial, from the beginning or from a checkpoint of its own.
 ///
 /// # Errors
 /// Says why there is no result. Whatever `observer` was given before then holds.
 pub fn run_trial(
     trial: &TrialSpec,
     checkpoint: Option<Checkpoint>,
-    threads: usize,
+    pool: &Pool,
     observer: &mut dyn Observe,
 ) -> Result<TrialResult, Failure> {
     let problem = prepared(trial)?;
@@ -58,23 +60,22 @@ pub fn run_trial(
         None => None,
         Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(Failure::Rejected)?),
     };
-    let pool = pool(threads)?;
     let mut watch = Watch { observer, store: 0.0, done: 0.0 };
-    match nested::optimise(&problem, resume, &pool, &mut watch) {
-        Ok(Some(optimised)) => Ok(result(optimised)),
+    match nested::optimise(&problem, resume, pool, &mut watch) {
+        Ok(Some(optimised)) => Ok(result(optimised, pool)),
         Ok(None) => Err(Failure::Stopped),
         Err(failure) => Err(Failure::NonFinite(failure.to_string())),
     }
 }
 
-fn result(optimised: Optimised) -> TrialResult {
+fn result(optimised: Optimised, pool: &Pool) -> TrialResult {
     TrialResult {
         initial: convert::body_evaluation(optimised.initial),
         optimised: convert::body_evaluation(optimised.optimised),
         best_step: optimised.best_step,
         seconds_evaluation: optimised.seconds.simulate + optimised.seconds.train,
         counters: convert::counters(&optimised.counters),
-        simd: simd::name().into(),
+        simd: pool.width().name().into(),
         solver: optimised.solver,
         signal_errors: optimised.signal_errors.map(convert::finite),
         placed: optimised.placed.map(convert::placed),
@@ -95,7 +96,7 @@ pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
 ///
 /// # Errors
 /// If the spec stands for no trial, or the search comes to nothing.
-pub fn placed(trial: &TrialSpec, pool: &rayon::ThreadPool) -> Result<Problem, Failure> {
+pub fn placed(trial: &TrialSpec, pool: &Pool) -> Result<Problem, Failure> {
     let problem = prepared(trial)?;
     let (problem, _) =
         nested::placed(&problem, pool).map_err(|failure| Failure::NonFinite(failure.to_string()))?;
@@ -121,10 +122,16 @@ pub fn evaluate_designs(
 ///
 /// # Errors
 /// If the system does not start them.
-pub fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.max(1))
-        .build()
+pub fn pool(threads: usize) -> Result<Pool, Failure> {
+    pool_counting(threads, Heartbeat::default())
+}
+
+/// The same, what they do counted there.
+///
+/// # Errors
+/// If the system does not start them.
+pub fn pool_counting(threads: usize, heartbeat: Heartbeat) -> Result<Pool, Failure> {
+    Pool::with(threads.max(1), simd::width(), heartbeat)
         .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))
 }
 

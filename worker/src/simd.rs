@@ -1,6 +1,7 @@
 //! The instruction set of this process's kernels, by its name.
 
 use metasense_numerics::simd::Width;
+use std::sync::OnceLock;
 
 /// Of all instruction sets, narrowest first.
 pub const NAMES: [&str; 3] = ["baseline", "avx2", "avx512"];
@@ -21,10 +22,18 @@ pub enum SimdError {
     },
 }
 
-/// What the kernels of this process use.
+/// The process's own, as its command line has it: kernels know of none but that of their pool.
+static CHOSEN: OnceLock<Width> = OnceLock::new();
+
+/// What the pools of this process use: what it was told to by `choose`, else the widest that this machine has.
+pub fn width() -> Width {
+    *CHOSEN.get_or_init(Width::detect)
+}
+
+/// Its name.
 #[must_use]
 pub fn name() -> &'static str {
-    Width::chosen().name()
+    width().name()
 }
 
 /// Makes them use this; once, before they are used.
@@ -35,7 +44,9 @@ pub fn name() -> &'static str {
 /// # Panics
 /// If they use another already.
 pub fn choose(name: &str) -> Result<(), SimdError> {
-    find(name, Width::detect())?.choose();
+    let asked = find(name, Width::detect())?;
+    let chosen = *CHOSEN.get_or_init(|| asked);
+    assert_eq!(chosen, asked, "another instruction set is in use");
     Ok(())
 }
 

@@ -1,11 +1,11 @@
 //! One body under given forces: signals, motion and, of a cotangent on the signals, the gradient in the design.
 
+use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{
     self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, energy, tune,
 };
 use metasense_numerics::nested::Problem;
 use metasense_schemas::spec::TrialSpec;
-use rayon::ThreadPool;
 
 use crate::run::{Failure, placed, pool, prepared};
 
@@ -102,7 +102,7 @@ pub fn strike(
     forces: &Forces,
     solver: &Solver,
     keep_tape: bool,
-    pool: &ThreadPool,
+    pool: &Pool,
 ) -> (Tuned, Simulation) {
     let tuned = tune(scene, design, forces, solver, pool);
     let run = dynamics::simulate(scene, design, forces, &tuned.solver, keep_tape, pool);

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Control, Observe, run_trial};
+use metasense_worker::run::{Control, Observe, pool, run_trial};
 use serde_json::json;
 
 /// Sleeps after each step, as a worker does that waits for a core or for the database.
@@ -53,7 +53,7 @@ fn a_trials_seconds_are_those_of_the_cpu_and_not_of_the_wall_clock() {
     }))
     .unwrap();
     let (began, mut sleeper) = (Instant::now(), Sleeper::default());
-    let result = run_trial(&trial, None, 1, &mut sleeper).unwrap();
+    let result = run_trial(&trial, None, &pool(1).unwrap(), &mut sleeper).unwrap();
     let (wall, recorded) = (began.elapsed().as_secs_f64(), sleeper.recorded + result.seconds_evaluation);
     assert!(recorded > 0.0, "{recorded} s recorded");
     // Signs of life within every step, not one at its end alone; the part that is done grows.

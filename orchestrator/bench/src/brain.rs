@@ -82,14 +82,14 @@ fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) ->
     let network = Brain { preset: Some(preset), ..Brain::default() }.network();
     let architecture = Architecture::new(network.width, &network.kernels, &network.dilations, network.causal);
     let shape = Shape { instants, inputs: 3 * sensors, outputs: panels, architecture };
-    let pool = pool(threads.into());
+    let pool = pool(threads.into(), width);
     let mut stream = Stream::new(Purpose::Batch, 1, [0, 0]);
     let mut draw = |n: usize| (0..n).map(|_| F::from_f64(stream.normal())).collect::<Vec<F>>();
     let data = Data::new(shape, &draw(samples * instants * shape.inputs), &draw(samples * instants * panels));
     let mut weights: Vec<F> = initial_weights(shape, 1, 0).into_iter().map(F::from_f64).collect();
     let direction = weights.clone();
     let (mut gradient, mut adam) = (weights.clone(), Adam::new(weights.len()));
-    let (ws, kernels) = (&mut Workspace::with_width(shape, width), F::kernels(width));
+    let (ws, kernels) = (&mut Workspace::new(shape, width), F::kernels(width));
     let layers: usize = (shape.layers()..2 * shape.layers()).map(|block| shape.range(block).len()).sum();
 
     let timed = |work: &mut dyn FnMut()| {
@@ -101,7 +101,7 @@ fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) ->
     let mut peak = 0.0f64;
     for _ in 0..args.repeat.max(1) {
         let mut work = 0;
-        let seconds = timed(&mut || work = pool.broadcast(|_| kernels.burst(300_000)).iter().sum());
+        let seconds = timed(&mut || work = pool.broadcast(|| kernels.burst(300_000)).iter().sum());
         peak = peak.max(work as f64 / seconds);
         // A step of length 0 costs the same and leaves the weights for the next round.
         let times = [

@@ -9,6 +9,7 @@ use metasense::cli::{Error, Format, print_rows};
 use metasense::exit::Exit;
 use metasense::look::Table;
 use metasense::row;
+use metasense_numerics::Heartbeat;
 use metasense_numerics::brain::linear::{Fit, Lags, Moments, Order, Sizes};
 use metasense_numerics::random::{Purpose, Stream};
 use serde_json::{Value, json};
@@ -66,7 +67,7 @@ fn measured(args: &Args, sensors: u8, memory: u16) -> Vec<Value> {
         last = Instant::now();
         1e3 * spent
     };
-    let mut moments = Moments::new(sizes);
+    let mut moments = Moments::new(sizes, &Heartbeat::default());
     moments.add(&x, &f, &vec![1.0; samples]);
     let first = passed();
     let lags = Lags { before: reach, after: reach };

@@ -23,6 +23,8 @@ use metasense::cli::{self, Error, block_on};
 use metasense::exit::{EXIT_CODES, Exit};
 use metasense::look::Table;
 use metasense_numerics::simd::Width;
+use metasense_numerics::{Heartbeat, Pool};
+use metasense_worker::simd::width;
 use serde_json::{Value, json};
 
 /// Measures what metasense costs on this machine. For development: `cargo run --release -p metasense-bench -- BENCH`
@@ -110,11 +112,11 @@ fn file_name(path: &Path) -> String {
 
 /// The instruction sets up to the process's own, that first.
 fn widths() -> impl Iterator<Item = Width> {
-    Width::ALL.into_iter().rev().filter(|width| *width <= Width::chosen())
+    Width::ALL.into_iter().rev().filter(|narrow| *narrow <= width())
 }
 
-fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
+fn pool(threads: usize, width: Width) -> Pool {
+    Pool::with(threads, width, Heartbeat::default()).expect("threads")
 }
 
 /// Most memory that this process has had.

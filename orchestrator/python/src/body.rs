@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use metasense::plan::Plan;
 use metasense::report::body::sketch;
+use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, Tuned, tune};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::nested::Problem;
@@ -17,7 +18,6 @@ use metasense_worker::simulate::{check_design, forces, strike};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
-use rayon::ThreadPool;
 
 use crate::arrays::{Numbers, numbers, vector};
 use crate::simulation::Simulation;
@@ -30,7 +30,7 @@ use crate::{chain, raised};
 #[pyclass(frozen, module = "metasense")]
 pub struct Body {
     pub problem: Arc<Problem>,
-    pub pool: Arc<ThreadPool>,
+    pub pool: Arc<Pool>,
     hash: String,
     trial: TrialSpec,
     feasible: Mutex<Feasible>,
@@ -221,7 +221,7 @@ impl Body {
     /// Threads that the body computes on.
     #[getter]
     fn threads(&self) -> usize {
-        self.pool.current_num_threads()
+        self.pool.threads()
     }
 
     /// [stretch, shear, bend] of a ligament (N/mm, N/mm, N·mm/rad), a copy.

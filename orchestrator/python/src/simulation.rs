@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
+use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{self, Forces, Gradient, Outcome, Parameters, Scene, Tangent, Tuned, Wrt};
 use metasense_worker::simulate::{check_cotangent, finite};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rayon::ThreadPool;
 use rayon::prelude::*;
 
 use crate::arrays::{Numbers, numbers, vector};
@@ -17,7 +17,7 @@ use crate::{SimulationError, raised};
 /// What a struck body did: its sensors' signals, how each sample ended, and derivatives of the signals.
 #[pyclass(frozen, module = "metasense")]
 pub struct Simulation {
-    pool: Arc<ThreadPool>,
+    pool: Arc<Pool>,
     scene: Scene,
     design: Vec<f64>,
     forces: Forces,
@@ -29,7 +29,7 @@ pub struct Simulation {
 impl Simulation {
     pub fn new(
         py: Python<'_>,
-        pool: Arc<ThreadPool>,
+        pool: Arc<Pool>,
         scene: Scene,
         design: Vec<f64>,
         forces: Forces,

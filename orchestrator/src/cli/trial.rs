@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord};
-use metasense_worker::run::{Control, Failure, Observe, run_trial};
+use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
 use serde_json::json;
 
 use super::named::Named;
@@ -34,7 +34,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.simd.choose()?;
     let (hash, spec) = args.trial.read().await?;
     let start = Instant::now();
-    let result = match run_trial(&spec, None, args.threads.into(), &mut Steps) {
+    let result = match pool(args.threads.into()).and_then(|pool| run_trial(&spec, None, &pool, &mut Steps)) {
         Ok(result) => result,
         Err(failure @ (Failure::NonFinite(_) | Failure::Stopped)) => {
             say!("failed: trial {hash}: {failure}");

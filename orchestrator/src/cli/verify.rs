@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use metasense_worker::run::Pool;
 use metasense_worker::verify::{self, Row};
 use serde_json::Value;
 
@@ -28,9 +29,7 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(args.threads)
-        .build()
+    let pool = Pool::new(args.threads)
         .map_err(|e| Error::Usage(format!("cannot start {} threads: {e}", args.threads)))?;
     let rows = match &args.cases {
         Some(folder) => verify::cases(folder, &pool).map_err(|e| Error::Usage(e.to_string()))?,

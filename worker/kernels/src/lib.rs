@@ -7,6 +7,8 @@ pub mod body;
 pub mod brain;
 pub mod dynamics;
 mod lanes;
-pub mod pulse;
+mod pool;
 pub mod random;
 pub mod simd;
+
+pub use pool::{Heartbeat, Pool};

@@ -1,9 +1,5 @@
 //! Which instruction set the hot kernels use, chosen at run time so that one binary serves every x86-64 machine.
 
-use std::sync::OnceLock;
-
-static CHOSEN: OnceLock<Width> = OnceLock::new();
-
 /// An instruction set that the kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Width {
@@ -18,21 +14,6 @@ pub enum Width {
 impl Width {
     /// All, narrowest first.
     pub const ALL: [Self; 3] = [Self::Baseline, Self::Avx2, Self::Avx512];
-
-    /// What this process uses: what it was told to by `choose`, else the widest that this machine has.
-    pub fn chosen() -> Self {
-        *CHOSEN.get_or_init(Self::detect)
-    }
-
-    /// Makes this what the process uses; once, before anything asks for `chosen`.
-    ///
-    /// # Panics
-    /// If the machine lacks it, or another is in use.
-    pub fn choose(self) {
-        self.check();
-        let chosen = *CHOSEN.get_or_init(|| self);
-        assert_eq!(chosen, self, "another instruction set is in use");
-    }
 
     /// # Panics
     /// If the machine lacks it.

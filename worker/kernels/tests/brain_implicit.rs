@@ -23,8 +23,8 @@ fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
         Data::new(shape, &x, &y)
     };
     let (train, test) = (sample(4), sample(3));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("threads");
-    let ws = &mut Workspace::new(shape);
+    let pool = metasense_kernels::Pool::new(1).expect("threads");
+    let ws = &mut Workspace::new(shape, pool.width());
 
     // Training, every iterate kept.
     let mut gradient = vec![0.0; shape.weights()];
@@ -71,8 +71,8 @@ fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
 #[test]
 fn the_gauss_newton_matrix_is_positive_and_the_hessian_of_a_perfect_fit() {
     let shape = Shape { instants: 10, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("threads");
-    let (ws, mut stream) = (&mut Workspace::new(shape), Stream::new(Purpose::Batch, 9, [0, 0]));
+    let pool = metasense_kernels::Pool::new(1).expect("threads");
+    let (ws, mut stream) = (&mut Workspace::new(shape, pool.width()), Stream::new(Purpose::Batch, 9, [0, 0]));
     let x: Vec<f64> = (0..4 * 30).map(|_| stream.normal()).collect();
     let weights = initial_weights(shape, 1, 0);
     let answers = predict(&weights, Data::new(shape, &x, &vec![0.0; 4 * 20]).all(), ws, &pool);

@@ -1,5 +1,6 @@
 //! The linear brain: what is fitted is the minimum, pulled back it is the transpose, and its sensitivity solves H z = V.
 
+use metasense_kernels::Heartbeat;
 use metasense_kernels::brain::linear::{Fit, Lags, Linear, Moments, Order, Singular, Sizes};
 use metasense_kernels::random::{Purpose, Stream};
 
@@ -24,7 +25,7 @@ fn set(sizes: Sizes, seed: u64) -> Set {
 }
 
 fn moments(set: &Set) -> Moments {
-    let mut moments = Moments::new(set.sizes);
+    let mut moments = Moments::new(set.sizes, &Heartbeat::default());
     moments.add(&set.x, &set.f, &set.w);
     moments
 }
@@ -144,9 +145,9 @@ fn one_factor_serves_every_shorter_memory() {
     let set = set(SIZES, 2);
     let all = moments(&set);
     let (one_x, one_f) = (SIZES.instants * SIZES.channels, SIZES.instants * SIZES.outputs);
-    let mut part = Moments::new(SIZES);
+    let mut part = Moments::new(SIZES, &Heartbeat::default());
     part.add(&set.x[2 * one_x..], &set.f[2 * one_f..], &set.w[2..]);
-    let mut rest = Moments::new(SIZES);
+    let mut rest = Moments::new(SIZES, &Heartbeat::default());
     rest.add(&set.x[..2 * one_x], &set.f[..2 * one_f], &set.w[..2]);
     let lags = Lags { before: 2, after: 1 };
     let fit = |moments: &Moments| Fit::new(moments, lags, ridge, Order::Ascending).unwrap().linear();

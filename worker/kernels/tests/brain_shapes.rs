@@ -37,8 +37,8 @@ fn widths() -> impl Iterator<Item = Width> {
     [Width::Baseline, Width::Avx2, Width::Avx512].into_iter().filter(|&w| w <= Width::detect())
 }
 
-fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
+fn pool(threads: usize) -> metasense_kernels::Pool {
+    metasense_kernels::Pool::new(threads).expect("threads")
 }
 
 fn normal(n: usize, seed: u64) -> Vec<f64> {
@@ -66,7 +66,7 @@ struct Task {
     x: Vec<f64>,
     y: Vec<f64>,
     ws: Workspace<f64>,
-    pool: rayon::ThreadPool,
+    pool: metasense_kernels::Pool,
 }
 
 impl Task {
@@ -79,7 +79,7 @@ impl Task {
             weights,
             x: normal(SAMPLES * shape.instants * shape.inputs, 5),
             y: normal(SAMPLES * shape.instants * shape.outputs, 6),
-            ws: Workspace::with_width(shape, width),
+            ws: Workspace::new(shape, width),
             pool: pool(1),
         }
     }
@@ -152,7 +152,7 @@ fn distance<F: Real>(a: &[F], b: &[f64]) -> f64 {
 
 fn answers<F: Real>(task: &Task, width: Width) -> Vec<F> {
     let data = Data::<F>::new(task.shape, &cast(&task.x), &cast(&task.y));
-    let ws = &mut Workspace::with_width(task.shape, width);
+    let ws = &mut Workspace::new(task.shape, width);
     predict(&cast::<F>(&task.weights), data.all(), ws, &task.pool)
 }
 
@@ -288,7 +288,8 @@ fn any_number_of_threads_gives_the_same_bits_in_every_shape() {
             (normal(n * shape.instants * shape.inputs, 1), normal(n * shape.instants * shape.outputs, 2));
         let data = Data::<f32>::new(shape, &cast(&x), &cast(&y));
         let run = |threads| {
-            let (pool, ws) = (pool(threads), &mut Workspace::new(shape));
+            let pool = pool(threads);
+            let ws = &mut Workspace::new(shape, pool.width());
             let mut weights: Vec<f32> = cast(&initial_weights(shape, 3, 0));
             let v = weights.clone();
             let (mut adam, mut losses) = (Adam::new(weights.len()), Vec::new());
@@ -346,7 +347,8 @@ fn a_batch_is_its_samples() {
     let (nx, ny) = (21 * 3, 21 * 2);
     let two =
         Data::new(shape, &[&x[4 * nx..5 * nx], &x[..nx]].concat(), &[&y[4 * ny..5 * ny], &y[..ny]].concat());
-    let (ws, pool, weights) = (&mut Workspace::new(shape), pool(1), initial_weights(shape, 1, 0));
+    let (pool, weights) = (pool(1), initial_weights(shape, 1, 0));
+    let ws = &mut Workspace::new(shape, pool.width());
     let mut gradients = [vec![0.0; shape.weights()], vec![0.0; shape.weights()]];
     let a = full_gradient(&weights, data.batch(&[4, 0]), &mut gradients[0], ws, &pool);
     let b = full_gradient(&weights, two.all(), &mut gradients[1], ws, &pool);
@@ -361,7 +363,8 @@ fn trainings_gone_wrong_are_named() {
     let data = Data::<f64>::new(shape, &x, &y);
     let (pool, fresh) = (pool(1), initial_weights(shape, 1, 0));
     let run = |mut weights: Vec<f64>, data: &Data<f64>, rate: f64| {
-        let (mut adam, mut losses, ws) = (Adam::new(weights.len()), Vec::new(), &mut Workspace::new(shape));
+        let (mut adam, mut losses, ws) =
+            (Adam::new(weights.len()), Vec::new(), &mut Workspace::new(shape, pool.width()));
         let outcome = train(&mut weights, &mut adam, data.all(), &|_| rate, 30, &mut losses, ws, &pool);
         assert!(weights.iter().all(|w| w.is_finite()));
         outcome

@@ -32,7 +32,7 @@ const ENTRIES: [&str; 11] = [
 #[test]
 fn no_kernel_calls_an_intrinsic() {
     black_box((run as *const (), Simulation::vjp as *const (), repeat_kernel as *const ()));
-    black_box((Workspace::<f32>::with_width as *const (), Workspace::<f64>::with_width as *const ()));
+    black_box((Workspace::<f32>::new as *const (), Workspace::<f64>::new as *const ()));
     let Ok(listing) = Command::new("objdump")
         .args(["--disassemble", "--no-show-raw-insn"])
         .arg(std::env::current_exe().expect("this binary"))

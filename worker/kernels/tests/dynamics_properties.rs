@@ -6,9 +6,10 @@ use common::{norm, pool, relative};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
     Accuracy, Contact, Forces, Frame, Method, Outcome, Panel, Plan, Precision, Scene, Simulation, Solver,
-    Stiffness, Tolerance, Wrt, choose, highest_frequency, run, run_at, signal_error, simulate, tune,
+    Stiffness, Tolerance, Wrt, choose, highest_frequency, run, signal_error, simulate, tune,
 };
 use metasense_kernels::simd::Width;
+use metasense_kernels::{Heartbeat, Pool};
 use std::f64::consts::TAU;
 
 /// A 3 × 3 lattice read for 0.1 s at 20 instants.
@@ -64,7 +65,6 @@ const EQUAL_STEPS: [(Method, f64, usize); 3] =
 /// What the kernels of one instruction set compute, those of another do, to rounding; their tapes are swept back by their own.
 #[test]
 fn every_width_computes_the_same() {
-    let pool = pool(1);
     let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 };
     let base = small_scene();
     let mut apart = Vec::new();
@@ -76,7 +76,8 @@ fn every_width_computes_the_same() {
         let (design, forces) = (shaken(&scene), pushes(&scene, 11, 0.4));
         for plan in [Plan::tsit5(Tolerance::both(1e-6)), Plan::equal(Method::Nystrom4, 24)] {
             let at = |width| {
-                let run = run_at(width, &scene, &design, &forces, &plan, true, &pool);
+                let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
+                let run = run(&scene, &design, &forces, &plan, true, &pool);
                 assert_eq!(run.width, width);
                 let gradient = run.vjp(&run.signals, Wrt::Parameters, &pool);
                 let parameters = gradient.parameters.expect("asked for").array();
@@ -117,9 +118,10 @@ fn coarse_steps_in_single_precision_are_those_in_double() {
             for width in Width::ALL.into_iter().filter(|w| *w <= Width::detect()) {
                 let at = |precision, steps| {
                     let plan = Plan { precision, ..plan(method, steps) };
-                    let run = run_at(width, &scene, &design, &forces, &plan, true, &pool(1));
+                    let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
+                    let run = run(&scene, &design, &forces, &plan, true, &pool);
                     assert_eq!(run.outcomes, [Outcome::Ok; 19]);
-                    let gradient = run.vjp(&run.signals, Wrt::Forces, &pool(1));
+                    let gradient = run.vjp(&run.signals, Wrt::Forces, &pool);
                     [run.signals, gradient.design, gradient.forces.expect("asked for")]
                 };
                 let (single, double) = (at(Precision::Single, steps), at(Precision::Double, steps));

@@ -10,4 +10,4 @@ pub mod place;
 pub mod stimuli;
 pub mod student;
 
-pub use metasense_kernels::{body, brain, dynamics, pulse, random, simd};
+pub use metasense_kernels::{Heartbeat, Pool, body, brain, dynamics, random, simd};

@@ -79,7 +79,7 @@ pub struct Optimised {
 pub fn optimise(
     problem: &Problem,
     resume: Option<State>,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
     let tuning = Tuning::new(problem, pool)?;
@@ -151,7 +151,7 @@ pub fn optimise(
 pub fn evaluate_designs(
     problem: &Problem,
     designs: &[Vec<f64>],
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
     observer: &mut dyn Observe,
 ) -> Result<Vec<BodyEvaluation>, Failure> {
     let Tuning { asked, problem, .. } = &Tuning::new(problem, pool)?;

@@ -8,8 +8,8 @@ use metasense_numerics::identify::{Fit, Outcome, Parameter, Settings, Turn, fit}
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
 
-fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool")
+fn pool(threads: usize) -> metasense_numerics::Pool {
+    metasense_numerics::Pool::new(threads).expect("a pool")
 }
 
 /// Columns and rows of units, one or two panels, read for 0.3 s at 60 instants.

@@ -93,7 +93,7 @@ fn outcomes(simulation: &Simulation) -> String {
 }
 
 /// Signals, final state and energies at tight tolerance, the error at default settings, and forces from a record.
-pub fn trajectory(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
     let own = |key: &str| case.number(&format!("self_consistency.{key}"));
@@ -180,7 +180,7 @@ fn states(scene: &Scene, design: &[f64], forces: &Forces, run: &Simulation) -> S
 }
 
 /// Gradient in α of ⟨cotangent, signals⟩ against automatic differentiation.
-pub fn adjoint(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+pub fn adjoint(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
     let run = simulate(&scene, &design, &forces, &TIGHT, true, pool);

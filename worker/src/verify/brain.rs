@@ -35,7 +35,7 @@ fn cast<F: Real>(values: &[f64]) -> Vec<F> {
 
 /// Output, loss, gradients, second derivatives and five Adam steps, in both precisions, by the kernels of every instruction
 /// set that the machine has.
-pub fn network(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+pub fn network(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let mut rows = Vec::new();
     for width in Width::ALL.into_iter().filter(|width| *width <= Width::detect()) {
         rows.extend(network_in::<f64>(case, width, "f64", F64, pool)?);
@@ -49,13 +49,13 @@ fn network_in<F: Real>(
     width: Width,
     precision: &str,
     tolerance: f64,
-    pool: &rayon::ThreadPool,
+    pool: &metasense_numerics::Pool,
 ) -> Result<Vec<Row>, CaseError> {
     let (shape, samples) = (shape(case)?, case.size("N")?);
     let x = case.array_of("x", samples * shape.instants * shape.inputs)?;
     let y = case.array_of("y", samples * shape.instants * shape.outputs)?;
     let data = Data::<F>::new(shape, &cast(&x), &cast(&y));
-    let ws = &mut Workspace::with_width(shape, width);
+    let ws = &mut Workspace::new(shape, width);
     let weights: Vec<F> = cast(&flat(case, shape, "")?);
     let mut rows = Vec::new();
     let mut compare = |quantity: &str, found: &[F], expected: &[f64]| {
@@ -92,7 +92,7 @@ fn network_in<F: Real>(
 }
 
 /// b, the direct term, z after 20 conjugate-gradient iterations at each λ, and the term that belongs to it.
-pub fn implicit(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let shape = shape(case)?;
     let data = |set: &str| -> Result<Data<f64>, CaseError> {
         let samples = case.size(&format!("N_{set}"))? * shape.instants;
@@ -100,7 +100,7 @@ pub fn implicit(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseE
         Ok(Data::new(shape, &x, &case.array_of(&format!("y_{set}"), samples * shape.outputs)?))
     };
     let (train, test) = (data("train")?, data("test")?);
-    let (ws, weights) = (&mut Workspace::new(shape), flat(case, shape, "")?);
+    let (ws, weights) = (&mut Workspace::new(shape, pool.width()), flat(case, shape, "")?);
     let mut b = vec![0.0; shape.weights()];
     let (loss, grad_x) = full_gradient(&weights, test.all(), &mut b, ws, pool);
     let direct = dot(&grad_x, &case.array_of("dA_test", grad_x.len())?);

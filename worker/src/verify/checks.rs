@@ -57,7 +57,7 @@ fn fine() -> (Scene, Vec<f64>, Forces) {
 }
 
 /// All checks for `method`.
-pub fn rows(solvers: &[Solver], pool: &rayon::ThreadPool) -> Vec<Row> {
+pub fn rows(solvers: &[Solver], pool: &metasense_numerics::Pool) -> Vec<Row> {
     let mut rows = orders(pool);
     rows.push(tape(Solver::new(Method::Nystrom6, Accuracy(1e-3)), 1e-3, pool));
     rows.extend([1e-6, 1e-12].map(|t| tape(Solver::tsit5(Tolerance::both(t)), t, pool)));
@@ -82,7 +82,7 @@ fn short() -> (Scene, Vec<f64>, Forces) {
 
 /// Order of convergence of each scheme of equal steps, from n and 2n steps an interval against a far finer run, with damping
 /// light and heavy: the drift carries it exactly; of Tsit5 from the steps that two tolerances take.
-fn orders(pool: &rayon::ThreadPool) -> Vec<Row> {
+fn orders(pool: &metasense_numerics::Pool) -> Vec<Row> {
     let (light, design, forces) = short();
     let solve = |scene: &Scene, plan| run(scene, &design, &forces, &plan, false, pool);
     let mut rows = Vec::new();
@@ -112,7 +112,7 @@ fn order_row(method: Method, damping: f64, order: f64, seen: f64) -> Row {
 }
 
 /// Work in = energy + dissipated, over the greatest energy; integrals by Simpson's rule on the instants.
-fn balance(solver: Solver, pool: &rayon::ThreadPool) -> Row {
+fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let (mut scene, design, _) = fine();
     (scene.duration, scene.instants) = (0.25, 20_000);
     // A smooth blow from 0 to 0.2 s on both panels: kinks between instants would cost Simpson's rule its order.
@@ -154,7 +154,7 @@ fn balance(solver: Solver, pool: &rayon::ThreadPool) -> Row {
 }
 
 /// |J(α + εδ) − J(α) − ε g·δ| must fall with slope 2; shown is how far the slope is from it.
-fn taylor(solver: Solver, pool: &rayon::ThreadPool) -> Row {
+fn taylor(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let (scene, design, forces) = fine();
     let name = format!("Taylor test of dα, slope 2, {}", solver.method.name());
     let mut stream = Stream::new(Purpose::Design, 5, [0, 0]);
@@ -179,7 +179,7 @@ fn taylor(solver: Solver, pool: &rayon::ThreadPool) -> Row {
 
 /// The same along each parameter, relative to its value, with the steps of the scene as it is; shown is the slope farthest
 /// from 2.
-fn taylor_parameters(solver: Solver, pool: &rayon::ThreadPool) -> Row {
+fn taylor_parameters(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let (scene, design, forces) = short();
     let name = format!("Taylor tests of the parameters, slope 2, {}", solver.method.name());
     // What error control changes from value to value would drown the remainder.
@@ -219,7 +219,7 @@ fn taylor_parameters(solver: Solver, pool: &rayon::ThreadPool) -> Row {
 
 /// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩, J v by a plain program in dual numbers, and the signals by that program; the worst of scenes of
 /// every kind.
-fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
+fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     let (base, design, blow) = short();
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let scenes = [
@@ -282,7 +282,7 @@ fn transpose(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
 
 /// What 300 samples of the reference scene keep for their gradient, in MB: the states at the instants and, of adaptive steps
 /// alone, a count an interval and one or two bytes a step.
-fn tape(solver: Solver, asked: f64, pool: &rayon::ThreadPool) -> Row {
+fn tape(solver: Solver, asked: f64, pool: &metasense_numerics::Pool) -> Row {
     let scene = reference();
     let design = scene.layout.initial_design(25f64.to_radians());
     let run = simulate(&scene, &design, &bells(&scene, 2), &solver, true, pool);
@@ -304,7 +304,7 @@ fn threads(solver: Solver) -> Row {
     let design = scene.layout.initial_design(25f64.to_radians());
     let forces = bells(&scene, 10);
     let run = |forces: &Forces, threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let pool = metasense_numerics::Pool::new(threads).expect("threads");
         let run = simulate(&scene, &design, forces, &solver, true, &pool);
         let gradient = run.vjp(&run.signals, Wrt::Design, &pool).design;
         (run.signals, gradient)

@@ -183,7 +183,7 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
 }
 
 /// One row a scene: error of the signals at default settings against a tight run where that is affordable.
-pub fn rows(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
+pub fn rows(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     scenes()
         .into_iter()
         .map(|(name, extreme)| {
@@ -194,7 +194,7 @@ pub fn rows(solver: Solver, pool: &rayon::ThreadPool) -> Vec<Row> {
         .collect()
 }
 
-fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &rayon::ThreadPool) -> Row {
+fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let Extreme { scene, design, forces, .. } = extreme;
     let started = std::time::Instant::now();
     let tuned = tune(scene, design, forces, &solver, pool);

@@ -62,7 +62,7 @@ impl Row {
 ///
 /// # Errors
 /// If the folder can't be listed or holds no folder.
-pub fn cases(folder: &Path, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+pub fn cases(folder: &Path, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let mut rows = Vec::new();
     for folder in case::folders(folder)? {
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -75,7 +75,7 @@ pub fn cases(folder: &Path, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseEr
 }
 
 /// Energy balance, Taylor tests and equal bits of every integrator.
-pub fn numerics(pool: &rayon::ThreadPool) -> Vec<Row> {
+pub fn numerics(pool: &metasense_numerics::Pool) -> Vec<Row> {
     let solvers = [
         Solver::tsit5(Tolerance::both(1e-11)),
         Solver::new(Method::Leapfrog, Accuracy(1e-3)),
@@ -86,7 +86,7 @@ pub fn numerics(pool: &rayon::ThreadPool) -> Vec<Row> {
 }
 
 /// Stiff and extreme scenes at default settings.
-pub fn extremes(pool: &rayon::ThreadPool) -> Vec<Row> {
+pub fn extremes(pool: &metasense_numerics::Pool) -> Vec<Row> {
     of_case("extreme", extreme::rows(DEFAULT, pool))
 }
 
@@ -94,7 +94,7 @@ fn of_case(name: &str, rows: Vec<Row>) -> Vec<Row> {
     rows.into_iter().map(|row| Row { case: name.to_string(), ..row }).collect()
 }
 
-fn compare(case: &Case, pool: &rayon::ThreadPool) -> Result<Vec<Row>, CaseError> {
+fn compare(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     match case.text("kind")? {
         "geometry" => body::geometry(case),
         "energy" => body::energies(case),
@@ -123,8 +123,8 @@ pub fn relative(a: &[f64], b: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    fn pool() -> rayon::ThreadPool {
-        rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads")
+    fn pool() -> metasense_numerics::Pool {
+        metasense_numerics::Pool::new(2).expect("threads")
     }
 
     fn hold(rows: &[Row], at_least: usize) {

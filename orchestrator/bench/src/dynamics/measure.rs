@@ -4,13 +4,14 @@
 //! The truth of a scene is `nystrom6` with steps so short that its error is far below all that is drawn; the tightest
 //! run of Tsit5, another method, is a point of the diagram and says by its own error how true it is.
 
+use metasense_numerics::Pool;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Accuracy, Contact, Forces, Method, Outcome, Panel, Plan, Precision, Scene, Simulation, Solver, Tolerance,
-    Wrt, highest_frequency, repeat_kernel, run_at, signal_error, tune,
+    Wrt, highest_frequency, repeat_kernel, run, signal_error, tune,
 };
-use metasense_numerics::simd::Width;
 use metasense_worker::clock::cpu_seconds;
+use metasense_worker::simd::width;
 use metasense_worker::verify::{bells, reference, relative};
 use std::time::Instant;
 
@@ -154,11 +155,11 @@ impl Subject {
         self.cotangent = signals.iter().enumerate().map(|(i, x)| x * scale(i % channels)).collect();
     }
 
-    fn simulate(&self, plan: &Plan, width: Width, pool: &rayon::ThreadPool) -> (Simulation, Time) {
-        timed(|| run_at(width, &self.scene, &self.design, &self.forces, plan, true, pool))
+    fn simulate(&self, plan: &Plan, pool: &Pool) -> (Simulation, Time) {
+        timed(|| run(&self.scene, &self.design, &self.forces, plan, true, pool))
     }
 
-    fn gradient(&self, simulation: &Simulation, pool: &rayon::ThreadPool) -> (Vec<f64>, Time) {
+    fn gradient(&self, simulation: &Simulation, pool: &Pool) -> (Vec<f64>, Time) {
         let (gradient, time) = timed(|| simulation.vjp(&self.cotangent, Wrt::Design, pool));
         (gradient.design, time)
     }
@@ -185,15 +186,15 @@ pub fn work_precision(
     instants: usize,
     mut report: impl FnMut(&Point),
 ) -> Vec<Point> {
-    let pool = pool(1);
+    let pool = pool(1, width());
     let mut subject = Subject::new(kind.scene(), samples, instants);
     let plan = subject.plan(Method::Nystrom6, truth(kind));
-    let simulation = subject.simulate(&plan, Width::chosen(), &pool).0;
+    let simulation = subject.simulate(&plan, &pool).0;
     subject.differentiate(&simulation.signals);
     let truth = subject.gradient(&simulation, &pool).0;
     let mut points = Vec::new();
     let mut measure = |plan: &Plan, setting: String, auto: bool| {
-        let (run, forward) = subject.simulate(plan, Width::chosen(), &pool);
+        let (run, forward) = subject.simulate(plan, &pool);
         let (gradient, reverse) = subject.gradient(&run, &pool);
         let failed = run.outcomes.iter().filter(|o| **o != Outcome::Ok).count();
         let channels = 3 * subject.scene.sensors.len();
@@ -276,23 +277,23 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
             Method::Tsit5 => Plan::tsit5(Tolerance::both(asked)),
             _ => {
                 let solver = Solver::new(method, Accuracy(asked));
-                tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool(1)).plan
+                tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool(1, width())).plan
             }
         };
-        let mut rows = vec![(1, Width::chosen())];
+        let mut rows = vec![(1, width())];
         if threads > 1 {
-            rows.push((threads, Width::chosen()));
+            rows.push((threads, width()));
         }
         if method == Method::Auto {
             rows.extend(widths().skip(1).map(|width| (1, width)));
         }
         for (threads, width) in rows {
-            let pool = pool(threads);
+            let pool = pool(threads, width);
             let (mut forward, mut both) = (None, None);
             let (mut cycles, mut kernels) = (f64::INFINITY, [f64::INFINITY; 2]);
             for _ in 0..repeat.max(1) {
                 let frequency = clock_frequency();
-                let (run, there) = subject.simulate(&plan, width, &pool);
+                let (run, there) = subject.simulate(&plan, &pool);
                 if subject.cotangent.is_empty() {
                     subject.differentiate(&run.signals);
                 }

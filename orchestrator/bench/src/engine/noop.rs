@@ -3,6 +3,7 @@
 
 use std::time::{Duration, Instant};
 
+use metasense_numerics::Heartbeat;
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
 use metasense_worker::run::{Control, Failure, Observe};
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,7 @@ pub fn perform(
     job: &str,
     checkpoint: Option<Checkpoint>,
     _threads: usize,
+    _heartbeat: Heartbeat,
     observer: &mut dyn Observe,
 ) -> Result<TrialResult, Failure> {
     let noop: Noop = serde_json::from_str(job).map_err(|error| Failure::Rejected(error.to_string()))?;

@@ -3,7 +3,7 @@
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::clock::cpu_seconds;
-use metasense_worker::run::{Control, Failure, Observe, run_trial};
+use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
 
 /// A body that a trial had reached.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +27,7 @@ pub fn course(trial: &TrialSpec, seconds: &[f64], threads: usize) -> Result<Vec<
     let steps = trial.optimise.steps() as u32;
     let mut keeper =
         Keeper { start: cpu_seconds(), due: seconds, steps, fresh_samples: 0, milestones: Vec::new() };
-    match run_trial(trial, None, threads, &mut keeper) {
+    match pool(threads).and_then(|pool| run_trial(trial, None, &pool, &mut keeper)) {
         Ok(_) | Err(Failure::Stopped) => Ok(keeper.milestones),
         Err(failure) => Err(failure),
     }

@@ -37,7 +37,7 @@ pub struct Curvature<'a, F> {
 
 impl<'a, F: Real> Curvature<'a, F> {
     /// Evaluates the network once and keeps its activations.
-    pub fn new(weights: &[F], batch: Batch<'a, F>, ws: &mut Workspace<F>, pool: &rayon::ThreadPool) -> Self {
+    pub fn new(weights: &[F], batch: Batch<'a, F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> Self {
         let shape = batch.shape();
         ws.packed.fill(&ws.kernels, shape, weights);
         ws.over_chunks(batch, pool, |kernels, packed, s, slot, samples| {
@@ -52,14 +52,7 @@ impl<'a, F: Real> Curvature<'a, F> {
     }
 
     /// `matrix`·v into `out`, both in the flat order. Allocates nothing once the workspace has grown.
-    pub fn product(
-        &self,
-        matrix: Matrix,
-        v: &[F],
-        out: &mut [F],
-        ws: &mut Workspace<F>,
-        pool: &rayon::ThreadPool,
-    ) {
+    pub fn product(&self, matrix: Matrix, v: &[F], out: &mut [F], ws: &mut Workspace<F>, pool: &crate::Pool) {
         let (shape, batch) = (self.batch.shape(), self.batch);
         ws.packed.fill(&ws.kernels, shape, v);
         ws.over_chunks(batch, pool, |kernels, v, s, slot, samples| {
@@ -82,7 +75,7 @@ impl<'a, F: Real> Curvature<'a, F> {
     }
 
     /// ∂/∂x ⟨∂L/∂β, v⟩, (N, T, 3M).
-    pub fn mixed_product(&self, v: &[F], ws: &mut Workspace<F>, pool: &rayon::ThreadPool) -> Vec<F> {
+    pub fn mixed_product(&self, v: &[F], ws: &mut Workspace<F>, pool: &crate::Pool) -> Vec<F> {
         let (shape, batch) = (self.batch.shape(), self.batch);
         ws.packed.fill(&ws.kernels, shape, v);
         ws.over_chunks(batch, pool, |kernels, v, s, slot, samples| {

@@ -94,16 +94,11 @@ enum Want {
 }
 
 impl<F: Real> Workspace<F> {
-    /// For the instruction set of the process.
-    pub fn new(shape: Shape) -> Self {
-        Self::with_width(shape, Width::chosen())
-    }
-
     /// For this instruction set.
     ///
     /// # Panics
     /// If the machine lacks it, or a size is 0.
-    pub fn with_width(shape: Shape, width: Width) -> Self {
+    pub fn new(shape: Shape, width: Width) -> Self {
         assert!(shape.instants * shape.inputs * shape.outputs > 0, "{shape:?}");
         let (kernels, packed) = (F::kernels(width), Packed::zeros(shape));
         Self { shape, kernels, packed, slots: Vec::new(), scratch: Vec::new() }
@@ -113,7 +108,7 @@ impl<F: Real> Workspace<F> {
     pub(super) fn over_chunks(
         &mut self,
         batch: Batch<F>,
-        pool: &rayon::ThreadPool,
+        pool: &crate::Pool,
         task: impl Fn(&Kernels<F>, &Packed<F>, &mut Scratch<F>, &mut Slot<F>, std::ops::Range<usize>) + Sync,
     ) {
         assert_eq!(batch.shape(), self.shape, "a batch of another shape");
@@ -124,7 +119,7 @@ impl<F: Real> Workspace<F> {
             let (gradient, pairs) = (vec![F::ZERO; gradient], vec![F::ZERO; pairs]);
             self.slots.push(Slot { gradient, pairs, loss: 0.0, out: Vec::new() });
         }
-        while self.scratch.len() < pool.current_num_threads() {
+        while self.scratch.len() < pool.threads() {
             self.scratch.push(Mutex::new(Scratch::new(self.shape)));
         }
         let (kernels, packed, scratch) = (&self.kernels, &self.packed, &self.scratch);
@@ -134,13 +129,13 @@ impl<F: Real> Workspace<F> {
                 let thread = rayon::current_thread_index().unwrap_or(0);
                 let mut scratch = scratch[thread].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                 slot.loss = 0.0;
-                crate::pulse::beat();
+                pool.heartbeat().beat();
                 task(kernels, packed, &mut scratch, slot, i * CHUNK..batch.len().min((i + 1) * CHUNK));
             });
         });
     }
 
-    fn pass(&mut self, weights: &[F], batch: Batch<F>, want: Want, pool: &rayon::ThreadPool) -> f64 {
+    fn pass(&mut self, weights: &[F], batch: Batch<F>, want: Want, pool: &crate::Pool) -> f64 {
         let shape = self.shape;
         self.packed.fill(&self.kernels, shape, weights);
         let elements = batch.len() * shape.instants * shape.outputs;
@@ -197,7 +192,7 @@ impl<F: Real> Workspace<F> {
 ///
 /// # Panics
 /// As all functions here: if the workspace is for another shape than the batch, or a length is not of that shape.
-pub fn loss<F: Real>(weights: &[F], batch: Batch<F>, ws: &mut Workspace<F>, pool: &rayon::ThreadPool) -> f64 {
+pub fn loss<F: Real>(weights: &[F], batch: Batch<F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> f64 {
     ws.pass(weights, batch, Want::Loss, pool)
 }
 
@@ -207,7 +202,7 @@ pub fn loss_gradient<F: Real>(
     batch: Batch<F>,
     gradient: &mut [F],
     ws: &mut Workspace<F>,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> f64 {
     let loss = ws.pass(weights, batch, Want::Weights, pool);
     ws.sum_gradients(batch.len(), gradient);
@@ -219,7 +214,7 @@ pub fn input_gradient<F: Real>(
     weights: &[F],
     batch: Batch<F>,
     ws: &mut Workspace<F>,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> (f64, Vec<F>) {
     let loss = ws.pass(weights, batch, Want::Inputs, pool);
     (loss, ws.join_outputs(batch.len()))
@@ -231,7 +226,7 @@ pub fn full_gradient<F: Real>(
     batch: Batch<F>,
     gradient: &mut [F],
     ws: &mut Workspace<F>,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> (f64, Vec<F>) {
     let loss = ws.pass(weights, batch, Want::Both, pool);
     ws.sum_gradients(batch.len(), gradient);
@@ -239,12 +234,7 @@ pub fn full_gradient<F: Real>(
 }
 
 /// What the network answers, (N, T, K), in the units of the targets. Targets are not looked at.
-pub fn predict<F: Real>(
-    weights: &[F],
-    batch: Batch<F>,
-    ws: &mut Workspace<F>,
-    pool: &rayon::ThreadPool,
-) -> Vec<F> {
+pub fn predict<F: Real>(weights: &[F], batch: Batch<F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> Vec<F> {
     ws.pass(weights, batch, Want::Outputs, pool);
     ws.join_outputs(batch.len())
 }

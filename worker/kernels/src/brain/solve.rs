@@ -121,7 +121,7 @@ pub fn solve_implicit(
     tolerance: f64,
     limit: usize,
     ws: &mut Workspace<f64>,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Solve {
     let (matrix, shift) = match policy {
         Policy::Truncate => (Matrix::Hessian, 0.0),

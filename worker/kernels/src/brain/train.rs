@@ -86,7 +86,7 @@ pub fn train<F: Real>(
     iterations: usize,
     losses: &mut Vec<f32>,
     ws: &mut Workspace<F>,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> TrainOutcome {
     let mut more = Vec::new();
     let outcome = train_on(weights, adam, batch, schedule, iterations, &mut more, ws, pool, &mut |_, _| true);
@@ -105,7 +105,7 @@ pub fn train_on<F: Real>(
     iterations: usize,
     losses: &mut Vec<f32>,
     ws: &mut Workspace<F>,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
     watch: &mut dyn FnMut(usize, &[F]) -> bool,
 ) -> Option<TrainOutcome> {
     let (shape, n) = (batch.shape(), batch.shape().layers());

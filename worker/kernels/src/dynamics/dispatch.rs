@@ -9,13 +9,14 @@ use super::{
     Counters, Forces, Gradient, Method, Outcome, Plan, Precision, SampleTape, Scene, Simulation, Steps, Tape,
     Wrt,
 };
+use crate::Heartbeat;
 use crate::lanes::{Avx2, Avx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
 
-type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &Queue<'_, '_>) -> Counters;
-type Reverse = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], Wrt) -> Swept;
+type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &Queue<'_, '_>, &Heartbeat) -> Counters;
+type Reverse = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Sweep<'_>], Wrt, &Heartbeat) -> Swept;
 
 /// The cotangents of a block's model and, where asked for, of each of its histories, (n, K, R+1), and the work done.
 type Swept = (ModelCotangent, Vec<f64>, Counters);
@@ -90,12 +91,13 @@ macro_rules! machine {
                 plan: &Plan,
                 parts: usize,
                 queue: &Queue<'_, '_>,
+                heartbeat: &Heartbeat,
             ) -> Counters {
                 let scheme = plan.method.scheme();
                 let damped = scheme.is_none();
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), damped, false);
                 match (scheme, plan.steps) {
-                    (None, Steps::Adaptive(tolerance)) if !<$vector>::SINGLE => tsit5::forward(system, forces, tolerance, queue),
+                    (None, Steps::Adaptive(tolerance)) if !<$vector>::SINGLE => tsit5::forward(system, forces, tolerance, queue, heartbeat),
                     (Some(scheme), Steps::Equal(steps)) => {
                         let mut counters = Counters::default();
                         loop {
@@ -103,7 +105,7 @@ macro_rules! machine {
                             if slots.is_empty() {
                                 return counters;
                             }
-                            counters += splitting::forward(&mut system, &scheme, steps, parts, forces, slots);
+                            counters += splitting::forward(&mut system, &scheme, steps, parts, forces, slots, heartbeat);
                         }
                     }
                     _ => unreachable!("{plan:?}"),
@@ -119,6 +121,7 @@ macro_rules! machine {
                 parts: usize,
                 sweeps: &[Sweep<'_>],
                 wrt: Wrt,
+                heartbeat: &Heartbeat,
             ) -> Swept {
                 let (parameters, asked) = (wrt == Wrt::Parameters, wrt == Wrt::Forces);
                 let scheme = plan.method.scheme();
@@ -126,9 +129,9 @@ macro_rules! machine {
                 let mut system = System::<$vector>::new(scene, model, kernels, scheme.is_none(), parameters);
                 let (histories, counters) = match scheme {
                     None if <$vector>::SINGLE => unreachable!("{plan:?}"),
-                    None => tsit5::reverse(&mut system, forces, sweeps, asked),
+                    None => tsit5::reverse(&mut system, forces, sweeps, asked, heartbeat),
                     Some(scheme) => {
-                        splitting::reverse(&mut system, &scheme, plan.steps.count(), parts, forces, sweeps, asked)
+                        splitting::reverse(&mut system, &scheme, plan.steps.count(), parts, forces, sweeps, asked, heartbeat)
                     }
                 };
                 (system.take_cotangent(), histories, counters)
@@ -194,15 +197,14 @@ pub fn repeat_kernel(
     (times * machine.lanes * model.bars.len()) as u64
 }
 
-/// `super::run` with the code of `width`, which the machine must have.
+/// `super::run` with the code of the pool's instruction set.
 pub fn simulate(
-    width: Width,
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
     plan: &Plan,
     keep_tape: bool,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Simulation {
     let model = Model::new(scene, design).moving();
     let steps = match plan.steps {
@@ -210,7 +212,7 @@ pub fn simulate(
         adaptive @ Steps::Adaptive(_) => adaptive,
     };
     let plan = &Plan { steps, ..plan.clone() };
-    let machine = machine(width, plan.precision);
+    let machine = machine(pool.width(), plan.precision);
     let n = forces.samples;
     let len = scene.instants * 3 * scene.sensors.len();
     let mut signals = vec![0.0; n * len];
@@ -275,7 +277,7 @@ pub fn simulate(
         outcomes,
         counters: total,
         plan: plan.clone(),
-        width,
+        width: pool.width(),
         tape: keep_tape.then(|| Tape {
             scene: scene.clone(),
             design: design.to_vec(),
@@ -294,15 +296,17 @@ fn integrate(
     plan: &Plan,
     parts: usize,
     slots: &mut [Slot<'_>],
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Counters {
-    let tasks = pool.current_num_threads().min(slots.len().div_ceil(machine.lanes));
+    let tasks = pool.threads().min(slots.len().div_ceil(machine.lanes));
     let queue = Mutex::new(slots);
     let counters: Vec<Counters> = pool.install(|| {
         (0..tasks)
             .into_par_iter()
             // SAFETY: `machine` is of a width that this machine has.
-            .map(|_| unsafe { (machine.forward)(scene, model, forces, plan, parts, &queue) })
+            .map(|_| unsafe {
+                (machine.forward)(scene, model, forces, plan, parts, &queue, pool.heartbeat())
+            })
             .collect()
     });
     let mut total = Counters::default();
@@ -316,7 +320,7 @@ pub fn vjp(
     tape: &Tape,
     cotangent: &[f64],
     wrt: Wrt,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Gradient {
     let Tape { scene, design, forces, parts, samples } = tape;
     let model = Model::new(scene, design).moving();
@@ -360,7 +364,7 @@ pub fn vjp(
             .par_iter()
             // SAFETY: `machine` has checked that this machine has the simulation's width.
             .map(|(plan, sweeps)| unsafe {
-                (machine.reverse)(scene, &model, forces, plan, *parts, sweeps, wrt)
+                (machine.reverse)(scene, &model, forces, plan, *parts, sweeps, wrt, pool.heartbeat())
             })
             .collect()
     });

@@ -342,7 +342,7 @@ impl Simulation {
     ///
     /// # Panics
     /// If the simulation kept no tape, or the length is another.
-    pub fn vjp(&self, cotangent: &[f64], wrt: Wrt, pool: &rayon::ThreadPool) -> Gradient {
+    pub fn vjp(&self, cotangent: &[f64], wrt: Wrt, pool: &crate::Pool) -> Gradient {
         let tape = self.tape.as_ref().expect("the simulation kept its tape");
         let scene = &tape.scene;
         let len = self.outcomes.len() * scene.instants * 3 * scene.sensors.len();
@@ -361,7 +361,7 @@ pub fn simulate(
     forces: &Forces,
     solver: &Solver,
     keep_tape: bool,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Simulation {
     run(scene, design, forces, &planned(scene, design, forces, solver), keep_tape, pool)
 }
@@ -381,26 +381,10 @@ pub fn run(
     forces: &Forces,
     plan: &Plan,
     keep_tape: bool,
-    pool: &rayon::ThreadPool,
-) -> Simulation {
-    run_at(Width::chosen(), scene, design, forces, plan, keep_tape, pool)
-}
-
-/// As `run`, by the kernels of this instruction set.
-///
-/// # Panics
-/// As `simulate`, and if the machine lacks it.
-pub fn run_at(
-    width: Width,
-    scene: &Scene,
-    design: &[f64],
-    forces: &Forces,
-    plan: &Plan,
-    keep_tape: bool,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Simulation {
     check(scene, design, forces);
-    dispatch::simulate(width, scene, design, forces, plan, keep_tape, pool)
+    dispatch::simulate(scene, design, forces, plan, keep_tape, pool)
 }
 
 /// Evaluates the forces, or with `second` their derivatives along a direction, so many times on all lanes of one state, to be timed; returns ligaments times lanes times `times`, without ligaments between held units, which none evaluates.

@@ -17,6 +17,7 @@ use super::system::{Cotangent, Ramp, System, Unit, load_lanes, read_lane, store_
 use super::trigonometry::sin_cos1;
 use super::tsit5::{Slot, Sweep};
 use super::{Counters, Forces, Frame, Outcome, Scene};
+use crate::Heartbeat;
 use crate::lanes::{MOST, Scalar, Vector};
 
 /// Coefficients of one step, first half; both lists are symmetric.
@@ -282,6 +283,7 @@ pub fn forward<V: Vector>(
     parts: usize,
     forces: &Forces,
     slots: &mut [Slot<'_>],
+    heartbeat: &Heartbeat,
 ) -> Counters {
     let scene = system.scene;
     let model = system.model;
@@ -303,7 +305,7 @@ pub fn forward<V: Vector>(
     system.prepare(&x, &mut g);
     system.add_pull(&x, &force, &mut g, &mut margin);
     for interval in begin.first..instants {
-        crate::pulse::beat();
+        heartbeat.beat();
         let awake: V = begin.awake(interval);
         let mut part = 0;
         let mut b = first;
@@ -437,6 +439,7 @@ pub fn reverse<V: Vector>(
     forces: &Forces,
     sweeps: &[Sweep<'_>],
     forces_asked: bool,
+    heartbeat: &Heartbeat,
 ) -> (Vec<f64>, Counters) {
     let scene = system.scene;
     let model = system.model;
@@ -464,7 +467,7 @@ pub fn reverse<V: Vector>(
     }
 
     for interval in (begin.first..instants).rev() {
-        crate::pulse::beat();
+        heartbeat.beat();
         let awake: V = begin.awake(interval);
         let mut step = substeps;
         for part in (0..parts).rev() {

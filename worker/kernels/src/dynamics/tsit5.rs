@@ -13,6 +13,7 @@ mod steps;
 
 use super::system::{System, Unit, read_lane, store_lane};
 use super::{Counters, Forces, Outcome, SampleTape, Tolerance};
+use crate::Heartbeat;
 use crate::lanes::{LANES, Vector};
 pub use reverse::reverse;
 pub use stages::{A, A2, C};
@@ -72,6 +73,7 @@ pub fn forward<V: Vector>(
     forces: &Forces,
     tolerance: Tolerance,
     queue: &Queue<'_, '_>,
+    heartbeat: &Heartbeat,
 ) -> Counters {
     let scene = system.scene;
     // Intervals of the forces, each `kinks`-th of which ends at an instant of the scene
@@ -249,7 +251,7 @@ pub fn forward<V: Vector>(
             lane.tau = 0.0;
             lane.count = 0;
             lane.interval += 1;
-            crate::pulse::beat();
+            heartbeat.beat();
             if lane.interval == instants {
                 if let Some(tape) = &mut slot.tape {
                     tape.steps.shrink_to_fit();

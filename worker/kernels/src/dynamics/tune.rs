@@ -36,13 +36,7 @@ const TRIES: usize = 6;
 ///
 /// # Panics
 /// As `simulate`.
-pub fn tune(
-    scene: &Scene,
-    design: &[f64],
-    forces: &Forces,
-    solver: &Solver,
-    pool: &rayon::ThreadPool,
-) -> Tuned {
+pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &crate::Pool) -> Tuned {
     let asked = solver.accuracy.0;
     let mut pilot =
         Pilot { scene, design, forces: first(forces, LANES), pool, counters: Counters::default() };
@@ -145,7 +139,7 @@ struct Pilot<'a> {
     scene: &'a Scene,
     design: &'a [f64],
     forces: Forces,
-    pool: &'a rayon::ThreadPool,
+    pool: &'a crate::Pool,
     counters: Counters,
 }
 

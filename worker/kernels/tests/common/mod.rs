@@ -12,6 +12,6 @@ pub fn relative(a: &[f64], b: &[f64]) -> f64 {
     norm(&difference) / if scale > 0.0 { scale } else { 1.0 }
 }
 
-pub fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
+pub fn pool(threads: usize) -> metasense_kernels::Pool {
+    metasense_kernels::Pool::new(threads).expect("threads")
 }

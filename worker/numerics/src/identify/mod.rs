@@ -172,7 +172,7 @@ pub fn fit(
     forces: &Forces,
     signals: &[f64],
     settings: &Settings,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
     known: &[Turn],
     watch: &mut dyn FnMut(&Turn),
 ) -> Fit {

@@ -44,7 +44,7 @@ pub struct Objective<'a> {
     whole: (&'a Forces, &'a [f64]),
     solver: Solver,
     free: &'a [Parameter],
-    pool: &'a rayon::ThreadPool,
+    pool: &'a crate::Pool,
     /// First instant of each record's force.
     onsets: Vec<usize>,
     /// Instants that are looked at, from each onset.
@@ -66,7 +66,7 @@ impl<'a> Objective<'a> {
         signals: &'a [f64],
         solver: Solver,
         free: &'a [Parameter],
-        pool: &'a rayon::ThreadPool,
+        pool: &'a crate::Pool,
     ) -> Self {
         let kinks = forces.kinks(scene);
         let onset = |i: usize| {
@@ -341,7 +341,7 @@ mod tests {
         let design = scene.layout.initial_design(0.4363);
         let push = |n: usize| 0.3 * (0.3 * n as f64).sin().powi(2);
         let forces = Forces { samples: 2, panels: 1, instants: 20, values: (0..42).map(push).collect() };
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
+        let pool = crate::Pool::new(1).expect("a pool");
         let signals: Vec<f64> = (0..120).map(|i| (0.9 * i as f64).sin()).collect();
         let solver = Solver::new(Method::Nystrom6, Accuracy(1e-4));
         let free = &Parameter::ALL[..5];

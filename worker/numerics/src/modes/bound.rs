@@ -87,7 +87,7 @@ pub fn along(
     sample: usize,
     prior: &Prior,
     plan: &Plan,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Result<Vec<f64>, Outcome> {
     let own = forces.sample(sample);
     let steps: Vec<f64> = (0..prior.directions.samples)

@@ -188,7 +188,7 @@ fn small_motions_of_a_simulation_are_those_of_the_modes() {
     let sides = [1.0, -1.0].into_iter().flat_map(|sign| (0..2).map(move |k| (sign, k)));
     let values = sides.flat_map(|(sign, k)| (0..=20).map(move |n| sign * force(k, n))).collect();
     let forces = Forces { samples: 2, panels: 2, instants: 20, values };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let pool = crate::Pool::new(1).unwrap();
     let plan = Plan::equal(Method::Nystrom6, 24);
     let simulated = run(&scene, &design, &forces, &plan, false, &pool).signals;
     let h = scene.duration / 20.0;

@@ -36,7 +36,7 @@ pub fn bound(
     problem: &Problem,
     design: &[f64],
     samples: usize,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Result<Option<Bound>, Failure> {
     // differences take equal steps
     let method = match problem.solver.method {

@@ -242,8 +242,8 @@ fn network(
     log: &mut Log,
 ) -> Option<NetworkEvaluation> {
     let Setting { problem, pool, .. } = setting;
-    let mut workspace = Workspace::new(data.shape());
-    let (truth, mut aside) = (problem.targets(sets[2]), Workspace::new(data.shape()));
+    let mut workspace = Workspace::new(data.shape(), pool.width());
+    let (truth, mut aside) = (problem.targets(sets[2]), Workspace::new(data.shape(), pool.width()));
     let mut error =
         |weights: &[f32]| mean_error(&setting.scales.predict(weights, unseen, &truth, &mut aside, pool).1);
     let training = Training { iterations, ..problem.brain };
@@ -314,7 +314,7 @@ impl Fresh {
         error: &mut dyn FnMut(&[f32]) -> Option<f64>,
         pauses: &mut dyn FnMut(usize) -> bool,
         workspace: &mut Workspace<f32>,
-        pool: &rayon::ThreadPool,
+        pool: &crate::Pool,
     ) -> Option<TrainOutcome> {
         let Self { weights, adam, losses, errors } = self;
         let Training { iterations, rate, .. } = training;

@@ -7,6 +7,7 @@
 use super::linear::{Decoder, Plain, fit, force_scale};
 use super::report::Trouble;
 use super::setting::Scales;
+use crate::Heartbeat;
 use crate::brain::linear::{Linear, Sizes};
 
 /// A linear brain and the scales that it was fitted at.
@@ -43,7 +44,7 @@ impl Decoder {
         let mut scales = Scales::of([sizes.channels, sizes.outputs], signals, forces);
         scales.channels = signal_scale.unwrap_or(scales.channels);
         let force_scale = force_scale(&scales.mean, &scales.deviation);
-        let known = Plain::new(sizes, scales.inputs(signals), forces, force_scale);
+        let known = Plain::new(sizes, scales.inputs(signals), forces, force_scale, &Heartbeat::default());
         let ridge = self.ridge_of(seed, &known, None)?;
         let linear = fit(&known.moments(), self.lags, ridge)?.linear();
         let error = known.error(&linear.predict(&known.x));

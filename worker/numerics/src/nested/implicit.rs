@@ -27,7 +27,7 @@ pub(super) fn implicit_term(
     log.timed(
         |s| &mut s.implicit,
         |report| {
-            let mut workspace = Workspace::<f64>::new(setting.shape);
+            let mut workspace = Workspace::<f64>::new(setting.shape, pool.width());
             let weights: Vec<f64> = weights.iter().copied().map(f64::from).collect();
             let train = setting.data::<f64>(train, &setting.train);
             let test = setting.physical_data::<f64>(test, &setting.test);

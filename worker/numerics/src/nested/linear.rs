@@ -7,6 +7,7 @@
 use super::report::Trouble;
 use super::setting::{Scales, Setting, mean_error};
 use super::unseen::folds;
+use crate::Heartbeat;
 use crate::brain::linear::{Fit, Lags, Linear, Moments, Order, Sizes, downhill_ridge};
 use crate::brain::{Data, Shape, prediction_error};
 use crate::dynamics::Forces;
@@ -56,21 +57,23 @@ pub(super) struct Plain {
     pub(super) y: Vec<f64>,
     /// w (N); 0 without force.
     pub(super) w: Vec<f64>,
+    /// Counts what is done with them.
+    pub(super) heartbeat: Heartbeat,
 }
 
 impl Plain {
     /// From x (N, T, 3M) and forces (N, T, K) in N, `scale` of which count as 1.
-    pub(super) fn new(sizes: Sizes, x: Vec<f64>, forces: &[f64], scale: f64) -> Self {
+    pub(super) fn new(sizes: Sizes, x: Vec<f64>, forces: &[f64], scale: f64, heartbeat: &Heartbeat) -> Self {
         let y: Vec<f64> = forces.iter().map(|f| f / scale).collect();
         let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
         let weight = |power: f64| if power > 0.0 { power.recip() } else { 0.0 };
         let w = y.chunks_exact(sizes.instants * sizes.outputs).map(|sample| weight(power(sample))).collect();
-        Self { sizes, x, y, w }
+        Self { sizes, x, y, w, heartbeat: heartbeat.clone() }
     }
 
     /// Their moments.
     pub(super) fn moments(&self) -> Moments {
-        let mut moments = Moments::new(self.sizes);
+        let mut moments = Moments::new(self.sizes, &self.heartbeat);
         moments.add(&self.x, &self.y, &self.w);
         moments
     }
@@ -81,7 +84,8 @@ impl Plain {
             let one = values.len() / self.w.len();
             samples.iter().flat_map(|&i| &values[i * one..(i + 1) * one]).copied().collect()
         };
-        Self { sizes: self.sizes, x: pick(&self.x), y: pick(&self.y), w: pick(&self.w) }
+        let [x, y, w] = [&self.x, &self.y, &self.w].map(|values| pick(values));
+        Self { sizes: self.sizes, x, y, w, heartbeat: self.heartbeat.clone() }
     }
 
     /// How many have no force.
@@ -193,7 +197,8 @@ impl Setting<'_> {
         let shape = self.problem.shape();
         let sizes = Sizes { instants: shape.instants, channels: shape.inputs, outputs: shape.outputs };
         let scale = force_scale(&self.scales.mean, &self.scales.deviation);
-        Plain::new(sizes, self.scales.inputs(signals), &self.problem.targets(forces), scale)
+        let (x, forces) = (self.scales.inputs(signals), self.problem.targets(forces));
+        Plain::new(sizes, x, &forces, scale, self.pool.heartbeat())
     }
 
     /// λ of the trial's own linear brain for these training samples.

@@ -39,7 +39,7 @@ impl Candidates {
         problem: &Problem,
         search: &Search,
         design: &[f64],
-        pool: &rayon::ThreadPool,
+        pool: &crate::Pool,
     ) -> Result<Self, Failure> {
         let units = search.candidates.clone();
         let scene = Scene { sensors: units.clone(), ..problem.scene.clone() };
@@ -71,7 +71,7 @@ impl Candidates {
 
     /// As many as can be searched: where there are more, those that are best alone.
     #[must_use]
-    pub fn thinned(self, problem: &Problem, pool: &rayon::ThreadPool) -> Self {
+    pub fn thinned(self, problem: &Problem, pool: &crate::Pool) -> Self {
         if self.units.len() <= CANDIDATES {
             return self;
         }
@@ -87,7 +87,7 @@ impl Candidates {
         chosen: &[usize],
         ridge: f64,
         problem: &Problem,
-        pool: &rayon::ThreadPool,
+        pool: &crate::Pool,
     ) -> Vec<(usize, f64)> {
         let others: Vec<usize> = self.units.iter().copied().filter(|unit| !chosen.contains(unit)).collect();
         let of = |group: &[usize]| {
@@ -110,13 +110,13 @@ impl Candidates {
         let rows = self.samples.x.chunks_exact(self.samples.sizes.channels);
         let x = rows.flat_map(|row| from.iter().map(|&c| row[c])).collect();
         let sizes = Sizes { channels: from.len(), ..self.samples.sizes };
-        let samples = Plain { sizes, x, y: self.samples.y.clone(), w: self.samples.w.clone() };
+        let samples = Plain { sizes, x, ..self.samples.clone() };
         Self { units: units.to_vec(), samples, dealt: self.dealt.clone(), energies: self.energies }
     }
 
     /// How well any of them are read.
-    pub fn scores<'a>(&self, problem: &'a Problem, pool: &'a rayon::ThreadPool) -> Scores<'a> {
-        let Plain { sizes, x, y, w } = &self.samples;
+    pub fn scores<'a>(&self, problem: &'a Problem, pool: &'a crate::Pool) -> Scores<'a> {
+        let Plain { sizes, x, y, w, .. } = &self.samples;
         Scores::new(
             &problem.scene.layout,
             self.units.clone(),
@@ -133,7 +133,7 @@ impl Candidates {
 ///
 /// # Errors
 /// If the initial body cannot be simulated, or there is no such placement.
-pub fn placed(problem: &Problem, pool: &rayon::ThreadPool) -> Result<(Problem, Option<Placed>), Failure> {
+pub fn placed(problem: &Problem, pool: &crate::Pool) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
     let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);
     let search = Search { candidates: candidates.units.clone(), ..search.clone() };

@@ -43,7 +43,7 @@ impl<'a> Session<'a> {
     pub(super) fn new(setting: &'a Setting<'a>) -> Self {
         Self {
             setting,
-            workspace: Workspace::new(setting.shape),
+            workspace: Workspace::new(setting.shape, setting.pool.width()),
             recent: joint::Recent::default(),
             known: linear::Known::default(),
         }

@@ -45,7 +45,7 @@ pub fn replay(
     problem: &Problem,
     design: &[f64],
     weights: &[f32],
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Result<Replay, Failure> {
     let Tuning { asked, problem, .. } = &Tuning::new(problem, pool)?;
     let solver = Tuning::of_body(asked, design, pool).solver;
@@ -65,7 +65,7 @@ pub fn replay(
             Kind::Stacked => stacked(&setting, &simulation.signals, &forces, &kinds)?,
             _ => setting.data::<f32>(&simulation.signals, &forces),
         };
-        let mut workspace = Workspace::new(data.shape());
+        let mut workspace = Workspace::new(data.shape(), pool.width());
         let targets = problem.targets(&forces);
         (predictions, errors) = setting.scales.predict(weights, &data, &targets, &mut workspace, pool);
     }
@@ -167,7 +167,7 @@ pub fn motion(
     problem: &Problem,
     design: &[f64],
     sample: usize,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Result<Motion, Failure> {
     let solver = Tuning::of_body(problem, design, pool).solver;
     let forces = crate::stimuli::select(&all_forces(problem), &[sample]);

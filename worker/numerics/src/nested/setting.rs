@@ -15,7 +15,7 @@ use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, Wrt, planned};
 /// The fixed part of a trial.
 pub(super) struct Setting<'a> {
     pub(super) problem: &'a Problem,
-    pub(super) pool: &'a rayon::ThreadPool,
+    pub(super) pool: &'a crate::Pool,
     pub(super) shape: Shape,
     pub(super) train: Forces,
     pub(super) test: Forces,
@@ -38,7 +38,7 @@ pub(super) struct Scales {
 
 impl<'a> Setting<'a> {
     /// Draws the forces, simulates the initial body and takes the scales.
-    pub(super) fn new(problem: &'a Problem, pool: &'a rayon::ThreadPool) -> Result<Self, Failure> {
+    pub(super) fn new(problem: &'a Problem, pool: &'a crate::Pool) -> Result<Self, Failure> {
         let [mut train, test] = problem.known();
         let shape = problem.shape();
         let simulation = simulated(problem, &problem.initial, &train, &problem.solver, false, pool);
@@ -173,7 +173,7 @@ fn simulated(
     forces: &Forces,
     solver: &Solver,
     keep_tape: bool,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Simulation {
     let plan = planned(&problem.scene, design, forces, solver);
     let plan = if problem.optimise.brain == Kind::Linear { plan.double() } else { plan };
@@ -272,7 +272,7 @@ impl Scales {
         data: &Data<f32>,
         targets: &[f64],
         workspace: &mut Workspace<f32>,
-        pool: &rayon::ThreadPool,
+        pool: &crate::Pool,
     ) -> (Vec<f64>, Vec<Option<f64>>) {
         let shape = data.shape();
         let predicted = self.physical(&brain::predict(weights, data.all(), workspace, pool));

@@ -75,8 +75,8 @@ const PROTOCOLS: [Protocol; 5] = [
     Protocol::Cmaes(GOING),
 ];
 
-fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap()
+fn pool(threads: usize) -> crate::Pool {
+    crate::Pool::new(threads).unwrap()
 }
 
 /// Keeps all that it is told, and says stop after `stop_after` steps. Its clock counts how often it was read, unless it
@@ -421,7 +421,7 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let pool = pool(2);
     let setting = Setting::new(&problem, &pool).unwrap();
     let weights: Vec<f64> = fresh_weights(setting.shape, 1, 0).into_iter().map(f64::from).collect();
-    let mut workspace = Workspace::<f64>::new(setting.shape);
+    let mut workspace = Workspace::<f64>::new(setting.shape, setting.pool.width());
     let mut keeper = Keeper::default();
     let mut log = Log::new(0, &mut keeper);
     let mut loss = |design: &[f64]| {

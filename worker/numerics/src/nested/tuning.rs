@@ -31,7 +31,7 @@ impl Tuning {
     ///
     /// # Errors
     /// If sensors are to be searched for, and the initial body cannot be simulated or has no place for them.
-    pub(super) fn new(problem: &Problem, pool: &rayon::ThreadPool) -> Result<Self, Failure> {
+    pub(super) fn new(problem: &Problem, pool: &crate::Pool) -> Result<Self, Failure> {
         let (asked, placed) = placed(problem, pool)?;
         let mut problem = asked.clone();
         let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(SAMPLES));
@@ -49,7 +49,7 @@ impl Tuning {
     }
 
     /// What the accurate solver of the spec comes to on another body, by a pilot of its own.
-    pub(super) fn of_body(asked: &Problem, design: &[f64], pool: &rayon::ThreadPool) -> Tuned {
+    pub(super) fn of_body(asked: &Problem, design: &[f64], pool: &crate::Pool) -> Tuned {
         let forces = asked.forces(Purpose::Stimulus, 0, asked.stimuli.samples.min(SAMPLES));
         tune(&asked.scene, design, &forces, &asked.solver, pool)
     }

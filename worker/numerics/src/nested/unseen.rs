@@ -9,6 +9,7 @@ use super::problem::{Problem, Schedule, Training};
 use super::report::{Failure, Trouble};
 use super::setting::{Scales, Setting, all_well, mean_error};
 use super::tuning::Tuning;
+use crate::Heartbeat;
 use crate::brain::linear::Sizes;
 use crate::brain::{Shape, TrainOutcome, Workspace, prediction_error};
 use crate::dynamics::{Forces, simulate, tune};
@@ -75,7 +76,8 @@ impl Records {
         let (signals, targets) = self.select(records);
         let Shape { instants, inputs, outputs, .. } = self.shape;
         let force = force_scale(&scales.mean, &scales.deviation);
-        Plain::new(Sizes { instants, channels: inputs, outputs }, scales.inputs(&signals), &targets, force)
+        let sizes = Sizes { instants, channels: inputs, outputs };
+        Plain::new(sizes, scales.inputs(&signals), &targets, force, &Heartbeat::default())
     }
 
     /// Trains a network on the records outside `fold` (of each record, as `folds` deals them) and lets it predict those
@@ -92,7 +94,7 @@ impl Records {
         stacked: Option<&Decoder>,
         schedule: Schedule,
         start: [u64; 2],
-        pool: &rayon::ThreadPool,
+        pool: &crate::Pool,
     ) -> Unseen {
         let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|&i| folds[i] == fold);
         let (signals, targets) = self.select(&train);
@@ -114,7 +116,7 @@ impl Records {
                 (seen, scales.stacked(shape, &test_signals, &unseen, &stack.answers(&unseen.x)))
             }
         };
-        let [mut workspace, mut aside] = [(); 2].map(|()| Workspace::new(data.shape()));
+        let [mut workspace, mut aside] = [(); 2].map(|()| Workspace::new(data.shape(), pool.width()));
         let mut error =
             |weights: &[f32]| mean_error(&scales.predict(weights, &unseen, &truth, &mut aside, pool).1);
         let mut fresh = Fresh::new(data.shape(), start);
@@ -186,7 +188,7 @@ pub fn sense(
     problem: &Problem,
     design: &[f64],
     forces: &Forces,
-    pool: &rayon::ThreadPool,
+    pool: &crate::Pool,
 ) -> Result<Vec<f64>, Failure> {
     let scene = &problem.scene;
     let solver = tune(scene, design, forces, &problem.solver, pool).solver;
@@ -229,7 +231,7 @@ mod tests {
         }
         // the made-up one
         signals[..instants * 3].iter_mut().for_each(|x| *x = -*x);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let pool = crate::Pool::new(1).unwrap();
         let architecture = Architecture::paper(64);
         let shape = Shape { instants, inputs: 3, outputs: 1, architecture };
         let records = Records::new(&forces, signals, shape, false);

@@ -60,7 +60,7 @@ pub struct Scores<'a> {
     units: Vec<usize>,
     /// Whether each has its energy as a fourth channel.
     energies: bool,
-    pool: &'a rayon::ThreadPool,
+    pool: &'a crate::Pool,
 }
 
 impl<'a> Scores<'a> {
@@ -77,15 +77,15 @@ impl<'a> Scores<'a> {
         [x, f, w]: [&[f64]; 3],
         dealt: &[usize],
         energies: bool,
-        pool: &'a rayon::ThreadPool,
+        pool: &'a crate::Pool,
     ) -> Self {
         assert_eq!(sizes.channels, 3 * units.len(), "three channels a unit");
         let folds = dealt.iter().max().map_or(0, |most| most + 1);
         let spectra = if energies {
             let sizes = Sizes { channels: 4 * units.len(), ..sizes };
-            Spectra::new(sizes, &with_energies(x, units.len()), f, w, dealt, folds)
+            Spectra::new(sizes, [&with_energies(x, units.len()), f, w], dealt, folds, pool.heartbeat())
         } else {
-            Spectra::new(sizes, x, f, w, dealt, folds)
+            Spectra::new(sizes, [x, f, w], dealt, folds, pool.heartbeat())
         };
         Self { spectra, layout, units, energies, pool }
     }

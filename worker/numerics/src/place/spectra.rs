@@ -6,6 +6,7 @@
 //! Of samples padded to 2T, so that a weight a frequency is a weight a lag (Parseval); frequencies beyond those that hold
 //! all but 10⁻⁴ of the forces count as unread. An error is that of folds: each sample read by weights of the others.
 
+use crate::Heartbeat;
 use crate::brain::linear::{Sizes, factor, matrix, matrix_mut};
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
@@ -30,6 +31,8 @@ pub(super) struct Spectra {
     power: Vec<f64>,
     /// What of the sum the frequencies leave out.
     left_out: f64,
+    /// Counts what is done.
+    heartbeat: Heartbeat,
 }
 
 #[derive(Debug, Clone)]
@@ -43,7 +46,13 @@ impl Spectra {
     ///
     /// # Panics
     /// If lengths do not belong to one N.
-    pub(super) fn new(sizes: Sizes, x: &[f64], f: &[f64], w: &[f64], dealt: &[usize], folds: usize) -> Self {
+    pub(super) fn new(
+        sizes: Sizes,
+        [x, f, w]: [&[f64]; 3],
+        dealt: &[usize],
+        folds: usize,
+        heartbeat: &Heartbeat,
+    ) -> Self {
         let Sizes { instants, channels, outputs } = sizes;
         assert!(x.len() == w.len() * instants * channels && f.len() == w.len() * instants * outputs);
         let scaled = |values: &[f64]| -> Vec<f64> {
@@ -71,7 +80,7 @@ impl Spectra {
             (0..folds).map(|fold| (0..w.len()).filter(|&i| dealt[i] == fold).collect()).collect();
         let mut grams = Vec::with_capacity(shares.len() * (folds + 1));
         for b in 0..shares.len() {
-            crate::pulse::beat();
+            heartbeat.beat();
             let of = |samples: &Vec<usize>| {
                 let row = |part: usize, i: usize| {
                     let pick = |values: &'_ [f64], width: usize| {
@@ -89,13 +98,14 @@ impl Spectra {
             grams.extend(parts);
             grams.push(sum);
         }
-        Self { sizes, folds, shares, grams, power, left_out: left_out.max(0.0) }
+        let heartbeat = heartbeat.clone();
+        Self { sizes, folds, shares, grams, power, left_out: left_out.max(0.0), heartbeat }
     }
 
     /// Error (%) of these channels' linear brain, the mean of samples that the others' weights read; none where λ is too
     /// small for a factor.
     pub(super) fn error(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
-        crate::pulse::beat();
+        self.heartbeat.beat();
         let (outputs, n) = (self.sizes.outputs, 2 * chosen.len());
         let forces = self.forces();
         let [mut lower, mut own, mut total] = [(); 3].map(|()| vec![0.0; n * n]);

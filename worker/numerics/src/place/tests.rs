@@ -57,7 +57,9 @@ fn errors_are_those_of_least_squares_over_lags() {
         }
         all += power(&unseen);
     }
-    let found = Spectra::new(sizes, &x, &f, &w, &dealt, folds).error(&chosen, ridge).unwrap();
+    let found = Spectra::new(sizes, [&x, &f, &w], &dealt, folds, &crate::Heartbeat::default())
+        .error(&chosen, ridge)
+        .unwrap();
     assert!((found / (100.0 * wrong / all) - 1.0).abs() < 1e-10, "{found} {}", 100.0 * wrong / all);
 }
 
@@ -87,7 +89,7 @@ fn searched(sensors: usize, turn: usize, spacing: f64) -> Result<Placed, Nowhere
     let layout = Layout::planar(4, 3, 10.0, 1.5);
     let [x, f, w] = signals();
     let dealt: Vec<usize> = (0..SAMPLES).map(|i| i % 4).collect();
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    let pool = crate::Pool::new(2).unwrap();
     let sizes = Sizes { instants: INSTANTS, channels: 18, outputs: 2 };
     let scores = Scores::new(&layout, UNITS.to_vec(), sizes, [&x, &f, &w], &dealt, false, &pool);
     let search = Search { candidates: UNITS.to_vec(), sensors, turn, spacing };
@@ -120,7 +122,7 @@ fn energies_tell_what_no_linear_part_does() {
     let x: Vec<f64> = draw(8, samples * instants * 3);
     let f: Vec<f64> = x.chunks_exact(3).map(|x| x.iter().map(|x| x * x).sum::<f64>() - 3.0).collect();
     let dealt: Vec<usize> = (0..samples).map(|i| i % 4).collect();
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let pool = crate::Pool::new(1).unwrap();
     let sizes = Sizes { instants, channels: 3, outputs: 1 };
     let [blind, seeing] = [false, true].map(|energies| {
         Scores::new(&layout, vec![2], sizes, [&x, &f, &vec![1.0; samples]], &dealt, energies, &pool).of_all()

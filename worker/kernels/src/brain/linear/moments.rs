@@ -9,6 +9,7 @@
 //! prediction; Makhoul, Proc. IEEE 63, 561, 1975), so that G costs O(N·D²), not O(N·T·D²).
 
 use super::{Lags, Sizes, matrix, matrix_mut};
+use crate::Heartbeat;
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, Par};
@@ -18,6 +19,7 @@ use std::ops::Range;
 #[derive(Debug, Clone)]
 pub struct Moments {
     pub(super) sizes: Sizes,
+    pub(super) heartbeat: Heartbeat,
     /// R (T·C, T·C), column-major; its lower triangle.
     second: Vec<f64>,
     /// P (T·C, T·K), column-major.
@@ -51,11 +53,12 @@ pub(super) struct Normal {
 }
 
 impl Moments {
-    /// Of no sample.
-    pub fn new(sizes: Sizes) -> Self {
+    /// Of no sample; what is done with them counts there.
+    pub fn new(sizes: Sizes, heartbeat: &Heartbeat) -> Self {
         let (rows, columns) = (sizes.instants * sizes.channels, sizes.instants * sizes.outputs);
         Self {
             sizes,
+            heartbeat: heartbeat.clone(),
             second: vec![0.0; rows * rows],
             cross: vec![0.0; rows * columns],
             signals: vec![0.0; rows],
@@ -98,7 +101,7 @@ impl Moments {
             Par::Seq,
         );
         let f = matrix(&f, columns, samples);
-        crate::pulse::beat();
+        self.heartbeat.beat();
         matmul(matrix_mut(&mut self.cross, rows, columns), Accum::Add, x, f.transpose(), 1.0, Par::Seq);
     }
 

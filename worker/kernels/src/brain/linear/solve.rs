@@ -77,7 +77,7 @@ impl Fit {
             *d += ridge * groups[u / channels].len() as f64;
         }
         factor(&mut lower, unknowns)?;
-        crate::pulse::beat();
+        moments.heartbeat.beat();
         let outputs = sizes.outputs;
         solve_lower_triangular_in_place(
             matrix(&lower, unknowns, unknowns),

@@ -7,6 +7,7 @@ use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
 use super::super::{Counters, Forces, Frame, Panel};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::{Reach, Sweep, steps};
+use crate::Heartbeat;
 use crate::lanes::{LANES, MOST, Vector};
 
 /// What a sweep keeps of one step.
@@ -43,6 +44,7 @@ pub fn reverse<V: Vector>(
     forces: &Forces,
     sweeps: &[Sweep<'_>],
     forces_asked: bool,
+    heartbeat: &Heartbeat,
 ) -> (Vec<f64>, Counters) {
     let scene = system.scene;
     let free = &system.model.free;
@@ -70,7 +72,7 @@ pub fn reverse<V: Vector>(
     let mut pushed = vec![0.0; if forces_asked { sweeps.len() * forces.panels * row } else { 0 }];
 
     for interval in (0..instants).rev() {
-        crate::pulse::beat();
+        heartbeat.beat();
         let count = |s: usize, kink: usize| sweeps[s].tape.counts[interval * kinks + kink] as usize;
         let total = |s: usize| (0..kinks).map(|kink| count(s, kink)).sum::<usize>();
         order.sort_by_key(|&s| (total(s), s));

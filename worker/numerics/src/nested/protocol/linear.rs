@@ -143,7 +143,7 @@ impl Session<'_> {
         let (setting, known) = (self.setting, &self.known.0);
         let lags = setting.problem.decoder.lags;
         let (_, newest) = &known[known.len() - 1];
-        let mut moments = Moments::new(newest.sizes);
+        let mut moments = Moments::new(newest.sizes, setting.pool.heartbeat());
         for (age, (_, samples)) in known.iter().rev().enumerate().skip(1) {
             let fading = FADING.powi(age as i32);
             let w: Vec<f64> = samples.w.iter().map(|w| w * fading).collect();

@@ -1,25 +1,25 @@
-//! What takes long gives signs of life on the way. A test binary of its own: the count is the whole process's.
+//! What takes long gives signs of life on the way.
 
+use metasense_kernels::Pool;
 use metasense_kernels::body::Layout;
 use metasense_kernels::brain::linear::{Fit, Lags, Moments, Order, Sizes};
 use metasense_kernels::brain::{Adam, Architecture, Data, Shape, Workspace, train};
 use metasense_kernels::dynamics::{
     Accuracy, Forces, Frame, Method, Panel, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
 };
-use metasense_kernels::pulse;
 
 /// How much the count grows.
-fn beats<T>(work: impl FnOnce() -> T) -> (T, u64) {
-    let before = pulse::count();
+fn beats<T>(pool: &Pool, work: impl FnOnce() -> T) -> (T, u64) {
+    let before = pool.heartbeat().count();
     let found = work();
-    (found, pulse::count() - before)
+    (found, pool.heartbeat().count() - before)
 }
 
 /// At least one for each interval of eight samples, forwards and backwards, for each iteration, moment and factor.
 #[test]
 fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let (samples, instants) = (20, 30);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    let pool = Pool::new(2).unwrap();
     let layout = Layout::planar(3, 3, 15.0, 2.25);
     let scene = Scene {
         density: 1e-8,
@@ -45,9 +45,10 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
             Method::Tsit5 => Solver::tsit5(Tolerance::both(1e-4)),
             method => Solver::new(method, Accuracy(1e-4)),
         };
-        let (simulation, forwards) = beats(|| simulate(&scene, &design, &forces, &solver, true, &pool));
+        let (simulation, forwards) =
+            beats(&pool, || simulate(&scene, &design, &forces, &solver, true, &pool));
         let cotangent = vec![1.0; simulation.signals.len()];
-        let (_, backwards) = beats(|| simulation.vjp(&cotangent, Wrt::Design, &pool));
+        let (_, backwards) = beats(&pool, || simulation.vjp(&cotangent, Wrt::Design, &pool));
         let least = (instants * samples.div_ceil(8)) as u64;
         // Tsit5 sweeps several blocks of eight in one
         assert!(forwards >= least && backwards >= instants as u64, "{method:?}: {forwards}, {backwards}");
@@ -59,15 +60,16 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let y: Vec<f32> = (0..samples * instants).map(|n| push(n) as f32).collect();
     let data = Data::new(shape, &x, &y);
     let (mut weights, mut losses) = (vec![0.1f32; shape.weights()], Vec::new());
-    let (mut adam, mut ws) = (Adam::new(weights.len()), Workspace::new(shape));
-    let (_, iterations) =
-        beats(|| train(&mut weights, &mut adam, data.all(), &|_| 1e-3, 12, &mut losses, &mut ws, &pool));
+    let (mut adam, mut ws) = (Adam::new(weights.len()), Workspace::new(shape, pool.width()));
+    let (_, iterations) = beats(&pool, || {
+        train(&mut weights, &mut adam, data.all(), &|_| 1e-3, 12, &mut losses, &mut ws, &pool)
+    });
     assert!(losses.len() == 12 && iterations >= 12, "{iterations} beats in {} iterations", losses.len());
 
     let sizes = Sizes { instants, channels: 3, outputs: 1 };
-    let mut moments = Moments::new(sizes);
+    let mut moments = Moments::new(sizes, pool.heartbeat());
     let y: Vec<f64> = y.iter().map(|y| f64::from(*y)).collect();
-    let (_, taken_in) = beats(|| moments.add(&signals, &y, &vec![1.0; samples]));
-    let (fit, factored) = beats(|| Fit::new(&moments, Lags::whole(instants), 1e-3, Order::Ascending));
+    let (_, taken_in) = beats(&pool, || moments.add(&signals, &y, &vec![1.0; samples]));
+    let (fit, factored) = beats(&pool, || Fit::new(&moments, Lags::whole(instants), 1e-3, Order::Ascending));
     assert!(fit.is_ok() && taken_in > 0 && factored > 0, "{taken_in}, {factored}");
 }
