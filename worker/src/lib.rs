@@ -8,6 +8,7 @@ pub mod design;
 pub mod evaluate;
 pub mod files;
 pub mod identify;
+mod invalid;
 pub mod measured;
 pub mod modes;
 pub mod place;

@@ -9,7 +9,7 @@ use metasense_numerics::dynamics::Forces;
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{self, Augment, Resample, TrialSpec};
 
-use crate::problem::{Invalid, invalid};
+use crate::invalid::{Invalid, invalid};
 use crate::records::{self, Pick, Record};
 
 /// Records of one body.

@@ -3,8 +3,6 @@
 //! Degrees become radians; rules ("bottom") become unit lists. The plan calls this for every trial before any process
 //! starts, a worker calls it again for the one that it runs.
 
-use std::fmt::Display;
-
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
@@ -19,52 +17,17 @@ use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point,
 mod optimise;
 mod stimuli;
 
+pub use crate::invalid::Invalid;
+use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
 pub use metasense_numerics::nested::READINGS_MAX;
 
 pub use optimise::design_parameters;
 use optimise::{frozen, protocol, tie};
 use stimuli::{disturbance, stimuli};
 
-/// A value that no trial can be made of.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{key}{}{value}: {remedy}", if value.is_empty() { "" } else { " = " })]
-pub struct Invalid {
-    /// The key by its path in the spec, for instance `body.stiffness.stretch`.
-    pub key: String,
-    /// The value that it has; empty where it is left out.
-    pub value: String,
-    /// What it must be.
-    pub remedy: String,
-}
-
-pub(crate) fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Invalid {
-    Invalid { key: key.into(), value: value.to_string(), remedy: remedy.into() }
-}
-
-fn require(holds: bool, key: &str, value: impl Display, remedy: &str) -> Result<(), Invalid> {
-    if holds { Ok(()) } else { Err(invalid(key, value, remedy)) }
-}
-
-fn positive(key: &str, value: f64) -> Result<(), Invalid> {
-    require(value > 0.0 && value.is_finite(), key, value, "must be a number above 0")
-}
-
-fn not_negative(key: &str, value: f64) -> Result<(), Invalid> {
-    require(value >= 0.0 && value.is_finite(), key, value, "must be 0 or a number above")
-}
-
-fn at_least(key: &str, value: usize, least: usize) -> Result<(), Invalid> {
-    require(value >= least, key, value, &format!("must be at least {least}"))
-}
-
 /// Channels, and weights, of a network beyond which neither time nor memory would do.
 const WIDTH_MAX: usize = 1024;
 const WEIGHTS_MAX: usize = 10_000_000;
-
-/// More than this cannot be meant: the memory for it is not there.
-fn at_most(key: &str, value: usize, most: usize) -> Result<(), Invalid> {
-    require(value <= most, key, value, &format!("must be at most {most}"))
-}
 
 /// The trial as the nested optimisation takes it.
 ///

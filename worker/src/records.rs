@@ -11,7 +11,7 @@ use metasense_numerics::stimuli::{Recorded, anti_aliased, resample};
 use metasense_schemas::spec::{self, Resample, Signal, TimeUnit, TrialSpec};
 
 use crate::files::{Array, Content, content};
-use crate::problem::{Invalid, invalid};
+use crate::invalid::{Invalid, invalid};
 
 /// Histories on an even clock: one of each panel, or of the one that was struck; or one of each channel.
 #[derive(Debug, Clone, PartialEq)]

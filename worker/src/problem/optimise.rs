@@ -5,7 +5,8 @@ use metasense_numerics::brain::Policy;
 use metasense_numerics::nested::{Going, Protocol, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
-use super::{Invalid, at_least, check_units, invalid, not_negative, positive, require};
+use super::check_units;
+use crate::invalid::{Invalid, at_least, invalid, not_negative, positive, require};
 
 /// How body and brain are trained together.
 pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {

@@ -4,7 +4,7 @@ use metasense_numerics::nested::{Disturbance, Size, Stimuli};
 use metasense_numerics::stimuli::{Bell, Irregular, Source};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
-use super::{Invalid, at_least, at_most, invalid, require};
+use crate::invalid::{Invalid, at_least, at_most, invalid, require};
 use crate::records;
 
 /// Where the forces of a trial come from, and how many samples there are.

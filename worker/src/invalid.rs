@@ -1,0 +1,40 @@
+//! A value that no trial can have: by its key, with the remedy; and the tests of numbers that most keys need.
+
+use std::fmt::Display;
+
+/// A value that no trial can be made of.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{key}{}{value}: {remedy}", if value.is_empty() { "" } else { " = " })]
+pub struct Invalid {
+    /// The key by its path in the spec, for instance `body.stiffness.stretch`.
+    pub key: String,
+    /// The value that it has; empty where it is left out.
+    pub value: String,
+    /// What it must be.
+    pub remedy: String,
+}
+
+pub(crate) fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Invalid {
+    Invalid { key: key.into(), value: value.to_string(), remedy: remedy.into() }
+}
+
+pub(crate) fn require(holds: bool, key: &str, value: impl Display, remedy: &str) -> Result<(), Invalid> {
+    if holds { Ok(()) } else { Err(invalid(key, value, remedy)) }
+}
+
+pub(crate) fn positive(key: &str, value: f64) -> Result<(), Invalid> {
+    require(value > 0.0 && value.is_finite(), key, value, "must be a number above 0")
+}
+
+pub(crate) fn not_negative(key: &str, value: f64) -> Result<(), Invalid> {
+    require(value >= 0.0 && value.is_finite(), key, value, "must be 0 or a number above")
+}
+
+pub(crate) fn at_least(key: &str, value: usize, least: usize) -> Result<(), Invalid> {
+    require(value >= least, key, value, &format!("must be at least {least}"))
+}
+
+/// More than this cannot be meant: the memory for it is not there.
+pub(crate) fn at_most(key: &str, value: usize, most: usize) -> Result<(), Invalid> {
+    require(value <= most, key, value, &format!("must be at most {most}"))
+}
