@@ -1,4 +1,4 @@
-//! Each bench, tiny: every figure that it gives is a positive number. And what has become of `metasense bench`.
+//! Each bench, tiny: every figure that it gives is a positive number.
 
 use std::path::Path;
 use std::process::Command;
@@ -74,19 +74,28 @@ fn kernels_are_measured() {
     assert_eq!(kept.lines().count(), brain.len() + linear.len());
 }
 
-/// The race, and the diagram of one scene with its picture.
+/// The race, and the diagram of a tenth of a second with its picture: every method comes, from short steps on errors are small,
+/// longer ones cost less.
 #[test]
 fn integrators_are_measured() {
     let folder = tempfile::tempdir().unwrap();
     let race = rows(folder.path(), "dynamics --race --quick --samples 2 --repeat 1 --format json");
     assert!(race.len() >= 6 && race.len() % 2 == 0, "{race:?}");
-    positive(
-        &race,
-        "forward_s forward_cpu_s gradient_s gradient_cpu_s cycles_a_ligament_and_lane kernel_cycles",
-    );
+    positive(&race, "forward_s forward_cpu_s gradient_s gradient_cpu_s kernel_cycles dual_kernel_cycles");
 
     let points = rows(folder.path(), "dynamics --scenes reference --quick --samples 2 --format json");
     positive(&points, "force_evaluations forward_ms gradient_ms");
+    for method in ["tsit5", "leapfrog", "nystrom4", "nystrom6"] {
+        let of = |p: &&Value| p["method"] == method && p["auto"] == false;
+        let of: Vec<Vec<f64>> = (points.iter().filter(of))
+            .map(|p| numbers(p, "force_evaluations signals_error gradient_error").collect())
+            .collect();
+        assert!(of.len() >= 4, "{method}: {of:?}");
+        let (first, last) = (&of[0], &of[of.len() - 1]);
+        assert!(first[0] < last[0] && first[1] > last[1] && first[2] > last[2], "{method}: {of:?}");
+    }
+    let last = points.iter().rfind(|p| p["method"] == "tsit5").unwrap();
+    assert!(numbers(last, "signals_error").all(|e| e < 1e-5), "the truth against another method: {last}");
     let picture = std::fs::read_to_string(folder.path().join("results/work-precision.svg")).unwrap();
     assert!(picture.contains("reference scene"), "{picture}");
 }

@@ -77,7 +77,10 @@ fn line_of(row: &StringRecord, bytes: &[u8]) -> usize {
 }
 
 /// An NPY of real numbers, in either order.
-fn array(bytes: &[u8]) -> Result<Array, String> {
+///
+/// # Errors
+/// Says what is wrong.
+pub fn array(bytes: &[u8]) -> Result<Array, String> {
     let file = NpyFile::new(bytes).map_err(|e| e.to_string())?;
     let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
     let order = file.order();

@@ -12,11 +12,11 @@ use std::path::PathBuf;
 use metasense::cli::{Error, Format, print_rows};
 use metasense::exit::Exit;
 use metasense::look::Table;
-use metasense::{row, say};
-use serde_json::{Value, json};
+use metasense::say;
+use serde_json::json;
 
 use crate::append;
-use measure::{BenchScene, Lap, Point, race, work_precision};
+use measure::{BenchScene, LAP, POINT, race, work_precision};
 
 /// Error of the signals and of dα against milliseconds a sample, for every integrator; or the race against a peer
 #[derive(Debug, clap::Args)]
@@ -40,55 +40,18 @@ pub struct Args {
     /// Repetitions of the race, of which the quickest counts
     #[arg(long, default_value_t = 2)]
     repeat: usize,
-    /// Measures nothing and draws the rows that are there
+    /// Measure nothing; draw the rows that are there
     #[arg(long)]
     redraw: bool,
-    /// Where the rows are appended as JSON lines
+    /// File to which the rows are appended as JSON lines
     #[arg(long, value_name = "FILE", default_value = "results/bench.jsonl")]
     append: PathBuf,
-    /// Where the newest rows of that file are drawn
+    /// File for a picture of the newest rows
     #[arg(long, value_name = "SVG", default_value = "results/work-precision.svg")]
     picture: PathBuf,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
-}
-
-const POINT: &str = "scene method setting auto force_evaluations forward_ms gradient_ms signals_error \
-    gradient_error failed";
-
-fn point(p: &Point) -> Vec<Value> {
-    row![
-        p.scene,
-        p.method,
-        p.setting,
-        p.auto,
-        p.evaluations,
-        p.forward,
-        p.forward + p.reverse,
-        p.signals,
-        p.gradient,
-        p.failed
-    ]
-}
-
-const LAP: &str = "solver simd threads samples forward_s forward_cpu_s gradient_s gradient_cpu_s \
-    cycles_a_ligament_and_lane kernel_cycles dual_kernel_cycles";
-
-fn lap(l: &Lap) -> Vec<Value> {
-    row![
-        l.solver,
-        l.simd,
-        l.threads,
-        l.samples,
-        l.forward.wall,
-        l.forward.cpu,
-        l.both.wall,
-        l.both.cpu,
-        l.cycles,
-        l.kernels[0],
-        l.kernels[1]
-    ]
 }
 
 pub fn execute(args: &Args) -> Result<Exit, Error> {
@@ -96,7 +59,7 @@ pub fn execute(args: &Args) -> Result<Exit, Error> {
     if args.race {
         let samples = args.samples.unwrap_or(300);
         let laps = race(samples.into(), instants.into(), args.threads.into(), args.repeat);
-        let table = Table::new(LAP, laps.iter().map(lap));
+        let table = Table::new(LAP, laps);
         print_rows(&table, args.format)?;
         append(&args.append, &json!({"bench": "race", "instants": instants}), &table)?;
         return Ok(Exit::Done);
@@ -104,10 +67,7 @@ pub fn execute(args: &Args) -> Result<Exit, Error> {
     let samples = args.samples.unwrap_or(16);
     let mut all = Vec::new();
     for &scene in args.scenes.iter().filter(|_| !args.redraw) {
-        let points = work_precision(scene, samples.into(), instants.into(), |p| {
-            say!("{}: {} {}, {:.2} ms a sample", p.scene, p.method, p.setting, p.forward);
-        });
-        let rows: Vec<Vec<Value>> = points.iter().map(point).collect();
+        let rows = work_precision(scene, samples.into(), instants.into());
         // Scene by scene: the stiffest takes most of the time, and what is before it should not be lost with it.
         let head = json!({"bench": "dynamics", "samples": samples, "instants": instants});
         append(&args.append, &head, &Table::new(POINT, rows.clone()))?;

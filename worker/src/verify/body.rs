@@ -34,10 +34,8 @@ pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
         ("moment", g.moment.clone()),
         ("void_angles", g.void_angles(layout).as_flattened().to_vec()),
     ];
-    let mut rows = Vec::new();
-    for (name, ours) in arrays {
-        rows.push(Row::new(name, relative(&ours, &case.array(name)?), ROUNDING));
-    }
+    let row = |(name, ours): (&str, Vec<f64>)| case.row(name, &ours, name, ROUNDING);
+    let mut rows = arrays.into_iter().map(row).collect::<Result<Vec<_>, _>>()?;
     let mut different = case.list("ligaments")?.len().abs_diff(layout.ligaments.len());
     for (i, ours) in layout.ligaments.iter().enumerate().take(case.list("ligaments")?.len()) {
         let read = |key: &str| case.size(&format!("ligaments.{i}.{key}"));
@@ -74,10 +72,8 @@ pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
         ("dU_dx", dx),
         ("dU_dalpha", dalpha),
     ];
-    let mut rows = Vec::new();
-    for (name, ours) in arrays {
-        rows.push(Row::new(name, relative(&ours, &case.array(name)?), ROUNDING));
-    }
+    let row = |(name, ours): (&str, Vec<f64>)| case.row(name, &ours, name, ROUNDING);
+    let mut rows = arrays.into_iter().map(row).collect::<Result<Vec<_>, _>>()?;
     // Whole turns aside
     let on_circle =
         |angles: &[f64]| angles.iter().flat_map(|a| <[f64; 2]>::from(a.sin_cos())).collect::<Vec<_>>();
@@ -102,14 +98,13 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
 
     let tight = simulate(&scene, &design, &forces, &TIGHT, true, pool);
     let mut rows = vec![
-        Row::new("sensors", relative(&tight.signals, &signals), tolerance(own("sensors_relative_l2")?))
+        case.row("sensors", &tight.signals, "sensors", tolerance(own("sensors_relative_l2")?))?
             .noted(outcomes(&tight)),
     ];
     let states = states(&scene, &design, &forces, &tight);
     let mut theirs = case.array("final_displacement")?;
     theirs.extend(case.array("final_velocity")?);
     let allowed = tolerance(own("final_state_relative_l2")?);
-    let [kinetic, elastic] = ["kinetic_energy", "elastic_energy"].map(|name| case.array(name));
     let less = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(&b).map(|(a, b)| a - b).collect::<Vec<f64>>();
     let stays = less(case.array("external_work")?, case.array("dissipated_work")?);
     // Voids that are narrow at rest hold energy from the start.
@@ -117,8 +112,8 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
     let gained: Vec<f64> = states.kinetic.iter().zip(&states.elastic).map(|(k, e)| k + e - start).collect();
     rows.extend([
         Row::new("final state", relative(&states.last, &theirs), allowed),
-        Row::new("kinetic energy", relative(&states.kinetic, &kinetic?), allowed),
-        Row::new("elastic energy", relative(&states.elastic, &elastic?), allowed),
+        case.row("kinetic energy", &states.kinetic, "kinetic_energy", allowed)?,
+        case.row("elastic energy", &states.elastic, "elastic_energy", allowed)?,
         Row::new("work in less dissipated", relative(&gained, &stays), allowed.max(1e-6)),
     ]);
     if let Ok(dt) = case.number("record_dt") {
@@ -191,8 +186,8 @@ pub fn adjoint(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>,
     let order = if scene.contact.is_some() { 1 } else { 5 };
     let own = case.number("gradient_20000_steps_relative_difference")? / (2f64.powi(order) - 1.0);
     Ok(vec![
-        Row::new("sensors", relative(&run.signals, &case.array("sensors")?), 1e-6).noted(outcomes(&run)),
-        Row::new("dα", relative(&gradient.design, &case.array("gradient")?), (3.0 * own).max(1e-6))
+        case.row("sensors", &run.signals, "sensors", 1e-6)?.noted(outcomes(&run)),
+        case.row("dα", &gradient.design, "gradient", (3.0 * own).max(1e-6))?
             .noted(format!("the reference's own error {own:.0e}")),
     ])
 }

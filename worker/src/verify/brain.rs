@@ -1,7 +1,7 @@
 //! The network and its derivatives, the implicit term and the error metric against their cases.
 
 use super::case::{Case, CaseError};
-use super::{Row, relative};
+use super::{Row, dot, relative};
 use metasense_numerics::brain::{
     Adam, Architecture, Curvature, Data, Matrix, Policy, Real, Shape, Workspace, full_gradient, predict,
     prediction_error, solve_implicit, train,
@@ -106,8 +106,8 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
     let direct = dot(&grad_x, &case.array_of("dA_test", grad_x.len())?);
     let mut rows = vec![
         Row::new("test loss", relative(&[loss], &[case.number("loss_test")?]), F64),
-        Row::new("∂L_test/∂β", relative(&b, &case.array("b")?), F64),
-        Row::new("∂L_test/∂A", relative(&grad_x, &case.array("grad_x_test")?), F64),
+        case.row("∂L_test/∂β", &b, "b", F64)?,
+        case.row("∂L_test/∂A", &grad_x, "grad_x_test", F64)?,
         Row::new("direct term", relative(&[direct], &[case.number("direct")?]), 1e-9),
     ];
     let curvature = Curvature::new(&weights, train.all(), ws, pool);
@@ -133,11 +133,7 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
                     .noted(format!("{note}; the reference went on through {least:.0e}")),
                 _ => Row::new(name, error, tolerance).noted(note),
             },
-            Row::new(
-                format!("implicit term, λ = {lambda}"),
-                relative(&term, &case.array(&format!("implicit_cg_{lambda}"))?),
-                F64,
-            ),
+            case.row(&format!("implicit term, λ = {lambda}"), &term, &format!("implicit_cg_{lambda}"), F64)?,
             Row::new(
                 format!("implicit scalar, λ = {lambda}"),
                 relative(&[scalar], &[number("cg_implicit")?]),
@@ -146,10 +142,6 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
         ]);
     }
     Ok(rows)
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// Prediction errors of samples, their mean, and which have none.

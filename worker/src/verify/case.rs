@@ -1,74 +1,29 @@
 //! Reading a reference case: `case.json` and its arrays, every fault an error that names the file.
 
+use super::{Row, relative};
+use crate::files;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{Contact, Forces, Frame, Panel, Scene, Stiffness};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Why a case can't be compared.
+/// Why a case cannot be compared.
 #[derive(Debug, thiserror::Error)]
-pub enum CaseError {
-    /// A file or folder can't be read.
-    #[error("{file}: {source}", file = file.display())]
-    Read {
-        /// Which.
-        file: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The folder holds no case.
-    #[error("{folder}: no case in it; a case is a folder with a case.json", folder = folder.display())]
-    Empty {
-        /// Which.
-        folder: PathBuf,
-    },
-    /// `case.json` is not JSON.
-    #[error("{file}: {source}", file = file.display())]
-    Json {
-        /// Which.
-        file: PathBuf,
-        /// Why.
-        source: serde_json::Error,
-    },
-    /// A key is missing or of the wrong type.
-    #[error("{file}: `{key}` is missing or no {expected}", file = file.display())]
-    Key {
-        /// Where.
-        file: PathBuf,
-        /// Which.
-        key: String,
-        /// What it should be.
-        expected: &'static str,
-    },
-    /// A kind of case that nothing here compares.
-    #[error("{file}: `kind` is \"{kind}\", which is not known", file = file.display())]
-    Kind {
-        /// Where.
-        file: PathBuf,
-        /// Which.
-        kind: String,
-    },
-    /// An array's numbers stand in another order than everything else's.
-    #[error("{file}: Fortran order; save it in C order (numpy.ascontiguousarray)", file = file.display())]
-    Order {
-        /// Which.
-        file: PathBuf,
-    },
-    /// An array's length does not fit the case.
-    #[error("{file}: {found} numbers, expected {expected}", file = file.display())]
-    Length {
-        /// Which array.
-        file: PathBuf,
-        /// Its numbers.
-        found: usize,
-        /// What the case says.
-        expected: usize,
-    },
+#[error("{file}: {what}", file = file.display())]
+pub struct CaseError {
+    /// The file or folder at fault.
+    pub file: PathBuf,
+    /// What is wrong with it.
+    pub what: String,
+}
+
+fn wrong(file: &Path, what: impl ToString) -> CaseError {
+    CaseError { file: file.to_owned(), what: what.to_string() }
 }
 
 /// The folders below `folder`, by name.
 pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, CaseError> {
-    let read = |source| CaseError::Read { file: folder.to_path_buf(), source };
+    let read = |e| wrong(folder, e);
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(read)? {
         let path = entry.map_err(read)?.path();
@@ -77,7 +32,7 @@ pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, CaseError> {
         }
     }
     if found.is_empty() {
-        return Err(CaseError::Empty { folder: folder.to_path_buf() });
+        return Err(wrong(folder, "no case in it; a case is a folder with a case.json"));
     }
     found.sort();
     Ok(found)
@@ -104,15 +59,14 @@ pub struct Case {
 impl Case {
     pub fn open(folder: &Path) -> Result<Self, CaseError> {
         let file = folder.join("case.json");
-        let text = std::fs::read_to_string(&file)
-            .map_err(|source| CaseError::Read { file: file.clone(), source })?;
-        let about =
-            serde_json::from_str(&without_nan(&text)).map_err(|source| CaseError::Json { file, source })?;
+        let text = std::fs::read_to_string(&file).map_err(|e| wrong(&file, e))?;
+        let about = serde_json::from_str(&without_nan(&text)).map_err(|e| wrong(&file, e))?;
         Ok(Self { folder: folder.to_path_buf(), about })
     }
 
-    pub fn file(&self) -> PathBuf {
-        self.folder.join("case.json")
+    /// An error of `case.json`.
+    pub fn wrong(&self, what: impl ToString) -> CaseError {
+        wrong(&self.folder.join("case.json"), what)
     }
 
     /// The value at `path`, keys and list positions parted by dots.
@@ -125,11 +79,8 @@ impl Case {
         let step = |value: &'a Value, key: &str| {
             if value.is_array() { value.get(key.parse::<usize>().ok()?) } else { value.get(key) }
         };
-        path.split('.').try_fold(&self.about, step).and_then(read).ok_or_else(|| CaseError::Key {
-            file: self.file(),
-            key: path.to_string(),
-            expected,
-        })
+        let found = path.split('.').try_fold(&self.about, step).and_then(read);
+        found.ok_or_else(|| self.wrong(format!("`{path}` is missing or no {expected}")))
     }
 
     pub fn text(&self, path: &str) -> Result<&str, CaseError> {
@@ -157,24 +108,19 @@ impl Case {
         let units = (0..self.list(path)?.len()).map(unit).collect::<Result<Vec<_>, _>>()?;
         match units.iter().all(|&u| u < count) {
             true => Ok(units),
-            false => Err(CaseError::Key {
-                file: self.file(),
-                key: path.into(),
-                expected: "list of units of the body",
-            }),
+            false => Err(self.wrong(format!("`{path}` is no list of units of the body"))),
         }
+    }
+
+    fn array_file(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("{name}.npy"))
     }
 
     /// Array `name` as flat numbers.
     pub fn array(&self, name: &str) -> Result<Vec<f64>, CaseError> {
-        let file = self.folder.join(format!("{name}.npy"));
-        let read = |source| CaseError::Read { file: file.clone(), source };
-        let bytes = std::fs::read(&file).map_err(read)?;
-        let array = npyz::NpyFile::new(&bytes[..]).map_err(read)?;
-        if array.order() == npyz::Order::Fortran && array.shape().iter().filter(|n| **n > 1).count() > 1 {
-            return Err(CaseError::Order { file });
-        }
-        array.into_vec().map_err(read)
+        let file = self.array_file(name);
+        let bytes = std::fs::read(&file).map_err(|e| wrong(&file, e))?;
+        Ok(files::array(&bytes).map_err(|e| wrong(&file, e))?.values)
     }
 
     /// Array `name`, which must hold `expected` numbers.
@@ -182,10 +128,13 @@ impl Case {
         let values = self.array(name)?;
         match values.len() {
             found if found == expected => Ok(values),
-            found => {
-                Err(CaseError::Length { file: self.folder.join(format!("{name}.npy")), found, expected })
-            }
+            found => Err(wrong(&self.array_file(name), format!("{found} numbers, expected {expected}"))),
         }
+    }
+
+    /// A row: `ours` against array `name`.
+    pub fn row(&self, quantity: &str, ours: &[f64], name: &str, tolerance: f64) -> Result<Row, CaseError> {
+        Ok(Row::new(quantity, relative(ours, &self.array(name)?), tolerance))
     }
 
     /// Array `name` (…, units, 3), cut into states.

@@ -1,6 +1,6 @@
 //! Checks that need no reference: balance of energy, Taylor test of the gradient, and what several settings must agree on.
 
-use super::{Row, relative};
+use super::{Row, dot, norm, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
@@ -121,7 +121,7 @@ fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let forces = Forces { samples: 1, panels: 2, instants: 20_000, values };
     let run = simulate(&scene, &design, &forces, &solver, true, pool);
     let name = format!("energy balance, {}", solver.method.name());
-    let Some(tape) = run.tape else { return Row::new(name, f64::NAN, 0.0) };
+    let Some(tape) = run.tape else { return Row::failed(name) };
     let geometry = Geometry::new(&scene.layout, &design, scene.density);
     let c = damping(&scene);
     let dt = scene.duration / scene.instants as f64;
@@ -159,10 +159,9 @@ fn taylor(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let name = format!("Taylor test of dα, slope 2, {}", solver.method.name());
     let mut stream = Stream::new(Purpose::Design, 5, [0, 0]);
     let run = simulate(&scene, &design, &forces, &solver, true, pool);
-    let scale = run.signals.iter().map(|s| s * s).sum::<f64>().sqrt();
+    let scale = norm(&run.signals);
     let cotangent: Vec<f64> = run.signals.iter().map(|_| stream.normal() / scale).collect();
     let direction: Vec<f64> = design.iter().map(|_| 0.1 * stream.normal()).collect();
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let gradient = run.vjp(&cotangent, Wrt::Design, pool);
     let (value, slope) = (dot(&run.signals, &cotangent), dot(&gradient.design, &direction));
     let remainder = |epsilon: f64| {
@@ -189,14 +188,13 @@ fn taylor_parameters(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     };
     let simulation = run(&scene, &design, &forces, &plan, true, pool);
     let mut stream = Stream::new(Purpose::Design, 7, [0, 0]);
-    let scale = simulation.signals.iter().map(|s| s * s).sum::<f64>().sqrt();
+    let scale = norm(&simulation.signals);
     let cotangent: Vec<f64> = simulation.signals.iter().map(|_| stream.normal() / scale).collect();
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let value = dot(&simulation.signals, &cotangent);
     let gradient = simulation.vjp(&cotangent, Wrt::Parameters, pool);
     let at = Parameters::of(&scene).array();
     let Some(gradient) = gradient.parameters.map(Parameters::array) else {
-        return Row::new(name, f64::NAN, 0.0);
+        return Row::failed(name);
     };
     let slopes: Vec<f64> = (0..5)
         .flat_map(|k| {
@@ -235,7 +233,6 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
         Method::Tsit5 => Solver::tsit5(Tolerance::both(1e-7)),
         method => Solver::new(method, Accuracy(solver.accuracy.0.max(1e-7))),
     };
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let mut worst = [("", 0.0); 4];
     for (name, scene, kinks) in scenes {
         let instants = kinks * blow.instants;

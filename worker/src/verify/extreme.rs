@@ -1,8 +1,8 @@
 //! Stiff and extreme scenes, each a row with its named outcome: none may hang, panic or let a NaN into a result.
 
-use super::Row;
 use super::body::LEEWAY;
 use super::checks::{bells, reference};
+use super::{Row, norm};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Contact, Forces, Outcome, Panel, Scene, Solver, Tolerance, Wrt, run, signal_error, simulate, tune,
@@ -189,7 +189,7 @@ pub fn rows(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
         .map(|(name, extreme)| {
             let run = || examine(name, &extreme, solver, pool);
             std::panic::catch_unwind(std::panic::AssertUnwindSafe(run))
-                .unwrap_or_else(|_| Row::new(name, f64::NAN, 0.0).noted("panicked"))
+                .unwrap_or_else(|_| Row::failed(name).noted("panicked"))
         })
         .collect()
 }
@@ -199,7 +199,7 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &metasense_numer
     let started = std::time::Instant::now();
     let tuned = tune(scene, design, forces, &solver, pool);
     let run = run(scene, design, forces, &tuned.plan, true, pool);
-    let scale = run.signals.iter().map(|s| s * s).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+    let scale = norm(&run.signals).max(f64::MIN_POSITIVE);
     let cotangent: Vec<f64> = run.signals.iter().map(|s| s / scale / scale).collect();
     let gradient = run.vjp(&cotangent, Wrt::Design, pool);
     let finite = run.signals.iter().chain(&gradient.design).all(|v| v.is_finite());
@@ -215,7 +215,7 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &metasense_numer
         tuned.counters.force_evaluations,
     );
     let row = if !finite || !ended {
-        Row::new(name, f64::NAN, 0.0)
+        Row::failed(name)
     } else if extreme.judged && run.outcomes.iter().all(|o| *o == Outcome::Ok) {
         if forces.values.iter().all(|f| *f == 0.0) {
             return Row::new(name, scale, 1e-6).noted(format!("norm of the signals; {note}"));

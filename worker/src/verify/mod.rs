@@ -48,6 +48,11 @@ impl Row {
         }
     }
 
+    /// A row of a quantity that could not be found.
+    pub(crate) fn failed(quantity: impl Into<String>) -> Self {
+        Self::new(quantity, f64::NAN, 0.0)
+    }
+
     /// A figure that decides nothing, unless it is not a number.
     pub(crate) fn shown(quantity: impl Into<String>, error: f64) -> Self {
         Self { tolerance: None, pass: error.is_finite(), ..Self::new(quantity, error, f64::INFINITY) }
@@ -66,9 +71,9 @@ pub fn cases(folder: &Path, pool: &metasense_numerics::Pool) -> Result<Vec<Row>,
     let mut rows = Vec::new();
     for folder in case::folders(folder)? {
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let compared = Case::open(&folder).and_then(|case| compare(&case, pool)).unwrap_or_else(|e| {
-            vec![Row { error: None, pass: false, ..Row::new("case", f64::NAN, 0.0).noted(e.to_string()) }]
-        });
+        let compared = Case::open(&folder)
+            .and_then(|case| compare(&case, pool))
+            .unwrap_or_else(|e| vec![Row::failed("case").noted(e.to_string())]);
         rows.extend(of_case(&name, compared));
     }
     Ok(rows)
@@ -104,7 +109,7 @@ fn compare(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, Cas
         "cnn" => brain::network(case, pool),
         "implicit" => brain::implicit(case, pool),
         "metric" => brain::metric(case),
-        kind => Err(CaseError::Kind { file: case.file(), kind: kind.to_string() }),
+        kind => Err(case.wrong(format!("`kind` is \"{kind}\", which is not known"))),
     }
 }
 
@@ -114,9 +119,17 @@ pub fn relative(a: &[f64], b: &[f64]) -> f64 {
     if a.len() != b.len() {
         return f64::INFINITY;
     }
-    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
-    let scale = norm(&mut b.iter().copied());
-    norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / if scale > 0.0 { scale } else { 1.0 }
+    let scale = norm(b);
+    let apart: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+    norm(&apart) / if scale > 0.0 { scale } else { 1.0 }
+}
+
+fn norm(values: &[f64]) -> f64 {
+    values.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 #[cfg(test)]

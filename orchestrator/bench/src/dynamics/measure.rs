@@ -4,6 +4,7 @@
 //! The truth of a scene is `nystrom6` with steps so short that its error is far below all that is drawn; the tightest
 //! run of Tsit5, another method, is a point of the diagram and says by its own error how true it is.
 
+use metasense::{row, say};
 use metasense_numerics::Pool;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
@@ -13,6 +14,7 @@ use metasense_numerics::dynamics::{
 use metasense_worker::clock::cpu_seconds;
 use metasense_worker::simd::width;
 use metasense_worker::verify::{bells, reference, relative};
+use serde_json::Value;
 use std::time::Instant;
 
 use crate::{pool, widths};
@@ -31,8 +33,7 @@ pub enum BenchScene {
 }
 
 impl BenchScene {
-    /// The name on the command line and in rows.
-    pub fn name(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::Reference => "reference",
             Self::Contact => "contact",
@@ -86,38 +87,16 @@ fn ladder(kind: BenchScene, method: Method) -> &'static [f64] {
     }
 }
 
-/// A point of the diagram: one run forward and back.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Point {
-    /// Scene.
-    pub scene: &'static str,
-    /// Integrator.
-    pub method: &'static str,
-    /// Its setting, in words.
-    pub setting: String,
-    /// Whether `auto` chose it.
-    pub auto: bool,
-    /// Forces a sample, forward.
-    pub evaluations: f64,
-    /// CPU milliseconds a sample, forward.
-    pub forward: f64,
-    /// CPU milliseconds a sample of the reverse sweep.
-    pub reverse: f64,
-    /// Relative error of the signals, by channel.
-    pub signals: Option<f64>,
-    /// Relative error of dα.
-    pub gradient: Option<f64>,
-    /// Samples that failed; such a point has no errors.
-    pub failed: usize,
-}
+/// A point of the diagram: one run forward and back. A point with failed samples has no errors.
+pub const POINT: &str = "scene method setting auto force_evaluations forward_ms gradient_ms signals_error \
+    gradient_error failed";
 
 /// Seconds of the wall clock and of the CPU.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Time {
-    /// Wall clock.
-    pub wall: f64,
+struct Time {
+    wall: f64,
     /// All threads of this process.
-    pub cpu: f64,
+    cpu: f64,
 }
 
 fn timed<R>(work: impl FnOnce() -> R) -> (R, Time) {
@@ -178,14 +157,7 @@ impl Subject {
 }
 
 /// The points of one scene, `samples` samples of `instants` instants (200: one second), on one thread.
-///
-/// `report` is told of every point as it is measured.
-pub fn work_precision(
-    kind: BenchScene,
-    samples: usize,
-    instants: usize,
-    mut report: impl FnMut(&Point),
-) -> Vec<Point> {
+pub fn work_precision(kind: BenchScene, samples: usize, instants: usize) -> Vec<Vec<Value>> {
     let pool = pool(1, width());
     let mut subject = Subject::new(kind.scene(), samples, instants);
     let plan = subject.plan(Method::Nystrom6, truth(kind));
@@ -200,24 +172,22 @@ pub fn work_precision(
         let channels = 3 * subject.scene.sensors.len();
         let well = failed == 0;
         let n = samples as f64;
-        let point = Point {
-            scene: kind.name(),
-            method: if plan.precision == Precision::Single && !auto {
-                "nystrom4_f32"
-            } else {
-                plan.method.name()
-            },
+        let method =
+            if plan.precision == Precision::Single && !auto { "nystrom4_f32" } else { plan.method.name() };
+        let [forward, reverse] = [forward, reverse].map(|time| 1e3 * time.cpu / n);
+        say!("{}: {method} {setting}, {forward:.2} ms a sample", kind.name());
+        points.push(row![
+            kind.name(),
+            method,
             setting,
             auto,
-            evaluations: run.counters.force_evaluations as f64 / n,
-            forward: 1e3 * forward.cpu / n,
-            reverse: 1e3 * reverse.cpu / n,
-            signals: well.then(|| signal_error(&run.signals, &simulation.signals, channels)),
-            gradient: well.then(|| relative(&gradient, &truth)),
+            run.counters.force_evaluations as f64 / n,
+            forward,
+            forward + reverse,
+            well.then(|| signal_error(&run.signals, &simulation.signals, channels)),
+            well.then(|| relative(&gradient, &truth)),
             failed,
-        };
-        report(&point);
-        points.push(point);
+        ]);
     };
     for &tolerance in kind.tolerances() {
         measure(&Plan::tsit5(Tolerance::both(tolerance)), format!("tolerance {tolerance:.0e}"), false);
@@ -242,33 +212,17 @@ pub fn work_precision(
     points
 }
 
-/// A row of the race: forward, and forward with the gradient, of the reference scene.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Lap {
-    /// Integrator and tolerance.
-    pub solver: String,
-    /// Instruction set.
-    pub simd: &'static str,
-    /// Threads.
-    pub threads: usize,
-    /// Samples.
-    pub samples: usize,
-    /// Forward alone.
-    pub forward: Time,
-    /// Forward and gradient.
-    pub both: Time,
-    /// CPU cycles a ligament and lane of a force evaluation forward, with all else that its step does.
-    pub cycles: f64,
-    /// The same of the kernels alone, plain and with derivatives, over the ligaments that they take.
-    pub kernels: [f64; 2],
-}
+/// A row of the race: forward alone, and with the gradient. CPU cycles are those of a force evaluation forward with all else that
+/// its step does; then of the kernels alone, plain and with derivatives, over the ligaments that they take.
+pub const LAP: &str = "solver simd threads samples forward_s forward_cpu_s gradient_s gradient_cpu_s \
+    cycles_a_ligament_and_lane kernel_cycles dual_kernel_cycles";
 
 /// Evaluations by which kernels are timed: some hundredths of a second.
 const KERNELS: usize = 10_000;
 
 /// Tsit5 at 1e-6 of its own error norm, as the peer runs, the default and the default of coarse steps, each on one thread
 /// and on `threads`, the last two on one thread with narrower instruction sets, too; least of `repeat` runs.
-pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Lap> {
+pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Vec<Value>> {
     let mut subject = Subject::new(reference(), samples, instants);
     let mut laps = Vec::new();
     for (method, asked) in [(Method::Tsit5, 1e-6), (Method::Auto, 1e-3), (Method::Auto, 3e-2)] {
@@ -289,7 +243,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
         }
         for (threads, width) in rows {
             let pool = pool(threads, width);
-            let (mut forward, mut both) = (None, None);
+            let mut least = [f64::INFINITY; 4];
             let (mut cycles, mut kernels) = (f64::INFINITY, [f64::INFINITY; 2]);
             for _ in 0..repeat.max(1) {
                 let frequency = clock_frequency();
@@ -301,7 +255,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
                 let work =
                     (run.counters.force_evaluations * subject.scene.layout.ligaments.len() as u64) as f64;
                 cycles = f64::min(cycles, frequency * there.cpu / work);
-                for (second, least) in [false, true].into_iter().zip(&mut kernels) {
+                for (second, cycles) in [false, true].into_iter().zip(&mut kernels) {
                     let (count, time) = timed(|| {
                         repeat_kernel(
                             (width, plan.precision),
@@ -311,29 +265,19 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
                             second,
                         )
                     });
-                    *least = f64::min(*least, frequency * time.cpu / count as f64);
+                    *cycles = f64::min(*cycles, frequency * time.cpu / count as f64);
                 }
-                let sum = Time { wall: there.wall + back.wall, cpu: there.cpu + back.cpu };
-                forward = Some(least(forward, there));
-                both = Some(least(both, sum));
+                let times = [there.wall, there.cpu, there.wall + back.wall, there.cpu + back.cpu];
+                least = std::array::from_fn(|i| f64::min(least[i], times[i]));
             }
-            laps.push(Lap {
-                solver: format!("{} {asked:.0e}", method.name()),
-                simd: width.name(),
-                threads,
-                samples,
-                forward: forward.expect("a run"),
-                both: both.expect("a run"),
-                cycles,
-                kernels,
-            });
+            let solver = format!("{} {asked:.0e}", method.name());
+            let [plain, dual] = kernels;
+            laps.push(
+                row![solver, width.name(), threads, samples; least.into_iter().chain([cycles, plain, dual])],
+            );
         }
     }
     laps
-}
-
-fn least(so_far: Option<Time>, time: Time) -> Time {
-    so_far.map_or(time, |t| Time { wall: t.wall.min(time.wall), cpu: t.cpu.min(time.cpu) })
 }
 
 /// Cycles a second that this thread gets, by multiplications that wait for each other: three cycles each on every
@@ -349,24 +293,4 @@ fn clock_frequency() -> f64 {
     });
     std::hint::black_box(x);
     3.0 * f64::from(PRODUCTS) / time.cpu
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The diagram of a tenth of a second: every method comes, from short steps on errors are small, longer ones cost less.
-    #[test]
-    fn shorter_steps_cost_more_and_err_less() {
-        let points = work_precision(BenchScene::Reference, 2, 10, |_| ());
-        for method in ["tsit5", "leapfrog", "nystrom4", "nystrom6"] {
-            let of: Vec<&Point> = points.iter().filter(|p| p.method == method && !p.auto).collect();
-            assert!(of.len() >= 4, "{method}: {of:?}");
-            let (first, last) = (of[0], of[of.len() - 1]);
-            assert!(first.evaluations < last.evaluations, "{method}: {first:?} {last:?}");
-            assert!(first.signals > last.signals && first.gradient > last.gradient, "{first:?} {last:?}");
-        }
-        let last = points.iter().rfind(|p| p.method == "tsit5").and_then(|p| p.signals);
-        assert!(last.is_some_and(|e| e < 1e-5), "the truth against another method: {last:?}");
-    }
 }
