@@ -35,6 +35,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("views", program::views),
     ("tests", program::tests),
     ("quickstart", results::quickstart),
+    ("findings", results::findings),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),
     ("placed", results::placed),
@@ -142,6 +143,16 @@ fn the_readme_can_be_read_in_ten_minutes() {
     let text = read("README.md");
     let (lines, bytes) = (text.lines().count(), text.len());
     assert!(lines <= 150 && bytes <= 10_240, "README.md has {lines} lines, {bytes} bytes");
+}
+
+/// What is built comes from the public registry alone, whatever registry a machine asks.
+#[test]
+fn the_lock_file_names_no_private_registry() {
+    let lock = read("Cargo.lock");
+    let sources = lock.lines().filter(|line| line.starts_with("source = "));
+    let foreign: Vec<_> =
+        sources.filter(|line| !line.ends_with("https://github.com/rust-lang/crates.io-index\"")).collect();
+    assert!(foreign.is_empty(), "{foreign:?}");
 }
 
 /// A Markdown table.

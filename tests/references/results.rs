@@ -93,6 +93,43 @@ pub fn quickstart() -> String {
     )
 }
 
+/// Three findings, with their numbers.
+pub fn findings() -> String {
+    let brains = rows("brains-two-core/answer-brains.csv");
+    let setting = setting("bell", "");
+    let own = |name: &str| {
+        let wanted = [("setting", &*setting), ("trained_with", name), ("read_by", name)];
+        // A linear brain reads by shorter memories, too: the longest comes first.
+        change(of(&brains, &wanted).next().unwrap())
+    };
+    let placed = rows("placed-two-core/answer-placed.csv");
+    let place = |m: &str| {
+        one(&placed, &[("setting", "K = 4, linear, stimuli.kind = bell"), ("set", "holdout"), ("M", m)])
+    };
+    let claims = rows("claims/claims.csv");
+    let failed: Vec<&str> =
+        claims.iter().filter(|row| row["rating"].starts_with("fails")).map(|row| &*row["says"]).collect();
+    format!(
+        "- **A decoder with memory gains more than a trained body; both together gain most.** One sensor, two forces, error of the \
+         initial → the trained body: {} with the paper's network, which sees 25 ms, and {} with a linear decoder of the whole second \
+         ([details](results/README.md#body-or-decoder)).\n\
+         - **Placing sensors well is worth as much as more sensors; training the body pays on top.** Four placed sensors have {} error \
+         on the untouched body, six at random {}; on a trained body the four have {} \
+         ([details](results/README.md#where-the-sensors-are)).\n\
+         - **Of {} claims of the paper {} hold with every decoder tried and {} fail;** the others are open, hold in part, or depend on \
+         the decoder ([claim by claim](results/README.md#the-paper-claim-by-claim)). What fails: {}.",
+        own("cnn"),
+        own("linear"),
+        percent(place("4"), "placed_initial"),
+        percent(place("6"), "random_initial"),
+        percent(place("4"), "placed_optimised"),
+        claims.len(),
+        claims.iter().filter(|row| row["rating"].starts_with("holds")).count(),
+        failed.len(),
+        failed.join("; "),
+    )
+}
+
 /// `setting` of a table of answers.
 fn setting(stimuli: &str, noise: &str) -> String {
     let noise = if noise.is_empty() { String::new() } else { format!("sensors.noise = {noise}, ") };
