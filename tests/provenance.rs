@@ -72,6 +72,7 @@ async fn a_trial_of_two_codes_names_both() {
     let (db, hash) = (bench.path("s.sqlite"), &plan.trials[0].hash);
     let open = async || {
         let mut store = Store::open(&db).await.unwrap();
+        store.set_provenance(provenance::here(1));
         store.begin_sweep(&plan.spec, SPEC, &plan.trials).await.unwrap();
         store
     };
