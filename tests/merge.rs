@@ -86,13 +86,7 @@ async fn database(path: &Path, plan: &Plan, shard: u32, lives: &[(usize, Life)])
         .cloned()
         .collect();
     store.begin_sweep(&plan.spec, &plan.source.text, &trials).await.unwrap();
-    let run = RunPlan {
-        sweep: (&plan.spec.name, &plan.source.text),
-        shard: (shard, 3),
-        workers: (2, 1),
-        trials: 2,
-        estimated_seconds: 1.0,
-    };
+    let run = RunPlan { shard: (shard, 3), workers: (2, 1), trials: 2, estimated_seconds: 1.0 };
     let run = store.begin_run(&run).await.unwrap();
     for (i, life) in lives {
         live(&mut store, &plan.trials[*i].hash, *life).await;

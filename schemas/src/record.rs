@@ -161,7 +161,17 @@ pub struct NetworkEvaluation {
     pub outcome: String,
 }
 
-/// What a linear brain makes of a body.
+/// Mean of an error over the networks that have it.
+#[must_use]
+pub fn mean(
+    networks: &[NetworkEvaluation],
+    error: impl Fn(&NetworkEvaluation) -> Option<f64>,
+) -> Option<f64> {
+    let errors: Vec<f64> = networks.iter().filter_map(error).filter(|e| e.is_finite()).collect();
+    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+}
+
+/// A linear brain on a body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Reading {

@@ -12,7 +12,7 @@ use metasense::cli::{Error, Format, print_rows, read_plan};
 use metasense::exit::Exit;
 use metasense::look::{Axis, Plot, SERIES, Scale, Table, file};
 use metasense::{row, say};
-use metasense_schemas::record::BodyEvaluation;
+use metasense_schemas::record::{BodyEvaluation, mean};
 use metasense_schemas::spec::{Optimise, Protocol, TrialSpec};
 use metasense_worker::run::{Failure, evaluate_designs};
 use serde_json::{Value, json};
@@ -106,17 +106,12 @@ fn initial_design(spec: &TrialSpec) -> Result<Vec<f64>, Error> {
         .map_err(|invalid| Error::Usage(invalid.to_string()))
 }
 
-fn mean(errors: impl Iterator<Item = Option<f64>>) -> Option<f64> {
-    let errors: Vec<f64> = errors.flatten().collect();
-    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
-}
-
 fn holdout(body: &BodyEvaluation) -> Option<f64> {
-    mean(body.networks.iter().map(|network| network.error_holdout))
+    mean(&body.networks, |network| network.error_holdout)
 }
 
 fn test(body: &BodyEvaluation) -> Option<f64> {
-    mean(body.networks.iter().map(|network| network.error_test))
+    mean(&body.networks, |network| network.error_test)
 }
 
 /// A plot of JSON lines, one line a protocol, as a file of its own.

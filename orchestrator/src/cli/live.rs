@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::reason::Reason;
-use metasense_schemas::record::{BodyEvaluation, TrialResult};
+use metasense_schemas::record::{BodyEvaluation, TrialResult, mean};
 
 use super::duration;
 use crate::control::Command;
@@ -164,9 +164,6 @@ fn named(trial: &Trial) -> String {
 
 /// Mean holdout error.
 fn percent(body: &BodyEvaluation) -> String {
-    let errors: Vec<f64> = body.networks.iter().filter_map(|network| network.error_holdout).collect();
-    match errors.len() {
-        0 => "unknown".into(),
-        n => format!("{:.2} %", errors.iter().sum::<f64>() / n as f64),
-    }
+    mean(&body.networks, |network| network.error_holdout)
+        .map_or("unknown".into(), |error| format!("{error:.2} %"))
 }

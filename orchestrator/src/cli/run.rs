@@ -275,7 +275,6 @@ impl Round<'_> {
             return Ok(Some(Outcome::Interrupted));
         };
         let planned = RunPlan {
-            sweep: (&plan.spec.name, &plan.source.text),
             shard: args.shard.map_or((1, 1), |shard| (shard.index(), shard.count())),
             workers: (options.settings.workers, options.threads),
             trials: open.len(),

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord};
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, mean};
 use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
 use serde_json::json;
 
@@ -73,11 +73,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 type ErrorOf = fn(&NetworkEvaluation) -> Option<f64>;
 const ERRORS: &[(&str, ErrorOf)] =
     &[("test_error", |n| n.error_test), ("holdout_error", |n| n.error_holdout)];
-
-fn mean(networks: &[NetworkEvaluation], error: ErrorOf) -> Option<f64> {
-    let errors: Vec<f64> = networks.iter().filter_map(error).collect();
-    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
-}
 
 /// A line a step.
 struct Steps;

@@ -30,9 +30,6 @@ impl Level {
 
 impl Store {
     /// Keeps a line with an attempt, bounded in length and number; an error always has room.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn log(
         &mut self,
         hash: &str,

@@ -31,9 +31,6 @@ pub struct Nearest {
 
 impl Reader {
     /// The codes that have worked on trials, those of most trials first.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn made(&mut self) -> Result<Vec<Made>, StoreError> {
         let at = |path: &std::path::Path, source| StoreError::sql(path, "reading", source);
         let revisions: Vec<(String, String)> = sqlx::query_as(

@@ -3,6 +3,7 @@
 //! Journal in WAL mode with `synchronous = FULL`: what a method has returned from is on disk, and survives `kill -9`
 //! and power loss alike. The price is one fsync a transaction, which `begin_batch` … `commit_batch` shares between
 //! many records. A lock on the file keeps a second writer out for as long as a `Store` lives.
+//! All methods fail where SQLite does; what else can go wrong is said with each.
 
 mod confined;
 mod designs;
@@ -101,9 +102,6 @@ impl Store {
     }
 
     /// Folds the journal into the file and closes it, so that one file alone is left.
-    ///
-    /// # Errors
-    /// Where SQLite fails to.
     pub async fn close(self) -> Result<(), StoreError> {
         let Self { connection, path, _lock, .. } = self;
         connection.close().await.map_err(|source| StoreError::sql(&path, "closing", source))

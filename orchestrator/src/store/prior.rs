@@ -26,9 +26,6 @@ pub struct Reached {
 
 impl Store {
     /// How far each trial came that has been attempted and is not settled, by its hash.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn attempted(&mut self) -> Result<HashMap<String, Attempted>, StoreError> {
         let rows: Vec<(String, u32, Option<u32>)> = sqlx::query_as(
             "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)
@@ -42,9 +39,6 @@ impl Store {
     }
 
     /// The trials of the sweep that was begun which have done this part of their steps, and what they had then.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn reached(&mut self, part: f64) -> Result<Vec<Reached>, StoreError> {
         let rows: Vec<(String, u32, u32, f64)> = sqlx::query_as(
             "WITH some AS (SELECT t.id, t.hash, t.panels, t.sensors,

@@ -147,9 +147,6 @@ impl Reader {
 
     /// The results of a sweep's trials, by K, M, body, placement and seed, and how many rows there would be without
     /// `limit`. The last three columns are state, reason and hash.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn results<T: From<Answer>>(
         &mut self,
         name: &str,
@@ -187,9 +184,6 @@ impl Reader {
     }
 
     /// Hash and reason of the trials of a sweep that have failed.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn failures(&mut self, name: &str, text: &str) -> Result<Vec<(String, String)>, StoreError> {
         sqlx::query_as(
             "SELECT t.hash, coalesce(t.reason, '') FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id
@@ -302,9 +296,6 @@ impl Reader {
     }
 
     /// The stored arrays of a trial, by name.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
         let rows: Vec<(String, String, Vec<u8>)> = sqlx::query_as(
             "SELECT t.hash, a.name, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id
@@ -343,9 +334,6 @@ fn journal(path: &Path) -> PathBuf {
 
 /// Asks a database that nobody writes to, as a file that does not change: neither locks nor a journal are looked for. It may
 /// be of an older version.
-///
-/// # Errors
-/// Where SQLite fails.
 pub async fn ask_unchanging<T>(
     path: &Path,
     ask: impl AsyncFnOnce(&mut SqliteConnection) -> sqlx::Result<T>,

@@ -24,26 +24,22 @@ const EMPTY: &str = "
 impl Store {
     /// Empties the trials of the sweep that was begun which other code than this program's has worked on: they are open,
     /// and begin anew. Returns how many.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn redo_other_code(&mut self) -> Result<usize, StoreError> {
-        let path = self.path.clone();
-        let at = |source| StoreError::sql(&path, "reopening trials in", source);
+        let at = self.at("reopening trials in");
         let (sweep, code) = (self.sweep, self.provenance.as_ref().map(|made| made.code.clone()));
-        let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(at)?;
-        sqlx::query("DROP TABLE IF EXISTS temp.other").execute(&mut *tx).await.map_err(at)?;
-        sqlx::query(OTHERS).bind(sweep).bind(code).execute(&mut *tx).await.map_err(at)?;
-        let left: Vec<String> = sqlx::query_scalar(LEFT).fetch_all(&mut *tx).await.map_err(at)?;
+        let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
+        sqlx::query("DROP TABLE IF EXISTS temp.other").execute(&mut *tx).await.map_err(&at)?;
+        sqlx::query(OTHERS).bind(sweep).bind(code).execute(&mut *tx).await.map_err(&at)?;
+        let left: Vec<String> = sqlx::query_scalar(LEFT).fetch_all(&mut *tx).await.map_err(&at)?;
         for table in left {
             // Names of our own schema only.
             let sql = format!("DELETE FROM {table} WHERE trial_id IN (SELECT id FROM temp.other)");
-            sqlx::query(AssertSqlSafe(sql)).execute(&mut *tx).await.map_err(at)?;
+            sqlx::query(AssertSqlSafe(sql)).execute(&mut *tx).await.map_err(&at)?;
         }
-        sqlx::raw_sql(EMPTY).execute(&mut *tx).await.map_err(at)?;
+        sqlx::raw_sql(EMPTY).execute(&mut *tx).await.map_err(&at)?;
         let count: i64 =
-            sqlx::query_scalar("SELECT count(*) FROM temp.other").fetch_one(&mut *tx).await.map_err(at)?;
-        tx.commit().await.map_err(at)?;
+            sqlx::query_scalar("SELECT count(*) FROM temp.other").fetch_one(&mut *tx).await.map_err(&at)?;
+        tx.commit().await.map_err(&at)?;
         Ok(count as usize)
     }
 }

@@ -3,10 +3,8 @@
 use super::{Store, StoreError};
 
 /// A run as it begins.
-#[derive(Debug, Clone)]
-pub struct RunPlan<'a> {
-    /// Name and text of its sweep.
-    pub sweep: (&'a str, &'a str),
+#[derive(Debug, Clone, Copy)]
+pub struct RunPlan {
     /// Which shard, of how many; (1, 1) is the whole sweep.
     pub shard: (u32, u32),
     /// Worker processes and threads of each.
@@ -27,20 +25,15 @@ pub struct RunKey {
 }
 
 impl Store {
-    /// Records that a run begins. Its sweep has been begun.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
-    pub async fn begin_run(&mut self, plan: &RunPlan<'_>) -> Result<RunKey, StoreError> {
-        let path = self.path.clone();
-        let at = |source| StoreError::sql(&path, "recording a run in", source);
+    /// Records that a run of the sweep begins that was begun.
+    pub async fn begin_run(&mut self, plan: &RunPlan) -> Result<RunKey, StoreError> {
         let host = self.provenance.as_ref().map_or(String::new(), |made| made.host.clone());
         let (sweep, started_at): (i64, String) = sqlx::query_as(
             "INSERT INTO run (sweep_id, started_at, host, shard, shards, job, version, workers, threads, trials,
                estimated_seconds)
-             SELECT id, strftime('%Y-%m-%dT%H:%M:%fZ'), ?, ?, ?, ?, ?, ?, ?, ?, ? FROM sweep WHERE name = ? AND text = ?
-             RETURNING sweep_id, started_at",
+             VALUES (?, strftime('%Y-%m-%dT%H:%M:%fZ'), ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING sweep_id, started_at",
         )
+        .bind(self.sweep)
         .bind(&host)
         .bind(plan.shard.0)
         .bind(plan.shard.1)
@@ -50,18 +43,13 @@ impl Store {
         .bind(plan.workers.1)
         .bind(plan.trials as i64)
         .bind(plan.estimated_seconds)
-        .bind(plan.sweep.0)
-        .bind(plan.sweep.1)
         .fetch_one(&mut self.connection)
         .await
-        .map_err(at)?;
+        .map_err(self.at("recording a run in"))?;
         Ok(RunKey { sweep, started_at, host, shard: plan.shard })
     }
 
     /// Records what came of it.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn end_run(
         &mut self,
         key: &RunKey,
@@ -83,8 +71,8 @@ impl Store {
         .bind(key.shard.1)
         .execute(&mut self.connection)
         .await
-        .map(|_| ())
-        .map_err(|source| StoreError::sql(&self.path, "recording a run in", source))
+        .map_err(self.at("recording a run in"))?;
+        Ok(())
     }
 }
 

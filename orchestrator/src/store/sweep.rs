@@ -20,17 +20,13 @@ pub enum Reopen {
 impl Store {
     /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing; where recorded
     /// forces lie elsewhere by now, it learns that.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn begin_sweep(
         &mut self,
         spec: &SweepSpec,
         text: &str,
         trials: &[Trial],
     ) -> Result<(), StoreError> {
-        let path = self.path.clone();
-        let at = |source| StoreError::sql(&path, "recording the sweep in", source);
+        let at = self.at("recording the sweep in");
         // One for all: they move together.
         let first = trials.first().map(|t| serde_json::to_string(&t.spec).expect("a trial is JSON"));
         let known: Option<i64> = sqlx::query_scalar(
@@ -45,12 +41,12 @@ impl Store {
         .bind(trials.len() as i64)
         .fetch_optional(&mut self.connection)
         .await
-        .map_err(at)?;
+        .map_err(&at)?;
         let mut sweep = known;
         if known.is_none() {
             let resolved = serde_json::to_string(spec).expect("a spec is JSON");
             // Numbered downward: `v_trial` names the sweep of the highest number, the one that first brought the trial.
-            let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(at)?;
+            let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
             let id: i64 = sqlx::query_scalar(
                 "INSERT INTO sweep (id, name, text, spec, version, created_at)
                  VALUES ((SELECT coalesce(min(id), 1) - 1 FROM sweep), ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
@@ -62,29 +58,28 @@ impl Store {
             .bind(VERSION)
             .fetch_one(&mut *tx)
             .await
-            .map_err(at)?;
+            .map_err(&at)?;
             for chunk in trials.chunks(CHUNK) {
                 let rows =
                     serde_json::to_string(&chunk.iter().map(row).collect::<Vec<_>>()).expect("rows are JSON");
                 for sql in [INSERT_TRIALS, INSERT_SWEEP_TRIALS] {
-                    sqlx::query(sql).bind(&rows).bind(id).execute(&mut *tx).await.map_err(at)?;
+                    sqlx::query(sql).bind(&rows).bind(id).execute(&mut *tx).await.map_err(&at)?;
                 }
             }
-            tx.commit().await.map_err(at)?;
+            tx.commit().await.map_err(&at)?;
             sweep = Some(id);
         }
         self.sweep = sweep;
-        let rows: Vec<(String, i64)> =
-            sqlx::query_as("SELECT hash, id FROM trial").fetch_all(&mut self.connection).await.map_err(at)?;
+        let rows: Vec<(String, i64)> = sqlx::query_as("SELECT hash, id FROM trial")
+            .fetch_all(&mut self.connection)
+            .await
+            .map_err(&at)?;
         self.ids = rows.into_iter().collect();
         Ok(())
     }
 
     /// Opens trials of the sweep that was begun and were given up: they go on with the next attempt, from their last step.
     /// Returns how many.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn reopen(&mut self, which: Reopen) -> Result<u64, StoreError> {
         let done = sqlx::query(
             "UPDATE trial SET state = 'pending', reason = NULL, finished_at = NULL WHERE state = 'failed'
@@ -100,9 +95,6 @@ impl Store {
     }
 
     /// Hashes of the trials that are done or have failed for good.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn settled(&mut self) -> Result<Vec<String>, StoreError> {
         sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
             .fetch_all(&mut self.connection)
@@ -111,9 +103,6 @@ impl Store {
     }
 
     /// What these trials have come to.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn found(&mut self) -> Result<Vec<Found>, StoreError> {
         type Row = (String, Option<f64>, Option<f64>, Option<f64>);
         let rows: Vec<Row> = sqlx::query_as(

@@ -2,7 +2,9 @@
 
 use std::borrow::Cow;
 
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense_schemas::record::{
+    BodyEvaluation, Checkpoint, Counters, NetworkEvaluation, Seconds, StepRecord, TrialResult, mean,
+};
 use metasense_worker::milestones;
 use sqlx::Executor;
 
@@ -33,9 +35,6 @@ pub(super) fn read_checkpoint(hash: &str, bytes: &[u8]) -> Result<Checkpoint, St
 
 impl Store {
     /// From here to `commit_batch`, records share one transaction: durable, and to be spoken of, only after that.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn begin_batch(&mut self) -> Result<(), StoreError> {
         assert!(!self.in_batch, "batches do not nest");
         self.execute("BEGIN IMMEDIATE", "beginning to write to").await?;
@@ -59,35 +58,25 @@ impl Store {
     }
 
     async fn execute(&mut self, sql: &'static str, doing: &'static str) -> Result<(), StoreError> {
-        match self.connection.execute(sql).await {
-            Ok(_) => Ok(()),
-            Err(source) => Err(StoreError::sql(&self.path, doing, source)),
-        }
+        let done = self.connection.execute(sql).await;
+        done.map(|_| ()).map_err(self.at(doing))
     }
 
     /// Where a trial can go on; `None` where it starts anew.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
         let id = self.id(hash)?;
         let bytes: Option<Vec<u8>> = sqlx::query_scalar("SELECT bytes FROM checkpoint WHERE trial_id = ?")
             .bind(id)
             .fetch_optional(&mut self.connection)
             .await
-            .map_err(|source| StoreError::sql(&self.path, "reading a checkpoint from", source))?;
+            .map_err(self.at("reading a checkpoint from"))?;
         bytes.map(|bytes| read_checkpoint(hash, &bytes)).transpose()
     }
 
     /// Begins an attempt at a trial and returns its number, from 1.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn begin_attempt(&mut self, hash: &str) -> Result<u32, StoreError> {
         let id = self.id(hash)?;
-        let own = self.own_transaction("beginning an attempt in").await?;
-        let number = self.insert_attempt(id).await;
-        self.end_own(own, number, "beginning an attempt in").await
+        self.together("beginning an attempt in", async |store| store.insert_attempt(id).await).await
     }
 
     async fn insert_attempt(&mut self, id: i64) -> sqlx::Result<u32> {
@@ -126,7 +115,7 @@ impl Store {
     /// Records an outer step and the checkpoint behind it, together; of some steps the design stays for good.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    /// `Stale` where the attempt is not the current one.
     pub async fn record_step(
         &mut self,
         hash: &str,
@@ -134,23 +123,17 @@ impl Store {
         step: &StepRecord,
         checkpoint: &Checkpoint,
     ) -> Result<(), StoreError> {
-        let doing = "recording a step in";
-        let id = self.id(hash)?;
-        let own = self.own_transaction(doing).await?;
-        let current = match self.touch(id, attempt, 1, 0).await {
-            Ok(true) => self.insert_step(id, attempt, step, checkpoint).await.map(|()| true),
-            other => other,
-        };
-        match self.end_own(own, current, doing).await? {
-            true => Ok(()),
-            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
-        }
+        self.of_current(hash, attempt, "recording a step in", async |store, id| {
+            let current = store.touch(id, attempt, 1, 0).await?;
+            if current {
+                store.insert_step(id, attempt, step, checkpoint).await?;
+            }
+            Ok(current)
+        })
+        .await
     }
 
     /// Notes the CPU seconds that the current attempt has taken so far.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn spend(&mut self, hash: &str, attempt: u32, seconds: f64) -> Result<(), StoreError> {
         let id = self.id(hash)?;
         sqlx::query(
@@ -161,31 +144,28 @@ impl Store {
         .bind(attempt)
         .execute(&mut self.connection)
         .await
-        .map(|_| ())
-        .map_err(|source| StoreError::sql(&self.path, "recording the seconds of an attempt in", source))
+        .map_err(self.at("recording the seconds of an attempt in"))?;
+        Ok(())
     }
 
     /// Records a checkpoint within the comparison at the end.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    /// `Stale` where the attempt is not the current one.
     pub async fn record_checkpoint(
         &mut self,
         hash: &str,
         attempt: u32,
         checkpoint: &Checkpoint,
     ) -> Result<(), StoreError> {
-        let doing = "recording a checkpoint in";
-        let id = self.id(hash)?;
-        let own = self.own_transaction(doing).await?;
-        let current = match self.touch(id, attempt, 0, 1).await {
-            Ok(true) => self.insert_checkpoint(id, checkpoint).await.map(|()| true),
-            other => other,
-        };
-        match self.end_own(own, current, doing).await? {
-            true => Ok(()),
-            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
-        }
+        self.of_current(hash, attempt, "recording a checkpoint in", async |store, id| {
+            let current = store.touch(id, attempt, 0, 1).await?;
+            if current {
+                store.insert_checkpoint(id, checkpoint).await?;
+            }
+            Ok(current)
+        })
+        .await
     }
 
     /// Counts steps of the current attempt, and savings of its comparison; false where it is not the current one.
@@ -210,43 +190,38 @@ impl Store {
         step: &StepRecord,
         checkpoint: &Checkpoint,
     ) -> sqlx::Result<()> {
+        let StepRecord { error_test, error_train, gradient_norm, step_length, counters, seconds, .. } = step;
         let implicit = step.implicit.as_ref();
-        let (work, seconds) = (&step.counters, &step.seconds);
-        sqlx::query(
+        let mut query = sqlx::query(
             "INSERT OR REPLACE INTO step VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?,
              ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))",
-        )
-        .bind(id)
-        .bind(step.step)
-        .bind(attempt)
-        .bind(finite(step.loss_test))
-        .bind(finite(step.loss_train))
-        .bind(finite(step.error_test))
-        .bind(finite(step.error_train))
-        .bind(finite(step.gradient_norm))
-        .bind(finite(step.step_length))
-        .bind(&step.projection)
-        .bind(finite(step.projection_distance))
-        .bind(implicit.map(|i| i.iterations))
-        .bind(finite(implicit.map(|i| i.residual)))
-        .bind(finite(implicit.map(|i| i.smallest_curvature)))
-        .bind(implicit.map(|i| &i.outcome))
-        .bind(&step.outcome)
-        .bind(step.fresh_samples as i64)
-        .bind(work.force_evaluations as i64)
-        .bind(work.steps as i64)
-        .bind(work.rejected as i64)
-        .bind(work.brain_iterations as i64)
-        .bind(work.hessian_products as i64)
-        .bind(work.projection_iterations as i64)
-        .bind(seconds.simulate)
-        .bind(seconds.train)
-        .bind(seconds.differentiate)
-        .bind(seconds.implicit)
-        .bind(seconds.project)
-        .bind(seconds.store)
-        .execute(&mut self.connection)
-        .await?;
+        );
+        query = query.bind(id).bind(step.step).bind(attempt);
+        query = query.bind(finite(step.loss_test)).bind(finite(step.loss_train));
+        for number in [error_test, error_train, gradient_norm, step_length] {
+            query = query.bind(finite(*number));
+        }
+        query = query
+            .bind(&step.projection)
+            .bind(finite(step.projection_distance))
+            .bind(implicit.map(|i| i.iterations))
+            .bind(finite(implicit.map(|i| i.residual)))
+            .bind(finite(implicit.map(|i| i.smallest_curvature)))
+            .bind(implicit.map(|i| &i.outcome))
+            .bind(&step.outcome)
+            .bind(step.fresh_samples as i64);
+        let Counters { force_evaluations, steps, rejected, .. } = counters;
+        let Counters { brain_iterations, hessian_products, projection_iterations, .. } = counters;
+        for count in
+            [force_evaluations, steps, rejected, brain_iterations, hessian_products, projection_iterations]
+        {
+            query = query.bind(*count as i64);
+        }
+        let Seconds { simulate, train, differentiate, implicit, project, store } = seconds;
+        for part in [simulate, train, differentiate, implicit, project, store] {
+            query = query.bind(*part);
+        }
+        query.execute(&mut self.connection).await?;
         self.insert_design(id, checkpoint).await?;
         self.insert_checkpoint(id, checkpoint).await
     }
@@ -265,7 +240,7 @@ impl Store {
     /// in the result, or among the arrays under the names that they have in the database.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    /// `Stale` where the attempt is not the current one.
     pub async fn finish(
         &mut self,
         hash: &str,
@@ -273,17 +248,14 @@ impl Store {
         result: &TrialResult,
         arrays: &[Array<'_>],
     ) -> Result<(), StoreError> {
-        let doing = "recording a result in";
-        let id = self.id(hash)?;
-        let own = self.own_transaction(doing).await?;
-        let current = match self.end_attempt(id, attempt, "done", None).await {
-            Ok(true) => self.insert_result(id, result, arrays).await.map(|()| true),
-            other => other,
-        };
-        match self.end_own(own, current, doing).await? {
-            true => Ok(()),
-            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
-        }
+        self.of_current(hash, attempt, "recording a result in", async |store, id| {
+            let current = store.end_attempt(id, attempt, "done", None).await?;
+            if current {
+                store.insert_result(id, result, arrays).await?;
+            }
+            Ok(current)
+        })
+        .await
     }
 
     async fn insert_result(
@@ -292,27 +264,28 @@ impl Store {
         result: &TrialResult,
         arrays: &[Array<'_>],
     ) -> sqlx::Result<()> {
-        sqlx::query(
+        let mut query = sqlx::query(
             "UPDATE trial SET state = 'done', reason = NULL, error_initial = ?, error_optimised = ?,
                train_error_initial = ?, train_error_optimised = ?, holdout_error_initial = ?,
                holdout_error_optimised = ?, best_step = ?, seconds_evaluation = ?, simd = ?, solver = ?, result = ?,
                finished_at = strftime('%Y-%m-%dT%H:%M:%fZ')
              WHERE id = ?",
-        )
-        .bind(mean(&result.initial, |n| n.error_test))
-        .bind(mean(&result.optimised, |n| n.error_test))
-        .bind(mean(&result.initial, |n| n.error_train))
-        .bind(mean(&result.optimised, |n| n.error_train))
-        .bind(mean(&result.initial, |n| n.error_holdout))
-        .bind(mean(&result.optimised, |n| n.error_holdout))
-        .bind(result.best_step)
-        .bind(finite(Some(result.seconds_evaluation)))
-        .bind(&result.simd)
-        .bind(&result.solver)
-        .bind(without_bulk(result))
-        .bind(id)
-        .execute(&mut self.connection)
-        .await?;
+        );
+        let errors: [fn(&NetworkEvaluation) -> Option<f64>; 3] =
+            [|n| n.error_test, |n| n.error_train, |n| n.error_holdout];
+        for error in errors {
+            query = query.bind(mean(&result.initial.networks, error));
+            query = query.bind(mean(&result.optimised.networks, error));
+        }
+        query
+            .bind(result.best_step)
+            .bind(finite(Some(result.seconds_evaluation)))
+            .bind(&result.simd)
+            .bind(&result.solver)
+            .bind(without_bulk(result))
+            .bind(id)
+            .execute(&mut self.connection)
+            .await?;
         for (body, evaluation) in [("initial", &result.initial), ("optimised", &result.optimised)] {
             self.insert_evaluation(id, body, evaluation, arrays).await?;
         }
@@ -417,7 +390,7 @@ impl Store {
     /// Ends an attempt by name. The trial goes back to `pending`; `fail` settles it.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    /// `Stale` where the attempt is not the current one.
     pub async fn give_up_attempt(
         &mut self,
         hash: &str,
@@ -430,15 +403,12 @@ impl Store {
     /// Ends an attempt and its trial: failed for good.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one; otherwise where SQLite fails.
+    /// `Stale` where the attempt is not the current one.
     pub async fn fail(&mut self, hash: &str, attempt: u32, reason: &str) -> Result<(), StoreError> {
         self.end(hash, attempt, reason, "failed").await
     }
 
     /// Settles a trial that waits: it has failed for good, with what is recorded of it.
-    ///
-    /// # Errors
-    /// Where SQLite fails.
     pub async fn settle(&mut self, hash: &str, reason: &str) -> Result<(), StoreError> {
         let id = self.id(hash)?;
         sqlx::query(
@@ -449,31 +419,27 @@ impl Store {
         .bind(id)
         .execute(&mut self.connection)
         .await
-        .map(|_| ())
-        .map_err(|source| StoreError::sql(&self.path, "settling a trial in", source))
+        .map_err(self.at("settling a trial in"))?;
+        Ok(())
     }
 
     async fn end(&mut self, hash: &str, attempt: u32, reason: &str, state: &str) -> Result<(), StoreError> {
-        let doing = "recording the end of an attempt in";
-        let id = self.id(hash)?;
-        let own = self.own_transaction(doing).await?;
-        let current = match self.end_attempt(id, attempt, "failed", Some(reason)).await {
-            Ok(true) => sqlx::query(
-                "UPDATE trial SET state = ?1, reason = ?2,
-                   finished_at = CASE ?1 WHEN 'failed' THEN strftime('%Y-%m-%dT%H:%M:%fZ') END WHERE id = ?3",
-            )
-            .bind(state)
-            .bind(reason)
-            .bind(id)
-            .execute(&mut self.connection)
-            .await
-            .map(|_| true),
-            other => other,
-        };
-        match self.end_own(own, current, doing).await? {
-            true => Ok(()),
-            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
-        }
+        self.of_current(hash, attempt, "recording the end of an attempt in", async |store, id| {
+            let current = store.end_attempt(id, attempt, "failed", Some(reason)).await?;
+            if current {
+                sqlx::query(
+                    "UPDATE trial SET state = ?1, reason = ?2,
+                       finished_at = CASE ?1 WHEN 'failed' THEN strftime('%Y-%m-%dT%H:%M:%fZ') END WHERE id = ?3",
+                )
+                .bind(state)
+                .bind(reason)
+                .bind(id)
+                .execute(&mut store.connection)
+                .await?;
+            }
+            Ok(current)
+        })
+        .await
     }
 
     async fn end_attempt(
@@ -498,18 +464,17 @@ impl Store {
 
     /// A run that was killed leaves attempts `running`; the lock says that none of them still is.
     pub(super) async fn release_orphans(&mut self) -> Result<(), StoreError> {
-        let own = self.own_transaction("tidying").await?;
-        let mut done = Ok(());
-        for sql in [
-            "UPDATE attempt SET state = 'failed', reason = 'orchestrator_lost',
-               ended_at = strftime('%Y-%m-%dT%H:%M:%fZ') WHERE state = 'running'",
-            "UPDATE trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running'",
-        ] {
-            if done.is_ok() {
-                done = sqlx::query(sql).execute(&mut self.connection).await.map(|_| ());
-            }
-        }
-        self.end_own(own, done, "tidying").await
+        self.together("tidying", async |store| {
+            sqlx::raw_sql(
+                "UPDATE attempt SET state = 'failed', reason = 'orchestrator_lost',
+                   ended_at = strftime('%Y-%m-%dT%H:%M:%fZ') WHERE state = 'running';
+                 UPDATE trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running'",
+            )
+            .execute(&mut store.connection)
+            .await
+        })
+        .await?;
+        Ok(())
     }
 
     pub(super) fn id(&self, hash: &str) -> Result<i64, StoreError> {
@@ -519,41 +484,51 @@ impl Store {
             .ok_or_else(|| StoreError::UnknownTrial { path: self.path.clone(), hash: hash.to_owned() })
     }
 
-    /// Begins a transaction unless a batch holds one already; says whether it did.
-    async fn own_transaction(&mut self, doing: &'static str) -> Result<bool, StoreError> {
-        if !self.in_batch {
+    /// Does something, or nothing of it: within the batch, or in a transaction of its own.
+    async fn together<T>(
+        &mut self,
+        doing: &'static str,
+        work: impl AsyncFnOnce(&mut Self) -> sqlx::Result<T>,
+    ) -> Result<T, StoreError> {
+        let own = !self.in_batch;
+        if own {
             self.execute("BEGIN IMMEDIATE", doing).await?;
         }
-        Ok(!self.in_batch)
-    }
-
-    /// Ends what `own_transaction` began: commits a success, takes back anything else.
-    async fn end_own<T>(
-        &mut self,
-        own: bool,
-        done: sqlx::Result<T>,
-        doing: &'static str,
-    ) -> Result<T, StoreError> {
-        let done = match done {
+        let done = match work(self).await {
             Ok(value) if own => self.connection.execute("COMMIT").await.map(|_| value),
             other => other,
         };
         if own && done.is_err() {
             let _ = self.connection.execute("ROLLBACK").await;
         }
-        done.map_err(|source| StoreError::sql(&self.path, doing, source))
+        done.map_err(self.at(doing))
+    }
+
+    /// Does something for an attempt; `work` gets its trial, and says whether the attempt is the current one.
+    async fn of_current(
+        &mut self,
+        hash: &str,
+        attempt: u32,
+        doing: &'static str,
+        work: impl AsyncFnOnce(&mut Self, i64) -> sqlx::Result<bool>,
+    ) -> Result<(), StoreError> {
+        let id = self.id(hash)?;
+        match self.together(doing, async |store| work(store, id).await).await? {
+            true => Ok(()),
+            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
+        }
+    }
+
+    /// What was being done when SQLite failed.
+    pub(super) fn at(&self, doing: &'static str) -> impl Fn(sqlx::Error) -> StoreError + use<> {
+        let path = self.path.clone();
+        move |source| StoreError::sql(&path, doing, source)
     }
 }
 
 /// Non-finite numbers are stored as absent, on purpose; the outcome column says why.
 fn finite(value: Option<f64>) -> Option<f64> {
     value.filter(|v| v.is_finite())
-}
-
-/// Mean over the networks that have the error.
-fn mean(body: &BodyEvaluation, error: impl Fn(&NetworkEvaluation) -> Option<f64>) -> Option<f64> {
-    let errors: Vec<f64> = body.networks.iter().filter_map(error).filter(|e| e.is_finite()).collect();
-    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
 }
 
 /// The result as JSON; designs, loss curves and weights have their own places.
