@@ -145,7 +145,7 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
     run.asked(&["workers", "2"], 0, "workers: 1 before, 2 from now on");
 
     run.asked(&["cancel", &hashes[0]], 1, "refused: the trial is given up already (cancelled)");
-    run.asked(&["next", "no-such"], 1, "refused: trial no-such: no trial");
+    run.asked(&["next", "no-such"], 1, "refused: trial no-such: no trial begins so");
     run.asked(&["workers", "0"], 2, "0 is not in");
     run.asked(&["cancel", "a b"], 2, "no command");
     run.asked(&["dance"], 2, "unrecognized subcommand");

@@ -322,7 +322,7 @@ fn commands_that_compute_in_one_piece_end_at_once_on_request() {
         let said = String::from_utf8_lossy(&ended.stderr);
         assert_eq!(ended.status.code(), Some(4), "{arguments:?}: {said}");
         assert!(
-            asked.elapsed() < Duration::from_secs(2) && said.contains("begins anew"),
+            asked.elapsed() < Duration::from_secs(2) && said.contains("starts again"),
             "{arguments:?}: {said}"
         );
     }

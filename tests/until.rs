@@ -65,7 +65,7 @@ fn hours_and_shards_are_kept_to() {
     let shard = bench.metasense(&["run", "s.toml", "--shard", "1/2"]);
     let said = String::from_utf8(shard.stderr).unwrap();
     assert!(
-        shard.status.code() == Some(2) && said.contains("until: wants all results in one place"),
+        shard.status.code() == Some(2) && said.contains("until: needs all results in one database"),
         "{said}"
     );
 }

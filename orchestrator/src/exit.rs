@@ -8,27 +8,27 @@ use std::process::ExitCode;
 pub enum Exit {
     /// All that was asked is done.
     Done = 0,
-    /// A check did not hold, trials have failed, or a run refuses what it is asked.
+    /// A check failed, trials failed, or a run refused a command.
     Failed = 1,
-    /// The command line, the spec or the choice of database is at fault; nothing was started.
+    /// An error in the command line, the spec or the choice of database; nothing was started.
     BadInput = 2,
     /// Reading or writing failed: disk full, database in use, locked or damaged.
     Io = 3,
-    /// Stopped on request; `run` goes on from there, and what keeps what it has come to.
+    /// Stopped on request; `run` goes on from there, as do commands that keep their progress.
     Interrupted = 4,
 }
 
 /// The codes with their meaning, as `--help` shows them.
 pub const EXIT_CODES: &str = "\
 Exit codes:
-  0  all that was asked is done
-  1  a check did not hold, trials have failed (`status` names them and why), or a run
-     refuses what `control` asks
-  2  the command line, the spec or the choice of database is at fault (of `control`: no
-     run holds it); nothing was started
-  3  reading or writing failed (disk full, database in use, locked or damaged)
-  4  stopped on request; `run` goes on from there, as do `evaluate` and `identify`
-     with --out; other commands begin anew";
+  0  done
+  1  a check failed, trials failed (`status` says which and why), or the run refused a
+     `control` command
+  2  an error in the command line, the spec or the choice of database; nothing was started
+     (`control`: no run holds the database)
+  3  reading or writing failed: disk full, database in use, locked or damaged
+  4  stopped on request; the same `run` goes on from there, as do `evaluate` and `identify`
+     with --out-dir; other commands start again";
 
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {

@@ -1,4 +1,4 @@
-//! `bound`: what a body's sensors can tell at most, beside what brains make of them.
+//! `bound`: the least error that any decoder can reach on a body's signals, and the errors of brains.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,10 +15,10 @@ use crate::store::Reader;
 
 /// Computes the least error that any decoder can reach, given the noise of the sensors
 ///
-/// Around each of the first samples of the holdout the body is taken as linear, and the forces as normal with mean and covariance of
-/// the training samples: then least error is that of the posterior given the signals. A decoder that knows more of the stimuli than
-/// these (that only one panel is struck, say) may be better; what a brain has more error than this, a better brain may take away,
-/// and what the bound is, only the body, its sensors' places and their noise.
+/// To first order: around each of the first holdout samples the body is taken as linear, and the forces as normal with the mean and
+/// covariance of the training samples. The least error is then that of the posterior given the signals. A decoder that knows more of
+/// the stimuli (for instance that only one panel is struck) may be better. Error above the bound can be removed by a better brain;
+/// the bound itself only by another body, other places of sensors or less noise.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

@@ -10,9 +10,8 @@ use crate::exit::Exit;
 
 /// Steers a run: pauses or stops it, changes its workers, cancels a trial, reloads its spec
 ///
-/// It speaks to the `run` that holds the database, through DB.control beside it, which its user alone may open. Nothing that it
-/// does loses anything: trials are taken back after the step in progress, and keep their checkpoints. What was asked and
-/// answered stands in the log of the run.
+/// It talks to the `run` that holds the database, through the socket DB.control beside it, which only its user may open. Nothing
+/// is lost: trials stop after the step in progress and keep their checkpoints. The run's log records commands and answers.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Exit codes:
@@ -29,51 +28,51 @@ pub(super) struct Args {
     /// The database that the run writes to
     db: PathBuf,
     #[command(subcommand)]
-    wish: Wish,
+    command: Steer,
 }
 
 #[derive(Debug, Subcommand)]
-enum Wish {
+enum Steer {
     /// Says how the run is: running, paused or stopping, busy workers, settled and waiting trials
     State,
-    /// Takes running trials back after their step in progress and begins none, until `resume`; workers stay, idle
+    /// Stops running trials after their step in progress and starts none, until `resume`; workers stay, idle
     Pause,
     /// Goes on after a pause, each trial from its last step
     Resume,
     /// Ends the run in order, as one Ctrl-C does; `run SPEC` goes on
     Stop,
-    /// Gives a trial up: a running one ends after its step in progress. It is recorded as failed, `cancelled`, stays so in
-    /// later runs, and goes on from its last step with `run SPEC --retry-failed`
+    /// Gives a trial up; a running one ends after its step in progress. It counts as failed (`cancelled`), also in later runs;
+    /// `run SPEC --retry-failed` continues it from its last step
     Cancel {
         /// Its hash, or the beginning of it
         hash: String,
     },
-    /// Gives a trial that waits to the next worker that is free
+    /// Gives a waiting trial to the next free worker
     Next {
         /// Its hash, or the beginning of it
         hash: String,
     },
-    /// Changes the number of worker processes: of too many idle ones end at once, others when their trial does
+    /// Changes the number of worker processes; surplus ones end when idle
     Workers {
         /// How many, from 1
         #[arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(WORKERS_MAX)))]
         count: u32,
     },
-    /// Reads the spec file again, and adds the trials that it has gained. Those that it has lost stay; [run] is not looked at;
-    /// a spec with an error changes nothing
+    /// Reads the spec again and adds its new trials. Trials that it no longer has stay; [run] is not read again; a spec with an
+    /// error changes nothing
     Reload,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let command = match args.wish {
-        Wish::State => Command::State,
-        Wish::Pause => Command::Pause,
-        Wish::Resume => Command::Resume,
-        Wish::Stop => Command::Stop,
-        Wish::Cancel { hash } => Command::Cancel(hash),
-        Wish::Next { hash } => Command::Next(hash),
-        Wish::Workers { count } => Command::Workers(count),
-        Wish::Reload => Command::Reload,
+    let command = match args.command {
+        Steer::State => Command::State,
+        Steer::Pause => Command::Pause,
+        Steer::Resume => Command::Resume,
+        Steer::Stop => Command::Stop,
+        Steer::Cancel { hash } => Command::Cancel(hash),
+        Steer::Next { hash } => Command::Next(hash),
+        Steer::Workers { count } => Command::Workers(count),
+        Steer::Reload => Command::Reload,
     };
     // by the same rules as what comes from a page
     command.to_string().parse::<Command>().map_err(|e| Error::Usage(e.to_string()))?;

@@ -34,7 +34,7 @@ pub(super) struct Args {
     /// The design (.npy or .csv) of a body that is not the trial's own
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     design: Vec<(String, PathBuf)>,
-    /// Parts of the records, each predicted by networks trained on all others [default: 10, or as many as records]
+    /// Parts of the records; each is predicted by networks trained on all others [default: 10, at most as many as records]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     folds: Option<u32>,
     /// What reads the forces [default: the trial's brain.kind]
@@ -65,7 +65,7 @@ enum Brain {
     Cnn,
     /// Least squares over the whole sample, or the trial's brain.memory
     Linear,
-    /// A network on the signals and what a linear brain makes of them
+    /// A network on the signals and on a linear brain's predictions
     Stacked,
 }
 

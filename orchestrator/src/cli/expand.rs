@@ -22,7 +22,7 @@ pub(super) struct Args {
     /// Only those of shard I of N
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
-    /// The folder of the shards, by what is written down there; else as they would be assigned now
+    /// The folder of the shards, with their assignment; without it, the assignment that `submit` would make now
     #[arg(long, value_name = "DIR", requires = "shard")]
     folder: Option<PathBuf>,
     #[command(flatten)]

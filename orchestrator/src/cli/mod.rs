@@ -26,6 +26,7 @@ mod place;
 mod project;
 mod query;
 mod report;
+mod results;
 mod run;
 mod schema;
 mod serve;
@@ -169,10 +170,10 @@ pub fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'st
     runtime.block_on(future)
 }
 
-/// From here on a signal ends the program at once, with the exit code of a stop on request: for commands that write when they
-/// are done, and until then at most what they have come to.
+/// From here on a signal ends the program at once, with the exit code of a stop on request: for commands that write their
+/// results at the end, and until then at most their progress.
 fn end_on_signal(kept: Option<&Path>) {
-    let next = kept.map_or("begins anew", |_| "goes on from here");
+    let next = kept.map_or("starts again", |_| "goes on from here");
     std::thread::spawn(move || {
         let asked = block_on(async { Ok(Signals::new()?.unless(std::future::pending::<()>()).await) });
         if asked.is_ok() {

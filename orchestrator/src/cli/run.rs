@@ -4,32 +4,24 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use metasense_schemas::reason::{CANCELLED, PRUNED};
 use metasense_schemas::spec::Run;
-use serde_json::Value;
 use tokio::sync::oneshot;
 
 use super::live::Live;
 use super::named::Spec;
 use super::pages::Pages;
+use super::results::print_results;
 use super::simd::Simd;
-use super::{Error, Format, log, print_rows};
-use crate::analysis::kinds::brains;
-use crate::analysis::setting::flatten;
-use crate::analysis::trial;
+use super::{Error, Format, log};
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Assignment, Shard};
 use crate::control::{Listener, WORKERS_MAX};
 use crate::engine::{self, Again, Control, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
-use crate::look::Table;
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::scheduler::{Outcome, Settings};
-use crate::store::{Reader, RunPlan, Store};
-
-/// Rows of the final table that a person may want to read at once.
-const MOST_ROWS: usize = 400;
+use crate::store::{RunPlan, Store};
 
 /// Runs the trials of a spec, or goes on where an earlier run has stopped
 ///
@@ -43,34 +35,34 @@ pub(super) struct Args {
     /// The database; by default results/NAME.sqlite
     #[arg(long, value_name = "FILE")]
     db: Option<PathBuf>,
-    /// Worker processes, one trial each at a time; by default `run.workers` of the spec, else one a core
+    /// Worker processes, each with one trial at a time; by default `run.workers` of the spec, else one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     workers: Option<u16>,
-    /// Shows pages of the run in a browser, at this port (0: any that is free), and prints their address with a token by which
-    /// they can steer it. A process of its own: nobody who looks slows the run
+    /// Shows the run in a browser at this port (0: any free one). Prints the address with a token; its pages can steer the run.
+    /// They are served by another process and do not slow the run
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8017")]
     serve: Option<u16>,
-    /// Threads a worker; by default `run.threads` of the spec, else 1
+    /// Threads per worker; by default `run.threads` of the spec, else 1
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Run trials of the spec again that have failed, from their last step; otherwise they stay as they are
+    /// Runs failed trials again, from their last step
     #[arg(long)]
     retry_failed: bool,
-    /// Make again, from the beginning, what other code than this program's has made of the spec; `status` says what has
+    /// Runs again, from the beginning, trials of the spec that were computed by other code; `status` names them
     #[arg(long)]
     redo_other_code: bool,
-    /// Only the trials of shard I of N: assigned by their estimates, as the folder of --copy-to has it, else as the spec
-    /// has it now
+    /// Runs only the trials of shard I of N. Shards are balanced by estimated time; the assignment in the folder of --copy-to
+    /// counts where there is one
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
-    /// Of a shard: goes on from what an earlier attempt has put into this folder, and puts the database there when the run
-    /// ends, whether by itself or by a signal; the live database is on the node's own disk, in TMPDIR or --db
+    /// Of a shard: goes on from the database that an earlier attempt left in this folder, and puts its own there at the end,
+    /// also by a signal. While it runs the database is on the node's own disk, in TMPDIR or at --db
     #[arg(long, value_name = "DIR", requires = "shard")]
     copy_to: Option<PathBuf>,
-    /// Also puts it there every so often (s), should the node be lost
+    /// Also puts it there at this interval (s), in case the node is lost
     #[arg(long, value_name = "S", default_value_t = 900.0, requires = "copy_to")]
     copy_every: f64,
-    /// Stops in order after this time (s), where the scheduler does not announce the end by SIGTERM
+    /// Stops in order after this time (s), for schedulers that do not announce the end by SIGTERM
     #[arg(long, value_name = "S", requires = "copy_to")]
     stop_after: Option<f64>,
     #[command(flatten)]
@@ -121,7 +113,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         outcome
     };
     let (outcome, ()) = tokio::join!(running, home.hand_in_every(copy_every, stopped));
-    // Whatever has gone wrong: what there is, is handed in.
+    // Also after an error, the database is handed in.
     let handed_in = home.hand_in_within(Duration::from_secs(NOTICE)).await;
     let (outcome, plan) = outcome?;
     let exit = end(&db, &plan, args.format, outcome).await?;
@@ -130,11 +122,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(exit)
 }
 
-/// Questions want all results in one place.
+/// Questions need all results in one database.
 pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
     match plan.spec.until {
         None => Ok(()),
-        Some(_) => Err(plan.source.error("until", "wants all results in one place: no shards").into()),
+        Some(_) => Err(plan
+            .source
+            .error("until", "needs all results in one database: it cannot be run in shards")
+            .into()),
     }
 }
 
@@ -241,7 +236,7 @@ struct Round<'a> {
     options: &'a mut Options,
 }
 
-/// Runs what the sweep's questions want, looks at them, and so on, until they want nothing more.
+/// Runs the trials that the sweep's questions need, until they are settled.
 async fn rounds(mut round: Round<'_>, mut again: Again) -> Result<Option<Outcome>, Error> {
     let mut said = Vec::new();
     loop {
@@ -351,74 +346,6 @@ fn options(run: &Run, args: &Args) -> Options {
     }
 }
 
-/// Longest silence of a worker (s) where the spec names none: what comes without a beat takes seconds, minutes on a machine
-/// that is short of cores.
+/// Longest silence of a worker (s) where the spec names none: work between two signs of life takes seconds, or minutes on
+/// a machine that is short of cores.
 const PATIENCE: f64 = 600.0;
-
-/// The final table; returns how many trials have failed.
-async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, Error> {
-    let limit = if format == Format::Table { MOST_ROWS } else { usize::MAX };
-    let (name, text) = (&*plan.spec.name, &*plan.source.text);
-    let ((mut table, count), failures) = Reader::asked(db, async |reader| {
-        Ok::<_, Error>((
-            reader.results::<Table>(name, text, limit).await?,
-            reader.failures(name, text).await?,
-        ))
-    })
-    .await?;
-    let (pruned, failures): (Vec<_>, Vec<_>) = failures.into_iter().partition(|(_, reason)| reason == PRUNED);
-    let (cancelled, failures): (Vec<_>, Vec<_>) =
-        failures.into_iter().partition(|(_, reason)| reason == CANCELLED);
-    if !pruned.is_empty() {
-        say!("{} given up as hopeless; without `prune` in [run] they go on", counted(pruned.len(), "trial"));
-    }
-    if !cancelled.is_empty() {
-        say!("{} cancelled on request; --retry-failed goes on with them", counted(cancelled.len(), "trial"));
-    }
-    for (hash, reason) in failures.iter().take(MOST_ROWS) {
-        say!("failed: trial {hash} ({reason})");
-    }
-    for row in &mut table.rows {
-        let trial = plan.trials.iter().find(|trial| row[STATE + 2] == trial.hash.as_str());
-        let spec = trial.and_then(|trial| serde_json::to_value(&trial.spec).ok());
-        if let Some(spec) = spec {
-            let names = brains(&trial::Trial {
-                setting: flatten(&spec).into_iter().collect(),
-                ..trial::Trial::default()
-            });
-            row[BRAINS].iter_mut().zip(names).for_each(|(cell, name)| *cell = name.into());
-        }
-    }
-    if format == Format::Table && !table.rows.is_empty() {
-        // from the right: what is left out moves what is behind it
-        let same = |holds: &dyn Fn(&[Value]) -> bool| table.rows.iter().all(|row| holds(row));
-        let left_out = [
-            (STATE..table.columns.len(), same(&|row| row[STATE] == "done")),
-            (PLACED..PLACED + 1, same(&|row| row[PLACED] == "random")),
-            (BRAINS, same(&|row| row[BRAINS].iter().all(|brain| brain == "cnn"))),
-        ];
-        left_out.into_iter().filter(|(_, same)| *same).for_each(|(which, _)| table.drop_columns(which));
-    }
-    if failures.len() > MOST_ROWS {
-        say!("… and {} more failed: metasense status {}", failures.len() - MOST_ROWS, db.display());
-    }
-    if !failures.is_empty() {
-        say!(
-            "their reasons and what to do stand in {}; --retry-failed runs them again",
-            log::path(db).display()
-        );
-    }
-    print_rows(&table, format)?;
-    if count > table.rows.len() {
-        let more = count - table.rows.len();
-        say!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", db.display());
-    }
-    Ok(failures.len())
-}
-
-/// Column of the state; reason and hash follow it, and are shown where not all is done.
-const STATE: usize = 13;
-/// Columns of the brains that read and trained, which are shown where they are not all the paper's.
-const BRAINS: std::ops::Range<usize> = 5..7;
-/// Column of how sensors were placed, which is shown where it is not all at random.
-const PLACED: usize = 7;

@@ -16,8 +16,8 @@ use crate::serve::{Served, Source, Token, serve};
 /// Shows databases in a browser, live, until Ctrl-C
 ///
 /// How far a run is, what its trials answer so far, every trial, and SQL.
-/// It reads databases and nothing else; a run does not know that it is watched. From another machine: ssh -L
-/// 8017:localhost:8017 HOST. With --control, pages can steer runs, too (see `control`).
+/// It only reads databases and does not disturb runs. From another machine: ssh -L 8017:localhost:8017 HOST. With --control,
+/// its pages can steer runs (see `control`).
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Databases, folders of shards (each as one database), folders of databases
@@ -26,10 +26,10 @@ pub(super) struct Args {
     /// The port; 0 takes any that is free
     #[arg(long, default_value_t = 8017)]
     port: u16,
-    /// The address to listen at. On any but this machine's own, whoever reaches it reads everything
+    /// The address to listen at. At any other than this machine's own, everyone who reaches it can read the databases
     #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     listen: IpAddr,
-    /// Prints an address with a token: whoever has it can steer the runs of these databases, of this user
+    /// Prints an address with a token; whoever has it can steer this user's runs of these databases
     #[arg(long)]
     control: bool,
     /// Ends with this process, which has started it

@@ -18,10 +18,10 @@ use crate::store::npy_bytes;
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// Force histories (N, K, T + 1) in N, as NPY; a clock finer by a whole factor will do, too
+    /// Force histories (N, K, T + 1) in N, as NPY; T may also be a multiple of the spec's
     #[arg(long, value_name = "NPY")]
     forces: PathBuf,
-    /// Writes dα of Σ cotangent·signals, too; an NPY of the signals' shape
+    /// Also writes the gradient dα of Σ cotangent·signals; an NPY of the signals' shape
     #[arg(long, value_name = "NPY")]
     cotangent: Option<PathBuf>,
     /// The folder for the arrays; made where it is missing
@@ -30,7 +30,7 @@ pub(super) struct Args {
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
-    /// A row a sample, instead of one an outcome
+    /// A row per sample, instead of one per outcome
     #[arg(long)]
     rows: bool,
     /// The form of the rows

@@ -22,10 +22,10 @@ use crate::store::ask_unchanging;
 pub(super) struct Args {
     /// The cluster's scheduler
     scheduler: Scheduler,
-    /// To be left as it is until the shards have ended
+    /// Leave the spec unchanged until the shards have ended
     #[command(flatten)]
     spec: Spec,
-    /// Shards; by default as many as make each take half of its time, by the estimate
+    /// Shards; by default so many that each takes half of its time limit, by estimate
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(Shard::MOST)))]
     shards: Option<u32>,
     /// Cores of a shard
@@ -46,7 +46,7 @@ pub(super) struct Args {
     /// Prints scripts and commands; writes and submits nothing
     #[arg(long)]
     dry_run: bool,
-    /// Handed on to sbatch or `hq submit` as they are, for instance --account=NAME
+    /// Options for sbatch or `hq submit`, for instance --account=NAME
     #[arg(last = true, value_name = "OPTIONS")]
     further: Vec<String>,
 }

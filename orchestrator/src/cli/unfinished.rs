@@ -1,4 +1,4 @@
-//! What a command that computes for long has come to, in its `--out`, so that the same command goes on from there.
+//! The progress of a long command, kept in its `--out-dir` so that the same command goes on from there.
 
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,8 @@ use metasense_worker::simd;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Error, make_folder, write};
+use super::{Error, make_folder};
+use crate::files::put_in_place;
 use crate::provenance::code;
 
 /// Its name in the folder.
@@ -23,10 +24,10 @@ pub(super) struct Unfinished<T> {
 }
 
 impl<T: Serialize + DeserializeOwned> Unfinished<T> {
-    /// That of a command of this name with these inputs, by this code and instruction set, and what it had come to.
+    /// Opens the file of a command of this name with these inputs, this code and instruction set; with the state kept in it.
     ///
     /// # Errors
-    /// If the folder holds what another command, other inputs or other code have come to, or cannot be read.
+    /// If the folder holds the progress of another command, other inputs or other code, or cannot be read.
     pub fn new(
         folder: Option<&Path>,
         command: &str,
@@ -48,30 +49,36 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         match state {
             Some(state) => Ok((ours, Some(state))),
             None => Err(Error::Usage(format!(
-                "{} is what another command, the same with other inputs, or another build has come to: remove it, or give \
-                 another --out",
+                "{} holds the progress of another command, of other inputs or of another build: remove it, or choose \
+                 another --out-dir",
                 path.display()
             ))),
         }
     }
 
-    /// Keeps what the command has come to; says so where it cannot.
+    /// Writes the state; a failure is only said.
     pub fn keep(&self, state: &T) {
         let Some(path) = &self.path else { return };
         let bytes = postcard::to_extend(state, self.digest.to_vec()).expect("a state is plain data");
-        if let Err(why) = write(path, bytes) {
-            say!("what has been computed is not kept: {why}");
+        // one name whatever the process: of a killed one nothing is left behind
+        let beside = path.with_extension("new");
+        let kept = std::fs::write(&beside, bytes).and_then(|()| put_in_place(&beside, path));
+        if let Err(why) = kept {
+            say!("the progress cannot be kept: {why}");
         }
     }
 
     /// The command has written its results.
     pub fn done(&self) -> Result<(), Error> {
         let Some(path) = &self.path else { return Ok(()) };
-        match std::fs::remove_file(path) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                Err(Error::Io { doing: "removing", path: path.clone(), source })
+        for path in [path.with_extension("new"), path.clone()] {
+            match std::fs::remove_file(&path) {
+                Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Error::Io { doing: "removing", path, source });
+                }
+                _ => {}
             }
-            _ => Ok(()),
         }
+        Ok(())
     }
 }

@@ -12,8 +12,8 @@ use crate::store::Reader;
 
 /// Watches a run in a terminal: workers, steps, errors, time to go
 ///
-/// Trials come from the database, workers from /proc, the run itself is not asked. Ends with the run. `silent_s` is
-/// the time since the last record of a trial, `cpu_%` its part of a core since the look before.
+/// It does not disturb the run, and ends with it. `silent_s` is the time since the last record of a trial, `cpu_%` the worker's
+/// share of a core since the last look.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; by default the one under results/ that was written last

@@ -1,7 +1,5 @@
 //! Rows of values under names.
 
-use std::ops::Range;
-
 use serde_json::Value;
 
 use super::digits;
@@ -51,10 +49,28 @@ impl Table {
         self.rows.iter().all(alone).then_some(verdict)
     }
 
-    /// Leaves columns out.
-    pub fn drop_columns(&mut self, which: Range<usize>) {
-        self.columns.drain(which.clone());
-        self.rows.iter_mut().for_each(|row| drop(row.drain(which.clone())));
+    /// Where a column of this name stands.
+    ///
+    /// # Panics
+    /// If there is none.
+    #[must_use]
+    pub fn column(&self, name: &str) -> usize {
+        self.columns.iter().position(|column| column == name).expect("a column of the table")
+    }
+
+    /// Leaves columns of these names out.
+    pub fn drop_columns(&mut self, names: &[&str]) {
+        let kept: Vec<bool> = self.columns.iter().map(|column| !names.contains(&column.as_str())).collect();
+        let keep = |i: &mut usize| {
+            *i += 1;
+            kept[*i - 1]
+        };
+        let mut at = 0;
+        self.columns.retain(|_| keep(&mut at));
+        for row in &mut self.rows {
+            let mut at = 0;
+            row.retain(|_| keep(&mut at));
+        }
     }
 
     /// Without the columns in which nothing stands.

@@ -57,11 +57,12 @@ pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
 
 #[cfg(test)]
 mod tests {
+    use metasense_schemas::source::Source;
     use metasense_worker::problem;
 
     use crate::plan::Plan;
 
-    const DISC: &str = include_str!("../../../schemas/claims/disc.toml");
+    const DISC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/claims/disc.toml");
 
     fn plan(text: &str) -> Plan {
         Plan::new("s.toml", text.to_owned()).unwrap()
@@ -71,7 +72,8 @@ mod tests {
     /// are the trial that is written without a size.
     #[test]
     fn a_disc_keeps_its_size_while_its_units_grow_in_number() {
-        let disc = DISC.replace("\niterations = 60", "\niterations = 60\nlearning_rate = 0.3");
+        let disc = std::fs::read_to_string(DISC).unwrap();
+        let disc = Source::spec(DISC, disc, &["optimise.learning_rate=0.3".to_owned()]).unwrap().text;
         let sized = plan(&disc);
         for trial in &sized.trials {
             let (body, limits) = (&trial.spec.body, &trial.spec.feasible);

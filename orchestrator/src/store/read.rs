@@ -145,57 +145,6 @@ impl Reader {
         }
     }
 
-    /// The results of a sweep's trials, by K, M, body, placement and seed, and how many rows there would be without
-    /// `limit`. The last three columns are state, reason and hash.
-    pub async fn results<T: From<Answer>>(
-        &mut self,
-        name: &str,
-        text: &str,
-        limit: usize,
-    ) -> Result<(T, usize), StoreError> {
-        let path = &self.path;
-        let at = |source| StoreError::sql(path, "reading", source);
-        let sweep: i64 = sqlx::query_scalar("SELECT id FROM sweep WHERE name = ? AND text = ?")
-            .bind(name)
-            .bind(text)
-            .fetch_one(&mut self.connection)
-            .await
-            .map_err(at)?;
-        let count: i64 = sqlx::query_scalar("SELECT count(*) FROM sweep_trial WHERE sweep_id = ?")
-            .bind(sweep)
-            .fetch_one(&mut self.connection)
-            .await
-            .map_err(at)?;
-        let rows = sqlx::query(
-            "SELECT panels AS K, sensors AS M, placement, seed, units, brain, trained_with, placed, error_initial AS test_error_initial,
-               error_optimised AS test_error_optimised, holdout_error_initial, holdout_error_optimised, seconds, state, reason, hash
-             FROM v_trial WHERE hash IN
-               (SELECT t.hash FROM sweep_trial x JOIN trial t ON t.id = x.trial_id WHERE x.sweep_id = ?)
-             ORDER BY panels, sensors, units, placement, seed, brain, trained_with, placed, hash LIMIT ?",
-        )
-        .bind(sweep)
-        .bind(i64::try_from(limit).unwrap_or(i64::MAX))
-        .fetch_all(&mut self.connection)
-        .await
-        .map_err(at)?;
-        let columns =
-            rows.first().map_or(Vec::new(), |row| row.columns().iter().map(|c| c.name().into()).collect());
-        Ok((T::from((columns, rows.iter().map(values).collect())), count as usize))
-    }
-
-    /// Hash and reason of the trials of a sweep that have failed.
-    pub async fn failures(&mut self, name: &str, text: &str) -> Result<Vec<(String, String)>, StoreError> {
-        sqlx::query_as(
-            "SELECT t.hash, coalesce(t.reason, '') FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id
-             JOIN trial t ON t.id = x.trial_id WHERE s.name = ? AND s.text = ? AND t.state = 'failed' ORDER BY x.position",
-        )
-        .bind(name)
-        .bind(text)
-        .fetch_all(&mut self.connection)
-        .await
-        .map_err(|source| StoreError::sql(&self.path, "reading", source))
-    }
-
     /// Answers one statement. A write is refused, and so are several statements: their rows have no common columns.
     ///
     /// # Errors

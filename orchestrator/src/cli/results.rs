@@ -1,0 +1,119 @@
+//! What `run` says at its end: which trials have failed, and the results of all.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use metasense_schemas::reason::{CANCELLED, PRUNED};
+use metasense_schemas::spec::TrialSpec;
+use serde_json::{Value, json};
+
+use super::{Error, Format, log, print_rows};
+use crate::analysis::kinds::brains;
+use crate::analysis::setting::flatten;
+use crate::analysis::trial;
+use crate::look::Table;
+use crate::plan::{Plan, counted};
+use crate::store::{Reader, quoted};
+
+/// Rows that a person may want to read at once.
+const MOST_ROWS: usize = 400;
+
+/// Says which trials have failed, and prints a row a trial; returns how many have failed.
+pub(super) async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, Error> {
+    // all of them: a negative limit is none
+    let limit = if format == Format::Table { MOST_ROWS as i64 } else { -1 };
+    let (settled, mut table) = Reader::asked(db, async |reader| {
+        let settled = reader.query::<Table>(&of_sweep("t.hash, t.state, t.reason", plan)).await?;
+        let of_sweep = of_sweep("t.hash", plan);
+        let sql = format!(
+            "SELECT panels AS K, sensors AS M, placement, seed, units, brain, trained_with, placed,
+               error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
+               holdout_error_optimised, seconds, state, reason, hash
+             FROM v_trial WHERE hash IN ({of_sweep})
+             ORDER BY panels, sensors, units, placement, seed, brain, trained_with, placed, hash LIMIT {limit}"
+        );
+        Ok::<_, Error>((settled, reader.query::<Table>(&sql).await?))
+    })
+    .await?;
+    name_brains(&mut table, plan);
+    if format == Format::Table && !table.rows.is_empty() {
+        leave_out_the_usual(&mut table);
+    }
+    let failed = say_failures(db, &settled);
+    print_rows(&table, format)?;
+    if let more @ 1.. = settled.rows.len() - table.rows.len() {
+        say!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", db.display());
+    }
+    Ok(failed)
+}
+
+/// A question to the trials of the plan's sweep.
+fn of_sweep(columns: &str, plan: &Plan) -> String {
+    format!(
+        "SELECT {columns} FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id JOIN trial t ON t.id = x.trial_id
+         WHERE s.name = {} AND s.text = {} ORDER BY x.position",
+        quoted(&plan.spec.name),
+        quoted(&plan.source.text)
+    )
+}
+
+/// The names of the brains that read and trained, as figures have them.
+fn name_brains(table: &mut Table, plan: &Plan) {
+    let specs: HashMap<&str, &TrialSpec> = plan.trials.iter().map(|t| (t.hash.as_str(), &t.spec)).collect();
+    let mut known: HashMap<String, [String; 2]> = HashMap::new();
+    let [read, trained, hash] = ["brain", "trained_with", "hash"].map(|name| table.column(name));
+    for row in &mut table.rows {
+        let Some(spec) = row[hash].as_str().and_then(|hash| specs.get(hash)) else { continue };
+        let of = json!({ "brain": spec.brain, "optimise": spec.optimise });
+        let names = known.entry(of.to_string()).or_insert_with(|| {
+            let setting = flatten(&of).into_iter().collect();
+            brains(&trial::Trial { setting, ..trial::Trial::default() })
+        });
+        [row[read], row[trained]] = names.clone().map(Value::from);
+    }
+}
+
+/// Leaves out columns that say the usual of every trial: done, sensors at random, the paper's brain.
+fn leave_out_the_usual(table: &mut Table) {
+    let usual: [(&[&str], &str, &[&str]); 3] = [
+        (&["state"], "done", &["state", "reason", "hash"]),
+        (&["placed"], "random", &["placed"]),
+        (&["brain", "trained_with"], "cnn", &["brain", "trained_with"]),
+    ];
+    for (columns, value, left_out) in usual {
+        let at: Vec<usize> = columns.iter().map(|name| table.column(name)).collect();
+        if table.rows.iter().all(|row| at.iter().all(|&at| row[at] == value)) {
+            table.drop_columns(left_out);
+        }
+    }
+}
+
+/// Says which trials have failed and what to do; of those that were given up, how many. Returns how many have failed.
+fn say_failures(db: &Path, settled: &Table) -> usize {
+    let [hash, state, reason] = ["hash", "state", "reason"].map(|name| settled.column(name));
+    let of = |row: &'_ [Value], at: usize| row[at].as_str().unwrap_or_default().to_owned();
+    let failed = settled.rows.iter().filter(|row| row[state] == "failed");
+    let failed = failed.map(|row| (of(row, hash), of(row, reason)));
+    let (given_up, failed): (Vec<_>, Vec<_>) =
+        failed.partition(|(_, why)| [PRUNED, CANCELLED].contains(&&**why));
+    for (reason, words) in [
+        (PRUNED, "given up as hopeless; without `prune` in [run] they go on"),
+        (CANCELLED, "cancelled on request; --retry-failed goes on with them"),
+    ] {
+        match given_up.iter().filter(|(_, why)| why == reason).count() {
+            0 => {}
+            count => say!("{} {words}", counted(count, "trial")),
+        }
+    }
+    for (hash, reason) in failed.iter().take(MOST_ROWS) {
+        say!("failed: trial {hash} ({reason})");
+    }
+    if failed.len() > MOST_ROWS {
+        say!("… and {} more failed: metasense status {}", failed.len() - MOST_ROWS, db.display());
+    }
+    if !failed.is_empty() {
+        let log = log::path(db);
+        say!("their reasons and what to do stand in {}; --retry-failed runs them again", log.display());
+    }
+    failed.len()
+}
