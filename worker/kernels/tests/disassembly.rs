@@ -14,12 +14,12 @@ use std::process::Command;
 
 /// Entries of every width, as their mangled names have them: without them the test would see nothing.
 const ENTRIES: [&str; 11] = [
-    "8dispatch8baseline5first",
-    "8dispatch4avx25first",
-    "8dispatch4avx26second",
+    "8dispatch8baseline8gradient",
+    "8dispatch4avx28gradient",
+    "8dispatch4avx27product",
     "8dispatch4avx27reverse",
-    "8dispatch6avx5125first",
-    "8dispatch6avx5126second",
+    "8dispatch6avx5128gradient",
+    "8dispatch6avx5127product",
     "8dispatch6avx5127reverse",
     "7kernels8avx2_f327product",
     "7kernels8avx2_f645pairs",

@@ -8,14 +8,14 @@
 //! last of several, a Gauss–Newton one four.
 
 use super::data::Batch;
-use super::kernels::{Finish, Kernels, Start};
+use super::kernels::{Kernels, Real};
 use super::layout::Packed;
 use super::network::{
     Scratch, Workspace, add_biases, add_layer, answer, convolve, forward, input_product, residual, spread,
     take_inputs,
 };
-use super::real::Real;
 use super::shape::Shape;
+use super::tiles::{Finish, Start};
 
 /// Which matrix a product is with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,11 +40,11 @@ impl<'a, F: Real> Curvature<'a, F> {
     pub fn new(weights: &[F], batch: Batch<'a, F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> Self {
         let shape = batch.shape();
         ws.packed.fill(&ws.kernels, shape, weights);
-        ws.over_chunks(batch, pool, |kernels, packed, s, slot, samples| {
-            slot.out.clear();
+        ws.over_chunks(batch, pool, |kernels, packed, s, chunk, samples| {
+            chunk.out.clear();
             for i in samples {
                 forward(kernels, shape, packed, batch.sample(i).0, s);
-                s.a.iter().for_each(|a| slot.out.extend_from_slice(a));
+                s.a.iter().for_each(|a| chunk.out.extend_from_slice(a));
             }
         });
         let kept = ws.join_outputs(batch.len());
@@ -55,18 +55,18 @@ impl<'a, F: Real> Curvature<'a, F> {
     pub fn product(&self, matrix: Matrix, v: &[F], out: &mut [F], ws: &mut Workspace<F>, pool: &crate::Pool) {
         let (shape, batch) = (self.batch.shape(), self.batch);
         ws.packed.fill(&ws.kernels, shape, v);
-        ws.over_chunks(batch, pool, |kernels, v, s, slot, samples| {
-            slot.clear();
+        ws.over_chunks(batch, pool, |kernels, v, s, chunk, samples| {
+            chunk.clear();
             for i in samples {
                 let mut dot = self.tangents(kernels, v, i, matrix, s);
                 for l in 0..shape.layers() {
                     let a = self.input(i, l);
-                    add_layer(kernels, shape, l, [a, &s.spread_a[l], &dot.g[l]], &mut dot.fold, slot);
+                    add_layer(kernels, shape, l, [a, &s.spread_a[l], &dot.g[l]], &mut dot.fold, chunk);
                     if l > 0 && matrix == Matrix::Hessian {
                         let (da, spread) = (&dot.a[l - 1], &dot.spread_a[l]);
-                        add_layer(kernels, shape, l, [da, spread, &s.g[l]], &mut dot.fold, slot);
+                        add_layer(kernels, shape, l, [da, spread, &s.g[l]], &mut dot.fold, chunk);
                     }
-                    add_biases(kernels, shape, l, &dot.g[l], slot);
+                    add_biases(kernels, shape, l, &dot.g[l], chunk);
                 }
                 s.tangent = Some(dot);
             }
@@ -78,14 +78,14 @@ impl<'a, F: Real> Curvature<'a, F> {
     pub fn mixed_product(&self, v: &[F], ws: &mut Workspace<F>, pool: &crate::Pool) -> Vec<F> {
         let (shape, batch) = (self.batch.shape(), self.batch);
         ws.packed.fill(&ws.kernels, shape, v);
-        ws.over_chunks(batch, pool, |kernels, v, s, slot, samples| {
-            slot.out.clear();
+        ws.over_chunks(batch, pool, |kernels, v, s, chunk, samples| {
+            chunk.out.clear();
             for i in samples {
                 let mut dot = self.tangents(kernels, v, i, Matrix::Hessian, s);
                 self.back(kernels, i, 1, s);
                 input_product(kernels, shape, &self.packed, &dot.g[0], &mut dot.wide, Start::Zero);
                 input_product(kernels, shape, v, &s.g[0], &mut dot.wide, Start::Add);
-                take_inputs(shape, &dot.wide, &mut slot.out);
+                take_inputs(shape, &dot.wide, &mut chunk.out);
                 s.tangent = Some(dot);
             }
         });

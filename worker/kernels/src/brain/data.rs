@@ -1,6 +1,6 @@
 //! Signals and targets in the layout that the kernels read, and batches of them, which copy nothing.
 
-use super::real::Real;
+use super::kernels::Real;
 use super::shape::Shape;
 
 /// Samples: x (N, before + T + after, 3M) with the rows of zeros that the first layer reads, y (N, T, K), both normalised by

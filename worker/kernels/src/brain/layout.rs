@@ -1,7 +1,6 @@
 //! Weights as the kernels read them: rows padded to whole registers, and panels for both directions.
 
-use super::kernels::Kernels;
-use super::real::Real;
+use super::kernels::{Kernels, Real};
 use super::shape::{Conv, Shape};
 use super::winograd::form;
 use std::ops::Range;

@@ -6,10 +6,10 @@
 //! Threads take chunks of `CHUNK` samples; each chunk has its own sums, added in chunk order.
 
 use super::data::Batch;
-use super::kernels::{Dots, Finish, Kernels, Outer, Product, Start};
+use super::kernels::{Kernels, Real};
 use super::layout::{Packed, Panels, padded_len, padded_range, pairs_range, unpad};
-use super::real::Real;
-use super::shape::{Shape, Sweep};
+use super::shape::{Convolution, Shape};
+use super::tiles::{Dots, Finish, Outer, Product, Start};
 use super::winograd;
 use crate::simd::Width;
 use rayon::prelude::*;
@@ -24,13 +24,13 @@ pub struct Workspace<F> {
     pub(super) shape: Shape,
     pub(super) kernels: Kernels<F>,
     pub(super) packed: Packed<F>,
-    pub(super) slots: Vec<Slot<F>>,
+    pub(super) chunks: Vec<Chunk<F>>,
     pub(super) scratch: Vec<Mutex<Scratch<F>>>,
 }
 
 /// What a chunk leaves behind.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Slot<F> {
+pub(super) struct Chunk<F> {
     pub gradient: Vec<F>,
     /// Q₀, Q₁, Q₂, −Q₃ of the layers that go by pairs (`winograd`).
     pub pairs: Vec<F>,
@@ -38,7 +38,7 @@ pub(super) struct Slot<F> {
     pub out: Vec<F>,
 }
 
-impl<F: Real> Slot<F> {
+impl<F: Real> Chunk<F> {
     pub fn clear(&mut self) {
         self.gradient.fill(F::ZERO);
         self.pairs.fill(F::ZERO);
@@ -83,7 +83,7 @@ impl<F: Real> Scratch<F> {
     }
 }
 
-/// What a pass over a batch leaves in the slots.
+/// What a pass over a batch leaves in the chunks.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Want {
     Loss,
@@ -101,36 +101,36 @@ impl<F: Real> Workspace<F> {
     pub fn new(shape: Shape, width: Width) -> Self {
         assert!(shape.instants * shape.inputs * shape.outputs > 0, "{shape:?}");
         let (kernels, packed) = (F::kernels(width), Packed::zeros(shape));
-        Self { shape, kernels, packed, slots: Vec::new(), scratch: Vec::new() }
+        Self { shape, kernels, packed, chunks: Vec::new(), scratch: Vec::new() }
     }
 
-    /// Runs `task` on every chunk of the batch: (scratch of the thread, slot of the chunk, its samples' positions).
+    /// Runs `task` on every chunk of the batch: (scratch of the thread, chunk of the chunk, its samples' positions).
     pub(super) fn over_chunks(
         &mut self,
         batch: Batch<F>,
         pool: &crate::Pool,
-        task: impl Fn(&Kernels<F>, &Packed<F>, &mut Scratch<F>, &mut Slot<F>, std::ops::Range<usize>) + Sync,
+        task: impl Fn(&Kernels<F>, &Packed<F>, &mut Scratch<F>, &mut Chunk<F>, std::ops::Range<usize>) + Sync,
     ) {
         assert_eq!(batch.shape(), self.shape, "a batch of another shape");
-        let chunks = batch.len().div_ceil(CHUNK);
+        let count = batch.len().div_ceil(CHUNK);
         let last = self.shape.layers() - 1;
         let (gradient, pairs) = (padded_len(self.shape), pairs_range(self.shape, last).end);
-        while self.slots.len() < chunks {
+        while self.chunks.len() < count {
             let (gradient, pairs) = (vec![F::ZERO; gradient], vec![F::ZERO; pairs]);
-            self.slots.push(Slot { gradient, pairs, loss: 0.0, out: Vec::new() });
+            self.chunks.push(Chunk { gradient, pairs, loss: 0.0, out: Vec::new() });
         }
         while self.scratch.len() < pool.threads() {
             self.scratch.push(Mutex::new(Scratch::new(self.shape)));
         }
         let (kernels, packed, scratch) = (&self.kernels, &self.packed, &self.scratch);
-        let slots = &mut self.slots[..chunks];
+        let chunks = &mut self.chunks[..count];
         pool.install(|| {
-            slots.par_iter_mut().with_max_len(1).enumerate().for_each(|(i, slot)| {
+            chunks.par_iter_mut().with_max_len(1).enumerate().for_each(|(i, chunk)| {
                 let thread = rayon::current_thread_index().unwrap_or(0);
                 let mut scratch = scratch[thread].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-                slot.loss = 0.0;
+                chunk.loss = 0.0;
                 pool.heartbeat().beat();
-                task(kernels, packed, &mut scratch, slot, i * CHUNK..batch.len().min((i + 1) * CHUNK));
+                task(kernels, packed, &mut scratch, chunk, i * CHUNK..batch.len().min((i + 1) * CHUNK));
             });
         });
     }
@@ -139,41 +139,41 @@ impl<F: Real> Workspace<F> {
         let shape = self.shape;
         self.packed.fill(&self.kernels, shape, weights);
         let elements = batch.len() * shape.instants * shape.outputs;
-        self.over_chunks(batch, pool, |kernels, packed, s, slot, samples| {
-            slot.clear();
+        self.over_chunks(batch, pool, |kernels, packed, s, chunk, samples| {
+            chunk.clear();
             for i in samples {
                 let (x, y) = batch.sample(i);
                 forward(kernels, shape, packed, x, s);
-                slot.loss += residual(shape, y, batch.output_weights(), elements, s);
+                chunk.loss += residual(shape, y, batch.output_weights(), elements, s);
                 if want == Want::Outputs {
-                    slot.out.extend_from_slice(&s.out);
+                    chunk.out.extend_from_slice(&s.out);
                 }
                 if matches!(want, Want::Weights | Want::Inputs | Want::Both) {
                     backward(kernels, shape, packed, s);
                 }
                 if matches!(want, Want::Weights | Want::Both) {
-                    add_weight_gradient(kernels, shape, x, s, slot);
+                    add_weight_gradient(kernels, shape, x, s, chunk);
                 }
                 if matches!(want, Want::Inputs | Want::Both) {
                     input_product(kernels, shape, packed, &s.g[0], &mut s.wide, Start::Zero);
-                    take_inputs(shape, &s.wide, &mut slot.out);
+                    take_inputs(shape, &s.wide, &mut chunk.out);
                 }
             }
         });
-        let chunks = batch.len().div_ceil(CHUNK);
-        self.slots[..chunks].iter().map(|slot| slot.loss).sum::<f64>() / elements as f64
+        self.chunks[..batch.len().div_ceil(CHUNK)].iter().map(|chunk| chunk.loss).sum::<f64>()
+            / elements as f64
     }
 
     /// The chunks' gradients, summed in order, in the flat order of weights.
     pub(super) fn sum_gradients(&mut self, samples: usize, gradient: &mut [F]) {
         assert_eq!(gradient.len(), self.shape.weights(), "gradient of {:?}", self.shape);
-        let Some((first, rest)) = self.slots[..samples.div_ceil(CHUNK)].split_first_mut() else {
+        let Some((first, rest)) = self.chunks[..samples.div_ceil(CHUNK)].split_first_mut() else {
             return gradient.fill(F::ZERO);
         };
         let add = |sum: &mut [F], part: &[F]| sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += *part);
-        for slot in rest {
-            add(&mut first.gradient, &slot.gradient);
-            add(&mut first.pairs, &slot.pairs);
+        for chunk in rest {
+            add(&mut first.gradient, &chunk.gradient);
+            add(&mut first.pairs, &chunk.pairs);
         }
         for l in (0..self.shape.layers()).filter(|&l| self.shape.conv(l).paired) {
             let weights = padded_range(self.shape, self.shape.layers() + l);
@@ -184,7 +184,7 @@ impl<F: Real> Workspace<F> {
 
     /// The chunks' outputs, in order.
     pub(super) fn join_outputs(&self, samples: usize) -> Vec<F> {
-        self.slots[..samples.div_ceil(CHUNK)].iter().flat_map(|slot| slot.out.iter().copied()).collect()
+        self.chunks[..samples.div_ceil(CHUNK)].iter().flat_map(|chunk| chunk.out.iter().copied()).collect()
     }
 }
 
@@ -240,7 +240,7 @@ pub fn predict<F: Real>(weights: &[F], batch: Batch<F>, ws: &mut Workspace<F>, p
 }
 
 /// Prepares a padded activation or cotangent for `convolve`.
-pub(super) fn spread<F: Real>(kernels: &Kernels<F>, sweep: Sweep, a: &[F], spread: &mut [F]) {
+pub(super) fn spread<F: Real>(kernels: &Kernels<F>, sweep: Convolution, a: &[F], spread: &mut [F]) {
     if sweep.paired {
         kernels.spread(a, spread, sweep.lda);
     }
@@ -249,14 +249,14 @@ pub(super) fn spread<F: Real>(kernels: &Kernels<F>, sweep: Sweep, a: &[F], sprea
 /// c = finish(start + a ∗ w), `a` padded, with w in the panels of the sweep's direction.
 pub(super) fn convolve<F: Real>(
     kernels: &Kernels<F>,
-    sweep: Sweep,
+    sweep: Convolution,
     [a, spread]: [&[F]; 2],
     panels: &Panels<F>,
     c: &mut [F],
     start: Start<F>,
     finish: Finish<F>,
 ) {
-    let Sweep { rows, channels, lda, columns, taps, step, depth, paired } = sweep;
+    let Convolution { rows, channels, lda, columns, taps, step, depth, paired } = sweep;
     if paired {
         let (depth, panels) = (channels, &panels.pairs);
         let (taps, step) = (1, 0);
@@ -364,12 +364,12 @@ fn add_weight_gradient<F: Real>(
     shape: Shape,
     x: &[F],
     s: &mut Scratch<F>,
-    slot: &mut Slot<F>,
+    chunk: &mut Chunk<F>,
 ) {
     for l in 0..shape.layers() {
         let a = if l == 0 { x } else { &s.a[l - 1] };
-        add_layer(kernels, shape, l, [a, &s.spread_a[l], &s.g[l]], &mut s.fold, slot);
-        add_biases(kernels, shape, l, &s.g[l], slot);
+        add_layer(kernels, shape, l, [a, &s.spread_a[l], &s.g[l]], &mut s.fold, chunk);
+        add_biases(kernels, shape, l, &s.g[l], chunk);
     }
 }
 
@@ -380,17 +380,17 @@ pub(super) fn add_layer<F: Real>(
     l: usize,
     [a, spread, g]: [&[F]; 3],
     fold: &mut [F],
-    slot: &mut Slot<F>,
+    chunk: &mut Chunk<F>,
 ) {
     let (conv, n, rows) = (shape.conv(l), shape.layers(), shape.instants);
     let (lda, columns) = (conv.input_stride, conv.output_stride);
     let g = &g[conv.output_start()..][..rows * columns];
-    let gradient = &mut slot.gradient[padded_range(shape, n + l)];
+    let gradient = &mut chunk.gradient[padded_range(shape, n + l)];
     if conv.paired {
         kernels.fold(g, fold, columns);
         let forms = spread.chunks_exact(rows / 2 * lda).zip(fold.chunks_exact(rows / 2 * columns));
-        let slots = slot.pairs[pairs_range(shape, l)].chunks_exact_mut(conv.inputs * columns);
-        for ((a, b), c) in forms.zip(slots) {
+        let forms_of = chunk.pairs[pairs_range(shape, l)].chunks_exact_mut(conv.inputs * columns);
+        for ((a, b), c) in forms.zip(forms_of) {
             kernels.outer(Outer { a, lda, rows: rows / 2, depth: conv.inputs, b, columns, c });
         }
     } else if l + 1 == n {
@@ -401,7 +401,7 @@ pub(super) fn add_layer<F: Real>(
             kernels.outer(Outer { a: g, lda: columns, rows, depth: columns, b, columns: lda, c });
         }
     } else {
-        let Sweep { step, depth, .. } = conv.forward();
+        let Convolution { step, depth, .. } = conv.forward();
         for (tap, c) in gradient.chunks_exact_mut(depth * columns).enumerate() {
             kernels.outer(Outer { a: &a[tap * step..], lda, rows, depth, b: g, columns, c });
         }
@@ -409,8 +409,14 @@ pub(super) fn add_layer<F: Real>(
 }
 
 /// Adds the sums over the instants of a padded cotangent to the gradient of the bias of layer l + 1.
-pub(super) fn add_biases<F: Real>(kernels: &Kernels<F>, shape: Shape, l: usize, g: &[F], slot: &mut Slot<F>) {
-    let bias = &mut slot.gradient[padded_range(shape, l)];
+pub(super) fn add_biases<F: Real>(
+    kernels: &Kernels<F>,
+    shape: Shape,
+    l: usize,
+    g: &[F],
+    chunk: &mut Chunk<F>,
+) {
+    let bias = &mut chunk.gradient[padded_range(shape, l)];
     if l + 1 < shape.layers() {
         return kernels.add_rows(g, bias);
     }

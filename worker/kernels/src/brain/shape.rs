@@ -7,7 +7,7 @@
 //! ```
 //! Flat: b₁ … b_n, w₁ … w_n, each w (kernel, in, out) in C order. The paper's: kernels 3, 3, 1, width 64.
 
-use super::kernels::COLUMNS;
+use super::tiles::COLUMNS;
 use crate::random::{Purpose, Stream};
 use std::ops::Range;
 
@@ -181,26 +181,26 @@ impl Conv {
     }
 
     /// From inputs to outputs, weights as they are.
-    pub fn forward(&self) -> Sweep {
+    pub fn forward(&self) -> Convolution {
         self.sweep(self.inputs, self.input_stride, self.output_stride)
     }
 
     /// From cotangents of outputs to those of inputs, weights flipped in time and transposed.
-    pub fn back(&self) -> Sweep {
+    pub fn back(&self) -> Convolution {
         self.sweep(self.outputs, self.output_stride, self.input_stride.next_multiple_of(COLUMNS))
     }
 
-    fn sweep(&self, channels: usize, lda: usize, columns: usize) -> Sweep {
+    fn sweep(&self, channels: usize, lda: usize, columns: usize) -> Convolution {
         let whole = self.dilation == 1 && channels == lda;
         let (taps, depth) = if whole { (1, self.kernel * channels) } else { (self.kernel, channels) };
         let (rows, paired) = (self.instants, self.paired);
-        Sweep { rows, channels, lda, columns, taps, step: self.dilation * lda, depth, paired }
+        Convolution { rows, channels, lda, columns, taps, step: self.dilation * lda, depth, paired }
     }
 }
 
 /// A convolution as `kernels` take it: rows that follow each other without a gap are one tap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Sweep {
+pub(super) struct Convolution {
     pub rows: usize,
     pub channels: usize,
     pub lda: usize,

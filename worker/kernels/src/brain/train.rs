@@ -1,8 +1,8 @@
 //! Adam (Kingma and Ba 2015) on the network, and the names of what may go wrong.
 
 use super::data::Batch;
+use super::kernels::Real;
 use super::network::{Workspace, loss_gradient};
-use super::real::Real;
 
 /// Moments and count of steps; β₁ = 0.9, ε = 1e-8 added to the root of the bias-corrected second moment.
 #[derive(Debug, Clone, PartialEq)]

@@ -8,13 +8,12 @@
 //! The four forms lie one after the other: rows further apart (4 × 64) would share too few sets of L1.
 //! Lavin and Gray, arXiv:1509.09308, in one dimension. U₃ is stored negated.
 
-use super::kernels::{Product, accumulate, close, panel};
-use super::real::Real;
-use crate::lanes::Vector;
+use super::tiles::{Product, accumulate, close, panel};
+use crate::lanes::{Scalar, Vector};
 
 /// Entry of the i-th form of the weights, of which `g(k)` is the same entry.
 #[inline(always)]
-pub fn form<F: Real>(i: usize, g: impl Fn(usize) -> F) -> F {
+pub fn form<F: Scalar>(i: usize, g: impl Fn(usize) -> F) -> F {
     let half = F::from_f64(0.5);
     match i {
         0 => g(0),
@@ -25,7 +24,7 @@ pub fn form<F: Real>(i: usize, g: impl Fn(usize) -> F) -> F {
 }
 
 /// Adds the gradient (3, n) that belongs to Q₀, Q₁, Q₂, −Q₃, each n long.
-pub fn add_gradient<F: Real>(q: &[F], gradient: &mut [F]) {
+pub fn add_gradient<F: Scalar>(q: &[F], gradient: &mut [F]) {
     let n = gradient.len() / 3;
     let half = F::from_f64(0.5);
     for j in 0..n {

@@ -4,7 +4,7 @@
 //! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
 //! that signals which agree to rounding check those too.
 
-use super::splitting::Drift;
+use super::schemes::Drift;
 use super::{Forces, Frame, Method, Parameters, Scene, Simulation, Tape, tsit5};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 

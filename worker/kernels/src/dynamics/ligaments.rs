@@ -15,7 +15,7 @@ use crate::lanes::{Vector, pair};
 pub type Turn<V> = [V; 2];
 
 /// Where a kernel adds cotangents of the arms (node by node), of the void angles at rest and of the stiffnesses.
-pub struct Shape<'a, V> {
+pub struct ShapeCotangent<'a, V> {
     /// One entry a unit.
     pub arms: &'a mut [[[V; 2]; 4]],
     /// One entry a ligament.
@@ -26,7 +26,7 @@ pub struct Shape<'a, V> {
 
 /// Where the ends of a ligament are.
 #[derive(Clone, Copy)]
-struct Place<V> {
+struct Kinematics<V> {
     /// R r of either end.
     levers: [[V; 2]; 2],
     /// d; in linearised scenes d − d₀.
@@ -42,8 +42,8 @@ struct Place<V> {
 }
 
 /// What a ligament does to the units at its ends.
-struct Pull<V> {
-    place: Place<V>,
+struct Reaction<V> {
+    at: Kinematics<V>,
     /// 1/|d|²; zero in linearised scenes, as are the next two.
     inverse_square: V,
     /// The force is stretch·d + side·d⊥, d⊥ = (−d_y, d_x).
@@ -59,8 +59,8 @@ struct Pull<V> {
     strains: [V; 3],
 }
 
-/// The derivative of a pull along a direction.
-struct Swing<V> {
+/// Its derivative along a direction.
+struct ReactionTangent<V> {
     force: [V; 2],
     /// Of ∂U/∂θ of either unit.
     moments: [V; 2],
@@ -88,13 +88,13 @@ pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: 
     if bars.is_empty() {
         return;
     }
-    let mut ahead = Ahead::new::<LINEAR>(bars, x, turn);
+    let mut pipeline = Pipeline::new::<LINEAR>(bars, x, turn);
     for (q, bar) in bars.iter().enumerate() {
-        let (at, gamma) = ahead.next::<LINEAR>(q, bars, x, turn);
-        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, gamma, margin);
-        pull.add_to(g, bar);
+        let (at, gamma) = pipeline.next::<LINEAR>(q, bars, x, turn);
+        let reaction = reaction::<V, LINEAR, CONTACT>(model, bar, at, gamma, margin);
+        reaction.add_to(g, bar);
         if KEEP {
-            kept[q] = [pull.force, [pull.contact[0].0, pull.contact[1].0]];
+            kept[q] = [reaction.force, [reaction.contact[0].0, reaction.contact[1].0]];
         }
     }
 }
@@ -119,7 +119,7 @@ pub fn product<
     turn: &[Turn<V>],
     g: &mut [[V; 3]],
     h: &mut [[V; 3]],
-    shape: Shape<'_, V>,
+    shape: ShapeCotangent<'_, V>,
 ) {
     let units = model.units();
     assert!(x.len() == units && turn.len() == units && h.len() == units, "one entry per unit");
@@ -128,23 +128,23 @@ pub fn product<
     if bars.is_empty() {
         return;
     }
-    let mut ahead = Ahead::new::<LINEAR>(bars, x, turn);
+    let mut pipeline = Pipeline::new::<LINEAR>(bars, x, turn);
     for (q, bar) in bars.iter().enumerate() {
-        let (at, gamma) = ahead.next::<LINEAR>(q, bars, x, turn);
+        let (at, gamma) = pipeline.next::<LINEAR>(q, bars, x, turn);
         let &Bar::<V::Scalar> { a, b, .. } = bar;
         let turns = [turn[a], turn[b]];
-        let pull = pull::<V, LINEAR, CONTACT>(model, bar, at, gamma, &mut { zero });
+        let reaction = reaction::<V, LINEAR, CONTACT>(model, bar, at, gamma, &mut { zero });
         if GRADIENT {
-            pull.add_to(g, bar);
+            reaction.add_to(g, bar);
         }
-        let swing = pull.along::<LINEAR, CONTACT>(model, bar, [w[a], w[b]]);
-        let [fx, fy] = swing.force;
+        let tangent = reaction.tangent::<LINEAR, CONTACT>(model, bar, [w[a], w[b]]);
+        let [fx, fy] = tangent.force;
         let [hx, hy, ht] = h[a];
-        h[a] = [hx + fx, hy + fy, ht - swing.moments[0]];
+        h[a] = [hx + fx, hy + fy, ht - tangent.moments[0]];
         let [hx, hy, ht] = h[b];
-        h[b] = [hx - fx, hy - fy, ht - swing.moments[1]];
+        h[b] = [hx - fx, hy - fy, ht - tangent.moments[1]];
         // (R − I)ᵀ ∂U/∂node at b, its negative at a; a turn of R by ω is one of the force by −ω
-        let [gx, gy] = pull.force;
+        let [gx, gy] = reaction.force;
         let [s, c1] = turns[1];
         let omega = w[b][2];
         let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
@@ -163,16 +163,17 @@ pub fn product<
         ];
         if CONTACT {
             let to = &mut shape.voids[bar.index];
-            *to = [to[0] + swing.voids[0], to[1] + swing.voids[1]];
+            *to = [to[0] + tangent.voids[0], to[1] + tangent.voids[1]];
         }
         if PARAMETERS {
-            for ((to, strain), along) in shape.stiffness.iter_mut().zip(pull.strains).zip(swing.strains) {
+            for ((to, strain), along) in shape.stiffness.iter_mut().zip(reaction.strains).zip(tangent.strains)
+            {
                 *to = strain.mul_add(along, *to);
             }
             if CONTACT && let Some(contact) = model.contact {
                 // ∂E_c/∂ψ is k_c times what does not depend on it
-                let turned = swing.strains[2] * V::splat(1.0 / contact.stiffness);
-                let moment = pull.contact[1].0 - pull.contact[0].0;
+                let turned = tangent.strains[2] * V::splat(1.0 / contact.stiffness);
+                let moment = reaction.contact[1].0 - reaction.contact[0].0;
                 shape.stiffness[3] = moment.mul_add(turned, shape.stiffness[3]);
             }
         }
@@ -189,14 +190,18 @@ pub fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
 
 /// Where a ligament is.
 #[inline(always)]
-fn place<V: Vector, const LINEAR: bool>(bar: &Bar<V::Scalar>, x: &[[V; 3]], turn: &[Turn<V>]) -> Place<V> {
+fn kinematics<V: Vector, const LINEAR: bool>(
+    bar: &Bar<V::Scalar>,
+    x: &[[V; 3]],
+    turn: &[Turn<V>],
+) -> Kinematics<V> {
     let (xa, xb, zero) = (x[bar.a], x[bar.b], V::splat(0.0));
     let (ra, rb) = (pair(bar.arm_a), pair(bar.arm_b));
 
     // d − d₀
     let (pa, pb) = (moved(turn[bar.a], ra), moved(turn[bar.b], rb));
     let du = [(xb[0] + pb[0]) - (xa[0] + pa[0]), (xb[1] + pb[1]) - (xa[1] + pa[1])];
-    let mut at = Place {
+    let mut at = Kinematics {
         levers: [[pa[0] + ra[0], pa[1] + ra[1]], [pb[0] + rb[0], pb[1] + rb[1]]],
         d: du,
         size: zero,
@@ -225,25 +230,25 @@ fn moved<V: Vector>([s, c1]: Turn<V>, r: [V; 2]) -> [V; 2] {
 
 /// γ there; zero in linearised scenes.
 #[inline(always)]
-fn shear_angle<V: Vector, const LINEAR: bool>(at: &Place<V>) -> V {
+fn shear_angle<V: Vector, const LINEAR: bool>(at: &Kinematics<V>) -> V {
     if LINEAR {
         return V::splat(0.0);
     }
     angle(at.seen[1].over(at.size + at.seen[0]), at.seen, at.mean)
 }
 
-/// Where the next two ligaments are, and γ of the first: a ligament is a long chain of dependent operations, and while
+/// Software pipelining: where the next two ligaments are, and γ of the first. A ligament is a long chain of dependent operations, and while
 /// it waits processors look ahead by about a hundred others, of which a third each may well belong to three ligaments.
-struct Ahead<V> {
-    near: (Place<V>, V),
-    far: Place<V>,
+struct Pipeline<V> {
+    near: (Kinematics<V>, V),
+    far: Kinematics<V>,
 }
 
-impl<V: Vector> Ahead<V> {
+impl<V: Vector> Pipeline<V> {
     #[inline(always)]
     fn new<const LINEAR: bool>(bars: &[Bar<V::Scalar>], x: &[[V; 3]], turn: &[Turn<V>]) -> Self {
-        let first = place::<V, LINEAR>(&bars[0], x, turn);
-        let far = place::<V, LINEAR>(&bars[1.min(bars.len() - 1)], x, turn);
+        let first = kinematics::<V, LINEAR>(&bars[0], x, turn);
+        let far = kinematics::<V, LINEAR>(&bars[1.min(bars.len() - 1)], x, turn);
         Self { near: (first, shear_angle::<V, LINEAR>(&first)), far }
     }
 
@@ -255,10 +260,10 @@ impl<V: Vector> Ahead<V> {
         bars: &[Bar<V::Scalar>],
         x: &[[V; 3]],
         turn: &[Turn<V>],
-    ) -> (Place<V>, V) {
+    ) -> (Kinematics<V>, V) {
         let (at, next) = (self.near, self.far);
         if let Some(bar) = bars.get(q + 2) {
-            self.far = place::<V, LINEAR>(bar, x, turn);
+            self.far = kinematics::<V, LINEAR>(bar, x, turn);
         }
         self.near = (next, shear_angle::<V, LINEAR>(&next));
         at
@@ -267,16 +272,16 @@ impl<V: Vector> Ahead<V> {
 
 /// What a ligament does there, with contact.
 #[inline(always)]
-fn pull<V: Vector, const LINEAR: bool, const CONTACT: bool>(
+fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
     bar: &Bar<V::Scalar>,
-    at: Place<V>,
+    at: Kinematics<V>,
     gamma: V,
     margin: &mut V,
-) -> Pull<V> {
+) -> Reaction<V> {
     let (k, zero, length, relative) = (model.stiffness, V::splat(0.0), bar.length, at.relative);
-    let mut of = Pull {
-        place: at,
+    let mut of = Reaction {
+        at,
         inverse_square: zero,
         stretch: zero,
         side: zero,
@@ -333,12 +338,12 @@ fn linear<V: Vector>(
     (force, V::splat(0.5) * length * slide, [stretched, slid, relative])
 }
 
-impl<V: Vector> Pull<V> {
+impl<V: Vector> Reaction<V> {
     /// Adds ∂U/∂s of both units.
     #[inline(always)]
     fn add_to(&self, g: &mut [[V; 3]], bar: &Bar<V::Scalar>) {
         let [fx, fy] = self.force;
-        let ([la, lb], [ma, mb]) = (self.place.levers, self.moments);
+        let ([la, lb], [ma, mb]) = (self.at.levers, self.moments);
         let [x, y, t] = g[bar.a];
         g[bar.a] = [x - fx, y - fy, t + la[1].mul_add(fx, la[0].mul_sub_from(fy, ma))];
         let [x, y, t] = g[bar.b];
@@ -350,14 +355,14 @@ impl<V: Vector> Pull<V> {
     /// δg = stretch δd + side δd⊥ + k_l l₀/|d| ρ d + (k_s l₀² δγ/|d|² − 2 side ρ) d⊥
     /// ```
     #[inline(always)]
-    fn along<const LINEAR: bool, const CONTACT: bool>(
+    fn tangent<const LINEAR: bool, const CONTACT: bool>(
         &self,
         model: &Model,
         bar: &Bar<V::Scalar>,
         [wa, wb]: [[V; 3]; 2],
-    ) -> Swing<V> {
+    ) -> ReactionTangent<V> {
         let (k, length, zero) = (model.stiffness, bar.length, V::splat(0.0));
-        let Place { levers: [la, lb], d: [dx, dy], size, inverse, .. } = self.place;
+        let Kinematics { levers: [la, lb], d: [dx, dy], size, inverse, .. } = self.at;
         let p = wa[2].mul_add(la[1], wb[2].mul_sub_from(lb[1], wb[0] - wa[0]));
         let q = wa[2].mul_sub_from(la[0], wb[2].mul_add(lb[0], wb[1] - wa[1]));
         let (mean, relative) = (V::splat(0.5) * (wa[2] + wb[2]), wb[2] - wa[2]);
@@ -388,7 +393,7 @@ impl<V: Vector> Pull<V> {
         }
         let (ma, mb) = (self.lever_along(la, wa[2], force), self.lever_along(lb, wb[2], force));
         let moments = [ma - shear - bend, bend - shear - mb];
-        Swing { force, moments, voids, strains }
+        ReactionTangent { force, moments, voids, strains }
     }
 
     /// Derivative of the moment of the force at a lever that turns by ω, where that of the force is `along`.

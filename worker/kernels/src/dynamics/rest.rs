@@ -1,7 +1,7 @@
 //! The body's linearisation at rest: M s̈ + C ṡ + K s = f, K the Hessian of the energy there.
 
 use super::Scene;
-use super::ligaments::{Shape, product};
+use super::ligaments::{ShapeCotangent, product};
 use super::model::Model;
 use crate::lanes::{Sse2, Vector};
 
@@ -70,7 +70,7 @@ pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [
         (false, true) => product::<Sse2, false, true, false, false>,
         (true, _) => product::<Sse2, true, true, false, false>,
     };
-    let shape = Shape { arms: &mut arms, voids: &mut voids, stiffness: &mut [zero; 4] };
+    let shape = ShapeCotangent { arms: &mut arms, voids: &mut voids, stiffness: &mut [zero; 4] };
     kernel(model, &model.bars, &x, &direction, &turn, &mut [], &mut h, shape);
     std::array::from_fn(|lane| h.as_flattened().iter().map(|h| -h.lane(lane)).collect())
 }

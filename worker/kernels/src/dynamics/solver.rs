@@ -3,7 +3,7 @@
 //! Three numbers that are easily confused have types of their own: the error asked of the signals, the tolerance of Tsit5's
 //! error norm, and the precision of the lanes.
 
-use super::splitting::Scheme;
+use super::schemes::Scheme;
 
 /// Integrators.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

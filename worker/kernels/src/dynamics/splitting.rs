@@ -12,121 +12,15 @@
 //! its evaluations of second derivatives yield on the way.
 
 use super::balance::Balance;
+use super::jobs::{Backward, Job};
+use super::loads::LockstepForces;
 use super::model::Model;
-use super::system::{Cotangent, Ramp, System, Unit, load_lanes, read_lane, store_lane};
+use super::schemes::{Drift, Scheme};
+use super::system::{Cotangent, System, Unit, load_lanes, read_lane, store_lane};
 use super::trigonometry::sin_cos1;
-use super::tsit5::{Slot, Sweep};
 use super::{Counters, Forces, Frame, Outcome, Scene};
 use crate::Heartbeat;
 use crate::lanes::{MOST, Scalar, Vector};
-
-/// Coefficients of one step, first half; both lists are symmetric.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Scheme {
-    /// b: one more than drifts.
-    pub kicks: Vec<f64>,
-    /// a.
-    pub drifts: Vec<f64>,
-}
-
-impl Scheme {
-    /// Störmer, Verlet: order 2, 1 force a step.
-    pub fn leapfrog() -> Self {
-        Self { kicks: vec![0.5, 0.5], drifts: vec![1.0] }
-    }
-
-    /// Blanes and Moan's SRKN₆ᵇ: order 4, 6 forces a step.
-    pub fn fourth() -> Self {
-        let (b, a) = (
-            [0.0829844064174052, 0.396309801498368, -0.0390563049223486],
-            [0.245298957184271, 0.60487266571108],
-        );
-        let middle = 1.0 - 2.0 * b.iter().sum::<f64>();
-        let inner = 0.5 - a.iter().sum::<f64>();
-        Self {
-            kicks: vec![b[0], b[1], b[2], middle, b[2], b[1], b[0]],
-            drifts: vec![a[0], a[1], inner, inner, a[1], a[0]],
-        }
-    }
-
-    /// Blanes and Moan's SRKN₁₁ᵇ: order 6, 11 forces a step.
-    pub fn sixth() -> Self {
-        let b = [
-            0.0414649985182624,
-            0.198128671918067,
-            -0.0400061921041533,
-            0.0752539843015807,
-            -0.0115113874206879,
-        ];
-        let a =
-            [0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928];
-        let inner = 0.5 - b.iter().sum::<f64>();
-        let middle = 1.0 - 2.0 * a.iter().sum::<f64>();
-        let mut kicks = b.to_vec();
-        kicks.extend([inner, inner]);
-        kicks.extend(b.iter().rev());
-        let mut drifts = a.to_vec();
-        drifts.push(middle);
-        drifts.extend(a.iter().rev());
-        Self { kicks, drifts }
-    }
-
-    /// Forces a step.
-    pub fn stages(&self) -> usize {
-        self.drifts.len()
-    }
-}
-
-/// e and (1 − e)/γ of a drift over τ, and the derivatives of both in γ.
-#[derive(Clone, Copy)]
-pub struct Drift<S = f64> {
-    /// e.
-    pub keep: S,
-    /// 1/e.
-    pub restore: S,
-    /// (1 − e)/γ.
-    pub reach: S,
-    /// de/dγ.
-    pub keep_slope: S,
-    /// d((1 − e)/γ)/dγ.
-    pub reach_slope: S,
-}
-
-impl Drift {
-    /// For τ = `tau`.
-    pub fn new(gamma: f64, tau: f64) -> Self {
-        let z = gamma * tau;
-        let keep = (-z).exp();
-        // (1 − e⁻ᶻ)/z and (z e⁻ᶻ − 1 + e⁻ᶻ)/z², by series where they cancel
-        let (reach, slope) = if z.abs() < 0.3 {
-            let (mut reach, mut slope, mut term) = (0.0, 0.0, 1.0);
-            for k in 1..16 {
-                // term = (−z)^(k−1)/k!
-                term *= if k == 1 { 1.0 } else { -z } / k as f64;
-                reach += term;
-                slope -= term * k as f64 / (k + 1) as f64;
-            }
-            (reach, slope)
-        } else {
-            (-(-z).exp_m1() / z, (z * keep + (-z).exp_m1()) / (z * z))
-        };
-        Self {
-            keep,
-            restore: z.exp(),
-            reach: tau * reach,
-            keep_slope: -tau * keep,
-            reach_slope: tau * tau * slope,
-        }
-    }
-
-    /// Rounded to a vector's scalar.
-    fn rounded<S: Scalar>(self) -> Drift<S> {
-        let Self { keep, restore, reach, keep_slope, reach_slope } = self;
-        let [keep, restore, reach, keep_slope, reach_slope] =
-            [keep, restore, reach, keep_slope, reach_slope].map(S::from_f64);
-        Drift { keep, restore, reach, keep_slope, reach_slope }
-    }
-}
 
 /// Into how many parts an interval is cut by checkpoints, so that running backwards loses at most some e⁶ to damping.
 pub fn segments(scene: &Scene, model: &super::model::Model, substeps: usize) -> usize {
@@ -176,7 +70,7 @@ struct Course<'a, V: Vector> {
     /// The kicks at either end of a step.
     first: f64,
     last: f64,
-    ramp: Ramp<'a, V>,
+    loads: LockstepForces<'a, V>,
     force: Vec<V>,
 }
 
@@ -198,7 +92,7 @@ impl<'a, V: Vector> Course<'a, V> {
             first: ready.kicks[0],
             last: ready.kicks[stages],
             ready,
-            ramp: Ramp::new(scene, forces, histories, substeps),
+            loads: LockstepForces::new(scene, forces, histories, substeps),
             force: vec![V::splat(0.0); forces.panels],
         }
     }
@@ -282,7 +176,7 @@ pub fn forward<V: Vector>(
     substeps: usize,
     parts: usize,
     forces: &Forces,
-    slots: &mut [Slot<'_>],
+    jobs: &mut [Job<'_>],
     heartbeat: &Heartbeat,
 ) -> Counters {
     let scene = system.scene;
@@ -290,9 +184,9 @@ pub fn forward<V: Vector>(
     let free = &model.free;
     let width = 3 * scene.sensors.len();
     let instants = scene.instants;
-    let histories: Vec<&[f64]> = slots.iter().map(|s| forces.sample(s.index)).collect();
+    let histories: Vec<&[f64]> = jobs.iter().map(|s| forces.sample(s.index)).collect();
     let begin = Begin::new(scene, model, forces, &histories, false);
-    let Course { ready, stages, first, last, mut ramp, mut force } =
+    let Course { ready, stages, first, last, mut loads, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
     let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
     let mut margin = V::splat(1.0);
@@ -300,10 +194,10 @@ pub fn forward<V: Vector>(
         return Counters::default();
     }
 
-    ramp.at(begin.first * substeps, 0.0, &mut force);
+    loads.at(begin.first * substeps, 0.0, &mut force);
     let mut balance = Balance::new(scene, model, &force);
     system.prepare(&x, &mut g);
-    system.add_pull(&x, &force, &mut g, &mut margin);
+    system.add_forces(&x, &force, &mut g, &mut margin);
     for interval in begin.first..instants {
         heartbeat.beat();
         let awake: V = begin.awake(interval);
@@ -312,16 +206,16 @@ pub fn forward<V: Vector>(
         for step in 0..substeps {
             for j in 0..stages {
                 system.advance(awake * V::splat(b), &ready.drifts[j], &mut x, &mut v, &mut g);
-                ramp.at(interval * substeps + step, ready.clock[j], &mut force);
+                loads.at(interval * substeps + step, ready.clock[j], &mut force);
                 balance.add(&x, &force);
-                system.add_pull(&x, &force, &mut g, &mut margin);
+                system.add_forces(&x, &force, &mut g, &mut margin);
                 b = if j + 1 == stages { last + first } else { ready.kicks[j + 1] };
             }
             if step + 1 == segment_end(part, parts, substeps) {
                 system.kick(awake * V::splat(last), &g, &mut v);
                 b = first;
-                for (l, slot) in slots.iter_mut().enumerate() {
-                    if let Some(tape) = &mut slot.tape {
+                for (l, job) in jobs.iter_mut().enumerate() {
+                    if let Some(tape) = &mut job.tape {
                         let len = 6 * free.len();
                         store_lane(
                             free,
@@ -347,25 +241,25 @@ pub fn forward<V: Vector>(
             size = size + x.abs() + v.abs();
         }
         let excess = balance.excess(&v);
-        for (l, slot) in slots.iter_mut().enumerate() {
-            if *slot.outcome != Outcome::Ok || interval < begin.lanes[l] {
+        for (l, job) in jobs.iter_mut().enumerate() {
+            if *job.outcome != Outcome::Ok || interval < begin.lanes[l] {
                 continue;
             }
             if margin.lane(l) < 0.0 {
-                *slot.outcome = Outcome::ForbiddenContact;
+                *job.outcome = Outcome::ForbiddenContact;
             } else if !size.lane(l).is_finite() {
-                *slot.outcome = Outcome::NonFinite;
+                *job.outcome = Outcome::NonFinite;
             } else if excess.lane(l) > 0.0 {
-                *slot.outcome = Outcome::Unstable;
+                *job.outcome = Outcome::Unstable;
             } else {
-                read_lane(scene, &x, &v, &a, l, &mut slot.signals[interval * width..][..width]);
+                read_lane(scene, &x, &v, &a, l, &mut job.signals[interval * width..][..width]);
             }
         }
-        if slots.iter().all(|s| *s.outcome != Outcome::Ok) {
+        if jobs.iter().all(|s| *s.outcome != Outcome::Ok) {
             break;
         }
     }
-    let lanes = slots.len() as u64;
+    let lanes = jobs.len() as u64;
     let steps = ((instants - begin.first) * substeps) as u64;
     Counters { force_evaluations: lanes * (1 + steps * stages as u64), steps: lanes * steps, rejected: 0 }
 }
@@ -437,7 +331,7 @@ pub fn reverse<V: Vector>(
     substeps: usize,
     parts: usize,
     forces: &Forces,
-    sweeps: &[Sweep<'_>],
+    sweeps: &[Backward<'_>],
     forces_asked: bool,
     heartbeat: &Heartbeat,
 ) -> (Vec<f64>, Counters) {
@@ -451,10 +345,10 @@ pub fn reverse<V: Vector>(
     let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
     // What moves from its first force on would by others move before.
     let begin = Begin::new(scene, model, forces, &histories, forces_asked);
-    let Course { ready, stages, first, last, mut ramp, mut force } =
+    let Course { ready, stages, first, last, mut loads, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
     if forces_asked {
-        ramp.ask();
+        loads.ask();
     }
     let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
     let mut bars = Bars { x: system.zeros(), v: system.zeros(), w: system.zeros() };
@@ -477,7 +371,7 @@ pub fn reverse<V: Vector>(
                 sweeps.get(l).map(|s| &s.tape.states[(interval * parts + part) * len..][..len])
             });
             load_lanes(free, &states, &mut x, &mut v);
-            ramp.at(interval * substeps + step - 1, 1.0, &mut force);
+            loads.at(interval * substeps + step - 1, 1.0, &mut force);
             let instant = part + 1 == parts;
             let follows: V = match instant {
                 true if interval + 1 == instants => zero,
@@ -526,8 +420,8 @@ pub fn reverse<V: Vector>(
                 }
             }
             system.prepare(&x, &mut g);
-            system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
-            ramp.add_vjp(&scene.panels, &bars.w);
+            system.add_forces_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
+            loads.add_vjp(&scene.panels, &bars.w);
             evaluations += 1;
 
             let begins = if part == 0 { 0 } else { segment_end(part - 1, parts, substeps) };
@@ -552,9 +446,9 @@ pub fn reverse<V: Vector>(
                     }
                     b = next;
                     let clock = if j == 0 { 0.0 } else { ready.clock[j - 1] };
-                    ramp.at(interval * substeps + step, clock, &mut force);
-                    system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
-                    ramp.add_vjp(&scene.panels, &bars.w);
+                    loads.at(interval * substeps + step, clock, &mut force);
+                    system.add_forces_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
+                    loads.add_vjp(&scene.panels, &bars.w);
                     evaluations += 1;
                 }
             }
@@ -562,7 +456,7 @@ pub fn reverse<V: Vector>(
     }
     // The first kick, from rest
     x.fill([zero; 3]);
-    ramp.at(begin.first * substeps, 0.0, &mut force);
+    loads.at(begin.first * substeps, 0.0, &mut force);
     let b = begin.awake::<V>(begin.first) * V::splat(first);
     for u in moving.clone() {
         for d in 0..3 {
@@ -570,8 +464,8 @@ pub fn reverse<V: Vector>(
         }
     }
     system.prepare(&x, &mut g);
-    system.add_pull_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
-    ramp.add_vjp(&scene.panels, &bars.w);
+    system.add_forces_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
+    loads.add_vjp(&scene.panels, &bars.w);
     for u in moving {
         for d in 0..3 {
             let pull = V::of(system.inverse_mass[u][d]) * g[u][d];
@@ -585,5 +479,5 @@ pub fn reverse<V: Vector>(
         steps: lanes * ((instants - begin.first) * substeps) as u64,
         rejected: 0,
     };
-    (ramp.cotangent(), counters)
+    (loads.cotangent(), counters)
 }

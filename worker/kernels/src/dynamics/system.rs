@@ -1,20 +1,20 @@
 //! The equations of motion in lanes: accelerations, their transpose, and the sensors, for every integrator.
 
-use super::ligaments::{Shape, Turn, turns};
+use super::ligaments::{ShapeCotangent, Turn, turns};
 use super::model::{Bar, Model, ModelCotangent};
-use super::{Forces, Frame, Panel, Scene};
+use super::{Frame, Scene};
 use crate::lanes::{MOST, Scalar, Vector};
 
 /// (u, v, θ), or what belongs to it, of one unit, in lanes.
 pub type Unit<V> = [V; 3];
 
 /// (model, its ligaments, x, turns, where to add ∂U/∂s, margin): lowers the margin to the least ψ − ψ_min.
-pub type First<V> =
+pub type GradientKernel<V> =
     unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Unit<V>], &[Turn<V>], &mut [Unit<V>], &mut V);
 
 /// (model, its ligaments, x, w, turns, where to add ∂U/∂s if at all, where to take its derivative along w from, and where to add that of
 /// arms, void angles and stiffnesses).
-pub type Second<V> = unsafe fn(
+pub type ProductKernel<V> = unsafe fn(
     &Model,
     &[Bar<<V as Vector>::Scalar>],
     &[Unit<V>],
@@ -22,17 +22,17 @@ pub type Second<V> = unsafe fn(
     &[Turn<V>],
     &mut [Unit<V>],
     &mut [Unit<V>],
-    Shape<'_, V>,
+    ShapeCotangent<'_, V>,
 );
 
 /// The kernels of one instruction set, for one kind of scene.
 pub struct Kernels<V: Vector> {
     /// Gradient of the energy.
-    pub gradient: First<V>,
+    pub gradient: GradientKernel<V>,
     /// Gradient and second derivatives along a direction.
-    pub second: Second<V>,
+    pub second: ProductKernel<V>,
     /// The same, by those who do not ask for the gradient.
-    pub product: Second<V>,
+    pub product: ProductKernel<V>,
 }
 
 /// Cotangents of the model, in lanes, as negatives of the arms', void angles' and stiffnesses'.
@@ -124,7 +124,7 @@ impl<'a, V: Vector> System<'a, V> {
         margin: &mut V,
     ) {
         self.prepare(x, a);
-        self.add_pull(x, force, a, margin);
+        self.add_forces(x, force, a, margin);
         self.finish(v, a);
     }
 
@@ -132,7 +132,7 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn gradient(&mut self, x: &[Unit<V>], g: &mut [Unit<V>]) {
         self.prepare(x, g);
-        self.add_pull(x, &[], g, &mut { V::splat(0.0) });
+        self.add_forces(x, &[], g, &mut { V::splat(0.0) });
     }
 
     /// What the kernels ask for at `x`: its turns, and `g` cleared.
@@ -144,7 +144,7 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Adds ∂U/∂s − f at `x`, the one prepared, to `g` and lowers `margin` to the least ψ − ψ_min.
     #[inline(always)]
-    pub fn add_pull(&mut self, x: &[Unit<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
+    pub fn add_forces(&mut self, x: &[Unit<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
         // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
         unsafe { (self.kernels.gradient)(self.model, &self.bars, x, &self.turn, g, margin) };
         self.push(force, g);
@@ -152,7 +152,7 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// The same, and transpose: adds what forces of cotangent `w` pass on to `bar_x` and to the model's cotangents.
     #[inline(always)]
-    pub fn add_pull_vjp(
+    pub fn add_forces_vjp(
         &mut self,
         x: &[Unit<V>],
         force: &[V],
@@ -161,8 +161,8 @@ impl<'a, V: Vector> System<'a, V> {
         bar_x: &mut [Unit<V>],
     ) {
         let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
-        let shape = Shape { arms, voids, stiffness };
-        // SAFETY: as in `add_pull`.
+        let shape = ShapeCotangent { arms, voids, stiffness };
+        // SAFETY: as in `add_forces`.
         unsafe { (self.kernels.second)(self.model, &self.bars, x, w, &self.turn, g, bar_x, shape) };
         self.push(force, g);
     }
@@ -218,7 +218,7 @@ impl<'a, V: Vector> System<'a, V> {
         self.prepare(x, a);
         let (mut h, w) = (std::mem::take(&mut self.h), std::mem::take(&mut self.w));
         h.fill([V::splat(0.0); 3]);
-        self.add_pull_vjp(x, force, &w, a, &mut h);
+        self.add_forces_vjp(x, force, &w, a, &mut h);
         (self.h, self.w) = (h, w);
         self.finish(v, a);
         let zero = V::splat(0.0);
@@ -248,9 +248,9 @@ impl<'a, V: Vector> System<'a, V> {
     pub fn product(&mut self, x: &[Unit<V>], w: &[Unit<V>], curved: &mut [Unit<V>]) {
         self.prepare(x, curved);
         let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
-        let shape = Shape { arms, voids, stiffness };
+        let shape = ShapeCotangent { arms, voids, stiffness };
         let unread = &mut self.h;
-        // SAFETY: as in `add_pull`.
+        // SAFETY: as in `add_forces`.
         unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, unread, curved, shape) };
     }
 
@@ -305,14 +305,6 @@ impl<'a, V: Vector> System<'a, V> {
         sum.stiffness = std::array::from_fn(|k| -total(&mut stiffness[k]));
         sum.damping = std::array::from_fn(|d| total(&mut damping[d]));
         sum
-    }
-}
-
-impl Panel {
-    /// The cotangent of the force by that of what it does to its unit.
-    #[inline(always)]
-    pub(super) fn push_vjp<V: Vector>(&self, w: &Unit<V>) -> V {
-        V::splat(self.direction[0]) * w[0] + V::splat(self.direction[1]) * w[1]
     }
 }
 
@@ -391,94 +383,6 @@ pub fn load_lanes<V: Vector>(
                     v[u][d].set_lane(lane, state[6 * i + 3 + d]);
                 }
             }
-        }
-    }
-}
-
-/// Forces of up to eight samples at equal steps, which end at every kink.
-pub struct Ramp<'a, V> {
-    forces: &'a Forces,
-    histories: Vec<&'a [f64]>,
-    /// Steps from kink to kink.
-    span: usize,
-    /// The kink that the present ramp begins at.
-    kink: Option<usize>,
-    start: Vec<V>,
-    rise: Vec<V>,
-    /// Of that ramp, where forces were taken last.
-    part: f64,
-    /// Of the histories, (K, R+1), where asked for.
-    cotangent: Vec<V>,
-}
-
-impl<'a, V: Vector> Ramp<'a, V> {
-    /// Of the samples' histories, one a lane, `substeps` steps an interval of the scene.
-    #[inline(always)]
-    pub fn new(scene: &Scene, forces: &'a Forces, histories: Vec<&'a [f64]>, substeps: usize) -> Self {
-        let zero = vec![V::splat(0.0); forces.panels];
-        let span = substeps / forces.kinks(scene);
-        let (start, rise) = (zero.clone(), zero);
-        Self { forces, histories, span, kink: None, start, rise, part: 0.0, cotangent: Vec::new() }
-    }
-
-    /// Overwrites `force` by the forces at the fraction c of a step, counted from the beginning of the sample.
-    #[inline(always)]
-    pub fn at(&mut self, step: usize, c: f64, force: &mut [V]) {
-        let kink = step / self.span;
-        if self.kink != Some(kink) {
-            self.load(kink);
-        }
-        let w = ((step - kink * self.span) as f64 + c) / self.span as f64;
-        self.part = w;
-        for ((f, s), r) in force.iter_mut().zip(&self.start).zip(&self.rise) {
-            *f = V::splat(w).mul_add(*r, *s);
-        }
-    }
-
-    /// From now on `add_vjp` adds.
-    #[inline(always)]
-    pub fn ask(&mut self) {
-        self.cotangent = vec![V::ZERO; self.forces.panels * (self.forces.instants + 1)];
-    }
-
-    /// Adds what the forces given last, whose work on the units has the cotangent `w`, pass on to the histories, where asked.
-    #[inline(always)]
-    pub fn add_vjp(&mut self, panels: &[Panel], w: &[Unit<V>]) {
-        let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
-        let part = V::splat(self.part);
-        for (panel, of) in panels.iter().zip(self.cotangent.chunks_exact_mut(self.forces.instants + 1)) {
-            let bar = panel.push_vjp(&w[panel.unit]);
-            let late = part * bar;
-            of[kink] = of[kink] + (bar - late);
-            of[kink + 1] = of[kink + 1] + late;
-        }
-    }
-
-    /// Of each history in turn, (lanes, K, R+1), or nothing.
-    #[inline(always)]
-    pub fn cotangent(&self) -> Vec<f64> {
-        let mut all = Vec::with_capacity(self.histories.len() * self.cotangent.len());
-        for lane in 0..self.histories.len() {
-            for bar in &self.cotangent {
-                all.push(bar.lane(lane));
-            }
-        }
-        all
-    }
-
-    #[inline(always)]
-    fn load(&mut self, kink: usize) {
-        self.kink = Some(kink);
-        let Self { forces, histories, .. } = self;
-        for k in 0..forces.panels {
-            let (mut start, mut end) = (V::ZERO, V::ZERO);
-            for (l, history) in histories.iter().enumerate() {
-                let f = &history[k * (forces.instants + 1) + kink..][..2];
-                start.set_lane(l, f[0]);
-                end.set_lane(l, f[1]);
-            }
-            self.start[k] = start;
-            self.rise[k] = end - start;
         }
     }
 }

@@ -11,14 +11,15 @@ mod reverse;
 mod stages;
 mod steps;
 
+use super::jobs::{Job, Queue, take};
+use super::loads::FreeForces;
 use super::system::{System, Unit, read_lane, store_lane};
-use super::{Counters, Forces, Outcome, SampleTape, Tolerance};
+use super::{Counters, Forces, Outcome, Tolerance};
 use crate::Heartbeat;
 use crate::lanes::{LANES, Vector};
 pub use reverse::reverse;
 pub use stages::{A, A2, C};
 use stages::{land, landed, stage};
-use std::sync::{Mutex, PoisonError};
 pub use steps::sizes;
 
 /// Attempted steps after which a sample is given up.
@@ -26,33 +27,9 @@ const STEP_LIMIT: u64 = 4_000_000;
 /// A step below this part of an interval is no step.
 const LEAST_STEP: f64 = 1e-11;
 
-/// One sample's results.
-pub struct Slot<'a> {
-    /// (T, 3M).
-    pub signals: &'a mut [f64],
-    /// How it ended.
-    pub outcome: &'a mut Outcome,
-    /// For the reverse sweep.
-    pub tape: Option<&'a mut SampleTape>,
-    /// Its forces.
-    pub index: usize,
-}
-
-/// Samples that nobody has taken up yet, in order.
-pub type Queue<'s, 'a> = Mutex<&'s mut [Slot<'a>]>;
-
-/// The next samples of a queue, up to `most`.
-pub fn take<'s, 'a>(queue: &Queue<'s, 'a>, most: usize) -> &'s mut [Slot<'a>] {
-    let mut queue = queue.lock().unwrap_or_else(PoisonError::into_inner);
-    let all = std::mem::take(&mut *queue);
-    let (taken, left) = all.split_at_mut(most.min(all.len()));
-    *queue = left;
-    taken
-}
-
 /// Where a lane is.
 struct Lane<'s, 'a> {
-    slot: Option<&'s mut Slot<'a>>,
+    job: Option<&'s mut Job<'a>>,
     interval: usize,
     /// Time since the interval's beginning.
     tau: f64,
@@ -88,10 +65,10 @@ pub fn forward<V: Vector>(
     let (mut x, mut v, mut xs, mut vs) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
     let mut a: [Vec<Unit<V>>; 7] = std::array::from_fn(|_| system.zeros());
     let mut force = vec![zero; scene.panels.len()];
-    let mut reach = Reach::new(scene.panels.len());
+    let mut loads = FreeForces::new(scene.panels.len());
     let mut counters = Counters::default();
     let mut lanes: [Lane<'_, '_>; LANES] = std::array::from_fn(|_| Lane {
-        slot: None,
+        job: None,
         interval: 0,
         tau: 0.0,
         proposed: 0.0,
@@ -105,13 +82,13 @@ pub fn forward<V: Vector>(
     loop {
         // Idle lanes take up the next samples, at rest.
         for (l, lane) in lanes.iter_mut().enumerate() {
-            if lane.slot.is_none() {
+            if lane.job.is_none() {
                 clear_lane(&mut x, l);
                 clear_lane(&mut v, l);
                 lane.h = 0.0;
-                if let Some(slot) = take(queue, 1).first_mut() {
+                if let Some(job) = take(queue, 1).first_mut() {
                     // Not the push alone: contact may act at rest.
-                    let history = forces.sample(slot.index);
+                    let history = forces.sample(job.index);
                     for (f, history) in force.iter_mut().zip(history.chunks(instants + 1)) {
                         *f = V::splat(history[0]);
                     }
@@ -121,7 +98,7 @@ pub fn forward<V: Vector>(
                     copy_lane(&mut a, l);
                     counters.force_evaluations += 1;
                     *lane = Lane {
-                        slot: Some(slot),
+                        job: Some(job),
                         proposed: delta / 16.0,
                         interval: 0,
                         tau: 0.0,
@@ -133,13 +110,13 @@ pub fn forward<V: Vector>(
                     };
                 }
             }
-            if lane.slot.is_some() {
+            if lane.job.is_some() {
                 let left = delta - lane.tau;
                 lane.parts = (left / lane.proposed * (1.0 - 1e-9)).ceil().max(1.0);
                 lane.h = left / lane.parts;
             }
         }
-        if lanes.iter().all(|l| l.slot.is_none()) {
+        if lanes.iter().all(|l| l.job.is_none()) {
             return counters;
         }
 
@@ -147,9 +124,9 @@ pub fn forward<V: Vector>(
         let (mut h, mut tau, mut lands) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
         for (l, lane) in lanes.iter().enumerate() {
             (h[l], tau[l], lands[l]) = (lane.h, lane.tau, f64::from(u8::from(lane.parts == 1.0)));
-            match &lane.slot {
-                Some(slot) => reach.load(l, forces, forces.sample(slot.index), lane.interval),
-                None => reach.clear(l),
+            match &lane.job {
+                Some(job) => loads.load(l, forces, forces.sample(job.index), lane.interval),
+                None => loads.clear(l),
             }
         }
         let (h, tau, lands) = (V::gather(&h), V::gather(&tau), V::gather(&lands));
@@ -164,7 +141,7 @@ pub fn forward<V: Vector>(
             if C[i] == 1.0 {
                 part = one.where_less(zero, lands, part);
             }
-            reach.at(part, &mut force);
+            loads.at(part, &mut force);
             system.acceleration(&xs, &vs, &force, &mut a[i], &mut margin);
         }
 
@@ -173,7 +150,7 @@ pub fn forward<V: Vector>(
         let mut accepted = [0.0; LANES];
         for l in 0..V::LANES {
             let lane = &mut lanes[l];
-            let Some(slot) = &mut lane.slot else {
+            let Some(job) = &mut lane.job else {
                 accepted[l] = 1.0;
                 continue;
             };
@@ -202,8 +179,8 @@ pub fn forward<V: Vector>(
                     Some(Outcome::NonFinite)
                 };
                 if let Some(outcome) = end {
-                    *slot.outcome = outcome;
-                    lane.slot = None;
+                    *job.outcome = outcome;
+                    lane.job = None;
                 }
             }
         }
@@ -226,26 +203,26 @@ pub fn forward<V: Vector>(
         }
         for l in 0..V::LANES {
             let lane = &mut lanes[l];
-            let Some(slot) = lane.slot.as_mut().filter(|_| accepted[l] != 0.0) else { continue };
+            let Some(job) = lane.job.as_mut().filter(|_| accepted[l] != 0.0) else { continue };
             lane.tau += lane.h;
-            if let Some(tape) = &mut slot.tape {
+            if let Some(tape) = &mut job.tape {
                 steps::push(&mut tape.steps, lane.parts as u64);
             }
             if lane.parts > 1.0 {
                 if lane.attempts >= STEP_LIMIT {
-                    *slot.outcome = Outcome::StepLimit;
-                    lane.slot = None;
+                    *job.outcome = Outcome::StepLimit;
+                    lane.job = None;
                 }
                 continue;
             }
             if (lane.interval + 1).is_multiple_of(kinks) {
                 let (n, len) = (lane.interval / kinks, 6 * free.len());
-                read_lane(scene, &x, &v, &a[0], l, &mut slot.signals[n * width..][..width]);
-                if let Some(tape) = &mut slot.tape {
+                read_lane(scene, &x, &v, &a[0], l, &mut job.signals[n * width..][..width]);
+                if let Some(tape) = &mut job.tape {
                     store_lane(free, &x, &v, l, &mut tape.states[n * len..][..len]);
                 }
             }
-            if let Some(tape) = &mut slot.tape {
+            if let Some(tape) = &mut job.tape {
                 tape.counts.push(lane.count);
             }
             lane.tau = 0.0;
@@ -253,12 +230,12 @@ pub fn forward<V: Vector>(
             lane.interval += 1;
             heartbeat.beat();
             if lane.interval == instants {
-                if let Some(tape) = &mut slot.tape {
+                if let Some(tape) = &mut job.tape {
                     tape.steps.shrink_to_fit();
                     tape.counts.shrink_to_fit();
                 }
-                *slot.outcome = Outcome::Ok;
-                lane.slot = None;
+                *job.outcome = Outcome::Ok;
+                lane.job = None;
             }
         }
     }
@@ -275,53 +252,5 @@ fn copy_lane<V: Vector>(a: &mut [Vec<Unit<V>>; 7], lane: usize) {
     let [to, from, ..] = a;
     for (to, from) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
         to.set_lane(lane, from.lane(lane));
-    }
-}
-
-/// One sample's part in a reverse sweep.
-#[derive(Clone, Copy)]
-pub struct Sweep<'a> {
-    /// Its number.
-    pub at: usize,
-    /// Its tape.
-    pub tape: &'a SampleTape,
-    /// Its forces.
-    pub history: &'a [f64],
-    /// (T, 3M).
-    pub cotangent: &'a [f64],
-}
-
-/// Forces of lanes on clocks of their own, each in an interval of its own.
-struct Reach {
-    /// f_k at either end of the lane's interval.
-    ends: Vec<[[f64; LANES]; 2]>,
-}
-
-impl Reach {
-    fn new(panels: usize) -> Self {
-        Self { ends: vec![[[0.0; LANES]; 2]; panels] }
-    }
-
-    /// A lane takes up an interval of a history.
-    fn load(&mut self, lane: usize, forces: &Forces, history: &[f64], interval: usize) {
-        for (k, [start, end]) in self.ends.iter_mut().enumerate() {
-            let f = &history[k * (forces.instants + 1) + interval..][..2];
-            (start[lane], end[lane]) = (f[0], f[1]);
-        }
-    }
-
-    /// No forces on a lane.
-    fn clear(&mut self, lane: usize) {
-        for [start, end] in &mut self.ends {
-            (start[lane], end[lane]) = (0.0, 0.0);
-        }
-    }
-
-    /// Overwrites `force` by the forces at the fractions w of the intervals.
-    #[inline(always)]
-    fn at<V: Vector>(&self, w: V, force: &mut [V]) {
-        for (f, [start, end]) in force.iter_mut().zip(&self.ends) {
-            *f = (V::splat(1.0) - w) * V::gather(start) + w * V::gather(end);
-        }
     }
 }

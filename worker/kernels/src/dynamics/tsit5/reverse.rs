@@ -3,10 +3,12 @@
 //! Steps are a sample's own. The lanes of a block go in lockstep through one interval, so blocks are made up anew for
 //! each, of samples whose steps in it are about as many: an idle lane costs as much as a busy one.
 
+use super::super::jobs::Backward;
+use super::super::loads::FreeForces;
 use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
 use super::super::{Counters, Forces, Frame, Panel};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
-use super::{Reach, Sweep, steps};
+use super::steps;
 use crate::Heartbeat;
 use crate::lanes::{LANES, MOST, Vector};
 
@@ -26,7 +28,7 @@ struct Step<V> {
 
 /// Where a lane is among its steps.
 #[derive(Clone, Copy, Default)]
-struct Place {
+struct Cursor {
     /// The code of its next step, and how many are left in the interval and before the next kink.
     code: usize,
     left: usize,
@@ -42,7 +44,7 @@ struct Place {
 pub fn reverse<V: Vector>(
     system: &mut System<'_, V>,
     forces: &Forces,
-    sweeps: &[Sweep<'_>],
+    sweeps: &[Backward<'_>],
     forces_asked: bool,
     heartbeat: &Heartbeat,
 ) -> (Vec<f64>, Counters) {
@@ -61,7 +63,7 @@ pub fn reverse<V: Vector>(
     let mut curved: Stages<V> = std::array::from_fn(|_| system.zeros());
     let mut weights: Stages<V> = std::array::from_fn(|_| system.zeros());
     let mut kept: Vec<Step<V>> = Vec::new();
-    let mut reach = Reach::new(scene.panels.len());
+    let mut loads = FreeForces::new(scene.panels.len());
     let mut force = vec![zero; scene.panels.len()];
     let mut bar = vec![zero; width];
     // Of each sample: the cotangents of its state, and where the steps of the interval end
@@ -95,11 +97,11 @@ pub fn reverse<V: Vector>(
             let last = (interval + 1) * kinks - 1;
             for l in 0..V::LANES {
                 match lanes.get(l) {
-                    Some(&s) => reach.load(l, forces, sweeps[s].history, last),
-                    None => reach.clear(l),
+                    Some(&s) => loads.load(l, forces, sweeps[s].history, last),
+                    None => loads.clear(l),
                 }
             }
-            reach.at(one, &mut force);
+            loads.at(one, &mut force);
             let to = (&mut *curved[0], &mut *weights[0]);
             sensors_vjp(system, (&xs, &vs), &force, &bar, &mut w, &mut acceleration, to);
             add_into(&mut bar_x, &curved[0]);
@@ -109,11 +111,11 @@ pub fn reverse<V: Vector>(
             }
 
             // The interval again, keeping the stages of every step
-            let mut places = [Place::default(); LANES];
+            let mut places = [Cursor::default(); LANES];
             for (place, &s) in places.iter_mut().zip(lanes) {
                 let left = total(s);
                 ends[s] = steps::back(&sweeps[s].tape.steps, ends[s], left);
-                *place = Place { code: ends[s], left, until: count(s, 0), kink: interval * kinks, tau: 0.0 };
+                *place = Cursor { code: ends[s], left, until: count(s, 0), kink: interval * kinks, tau: 0.0 };
                 counters.steps += left as u64;
                 counters.force_evaluations += 2 + 12 * left as u64;
             }
@@ -138,7 +140,7 @@ pub fn reverse<V: Vector>(
                     }
                     let parts = steps::next(&sweeps[s].tape.steps, &mut place.code);
                     (sizes[l], tau[l]) = ((delta - place.tau) / parts as f64, place.tau);
-                    reach.load(l, forces, sweeps[s].history, place.kink);
+                    loads.load(l, forces, sweeps[s].history, place.kink);
                     step.kinks[l] = place.kink;
                 }
                 step.h = V::gather(&sizes);
@@ -152,7 +154,7 @@ pub fn reverse<V: Vector>(
                     }
                     let part = (tau + V::splat(C[i]) * step.h).over(V::splat(delta));
                     step.parts[i] = -(-part).max(-one);
-                    reach.at(step.parts[i], &mut force);
+                    loads.at(step.parts[i], &mut force);
                     system.acceleration(&step.x[i], &vs, &force, &mut step.a[i], &mut { zero });
                 }
                 stage(6, step.h, &within, (&step.x[0], &step.v), &step.a, (&mut xs, &mut vs));

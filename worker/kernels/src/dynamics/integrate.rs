@@ -1,0 +1,251 @@
+//! Samples forwards and backwards: their division among lanes and threads.
+
+use super::dispatch::{Machine, Swept, machine};
+use super::jobs::{Backward, Job};
+use super::model::{Model, ModelCotangent};
+use super::simulation::SampleTape;
+use super::{
+    Counters, Forces, Gradient, Method, Outcome, Plan, Scene, Simulation, Solver, Steps, Tape, Wrt, choose,
+    splitting,
+};
+use rayon::prelude::*;
+use std::sync::Mutex;
+
+/// Vectors of samples that a reverse sweep of Tsit5 has at most, to make up blocks from.
+const BLOCKS: usize = 5;
+
+/// Integrates all samples and reads the sensors.
+///
+/// # Panics
+/// If lengths or indices of scene, design and forces do not fit together.
+pub fn simulate(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    solver: &Solver,
+    keep_tape: bool,
+    pool: &crate::Pool,
+) -> Simulation {
+    run(scene, design, forces, &planned(scene, design, forces, solver), keep_tape, pool)
+}
+
+/// What [`simulate`] carries out.
+pub fn planned(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver) -> Plan {
+    choose::choose_under(scene, design, forces.kinks(scene), solver)
+}
+
+/// Integrates as `plan` says; its steps are rounded up to a multiple of the forces' kinks in an interval.
+///
+/// # Panics
+/// As `simulate`.
+pub fn run(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    plan: &Plan,
+    keep_tape: bool,
+    pool: &crate::Pool,
+) -> Simulation {
+    check(scene, design, forces);
+    let model = Model::new(scene, design).moving();
+    let steps = match plan.steps {
+        Steps::Equal(steps) => Steps::Equal(steps.next_multiple_of(forces.kinks(scene))),
+        adaptive @ Steps::Adaptive(_) => adaptive,
+    };
+    let plan = &Plan { steps, ..plan.clone() };
+    let machine = machine(pool.width(), plan.precision);
+    let n = forces.samples;
+    let len = scene.instants * 3 * scene.sensors.len();
+    let mut signals = vec![0.0; n * len];
+    let mut outcomes = vec![Outcome::Ok; n];
+    let parts = match plan.steps {
+        Steps::Equal(steps) => splitting::segments(scene, &model, steps),
+        Steps::Adaptive(_) => 1,
+    };
+    let mut tapes: Vec<SampleTape> = Vec::new();
+    if keep_tape {
+        let states = scene.instants * parts * 6 * model.free.len();
+        tapes.resize_with(n, || SampleTape {
+            states: vec![0.0; states],
+            refined: 1,
+            ..SampleTape::default()
+        });
+    }
+    let mut kept: Vec<Option<&mut SampleTape>> = tapes.iter_mut().map(Some).collect();
+    kept.resize_with(n, || None);
+    // A scene without sensors still has one empty slice a sample.
+    let mut rest = signals.as_mut_slice();
+    let mut jobs: Vec<Job<'_>> = Vec::with_capacity(n);
+    for (index, (outcome, tape)) in outcomes.iter_mut().zip(kept).enumerate() {
+        let (signals, others) = rest.split_at_mut(len);
+        rest = others;
+        jobs.push(Job { signals, outcome, tape, index });
+    }
+    let adaptive = matches!(plan.steps, Steps::Adaptive(_));
+    if !adaptive {
+        // Lanes that begin together wait together.
+        jobs.sort_by_key(|s| forces.onset(scene, forces.sample(s.index)));
+    }
+    let mut total = integrate(&machine, scene, &model, forces, plan, parts, &mut jobs, pool);
+    // Equal steps that one sample's motion or contact is too quick for are halved for it alone, and again.
+    for refined in [2, 4, 8] {
+        let mut failed: Vec<Job<'_>> = Vec::new();
+        for job in &mut jobs {
+            if !adaptive && *job.outcome != Outcome::Ok {
+                *job.outcome = Outcome::Ok;
+                if let Some(tape) = &mut job.tape {
+                    tape.refined = refined;
+                }
+                let tape = job.tape.as_deref_mut();
+                failed.push(Job { signals: job.signals, outcome: job.outcome, tape, index: job.index });
+            }
+        }
+        if failed.is_empty() {
+            break;
+        }
+        let finer = Plan { steps: plan.steps.times(refined), ..plan.clone() };
+        total.rejected += failed.len() as u64;
+        total += integrate(&machine, scene, &model, forces, &finer, parts, &mut failed, pool);
+    }
+    for (i, outcome) in outcomes.iter().enumerate() {
+        if *outcome != Outcome::Ok {
+            // What a failed sample read before it failed would teach a brain nothing.
+            signals[i * len..][..len].fill(0.0);
+        }
+    }
+    Simulation {
+        signals,
+        outcomes,
+        counters: total,
+        plan: plan.clone(),
+        width: pool.width(),
+        tape: keep_tape.then(|| Tape {
+            scene: scene.clone(),
+            design: design.to_vec(),
+            forces: forces.clone(),
+            parts,
+            samples: tapes,
+        }),
+    }
+}
+
+fn integrate(
+    machine: &Machine,
+    scene: &Scene,
+    model: &Model,
+    forces: &Forces,
+    plan: &Plan,
+    parts: usize,
+    jobs: &mut [Job<'_>],
+    pool: &crate::Pool,
+) -> Counters {
+    let tasks = pool.threads().min(jobs.len().div_ceil(machine.lanes));
+    let queue = Mutex::new(jobs);
+    let counters: Vec<Counters> = pool.install(|| {
+        (0..tasks)
+            .into_par_iter()
+            // SAFETY: `machine` is of a width that this machine has.
+            .map(|_| unsafe {
+                (machine.forward)(scene, model, forces, plan, parts, &queue, pool.heartbeat())
+            })
+            .collect()
+    });
+    let mut total = Counters::default();
+    counters.into_iter().for_each(|c| total += c);
+    total
+}
+
+impl Simulation {
+    /// Gradient of Σ cotangent·signals, cotangent (N, T, 3M), by the method and instruction set of the simulation. Samples
+    /// that failed add nothing.
+    ///
+    /// # Panics
+    /// If the simulation kept no tape, or the length is another.
+    pub fn vjp(&self, cotangent: &[f64], wrt: Wrt, pool: &crate::Pool) -> Gradient {
+        let tape = self.tape.as_ref().expect("the simulation kept its tape");
+        let Tape { scene, design, forces, parts, samples } = tape;
+        let len = scene.instants * 3 * scene.sensors.len();
+        assert_eq!(cotangent.len(), forces.samples * len, "length of the cotangent");
+        let model = Model::new(scene, design).moving();
+        let plan = &self.plan;
+        let machine = machine(self.width, plan.precision);
+        let sweeps: Vec<Backward<'_>> = (0..forces.samples)
+            .filter(|i| self.outcomes[*i] == Outcome::Ok)
+            .map(|at| Backward {
+                at,
+                tape: &samples[at],
+                history: forces.sample(at),
+                cotangent: &cotangent[at * len..][..len],
+            })
+            .collect();
+        // Lanes of one block take the same steps.
+        let mut blocks: Vec<(Plan, Vec<Backward<'_>>)> = Vec::new();
+        for refined in [1, 2, 4, 8] {
+            let finer = Plan { steps: plan.steps.times(refined), ..plan.clone() };
+            let mut group: Vec<&Backward<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
+            group.sort_by_key(|s| match plan.method {
+                Method::Tsit5 => s.tape.counts.iter().sum::<u32>() as usize,
+                _ => forces.onset(scene, s.history),
+            });
+            let lanes: Vec<&[&Backward<'_>]> = group.chunks(machine.lanes).collect();
+            // Tsit5 makes up its own blocks, of samples that take about as many steps; but threads want work, too, of as
+            // much each: every task gets of all lengths.
+            let tasks = match plan.method {
+                Method::Tsit5 => lanes.len().div_ceil(BLOCKS).max(lanes.len().min(4)),
+                _ => lanes.len(),
+            };
+            let dealt: Vec<&Backward<'_>> = (0..tasks)
+                .flat_map(|t| lanes[t..].iter().step_by(tasks).copied().flatten().copied())
+                .collect();
+            let end = |t: usize| (lanes.len() * t / tasks * machine.lanes).min(dealt.len());
+            blocks.extend((0..tasks).map(|t| {
+                (finer.clone(), dealt[end(t)..end(t + 1)].iter().map(|s| **s).collect::<Vec<Backward<'_>>>())
+            }));
+        }
+        let swept: Vec<Swept> = pool.install(|| {
+            blocks
+                .par_iter()
+                // SAFETY: `machine` has checked that this machine has the simulation's width.
+                .map(|(plan, sweeps)| unsafe {
+                    (machine.reverse)(scene, &model, forces, plan, *parts, sweeps, wrt, pool.heartbeat())
+                })
+                .collect()
+        });
+        let mut total = ModelCotangent::new(&model);
+        let mut counters = Counters::default();
+        let history = forces.panels * (forces.instants + 1);
+        let mut pushed = (wrt == Wrt::Forces).then(|| vec![0.0; forces.samples * history]);
+        for ((cotangent, histories, work), (_, sweeps)) in swept.iter().zip(&blocks) {
+            total.add(cotangent);
+            counters += *work;
+            if let Some(pushed) = &mut pushed {
+                for (sweep, of) in sweeps.iter().zip(histories.chunks(history.max(1))) {
+                    pushed[sweep.at * history..][..history].copy_from_slice(of);
+                }
+            }
+        }
+        let parameters = (wrt == Wrt::Parameters).then(|| total.parameters(&model, scene));
+        let design = total.design(&model, &scene.layout, scene.density);
+        Gradient { design, parameters, forces: pushed, counters }
+    }
+}
+
+fn check(scene: &Scene, design: &[f64], forces: &Forces) {
+    let units = scene.layout.units();
+    assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
+    assert_eq!(forces.panels, scene.panels.len(), "panels of the forces");
+    assert!(
+        forces.instants > 0 && forces.instants.is_multiple_of(scene.instants),
+        "forces at {} instants, which is no multiple of the scene's {}",
+        forces.instants,
+        scene.instants
+    );
+    assert_eq!(
+        forces.values.len(),
+        forces.samples * forces.panels * (forces.instants + 1),
+        "length of the forces"
+    );
+    let named =
+        scene.clamped.iter().chain(&scene.sensors).copied().chain(scene.panels.iter().map(|p| p.unit));
+    assert!(named.into_iter().all(|u| u < units), "a unit beyond the body's {units}");
+}

@@ -1,0 +1,137 @@
+//! The panels' forces in lanes: of lanes in lockstep, at equal steps, and of lanes on clocks of their own.
+
+use super::system::Unit;
+use super::{Forces, Panel, Scene};
+use crate::lanes::{LANES, Vector};
+
+/// Forces of up to eight samples at equal steps, which end at every kink.
+pub struct LockstepForces<'a, V> {
+    forces: &'a Forces,
+    histories: Vec<&'a [f64]>,
+    /// Steps from kink to kink.
+    span: usize,
+    /// The kink that the present ramp begins at.
+    kink: Option<usize>,
+    start: Vec<V>,
+    rise: Vec<V>,
+    /// Of that ramp, where forces were taken last.
+    part: f64,
+    /// Of the histories, (K, R+1), where asked for.
+    cotangent: Vec<V>,
+}
+
+impl<'a, V: Vector> LockstepForces<'a, V> {
+    /// Of the samples' histories, one a lane, `substeps` steps an interval of the scene.
+    #[inline(always)]
+    pub fn new(scene: &Scene, forces: &'a Forces, histories: Vec<&'a [f64]>, substeps: usize) -> Self {
+        let zero = vec![V::splat(0.0); forces.panels];
+        let span = substeps / forces.kinks(scene);
+        let (start, rise) = (zero.clone(), zero);
+        Self { forces, histories, span, kink: None, start, rise, part: 0.0, cotangent: Vec::new() }
+    }
+
+    /// Overwrites `force` by the forces at the fraction c of a step, counted from the beginning of the sample.
+    #[inline(always)]
+    pub fn at(&mut self, step: usize, c: f64, force: &mut [V]) {
+        let kink = step / self.span;
+        if self.kink != Some(kink) {
+            self.load(kink);
+        }
+        let w = ((step - kink * self.span) as f64 + c) / self.span as f64;
+        self.part = w;
+        for ((f, s), r) in force.iter_mut().zip(&self.start).zip(&self.rise) {
+            *f = V::splat(w).mul_add(*r, *s);
+        }
+    }
+
+    /// From now on `add_vjp` adds.
+    #[inline(always)]
+    pub fn ask(&mut self) {
+        self.cotangent = vec![V::ZERO; self.forces.panels * (self.forces.instants + 1)];
+    }
+
+    /// Adds what the forces given last, whose work on the units has the cotangent `w`, pass on to the histories, where asked.
+    #[inline(always)]
+    pub fn add_vjp(&mut self, panels: &[Panel], w: &[Unit<V>]) {
+        let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
+        let part = V::splat(self.part);
+        for (panel, of) in panels.iter().zip(self.cotangent.chunks_exact_mut(self.forces.instants + 1)) {
+            let bar = panel.push_vjp(&w[panel.unit]);
+            let late = part * bar;
+            of[kink] = of[kink] + (bar - late);
+            of[kink + 1] = of[kink + 1] + late;
+        }
+    }
+
+    /// Of each history in turn, (lanes, K, R+1), or nothing.
+    #[inline(always)]
+    pub fn cotangent(&self) -> Vec<f64> {
+        let mut all = Vec::with_capacity(self.histories.len() * self.cotangent.len());
+        for lane in 0..self.histories.len() {
+            for bar in &self.cotangent {
+                all.push(bar.lane(lane));
+            }
+        }
+        all
+    }
+
+    #[inline(always)]
+    fn load(&mut self, kink: usize) {
+        self.kink = Some(kink);
+        let Self { forces, histories, .. } = self;
+        for k in 0..forces.panels {
+            let (mut start, mut end) = (V::ZERO, V::ZERO);
+            for (l, history) in histories.iter().enumerate() {
+                let f = &history[k * (forces.instants + 1) + kink..][..2];
+                start.set_lane(l, f[0]);
+                end.set_lane(l, f[1]);
+            }
+            self.start[k] = start;
+            self.rise[k] = end - start;
+        }
+    }
+}
+
+/// Forces of lanes on clocks of their own, each in an interval of its own.
+pub struct FreeForces {
+    /// f_k at either end of the lane's interval.
+    ends: Vec<[[f64; LANES]; 2]>,
+}
+
+impl FreeForces {
+    /// No forces.
+    pub fn new(panels: usize) -> Self {
+        Self { ends: vec![[[0.0; LANES]; 2]; panels] }
+    }
+
+    /// A lane takes up an interval of a history.
+    pub fn load(&mut self, lane: usize, forces: &Forces, history: &[f64], interval: usize) {
+        for (k, [start, end]) in self.ends.iter_mut().enumerate() {
+            let f = &history[k * (forces.instants + 1) + interval..][..2];
+            (start[lane], end[lane]) = (f[0], f[1]);
+        }
+    }
+
+    /// No forces on a lane.
+    pub fn clear(&mut self, lane: usize) {
+        for [start, end] in &mut self.ends {
+            (start[lane], end[lane]) = (0.0, 0.0);
+        }
+    }
+
+    /// Overwrites `force` by the forces at the fractions w of the intervals.
+    #[inline(always)]
+    pub fn at<V: Vector>(&self, w: V, force: &mut [V]) {
+        for (f, [start, end]) in force.iter_mut().zip(&self.ends) {
+            *f = (V::splat(1.0) - w) * V::gather(start) + w * V::gather(end);
+        }
+    }
+}
+
+impl Panel {
+    /// The cotangent of the force by that of what it does to its unit.
+    #[inline(always)]
+    pub(super) fn push_vjp<V: Vector>(&self, w: &Unit<V>) -> V {
+        V::splat(self.direction[0]) * w[0] + V::splat(self.direction[1]) * w[1]
+    }
+}

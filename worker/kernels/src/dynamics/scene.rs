@@ -1,0 +1,122 @@
+//! What is simulated, but for design and forces: body, material, contact, where it is struck and where it is read.
+
+use crate::body::Layout;
+
+/// Stiffnesses of a ligament.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stiffness {
+    /// k_l (N/mm).
+    pub stretch: f64,
+    /// k_s (N/mm).
+    pub shear: f64,
+    /// k_θ (N·mm/rad).
+    pub bend: f64,
+}
+
+/// Contact between the edges that face each other across a ligament.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// k_c (N·mm/rad²).
+    pub stiffness: f64,
+    /// ψ_min (rad): no state has a smaller void angle.
+    pub min_angle: f64,
+    /// ψ_c (rad): no contact from here on.
+    pub cutoff_angle: f64,
+}
+
+/// The material's parameters, what is done to them, or a gradient in them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Parameters {
+    /// k_l.
+    pub stretch: f64,
+    /// k_s.
+    pub shear: f64,
+    /// k_θ.
+    pub bend: f64,
+    /// ζ.
+    pub damping_ratio: f64,
+    /// Plane density.
+    pub density: f64,
+    /// k_c.
+    pub contact: f64,
+}
+
+impl Parameters {
+    /// Those of a scene; `contact` is zero in one without.
+    pub fn of(scene: &Scene) -> Self {
+        let Stiffness { stretch, shear, bend } = scene.stiffness;
+        let contact = scene.contact.map_or(0.0, |c| c.stiffness);
+        Self { stretch, shear, bend, damping_ratio: scene.damping_ratio, density: scene.density, contact }
+    }
+
+    /// The scene with these.
+    pub fn set(self, scene: &Scene) -> Scene {
+        let Self { stretch, shear, bend, damping_ratio, density, contact: stiffness } = self;
+        let contact = scene.contact.map(|c| Contact { stiffness, ..c });
+        Scene {
+            stiffness: Stiffness { stretch, shear, bend },
+            damping_ratio,
+            density,
+            contact,
+            ..scene.clone()
+        }
+    }
+
+    /// In the order of the fields.
+    pub fn array(self) -> [f64; 6] {
+        let Self { stretch, shear, bend, damping_ratio, density, contact } = self;
+        [stretch, shear, bend, damping_ratio, density, contact]
+    }
+
+    /// Likewise.
+    pub fn from_array([stretch, shear, bend, damping_ratio, density, contact]: [f64; 6]) -> Self {
+        Self { stretch, shear, bend, damping_ratio, density, contact }
+    }
+}
+
+/// The frame in which accelerations are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Frame {
+    /// Fixed axes.
+    World,
+    /// Turning with the unit: the acceleration rotated by −θ.
+    Body,
+}
+
+/// Where a force acts: at the centroid of a unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Panel {
+    /// The unit.
+    pub unit: usize,
+    /// Unit vector along which a positive force pushes.
+    pub direction: [f64; 2],
+}
+
+/// Everything of a simulation but design and forces.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scene {
+    /// Units and ligaments.
+    pub layout: Layout,
+    /// Plane density (Mg/mm²).
+    pub density: f64,
+    /// Ligaments.
+    pub stiffness: Stiffness,
+    /// ζ.
+    pub damping_ratio: f64,
+    /// Contact; a scene without does not pay for it.
+    pub contact: Option<Contact>,
+    /// Linear strain measures.
+    pub linearised: bool,
+    /// Held units.
+    pub clamped: Vec<usize>,
+    /// K input panels.
+    pub panels: Vec<Panel>,
+    /// Units of the M sensors.
+    pub sensors: Vec<usize>,
+    /// How sensors read.
+    pub frame: Frame,
+    /// Length of a sample (s).
+    pub duration: f64,
+    /// T.
+    pub instants: usize,
+}

@@ -1,0 +1,111 @@
+//! Coefficients of the splitting schemes, and the factors of their drifts.
+
+use crate::lanes::Scalar;
+
+/// Coefficients of one step, first half; both lists are symmetric.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scheme {
+    /// b: one more than drifts.
+    pub kicks: Vec<f64>,
+    /// a.
+    pub drifts: Vec<f64>,
+}
+
+impl Scheme {
+    /// Störmer, Verlet: order 2, 1 force a step.
+    pub fn leapfrog() -> Self {
+        Self { kicks: vec![0.5, 0.5], drifts: vec![1.0] }
+    }
+
+    /// Blanes and Moan's SRKN₆ᵇ: order 4, 6 forces a step.
+    pub fn fourth() -> Self {
+        let (b, a) = (
+            [0.0829844064174052, 0.396309801498368, -0.0390563049223486],
+            [0.245298957184271, 0.60487266571108],
+        );
+        let middle = 1.0 - 2.0 * b.iter().sum::<f64>();
+        let inner = 0.5 - a.iter().sum::<f64>();
+        Self {
+            kicks: vec![b[0], b[1], b[2], middle, b[2], b[1], b[0]],
+            drifts: vec![a[0], a[1], inner, inner, a[1], a[0]],
+        }
+    }
+
+    /// Blanes and Moan's SRKN₁₁ᵇ: order 6, 11 forces a step.
+    pub fn sixth() -> Self {
+        let b = [
+            0.0414649985182624,
+            0.198128671918067,
+            -0.0400061921041533,
+            0.0752539843015807,
+            -0.0115113874206879,
+        ];
+        let a =
+            [0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928];
+        let inner = 0.5 - b.iter().sum::<f64>();
+        let middle = 1.0 - 2.0 * a.iter().sum::<f64>();
+        let mut kicks = b.to_vec();
+        kicks.extend([inner, inner]);
+        kicks.extend(b.iter().rev());
+        let mut drifts = a.to_vec();
+        drifts.push(middle);
+        drifts.extend(a.iter().rev());
+        Self { kicks, drifts }
+    }
+
+    /// Forces a step.
+    pub fn stages(&self) -> usize {
+        self.drifts.len()
+    }
+}
+
+/// e and (1 − e)/γ of a drift over τ, and the derivatives of both in γ.
+#[derive(Clone, Copy)]
+pub struct Drift<S = f64> {
+    /// e.
+    pub keep: S,
+    /// 1/e.
+    pub restore: S,
+    /// (1 − e)/γ.
+    pub reach: S,
+    /// de/dγ.
+    pub keep_slope: S,
+    /// d((1 − e)/γ)/dγ.
+    pub reach_slope: S,
+}
+
+impl Drift {
+    /// For τ = `tau`.
+    pub fn new(gamma: f64, tau: f64) -> Self {
+        let z = gamma * tau;
+        let keep = (-z).exp();
+        // (1 − e⁻ᶻ)/z and (z e⁻ᶻ − 1 + e⁻ᶻ)/z², by series where they cancel
+        let (reach, slope) = if z.abs() < 0.3 {
+            let (mut reach, mut slope, mut term) = (0.0, 0.0, 1.0);
+            for k in 1..16 {
+                // term = (−z)^(k−1)/k!
+                term *= if k == 1 { 1.0 } else { -z } / k as f64;
+                reach += term;
+                slope -= term * k as f64 / (k + 1) as f64;
+            }
+            (reach, slope)
+        } else {
+            (-(-z).exp_m1() / z, (z * keep + (-z).exp_m1()) / (z * z))
+        };
+        Self {
+            keep,
+            restore: z.exp(),
+            reach: tau * reach,
+            keep_slope: -tau * keep,
+            reach_slope: tau * tau * slope,
+        }
+    }
+
+    /// Rounded to a vector's scalar.
+    pub fn rounded<S: Scalar>(self) -> Drift<S> {
+        let Self { keep, restore, reach, keep_slope, reach_slope } = self;
+        let [keep, restore, reach, keep_slope, reach_slope] =
+            [keep, restore, reach, keep_slope, reach_slope].map(S::from_f64);
+        Drift { keep, restore, reach, keep_slope, reach_slope }
+    }
+}
