@@ -5,8 +5,8 @@ use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::dynamics;
 use metasense_numerics::nested::{self, Best, Fresh, Problem, State, Waypoint};
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, Comparison, Counters, ImplicitRecord, NetworkEvaluation, Placed, Reading,
-    Seconds, StepRecord, Training,
+    self, BodyEvaluation, Checkpoint, Comparison, Counters, ImplicitRecord, Moments, NetworkEvaluation,
+    Placed, Reading, Seconds, StepRecord, Training,
 };
 
 /// Not a number becomes absent.
@@ -102,33 +102,41 @@ fn reading(reading: &nested::Reading) -> Reading {
     }
 }
 
-/// What is needed to go on. `protocol` holds caution, setbacks, trend (0: none), the ridge where there is one, then
-/// (step, α) of each waypoint.
+/// What is needed to go on.
 pub fn checkpoint(state: &State) -> Checkpoint {
-    let mut protocol = vec![state.caution, f64::from(state.setbacks), state.trend.unwrap_or(0.0)];
-    protocol.extend(state.ridge);
-    for waypoint in &state.trail {
-        protocol.push(f64::from(waypoint.step));
-        protocol.extend_from_slice(&waypoint.design);
-    }
+    let State { step, caution, setbacks, trend, ridge, .. } = *state;
+    let best = |best: &Best| record::Best { design: best.design.clone(), error: best.error, step: best.step };
+    let waypoint = |w: &Waypoint| record::Waypoint { step: w.step, design: w.design.clone() };
     Checkpoint {
-        step: state.step,
+        step,
         design: state.design.clone(),
-        design_moments: (state.design_adam.m.clone(), state.design_adam.v.clone(), state.design_adam.t),
+        design_moments: moments(&state.design_adam),
         weights: state.weights.clone(),
-        weight_moments: (state.weight_adam.m.clone(), state.weight_adam.v.clone(), state.weight_adam.t),
-        best: state.best.as_ref().map(|best| (best.design.clone(), best.error, best.step)),
-        protocol,
+        weight_moments: moments(&state.weight_adam),
+        best: state.best.as_ref().map(best),
+        caution,
+        setbacks,
+        trend,
+        ridge,
+        trail: state.trail.iter().map(waypoint).collect(),
         comparison: Some(&state.comparison).filter(|c| !c.bodies.is_empty()).map(comparison).map(Box::new),
         moves: Vec::new(),
         found: state.found.clone(),
     }
 }
 
+fn moments<T: Clone>(adam: &Adam<T>) -> Moments<T> {
+    Moments { first: adam.m.clone(), second: adam.v.clone(), steps: adam.t }
+}
+
+fn adam<T>(moments: Moments<T>) -> Adam<T> {
+    Adam { m: moments.first, v: moments.second, t: moments.steps }
+}
+
 fn comparison(comparison: &nested::Comparison) -> Comparison {
     let training = |fresh: &Fresh| Training {
         weights: fresh.weights.clone(),
-        moments: (fresh.adam.m.clone(), fresh.adam.v.clone(), fresh.adam.t),
+        moments: moments(&fresh.adam),
         losses: fresh.losses.clone(),
         errors: fresh.errors.clone(),
     };
@@ -146,44 +154,30 @@ fn comparison(comparison: &nested::Comparison) -> Comparison {
 /// If the checkpoint is not of such a trial.
 pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String> {
     let parameters = problem.initial.len();
-    let Checkpoint {
-        step,
-        design,
-        design_moments,
-        weights,
-        weight_moments,
-        best,
-        protocol,
-        comparison,
-        found,
-        ..
-    } = checkpoint;
-    let lengths = [design.len(), design_moments.0.len(), design_moments.1.len()];
-    // one number beside whole waypoints is the ridge
-    let ridge = protocol.get(3).copied().filter(|_| (protocol.len() - 3) % (1 + parameters) == 1);
-    let first = if ridge.is_some() { 4 } else { 3 };
-    let waypoints = protocol.get(first..).unwrap_or_default().chunks(1 + parameters);
-    if lengths != [parameters; 3]
-        || protocol.len() < 3
-        || waypoints.clone().any(|w| w.len() != 1 + parameters)
-    {
+    let Checkpoint { step, design, design_moments, weights, weight_moments, best, trail, .. } = checkpoint;
+    let Checkpoint { caution, setbacks, trend, ridge, comparison, found, .. } = checkpoint;
+    let lengths = [design.len(), design_moments.first.len(), design_moments.second.len()];
+    if lengths != [parameters; 3] || trail.iter().any(|waypoint| waypoint.design.len() != parameters) {
         return Err(format!(
             "a checkpoint of {lengths:?} design parameters where the trial has {parameters}"
         ));
     }
-    let adam = |(m, v, t)| Adam { m, v, t };
+    if caution.is_nan() || caution <= 0.0 {
+        return Err(format!("a checkpoint whose steps are {caution} of what its protocol asks for"));
+    }
+    let waypoint = |w: record::Waypoint| Waypoint { step: w.step, design: w.design };
     Ok(State {
         step,
         design,
         design_adam: adam(design_moments),
         weights,
-        weight_adam: Adam { m: weight_moments.0, v: weight_moments.1, t: weight_moments.2 },
-        best: best.map(|(design, error, step)| Best { design, error, step }),
-        caution: protocol[0],
-        setbacks: protocol[1] as u32,
-        trend: (protocol[2] > 0.0).then_some(protocol[2]),
+        weight_adam: adam(weight_moments),
+        best: best.map(|best| Best { design: best.design, error: best.error, step: best.step }),
+        caution,
+        setbacks,
+        trend,
         ridge,
-        trail: waypoints.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect(),
+        trail: trail.into_iter().map(waypoint).collect(),
         comparison: comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default(),
         found,
     })
@@ -195,15 +189,15 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
     let (parameters, weights) = (problem.initial.len(), problem.reader_shape().weights());
     let of_design = |body: &BodyEvaluation| body.design.len() == parameters;
     let of_network =
-        |t: &Training| [&t.weights, &t.moments.0, &t.moments.1].iter().all(|w| w.len() == weights);
+        |t: &Training| [&t.weights, &t.moments.first, &t.moments.second].iter().all(|w| w.len() == weights);
     if bodies.len() > 2 || !bodies.iter().all(of_design) || !training.iter().all(of_network) {
         return Err(format!(
             "a comparison that is not of {parameters} design parameters and {weights} weights"
         ));
     }
     let fresh = |training: Training| {
-        let Training { weights, moments: (m, v, t), losses, errors } = training;
-        Fresh { weights, adam: Adam { m, v, t }, losses, errors }
+        let Training { weights, moments, losses, errors } = training;
+        Fresh { weights, adam: adam(moments), losses, errors }
     };
     let Seconds { simulate, train, differentiate, implicit, project, .. } = seconds;
     Ok(nested::Comparison {

@@ -437,7 +437,7 @@ impl Engine<'_> {
                     self.trials.get(lease.trial as usize).map_or(1, |trial| trial.spec.optimise.steps());
                 let standing = Standing {
                     part: f64::from(checkpoint.step) / steps.max(1) as f64,
-                    error: checkpoint.best.as_ref().map(|best| best.1),
+                    error: checkpoint.best.as_ref().map(|best| best.error),
                 };
                 Event::Step(worker, lease, standing, (record, Arc::from(checkpoint)))
             }

@@ -54,7 +54,7 @@ impl Observe for Keeper<'_> {
         let passed = self.due.iter().filter(|&&due| due <= seconds).count();
         let ended = passed == self.due.len() || checkpoint.step == self.steps;
         if passed > 0 || ended {
-            let design = checkpoint.best.map_or(checkpoint.design, |best| best.0);
+            let design = checkpoint.best.map_or(checkpoint.design, |best| best.design);
             let fresh_samples = self.fresh_samples;
             self.milestones.push(Milestone { seconds, step: checkpoint.step, fresh_samples, design });
             self.due = &self.due[passed..];

@@ -1,0 +1,195 @@
+//! What is needed to go on inside a trial, and how it is stored: postcard bytes behind a version byte. These bytes name no
+//! field, so that a field more, in what a checkpoint holds too, is a version more. Versions from 1 are read.
+
+use serde::{Deserialize, Serialize};
+
+use super::{BodyEvaluation, Counters, Seconds};
+
+/// Adam on some parameters.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Moments<T> {
+    /// First moments.
+    pub first: Vec<T>,
+    /// Second moments.
+    pub second: Vec<T>,
+    /// Steps so far.
+    pub steps: u64,
+}
+
+/// The best design so far.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Best {
+    /// α (mm).
+    pub design: Vec<f64>,
+    /// Its test error (%).
+    pub error: f64,
+    /// The outer step that started from it.
+    pub step: u32,
+}
+
+/// A design that the outer loop has passed.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Waypoint {
+    /// The outer step that started from it.
+    pub step: u32,
+    /// α (mm).
+    pub design: Vec<f64>,
+}
+
+/// A network in training.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Training {
+    /// Its weights.
+    pub weights: Vec<f32>,
+    /// Adam on them.
+    pub moments: Moments<f32>,
+    /// Training loss (normalised) at every iteration so far.
+    pub losses: Vec<f32>,
+    /// (Iteration, from 1, prediction error on the holdout before it (%)), thinned.
+    pub errors: Vec<(u32, f64)>,
+}
+
+/// How far the comparison at the end has come.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Comparison {
+    /// The bodies, the initial one first; the last may lack networks.
+    pub bodies: Vec<BodyEvaluation>,
+    /// The network that is being trained on it.
+    pub training: Option<Training>,
+    /// Counts of work.
+    pub counters: Counters,
+    /// Where the time went.
+    pub seconds: Seconds,
+}
+
+/// What is needed to go on inside a trial.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Checkpoint {
+    /// The next outer step.
+    pub step: u32,
+    /// α (mm).
+    pub design: Vec<f64>,
+    /// Adam on α.
+    pub design_moments: Moments<f64>,
+    /// Brain weights, where the protocol keeps them.
+    pub weights: Vec<f32>,
+    /// Adam on the brain.
+    pub weight_moments: Moments<f32>,
+    /// The best design so far.
+    pub best: Option<Best>,
+    /// The body's rate as a part of what the protocol asks for.
+    pub caution: f64,
+    /// Steps taken back in a row.
+    pub setbacks: u32,
+    /// Running geometric mean of the training loss after training.
+    pub trend: Option<f64>,
+    /// λ of the linear brain, where the body is trained with one and a step has found it.
+    pub ridge: Option<f64>,
+    /// The last designs before this one, newest last.
+    pub trail: Vec<Waypoint>,
+    /// The comparison, where it has begun.
+    pub comparison: Option<Box<Comparison>>,
+    /// Where sensors have moved under programs that moved them: the first outer step there, and their units.
+    pub moves: Vec<(u32, Vec<usize>)>,
+    /// Fitness of the candidates of a search without gradient so far.
+    pub found: Vec<f64>,
+}
+
+/// Version 3, and the beginnings of it that were versions 1 (up to `protocol`) and 2 (up to `moves`).
+#[derive(Deserialize)]
+struct Former {
+    step: u32,
+    design: Vec<f64>,
+    design_moments: Moments<f64>,
+    weights: Vec<f32>,
+    weight_moments: Moments<f32>,
+    best: Option<Best>,
+    /// Caution, setbacks, trend (0: none), the ridge where there is one, then step and α of each waypoint.
+    protocol: Vec<f64>,
+    comparison: Option<Box<Comparison>>,
+    moves: Vec<(u32, Vec<usize>)>,
+    found: Vec<f64>,
+}
+
+impl From<Former> for Checkpoint {
+    fn from(former: Former) -> Self {
+        let Former { step, design, design_moments, weights, weight_moments, best, .. } = former;
+        let Former { protocol, comparison, moves, found, .. } = former;
+        let waypoint = 1 + design.len();
+        let number = |i: usize| protocol.get(i).copied().unwrap_or(0.0);
+        // One number beside whole waypoints is the ridge.
+        let has_ridge = protocol.len() > 3 && (protocol.len() - 3) % waypoint == 1;
+        let trail = protocol.get(3 + usize::from(has_ridge)..).unwrap_or_default().chunks(waypoint);
+        let trail = trail.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect();
+        Self {
+            caution: number(0),
+            setbacks: number(1) as u32,
+            trend: Some(number(2)).filter(|trend| *trend > 0.0),
+            ridge: has_ridge.then(|| number(3)),
+            step,
+            design,
+            design_moments,
+            weights,
+            weight_moments,
+            best,
+            trail,
+            comparison,
+            moves,
+            found,
+        }
+    }
+}
+
+/// A stored checkpoint that this program cannot go on from.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum CheckpointError {
+    /// Of another program.
+    #[error("it is of version {0}, this program knows version {known}", known = Checkpoint::VERSION)]
+    Version(u8),
+    /// Cut short, or of another shape than its version says.
+    #[error("it is damaged: {0}")]
+    Damaged(String),
+}
+
+impl Checkpoint {
+    /// Of what [`Checkpoint::to_bytes`] writes.
+    pub const VERSION: u8 = 4;
+
+    /// As it is stored.
+    ///
+    /// # Panics
+    /// Never: it is plain data.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        postcard::to_extend(self, vec![Self::VERSION]).expect("a checkpoint is plain data")
+    }
+
+    /// From what is stored.
+    ///
+    /// # Errors
+    /// If it is of another version, or not whole.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
+        let former = |bytes: &[u8]| read::<Former>(bytes).map(Self::from);
+        match bytes.split_first() {
+            Some((&Self::VERSION, rest)) => read(rest),
+            Some((3, rest)) => former(rest),
+            // They end before what came later, of which there is nothing.
+            Some((2, rest)) => former(&[rest, &[0]].concat()),
+            Some((1, rest)) => former(&[rest, &[0, 0, 0]].concat()),
+            Some((version, _)) => Err(CheckpointError::Version(*version)),
+            None => Err(CheckpointError::Damaged("it is empty".into())),
+        }
+    }
+}
+
+/// All of some bytes.
+fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, CheckpointError> {
+    match postcard::take_from_bytes(bytes) {
+        Ok((value, [])) => Ok(value),
+        Ok((_, more)) => Err(CheckpointError::Damaged(format!("{} bytes too many", more.len()))),
+        Err(error) => Err(CheckpointError::Damaged(error.to_string())),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,141 @@
+use super::*;
+use crate::record::{NetworkEvaluation, Reading};
+
+/// Versions up to the best design; what protocols carried until version 3, and the same by name.
+const HEAD: &str = "ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
+    01 0000803e 01 0000003f 00 c801 01 01 000000000000f83f 0000000000002940 ab02";
+const CAUTION: &str = "01 0000000000000840";
+const PROTOCOL: &str = "07 000000000000e03f 0000000000000040 000000000000d03f 000000000000c03f \
+    0000000000001440 000000000000f03f 000000000000f0bf";
+const NAMED: &str = "000000000000e03f 02 01 000000000000d03f 01 000000000000c03f \
+    01 05 02 000000000000f03f 000000000000f0bf";
+const COMPARISON: &str = "01 \
+    0101000000000000e03f0101000000000000f03f00010000000000000040010000003f01010000000000001040010000803e \
+    026f6b01000000000000000103c801000000000000e03f01000000000000f03f000100000000000000400102ac0201010000 \
+    003f010000803e01000080beac02010000004001c80100000000000020400102030405d804000000000000f03f0000000000 \
+    0000400000000000000840000000000000104000000000000014400000000000001840";
+const MOVES: &str = "01 c801 02 03 05";
+const FOUND: &str = "02 0000000000002940 000000000000f07f";
+
+fn bytes(digits: &str) -> Vec<u8> {
+    let digits: Vec<u8> = digits.bytes().filter(u8::is_ascii_hexdigit).collect();
+    let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+    digits.chunks(2).map(byte).collect()
+}
+
+/// What any version has written is read for ever: whoever changes `Checkpoint`, or what it holds, sees these bytes fail,
+/// and adds a version.
+#[test]
+fn checkpoints_of_all_versions_go_on() {
+    let first = Checkpoint {
+        step: 300,
+        design: vec![0.5, -2.0],
+        design_moments: Moments { first: vec![1.0], second: vec![2.0], steps: 7 },
+        weights: vec![0.25],
+        weight_moments: Moments { first: vec![0.5], second: Vec::new(), steps: 200 },
+        best: Some(Best { design: vec![1.5], error: 12.5, step: 299 }),
+        caution: 3.0,
+        ..Default::default()
+    };
+    let network = NetworkEvaluation {
+        error_train: Some(1.0),
+        error_test: None,
+        error_holdout: Some(2.0),
+        losses: vec![0.5],
+        errors: vec![(1, 4.0)],
+        weights: vec![0.25],
+        outcome: "ok".into(),
+    };
+    let reading = Reading {
+        before: 3,
+        after: 200,
+        ridge: 0.5,
+        error_train: Some(1.0),
+        error_test: None,
+        error_holdout: Some(2.0),
+    };
+    let body = BodyEvaluation {
+        design: vec![0.5],
+        long: vec![NetworkEvaluation::default()],
+        networks: vec![network],
+        readings: vec![reading],
+        zero_samples: [1, 2, 300],
+    };
+    let training = Training {
+        weights: vec![0.5],
+        moments: Moments { first: vec![0.25], second: vec![-0.25], steps: 300 },
+        losses: vec![2.0],
+        errors: vec![(200, 8.0)],
+    };
+    let counters = Counters {
+        force_evaluations: 1,
+        steps: 2,
+        rejected: 3,
+        brain_iterations: 4,
+        hessian_products: 5,
+        projection_iterations: 600,
+    };
+    let seconds =
+        Seconds { simulate: 1.0, train: 2.0, differentiate: 3.0, implicit: 4.0, project: 5.0, store: 6.0 };
+    let comparison = Comparison { bodies: vec![body], training: Some(training), counters, seconds };
+    let (comparison, moves) = (Some(Box::new(comparison)), vec![(200, vec![3, 5])]);
+    let second = Checkpoint { comparison, moves, ..first.clone() };
+    let third = Checkpoint {
+        caution: 0.5,
+        setbacks: 2,
+        trend: Some(0.25),
+        ridge: Some(0.125),
+        trail: vec![Waypoint { step: 5, design: vec![1.0, -1.0] }],
+        found: vec![12.5, f64::INFINITY],
+        ..second.clone()
+    };
+    let version_1 = bytes(&["01", HEAD, CAUTION].concat());
+    let version_2 = bytes(&["02", HEAD, CAUTION, COMPARISON, MOVES].concat());
+    let version_3 = bytes(&["03", HEAD, PROTOCOL, COMPARISON, MOVES, FOUND].concat());
+    let version_4 = bytes(&["04", HEAD, NAMED, COMPARISON, MOVES, FOUND].concat());
+    assert_eq!(Checkpoint::from_bytes(&version_1), Ok(first));
+    assert_eq!(Checkpoint::from_bytes(&version_2), Ok(second));
+    assert_eq!(Checkpoint::from_bytes(&version_3), Ok(third.clone()));
+    assert_eq!(Checkpoint::from_bytes(&version_4), Ok(third.clone()));
+    assert_eq!(third.to_bytes(), version_4);
+    assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
+    for stored in [version_1, version_2, version_3, version_4] {
+        for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {
+            assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
+        }
+    }
+}
+
+/// Ten thousand checkpoints with some bytes changed, cut off or added: an answer each, and no panic.
+#[test]
+fn no_stored_bytes_make_a_reader_panic() {
+    let whole = Checkpoint {
+        step: 3,
+        design: vec![0.5; 6],
+        weights: vec![0.25; 4],
+        best: Some(Best { design: vec![1.5; 6], error: 12.5, step: 2 }),
+        trail: vec![Waypoint { step: 1, design: vec![3.0; 6] }],
+        comparison: Some(Box::new(Comparison {
+            bodies: vec![BodyEvaluation::default()],
+            ..Default::default()
+        })),
+        ..Default::default()
+    };
+    let mut runner = proptest::test_runner::TestRunner::new(proptest::test_runner::Config {
+        cases: 10_000,
+        failure_persistence: None,
+        ..Default::default()
+    });
+    let edits = (proptest::collection::vec((0usize..120, 0u8..=255), 0..6), 0usize..120);
+    let read = |(edits, length): (Vec<(usize, u8)>, usize)| {
+        let mut bytes = whole.to_bytes();
+        bytes.resize(length.max(1), 0xff);
+        for (at, value) in edits {
+            let end = bytes.len() - 1;
+            bytes[at.min(end)] = value;
+        }
+        let _ = Checkpoint::from_bytes(&bytes);
+        Ok(())
+    };
+    runner.run(&edits, read).unwrap();
+}
