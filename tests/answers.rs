@@ -165,7 +165,7 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     }
     for said in [
         "elbow at M = 2",
-        "3 random bodies have 1.",
+        "the holdout error of 3 random bodies is 1.",
         "After 2000 iterations",
         "no elbow",
         "non_finite: sample 3",

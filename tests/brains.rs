@@ -90,7 +90,7 @@ fn every_body_is_read_by_both_brains() {
     }
     bench.output(&["report", "results/tiny.sqlite", "--out", "r.html"]);
     let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
-    assert!(page.contains("a linear decoder of the whole sample reads the initial body at"), "{page}");
+    assert!(page.contains("the error by a linear decoder of the whole sample is"), "{page}");
     assert!(page.contains("Body or brain?"));
 
     let once = results(&bench, "results/tiny.sqlite");

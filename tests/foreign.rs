@@ -82,7 +82,7 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
             let _ = reader.query::<metasense::look::Table>(&format!("SELECT * FROM {view}")).await;
         }
         if let Ok(trials) = load::finished_trials(&mut reader).await {
-            for question in Question::ALL {
+            for question in Question::all() {
                 let _ = question.answer(&trials, Terms::default());
             }
         }

@@ -1,4 +1,4 @@
-//! What the brain decides: error against what a brain remembers, and of bodies trained with one brain and read by another.
+//! Error by brain: against its memory, and of bodies trained with one brain and read by another.
 //!
 //! Every trial is read by its own brain and, whatever that is, by linear ones of several memories (`v_reading`).
 

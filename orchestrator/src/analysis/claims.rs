@@ -1,4 +1,4 @@
-//! The claims of arXiv:2605.23967, each put to the trials that can tell: what holds, with which brain, and what does not.
+//! The claims of arXiv:2605.23967, each tested on the trials that can tell: which hold, with which brain.
 //!
 //! A claim's number is a ratio that is above 1 where it holds: it *holds* where the whole 95 % interval is above 1 and reaches
 //! the paper's number, and holds *in part* where it stays below that; it *fails* where the whole interval is below 1. Claims of
@@ -19,7 +19,7 @@ use super::paired::{Progress, Ratio, error_ratio, long_ratio};
 use super::random::random;
 use super::resample::{Interval, Resampling};
 use super::sensors::{fewer, spread};
-use super::tables::verdict_text;
+use super::tables::{apart, verdict_text};
 use super::trial::{Body, Cluster, Set, Trial};
 
 /// The share of votes that settles a claim.
@@ -270,8 +270,7 @@ fn two_forces<'a>(trials: &[&'a Trial], stimuli: &str) -> Vec<&'a Trial> {
 
 /// What sets a group apart, its brain if nothing does.
 fn who(group: &Group) -> String {
-    let apart = |part: &&str| !part.starts_with("K = ") && !part.starts_with("M = ");
-    let parts: Vec<&str> = group.label.split(", ").filter(apart).collect();
+    let parts = apart(&group.label);
     match parts.is_empty() {
         true => brains(group.trials[0])[0].clone(),
         false => parts.join(", "),
@@ -289,6 +288,11 @@ fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: Str
         note,
         over: ratio.over,
     }
+}
+
+fn of_votes(group: &Group, set: Set, trials: usize, rating: Rating, note: String, over: String) -> Evidence {
+    let (who, set) = (who(group), set.name());
+    Evidence { who, set, trials, found: None, interval: None, note, over, rating }
 }
 
 /// What each group says, by either set.
@@ -310,14 +314,12 @@ fn of_text<'a>(trials: &[&'a Trial], path: &str, value: &str) -> Vec<&'a Trial> 
 }
 
 fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let of = |group: &Group| {
-        let of_curve = |by: Progress| {
-            let ratio = paired::iterations(&group.trials, by)?;
-            Some(of_ratio(who(group), by.name(), ratio, stated, String::new()))
-        };
-        Progress::ALL.into_iter().filter_map(of_curve).collect::<Vec<_>>()
+    let groups = groups(&two_forces(trials, "bell"), &[]);
+    let of_curve = |(group, by): (&Group, Progress)| {
+        let ratio = paired::iterations(&group.trials, by)?;
+        Some(of_ratio(who(group), by.name(), ratio, stated, String::new()))
     };
-    groups(&two_forces(trials, "bell"), &[]).iter().flat_map(of).collect()
+    groups.iter().flat_map(|group| Progress::ALL.map(|by| (group, by))).filter_map(of_curve).collect()
 }
 
 /// Ratios of some trials over those of others, of equal placement and seed; several of a cluster by their geometric mean.
@@ -336,7 +338,7 @@ fn each(trials: &[&Trial], number: impl Fn(&Trial) -> Option<f64>) -> Vec<(Clust
     trials.iter().filter_map(|t| Some((t.cluster, number(t)?))).collect()
 }
 
-/// What training makes of the error.
+/// Initial over optimised error.
 fn gain(trial: &Trial, set: Set) -> Option<f64> {
     Some(trial.error(Body::Initial, set)? / trial.error(Body::Optimised, set)?)
 }
@@ -392,21 +394,14 @@ fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         let votes: Vec<String> =
             elbow.votes.iter().map(|(m, share)| format!("M = {m}: {:.0} %", 100.0 * share)).collect();
         let of_stated = elbow.votes.iter().find(|v| v.0 == stated).map_or(0.0, |v| v.1);
-        Some(Evidence {
-            who: who(group),
-            set: set.name(),
-            trials: points.len(),
-            found: None,
-            interval: None,
-            note: format!("{}; votes {}", verdict_text(elbow.verdict), votes.join(", ")),
-            over: elbow.over,
-            rating: match elbow.verdict {
-                Verdict::WithoutVote(_) => Rating::Open,
-                _ if of_stated > SURE => Rating::Holds,
-                _ if of_stated < 1.0 - SURE => Rating::Fails,
-                _ => Rating::Open,
-            },
-        })
+        let rating = match elbow.verdict {
+            Verdict::WithoutVote(_) => Rating::Open,
+            _ if of_stated > SURE => Rating::Holds,
+            _ if of_stated < 1.0 - SURE => Rating::Fails,
+            _ => Rating::Open,
+        };
+        let note = format!("{}; votes {}", verdict_text(elbow.verdict), votes.join(", "));
+        Some(of_votes(group, set, points.len(), rating, note, elbow.over))
     })
 }
 
@@ -429,16 +424,7 @@ fn so_few(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             (None, _, Some(_)) => Rating::Fails,
             _ => Rating::Open,
         };
-        Some(Evidence {
-            who: who(group),
-            set: set.name(),
-            trials: group.trials.len(),
-            found: None,
-            interval: None,
-            note,
-            over: any.over,
-            rating,
-        })
+        Some(of_votes(group, set, group.trials.len(), rating, note, any.over))
     })
 }
 

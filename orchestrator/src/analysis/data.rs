@@ -1,12 +1,13 @@
 //! The groups within which trials are compared, and the errors of a group along an axis.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 
 use serde_json::Value;
 
 use super::kinds::brains;
 use super::numbers::{distinct, geometric_mean};
 use super::trial::{Body, Cluster, Set, Trial};
+use crate::look::plain;
 
 /// An error (%) at some place of an axis: a number of sensors, of design parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -130,25 +131,20 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
 /// nothing more.
 fn label(key: &[(String, Value)], all: &[&Key]) -> String {
     let value = |path: &str| key.iter().find(|(p, _)| p == path).map(|(_, v)| v);
-    let mut values: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
-    for (path, value) in all.iter().flat_map(|k| k.iter()) {
-        values.entry(path).or_default().insert(value.to_string());
-    }
-    let count = |path: &str| all.iter().filter(|k| k.iter().any(|(p, _)| p == path)).count();
-    let differs = |path: &str| values.get(path).is_some_and(|v| v.len() > 1 || count(path) < all.len());
     // what a brain brings along differs with it: that alone is told
     let kind = |key: &[(String, Value)]| {
         let setting = key.iter().cloned().collect();
         brains(&Trial { setting, ..Trial::default() })
     };
     let own = kind(key);
-    let alike: Vec<&&Key> = all.iter().filter(|k| kind(k) == own).collect();
-    let at = |key: &Key, path: &str| key.iter().find(|(p, _)| p == path).map(|(_, v)| v.to_string());
-    let differs_within =
-        |among: &[&&Key], path: &str| among.iter().any(|k| at(k, path) != at(among[0], path));
+    let alike: Vec<&Key> = all.iter().filter(|k| kind(k) == own).copied().collect();
+    fn at<'k>(key: &'k Key, path: &str) -> Option<&'k Value> {
+        key.iter().find(|(p, _)| p == path).map(|(_, v)| v)
+    }
+    let differs = |among: &[&Key], path: &str| among.iter().any(|k| at(k, path) != at(among[0], path));
     // and what a kind of stimuli has by default differs with it
-    let stimuli = value("stimuli.kind").map(ToString::to_string);
-    let struck: Vec<&&Key> = all.iter().filter(|k| at(k, "stimuli.kind") == stimuli).collect();
+    let stimuli = value("stimuli.kind");
+    let struck: Vec<&Key> = all.iter().filter(|k| at(k, "stimuli.kind") == stimuli).copied().collect();
     let of_brains = |path: &str| BRAINS.iter().any(|table| path.starts_with(table));
     let mut parts = Vec::new();
     for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
@@ -156,10 +152,10 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
     }
     const SIZES: [&str; 2] = ["body.columns", "body.rows"];
     match SIZES.map(value) {
-        [Some(columns), Some(rows)] if SIZES.iter().any(|p| differs(p)) => {
+        [Some(columns), Some(rows)] if SIZES.iter().any(|p| differs(all, p)) => {
             parts.push(format!("{columns} × {rows} units"));
         }
-        [Some(columns), None] if differs(SIZES[0]) => parts.push(format!("{columns} units across")),
+        [Some(columns), None] if differs(all, SIZES[0]) => parts.push(format!("{columns} units across")),
         _ => {}
     }
     if alike.len() < all.len() {
@@ -173,13 +169,12 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
         let told =
             path.starts_with("point.") || path.ends_with("panel_units") || SIZES.contains(&path.as_str());
         let apart = match path.as_str() {
-            path if of_brains(path) => differs_within(&alike, path),
-            path if path.starts_with("stimuli.") && path != "stimuli.kind" => differs_within(&struck, path),
-            path => differs(path),
+            path if of_brains(path) => differs(&alike, path),
+            path if path.starts_with("stimuli.") && path != "stimuli.kind" => differs(&struck, path),
+            path => differs(all, path),
         };
         if !told && apart {
-            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-            parts.push(format!("{path} = {value}"));
+            parts.push(format!("{path} = {}", plain(value)));
         }
     }
     parts.join(", ")

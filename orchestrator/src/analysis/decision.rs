@@ -1,10 +1,10 @@
-//! How many sensors to build: a decision where an elbow is a description.
+//! How many sensors to build: a decision, where the elbow only describes the curve.
 //!
 //! ```text
 //! within:  the smallest M with e(M) ≤ (1 + δ)·min e          price p:  argmin e(M) + p·M
 //! ```
-//! e(M) the geometric mean of the error (%). Votes are shares of the bootstrap's replicates over placements and seeds;
-//! what is left when the largest M is dropped says whether the answer hangs on how far M was tried.
+//! e(M) is the geometric mean of the error (%). Votes are shares of the bootstrap's replicates over placements and seeds. The
+//! decision without the largest M shows whether it depends on how far M was tried.
 
 use super::data::{Grid, Observation, clusters};
 use super::resample::Resampling;
@@ -12,10 +12,10 @@ use super::resample::Resampling;
 /// What a decision weighs.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct Terms {
-    /// How much worse than the best M a smaller one may be: the smallest such stands beside the elbow
+    /// Shows the smallest M whose error is at most this part above the least, beside the elbow
     #[arg(long, value_name = "PART", default_value_t = Self::default().within, value_parser = at_least_zero)]
     pub within: f64,
-    /// The error (%) that a sensor is worth: the M of least error + price × M stands beside the elbow
+    /// Price of a sensor in % of error: shows the M of least error + price × M beside the elbow
     #[arg(long, value_name = "PERCENT", value_parser = at_least_zero)]
     pub price: Option<f64>,
 }

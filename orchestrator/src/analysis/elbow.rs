@@ -8,6 +8,7 @@
 //! Kneedle (Satopää et al. 2011) and the chord's farthest point stand beside it. Votes by bootstrap.
 
 use super::data::{Grid, Level, Observation, clusters, levels};
+use super::paired::Ratio;
 use super::resample::{Interval, Resampling};
 
 /// Values of M below which no elbow is sought: a stick has three parameters and a place.
@@ -120,56 +121,37 @@ pub fn elbow(observations: &[Observation]) -> Result<Elbow, TooFew> {
     })
 }
 
-/// Sums of a regression without intercept on two columns.
+/// Sums of a regression without intercept of y on two columns a and b: aa, ab, bb, ay, by, yy.
 #[derive(Default, Clone, Copy)]
-struct Normal {
-    aa: f64,
-    ab: f64,
-    bb: f64,
-    ay: f64,
-    by: f64,
-    yy: f64,
-}
+struct Normal([f64; 6]);
 
 impl Normal {
     /// Of rows (a, b, y), each column less its mean.
     fn centred(rows: impl Iterator<Item = [f64; 3]> + Clone) -> Self {
         let [n, a, b, y] =
             rows.clone().fold([0.0; 4], |[n, a, b, y], r| [n + 1.0, a + r[0], b + r[1], y + r[2]]);
-        let mut sums = Self::default();
-        for row in rows {
+        rows.fold(Self::default(), |sums, row| {
             let [a, b, y] = [row[0] - a / n, row[1] - b / n, row[2] - y / n];
-            sums = sums.plus(1.0, &Self { aa: a * a, ab: a * b, bb: b * b, ay: a * y, by: b * y, yy: y * y });
-        }
-        sums
+            sums.plus(1.0, &Self([a * a, a * b, b * b, a * y, b * y, y * y]))
+        })
     }
 
     fn plus(self, w: f64, other: &Self) -> Self {
-        Self {
-            aa: self.aa + w * other.aa,
-            ab: self.ab + w * other.ab,
-            bb: self.bb + w * other.bb,
-            ay: self.ay + w * other.ay,
-            by: self.by + w * other.by,
-            yy: self.yy + w * other.yy,
-        }
+        Self(std::array::from_fn(|i| self.0[i] + w * other.0[i]))
     }
 
     /// Slopes and residual sum of squares; the second column may be absent (all zero).
     fn solve(&self) -> ([f64; 2], f64) {
-        let determinant = self.aa * self.bb - self.ab * self.ab;
-        let slopes = if determinant > 1e-12 * self.aa * self.bb && self.bb > 0.0 {
-            [
-                (self.bb * self.ay - self.ab * self.by) / determinant,
-                (self.aa * self.by - self.ab * self.ay) / determinant,
-            ]
-        } else if self.aa > 0.0 {
-            [self.ay / self.aa, 0.0]
+        let [aa, ab, bb, ay, by, yy] = self.0;
+        let determinant = aa * bb - ab * ab;
+        let slopes = if determinant > 1e-12 * aa * bb && bb > 0.0 {
+            [(bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant]
+        } else if aa > 0.0 {
+            [ay / aa, 0.0]
         } else {
             [0.0, 0.0]
         };
-        let residual = self.yy - slopes[0] * self.ay - slopes[1] * self.by;
-        (slopes, residual)
+        (slopes, yy - slopes[0] * ay - slopes[1] * by)
     }
 }
 
@@ -195,20 +177,15 @@ impl Curve {
         let mut points = vec![Vec::new(); clusters];
         grid.points.iter().for_each(|&(cluster, place, y)| points[cluster].push((place, y)));
         let places = &grid.places;
+        let stick = |points: &[(usize, f64)], m: f64| {
+            let row = |&(place, y): &(usize, f64)| [places[place].min(m), (places[place] - m).max(0.0), y];
+            Normal::centred(points.iter().map(row))
+        };
         let of = |points: &Vec<(usize, f64)>| ByCluster {
             observations: points.len() as f64,
             has: (0..places.len()).map(|place| points.iter().any(|p| p.0 == place)).collect(),
             line: Normal::centred(points.iter().map(|&(place, y)| [places[place], 0.0, y])),
-            sticks: places
-                .iter()
-                .map(|m| {
-                    let stick = |at: f64| [at.min(*m), (at - m).max(0.0)];
-                    Normal::centred(points.iter().map(|&(place, y)| {
-                        let [a, b] = stick(places[place]);
-                        [a, b, y]
-                    }))
-                })
-                .collect(),
+            sticks: places.iter().map(|m| stick(points, *m)).collect(),
         };
         Self { places: places.clone(), clusters: points.iter().map(of).collect() }
     }
@@ -237,7 +214,7 @@ impl Curve {
         }
         let (place, [before, after], residual) = best?;
         // Residuals below rounding are the same residual.
-        let floor = 1e-12 * line.yy + f64::MIN_POSITIVE;
+        let floor = 1e-12 * line.0[5] + f64::MIN_POSITIVE;
         let information =
             |residual: f64, parameters: f64| n * (residual.max(floor) / n).ln() + parameters * n.ln();
         let bends = information(residual, 3.0) < information(line_residual, 1.0);
@@ -299,17 +276,14 @@ pub(super) fn gains(observations: &[Observation]) -> Vec<Gain> {
     }
     let gain = |from: usize| {
         let pair = |cell: &Vec<Option<f64>>| Some(cell[from]? - cell[from + 1]?);
-        let logs: Vec<Option<f64>> = cells.iter().map(pair).collect();
-        let mean = |weights: &[f64]| {
-            let both = logs.iter().zip(weights).filter_map(|(log, w)| Some((w * (*log)?, w)));
-            let [sum, n] = both.fold([0.0; 2], |[sum, n], (log, w)| [sum + log, n + w]);
-            (n > 0.0).then_some(sum / n)
-        };
+        let logs: Vec<[f64; 2]> =
+            cells.iter().map(|cell| pair(cell).map_or([0.0; 2], |l| [1.0, l])).collect();
+        let found = Ratio::weighed(&resampling, &logs, 0);
         Gain {
             from: grid.places[from],
             to: grid.places[from + 1],
-            ratio: mean(&vec![1.0; clusters.len()]).map_or(f64::NAN, f64::exp),
-            interval: resampling.interval(mean).map(|i| i.map(f64::exp)),
+            ratio: found.as_ref().map_or(f64::NAN, |found| found.ratio),
+            interval: found.and_then(|found| found.interval),
         }
     };
     (0..grid.places.len().saturating_sub(1)).map(gain).collect()

@@ -1,4 +1,4 @@
-//! What a sweep teaches: pure functions over finished trials. No file, clock or database.
+//! Questions to finished trials, answered by pure functions. No file, clock or database.
 //!
 //! Errors are prediction errors in %, compared on a logarithmic scale: ratios are what carries over from one scene to
 //! another, and a mean of logarithms is not ruled by the one worst trial. A *cluster* is a (placement, seed) pair: all

@@ -48,7 +48,7 @@ impl Ratio {
     }
 
     /// Of sums of logarithms with their counts, one a weight.
-    fn weighed(units: &Resampling, sums: &[[f64; 2]], above_one: usize) -> Option<Self> {
+    pub(super) fn weighed(units: &Resampling, sums: &[[f64; 2]], above_one: usize) -> Option<Self> {
         let mean = |weights: &[f64]| {
             let both =
                 weights.iter().zip(sums).fold([0.0; 2], |[n, sum], (w, s)| [n + w * s[0], sum + w * s[1]]);

@@ -1,4 +1,4 @@
-//! What placing sensors well buys, what training the body buys, and what training buys beyond placing.
+//! Gain by placing sensors with a search, by training the body, and by training beyond placing.
 //!
 //! Four curves of error against M: sensors placed at random and by a search, on the initial and on the trained body.
 

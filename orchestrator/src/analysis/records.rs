@@ -3,15 +3,13 @@
 //! Intervals are for records drawn anew, of bodies under the same blows the same ones. They say how much other records
 //! would differ, not other networks: for that there is the spread over folds and seeds.
 
-use metasense_worker::evaluate::Evaluated;
-
 use super::numbers::{deviation, mean};
 use super::paired::iteration_ratio;
 use super::resample::{Interval, Resampling};
 use super::trial::CurvePoint;
 use crate::look::{Table, row};
 
-/// What fresh networks made of a body's records.
+/// A body's errors by fresh networks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judged {
     /// The body.
@@ -133,40 +131,6 @@ pub(super) fn mean_interval(errors: &[f64]) -> Option<Interval> {
 }
 
 impl Judged {
-    /// What networks have made of a body's records.
-    #[must_use]
-    pub fn new(body: &str, simulated: bool, evaluated: &Evaluated, agreement: Option<Agreement>) -> Self {
-        let Evaluated { folds, errors: by_seed, errors_train, progress, .. } = evaluated;
-        let of_record = |i: usize| -> Option<f64> {
-            let errors: Option<Vec<f64>> = by_seed.iter().map(|errors| errors[i]).collect();
-            mean(&errors?)
-        };
-        let errors: Vec<Option<f64>> = (0..folds.len()).map(of_record).collect();
-        let count = folds.iter().max().map_or(0, |last| last + 1);
-        let of_fold = |fold: usize| -> Vec<f64> {
-            folds.iter().zip(&errors).filter(|(f, _)| **f == fold).filter_map(|(_, e)| *e).collect()
-        };
-        let sizes: Vec<f64> =
-            (0..count).map(|fold| folds.iter().filter(|f| **f == fold).count() as f64).collect();
-        let networks = || progress.iter().flat_map(|networks| networks.iter().zip(&sizes));
-        let milestones = networks().map(|(curve, _)| curve.len()).min().unwrap_or(0);
-        let at = |i: usize| -> CurvePoint {
-            let sum = networks().fold([0.0; 2], |[e, w], (curve, size)| [e + size * curve[i].1, w + size]);
-            (progress[0][0][i].0, sum[0] / sum[1])
-        };
-        let known = |errors: &Vec<Option<f64>>| errors.iter().flatten().copied().collect::<Vec<f64>>();
-        Self {
-            body: body.to_owned(),
-            simulated,
-            error_train: mean(&errors_train.iter().flat_map(known).collect::<Vec<f64>>()),
-            by_seed: by_seed.iter().filter_map(|errors| mean(&known(errors))).collect(),
-            by_fold: (0..count).filter_map(|fold| mean(&of_fold(fold))).collect(),
-            progress: (0..milestones).map(at).collect(),
-            errors,
-            agreement,
-        }
-    }
-
     fn known(&self) -> Vec<f64> {
         self.errors.iter().flatten().copied().collect()
     }

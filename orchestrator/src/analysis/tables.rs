@@ -1,39 +1,38 @@
 //! The answers as tables, one a question.
 
-use std::collections::BTreeSet;
-
+use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::brains::reads;
 use super::data::{
-    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, SENSORS, TRAINING, groups, levels, observations,
+    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, groups, levels,
+    observations,
 };
 use super::decision::{Decision, Terms, decide};
-use super::elbow::{Verdict, elbow};
-use super::numbers::{geometric_mean, mean};
-use super::paired;
-use super::paired::Ratio;
+use super::elbow::{Elbow, Verdict, elbow};
+use super::numbers::{distinct, geometric_mean, mean};
+use super::paired::{self, Ratio};
 use super::placed::placed;
 use super::random::random;
 use super::resample::Interval;
 use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
-use super::scaling::scaling;
-use super::sensors::{fewer, spread};
+use super::scaling::{Scaling, scaling};
+use super::sensors::{Spread, fewer, spread};
 use super::trial::{Body, Set, Trial};
 use crate::look::{Table, row};
 
 /// A question to finished trials.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Question {
     /// Initial against optimised body, paired by trial: ratio of errors
     Paired,
-    /// What the brain decides: error against what it remembers; bodies trained with one brain and read by another
+    /// Error by brain and memory; bodies trained with one brain, forces read by another
     Brains,
-    /// Iterations of training the initial body's network needs over those of the optimised body's, to equal error and loss
+    /// Training iterations on the initial over those on the optimised body, to equal error and loss
     Iterations,
     /// Initial against optimised body after long training (evaluation.long_iterations)
     Long,
-    /// Error against the number of sensors M, votes for an elbow there, what the next sensor brings
+    /// Error against the number of sensors M, votes for an elbow, gain by the next sensor
     Sensors,
     /// The elbow of error against M, by three methods; the smallest M within 10 % of the best, the best at a price (--price)
     Elbow,
@@ -41,11 +40,11 @@ pub enum Question {
     Fewer,
     /// Spread of the error over sensor placements
     Placements,
-    /// What placing sensors well buys (sensors.search), and what training the body buys beyond it
+    /// Gain by a search for sensor places (sensors.search), and by training the body beyond that
     Placed,
     /// Random bodies (body.design = { random = SEED }) against the initial and the optimised one
     Random,
-    /// What a linear model is worth: the part of the signals that the body's linearisation at rest does not give
+    /// Part of the signals that a linear model of the body at rest does not explain
     Nonlinear,
     /// Error against the number of design parameters N
     Sizes,
@@ -53,7 +52,7 @@ pub enum Question {
     Complexity,
     /// CPU seconds until a test error is reached
     TimeTo,
-    /// What no other run beats in both CPU seconds and test error
+    /// Pareto front of CPU seconds and test error
     Front,
     /// Where the time went (CPU seconds)
     Seconds,
@@ -61,24 +60,10 @@ pub enum Question {
 
 impl Question {
     /// All of them, in the order in which they are answered.
-    pub const ALL: [Self; 16] = [
-        Self::Paired,
-        Self::Brains,
-        Self::Iterations,
-        Self::Long,
-        Self::Sensors,
-        Self::Elbow,
-        Self::Fewer,
-        Self::Placements,
-        Self::Placed,
-        Self::Random,
-        Self::Nonlinear,
-        Self::Sizes,
-        Self::Complexity,
-        Self::TimeTo,
-        Self::Front,
-        Self::Seconds,
-    ];
+    #[must_use]
+    pub fn all() -> &'static [Self] {
+        Self::value_variants()
+    }
 
     /// What the table shows, with its units.
     #[must_use]
@@ -88,7 +73,7 @@ impl Question {
                 "Initial over optimised error, paired by trial (above 1: the optimised body is better; 95 % interval)"
             }
             Self::Brains => {
-                "Holdout error (%, geometric mean) by the brain that trained the optimised body, the one that reads it, and what that remembers (s before and after)"
+                "Holdout error (%, geometric mean): the brain that the optimised body was trained with, the brain that reads it, and its memory (s before and after)"
             }
             Self::Iterations => {
                 "Iterations on the initial over those on the optimised body, to equal holdout error and training loss"
@@ -98,7 +83,7 @@ impl Question {
             Self::Elbow => {
                 "Elbow of error against M; the smallest M within --within of the best, and of least error + --price × M, each also without the largest M"
             }
-            Self::Fewer => "Fewest sensors of the optimised body that beat the most of the initial one",
+            Self::Fewer => "Fewest sensors with which the optimised body beats the initial one with the most",
             Self::Placements => {
                 "Spread of error over placements at equal M and seed (standard deviation of ln error)"
             }
@@ -106,10 +91,10 @@ impl Question {
                 "Error (%, geometric mean) with sensors at random and placed by a search; by_placing: the first over the second on the initial body, by_training: initial over optimised body with sensors placed (95 % interval)"
             }
             Self::Random => {
-                "Error (%, geometric mean) of random bodies beside the initial and the optimised one, and over theirs"
+                "Error (%, geometric mean) of random bodies, and its ratio to that of the initial and of the optimised body"
             }
             Self::Nonlinear => {
-                "Part of the signals (%, mean over channels of squares) that the body's linearisation at rest does not give"
+                "Part of the signals (%, mean over channels of squares) that a linear model of the body at rest does not explain"
             }
             Self::Sizes => "Error (%, geometric mean) against the number of design parameters N",
             Self::Complexity => "Scaling law: error = a (N/N0)^(-b) + c (%, 95 % intervals)",
@@ -167,6 +152,35 @@ pub(super) fn ratio_cells(ratio: Ratio) -> Vec<Value> {
     row![ratio.trials, ratio.above_one, ratio.ratio, low, high, ratio.over]
 }
 
+/// A ratio with its interval, where there is one.
+fn interval_cells(ratio: Option<&Ratio>) -> Vec<Value> {
+    row![ratio.map(|r| r.ratio); ends(ratio.and_then(|r| r.interval))]
+}
+
+/// A row a group and set that there is something to say of.
+fn by_set(columns: &str, groups: &[Group], say: impl Fn(&Group, Set) -> Option<Vec<Value>>) -> Table {
+    let all = groups.iter().flat_map(|group| Set::ALL.map(|set| (group, set)));
+    let row = |(group, set): (&Group, Set)| Some([row![group.label, set.name()], say(group, set)?].concat());
+    Table::new(&format!("setting set {columns}"), all.filter_map(row))
+}
+
+/// Rows of every group's curve of error along an axis, for each body and set.
+fn by_curve(
+    columns: &str,
+    groups: &[Group],
+    at: fn(&Trial) -> u64,
+    rows: impl Fn(&[Observation]) -> Vec<Vec<Value>>,
+) -> Table {
+    let bodies = groups.iter().flat_map(|group| Body::ALL.map(|body| (group, body)));
+    let all = bodies.flat_map(|(group, body)| Set::ALL.map(|set| (group, body, set)));
+    let told = all.flat_map(|(group, body, set)| {
+        let names = row![group.label, body.name(), set.name()];
+        let found = rows(&observations(&group.trials, body, set, at));
+        found.into_iter().map(move |row| [names.clone(), row].concat())
+    });
+    Table::new(&format!("setting body set {columns}"), told)
+}
+
 fn brains_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for group in groups(trials, BRAINS) {
@@ -183,15 +197,9 @@ fn brains_table(trials: &[&Trial]) -> Table {
 }
 
 fn paired_table(trials: &[&Trial]) -> Table {
-    let mut rows = Vec::new();
-    for group in groups(trials, &[]) {
-        for set in Set::ALL {
-            if let Some(ratio) = paired::error_ratio(&group.trials, set) {
-                rows.push(row![group.label, set.name(); ratio_cells(ratio)]);
-            }
-        }
-    }
-    Table::new("setting set trials improved ratio low high over", rows)
+    by_set("trials improved ratio low high over", &groups(trials, &[]), |group, set| {
+        Some(ratio_cells(paired::error_ratio(&group.trials, set)?))
+    })
 }
 
 fn iterations_table(trials: &[&Trial]) -> Table {
@@ -206,18 +214,18 @@ fn iterations_table(trials: &[&Trial]) -> Table {
 fn long_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for group in groups(trials, &[]) {
-        let lengths: BTreeSet<u64> = group.trials.iter().filter_map(|t| t.long_iterations()).collect();
+        let lengths = distinct(group.trials.iter().filter_map(|t| t.long_iterations()));
         for (iterations, set) in lengths.into_iter().flat_map(|n| Set::ALL.map(|set| (n, set))) {
             let of_length = |t: &&&Trial| t.long_iterations() == Some(iterations);
             let trials: Vec<&Trial> = group.trials.iter().filter(of_length).copied().collect();
             if let Some(ratio) = paired::long_ratio(&trials, set) {
-                let mut row = row![group.label, set.name(), iterations];
-                row.extend(Body::ALL.map(|body| {
+                let mean = |body| {
                     let errors: Vec<f64> = trials.iter().filter_map(|t| t.long_error(body, set)).collect();
-                    json!(geometric_mean(&errors))
-                }));
-                row.extend(ratio_cells(ratio));
-                rows.push(row);
+                    geometric_mean(&errors)
+                };
+                let [initial, optimised] = Body::ALL.map(mean);
+                let names = row![group.label, set.name(), iterations, initial, optimised];
+                rows.push([names, ratio_cells(ratio)].concat());
             }
         }
     }
@@ -226,97 +234,79 @@ fn long_table(trials: &[&Trial]) -> Table {
 }
 
 fn random_table(trials: &[&Trial]) -> Table {
-    let mut rows = Vec::new();
-    for group in groups(trials, DESIGN) {
-        for set in Set::ALL {
-            let Some(found) = random(&group.trials, set) else { continue };
-            let mean = |errors: &[f64]| json!((!errors.is_empty()).then(|| geometric_mean(errors)));
-            let end = |pick: fn(f64, f64) -> f64| json!(found.errors.iter().copied().reduce(pick));
-            let mut row = row![group.label, set.name(), found.errors.len()];
-            row.extend([mean(&found.errors), end(f64::min), end(f64::max), json!(found.deviation())]);
-            row.extend([mean(&found.others[0]), mean(&found.others[1]), mean(&found.trained)]);
-            let over = found.ratios[1].as_ref().map(|r| r.over.clone());
-            for ratio in found.ratios {
-                let [low, high] = ends(ratio.as_ref().and_then(|r| r.interval));
-                row.extend([
-                    json!(ratio.as_ref().map(|r| r.above_one)),
-                    json!(ratio.as_ref().map(|r| r.ratio)),
-                ]);
-                row.extend([low, high]);
-            }
-            row.push(json!(over));
-            rows.push(row);
-        }
-    }
-    let columns = "setting set bodies random least most deviation initial optimised random_trained \
+    let columns = "bodies random least most deviation initial optimised random_trained \
         worse_than_initial over_initial over_initial_low over_initial_high worse_than_optimised \
         over_optimised over_optimised_low over_optimised_high over";
-    Table::new(columns, rows)
+    by_set(columns, &groups(trials, DESIGN), |group, set| {
+        let found = random(&group.trials, set)?;
+        let mean = |errors: &[f64]| (!errors.is_empty()).then(|| geometric_mean(errors));
+        let end = |pick: fn(f64, f64) -> f64| found.errors.iter().copied().reduce(pick);
+        let own = row![
+            found.errors.len(),
+            mean(&found.errors),
+            end(f64::min),
+            end(f64::max),
+            found.deviation(),
+            mean(&found.others[0]),
+            mean(&found.others[1]),
+            mean(&found.trained)
+        ];
+        let over =
+            |ratio: &Option<Ratio>| row![ratio.as_ref().map(|r| r.above_one); interval_cells(ratio.as_ref())];
+        let [initial, optimised] = &found.ratios;
+        let units = row![optimised.as_ref().map(|r| &r.over)];
+        Some([own, over(initial), over(optimised), units].concat())
+    })
 }
 
 /// The groups with a curve: at least two places on the axis; all groups where none has.
 fn with_curves<'a>(groups: Vec<Group<'a>>, at: fn(&Trial) -> u64) -> Vec<Group<'a>> {
-    let has = |group: &Group| group.varies(at);
-    match groups.iter().any(has) {
-        true => groups.into_iter().filter(has).collect(),
+    match groups.iter().any(|group| group.varies(at)) {
+        true => groups.into_iter().filter(|group| group.varies(at)).collect(),
         false => groups,
     }
 }
 
-/// Every group's curve for each body and set.
-fn each_curve(groups: &[Group], mut visit: impl FnMut(&Group, Body, Set)) {
-    for group in groups {
-        for body in Body::ALL {
-            for set in Set::ALL {
-                visit(group, body, set);
-            }
-        }
-    }
+fn by_sensors<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+    with_curves(groups(trials, SENSORS), |t| t.sensors)
 }
 
-/// What a curve is of, and one of its levels.
-fn level_cells(group: &Group, body: Body, set: Set, level: &Level) -> Vec<Value> {
-    row![
-        group.label,
-        body.name(),
-        set.name(),
-        level.at as u64,
-        level.trials,
-        level.mean,
-        level.least,
-        level.most
-    ]
+/// One of a curve's levels.
+fn level_cells(level: &Level) -> Vec<Value> {
+    row![level.at as u64, level.trials, level.mean, level.least, level.most]
 }
 
 fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
-    let mut rows = Vec::new();
-    each_curve(&with_curves(groups(trials, SENSORS), |t| t.sensors), |group, body, set| {
-        let points = observations(&group.trials, body, set, |t| t.sensors);
-        let found = elbow(&points);
-        let decided = decide(&points, terms);
-        for level in levels(&points) {
-            let found = found.as_ref().ok();
-            let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
-            let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
-            let [low, high] = ends(gain.and_then(|g| g.interval));
-            let further = row![
-                vote.filter(|_| found.is_some_and(has_votes)),
-                decided.as_ref().and_then(|d| d.within.share(level.at)),
-                decided.as_ref().and_then(|d| d.priced.as_ref()?.share(level.at)),
-                gain.map(|g| g.ratio),
-                low,
-                high,
-                decided.as_ref().map(|d| &d.over)
-            ];
-            rows.push([level_cells(group, body, set, &level), further].concat());
-        }
-    });
-    let columns = "setting body set M trials error least most elbow_votes within_votes price_votes \
-        gain_to_next gain_low gain_high over";
-    Table::new(columns, rows)
+    let columns = "M trials error least most elbow_votes within_votes price_votes gain_to_next gain_low \
+        gain_high over";
+    by_curve(
+        columns,
+        &by_sensors(trials),
+        |t| t.sensors,
+        |points| {
+            let (found, decided) = (elbow(points).ok(), decide(points, terms));
+            let (found, decided) = (found.as_ref(), decided.as_ref());
+            let row = |level: Level| {
+                let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
+                let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
+                let [low, high] = ends(gain.and_then(|g| g.interval));
+                let further = row![
+                    vote.filter(|_| found.is_some_and(has_votes)),
+                    decided.and_then(|d| d.within.share(level.at)),
+                    decided.and_then(|d| d.priced.as_ref()?.share(level.at)),
+                    gain.map(|g| g.ratio),
+                    low,
+                    high,
+                    decided.map(|d| &d.over)
+                ];
+                [level_cells(&level), further].concat()
+            };
+            levels(points).into_iter().map(row).collect()
+        },
+    )
 }
 
-fn has_votes(elbow: &super::Elbow) -> bool {
+fn has_votes(elbow: &Elbow) -> bool {
     !matches!(elbow.verdict, Verdict::WithoutVote(_))
 }
 
@@ -333,99 +323,77 @@ pub fn verdict_text(verdict: Verdict) -> String {
 }
 
 fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
-    let mut rows = Vec::new();
-    each_curve(&with_curves(groups(trials, SENSORS), |t| t.sensors), |group, body, set| {
-        let points = observations(&group.trials, body, set, |t| t.sensors);
-        let mut row = row![group.label, body.name(), set.name()];
-        match elbow(&points) {
-            Err(why) => {
-                row.push(json!(why.to_string()));
-                row.extend(std::iter::repeat_n(Value::Null, 5));
-            }
-            Ok(e) => row.extend([
-                json!(verdict_text(e.verdict)),
-                json!(e.broken_stick.map(|m| m as u64)),
-                json!(has_votes(&e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>())),
-                e.without_largest.map_or(Value::Null, |m| m.map_or(json!("none"), |m| json!(m as u64))),
-                json!(e.kneedle.map(|m| m as u64)),
-                json!(e.chord.map(|m| m as u64)),
-            ]),
-        }
-        let decided = decide(&points, terms);
-        row.extend(decision_cells(decided.as_ref().map(|d| &d.within)));
-        row.extend(decision_cells(decided.as_ref().and_then(|d| d.priced.as_ref())));
-        row.push(json!(decided.map(|d| d.over)));
-        rows.push(row);
-    });
-    let columns = "setting body set verdict broken_stick votes_for_none without_largest kneedle chord \
-        within within_votes within_without_largest price price_votes price_without_largest over";
-    Table::new(columns, rows)
+    let columns = "verdict broken_stick votes_for_none without_largest kneedle chord within within_votes \
+        within_without_largest price price_votes price_without_largest over";
+    let whole = |m: f64| m as u64;
+    by_curve(
+        columns,
+        &by_sensors(trials),
+        |t| t.sensors,
+        |points| {
+            let found = elbow(points);
+            let e = found.as_ref().ok();
+            let none = |e: &Elbow| has_votes(e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>());
+            let without = |m: Option<f64>| m.map_or(json!("none"), |m| json!(whole(m)));
+            let by_elbow = row![
+                found.as_ref().map_or_else(ToString::to_string, |e| verdict_text(e.verdict)),
+                e.and_then(|e| e.broken_stick).map(whole),
+                e.and_then(none),
+                e.and_then(|e| e.without_largest).map(without),
+                e.and_then(|e| e.kneedle).map(whole),
+                e.and_then(|e| e.chord).map(whole)
+            ];
+            let decided = decide(points, terms);
+            let within = decision_cells(decided.as_ref().map(|d| &d.within));
+            let price = decision_cells(decided.as_ref().and_then(|d| d.priced.as_ref()));
+            vec![[by_elbow, within, price, row![decided.map(|d| d.over)]].concat()]
+        },
+    )
 }
 
 /// M, the share of votes for it, and M without the largest.
-fn decision_cells(decision: Option<&Decision>) -> [Value; 3] {
-    [
-        json!(decision.map(|d| d.at as u64)),
-        json!(decision.and_then(|d| d.share(d.at))),
-        json!(decision.map(|d| d.without_largest as u64)),
+fn decision_cells(decision: Option<&Decision>) -> Vec<Value> {
+    row![
+        decision.map(|d| d.at as u64),
+        decision.and_then(|d| d.share(d.at)),
+        decision.map(|d| d.without_largest as u64)
     ]
 }
 
 fn fewer_table(trials: &[&Trial]) -> Table {
-    let mut rows = Vec::new();
-    for group in with_curves(groups(trials, SENSORS), |t| t.sensors) {
-        for set in Set::ALL {
-            let of = |body| observations(&group.trials, body, set, |t| t.sensors);
-            if let Some(found) = fewer(&of(Body::Initial), &of(Body::Optimised)) {
-                rows.push(row![
-                    group.label,
-                    set.name(),
-                    found.most as u64,
-                    found.initial_error,
-                    found.fewest.map(|m| m as u64),
-                    found.optimised_error,
-                    found.share,
-                    found.over
-                ]);
-            }
-        }
-    }
-    let columns = "setting set initial_sensors initial_error optimised_sensors optimised_error votes over";
-    Table::new(columns, rows)
+    let columns = "initial_sensors initial_error optimised_sensors optimised_error votes over";
+    by_set(columns, &by_sensors(trials), |group, set| {
+        let of = |body| observations(&group.trials, body, set, |t| t.sensors);
+        let found = fewer(&of(Body::Initial), &of(Body::Optimised))?;
+        let sensors = [Some(found.most), found.fewest].map(|m| m.map(|m| m as u64));
+        let errors = (found.initial_error, found.optimised_error);
+        Some(row![sensors[0], errors.0, sensors[1], errors.1, found.share, found.over])
+    })
 }
 
 fn placements_table(trials: &[&Trial]) -> Table {
-    let mut rows = Vec::new();
-    each_curve(&groups(trials, &[]), |group, body, set| {
-        if let Some(found) = spread(&observations(&group.trials, body, set, |t| t.sensors)) {
-            rows.push(row![
-                group.label,
-                body.name(),
-                set.name(),
-                found.placements,
-                found.deviation,
-                found.ratio
-            ]);
-        }
-    });
-    Table::new("setting body set placements deviation worst_over_best", rows)
+    by_curve(
+        "placements deviation worst_over_best",
+        &groups(trials, &[]),
+        |t| t.sensors,
+        |points| {
+            let row = |found: Spread| row![found.placements, found.deviation, found.ratio];
+            spread(points).map(row).into_iter().collect()
+        },
+    )
 }
 
 fn placed_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for found in placed(trials) {
         for (set, level) in Set::ALL.into_iter().flat_map(|set| found.levels.iter().map(move |l| (set, l))) {
-            let mut row = row![found.label, set.name(), level.sensors];
-            for (searched, body) in [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body))) {
-                row.push(json!(level.error(searched, body, set)));
-            }
+            let ways = [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body)));
+            let errors = ways.map(|(searched, body)| json!(level.error(searched, body, set))).collect();
             let [placing, training] = [level.by_placing(Body::Initial, set), level.by_training(set)];
-            for ratio in [&placing, &training] {
-                row.push(json!(ratio.as_ref().map(|r| r.ratio)));
-                row.extend(ends(ratio.as_ref().and_then(|r| r.interval)));
-            }
-            row.push(json!(training.map(|r| r.over)));
-            rows.push(row);
+            let [placing_cells, training_cells] = [&placing, &training].map(|r| interval_cells(r.as_ref()));
+            let names = row![found.label, set.name(), level.sensors];
+            let over = row![training.map(|r| r.over)];
+            rows.push([names, errors, placing_cells, training_cells, over].concat());
         }
     }
     let columns = "setting set M random_initial random_optimised placed_initial placed_optimised \
@@ -438,12 +406,11 @@ fn nonlinear_table(trials: &[&Trial]) -> Table {
     for (group, body) in groups(trials, &[]).iter().flat_map(|group| Body::ALL.map(|body| (group, body))) {
         for (kind, name) in ["acceleration", "rotation"].into_iter().enumerate() {
             let shares = nonlinear(&group.trials, body, kind);
-            let end = |pick: fn(f64, f64) -> f64| json!(shares.iter().copied().reduce(pick));
-            if let Some(mean) = mean(&shares) {
-                let names = [&group.label, body.name(), name].map(|name| json!(name));
-                let found = [json!(shares.len()), json!(mean), end(f64::min), end(f64::max)];
-                rows.push(names.into_iter().chain(found).collect());
-            }
+            let end = |pick: fn(f64, f64) -> f64| shares.iter().copied().reduce(pick);
+            let row = |mean: f64| {
+                row![group.label, body.name(), name, shares.len(), mean, end(f64::min), end(f64::max)]
+            };
+            rows.extend(mean(&shares).map(row));
         }
     }
     Table::new("setting body signals trials nonlinear least most", rows)
@@ -456,87 +423,94 @@ pub(crate) fn nonlinear(trials: &[&Trial], body: Body, kind: usize) -> Vec<f64> 
 
 /// Trials that differ in size, and trials of one size that differ in freedom.
 fn by_parameters<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
-    [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(trials, but)).collect()
+    let found = [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(trials, but)).collect();
+    with_curves(found, |t| t.design_parameters)
 }
 
 fn sizes_table(trials: &[&Trial]) -> Table {
-    let mut rows = Vec::new();
-    each_curve(&with_curves(by_parameters(trials), |t| t.design_parameters), |group, body, set| {
-        for level in levels(&observations(&group.trials, body, set, |t| t.design_parameters)) {
-            rows.push(level_cells(group, body, set, &level));
-        }
-    });
-    Table::new("setting body set design_parameters trials error least most", rows)
+    let columns = "design_parameters trials error least most";
+    by_curve(
+        columns,
+        &by_parameters(trials),
+        |t| t.design_parameters,
+        |points| levels(points).iter().map(level_cells).collect(),
+    )
 }
 
 fn complexity_table(trials: &[&Trial]) -> Table {
-    let mut rows = Vec::new();
-    each_curve(&with_curves(by_parameters(trials), |t| t.design_parameters), |group, body, set| {
-        let points = observations(&group.trials, body, set, |t| t.design_parameters);
-        let mut row = row![group.label, body.name(), set.name()];
-        match scaling(&points) {
-            Err(why) => {
-                row.push(json!(why.to_string()));
-                row.extend(std::iter::repeat_n(Value::Null, 14));
-            }
-            Ok(found) => {
-                row.push(match &found.not_identifiable {
-                    None => json!("identified"),
-                    Some(why) => json!(format!("not identifiable: {why}")),
-                });
-                let ([b_low, b_high], [c_low, c_high]) = (ends(found.exponent), ends(found.floor));
-                row.extend([json!(found.law.scale), json!(found.law.reference)]);
-                row.extend([json!(found.law.exponent), b_low, b_high, json!(found.law.floor), c_low, c_high]);
-                let held = found.held_out;
-                let [low, high] = ends(held.and_then(|h| h.interval));
-                row.extend([json!(held.map(|h| h.at as u64)), json!(held.map(|h| h.predicted))]);
-                row.extend([json!(held.map(|h| h.observed)), low, high, json!(found.over)]);
-            }
-        }
-        rows.push(row);
-    });
-    let columns = "setting body set verdict a N0 b b_low b_high c c_low c_high held_out_N predicted \
-        observed predicted_over_observed_low predicted_over_observed_high over";
-    Table::new(columns, rows)
+    let columns = "verdict a N0 b b_low b_high c c_low c_high held_out_N predicted observed \
+        predicted_over_observed_low predicted_over_observed_high over";
+    by_curve(
+        columns,
+        &by_parameters(trials),
+        |t| t.design_parameters,
+        |points| {
+            let found = scaling(points);
+            let verdict = match &found {
+                Err(why) => why.to_string(),
+                Ok(Scaling { not_identifiable: None, .. }) => "identified".into(),
+                Ok(Scaling { not_identifiable: Some(why), .. }) => format!("not identifiable: {why}"),
+            };
+            let found = found.as_ref().ok();
+            let law = found.map(|f| f.law);
+            let [b_low, b_high] = ends(found.and_then(|f| f.exponent));
+            let [c_low, c_high] = ends(found.and_then(|f| f.floor));
+            let held = found.and_then(|f| f.held_out);
+            let [low, high] = ends(held.and_then(|h| h.interval));
+            vec![row![
+                verdict,
+                law.map(|l| l.scale),
+                law.map(|l| l.reference),
+                law.map(|l| l.exponent),
+                b_low,
+                b_high,
+                law.map(|l| l.floor),
+                c_low,
+                c_high,
+                held.map(|h| h.at as u64),
+                held.map(|h| h.predicted),
+                held.map(|h| h.observed),
+                low,
+                high,
+                found.map(|f| &f.over)
+            ]]
+        },
+    )
 }
 
-/// The ways of training within a group, by what sets them apart.
-fn trainings<'a>(group: &Group<'a>) -> Vec<Group<'a>> {
-    let mut ways = groups(&group.trials, &[]);
-    for way in &mut ways {
-        let protocol = way.trials[0].protocol().to_owned();
-        let apart: Vec<&str> = way
-            .label
-            .split(", ")
-            .filter(|p| {
-                !p.starts_with("K = ") && !p.starts_with("M = ") && !p.starts_with("optimise.protocol")
-            })
-            .collect();
-        way.label = std::iter::once(protocol.as_str()).chain(apart).collect::<Vec<_>>().join(", ");
-    }
-    ways
+/// The parts of a group's label that say more than K and M.
+pub(super) fn apart(label: &str) -> Vec<&str> {
+    label.split(", ").filter(|part| !part.starts_with("K = ") && !part.starts_with("M = ")).collect()
+}
+
+/// Each group that differs in training alone, with its ways of training by what sets them apart.
+fn trainings<'a>(trials: &[&'a Trial]) -> Vec<(Group<'a>, Vec<Group<'a>>)> {
+    let named = |mut way: Group<'a>| {
+        let protocol = way.trials[0].protocol();
+        let rest = apart(&way.label).into_iter().filter(|part| !part.starts_with("optimise.protocol"));
+        way.label = std::iter::once(protocol).chain(rest).collect::<Vec<_>>().join(", ");
+        way
+    };
+    let ways = |group: &Group<'a>| groups(&group.trials, &[]).into_iter().map(named).collect::<Vec<_>>();
+    let with_ways = |group| {
+        let ways = ways(&group);
+        (group, ways)
+    };
+    groups(trials, TRAINING).into_iter().map(with_ways).collect()
 }
 
 fn time_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
-    for group in groups(trials, TRAINING) {
+    for (group, ways) in trainings(trials) {
         let histories: Vec<&[(f64, f64)]> = group.trials.iter().map(|t| t.history.as_slice()).collect();
-        for error in round_errors(&histories) {
-            for way in trainings(&group) {
-                let runs: Vec<Watched> = way.trials.iter().filter_map(|t| Watched::new(t, error)).collect();
-                let found = median_time(&runs);
-                rows.push(row![
-                    group.label,
-                    way.label,
-                    error,
-                    runs.len(),
-                    runs.iter().filter(|r| r.reached).count(),
-                    found.median,
-                    found.ends[0],
-                    found.ends[1],
-                    found.over
-                ]);
-            }
+        for (error, way) in
+            round_errors(&histories).into_iter().flat_map(|e| ways.iter().map(move |w| (e, w)))
+        {
+            let runs: Vec<Watched> = way.trials.iter().filter_map(|t| Watched::new(t, error)).collect();
+            let (found, reached) = (median_time(&runs), runs.iter().filter(|r| r.reached).count());
+            let [low, high] = found.ends;
+            let names = row![group.label, way.label, error, runs.len(), reached];
+            rows.push([names, row![found.median, low, high, found.over]].concat());
         }
     }
     let columns = "setting training error trials reached seconds low high over";
@@ -545,14 +519,10 @@ fn time_table(trials: &[&Trial]) -> Table {
 
 fn front_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
-    for group in groups(trials, TRAINING) {
-        let ways = trainings(&group);
-        let mut points = Vec::new();
-        for way in &ways {
-            for trial in &way.trials {
-                points.extend(trial.history.iter().map(|&at| (at, way, *trial)));
-            }
-        }
+    for (group, ways) in trainings(trials) {
+        let runs = ways.iter().flat_map(|way| way.trials.iter().map(move |trial| (way, trial)));
+        let points: Vec<_> =
+            runs.flat_map(|(way, trial)| trial.history.iter().map(move |&at| (at, way, trial))).collect();
         for i in pareto(&points.iter().map(|p| p.0).collect::<Vec<_>>()) {
             let ((seconds, error), way, trial) = points[i];
             rows.push(row![group.label, seconds, error, way.label, trial.hash]);
@@ -564,16 +534,14 @@ fn front_table(trials: &[&Trial]) -> Table {
 fn seconds_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     let mut columns = vec!["setting", "training", "all"];
-    for group in groups(trials, TRAINING) {
-        for way in trainings(&group) {
-            let parts = mean_seconds(&way.trials);
-            let total: f64 = parts.iter().map(|p| p.1).sum();
-            let mut row = row![group.label, way.label, total];
-            row.extend(parts.iter().map(|p| json!(p.1)));
-            columns.truncate(3);
-            columns.extend(parts.iter().map(|p| p.0));
-            rows.push(row);
-        }
+    for (group, way) in
+        trainings(trials).iter().flat_map(|(group, ways)| ways.iter().map(move |w| (group, w)))
+    {
+        let parts = mean_seconds(&way.trials);
+        let total: f64 = parts.iter().map(|p| p.1).sum();
+        rows.push(row![group.label, way.label, total; parts.iter().map(|p| p.1)]);
+        columns.truncate(3);
+        columns.extend(parts.iter().map(|p| p.0));
     }
     Table { columns: columns.into_iter().map(str::to_owned).collect(), rows }
 }

@@ -99,7 +99,7 @@ pub struct Trial {
     pub long_errors: [[Option<f64>; 2]; 2],
     /// By linear brains, whatever the trial's own is; none in trials of versions before 4.
     pub readings: Vec<Reading>,
-    /// The part of the accelerations and of the angular velocities (%) that a body's linearisation at rest does not give,
+    /// The part of the accelerations and of the angular velocities (%) that a linear model of the body at rest does not explain,
     /// `[initial, optimised][acceleration, rotation]`; none in trials of versions before 6.
     pub nonlinear: [[Option<f64>; 2]; 2],
     /// Training loss against iteration (from 1), by body, then network; thinned, as all curves.

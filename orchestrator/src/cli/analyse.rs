@@ -38,7 +38,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return compare(first, &args.db, args.format).await;
     }
     let all = args.question.is_empty();
-    let questions = if all { &Question::ALL[..] } else { &args.question };
+    let questions = if all { Question::all() } else { &args.question };
     if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }

@@ -22,7 +22,7 @@ use crate::report::records::{Body, Comparison};
 ///
 /// The trial's panels, sensors, clock and networks are those of the records. Each record is predicted by networks that have not seen it (cross-validation). Where a body's design is known, the
 /// trial's model of it is put under the same forces and judged in the same way: what it promises, and how its signals
-/// agree with the measured ones. schemas/README.md describes the files of records.
+/// agree with the measured ones. README describes the files of records.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

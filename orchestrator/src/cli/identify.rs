@@ -26,7 +26,7 @@ use crate::store::npy_bytes;
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// What was measured (TOML; keys in schemas/README.md)
+    /// What was measured (TOML, see README)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
     /// The parameters that are fitted; the others stay at the spec's values

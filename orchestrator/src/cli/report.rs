@@ -47,7 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
     write_figures(folder, drawn)?;
-    for question in Question::ALL {
+    for question in Question::all() {
         let table = question.answer(&story.trials, story.terms);
         if !table.rows.is_empty() && question.was_put(&story.trials) {
             let name = question.to_possible_value().expect("none is hidden");

@@ -2,6 +2,7 @@
 
 use maud::{Markup, html};
 
+use super::plot::label;
 use super::{Picture, level};
 
 /// A cell.
@@ -26,9 +27,6 @@ const ROOM: [f64; 2] = [64.0, 40.0];
 pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cells: &[Vec<Cell>]) -> Picture {
     let (columns, rows) = (across.1, down.1);
     let at = |i: usize, j: usize| [ROOM[0] + i as f64 * CELL[0], j as f64 * CELL[1]];
-    let text = |class: &str, [x, y]: [f64; 2], anchor: &str, text: &str| {
-        html! { text class=(class) x=(format!("{x:.1}")) y=(format!("{y:.1}")) text-anchor=(anchor) { (text) } }
-    };
     let cell = |i: usize, j: usize, cell: &Cell| -> Markup {
         let [x, y] = at(i, j);
         // `level` takes the root of a part
@@ -36,7 +34,7 @@ pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cel
             rect class=(format!("cell {}", level(cell.part * cell.part))) x=(x) y=(y) width=(CELL[0]) height=(CELL[1]) {
                 title { (cell.title) }
             }
-            (text("note inside", [x + 0.5 * CELL[0], y + 17.0], "middle", &cell.text))
+            (label("note inside", [x + 0.5 * CELL[0], y + 17.0], "middle", &cell.text))
         };
         match &cell.to {
             Some(to) => html! { a href=(to) aria-label=(cell.title) { (inside) } },
@@ -48,14 +46,14 @@ pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cel
     let middle = 0.5 * floor.max(7.0 * down.0.chars().count() as f64);
     let marks = html! {
         @for (j, row) in cells.iter().enumerate() {
-            (text("tick", [ROOM[0] - 5.0, at(0, j)[1] + 17.0], "end", &rows[j]))
+            (label("tick", [ROOM[0] - 5.0, at(0, j)[1] + 17.0], "end", &rows[j]))
             @for (i, one) in row.iter().enumerate().filter(|(_, one)| !one.text.is_empty()) { (cell(i, j, one)) }
         }
         @for (i, name) in columns.iter().enumerate() {
-            (text("tick", [at(i, 0)[0] + 0.5 * CELL[0], floor + 14.0], "middle", name))
+            (label("tick", [at(i, 0)[0] + 0.5 * CELL[0], floor + 14.0], "middle", name))
         }
-        (text("label", [0.5 * (ROOM[0] + right), floor + 32.0], "middle", across.0))
-        g transform=(format!("rotate(-90 11 {middle:.1})")) { (text("label", [11.0, middle], "middle", down.0)) }
+        (label("label", [0.5 * (ROOM[0] + right), floor + 32.0], "middle", across.0))
+        g transform=(format!("rotate(-90 11 {middle:.1})")) { (label("label", [11.0, middle], "middle", down.0)) }
     };
     Picture {
         title: title.into(),

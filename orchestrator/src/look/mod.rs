@@ -18,6 +18,6 @@ pub use page::{Answer, Figure, answers, document, encoded, page};
 pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
 pub use style::{SERIES, level, of_page};
-pub use table::Table;
 pub(crate) use table::row;
+pub use table::{Table, plain, readable};
 pub use write::{Format, RowWriter, print_rows, standard_output};

@@ -5,8 +5,7 @@ use serde_json::Value;
 
 use super::picture::keys;
 use super::style::of_page;
-use super::table::readable;
-use super::{Legend, Picture, Table, number};
+use super::{Legend, Picture, Table, number, readable};
 
 /// A figure: pictures side by side under one caption.
 #[derive(Debug, Clone)]
@@ -103,6 +102,19 @@ impl Figure {
     ) -> Self {
         let (title, caption) = (title.into(), caption.into());
         Self { name, title, caption, legend, pictures, moving: None, small: false, data }
+    }
+
+    /// The same; `None` without a picture.
+    #[must_use]
+    pub fn some(
+        name: &'static str,
+        title: &str,
+        caption: impl Into<String>,
+        legend: Legend,
+        pictures: Vec<Picture>,
+        data: impl FnOnce() -> Table,
+    ) -> Option<Self> {
+        (!pictures.is_empty()).then(|| Self::new(name, title, caption, legend, pictures, data()))
     }
 
     /// With small pictures, and what moves.

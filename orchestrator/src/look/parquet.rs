@@ -13,7 +13,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use serde_json::Value;
 
-use super::Table;
+use super::{Table, plain};
 
 /// Rows of a group, which is what a writer, and many a reader, holds at once.
 const GROUP: usize = 1 << 16;
@@ -145,9 +145,8 @@ fn write<R: AsRef<[Vec<Value>]>>(
                     column.typed::<DoubleType>().write_batch(&values, levels, None)?
                 }
                 Kind::Text => {
-                    let text =
-                        |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-                    let values: Vec<ByteArray> = there.map(|value| text(value).into_bytes().into()).collect();
+                    let values: Vec<ByteArray> =
+                        there.map(|value| plain(value).into_bytes().into()).collect();
                     column.typed::<ByteArrayType>().write_batch(&values, levels, None)?
                 }
             };

@@ -240,7 +240,8 @@ impl Plot {
     }
 }
 
-fn label(class: &str, [x, y]: [f64; 2], anchor: &str, text: &str) -> Markup {
+/// A text in a picture.
+pub(super) fn label(class: &str, [x, y]: [f64; 2], anchor: &str, text: &str) -> Markup {
     html! { text class=(class) x=(format!("{x:.1}")) y=(format!("{y:.1}")) text-anchor=(anchor) { (text) } }
 }
 

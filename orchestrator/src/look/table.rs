@@ -105,7 +105,8 @@ impl Table {
 }
 
 /// A value in full; nothing for NULL.
-pub(super) fn plain(value: &Value) -> String {
+#[must_use]
+pub fn plain(value: &Value) -> String {
     match value {
         Value::Null => String::new(),
         Value::String(text) => text.clone(),
@@ -114,7 +115,8 @@ pub(super) fn plain(value: &Value) -> String {
 }
 
 /// A value to read: numbers with a point or an exponent by `shown`, the rest in full.
-pub(super) fn readable(value: &Value, shown: impl Fn(f64) -> String) -> String {
+#[must_use]
+pub fn readable(value: &Value, shown: impl Fn(f64) -> String) -> String {
     value.as_f64().filter(|_| value.is_f64()).map_or_else(|| plain(value), shown)
 }
 

@@ -23,22 +23,21 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     let mut said = Vec::new();
     let of_trials = of_each(&refs);
     let kinds = distinct(of_trials.clone());
-    for (kind, (set, what)) in kinds.iter().flat_map(|kind| {
-        [
-            (kind, (Set::Holdout, "samples that neither loop has seen")),
-            (kind, (Set::Test, "the test set that steered the body")),
-        ]
-    }) {
+    let sets = [
+        (Set::Holdout, "unseen samples (holdout)"),
+        (Set::Test, "the test set, by which the body was chosen"),
+    ];
+    for (kind, (set, what)) in kinds.iter().flat_map(|kind| sets.map(|set| (kind, set))) {
         let own = refs.iter().zip(&of_trials).filter(|(_, of)| *of == kind);
         let refs: Vec<&Trial> = own.map(|(trial, _)| *trial).collect();
         let who = match (&kind[0], &kind[1]) {
             _ if kinds.len() == 1 => String::new(),
-            (by, with) if by == with => format!("Trained with and read by {by}: "),
-            (by, with) => format!("Trained with {with}, read by {by}: "),
+            (by, with) if by == with => format!("Body trained with {by}, forces read by {by}: "),
+            (by, with) => format!("Body trained with {with}, forces read by {by}: "),
         };
         if let Some(r) = paired::error_ratio(&refs, set) {
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
-            // what steered the body says less than what nothing has seen
+            // what the body was chosen by says less than what nothing has seen
             let figure = if set == Set::Holdout { "" } else { "pairs" };
             said.push(Answer::new(
                 figure,
@@ -66,7 +65,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     said
 }
 
-/// What the bodies' linearisation is worth.
+/// What a linear model of the bodies does not explain.
 fn linear_model(trials: &[&Trial]) -> Option<Answer> {
     let mean = |body, kind| mean_of(&nonlinear(trials, body, kind)).map(number);
     let [initial, optimised] = Body::ALL.map(|body| Some([mean(body, 0)?, mean(body, 1)?]));
@@ -76,7 +75,7 @@ fn linear_model(trials: &[&Trial]) -> Option<Answer> {
         None,
         format!(
             "A linear model of the body at rest leaves {a} % of the initial body's accelerations and {w} % of its angular \
-             velocities unsaid (mean over trials), of the optimised body's {b} % and {v} %."
+             velocities unexplained; of the optimised body's, {b} % and {v} % (means over trials)."
         ),
     ))
 }
@@ -112,7 +111,7 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
         "losses",
         verdict(&ratio),
         format!(
-            "After {iterations} iterations of the brain the initial body's holdout error still is {} times the optimised \
+            "After {iterations} iterations of the brain, the initial body's holdout error is still {} times the optimised \
              body's ({initial} % against {optimised} %, {}).",
             number(ratio.ratio),
             interval(&ratio)
@@ -134,9 +133,9 @@ fn placing(found: &Placed) -> Option<Answer> {
         "placed",
         verdict(&by_training),
         format!(
-            "{}, M = {}: sensors placed by a search instead of at random take the initial body from {} to {} % ({} times \
-             less, {}); training the body beyond that to {} %, {} times less ({}). M needed for 20, 10, 5 % (95 % \
-             interval): initial body {} at random, {} placed; trained {} at random, {} placed.",
+            "{}, M = {}: sensors placed by a search instead of at random lower the initial body's error from {} to {} % ({} \
+             times less, {}). Training the body lowers it further to {} % ({} times less, {}). Sensors needed for an error \
+             of 20, 10 and 5 % (95 % interval): initial body {} at random, {} placed; trained body {} at random, {} placed.",
             found.label,
             level.sensors,
             error(false, Body::Initial)?,
@@ -154,7 +153,7 @@ fn placing(found: &Placed) -> Option<Answer> {
     ))
 }
 
-/// Where more sensors stop to pay, and how few of the optimised body's suffice.
+/// Where more sensors stop to pay, and how few suffice on the optimised body.
 fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
     let curve = |body| observations(&group.trials, body, Set::Holdout, |t| t.sensors);
     let [initial, optimised] = Body::ALL.map(|b| match elbow(&curve(b)) {
@@ -209,7 +208,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
                     number(error)
                 )
             }
-            _ => format!("with no number of sensors tried does the optimised body beat {initial}"),
+            _ => format!("the optimised body beats {initial} with no number of sensors that was tried"),
         };
         let verdict = match f.fewest {
             Some(_) => f.share.is_some_and(|share| share >= SURE).then_some(true),
@@ -241,8 +240,8 @@ fn random_bodies(group: &Group) -> Option<Answer> {
         "random",
         verdict(&optimised),
         format!(
-            "{}: {} random bodies have {} times the holdout error of the initial body ({} of {} are worse) and {} times that \
-             of the optimised one ({}).",
+            "{}: the holdout error of {} random bodies is {} times the initial body's ({} of {} are worse) and {} times the \
+             optimised body's ({}).",
             group.label,
             found.errors.len(),
             number(initial.ratio),

@@ -1,7 +1,7 @@
-//! What the brain decides, drawn and in a sentence.
+//! Error by brain: a figure, and a sentence a setting.
 
 use crate::analysis::brains::{Read, reads};
-use crate::analysis::data::{BRAINS, groups};
+use crate::analysis::data::{BRAINS, Group, groups};
 use crate::analysis::numbers::distinct;
 use crate::analysis::{Body, Question, Terms, Trial};
 use crate::look::{Answer, Axis, Figure, Plot, Scale, number};
@@ -42,7 +42,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
             let class = class(&with, &read.trained_with);
             let text = |body: Body| {
                 let error = number(read.errors[body as usize]);
-                format!("{} read by {}: {error} %", whose(body, &read.trained_with), read.by)
+                format!("{}, error by {}: {error} %", whose(body, &read.trained_with), read.by)
             };
             let at = |body: Body| ((reach(read), read.errors[body as usize]), text(body));
             memory.dots("initial", [at(Body::Initial)]);
@@ -50,29 +50,24 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         }
         pictures.push(memory.picture());
         // the whole past, and ever more of what comes after
-        let x = Axis::new(
-            "wait after the instant, whole past before (s)",
-            Scale::Linear,
-            past.iter().map(|r| r.memory[1]),
-        );
+        let waits = past.iter().map(|r| r.memory[1]);
+        let x = Axis::new("wait after the instant, whole past before (s)", Scale::Linear, waits);
         let mut delay = Plot::new(label, x, Axis::new("holdout error (%)", Scale::Log, errors(&past)));
         curves(&mut delay, &past, &with, |r| r.memory[1]);
         pictures.push(delay.picture());
     }
     let mut entries = vec![("initial", "initial body".to_owned())];
     entries.extend(with.iter().map(|name| (class(&with, name), format!("body trained with {name}"))));
-    (!pictures.is_empty()).then(|| {
-        Figure::new(
-            "brains",
-            "Body or brain?",
-            "Prediction error on the holdout by linear least squares of the forces on the signals around \
-             each instant: left against how far it looks, each way; right with the whole past, against how \
-             long it may wait. Dots are networks, at the memory that their shape has.",
-            entries,
-            pictures,
-            Question::Brains.answer(trials, Terms::default()),
-        )
-    })
+    Figure::some(
+        "brains",
+        "Body or brain?",
+        "Lines: prediction error on the holdout by a linear decoder, which fits the forces to the signals around each instant \
+         by least squares. Left: against how far it looks back and ahead. Right: with the whole past, against how long it \
+         waits after the instant. Dots: networks, at the memory that their shape has.",
+        entries,
+        pictures,
+        || Question::Brains.answer(trials, Terms::default()),
+    )
 }
 
 fn curves(plot: &mut Plot, reads: &[&Read], with: &[&str], x: impl Fn(&Read) -> f64) {
@@ -86,16 +81,12 @@ fn curves(plot: &mut Plot, reads: &[&Read], with: &[&str], x: impl Fn(&Read) -> 
             }
             let class = if body == Body::Initial { "initial" } else { class(with, trained_with) };
             plot.line(class, own.iter().map(|r| (x(r), r.errors[body as usize])));
-            plot.dots(
-                class,
-                own.iter().map(|r| {
-                    let error = r.errors[body as usize];
-                    let [before, after] = r.memory.map(number);
-                    let who = whose(body, trained_with);
-                    let text = format!("{who}, {before} s before and {after} s after: {} %", number(error));
-                    ((x(r), error), text)
-                }),
-            );
+            let dot = |r: &&&Read| {
+                let (error, [before, after]) = (r.errors[body as usize], r.memory.map(number));
+                let who = whose(body, trained_with);
+                ((x(r), error), format!("{who}, {before} s before and {after} s after: {} %", number(error)))
+            };
+            plot.dots(class, own.iter().map(dot));
         }
     }
 }
@@ -112,17 +103,13 @@ fn class(with: &[&str], trained_with: &str) -> &'static str {
     TRAINED[at.min(TRAINED.len() - 1)]
 }
 
-/// What a linear decoder of the whole sample makes of the bodies beside what their own brains do, a sentence a setting.
+/// Errors by a linear decoder of the whole sample beside those by the bodies' own brains, a sentence a setting.
 #[must_use]
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
-    groups(&refs, BRAINS)
-        .iter()
-        .filter_map(|group| {
-            let text = sentence(&group.label, &reads(&group.trials))?;
-            Some(Answer::new("brains", None, text))
-        })
-        .collect()
+    let said =
+        |group: &Group| Some(Answer::new("brains", None, sentence(&group.label, &reads(&group.trials))?));
+    groups(&refs, BRAINS).iter().filter_map(said).collect()
 }
 
 fn sentence(label: &str, reads: &[Read]) -> Option<String> {
@@ -133,28 +120,31 @@ fn sentence(label: &str, reads: &[Read]) -> Option<String> {
     let text = match (best, by_linear) {
         (Some(best), trained) => {
             let untouched = whole(&best.trained_with).or(trained)?.errors[0];
-            let than = if untouched < best.errors[1] { "better" } else { "worse" };
+            let than = if untouched < best.errors[1] { "less" } else { "more" };
             let mut text = format!(
-                "a linear decoder of the whole sample reads the initial body at {} %, {than} than {} reads the body \
-                 trained with {} ({} %)",
+                "the error by a linear decoder of the whole sample is {} % on the initial body, {than} than by {} on the \
+                 body trained with {} ({} %)",
                 number(untouched),
                 best.by,
                 best.trained_with,
                 number(best.errors[1])
             );
             if let Some(own) = whole(&best.trained_with) {
-                text += &format!("; that body it reads at {} %", number(own.errors[1]));
+                text += &format!(". On that body it is {} %", number(own.errors[1]));
             }
             if let Some(other) = trained.filter(|_| best.trained_with != "linear") {
-                text += &format!(", and the body that was trained with it at {} %", number(other.errors[1]));
+                text += &format!(
+                    ". On the body trained with the linear decoder it is {} %",
+                    number(other.errors[1])
+                );
             }
             text
         }
         (None, Some(read)) => {
             let [initial, optimised] = read.errors.map(number);
             format!(
-                "a linear decoder of the whole sample reads the initial body at {initial} % and the one that was trained \
-                 with it at {optimised} %"
+                "the error by a linear decoder of the whole sample is {initial} % on the initial body and {optimised} % on the \
+                 body trained with it"
             )
         }
         (None, None) => return None,

@@ -1,4 +1,4 @@
-//! The paper's claims: tables of what they come to and of the evidence, and the picture of it.
+//! The paper's claims: a table of ratings, a table of the evidence, and its figure.
 
 use crate::analysis::claims::{CLAIMS, Evidence, Rating, summary};
 use crate::analysis::paired::Progress;
@@ -101,8 +101,8 @@ pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
         Figure::new(
             "claims",
             "Beside the paper's numbers",
-            "Ratios on samples that neither loop has seen, with 95 % intervals over seeds and placements; numbers are those of \
-             the table.",
+            "Ratios on unseen samples (holdout), with 95 % intervals over seeds and placements. Claims have the numbers of the \
+             table.",
             legend(&keys),
             vec![plot.picture()],
             evidence_table(found),

@@ -6,15 +6,11 @@ use metasense_worker::identify::Fit;
 
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
-/// A folder's worth of pictures about a fit to `signals` (N, T, 3M).
+/// The figures about a fit to `signals` (N, T, 3M).
 #[must_use]
 pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
-    let mut drawn = Vec::new();
-    if !fit.signals[1].is_empty() {
-        drawn.push(records(trial, signals, fit));
-    }
-    drawn.push(course(fit));
-    drawn
+    let followed = (!fit.signals[1].is_empty()).then(|| records(trial, signals, fit));
+    followed.into_iter().chain([course(fit)]).collect()
 }
 
 /// The page: what was found, then the figures.
@@ -95,9 +91,9 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
         "fit",
         "Do the simulated signals follow the records?",
         format!(
-            "Records of least, middle and most misfit of {count}: the accelerations and rotation rates \
-             that move most. The start is cut at the frame. All records: {} % of the accelerations' RMS \
-             and {} % of the rotation rates' are left, {} % and {} % at the start.",
+            "The records of least, median and greatest misfit of {count}, each with the channel of acceleration and of \
+             rotation rate that moves most. Curves of the start are cut at the frame. Misfit over all records: {} % of the \
+             accelerations' RMS and {} % of the rotation rates'; at the start {} % and {} %.",
             number(fit.misfit[1][0]),
             number(fit.misfit[1][1]),
             number(fit.misfit[0][0]),
@@ -119,7 +115,7 @@ fn course(fit: &Fit) -> Figure {
     let steps: Vec<f64> = (1..=fit.iterations.len()).map(|i| i as f64).collect();
     let axis = || Axis::new("iteration", Scale::Linear, [0.0, steps.len() as f64]);
     let misfits = fit.iterations.iter().flat_map(|i| i.misfit);
-    let label = "left of the signals in the window (%)";
+    let label = "misfit in the window (%)";
     let mut off = Plot::new("Misfit", axis(), Axis::new(label, Scale::Log, misfits)).sized(560.0, 280.0);
     for (kind, class) in [(0, "truth"), (1, "front")] {
         off.line(class, steps.iter().zip(&fit.iterations).map(|(n, i)| (*n, i.misfit[kind])));
@@ -145,8 +141,8 @@ fn course(fit: &Fit) -> Figure {
     Figure::new(
         "convergence",
         "How did the fit go?",
-        "Each record is looked at from its first force on, for a window that grows: misfit within it. \
-             Where a window is lost, the fit begins again from other values.",
+        "Misfit within a window that starts at each record's first force and grows. Where the fit fails in a window, it \
+         starts again from other values.",
         vec![("truth", "accelerations".into()), ("front", "rotation rates".into())],
         pictures,
         Table::new(&columns, rows),

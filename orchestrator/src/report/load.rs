@@ -1,11 +1,12 @@
 //! Finished trials out of a database, as the analysis takes them.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 
 use serde_json::Value;
 
 use super::{Story, Sweep};
 
+use crate::analysis::numbers::mean;
 use crate::analysis::paired::{Progress, iteration_ratio};
 use crate::analysis::setting::Settings;
 use crate::analysis::trial::{CurvePoint, Reading};
@@ -97,6 +98,29 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     Ok(trials)
 }
 
+/// Curves of a trial's initial body, by network, until those of its optimised body come.
+#[derive(Default)]
+struct Waiting {
+    of: String,
+    curves: HashMap<usize, Vec<CurvePoint>>,
+}
+
+impl Waiting {
+    /// Takes a curve; the ratio of iterations once both bodies' curves of a network are there.
+    fn ratio(&mut self, hash: &str, body: Body, network: usize, curve: Vec<CurvePoint>) -> Option<f64> {
+        if self.of != hash {
+            *self = Self { of: hash.to_owned(), curves: HashMap::new() };
+        }
+        match body {
+            Body::Initial => {
+                self.curves.insert(network, curve);
+                None
+            }
+            Body::Optimised => iteration_ratio(self.curves.get(&network)?, &curve),
+        }
+    }
+}
+
 /// Adds to trials that are there, by their numbers in the database.
 struct Loader<'a> {
     reader: &'a mut Reader,
@@ -161,14 +185,8 @@ impl Loader<'_> {
             "SELECT trial_id, name, bytes FROM artifact
              WHERE name BETWEEN '{prefix}' AND '{prefix}~' ORDER BY trial_id, name"
         );
-        // Initial bodies' come before optimised ones'.
-        let mut waiting: BTreeMap<usize, Vec<CurvePoint>> = BTreeMap::new();
-        let mut of = String::new();
+        let mut waiting = Waiting::default();
         self.each(&sql, |trial, row| {
-            if of != trial.hash {
-                waiting.clear();
-                of.clone_from(&trial.hash);
-            }
             let name = row.text("name").trim_start_matches(prefix);
             let numbered =
                 name.rsplit_once('_').and_then(|(b, n)| Some((body_named(b)?, n.parse::<usize>().ok()?)));
@@ -181,13 +199,9 @@ impl Loader<'_> {
             let curve: Vec<CurvePoint> =
                 losses.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
             *of_network(&mut curves(trial)[body as usize], network) = thinned(&curve);
-            match body {
-                Body::Initial => drop(waiting.insert(network, curve)),
-                Body::Optimised if compared => {
-                    let ratio = waiting.get(&network).and_then(|initial| iteration_ratio(initial, &curve));
-                    trial.iterations[Progress::Loss as usize].extend(ratio);
-                }
-                Body::Optimised => {}
+            if compared {
+                let ratio = waiting.ratio(&trial.hash, body, network, curve);
+                trial.iterations[Progress::Loss as usize].extend(ratio);
             }
             Ok(())
         })
@@ -198,13 +212,8 @@ impl Loader<'_> {
     async fn error_curves(&mut self) -> Result<(), StoreError> {
         let sql = "SELECT trial_id, body, network, group_concat(iteration || ' ' || printf('%!.17g', error_holdout), ' ') AS points
              FROM curve WHERE error_holdout IS NOT NULL GROUP BY trial_id, body, network";
-        let mut initial: Vec<Vec<CurvePoint>> = Vec::new();
-        let mut of = String::new();
+        let mut waiting = Waiting::default();
         self.each(sql, |trial, row| {
-            if of != trial.hash {
-                initial.clear();
-                of.clone_from(&trial.hash);
-            }
             let (Some(body), network) = (body_named(row.text("body")), row.count("network")) else {
                 return Ok(());
             };
@@ -220,13 +229,8 @@ impl Loader<'_> {
             curve.sort_unstable_by_key(|point| point.0);
             let network = network as usize;
             *of_network(&mut trial.error_curves[body as usize], network) = thinned(&curve);
-            match body {
-                Body::Initial => *of_network(&mut initial, network) = curve,
-                Body::Optimised => {
-                    let ratio = initial.get(network).and_then(|initial| iteration_ratio(initial, &curve));
-                    trial.iterations[Progress::Error as usize].extend(ratio);
-                }
-            }
+            let ratio = waiting.ratio(&trial.hash, body, network, curve);
+            trial.iterations[Progress::Error as usize].extend(ratio);
             Ok(())
         })
         .await
@@ -289,8 +293,8 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
     let mut sweeps = Vec::new();
     reader
         .each("SELECT name, text, version, created_at FROM sweep ORDER BY created_at, name", |row| {
-            let text = |column| row.text(column).to_owned();
-            let [name, text, version, created_at] = ["name", "text", "version", "created_at"].map(text);
+            let columns = ["name", "text", "version", "created_at"];
+            let [name, text, version, created_at] = columns.map(|column| row.text(column).to_owned());
             sweeps.push(Sweep { name, text, version, created_at });
             Ok::<_, StoreError>(())
         })
@@ -313,13 +317,13 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
     Ok(Story { sweeps, settled, trials, made: reader.made().await?, stored, terms })
 }
 
-/// The trial whose ratio of holdout errors is nearest to the mean of all; none that began as a random body.
+/// The trial whose ratio of holdout errors is nearest to the mean of all; none that starts from a random body.
 fn typical(trials: &[Trial]) -> Option<&Trial> {
     let trials = || trials.iter().filter(|t| !t.starts_random());
     let ratio = |t: &Trial| {
         Some((t.error(Body::Initial, Set::Holdout)? / t.error(Body::Optimised, Set::Holdout)?).ln())
     };
     let ratios: Vec<(f64, &Trial)> = trials().filter_map(|t| Some((ratio(t)?, t))).collect();
-    let mean = ratios.iter().map(|r| r.0).sum::<f64>() / ratios.len() as f64;
+    let mean = mean(&ratios.iter().map(|r| r.0).collect::<Vec<_>>())?;
     ratios.iter().min_by(|a, b| (a.0 - mean).abs().total_cmp(&(b.0 - mean).abs())).map(|r| r.1)
 }

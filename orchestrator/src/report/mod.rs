@@ -92,15 +92,18 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
     let said = answers::answers(&story.trials, story.terms);
     let drawn = |answer: &&Answer| figures.iter().any(|figure| figure.name == answer.figure);
     let first = said.iter().filter(|answer| !drawn(answer));
-    let tables = QUESTIONS.iter().map(|q| (q, q.answer(&story.trials, story.terms)));
+    // the data of the figures answer the other questions
+    let drawn_alone = [Question::Sensors, Question::Sizes, Question::Front];
+    let told = Question::all().iter().filter(|q| !drawn_alone.contains(q) && q.was_put(&story.trials));
+    let tables = told.map(|q| (q, q.answer(&story.trials, story.terms)));
     let content = html! {
         (listed(first.chain(&state(story))))
         @for figure in figures { (figure.html(&said)) }
         @if let Some(why) = missing {
-            p class="quiet" { "Forces, samples, bodies and waves are not drawn: " (why) "." }
+            p class="quiet" { "Forces, samples, bodies and waves cannot be drawn: " (why) "." }
         }
         h2 { "Tables" }
-        @for (question, table) in tables.filter(|(q, t)| !t.rows.is_empty() && q.was_put(&story.trials)) {
+        @for (question, table) in tables.filter(|(_, table)| !table.rows.is_empty()) {
             p class="quiet tables" { (question.title()) }
             @match table.sole_verdict() {
                 Some(verdict) => p { (verdict) },
@@ -117,23 +120,6 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
     page(&title, question, &content)
 }
 
-/// Whose answers stand below the figures as tables; the figures' data are the others'.
-const QUESTIONS: [Question; 13] = [
-    Question::Paired,
-    Question::Brains,
-    Question::Iterations,
-    Question::Long,
-    Question::Elbow,
-    Question::Fewer,
-    Question::Placements,
-    Question::Placed,
-    Question::Random,
-    Question::Nonlinear,
-    Question::Complexity,
-    Question::TimeTo,
-    Question::Seconds,
-];
-
 /// How far the trials are, and whether one code made them.
 fn state(story: &Story) -> Vec<Answer> {
     let column = story.settled.columns.iter().position(|c| c == "state");
@@ -141,8 +127,8 @@ fn state(story: &Story) -> Vec<Answer> {
     let (done, failed, all) = (count("done"), count("failed"), story.settled.rows.len());
     let why = if failed > 0 { " (reasons in the table of trials)" } else { "" };
     let text = format!(
-        "{done} of {all} trials are done, {failed} failed{why}. Ratios are geometric means over trials, their intervals \
-         over placements and seeds: trials that share these are not independent."
+        "{done} of {all} trials are done, {failed} failed{why}. Ratios are geometric means over trials. Intervals are over \
+         placements and seeds, because trials that share these are not independent."
     );
     let mixed = provenance::mixed(&story.made).map(|mixed| Answer::new("", Some(false), format!("{mixed}.")));
     let state = Answer::new("", (failed > 0).then_some(false), text);

@@ -52,9 +52,9 @@ pub fn figure(stored: &Stored, drawings: &[Sketch; 2], who: &str) -> Result<Figu
         "modes",
         "How the bodies ring",
         format!(
-            "The slowest modes of small motions about rest of {who}, the initial body's above the \
-             optimised one's: frequency, and damping relative to critical. Units are drawn far out of \
-             scale, coloured by how far they move (by its root from pale to strong)."
+            "The slowest modes of small motions about rest of {who}: the initial body's above, the optimised body's below. \
+             Titles give frequency and damping relative to critical. Motion is drawn far out of scale; units are coloured \
+             from pale to strong by how far they move (square root)."
         ),
         legend(&LEGEND),
         pictures,

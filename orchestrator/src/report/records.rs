@@ -5,10 +5,12 @@ use metasense_worker::evaluate::Evaluated;
 
 use super::strips::{Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::Interval;
+use crate::analysis::numbers::mean;
 use crate::analysis::records::{Agreement, Judged, mean_ratio, table};
+use crate::analysis::trial::CurvePoint;
 use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
-/// A body's records and what networks make of them.
+/// A body's records, and what networks predict from them.
 #[derive(Debug, Clone)]
 pub struct Body {
     /// Its name.
@@ -17,7 +19,7 @@ pub struct Body {
     pub signals: Vec<f64>,
     /// By them.
     pub measured: Evaluated,
-    /// Where the design is known: the model's signals, and what networks make of those.
+    /// Where the design is known: the model's signals, and what networks predict from those.
     pub simulated: Option<(Vec<f64>, Evaluated)>,
 }
 
@@ -43,16 +45,49 @@ fn class(body: usize) -> &'static str {
     CLASSES[body.min(CLASSES.len() - 1)]
 }
 
+/// A body's errors by networks that have not seen the records.
+fn judged(body: &str, simulated: bool, evaluated: &Evaluated, agreement: Option<Agreement>) -> Judged {
+    let Evaluated { folds, errors: by_seed, errors_train, progress, .. } = evaluated;
+    let of_record = |i: usize| -> Option<f64> {
+        let errors: Option<Vec<f64>> = by_seed.iter().map(|errors| errors[i]).collect();
+        mean(&errors?)
+    };
+    let errors: Vec<Option<f64>> = (0..folds.len()).map(of_record).collect();
+    let count = folds.iter().max().map_or(0, |last| last + 1);
+    let of_fold = |fold: usize| -> Vec<f64> {
+        folds.iter().zip(&errors).filter(|(f, _)| **f == fold).filter_map(|(_, e)| *e).collect()
+    };
+    let sizes: Vec<f64> =
+        (0..count).map(|fold| folds.iter().filter(|f| **f == fold).count() as f64).collect();
+    let networks = || progress.iter().flat_map(|networks| networks.iter().zip(&sizes));
+    let milestones = networks().map(|(curve, _)| curve.len()).min().unwrap_or(0);
+    let at = |i: usize| -> CurvePoint {
+        let sum = networks().fold([0.0; 2], |[e, w], (curve, size)| [e + size * curve[i].1, w + size]);
+        (progress[0][0][i].0, sum[0] / sum[1])
+    };
+    let known = |errors: &Vec<Option<f64>>| errors.iter().flatten().copied().collect::<Vec<f64>>();
+    Judged {
+        body: body.to_owned(),
+        simulated,
+        error_train: mean(&errors_train.iter().flat_map(known).collect::<Vec<f64>>()),
+        by_seed: by_seed.iter().filter_map(|errors| mean(&known(errors))).collect(),
+        by_fold: (0..count).filter_map(|fold| mean(&of_fold(fold))).collect(),
+        progress: (0..milestones).map(at).collect(),
+        errors,
+        agreement,
+    }
+}
+
 impl Comparison {
     /// Judges each body by its measured signals, and by its model's where it has one.
     #[must_use]
     pub fn new(bodies: Vec<Body>, paired: bool, shape: [usize; 3], duration: f64) -> Self {
         let [_, instants, channels] = shape;
-        let measured = bodies.iter().map(|body| Judged::new(&body.name, false, &body.measured, None));
+        let measured = bodies.iter().map(|body| judged(&body.name, false, &body.measured, None));
         let simulated = bodies.iter().filter_map(|body| {
             let (signals, evaluated) = body.simulated.as_ref()?;
             let agreement = Agreement::of(&body.signals, signals, [instants, channels]);
-            Some(Judged::new(&body.name, true, evaluated, Some(agreement)))
+            Some(judged(&body.name, true, evaluated, Some(agreement)))
         });
         let judged = measured.chain(simulated).collect();
         Self { bodies, paired, shape, duration, judged }
@@ -64,29 +99,31 @@ impl Comparison {
         table(&self.judged, self.paired, self.duration / self.shape[1] as f64)
     }
 
+    fn of(&self, body: &Body, simulated: bool) -> Option<&Judged> {
+        self.judged.iter().find(|j| j.body == body.name && j.simulated == simulated)
+    }
+
     /// The table in words.
     #[must_use]
     pub fn answers(&self) -> Vec<Answer> {
-        let judged = &self.judged;
-        let of = |name: &str, simulated| judged.iter().find(|j| j.body == name && j.simulated == simulated);
         let mut said = Vec::new();
-        for (body, judged) in self.bodies.iter().zip(judged) {
+        for (body, judged) in self.bodies.iter().zip(&self.judged) {
             let shown = |error: Option<f64>| error.map_or("–".to_owned(), number);
             let mut text = format!(
-                "The {} body: {} % on {} records, each unseen by the network that reads it ({} % on those that trained it)",
+                "The {} body: error {} % on {} records that its network has not seen, {} % on those it was trained on",
                 body.name,
                 shown(judged.error()),
                 judged.errors.len(),
                 shown(judged.error_train)
             );
-            if let Some(promised) = of(&body.name, true) {
-                text += &format!("; the model promises {} %", shown(promised.error()));
+            if let Some(promised) = self.of(body, true) {
+                text += &format!("; {} % with signals simulated by the model", shown(promised.error()));
             }
             said.push(Answer::new("", None, text + "."));
         }
         for body in self.bodies.iter().skip(1) {
             let ratio = |simulated| {
-                mean_ratio(of(&self.bodies[0].name, simulated)?, of(&body.name, simulated)?, self.paired)
+                mean_ratio(self.of(&self.bodies[0], simulated)?, self.of(body, simulated)?, self.paired)
             };
             let Some(found) = ratio(false) else { continue };
             let verdict = found.interval.and_then(Interval::is_above_one);
@@ -94,9 +131,9 @@ impl Comparison {
                 format!(" (95 % over records: {} to {})", number(i.low), number(i.high))
             });
             let promised = ratio(true)
-                .map_or(String::new(), |r| format!("; the model promises {} times", number(r.ratio)));
+                .map_or(String::new(), |r| format!("; {} times with simulated signals", number(r.ratio)));
             let text = format!(
-                "On records that no network had seen, the {} body's error is {} times the {} body's{interval}{promised}.",
+                "On unseen records the {} body's error is {} times the {} body's{interval}{promised}.",
                 self.bodies[0].name,
                 number(found.ratio),
                 body.name
@@ -110,10 +147,9 @@ impl Comparison {
     #[must_use]
     pub fn records(&self) -> Table {
         let columns = "body record fold error error_simulated";
-        let judged = &self.judged;
         let mut rows = Vec::new();
-        for (body, measured) in self.bodies.iter().zip(judged) {
-            let promised = judged.iter().find(|j| j.simulated && j.body == body.name);
+        for (body, measured) in self.bodies.iter().zip(&self.judged) {
+            let promised = self.of(body, true);
             rows.extend(measured.errors.iter().enumerate().map(|(i, error)| {
                 let simulated = promised.and_then(|promised| promised.errors[i]);
                 row![body.name, i, body.measured.folds[i], error, simulated]
@@ -139,8 +175,7 @@ impl Comparison {
             h2 { "Table" }
             (self.table().html(Some("table")))
         };
-        let question =
-            "How well do fresh networks read forces from the signals that the bodies' sensors really gave?";
+        let question = "How well do fresh networks read forces from measured signals?";
         page("metasense: bodies judged by measured records", question, &content)
     }
 
@@ -175,9 +210,7 @@ impl Comparison {
             Strip { title: format!("{whose}record {record}: {} %", errors.join(" → ")), sources }
         };
         let all: Vec<usize> = (0..self.bodies.len()).collect();
-        let chosen = |b: usize| {
-            representative(&judged[b].errors, 0..judged[b].errors.len()).into_iter().collect::<Vec<_>>()
-        };
+        let chosen = |b: usize| representative(&judged[b].errors, 0..judged[b].errors.len());
         let samples: Vec<Strip> = if self.paired {
             chosen(all[all.len() - 1]).into_iter().map(|record| strip(record, &all)).collect()
         } else {
@@ -194,9 +227,9 @@ impl Comparison {
             "forces",
             "True and predicted forces",
             format!(
-                "Measured forces of four records{}, at the 12th, 37th, 62nd and 87th percentile of the error, \
-             and what networks that have not seen them make of the measured signals (first seed). A \
-             panel's line lies {} N above that of the next. The titles give the errors, means over seeds.",
+                "Measured forces of four records{}, at the 12th, 37th, 62nd and 87th percentile of the error, and the \
+                 predictions from measured signals by networks that have not seen these records (first seed). Each panel's \
+                 line is drawn {} N above the next. The titles give the errors, means over seeds.",
                 if self.paired { " of all bodies" } else { " of each body" },
                 number(step)
             ),
@@ -241,7 +274,7 @@ impl Comparison {
         let points = || curves().flatten();
         let x = Axis::new("iterations of the brain", Scale::Log, points().map(|p| f64::from(p.0)));
         let y = Axis::new("error on unseen records (%)", Scale::Log, points().map(|p| p.1));
-        let mut plot = Plot::new("Networks on their way, measured signals", x, y);
+        let mut plot = Plot::new("Networks during training, measured signals", x, y);
         for (b, curve) in curves().enumerate() {
             plot.line(class(b), curve.iter().map(|p| (f64::from(p.0), p.1)));
         }
@@ -250,7 +283,7 @@ impl Comparison {
             row![judged.body, signals, p.0, p.1]
         };
         let rows = judged.iter().flat_map(|judged| judged.progress.iter().map(move |p| row(judged, p)));
-        // what is solved for has no way
+        // a linear brain is solved for at once
         points().next()?;
         Some(Figure::new(
             "progress",
@@ -289,16 +322,14 @@ impl Comparison {
             let strip = Strip { title: format!("{}, record {record}", body.name), sources };
             pictures.extend(strips(&[strip], &names, " RMS", self.duration).0);
         }
-        (!pictures.is_empty()).then(|| {
-            Figure::new(
-                "signals",
-                "Measured and modelled signals",
-                "What the sensors said under one record of each body, and what the trial's model of the body \
-             says under the same forces, each channel over its RMS.",
-                legend(&[("truth", "measured"), ("front", "model")]),
-                pictures,
-                Table::new("body record channel seconds measured simulated", rows),
-            )
-        })
+        Figure::some(
+            "signals",
+            "Measured and modelled signals",
+            "The sensors' signals under one record of each body, and those of the trial's model of the body under the \
+                 same forces, each channel over its RMS.",
+            legend(&[("truth", "measured"), ("front", "model")]),
+            pictures,
+            || Table::new("body record channel seconds measured simulated", rows),
+        )
     }
 }

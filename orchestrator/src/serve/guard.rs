@@ -1,5 +1,5 @@
-//! Who is answered: people on this machine, through pages of ours. A page of somebody else's can make their browser ask us,
-//! by a name of its own that has come to mean this machine (DNS rebinding) or across sites: neither is answered.
+//! Who is answered: people on this machine, through our own pages. A foreign page can make a browser ask us, by a name of its
+//! own that it has pointed at this machine (DNS rebinding) or across sites. Neither is answered.
 
 use std::io;
 use std::net::IpAddr;
@@ -45,7 +45,7 @@ pub async fn guard(request: Request, next: Next) -> Response {
 fn refused(request: &Request) -> Option<(StatusCode, &'static str)> {
     let steers = request.method() == Method::POST && request.uri().path().ends_with("/control");
     if ![Method::GET, Method::HEAD].contains(request.method()) && !steers {
-        return Some((StatusCode::METHOD_NOT_ALLOWED, "pages can be read, and nothing else"));
+        return Some((StatusCode::METHOD_NOT_ALLOWED, "pages can only be read"));
     }
     let headers = request.headers();
     let host = only(headers, &header::HOST);
@@ -54,19 +54,22 @@ fn refused(request: &Request) -> Option<(StatusCode, &'static str)> {
     let Some(host) = named.filter(|_| target) else {
         return Some((
             StatusCode::MISDIRECTED_REQUEST,
-            "ask for this machine as localhost, or by its address in numbers: any other name may be somebody else's",
+            "use localhost or the numeric address of this machine: any other name may belong to somebody else",
         ));
     };
     let origin = headers.contains_key(header::ORIGIN);
     if origin && only(headers, &header::ORIGIN).and_then(|o| o.strip_prefix("http://")) != Some(host) {
-        return Some((StatusCode::FORBIDDEN, "asked by a page of another origin"));
+        return Some((StatusCode::FORBIDDEN, "the request comes from a page of another origin"));
     }
     if steers && !origin {
-        return Some((StatusCode::FORBIDDEN, "asked by no page: `metasense control` is for other programs"));
+        return Some((
+            StatusCode::FORBIDDEN,
+            "the request comes from no page: other programs use `metasense control`",
+        ));
     }
     let fetched = |name: &'static str| only(headers, &HeaderName::from_static(name));
     if fetched("sec-fetch-site") == Some("cross-site") && fetched("sec-fetch-mode") != Some("navigate") {
-        return Some((StatusCode::FORBIDDEN, "asked by a page of another site"));
+        return Some((StatusCode::FORBIDDEN, "the request comes from a page of another site"));
     }
     None
 }

@@ -1,5 +1,5 @@
-//! The pages of `metasense serve`: a sweep in a browser, while it runs and afterwards. They read databases, and pass on what
-//! whoever has the token asks of their runs; whoever looks has part of what a sweep needs of this machine only while looking, and bounded.
+//! The pages of `metasense serve`: a sweep in a browser, while it runs and afterwards. They read databases, and pass commands of
+//! whoever has the token on to their runs. They cost CPU time only while somebody looks, and a bounded part of it.
 
 mod guard;
 mod pages;
@@ -139,7 +139,7 @@ async fn file_of(served: &Served, number: &str) -> Result<PathBuf, Refusal> {
     let seen = source(served, number)?.now().await;
     match seen.checked {
         Some(_) => Ok(seen.db.clone()),
-        None => Err(Refusal::Asked("the database is still being read: ask again".into())),
+        None => Err(Refusal::Asked("the database is still being read; try again".into())),
     }
 }
 
@@ -181,8 +181,8 @@ impl IntoResponse for Refusal {
             status,
             Html(pages::bare(
                 false,
-                "Not here",
-                &html! { p { (why) } p { a href="/" { "Back to the beginning" } } },
+                "No such page, or no answer",
+                &html! { p { (why) } p { a href="/" { "Back to the start" } } },
             )),
         )
             .into_response()

@@ -1,5 +1,5 @@
-//! A database, or the shards of a folder as one, looked at for as long as somebody watches. What is seen is published
-//! whole, so that whoever shows it waits for no one and holds nothing.
+//! A database, or the shards of a folder merged into one, read for as long as somebody watches. Each state is published whole:
+//! pages show the last one without waiting for the database.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -294,7 +294,7 @@ impl Watcher {
                     self.seen.answers = Arc::new(answers);
                 }
                 Ok(Err(e)) => self.seen.trouble = Some(chain(&e)),
-                Err(e) => self.seen.trouble = Some(format!("the answers could not be worked out: {e}")),
+                Err(e) => self.seen.trouble = Some(format!("the answers could not be computed: {e}")),
             }
             self.seen.generation += 1;
         }

@@ -60,14 +60,14 @@ async fn steer(served: &Served, at: &str, headers: &HeaderMap, body: Body) -> Re
     let given = headers.get(header::AUTHORIZATION);
     let given = given.and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
     if !served.token.as_ref().zip(given).is_some_and(|(token, given)| token.is(given)) {
-        return no(StatusCode::UNAUTHORIZED, "wants the token of the address that was printed");
+        return no(StatusCode::UNAUTHORIZED, "needs the token of the address that `metasense serve` printed");
     }
     let Some(db) = source(served, at).ok().and_then(|source| source.db.as_ref()) else {
         return no(StatusCode::NOT_FOUND, "there is no such database, or it is a folder of shards");
     };
     let bytes = match tokio::time::timeout(ASKING, to_bytes(body, LINE)).await {
         Ok(Ok(bytes)) => bytes,
-        Ok(Err(_)) => return no(StatusCode::PAYLOAD_TOO_LARGE, "no command is so long"),
+        Ok(Err(_)) => return no(StatusCode::PAYLOAD_TOO_LARGE, "the command is too long"),
         Err(_) => return no(StatusCode::REQUEST_TIMEOUT, "the command did not come"),
     };
     let command = String::from_utf8_lossy(&bytes).parse::<Command>();

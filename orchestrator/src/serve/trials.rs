@@ -1,6 +1,5 @@
 //! All trials of a database in memory, to be sorted and filtered: a look at the database takes those that have changed.
 
-use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -8,6 +7,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::analysis::setting::{Setting, Settings};
+use crate::look::plain;
 use crate::store::{Reader, StoreError};
 
 /// Numbers of a trial, by the names by which they are sorted and filtered, and in words.
@@ -57,32 +57,17 @@ pub struct Row {
     pub setting: Setting,
 }
 
-/// What stands under a key.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Cell<'a> {
-    /// Nothing.
-    None,
-    /// A number.
-    Number(f64),
-    /// Anything else.
-    Text(Cow<'a, str>),
-}
-
 impl Row {
     /// What stands under a column's name, or a path of the spec.
     #[must_use]
-    pub fn cell(&self, key: &str) -> Cell<'_> {
-        let text = |text| if str::is_empty(text) { Cell::None } else { Cell::Text(Cow::Borrowed(text)) };
-        match key {
-            "hash" => return text(&self.hash),
-            "state" => return text(&self.state),
-            "reason" => return text(&self.reason),
-            _ => {}
-        }
-        match NUMBERS.iter().position(|(name, _)| *name == key) {
-            Some(i) if self.numbers[i].is_nan() => Cell::None,
-            Some(i) => Cell::Number(self.numbers[i]),
-            None => self.setting.get(key).map_or(Cell::None, of_value),
+    pub fn cell(&self, key: &str) -> Value {
+        let text = |text: &str| if text.is_empty() { Value::Null } else { text.into() };
+        match (key, NUMBERS.iter().position(|(name, _)| *name == key)) {
+            ("hash", _) => text(&self.hash),
+            ("state", _) => text(&self.state),
+            ("reason", _) => text(&self.reason),
+            (_, Some(i)) => self.numbers[i].into(),
+            (_, None) => self.setting.get(key).cloned().unwrap_or_default(),
         }
     }
 
@@ -97,28 +82,17 @@ impl Row {
     }
 }
 
-fn of_value(value: &Value) -> Cell<'_> {
-    match value {
-        Value::Null => Cell::None,
-        Value::Number(number) => number.as_f64().map_or(Cell::None, Cell::Number),
-        Value::String(text) => Cell::Text(Cow::Borrowed(text)),
-        other => Cell::Text(Cow::Owned(other.to_string())),
-    }
+/// A value as terms compare it.
+fn text(value: &Value) -> String {
+    value.as_f64().map_or_else(|| plain(value), |x| x.to_string())
 }
 
-impl Cell<'_> {
-    /// Numbers by size, then texts, then nothing.
-    fn order(&self, other: &Self) -> Ordering {
-        let rank = |cell: &Self| match cell {
-            Self::Number(_) => 0,
-            Self::Text(_) => 1,
-            Self::None => 2,
-        };
-        match (self, other) {
-            (Self::Number(a), Self::Number(b)) => a.total_cmp(b),
-            (Self::Text(a), Self::Text(b)) => a.cmp(b),
-            _ => rank(self).cmp(&rank(other)),
-        }
+/// Numbers by size, then texts, then nothing.
+fn order(a: &Value, b: &Value) -> Ordering {
+    let rank = |value: &Value| if value.is_number() { 0 } else { 1 + u8::from(value.is_null()) };
+    match (a.as_f64(), b.as_f64()) {
+        (Some(a), Some(b)) => a.total_cmp(&b),
+        _ => rank(a).cmp(&rank(b)).then_with(|| text(a).cmp(&text(b))),
     }
 }
 
@@ -208,7 +182,7 @@ impl Keeper {
         for shared in self.settings.shared() {
             for (key, value) in shared {
                 let of_key = values.entry(key).or_default();
-                let text = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+                let text = plain(value);
                 // a text that the filter would part is not offered
                 if of_key.len() < MOST_VALUES && !text.contains(char::is_whitespace) {
                     of_key.insert(text);
@@ -245,25 +219,20 @@ pub fn terms(text: &str) -> Result<Vec<Term>, String> {
         let number = value.parse().ok();
         (!key.is_empty()).then(|| Term { key: key.to_owned(), relation, value: value.to_owned(), number })
     };
-    let parsed = |word| term(word).ok_or_else(|| format!("`{word}` is no condition; `M<=3` is one"));
+    let parsed = |word| term(word).ok_or_else(|| format!("`{word}` is not a condition; `M<=3` is one"));
     text.split_whitespace().map(parsed).collect()
 }
 
 impl Term {
     fn holds(&self, row: &Row) -> bool {
         let cell = row.cell(&self.key);
-        let text = || match &cell {
-            Cell::None => Cow::Borrowed(""),
-            Cell::Number(x) => Cow::Owned(x.to_string()),
-            Cell::Text(text) => Cow::Borrowed(text.as_ref()),
-        };
         if self.relation == "~" {
-            return text().contains(&self.value);
+            return text(&cell).contains(&self.value);
         }
-        let order = match (&cell, self.number) {
-            (Cell::Number(x), Some(value)) => x.partial_cmp(&value),
-            (Cell::None, _) if !matches!(self.relation, "=" | "!=") => None,
-            _ => Some(text().as_ref().cmp(&self.value)),
+        let order = match (cell.as_f64(), self.number) {
+            (Some(x), Some(value)) => x.partial_cmp(&value),
+            _ if cell.is_null() && !matches!(self.relation, "=" | "!=") => None,
+            _ => Some(text(&cell).cmp(&self.value)),
         };
         let Some(order) = order else { return false };
         match self.relation {
@@ -295,14 +264,10 @@ impl Trials {
             self.rows.iter().filter(|row| terms.iter().all(|term| term.holds(row))).collect();
         let (key, down) = sort.strip_prefix('-').map_or((sort, false), |key| (key, true));
         if !key.is_empty() {
-            let order = |a: &Cell, b: &Cell| match (a, b) {
-                (Cell::None, _) | (_, Cell::None) => a.order(b),
-                _ if down => b.order(a),
-                _ => a.order(b),
-            };
-            let mut keyed: Vec<(Cell<'_>, &Arc<Row>)> =
+            let mut keyed: Vec<(Value, &Arc<Row>)> =
                 found.into_iter().map(|row| (row.cell(key), row)).collect();
-            keyed.sort_by(|a, b| order(&a.0, &b.0));
+            let forward = |a: &Value, b: &Value| !down || a.is_null() || b.is_null();
+            keyed.sort_by(|(a, _), (b, _)| if forward(a, b) { order(a, b) } else { order(b, a) });
             found = keyed.into_iter().map(|pair| pair.1).collect();
         }
         found

@@ -62,7 +62,7 @@ pub async fn page(
             button { "Compare" }
         }
         @if served.sources.len() > 1 {
-            p class="quiet" { "Without trials, two databases are compared: their trials in pairs that agree in all that varies within either." }
+            p class="quiet" { "Without trials, two databases are compared: trials are paired that agree in every setting that varies within a database." }
         }
         (shown)
     };
@@ -88,8 +88,8 @@ async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup,
     Ok(html! {
         p role="status" { (counted(pairs, "pair")) "; without a partner: " (alone[0]) " and " (alone[1]) "." }
         @for (path, a, b) in &differs { p class="quiet" { (path) ": " (a) " and " (b) } }
-        h2 { "First over second, paired" }
-        p class="quiet" { "Above 1: the second has less. Geometric means with 95 % intervals." }
+        h2 { "Paired trials, first over second" }
+        p class="quiet" { "Above 1, the second has the lower value. Geometric means with 95 % intervals." }
         (table.html(Some("comparison")))
     })
 }
@@ -120,9 +120,9 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
             "First: " a href=(to_trial(at[0], &a.hash)) { (short(&a.hash)) } " (" (a.state) "); second: "
             a href=(to_trial(at[1], &b.hash)) { (short(&b.hash)) } " (" (b.state) ")."
         }
-        h2 { "What they came to" }
+        h2 { "Results" }
         (facts(a, b).html(Some("comparison")))
-        h2 { "What differs in what they are" }
+        h2 { "Settings that differ" }
         (differences(a, b).html(None))
         @if let Some(errors) = errors {
             (Figure::new("both", "Steps", "Test error after every outer step.", keys, vec![errors], data).html(&[]))

@@ -48,11 +48,12 @@ pub async fn page(
         (trouble(&seen))
         @if let Some(wrong) = &wrong { p class="trouble" role="alert" { (wrong) } }
         p class="quiet" {
-            (counted(found.len(), "trial")) ". A cell is the geometric mean over all that it holds (seeds, brains, and whatever \
-             else differs), pale the least, strong the most of all cells, by factors; it leads to its trials."
+            (counted(found.len(), "trial")) ". A cell shows the geometric mean over its trials (seeds, brains and all other \
+             differences). Colour goes from pale (the smallest value of all cells) to strong (the largest), by factors. A click \
+             shows its trials."
         }
         div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(Some(picture.view))) } } }
-        @if left > 0 { p class="quiet" { "… and " (counted(left, "grid")) " more: filter." } }
+        @if left > 0 { p class="quiet" { "… and " (counted(left, "grid")) " more: use the filter to see them." } }
     };
     let content = html! {
         form method="get" class="line" {

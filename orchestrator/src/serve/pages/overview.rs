@@ -1,4 +1,4 @@
-//! How far a sweep is, what it has found so far, what went wrong.
+//! Progress of a sweep, its answers so far, its failures.
 
 use std::sync::Arc;
 
@@ -41,15 +41,15 @@ fn progress(seen: &Seen) -> Markup {
             p class="quiet" {
                 (number((1000.0 * part).floor() / 10.0)) " % of the estimated work"
                 @if let Some(correction) = progress.correction {
-                    "; attempts have taken " (number(correction)) " times what was estimated for what they did"
+                    "; attempts have taken " (number(correction)) " times their estimate"
                 }
                 "."
             }
         }
         @if seen.checked.is_some() { p class="quiet" {
             @match progress.run {
-                Some(run) => { "A run is at work on it (process " (run) ")." }
-                None => "No run on this machine is at work on it.",
+                Some(run) => { "A run is working on it (process " (run) ")." }
+                None => "No run on this machine is working on it.",
             }
         } }
     }
@@ -68,9 +68,9 @@ fn failures(at: &str, seen: &Seen) -> Markup {
     html! {
         @if !seen.failures.rows.is_empty() {
             h2 { "Failures" }
-            p class="quiet" { "By reason and by what was said last; the log is on the page of the trial." }
+            p class="quiet" { "By reason and last message. Each trial's page has its log." }
             @let mut table = seen.failures.clone();
-            @let () = table.columns = ["reason", "said", "trial", "trials"].map(String::from).into();
+            @let () = table.columns = ["reason", "message", "trial", "trials"].map(String::from).into();
             (table.linked(None, trial_links(at)))
         }
     }
@@ -84,7 +84,7 @@ fn answered(seen: &Seen) -> Markup {
             h2 { "Answers so far" }
             p class="quiet" {
                 "Of " (counted(found.of, "trial")) " that " (if found.of == 1 { "is" } else { "are" })
-                " done. Intervals are over placements and seeds: trials that share these are not independent."
+                " done. Intervals are over placements and seeds, because trials that share these are not independent."
             }
             (answers(found.said.iter().filter(|answer| !drawn(answer.figure))))
             @if found.left > 0 { p class="quiet" { "… and " (found.left) " more: `metasense report` has all." } }

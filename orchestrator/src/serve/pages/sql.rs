@@ -1,4 +1,4 @@
-//! Questions in SQL: rows on a page and as files, two columns as a plot, and what there is to ask.
+//! Queries in SQL: rows on a page and as files, two columns as a plot, and the views.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -45,7 +45,7 @@ pub async fn page(
         Some(Err(refusal)) => return Err(Refusal::Asked(format!("{refusal:?}"))),
         Some(Ok((table, cut))) => html! {
             p role="status" {
-                (table.rows.len()) " rows" @if let Some(why) = cut { "; cut, as " (why) } ". All that a file may hold: "
+                (table.rows.len()) " rows" @if let Some(why) = cut { "; not all: " (why) } ". As a file: "
                 a href=(format!("sql.csv{}", query(&[("q", &asked.q)]))) download="answer.csv" { "CSV" } " "
                 a href=(format!("sql.parquet{}", query(&[("q", &asked.q)]))) download="answer.parquet" { "Parquet" }
             }
@@ -56,9 +56,9 @@ pub async fn page(
     let text = if asked.q.is_empty() { FIRST } else { &asked.q };
     let content = html! {
         form method="get" id="ask" {
-            label for="sql" { "One statement; Ctrl-Enter asks" }
+            label for="sql" { "One SQL statement; Ctrl-Enter runs it" }
             textarea id="sql" name="q" rows="6" spellcheck="false" autocomplete="off" data-ask { (text) }
-            button { "Ask" }
+            button { "Run" }
         }
         (shown)
         (views(&served, &at).await?)
@@ -92,7 +92,7 @@ async fn file(
 ) -> Result<Response, Refusal> {
     let (table, cut) = answer(served, at, sql, FILE).await?;
     if let Some(why) = cut {
-        return Err(Refusal::Asked(format!("{why}: `metasense query` has no such limit")));
+        return Err(Refusal::Asked(format!("{why}. For more, use `metasense query`.")));
     }
     Ok(([(header::CONTENT_TYPE, kind)], table.written(format)).into_response())
 }
@@ -108,7 +108,7 @@ async fn answer(
     let mut reader = Reader::confined(&db).await?;
     // Whatever becomes of it, others have their turn.
     let answer = tokio::time::timeout(2 * limits.time, reader.limited(sql, limits)).await;
-    let Ok(answer) = answer else { return Err(Refusal::Asked("it came to no end".into())) };
+    let Ok(answer) = answer else { return Err(Refusal::Asked("the statement took too long".into())) };
     reader.close().await;
     Ok(answer?)
 }

@@ -1,4 +1,4 @@
-//! One trial: its curves, its body before and now, where its time went, by what code it was made, what was said of it.
+//! One trial: its curves, its body before and now, its CPU time by part, its attempts, its log.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use super::{Served, framed, live, query, trouble};
 use crate::analysis::setting::flatten;
 use crate::look::body::Sketch;
 use crate::look::wave::course;
-use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number};
+use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, readable};
 use crate::plan::counted;
 use crate::report::body::{self, sketch};
 use crate::report::load::PARTS;
@@ -214,9 +214,9 @@ pub async fn page(
                     @for figure in figures.iter().filter(|f| f.name != "bodies" && f.name != "modes") { (figure.html(&[])) }
                 }
                 (None, Some(_)) => {
-                    p { a href="?replay=1#replay" { "Simulate both bodies again" } ", to see true and predicted forces sample by sample and the wave: takes as long as one outer step, on one thread." }
+                    p { a href="?replay=1#replay" { "Simulate both bodies again" } ", to see true and predicted forces sample by sample, and the wave. This takes as long as one outer step on one thread." }
                 }
-                (None, None) => p class="quiet" { "Once it is done, its samples can be simulated again." }
+                (None, None) => p class="quiet" { "Available once the trial is done." }
             }
         }
         (spec(&trial))
@@ -270,10 +270,7 @@ fn facts(at: &str, seen: &Seen, trial: &Trial) -> Markup {
         dl class="facts" {
             @for (name, value) in facts {
                 div { dt { (name.replace('_', " ")) } dd {
-                    @match value.as_f64().filter(|_| value.is_f64()) {
-                        Some(x) => (number(x)),
-                        None => (value.as_str().map_or_else(|| value.to_string(), str::to_owned)),
-                    }
+                    (readable(value, number))
                 } }
             }
         }
@@ -294,7 +291,7 @@ fn curves_of(trial: &Trial) -> Markup {
         let points = || initial.iter().chain(&optimised);
         let x = Axis::new("iteration of the brain", Scale::Linear, points().map(|p| p.0).chain([0.0]));
         let y = Axis::new("holdout error (%)", Scale::Log, points().map(|p| p.1));
-        let mut plot = Plot::new("A fresh network on either body", x, y);
+        let mut plot = Plot::new("A fresh network on each body", x, y);
         plot.line("initial", initial.iter().copied());
         plot.line("optimised", optimised.iter().copied());
         plot.picture()
@@ -340,7 +337,7 @@ fn course_of(trial: &Trial) -> Markup {
             h2 id="course" { "The body from step to step" }
             figure {
                 div class="plots" { div { (course(&designs, steps)) } }
-                figcaption { "The design after some of the outer steps; played, each passes into the next. Panels and sensors are where they then were." }
+                figcaption { "The design after some of the outer steps; when played, each passes into the next. Panels and sensors move with it." }
             }
         }
     }
@@ -348,7 +345,7 @@ fn course_of(trial: &Trial) -> Markup {
 
 fn networks(trial: &Trial) -> Markup {
     html! {
-        @if !trial.networks.rows.is_empty() { h2 { "Brains on either body" } (trial.networks.html(None)) }
+        @if !trial.networks.rows.is_empty() { h2 { "Brains on both bodies" } (trial.networks.html(None)) }
         @if !trial.readings.rows.is_empty() {
             h2 { "Linear decoders, by how far they look back and ahead" }
             (trial.readings.html(None))
@@ -377,7 +374,7 @@ fn time(trial: &Trial) -> Markup {
 
 fn attempts(trial: &Trial) -> Markup {
     html! {
-        @if !trial.attempts.rows.is_empty() { h2 { "Attempts, and by what they were made" } (trial.attempts.without_empty_columns().html(None)) }
+        @if !trial.attempts.rows.is_empty() { h2 { "Attempts" } (trial.attempts.without_empty_columns().html(None)) }
         @if !trial.log.rows.is_empty() { h2 { "Log" } (trial.log.html(None)) }
     }
 }
@@ -386,7 +383,7 @@ fn spec(trial: &Trial) -> Markup {
     let Ok(spec) = serde_json::from_str(&trial.spec) else { return html! {} };
     html! {
         details id="spec" {
-            summary { "All that it is" }
+            summary { "Spec" }
             dl class="facts" { @for (key, value) in flatten(&spec) { div { dt { (key) } dd { (value) } } } }
             p class="quiet" { "Hash " (trial.hash) }
         }

@@ -6,11 +6,12 @@ use axum::extract::{Path, Query, State};
 use axum::response::Html;
 use maud::{Markup, html};
 use serde::Deserialize;
+use serde_json::Value;
 
 use super::{Served, framed, live, query, to_trial, trouble};
-use crate::look::number;
+use crate::look::{number, plain};
 use crate::plan::counted;
-use crate::serve::trials::{Cell, NUMBERS, Row};
+use crate::serve::trials::{NUMBERS, Row};
 use crate::serve::{Refusal, source};
 
 /// Trials on a page.
@@ -60,7 +61,7 @@ pub async fn page(
     };
     let content = html! {
         form method="get" role="search" {
-            label for="q" { "Conditions, all of which hold" }
+            label for="q" { "Conditions (all must hold)" }
             div class="line" {
                 input id="q" name="q" type="search" value=(asked.q) placeholder="K=4 M<=3 state=done" autocomplete="off" spellcheck="false";
                 @if !asked.sort.is_empty() { input type="hidden" name="sort" value=(asked.sort); }
@@ -132,12 +133,11 @@ fn known(key: &str) -> bool {
     ["hash", "state", "reason"].contains(&key) || NUMBERS.iter().any(|(name, _)| *name == key)
 }
 
-fn text(cell: &Cell<'_>) -> String {
-    match cell {
-        Cell::None => String::new(),
-        Cell::Number(x) if x.fract() == 0.0 && x.abs() < 1e9 => format!("{x:.0}"),
-        Cell::Number(x) => number(*x),
-        Cell::Text(text) => text.to_string(),
+fn text(cell: &Value) -> String {
+    match cell.as_f64() {
+        Some(x) if x.fract() == 0.0 && x.abs() < 1e9 => format!("{x:.0}"),
+        Some(x) => number(x),
+        None => plain(cell),
     }
 }
 
