@@ -1,7 +1,9 @@
 //! What the signals of a body's sensors can tell of the forces at most.
 
-pub use metasense_numerics::nested::Bound;
-use metasense_numerics::nested::{self, Disturbance, Size};
+use metasense_numerics::place::placed;
+use metasense_numerics::questions;
+pub use metasense_numerics::questions::Bound;
+use metasense_numerics::trial::{Disturbance, Size};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::replay::check;
@@ -26,8 +28,9 @@ pub fn bound(
         let chips = problem.disturbance.unwrap_or(none);
         problem.disturbance = Some(Disturbance { noise: Size::Relative(part), ..chips });
     }
-    let found = nested::bound(&problem, design, samples, &pool(threads)?);
-    found.map_err(|e| Failure::NonFinite(e.to_string()))?.ok_or_else(|| {
+    let pool = pool(threads)?;
+    let (problem, _) = placed(&problem, &pool)?;
+    questions::bound(&problem, design, samples, &pool)?.ok_or_else(|| {
         Failure::Rejected(
             "sensors.noise: without noise in every channel signals tell all; give --noise".to_owned(),
         )

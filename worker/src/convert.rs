@@ -2,8 +2,10 @@
 
 use metasense_numerics::brain::Adam;
 use metasense_numerics::brain::linear::Lags;
+use metasense_numerics::brains::{self, Fresh, Learnt};
 use metasense_numerics::dynamics;
-use metasense_numerics::nested::{self, Best, Fresh, Problem, State, Waypoint};
+use metasense_numerics::nested::{self, Best, State, Waypoint};
+use metasense_numerics::trial::{self, Problem};
 use metasense_schemas::record::{
     self, BodyEvaluation, Checkpoint, Comparison, Counters, ImplicitRecord, Moments, NetworkEvaluation,
     Placed, Reading, Seconds, StepRecord, Training,
@@ -42,7 +44,7 @@ pub fn step_record(report: &nested::Report) -> StepRecord {
 }
 
 /// Counts of work.
-pub fn counters(counters: &nested::Counters) -> Counters {
+pub fn counters(counters: &trial::Counters) -> Counters {
     Counters {
         force_evaluations: counters.dynamics.force_evaluations,
         steps: counters.dynamics.steps,
@@ -91,7 +93,7 @@ pub fn placed(placed: metasense_numerics::place::Placed) -> Placed {
     }
 }
 
-fn reading(reading: &nested::Reading) -> Reading {
+fn reading(reading: &brains::Reading) -> Reading {
     Reading {
         before: reading.lags.before as u32,
         after: reading.lags.after as u32,
@@ -104,20 +106,21 @@ fn reading(reading: &nested::Reading) -> Reading {
 
 /// What is needed to go on.
 pub fn checkpoint(state: &State) -> Checkpoint {
-    let State { step, caution, setbacks, trend, ridge, .. } = *state;
+    let State { step, caution, setbacks, trend, .. } = *state;
+    let Learnt { weights, adam, ridge } = &state.learnt;
     let best = |best: &Best| record::Best { design: best.design.clone(), error: best.error, step: best.step };
     let waypoint = |w: &Waypoint| record::Waypoint { step: w.step, design: w.design.clone() };
     Checkpoint {
         step,
         design: state.design.clone(),
         design_moments: moments(&state.design_adam),
-        weights: state.weights.clone(),
-        weight_moments: moments(&state.weight_adam),
+        weights: weights.clone(),
+        weight_moments: moments(adam),
         best: state.best.as_ref().map(best),
         caution,
         setbacks,
         trend,
-        ridge,
+        ridge: *ridge,
         trail: state.trail.iter().map(waypoint).collect(),
         comparison: Some(&state.comparison).filter(|c| !c.bodies.is_empty()).map(comparison).map(Box::new),
         moves: Vec::new(),
@@ -170,13 +173,11 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         step,
         design,
         design_adam: adam(design_moments),
-        weights,
-        weight_adam: adam(weight_moments),
+        learnt: Learnt { weights, adam: adam(weight_moments), ridge },
         best: best.map(|best| Best { design: best.design, error: best.error, step: best.step }),
         caution,
         setbacks,
         trend,
-        ridge,
         trail: trail.into_iter().map(waypoint).collect(),
         comparison: comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default(),
         found,
@@ -203,7 +204,7 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
     Ok(nested::Comparison {
         bodies: bodies.into_iter().map(evaluated).collect::<Result<_, _>>()?,
         training: training.map(fresh),
-        counters: nested::Counters {
+        counters: trial::Counters {
             dynamics: dynamics::Counters {
                 force_evaluations: counters.force_evaluations,
                 steps: counters.steps,
@@ -223,7 +224,7 @@ fn evaluated(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
         let trouble = match &*network.outcome {
             "ok" => None,
             name => {
-                Some(nested::Trouble::named(name).ok_or_else(|| format!("a network that ended {name:?}"))?)
+                Some(trial::Trouble::named(name).ok_or_else(|| format!("a network that ended {name:?}"))?)
             }
         };
         let NetworkEvaluation { error_train, error_test, error_holdout, losses, errors, weights, .. } =
@@ -242,7 +243,7 @@ fn evaluated(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
     let reading = |reading: Reading| {
         let Reading { before, after, ridge, error_train, error_test, error_holdout } = reading;
         let lags = Lags { before: before as usize, after: after as usize };
-        nested::Reading { lags, ridge, error_train, error_test, error_holdout }
+        brains::Reading { lags, ridge, error_train, error_test, error_holdout }
     };
     Ok(nested::BodyEvaluation {
         design: body.design,
@@ -269,13 +270,15 @@ mod tests {
             step: 7,
             design: design.clone(),
             design_adam: Adam { m: numbers(parameters), v: numbers(parameters), t: 7 },
-            weights: few(weights),
-            weight_adam: Adam { m: few(weights), v: few(weights), t: 70 },
+            learnt: Learnt {
+                weights: few(weights),
+                adam: Adam { m: few(weights), v: few(weights), t: 70 },
+                ridge: None,
+            },
             best: Some(Best { design: design.clone(), error: 12.5, step: 5 }),
             caution: 0.5,
             setbacks: 2,
             trend: Some(0.01),
-            ridge: None,
             trail: vec![
                 Waypoint { step: 5, design: design.clone() },
                 Waypoint { step: 6, design: design.clone() },
@@ -283,17 +286,19 @@ mod tests {
             comparison: nested::Comparison::default(),
             found: Vec::new(),
         };
-        let bare = State { best: None, trend: None, trail: Vec::new(), weights: Vec::new(), ..full.clone() };
-        let linear = State { ridge: Some(1e-4), weights: Vec::new(), ..full.clone() };
+        let learnt = Learnt { weights: Vec::new(), ..full.learnt.clone() };
+        let bare =
+            State { best: None, trend: None, trail: Vec::new(), learnt: learnt.clone(), ..full.clone() };
+        let linear = State { learnt: Learnt { ridge: Some(1e-4), ..learnt }, ..full.clone() };
         let network = nested::NetworkEvaluation {
             error_test: Some(3.0),
             losses: vec![0.5, 0.25],
             errors: vec![(1, 9.0)],
             weights: few(weights),
-            trouble: nested::Trouble::named("diverged"),
+            trouble: trial::Trouble::named("diverged"),
             ..Default::default()
         };
-        let reading = nested::Reading {
+        let reading = brains::Reading {
             lags: Lags { before: 3, after: 0 },
             ridge: 1e-6,
             error_train: None,
@@ -313,7 +318,7 @@ mod tests {
             comparison: nested::Comparison {
                 bodies: vec![body.clone(), nested::BodyEvaluation { long: Vec::new(), ..body.clone() }],
                 training,
-                counters: nested::Counters { brain_iterations: 5, ..Default::default() },
+                counters: trial::Counters { brain_iterations: 5, ..Default::default() },
                 seconds: nested::Seconds { train: 2.0, ..Default::default() },
             },
             ..full.clone()

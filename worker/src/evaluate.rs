@@ -2,14 +2,16 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use metasense_numerics::brains::{Recipe, Records, Unseen};
 use metasense_numerics::dynamics::Forces;
-use metasense_numerics::nested::{self, Records, Training, Unseen};
+use metasense_numerics::questions;
+use metasense_numerics::stimuli;
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 use serde::{Deserialize, Serialize};
 
 use crate::convert::finite;
 use crate::measured::Measured;
-use crate::problem::solvable;
+use crate::problem::{self, solvable};
 use crate::replay::check;
 use crate::run::{Failure, placed, pool, prepared};
 
@@ -104,9 +106,9 @@ pub fn evaluate(
             "--folds {folds}: must lie between 2 and the {samples} records"
         )));
     }
-    let records = Records::new(forces, signals.clone(), problem.shape(), *low_pass);
-    let training = Training { iterations, ..problem.brain };
-    let dealt = nested::folds(problem.seed, samples, folds);
+    let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
+    let recipe = Recipe { kind: problem::kind(brain), ..problem.recipe() };
+    let dealt = stimuli::folds(problem.seed, samples, folds);
 
     // a network a thread: few records would not keep more of them busy
     let next = AtomicUsize::new(0);
@@ -117,19 +119,12 @@ pub fn evaluate(
             if number >= seeds * folds {
                 return Ok(found);
             }
-            let (fold, start) = (number % folds, [problem.seed, (number / folds) as u64]);
-            let schedule = problem.evaluation.schedule;
             if let Some(network) = kept.network(number) {
                 found.push((number, network));
                 continue;
             }
-            let network = match brain {
-                BrainKind::Linear => records.unseen_linear(&dealt, fold, &problem.decoder, problem.seed),
-                BrainKind::Cnn | BrainKind::Stacked => {
-                    let stacked = Some(&problem.decoder).filter(|_| brain == BrainKind::Stacked);
-                    records.unseen(&dealt, fold, training, stacked, schedule, start, &pool)
-                }
-            };
+            let (fold, seed) = (number % folds, (number / folds) as u64);
+            let network = records.unseen(&dealt, fold, recipe, seed, iterations, &pool);
             let network = Network::new(network, number < folds);
             kept.done(number, &network);
             found.push((number, network));
@@ -187,5 +182,5 @@ pub fn simulated(
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check(design, problem.initial.len())?;
-    nested::sense(&problem, design, forces, &pool).map_err(|e| Failure::NonFinite(e.to_string()))
+    Ok(questions::sense(&problem, design, forces, &pool)?)
 }

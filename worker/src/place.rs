@@ -1,7 +1,7 @@
 //! Where a trial's sensors are best placed, and what other places are worth.
 
-use metasense_numerics::nested::Candidates;
-use metasense_numerics::place::Search;
+use metasense_numerics::place::Candidates;
+use metasense_numerics::trial::Placing;
 use metasense_schemas::record::Placed;
 use metasense_schemas::spec::{self, TrialSpec};
 
@@ -42,7 +42,7 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let all = Candidates::new(&problem, search, design, &pool).map_err(|e| trouble(&e))?;
     let best = all.clone().thinned(&problem, &pool);
     let scores = best.scores(&problem, &pool);
-    let of = |sensors| Search { sensors, candidates: best.units.clone(), ..search.clone() };
+    let of = |sensors| Placing { sensors, candidates: best.units.clone(), ..search.clone() };
     let placed: Vec<_> = (1..=search.sensors)
         .map(|m| scores.search(&of(m)).map_err(nowhere))
         .collect::<Result<_, Failure>>()?;

@@ -6,12 +6,12 @@
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
+use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::{Feasible, Limits};
-use metasense_numerics::nested::{
-    Decoder, Evaluation, Kind, Optimise, Problem, Ridge, Schedule, Training, fits,
+use metasense_numerics::trial::{
+    BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Schedule, Training,
 };
-use metasense_numerics::place::Search;
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
 
 mod optimise;
@@ -19,7 +19,7 @@ mod stimuli;
 
 pub use crate::invalid::Invalid;
 use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
-pub use metasense_numerics::nested::READINGS_MAX;
+pub use metasense_numerics::brains::READINGS_MAX;
 
 pub use optimise::design_parameters;
 use optimise::{frozen, protocol, tie};
@@ -62,7 +62,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             architecture: architecture(trial)?,
         },
         optimise: Optimise {
-            brain: if trial.optimise.linear() { Kind::Linear } else { Kind::Network },
+            brain: if trial.optimise.linear() { BrainKind::Linear } else { BrainKind::Network },
             protocol: protocol(&trial.optimise)?,
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
@@ -232,11 +232,12 @@ fn solver(key: &str, solver: &spec::Solver) -> Result<Solver, Invalid> {
 /// Of a linear brain's system: 3 GB and a minute a step.
 const UNKNOWNS_MAX: usize = 20_000;
 
-fn kind(kind: spec::BrainKind) -> Kind {
+/// Which brain.
+pub fn kind(kind: spec::BrainKind) -> BrainKind {
     match kind {
-        spec::BrainKind::Cnn => Kind::Network,
-        spec::BrainKind::Linear => Kind::Linear,
-        spec::BrainKind::Stacked => Kind::Stacked,
+        spec::BrainKind::Cnn => BrainKind::Network,
+        spec::BrainKind::Linear => BrainKind::Linear,
+        spec::BrainKind::Stacked => BrainKind::Stacked,
     }
 }
 
@@ -444,7 +445,7 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
 }
 
 /// How the sensors are placed that are not given.
-fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Search>, Invalid> {
+fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> {
     let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
     if matches!(search, None | Some(spec::Search::Random)) {
         let remedy = "is for sensors.search = \"greedy\"";
@@ -472,7 +473,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Search>, Invalid> {
     let remedy = format!("leaves room for {} sensors, where sweep.sensors asks for {sensors}", apart.len());
     require(sensors <= apart.len(), "sensors.spacing", spacing, &remedy)?;
     let given = !trial.sensor_units.is_empty();
-    Ok((!given).then_some(Search { candidates, sensors, turn: placement, spacing }))
+    Ok((!given).then_some(Placing { candidates, sensors, turn: placement, spacing }))
 }
 
 /// Panels are struck along −y where planar, inward where circular: along the direction of the rule that gave them, or

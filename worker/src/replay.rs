@@ -1,10 +1,12 @@
 //! A finished trial once more, from what is stored of it: geometry, signals, predictions, motion.
 
 use metasense_numerics::body::Geometry;
+use metasense_numerics::brains::fits;
 use metasense_numerics::feasible::{Active, Feasible};
-use metasense_numerics::nested;
-use metasense_numerics::nested::{Decoder, fits};
-pub use metasense_numerics::nested::{LinearReplay, Motion, Replay};
+use metasense_numerics::place::placed;
+use metasense_numerics::questions;
+pub use metasense_numerics::questions::{LinearReplay, Motion, Replay};
+use metasense_numerics::trial::Decoder;
 use metasense_schemas::spec::TrialSpec;
 
 use crate::run::{Failure, pool, prepared};
@@ -77,7 +79,8 @@ pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize
     if !weights.is_empty() {
         check_length("network", weights.len(), problem.reader_shape().weights())?;
     }
-    nested::replay(&problem, design, weights, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
+    let pool = pool(threads)?;
+    Ok(questions::replay(&placed(&problem, &pool)?.0, design, weights, &pool)?)
 }
 
 /// The linear brain of the whole sample on a replay's signals: what every body is read by. None where it is too large.
@@ -101,7 +104,7 @@ pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>
 pub fn motion(trial: &TrialSpec, design: &[f64], sample: usize, threads: usize) -> Result<Motion, Failure> {
     let problem = prepared(trial)?;
     check(design, problem.initial.len())?;
-    nested::motion(&problem, design, sample, &pool(threads)?).map_err(|e| Failure::NonFinite(e.to_string()))
+    Ok(questions::motion(&problem, design, sample, &pool(threads)?)?)
 }
 
 pub(crate) fn check(design: &[f64], expected: usize) -> Result<(), Failure> {

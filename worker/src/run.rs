@@ -2,7 +2,9 @@
 
 use metasense_numerics::Heartbeat;
 pub use metasense_numerics::Pool;
-use metasense_numerics::nested::{self, Optimised, Problem, State};
+use metasense_numerics::nested::{self, Optimised, State};
+use metasense_numerics::place::{self, Placed};
+use metasense_numerics::trial::{self, Problem, Trial};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 
@@ -60,15 +62,19 @@ pub fn run_trial(
         None => None,
         Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(Failure::Rejected)?),
     };
+    let (problem, placed) = place::placed(&problem, pool)?;
     let mut watch = Watch { observer, store: 0.0, done: 0.0 };
-    match nested::optimise(&problem, resume, pool, &mut watch) {
-        Ok(Some(optimised)) => Ok(result(optimised, pool)),
-        Ok(None) => Err(Failure::Stopped),
-        Err(failure) => Err(Failure::NonFinite(failure.to_string())),
+    let optimised = nested::optimise(&Trial::new(&problem, pool)?, resume, &mut watch)?;
+    optimised.map(|optimised| result(optimised, placed, pool)).ok_or(Failure::Stopped)
+}
+
+impl From<trial::Failure> for Failure {
+    fn from(failure: trial::Failure) -> Self {
+        Self::NonFinite(failure.to_string())
     }
 }
 
-fn result(optimised: Optimised, pool: &Pool) -> TrialResult {
+fn result(optimised: Optimised, placed: Option<Placed>, pool: &Pool) -> TrialResult {
     TrialResult {
         initial: convert::body_evaluation(optimised.initial),
         optimised: convert::body_evaluation(optimised.optimised),
@@ -78,7 +84,7 @@ fn result(optimised: Optimised, pool: &Pool) -> TrialResult {
         simd: pool.width().name().into(),
         solver: optimised.solver,
         signal_errors: optimised.signal_errors.map(convert::finite),
-        placed: optimised.placed.map(convert::placed),
+        placed: placed.map(convert::placed),
         nonlinear: optimised.nonlinear,
         moves: Vec::new(),
     }
@@ -97,10 +103,7 @@ pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
 /// # Errors
 /// If the spec stands for no trial, or the search comes to nothing.
 pub fn placed(trial: &TrialSpec, pool: &Pool) -> Result<Problem, Failure> {
-    let problem = prepared(trial)?;
-    let (problem, _) =
-        nested::placed(&problem, pool).map_err(|failure| Failure::NonFinite(failure.to_string()))?;
-    Ok(problem)
+    Ok(place::placed(&prepared(trial)?, pool)?.0)
 }
 
 /// Fresh networks on each design, all of the same initial weights: the comparison at the end of a trial.
@@ -112,9 +115,9 @@ pub fn evaluate_designs(
     designs: &[Vec<f64>],
     threads: usize,
 ) -> Result<Vec<BodyEvaluation>, Failure> {
-    let (problem, pool) = (prepared(trial)?, pool(threads)?);
-    let bodies = nested::evaluate_designs(&problem, designs, &pool, &mut Alone)
-        .map_err(|failure| Failure::NonFinite(failure.to_string()))?;
+    let pool = pool(threads)?;
+    let trial = Trial::new(&placed(trial, &pool)?, &pool)?;
+    let bodies = nested::evaluate_designs(&trial, designs, &mut Alone);
     Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }
 

@@ -4,7 +4,7 @@ use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{
     self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, energy, tune,
 };
-use metasense_numerics::nested::Problem;
+use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 
 use crate::run::{Failure, placed, pool, prepared};

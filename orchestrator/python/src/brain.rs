@@ -1,9 +1,10 @@
 //! The linear brain of this program on any arrays.
 
 use metasense_numerics::brain::linear::{Lags, Sizes};
+use metasense_numerics::brains::{Fitted, READINGS_MAX, fits};
 use metasense_numerics::dynamics::Forces;
-use metasense_numerics::nested::{Decoder, Fitted, READINGS_MAX, Ridge, fits};
 use metasense_numerics::stimuli::targets;
+use metasense_numerics::trial::{Decoder, Ridge, Samples};
 use metasense_worker::simulate::finite;
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -114,7 +115,8 @@ impl LinearBrain {
         let fitted = py.detach(|| {
             let forces = Forces { samples: n, panels, instants: clock - 1, values };
             let sizes = Sizes { instants, channels, outputs: panels };
-            decoder.fitted(seed, sizes, &signals, &targets(&forces, instants, false), signal_scale)
+            let known = Samples { sizes, signals, targets: targets(&forces, instants, false) };
+            decoder.fit(seed, &known, signal_scale)
         });
         let singular = |_| PyRuntimeError::new_err("no ridge gives a solution: the signals tell too little");
         slf.fitted = Some(fitted.map_err(singular)?);

@@ -2,12 +2,15 @@
 //!
 //! No I/O, no clock, no environment, no randomness but a seed passed in. Physics and conventions: `MODEL.md`.
 
+pub mod brains;
 pub mod feasible;
 pub mod identify;
 pub mod modes;
 pub mod nested;
 pub mod place;
+pub mod questions;
 pub mod stimuli;
 pub mod student;
+pub mod trial;
 
 pub use metasense_kernels::{Heartbeat, Pool, body, brain, dynamics, random, simd};

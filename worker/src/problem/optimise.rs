@@ -2,7 +2,7 @@
 
 use metasense_numerics::body::{Freedom, Layout};
 use metasense_numerics::brain::Policy;
-use metasense_numerics::nested::{Going, Protocol, Terms};
+use metasense_numerics::trial::{Going, Protocol, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
 use super::check_units;

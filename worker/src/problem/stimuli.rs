@@ -1,7 +1,7 @@
 //! Force histories and what the sensors' chips add, from their spec.
 
-use metasense_numerics::nested::{Disturbance, Size, Stimuli};
 use metasense_numerics::stimuli::{Bell, Irregular, Source};
+use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
 use crate::invalid::{Invalid, at_least, at_most, invalid, require};

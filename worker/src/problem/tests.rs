@@ -1,6 +1,6 @@
 use super::*;
 use metasense_numerics::brain::Policy;
-use metasense_numerics::nested::{Protocol, Terms};
+use metasense_numerics::trial::{Protocol, Terms};
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
 use serde_json::{Value, json};
 

@@ -1,20 +1,21 @@
-//! How far the brain is trained on a body, and which loss moves that body: one file a protocol.
+//! How far the brain is trained on a body, and which loss moves that body.
+//!
+//! ```text
+//! paper     β*(A_train) afresh        dL_test/dα, direct and through β*
+//! envelope  β goes on, on A_train     dL_train/dα at fixed β, from a subset of samples
+//! joint     β goes on, on fresh f     dL_train/dα at fixed β, on samples drawn for the step alone
+//! random, cmaes                       no gradient: the test error of a candidate
+//! ```
+//! In `joint` nothing is seen twice, so nothing is over-fitted.
 
-mod envelope;
-mod joint;
-mod linear;
-mod paper;
-mod search;
-
-use super::evaluation::fresh_weights;
-use super::problem::{Going, Kind, Protocol};
-use super::report::{Log, Trouble};
-use super::setting::Setting;
-use super::state::State;
-use crate::brain::{self, Adam, Batch, TrainOutcome, Workspace};
-use crate::dynamics::{Forces, Simulation};
+use super::observe::Log;
+use super::state::{State, Waypoint};
+use crate::brain::TrainOutcome;
+use crate::brains::{Fit, Learner, Loss, learner};
+use crate::dynamics::{Forces, Solver};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::select;
+use crate::trial::{Going, Protocol, Response, Samples, Terms, Trial, Trouble};
 
 /// What a protocol finds out about the state's design.
 pub(super) struct Sensed {
@@ -28,110 +29,202 @@ pub(super) struct Sensed {
 
 /// A trial's protocol at work, with what it keeps from step to step and could make again.
 pub(super) struct Session<'a> {
-    setting: &'a Setting<'a>,
-    workspace: Workspace<f32>,
-    recent: joint::Recent,
-    known: linear::Known,
+    trial: &'a Trial<'a>,
+    learner: Box<dyn Learner + 'a>,
+    /// Fresh samples of the last bodies by outer step, newest last.
+    recent: Vec<(u32, Samples)>,
 }
 
-pub(super) use linear::BODIES;
-
-/// Iterations of a going network's first training, on the initial body's training signals.
-const FIRST_ITERATIONS: usize = 100;
-
 impl<'a> Session<'a> {
-    pub(super) fn new(setting: &'a Setting<'a>) -> Self {
-        Self {
-            setting,
-            workspace: Workspace::new(setting.shape, setting.pool.width()),
-            recent: joint::Recent::default(),
-            known: linear::Known::default(),
-        }
+    pub(super) fn new(trial: &'a Trial<'a>) -> Self {
+        Self { trial, learner: learner(trial), recent: Vec::new() }
+    }
+
+    /// Bodies that the brain is trained on at a time, at most.
+    pub(super) fn bodies(&self) -> usize {
+        self.learner.bodies()
     }
 
     /// Simulates the state's design, trains the brain on it, and differentiates.
     pub(super) fn sense(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
-        let optimise = &self.setting.problem.optimise;
-        if let Protocol::Random(going) | Protocol::Cmaes(going) = optimise.protocol {
-            return self.read(state, going, log);
-        }
-        if optimise.brain == Kind::Linear {
-            return match optimise.protocol {
-                Protocol::Paper(terms) => self.linear_paper(state, terms, log),
-                Protocol::Envelope(going) => self.linear_envelope(state, going, log),
-                Protocol::Joint(going) => self.linear_joint(state, going, log),
-                Protocol::Random(_) | Protocol::Cmaes(_) => unreachable!("read above"),
-            };
-        }
-        match optimise.protocol {
+        match self.trial.problem.optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
             Protocol::Envelope(going) => self.envelope(state, going, log),
             Protocol::Joint(going) => self.joint(state, going, log),
-            Protocol::Random(_) | Protocol::Cmaes(_) => unreachable!("read above"),
+            Protocol::Random(_) | Protocol::Cmaes(_) => self.candidate(state, log),
         }
     }
 
-    /// Gives a network that is to go on from body to body its first training, if it has had none.
-    fn first_training(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<(), Trouble> {
-        if !state.weights.is_empty() {
-            return Ok(());
+    fn paper(&mut self, state: &mut State, terms: Terms, log: &mut Log) -> Result<Sensed, Trouble> {
+        let trial = self.trial;
+        // A(α), of the training samples with a tape only where their gradient is asked for
+        let tapes = [matches!(terms, Terms::Implicit(_)), true];
+        let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
+        let [train, test] = self.simulate(state, sets, tapes, solver, log)?;
+
+        // β*(A)
+        let loss_train = self.fit(Fit::Optimum(&train.samples), state, log)?;
+
+        // dL_test/dα, directly
+        let (loss_test, mut gradient) = self.gradient(&test, Loss::Test, log)?;
+        log.report.loss_test = loss_test;
+
+        // and through β*
+        if let Terms::Implicit(policy) = terms {
+            let (cotangent, found) = log.timed(
+                |s| &mut s.implicit,
+                |report| self.learner.implicit(&train.samples, &test.samples, policy, &mut report.counters),
+            );
+            log.report.implicit = found;
+            let through_brain = self.vjp(&train, cotangent, log)?;
+            gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }
-        let (setting, problem) = (self.setting, self.setting.problem);
-        let mut weights = fresh_weights(setting.shape, problem.seed, 0);
-        let data = setting.data(&setting.initial_signals, &setting.train);
-        let fall = brain::cosine(problem.brain.rate - going.brain_rate, FIRST_ITERATIONS);
-        let rate = |i| going.brain_rate + fall(i);
-        self.train(&mut weights, &mut state.weight_adam, data.all(), FIRST_ITERATIONS, &rate, log)?;
-        state.weights = weights;
-        Ok(())
+        let error_test = self.test_error(&test, log);
+        Ok(Sensed { gradient, loss_train, error_test })
     }
 
-    /// `brain_iterations` more of the state's network; the loss after them.
-    fn go_on(
-        &mut self,
-        state: &mut State,
-        batch: Batch<f32>,
-        going: Going,
+    /// The training loss at its minimum over β moves with α as at fixed β: no implicit term.
+    fn envelope(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
+        let (trial, some) = (self.trial, self.subset(state.step, going));
+        let (sets, solver) = ([&trial.train, &some], self.solver(state.step));
+        let [train, some] = self.simulate(state, sets, [false, true], solver, log)?;
+        let loss_train = self.fit(Fit::GoOn(&train.samples), state, log)?;
+        let (_, gradient) = self.gradient(&some, Loss::Training, log)?;
+        let error_test = self.look_at_test(state, log)?;
+        Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// On this body's fresh samples and those of the last ones; the gradient of the loss on this one's.
+    fn joint(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
+        let (learner, step) = (&self.learner, state.step);
+        let past: Vec<&Waypoint> =
+            state.trail.iter().filter(|passed| learner.recalls(step - passed.step)).collect();
+        self.recent.retain(|(known, _)| past.iter().any(|passed| passed.step == *known));
+        for passed in past {
+            if self.recent.iter().all(|(known, _)| *known != passed.step) {
+                let samples = self.fresh(&passed.design, passed.step, going, false, log)?.samples;
+                self.recent.push((passed.step, samples));
+            }
+        }
+        self.recent.sort_by_key(|(known, _)| *known);
+        let newest = self.fresh(&state.design, step, going, true, log)?;
+        self.recent.push((step, newest.samples.clone()));
+
+        let recent = std::mem::take(&mut self.recent);
+        let bodies: Vec<&Samples> = recent.iter().map(|(_, samples)| samples).collect();
+        let fitted = self.fit(Fit::Recent(&bodies), state, log);
+        self.recent = recent;
+        let loss_train = fitted?;
+        let (_, gradient) = self.gradient(&newest, Loss::Training, log)?;
+        let error_test = self.look_at_test(state, log)?;
+        Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// A search's candidate is worth its test error, read by the trial's brain on its training set.
+    fn candidate(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
+        let trial = self.trial;
+        let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
+        let [train, test] = self.simulate(state, sets, [false; 2], solver, log)?;
+        let by_need = Fit::ByNeed(&train.samples, state.trend);
+        let loss_train = self.learn(by_need, state, log)?;
+        let error_test = self.test_error(&test, log);
+        match loss_train.is_finite() {
+            true => Ok(Sensed { gradient: Vec::new(), loss_train, error_test }),
+            false => Err(Trouble::Training(TrainOutcome::NonFinite)),
+        }
+    }
+
+    /// Simulates the state's design under two sets of forces, each with a tape where asked for.
+    fn simulate(
+        &self,
+        state: &State,
+        sets: [&Forces; 2],
+        tapes: [bool; 2],
+        solver: Solver,
         log: &mut Log,
-    ) -> Result<f64, Trouble> {
-        let State { weights, weight_adam, .. } = state;
-        self.train(weights, weight_adam, batch, going.brain_iterations, &|_| going.brain_rate, log)
+    ) -> Result<[Response; 2], Trouble> {
+        log.timed(
+            |s| &mut s.simulate,
+            |report| {
+                let mut of = |set: usize| {
+                    self.trial.simulate(&state.design, sets[set], &solver, tapes[set], &mut report.counters)
+                };
+                Ok([of(0)?, of(1)?])
+            },
+        )
     }
 
-    /// The test error of the state's network, with the accurate integrator, at the steps where it is due.
+    /// The integrator of a step that a going brain moves far.
+    fn solver(&self, step: u32) -> Solver {
+        let problem = &self.trial.problem;
+        problem.optimise.solver_of(step, problem.solver)
+    }
+
+    /// Fits the brain, and checks that its training loss (normalised) is in line with those of the bodies before.
+    fn fit(&mut self, on: Fit, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
+        let loss = self.learn(on, state, log)?;
+        state.check_trend(loss)?;
+        Ok(loss)
+    }
+
+    fn learn(&mut self, on: Fit, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
+        let State { step, learnt, .. } = state;
+        let learned =
+            log.timed(|s| &mut s.train, |report| self.learner.fit(on, *step, learnt, &mut report.counters))?;
+        (log.report.loss_train, log.report.error_train) = (Some(learned.loss), learned.error);
+        Ok(learned.loss)
+    }
+
+    /// A loss on a body's samples, and its gradient in α at fixed weights.
+    fn gradient(
+        &mut self,
+        response: &Response,
+        loss: Loss,
+        log: &mut Log,
+    ) -> Result<(Option<f64>, Vec<f64>), Trouble> {
+        let (loss, cotangent) =
+            log.timed(|s| &mut s.differentiate, |_| self.learner.loss_vjp(&response.samples, loss));
+        Ok((loss, self.vjp(response, cotangent, log)?))
+    }
+
+    fn vjp(&self, response: &Response, cotangent: Vec<f64>, log: &mut Log) -> Result<Vec<f64>, Trouble> {
+        log.timed(
+            |s| &mut s.differentiate,
+            |report| self.trial.vjp(response, cotangent, &mut report.counters),
+        )
+    }
+
+    fn test_error(&mut self, test: &Response, log: &mut Log) -> Option<f64> {
+        log.report.error_test = self.learner.error(&test.samples);
+        log.report.error_test
+    }
+
+    /// The test error of the state's design, with the accurate integrator, at the steps where it is due.
     fn look_at_test(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
-        let Some((signals, test)) = self.test_signals(state, log)? else { return Ok(None) };
-        let setting = self.setting;
-        let data = setting.data(&signals, &test);
-        log.report.error_test = setting.error(&state.weights, &data, &test, &mut self.workspace);
-        Ok(log.report.error_test)
-    }
-
-    /// The test signals of the state's design and their forces, with the accurate integrator, at the steps where they are
-    /// looked at.
-    fn test_signals(&self, state: &State, log: &mut Log) -> Result<Option<(Vec<f64>, Forces)>, Trouble> {
-        let (setting, problem) = (self.setting, self.setting.problem);
+        let (trial, problem) = (self.trial, &self.trial.problem);
         if !problem.optimise.looks_at_test(state.step) {
             return Ok(None);
         }
-        let mut test = setting.test.clone();
-        let (simulation, _) = log.timed(
+        let test = log.timed(
             |s| &mut s.simulate,
-            |report| setting.simulate_most(&state.design, &mut test, &problem.solver, false, report),
+            |report| {
+                let forces = trial.test.clone();
+                trial.simulate_most(&state.design, forces, &problem.solver, false, &mut report.counters)
+            },
         )?;
-        Ok(Some((simulation.signals, test)))
+        Ok(self.test_error(&test, log))
     }
 
     /// Training samples drawn for a step of `envelope`.
     fn subset(&self, step: u32, going: Going) -> Forces {
-        let setting = self.setting;
-        let mut order = Stream::new(Purpose::Batch, setting.problem.seed, [u64::from(step), 0])
-            .permutation(setting.train.samples);
+        let trial = self.trial;
+        let mut order = Stream::new(Purpose::Batch, trial.problem.seed, [u64::from(step), 0])
+            .permutation(trial.train.samples);
         order.truncate(going.batch);
-        select(&setting.train, &order)
+        select(&trial.train, &order)
     }
 
-    /// The samples that are drawn for a step of `joint` alone, simulated on a body; those of the report's step are counted.
+    /// A body under the samples that are drawn for a step of `joint` alone; those of the report's step are counted.
     fn fresh(
         &self,
         design: &[f64],
@@ -139,73 +232,17 @@ impl<'a> Session<'a> {
         going: Going,
         keep_tape: bool,
         log: &mut Log,
-    ) -> Result<(Forces, Simulation), Trouble> {
-        let (setting, problem) = (self.setting, self.setting.problem);
-        let mut forces = problem.forces(Purpose::Fresh, u64::from(step) * going.batch as u64, going.batch);
-        let solver = problem.optimise.solver_of(step, problem.solver);
-        let (simulation, failed) = log.timed(
+    ) -> Result<Response, Trouble> {
+        let (trial, solver) = (self.trial, self.solver(step));
+        let first = u64::from(step) * going.batch as u64;
+        let forces = trial.problem.forces(Purpose::Fresh, first, going.batch);
+        let response = log.timed(
             |s| &mut s.simulate,
-            |report| setting.simulate_most(design, &mut forces, &solver, keep_tape, report),
+            |report| trial.simulate_most(design, forces, &solver, keep_tape, &mut report.counters),
         )?;
         if step == log.report.step {
-            log.report.fresh_samples = going.batch as u64 - u64::from(failed);
+            log.report.fresh_samples = going.batch as u64 - u64::from(response.failed);
         }
-        Ok((forces, simulation))
-    }
-
-    /// Adam on the whole batch; the loss after it.
-    fn train(
-        &mut self,
-        weights: &mut [f32],
-        adam: &mut Adam<f32>,
-        batch: Batch<f32>,
-        iterations: usize,
-        rate: &dyn Fn(usize) -> f64,
-        log: &mut Log,
-    ) -> Result<f64, Trouble> {
-        let done = self.iterate(weights, adam, batch, iterations, rate, log);
-        let loss = self.loss_after(weights, batch, log);
-        done.map(|()| loss)
-    }
-
-    /// Adam on a batch.
-    fn iterate(
-        &mut self,
-        weights: &mut [f32],
-        adam: &mut Adam<f32>,
-        batch: Batch<f32>,
-        iterations: usize,
-        rate: &dyn Fn(usize) -> f64,
-        log: &mut Log,
-    ) -> Result<(), Trouble> {
-        let (workspace, pool) = (&mut self.workspace, self.setting.pool);
-        let outcome = log.timed(
-            |s| &mut s.train,
-            |report| {
-                let mut losses = Vec::new();
-                let outcome =
-                    brain::train(weights, adam, batch, rate, iterations, &mut losses, workspace, pool);
-                report.counters.brain_iterations += losses.len() as u64;
-                outcome
-            },
-        );
-        if outcome == TrainOutcome::Ok { Ok(()) } else { Err(Trouble::Training(outcome)) }
-    }
-
-    /// The training loss after a step's training.
-    fn loss_after(&mut self, weights: &[f32], batch: Batch<f32>, log: &mut Log) -> f64 {
-        let (workspace, pool) = (&mut self.workspace, self.setting.pool);
-        let loss = log.timed(|s| &mut s.train, |_| brain::loss(weights, batch, workspace, pool));
-        log.report.loss_train = Some(loss);
-        loss
-    }
-
-    /// Loss and its gradient in the inputs (N, T, 3M).
-    fn input_gradient(&mut self, weights: &[f32], batch: Batch<f32>, log: &mut Log) -> (f64, Vec<f64>) {
-        let (loss, gradient) = log.timed(
-            |s| &mut s.differentiate,
-            |_| brain::input_gradient(weights, batch, &mut self.workspace, self.setting.pool),
-        );
-        (loss, gradient.into_iter().map(f64::from).collect())
+        Ok(response)
     }
 }

@@ -8,23 +8,23 @@
 
 mod evolution;
 
-use super::problem::{Problem, Protocol};
+use super::observe::Log;
 use super::protocol::Sensed;
-use super::report::{Failure, Log, Trouble};
 use super::state::{State, norm};
 use crate::body::Freedom;
 use crate::feasible::Feasible;
 use crate::random::{Purpose, Stream};
+use crate::trial::{Failure, Problem, Protocol, Trouble};
 use evolution::Evolution;
 
-/// A search at work.
-pub(super) struct Search<'a> {
+/// The candidates of a search at work.
+pub(super) struct Candidates<'a> {
     problem: &'a Problem,
     freedom: Freedom,
     evolution: Option<Evolution>,
 }
 
-impl<'a> Search<'a> {
+impl<'a> Candidates<'a> {
     /// The problem's, where its protocol is one, as far as it had come with what `found` holds.
     pub(super) fn new(problem: &'a Problem, found: &[f64]) -> Option<Self> {
         let freedom = problem.freedom();
@@ -78,7 +78,7 @@ impl<'a> Search<'a> {
         let initial = &self.problem.initial;
         let error = match sensed {
             Ok(sensed) => {
-                state.remember(&sensed);
+                state.remember(sensed.loss_train, sensed.error_test);
                 sensed.error_test.unwrap_or(f64::INFINITY)
             }
             Err(trouble) if state.step == 0 => return Err(Failure::Initial(trouble)),

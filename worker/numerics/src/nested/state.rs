@@ -1,12 +1,12 @@
 //! What an outer loop carries from step to step, and how a gradient moves the body.
 
 use super::evaluation::Comparison;
-use super::problem::Problem;
-use super::protocol::Sensed;
-use super::report::{Failure, Log, Trouble};
+use super::report::Report;
 use crate::body::Freedom;
-use crate::brain::{Adam, Shape, TrainOutcome};
+use crate::brain::{Adam, TrainOutcome};
+use crate::brains::Learnt;
 use crate::feasible::Feasible;
+use crate::trial::{Failure, Problem, Trouble};
 
 /// Everything from which a loop goes on to the same bits.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,10 +17,8 @@ pub struct State {
     pub design: Vec<f64>,
     /// Adam on α.
     pub design_adam: Adam<f64>,
-    /// Weights of the brain, where the protocol keeps them; empty before their first training.
-    pub weights: Vec<f32>,
-    /// Adam on the weights.
-    pub weight_adam: Adam<f32>,
+    /// What the brain takes from body to body.
+    pub learnt: Learnt,
     /// The best design so far, by the test set.
     pub best: Option<Best>,
     /// The body's rate as a part of what the protocol asks for: halved with each step taken back, slowly recovering.
@@ -29,8 +27,6 @@ pub struct State {
     pub setbacks: u32,
     /// Running geometric mean of the training loss after training.
     pub trend: Option<f64>,
-    /// λ of the linear brain, where the body is trained with one and a step has found it.
-    pub ridge: Option<f64>,
     /// The last designs before this one, newest last.
     pub trail: Vec<Waypoint>,
     /// What the comparison at the end has come to.
@@ -66,18 +62,17 @@ const JUMP: f64 = 10.0;
 const METRIC_FLOOR: f64 = 1e-3;
 
 impl State {
-    pub(super) fn new(problem: &Problem, shape: &Shape) -> Self {
+    /// That before the first step.
+    pub(super) fn new(problem: &Problem) -> Self {
         Self {
             step: 0,
             design: problem.initial.clone(),
             design_adam: Adam::new(problem.initial.len()),
-            weights: Vec::new(),
-            weight_adam: Adam::new(shape.weights()),
+            learnt: Learnt::nothing(problem.shape().weights()),
             best: None,
             caution: 1.0,
             setbacks: 0,
             trend: None,
-            ridge: None,
             trail: Vec::new(),
             comparison: Comparison::default(),
             found: Vec::new(),
@@ -93,29 +88,31 @@ impl State {
         }
     }
 
-    /// Takes a step's findings into trend and best design.
-    pub(super) fn remember(&mut self, sensed: &Sensed) {
+    /// Takes a step's findings, training loss and test error (%), into trend and best design.
+    pub(super) fn remember(&mut self, loss_train: f64, error_test: Option<f64>) {
         self.trend = Some(match self.trend {
-            None => sensed.loss_train,
-            Some(trend) => trend.powf(0.7) * sensed.loss_train.powf(0.3),
+            None => loss_train,
+            Some(trend) => trend.powf(0.7) * loss_train.powf(0.3),
         });
         self.setbacks = 0;
         self.caution = (self.caution * 1.1).min(1.0);
-        if let Some(error) = sensed.error_test
+        if let Some(error) = error_test
             && self.best.as_ref().is_none_or(|best| error < best.error)
         {
             self.best = Some(Best { design: self.design.clone(), error, step: self.step });
         }
     }
 
-    /// α ← Π(α − Adam(g)), Π in the metric of Adam's own scaling; where shifts move together, z for α.
+    /// α ← Π(α − Adam(g)), Π in the metric of Adam's own scaling; where shifts move together, z for α. So many bodies,
+    /// the new one among them, are remembered.
     pub(super) fn move_body(
         &mut self,
         problem: &Problem,
         freedom: &Freedom,
         gradient: &[f64],
         castable: &mut Feasible,
-        log: &mut Log,
+        bodies: usize,
+        report: &mut Report,
     ) {
         let rate = problem.optimise.rate_of(self.step) * self.caution;
         let mut target = self.design.clone();
@@ -126,22 +123,21 @@ impl State {
         let scaled: Vec<f64> = gradient.iter().map(|g| scale * g).collect();
         self.design_adam.step_with(&mut target, &freedom.spread(&scaled), rate, beta);
         let metric = metric(&self.design_adam);
-        let projection =
-            log.timed(|s| &mut s.project, |_| castable.project(&self.design, &target, metric.as_deref()));
+        let projection = castable.project(&self.design, &target, metric.as_deref());
         let design = freedom.snap(&problem.initial, projection.design);
-        log.report.counters.projection_iterations += projection.iterations;
-        log.report.gradient_norm = Some(length);
-        log.report.step_length = Some(norm(design.iter().zip(&self.design).map(|(new, old)| new - old)));
-        log.report.projection = Some(projection.status);
-        log.report.projection_distance = Some(projection.distance);
+        report.counters.projection_iterations += projection.iterations;
+        report.gradient_norm = Some(length);
+        report.step_length = Some(norm(design.iter().zip(&self.design).map(|(new, old)| new - old)));
+        report.projection = Some(projection.status);
+        report.projection_distance = Some(projection.distance);
         let passed = Waypoint { step: self.step, design: std::mem::replace(&mut self.design, design) };
         self.trail.push(passed);
-        self.trail.drain(..self.trail.len().saturating_sub(problem.optimise.trail()));
+        self.trail.drain(..(self.trail.len() + 1).saturating_sub(bodies));
     }
 
     /// This state (that before a step in trouble), its last move undone and the next one smaller.
-    pub(super) fn taken_back(mut self, trouble: Trouble, log: &mut Log) -> Result<Self, Failure> {
-        log.report.trouble = Some(trouble);
+    pub(super) fn taken_back(mut self, trouble: Trouble, report: &mut Report) -> Result<Self, Failure> {
+        report.trouble = Some(trouble);
         self.caution *= 0.5;
         self.setbacks += 1;
         match self.trail.pop() {
@@ -158,8 +154,8 @@ impl State {
 
     /// A network gets another first training.
     pub(super) fn forget_network(&mut self) {
-        self.weights.clear();
-        self.weight_adam = Adam::new(self.weight_adam.m.len());
+        let ridge = self.learnt.ridge;
+        self.learnt = Learnt { ridge, ..Learnt::nothing(self.learnt.adam.m.len()) };
         self.trend = None;
     }
 }

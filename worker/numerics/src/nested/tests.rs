@@ -1,12 +1,16 @@
-use super::evaluation::fresh_weights;
 use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
-use crate::brain::{self, Architecture, TrainOutcome, Workspace};
+use crate::brain::{self, Architecture, Data, TrainOutcome, Workspace};
 use crate::dynamics::{Accuracy, Frame, Method, Panel, Scene, Solver, Stiffness};
 use crate::feasible::{Feasible, Limits};
+use crate::questions::{bound, replay, sense};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
+use crate::trial::{
+    BrainKind, Decoder, Disturbance, Evaluation, Going, Optimise, Problem, Protocol, Ridge, Schedule, Size,
+    Stimuli, Terms, Training, Trouble,
+};
 
 mod known;
 mod linear;
@@ -51,11 +55,11 @@ fn small(protocol: Protocol) -> Problem {
             holdout: 4,
         },
         disturbance: None,
-        reader: Kind::Network,
+        reader: BrainKind::Network,
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
         brain: Training { iterations: 30, rate: 1e-2, architecture: Architecture::paper(8) },
         optimise: Optimise {
-            brain: Kind::Network,
+            brain: BrainKind::Network,
             protocol,
             iterations: 4,
             rate: 0.1,
@@ -74,6 +78,16 @@ const PROTOCOLS: [Protocol; 5] = [
     Protocol::Random(GOING),
     Protocol::Cmaes(GOING),
 ];
+
+/// Optimises the body of a problem, its sensors placed where they are to be searched for.
+fn optimise(
+    problem: &Problem,
+    resume: Option<State>,
+    pool: &crate::Pool,
+    observer: &mut dyn Observe,
+) -> Result<Option<Optimised>, Failure> {
+    super::optimise(&Trial::new(&crate::place::placed(problem, pool)?.0, pool)?, resume, observer)
+}
 
 fn pool(threads: usize) -> crate::Pool {
     crate::Pool::new(threads).unwrap()
@@ -174,7 +188,7 @@ fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
 /// the same bits, and work is counted once.
 #[test]
 fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
-    for reader in [Kind::Network, Kind::Linear, Kind::Stacked] {
+    for reader in [BrainKind::Network, BrainKind::Linear, BrainKind::Stacked] {
         let mut problem = Problem { reader, ..small(PROTOCOLS[3]) };
         (problem.optimise.iterations, problem.brain.iterations, problem.evaluation.long) = (2, 6, Some(9));
         let run = |state, threads, clock_stands| {
@@ -186,10 +200,10 @@ fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
         assert_eq!(keeper.saved, [], "{reader:?}");
         let (in_pieces, keeper) = run(None, 1, false);
         assert_eq!(in_pieces, whole, "{reader:?}");
-        let least = if reader == Kind::Linear { 1 } else { 2 * 2 * (6 + 9) / 3 };
+        let least = if reader == BrainKind::Linear { 1 } else { 2 * 2 * (6 + 9) / 3 };
         assert!(keeper.saved.len() >= least, "{reader:?}: saved {} times", keeper.saved.len());
         let within = keeper.saved.iter().filter(|state| state.comparison.training.is_some()).count();
-        assert!(reader == Kind::Linear || within > 10, "{reader:?}: {within} within a training");
+        assert!(reader == BrainKind::Linear || within > 10, "{reader:?}: {within} within a training");
         for (n, state) in keeper.saved.into_iter().enumerate() {
             let (found, again) = run(Some(state), 1 + n % 3, true);
             assert_eq!(found, whole, "{reader:?}, saved as number {n}");
@@ -267,17 +281,17 @@ fn a_body_is_read_on_its_own_scale() {
     let begun_with = small(Protocol::Joint(GOING));
     let mut stream = Stream::new(Purpose::Design, 2, [0, 0]);
     let other: Vec<f64> = begun_with.initial.iter().map(|a| a + 0.4 * stream.normal()).collect();
-    for reader in [Kind::Network, Kind::Stacked] {
+    for reader in [BrainKind::Network, BrainKind::Stacked] {
         let mine = Problem { reader, ..begun_with.clone() };
         let its_own = Problem { initial: other.clone(), ..mine.clone() };
         let [here, there] = [&mine, &its_own].map(|problem| {
-            evaluate_designs(problem, std::slice::from_ref(&other), &pool(1), &mut Keeper::default())
-                .unwrap()
-                .remove(0)
+            let pool = pool(1);
+            let trial = Trial::new(problem, &pool).unwrap();
+            evaluate_designs(&trial, std::slice::from_ref(&other), &mut Keeper::default()).remove(0)
         });
         assert_ne!(here.networks[0].weights, there.networks[0].weights);
         // a stacked network hears a linear brain besides, whose λ is of the trial's scale
-        if reader == Kind::Network {
+        if reader == BrainKind::Network {
             assert_eq!(figures(&here), figures(&there));
         }
         for (problem, body) in [(&mine, &here), (&its_own, &there)] {
@@ -356,7 +370,7 @@ fn a_search_keeps_the_best_of_its_candidates() {
     for protocol in [Protocol::Random(GOING), Protocol::Cmaes(GOING)] {
         let mut problem = small(protocol);
         (problem.optimise.iterations, problem.optimise.brain, problem.reader) =
-            (25, Kind::Linear, Kind::Linear);
+            (25, BrainKind::Linear, BrainKind::Linear);
         problem.optimise.rate = 1.0;
         let mut keeper = Keeper::default();
         let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
@@ -419,20 +433,24 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let mut problem = Problem { disturbance, ..problem };
     problem.solver.accuracy = Accuracy(1e-10);
     let pool = pool(2);
-    let setting = Setting::new(&problem, &pool).unwrap();
-    let weights: Vec<f64> = fresh_weights(setting.shape, 1, 0).into_iter().map(f64::from).collect();
-    let mut workspace = Workspace::<f64>::new(setting.shape, setting.pool.width());
-    let mut keeper = Keeper::default();
-    let mut log = Log::new(0, &mut keeper);
+    let trial = Trial::new(&problem, &pool).unwrap();
+    let shape = problem.shape();
+    let weights: Vec<f64> =
+        brain::initial_weights(shape, 1, 0).into_iter().map(|w| f64::from(w as f32)).collect();
+    let variances: Vec<f64> = trial.scales.deviation.iter().map(|d| d * d).collect();
+    let mut workspace = Workspace::<f64>::new(shape, pool.width());
     let mut loss = |design: &[f64]| {
-        let simulation =
-            setting.simulate(design, &setting.test, &problem.solver, true, &mut Report::default()).unwrap();
-        let data = setting.physical_data::<f64>(&simulation.signals, &setting.test);
+        let counters = &mut Counters::default();
+        let response = trial.simulate(design, &trial.test, &problem.solver, true, counters).unwrap();
+        let (x, y) =
+            (trial.scales.inputs(&response.samples.signals), trial.scales.targets(&response.samples.targets));
+        let data = Data::<f64>::new(shape, &x, &y).with_output_weights(&variances);
         let (loss, inputs) = brain::input_gradient(&weights, data.all(), &mut workspace, &pool);
-        (loss, inputs, simulation)
+        (loss, inputs, response)
     };
-    let (_, inputs, simulation) = loss(&problem.initial);
-    let gradient = setting.vjp(&simulation, &inputs, &mut log).unwrap();
+    let (_, inputs, response) = loss(&problem.initial);
+    let cotangent = trial.scales.inputs_vjp(&inputs);
+    let gradient = trial.vjp(&response, cotangent, &mut Counters::default()).unwrap();
 
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
     let freedom = problem.freedom();
@@ -464,20 +482,18 @@ fn a_training_that_diverges_on_the_initial_body_is_named() {
 #[test]
 fn a_step_in_trouble_is_taken_back_at_half_the_rate() {
     let problem = small(Protocol::Paper(Terms::Direct));
-    let pool = pool(1);
-    let setting = Setting::new(&problem, &pool).unwrap();
-    let mut state = State::new(&problem, &setting.shape);
+    let mut state = State::new(&problem);
     state.trail = vec![Waypoint { step: 0, design: vec![7.0; state.design.len()] }];
     let mut keeper = Keeper::default();
     let mut log = Log::new(1, &mut keeper);
-    let back = state.clone().taken_back(Trouble::GradientNonFinite, &mut log).unwrap();
+    let back = state.clone().taken_back(Trouble::GradientNonFinite, &mut log.report).unwrap();
     assert_eq!((back.design[0], back.caution, back.setbacks), (7.0, 0.5, 1));
     assert_eq!(log.report.trouble, Some(Trouble::GradientNonFinite));
     let stuck = Failure::Stuck(2, Trouble::GradientNonFinite);
-    assert_eq!(back.taken_back(Trouble::GradientNonFinite, &mut log), Err(stuck));
+    assert_eq!(back.taken_back(Trouble::GradientNonFinite, &mut log.report), Err(stuck));
     state.trail.clear();
     let initial = Failure::Initial(Trouble::GradientNonFinite);
-    assert_eq!(state.taken_back(Trouble::GradientNonFinite, &mut log), Err(initial));
+    assert_eq!(state.taken_back(Trouble::GradientNonFinite, &mut log.report), Err(initial));
 }
 
 /// The state after two steps, spoilt: the third step names what it met and is taken back, the fourth goes on from the
@@ -490,12 +506,12 @@ fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
     };
     let mut keeper = Keeper { stop_after: Some(2), ..Keeper::default() };
     optimise(&problem, None, &pool(1), &mut keeper).unwrap();
-    let (good, shape) = (keeper.states[1].clone(), Setting::new(&problem, &pool(1)).unwrap().shape);
+    let (good, shape) = (keeper.states[1].clone(), problem.shape());
     type Spoil = fn(&mut State, brain::Shape);
     let spoilt: [(&[&str], Spoil); 4] = [
-        (&["loss_jump"], |state, _| state.weights.iter_mut().for_each(|w| *w *= 30.0)),
-        (&["non_finite"], |state, _| state.weights[0] = f32::NAN),
-        (&["dead_layer"], |state, shape| state.weights[shape.range(0)].fill(-1e3)),
+        (&["loss_jump"], |state, _| state.learnt.weights.iter_mut().for_each(|w| *w *= 30.0)),
+        (&["non_finite"], |state, _| state.learnt.weights[0] = f32::NAN),
+        (&["dead_layer"], |state, shape| state.learnt.weights[shape.range(0)].fill(-1e3)),
         (&["non_finite", "step_too_small", "step_limit"], |state, _| state.design[0] = f64::NAN),
     ];
     for (names, spoil) in spoilt {

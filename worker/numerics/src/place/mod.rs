@@ -3,26 +3,17 @@
 //! An error is that of folds of the training samples (`spectra`). The unit that lowers it most joins the chosen ones, then
 //! each gives way to another as long as that lowers it; up to two sensors all sets are tried.
 
+mod candidates;
 mod spectra;
+
+pub use candidates::{Candidates, placed};
 
 use crate::body::Layout;
 use crate::brain::linear::{Sizes, downhill_ridge};
+use crate::trial::Placing;
 use rayon::prelude::*;
 use spectra::Spectra;
 use std::ops::{Range, RangeInclusive};
-
-/// A search.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Search {
-    /// Units that may carry a sensor.
-    pub candidates: Vec<usize>,
-    /// M.
-    pub sensors: usize,
-    /// 0 the best placement; n: that with the n-th next best single unit in it.
-    pub turn: usize,
-    /// Least distance of two sensors' cells (mm).
-    pub spacing: f64,
-}
 
 /// A set of units, and its error (%).
 pub type Rated = (Vec<usize>, f64);
@@ -158,8 +149,8 @@ impl<'a> Scores<'a> {
     ///
     /// # Errors
     /// If there is no such placement.
-    pub fn search(&self, search: &Search) -> Result<Placed, Nowhere> {
-        let &Search { ref candidates, turn, .. } = search;
+    pub fn search(&self, search: &Placing) -> Result<Placed, Nowhere> {
+        let &Placing { ref candidates, turn, .. } = search;
         let alone = self.worth(&[], candidates, search.spacing, FIRST_RIDGE);
         let first = alone.get(turn).ok_or(Nowhere)?.0;
         let ridge = self.ridge(&[first], FIRST_RIDGE);
@@ -178,7 +169,7 @@ impl<'a> Scores<'a> {
     }
 
     /// From the first unit on, each time the one that lowers the error most, and λ after it.
-    fn grown(&self, first: usize, mut ridge: f64, search: &Search) -> Result<(Vec<usize>, f64), Nowhere> {
+    fn grown(&self, first: usize, mut ridge: f64, search: &Placing) -> Result<(Vec<usize>, f64), Nowhere> {
         let mut chosen = vec![first];
         while chosen.len() < search.sensors {
             let next = self.worth(&chosen, &search.candidates, search.spacing, ridge);
@@ -194,7 +185,7 @@ impl<'a> Scores<'a> {
         mut chosen: Vec<usize>,
         kept: usize,
         mut ridge: f64,
-        search: &Search,
+        search: &Placing,
     ) -> (Vec<usize>, Option<Rated>, f64) {
         loop {
             let neighbours = self.neighbours(&chosen, kept, search);
@@ -209,8 +200,8 @@ impl<'a> Scores<'a> {
     }
 
     /// Sets that differ from the chosen one by one unit that is not kept; of two sensors all sets.
-    fn neighbours(&self, chosen: &[usize], kept: usize, search: &Search) -> Vec<Vec<usize>> {
-        let Search { candidates, spacing, .. } = search;
+    fn neighbours(&self, chosen: &[usize], kept: usize, search: &Placing) -> Vec<Vec<usize>> {
+        let Placing { candidates, spacing, .. } = search;
         let mut sets = Vec::new();
         for i in kept..chosen.len() {
             let mut rest = chosen.to_vec();

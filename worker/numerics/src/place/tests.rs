@@ -92,7 +92,7 @@ fn searched(sensors: usize, turn: usize, spacing: f64) -> Result<Placed, Nowhere
     let pool = crate::Pool::new(2).unwrap();
     let sizes = Sizes { instants: INSTANTS, channels: 18, outputs: 2 };
     let scores = Scores::new(&layout, UNITS.to_vec(), sizes, [&x, &f, &w], &dealt, false, &pool);
-    let search = Search { candidates: UNITS.to_vec(), sensors, turn, spacing };
+    let search = Placing { candidates: UNITS.to_vec(), sensors, turn, spacing };
     let placed = scores.search(&search)?;
     if turn == 0 {
         // no exchange of one unit is better

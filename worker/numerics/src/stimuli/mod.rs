@@ -142,5 +142,13 @@ pub fn split(seed: u64, samples: usize, test: usize) -> (Vec<usize>, Vec<usize>)
     (training, order)
 }
 
+/// The fold, from 0, of each of `records` records: a seeded shuffle, sizes that differ by one at most.
+pub fn folds(seed: u64, records: usize, folds: usize) -> Vec<usize> {
+    let mut of = vec![0; records];
+    let order = Stream::new(Purpose::Split, seed, [records as u64, 2]).permutation(records);
+    order.into_iter().enumerate().for_each(|(n, record)| of[record] = n % folds);
+    of
+}
+
 #[cfg(test)]
 mod tests;

@@ -152,3 +152,13 @@ fn targets_of_a_finer_clock_are_read_without_what_they_cannot_say() {
     let (kept, left, aliased) = (of(20.0, true) / of(20.0, false), of(170.0, true), of(170.0, false));
     assert!((kept - 1.0).abs() < 1e-3 && left < 1e-2 && aliased > 5.0, "{kept} {left} {aliased}");
 }
+
+#[test]
+fn folds_are_equal_but_for_one_and_follow_the_seed() {
+    let found = folds(3, 32, 5);
+    let mut sizes: Vec<usize> = (0..5).map(|f| found.iter().filter(|&&g| g == f).count()).collect();
+    sizes.sort_unstable();
+    assert_eq!(sizes, [6, 6, 6, 7, 7], "{found:?}");
+    assert_eq!(found, folds(3, 32, 5));
+    assert_ne!(found, folds(4, 32, 5));
+}

@@ -1,10 +1,11 @@
 //! The protocols and readings with a linear brain.
 
-use super::super::linear::{fit, read};
 use super::super::protocol::Session;
-use super::super::tuning::Tuning;
 use super::*;
 use crate::brain::linear::Lags;
+use crate::brains::{Plain, Stack, own_reading, solve};
+use crate::place::placed;
+use crate::trial::{Placing, Samples};
 
 const LINEAR: [Protocol; 6] = [
     Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)),
@@ -19,9 +20,9 @@ fn linear(protocol: Protocol) -> Problem {
     let small = small(protocol);
     let decoder = Decoder { lags: Lags { before: 12, after: 6 }, ridge: Ridge::Auto };
     Problem {
-        reader: Kind::Linear,
+        reader: BrainKind::Linear,
         decoder,
-        optimise: Optimise { brain: Kind::Linear, ..small.optimise },
+        optimise: Optimise { brain: BrainKind::Linear, ..small.optimise },
         ..small
     }
 }
@@ -60,7 +61,6 @@ fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
 /// A search puts the sensor where it reads best; the trial goes on to the bits of one that is told so. Nowhere is named.
 #[test]
 fn a_searched_placement_is_a_given_one() {
-    use crate::place::Search;
     let mut problem = linear(LINEAR[3]);
     let candidates = vec![4, 5, 6, 7];
     let alone = |unit: usize| {
@@ -70,19 +70,18 @@ fn a_searched_placement_is_a_given_one() {
         (errors(&found.initial), found)
     };
     let each: Vec<_> = candidates.iter().map(|&unit| alone(unit)).collect();
-    let search = Search { candidates: candidates.clone(), sensors: 1, turn: 0, spacing: 0.0 };
+    let search = Placing { candidates: candidates.clone(), sensors: 1, turn: 0, spacing: 0.0 };
     problem.scene.sensors.clear();
     problem.search = Some(search.clone());
     let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
-    let placed = found.placed.as_ref().unwrap();
+    let placed = placed(&problem, &pool(2)).unwrap().1.unwrap();
     let chosen = candidates.iter().position(|unit| [*unit] == placed.units[..]).unwrap();
     assert_eq!(errors(&found.initial), each[chosen].0);
     assert_eq!(found.optimised.design, each[chosen].1.optimised.design);
-    assert!(each[chosen].1.placed.is_none());
     // by the training set of twelve samples alone, it is not the worst on the holdout
     let holdout = |i: usize| each[i].1.initial.readings[0].error_holdout.unwrap();
     assert!((0..4).any(|i| holdout(i) > holdout(chosen)), "{placed:?}");
-    problem.search = Some(Search { sensors: 5, ..search });
+    problem.search = Some(Placing { sensors: 5, ..search });
     let nowhere = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap_err();
     assert_eq!(nowhere, Failure::Initial(Trouble::Nowhere));
 }
@@ -120,27 +119,26 @@ fn the_whole_gradient_holds_through_simulator_and_solve() {
             going.batch = problem.stimuli.samples - problem.stimuli.test;
         }
         let pool = pool(2);
-        let setting = Setting::new(&problem, &pool).unwrap();
+        let trial = Trial::new(&problem, &pool).unwrap();
         let mut keeper = Keeper::default();
         let mut log = Log::new(0, &mut keeper);
-        let mut state = State::new(&problem, &setting.shape);
-        let gradient = Session::new(&setting).sense(&mut state, &mut log).unwrap().gradient;
+        let mut state = State::new(&problem);
+        let gradient = Session::new(&trial).sense(&mut state, &mut log).unwrap().gradient;
 
         let of_training = matches!(protocol, Protocol::Envelope(_));
         let loss = |design: &[f64]| {
             let set = |forces| {
-                let report = &mut Report::default();
-                let found = setting.simulate(design, forces, &problem.solver, false, report).unwrap();
-                setting.plain(&found.signals, forces)
+                let counters = &mut Counters::default();
+                let found = trial.simulate(design, forces, &problem.solver, false, counters).unwrap();
+                Plain::of(&found.samples, &trial.scales, pool.heartbeat())
             };
-            let train = set(&setting.train);
-            let linear = fit(&train.moments(), problem.decoder.lags, ridge).unwrap().linear();
-            let error =
-                |set: &super::super::linear::Plain| 0.01 * set.error(&linear.predict(&set.x)).unwrap();
+            let train = set(&trial.train);
+            let linear = solve(&train.moments(), problem.decoder.lags, ridge).unwrap().linear();
+            let error = |set: &Plain| 0.01 * set.error(&linear.predict(&set.x)).unwrap();
             if of_training {
                 error(&train) + ridge * linear.w.iter().map(|w| w * w).sum::<f64>()
             } else {
-                error(&set(&setting.test))
+                error(&set(&trial.test))
             }
         };
         let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
@@ -179,22 +177,20 @@ fn readings_are_those_of_their_own_fits() {
     assert!(lags.contains(&Lags { before: 39, after: 0 }) && lags.contains(&Lags { before: 2, after: 2 }));
 
     let pool = pool(1);
-    let tuned = Tuning::new(&problem, &pool).unwrap().problem;
-    let setting = Setting::new(&tuned, &pool).unwrap();
+    let mut trial = Trial::new(&problem, &pool).unwrap();
     let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
-    let sets = [&setting.train, &setting.test, &holdout].map(|forces| {
-        let report = &mut Report::default();
-        let signals =
-            setting.simulate(&problem.initial, forces, &tuned.solver, false, report).unwrap().signals;
-        setting.plain(&signals, forces)
+    let sets: [Samples; 3] = [&trial.train, &trial.test, &holdout].map(|forces| {
+        let (counters, solver) = (&mut Counters::default(), &trial.problem.solver);
+        trial.simulate(&problem.initial, forces, solver, false, counters).unwrap().samples
     });
     for reading in &found.readings {
-        let alone = read(&sets, reading.lags, reading.ridge).unwrap();
+        trial.problem.decoder = Decoder { lags: reading.lags, ridge: Ridge::Given(reading.ridge) };
+        let alone = own_reading(&trial, &sets, &mut Vec::new()).unwrap();
         let (a, b) = (reading.error_holdout.unwrap(), alone.error_holdout.unwrap());
         assert!((a / b - 1.0).abs() < 1e-6, "{reading:?} {alone:?}");
     }
 
-    problem.reader = Kind::Linear;
+    problem.reader = BrainKind::Linear;
     let own = optimise(&problem, None, &pool, &mut Keeper::default()).unwrap().unwrap().initial;
     assert_eq!(own.networks.len(), 1);
     assert_eq!(own.networks[0].error_holdout, own.readings[0].error_holdout);
@@ -205,7 +201,7 @@ fn readings_are_those_of_their_own_fits() {
 /// from brains that have not seen them, and a replay has the errors that the evaluation had.
 #[test]
 fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
-    let mut problem = Problem { reader: Kind::Stacked, ..linear(LINEAR[3]) };
+    let mut problem = Problem { reader: BrainKind::Stacked, ..linear(LINEAR[3]) };
     problem.stimuli.samples = 30;
     problem.brain.iterations = 60;
     let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
@@ -223,9 +219,12 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     }
 
     let pool = pool(1);
-    let setting = Setting::new(&problem, &pool).unwrap();
-    let train = setting.plain(&setting.initial_signals, &setting.train);
-    let stack = super::super::linear::Stack::new(&problem.decoder, problem.seed, &train).unwrap();
-    let (seen, unseen) = (stack.answers(&train.x), stack.cross_fitted(&train.x));
-    assert!(train.error(&unseen) > train.error(&seen), "{:?} {:?}", train.error(&unseen), train.error(&seen));
+    let trial = Trial::new(&problem, &pool).unwrap();
+    let stack =
+        Stack::new(&problem.decoder, problem.seed, &trial.initial, trial.scales.clone(), pool.heartbeat())
+            .unwrap();
+    let known = Plain::of(&trial.initial, &trial.scales, pool.heartbeat());
+    let [seen, unseen] =
+        [stack.estimates(&trial.initial.signals), stack.cross_fitted()].map(|y| known.error(&y));
+    assert!(unseen > seen, "{unseen:?} {seen:?}");
 }

@@ -6,14 +6,11 @@
 //! The prior weighs training samples by 1/Σ f², as the mean error does: of a linear body the mean is then the least that any
 //! decoder linear in the signals has on these samples.
 
-use super::linearity::EXACT;
-use super::problem::Problem;
-use super::report::{Failure, Trouble};
-use super::setting::Setting;
-use super::tuning::Tuning;
+use super::nonlinear::EXACT;
 use crate::dynamics::{Method, Solver, choose};
 use crate::modes::bound::{Noise, Prior, along, posterior_variance};
 use crate::random::Purpose;
+use crate::trial::{Failure, Problem, Trial, Trouble};
 
 /// What could be known at most.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,11 +40,10 @@ pub fn bound(
         Method::Tsit5 => Method::Auto,
         method => method,
     };
-    let problem = &Problem { solver: Solver { method, ..problem.solver }, ..problem.clone() };
-    let Tuning { asked, problem, .. } = &Tuning::new(problem, pool)?;
-    let scene = &problem.scene;
-    let setting = Setting::new(problem, pool)?;
-    let Some(chip) = setting.chip.as_ref().filter(|chip| chip.noise.iter().all(|white| *white > 0.0)) else {
+    let trial =
+        Trial::new(&Problem { solver: Solver { method, ..problem.solver }, ..problem.clone() }, pool)?;
+    let (problem, scene) = (&trial.problem, &trial.problem.scene);
+    let Some(chip) = trial.chip.as_ref().filter(|chip| chip.noise.iter().all(|white| *white > 0.0)) else {
         return Ok(None);
     };
     let noise = Noise { white: chip.noise.clone(), bias: chip.bias.clone() };
@@ -55,13 +51,13 @@ pub fn bound(
         let of = targets.chunks_exact(targets.len() / samples.max(1));
         of.map(|f| Some(f.iter().map(|f| f * f).sum::<f64>()).filter(|s| *s > 0.0).map(f64::recip)).collect()
     };
-    let known = weights(&problem.targets(&setting.train), setting.train.samples);
+    let known = weights(&problem.targets(&trial.train), trial.train.samples);
     let weight = known.iter().flatten().sum::<f64>() / known.iter().flatten().count() as f64;
     let known: Vec<f64> = known.into_iter().map(Option::unwrap_or_default).collect();
-    let prior = Prior::new(&setting.train, &known, |forces| problem.targets(forces));
+    let prior = Prior::new(&trial.train, &known, |forces| problem.targets(forces));
 
     let unseen = problem.forces(Purpose::Holdout, 0, samples.min(problem.stimuli.holdout));
-    let plan = choose(scene, design, &Tuning::of_body(asked, design, pool).solver.at_most(EXACT));
+    let plan = choose(scene, design, &trial.tuned(design).solver.at_most(EXACT));
     let trouble = |outcome| Failure::Initial(Trouble::Simulation(outcome));
     let mut left = Vec::new();
     for sample in 0..unseen.samples {

@@ -2,15 +2,12 @@
 //!
 //! All candidate units listen to the same simulations, through the chips that the sensors will have.
 
-use super::linear::Plain;
-use super::problem::Problem;
-use super::report::{Failure, Report, Trouble};
-use super::setting::Setting;
-use super::tuning::Tuning;
-use super::unseen::folds;
+use super::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores};
 use crate::brain::linear::Sizes;
+use crate::brains::Plain;
 use crate::dynamics::Scene;
-use crate::place::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores, Search};
+use crate::stimuli::folds;
+use crate::trial::{Counters, Failure, Optimise, Placing, Problem, Trial, Trouble};
 
 /// Parts of the training samples; each is judged by what the others say.
 const FOLDS: usize = 4;
@@ -37,25 +34,23 @@ impl Candidates {
     /// If the body cannot be simulated.
     pub fn new(
         problem: &Problem,
-        search: &Search,
+        search: &Placing,
         design: &[f64],
         pool: &crate::Pool,
     ) -> Result<Self, Failure> {
         let units = search.candidates.clone();
         let scene = Scene { sensors: units.clone(), ..problem.scene.clone() };
-        let asked = Problem { scene, search: None, ..problem.clone() };
-        let solver = |design| Tuning::of_body(&asked, design, pool).solver;
-        let problem = Problem { solver: solver(&asked.initial), ..asked.clone() };
-        let setting = Setting::new(&problem, pool)?;
-        let signals = if design == problem.initial {
-            setting.initial_signals.clone()
+        let optimise = Optimise { coarse: None, ..problem.optimise };
+        let trial = Trial::new(&Problem { scene, search: None, optimise, ..problem.clone() }, pool)?;
+        let heard = if design == problem.initial {
+            trial.initial.clone()
         } else {
-            let simulation =
-                setting.simulate(design, &setting.train, &solver(design), false, &mut Report::default());
-            simulation.map_err(Failure::Initial)?.signals
+            let solver = trial.tuned(design).solver;
+            let response = trial.simulate(design, &trial.train, &solver, false, &mut Counters::default());
+            response.map_err(Failure::Initial)?.samples
         };
-        let samples = setting.plain(&signals, &setting.train);
-        let dealt = folds(problem.seed, setting.train.samples, FOLDS.min(setting.train.samples));
+        let samples = Plain::of(&heard, &trial.scales, pool.heartbeat());
+        let dealt = folds(problem.seed, heard.count(), FOLDS.min(heard.count()));
         let plain = Self { units, samples, dealt, energies: false };
         let mut judges: Vec<usize> =
             (0..JUDGES).map(|j| plain.units[j * (plain.units.len() - 1) / (JUDGES - 1)]).collect();
@@ -63,7 +58,7 @@ impl Candidates {
         let mut judges = plain.of(&judges);
         let mut error = |energies| {
             judges.energies = energies;
-            judges.scores(&problem, pool).of_all()
+            judges.scores(problem, pool).of_all()
         };
         let energies = error(true) < error(false);
         Ok(Self { energies, ..plain })
@@ -136,7 +131,7 @@ impl Candidates {
 pub fn placed(problem: &Problem, pool: &crate::Pool) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
     let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);
-    let search = Search { candidates: candidates.units.clone(), ..search.clone() };
+    let search = Placing { candidates: candidates.units.clone(), ..search.clone() };
     let found = candidates.scores(problem, pool).search(&search);
     let found = found.map_err(|Nowhere| Failure::Initial(Trouble::Nowhere))?;
     let mut problem = problem.clone();

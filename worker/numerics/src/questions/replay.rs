@@ -2,16 +2,13 @@
 //!
 //! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
 
-use super::linear::{Decoder, Stack};
-use super::problem::{Kind, Problem};
-use super::report::Failure;
-use super::setting::{Setting, all_well};
-use super::tuning::Tuning;
 use crate::brain::linear::{Lags, Sizes};
-use crate::brain::{Data, Workspace, prediction_error};
-use crate::dynamics::{Forces, simulate};
+use crate::brain::prediction_error;
+use crate::brains::{Fresh, reader};
+use crate::dynamics::{Forces, simulate, tune};
 use crate::random::Purpose;
 use crate::stimuli::split;
+use crate::trial::{BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, tuned};
 
 /// What a body and a network do with every sample of a trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,9 +44,8 @@ pub fn replay(
     weights: &[f32],
     pool: &crate::Pool,
 ) -> Result<Replay, Failure> {
-    let Tuning { asked, problem, .. } = &Tuning::new(problem, pool)?;
-    let solver = Tuning::of_body(asked, design, pool).solver;
-    let setting = Setting::new(problem, pool)?;
+    let trial = Trial::new(problem, pool)?;
+    let (problem, solver) = (&trial.problem, trial.tuned(design).solver);
     let forces = all_forces(problem);
     let (_, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
     let mut kinds = vec![0; problem.stimuli.samples];
@@ -57,48 +53,47 @@ pub fn replay(
     kinds.resize(forces.samples, 2);
     let mut simulation = simulate(&problem.scene, design, &forces, &solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
-    setting.disturb(&mut simulation.signals, &forces);
-    let forces = problem.seen(forces);
-    let (mut predictions, mut errors) = (Vec::new(), Vec::new());
-    if !weights.is_empty() {
-        let data = match problem.reader {
-            Kind::Stacked => stacked(&setting, &simulation.signals, &forces, &kinds)?,
-            _ => setting.data::<f32>(&simulation.signals, &forces),
-        };
-        let mut workspace = Workspace::new(data.shape(), pool.width());
-        let targets = problem.targets(&forces);
-        (predictions, errors) = setting.scales.predict(weights, &data, &targets, &mut workspace, pool);
-    }
+    trial.disturb(&mut simulation.signals, &forces);
+    let all = trial.samples(simulation.signals, &forces);
+    let predictions = match weights {
+        [] => Vec::new(),
+        weights => predicted(&trial, &all, weights, &kinds)?,
+    };
+    let errors = match weights {
+        [] => Vec::new(),
+        _ => prediction_error(&all.targets, &predictions, all.sizes.outputs, all.sizes.instants),
+    };
+    let Scales { channels, mean, deviation } = &trial.scales;
     let mut replay = Replay {
-        forces,
+        forces: problem.seen(forces),
         split: kinds,
-        signals: simulation.signals,
+        signals: all.signals,
         predictions,
         errors,
-        signal_scale: setting.scales.channels.clone(),
-        force_mean: setting.scales.mean.clone(),
-        force_deviation: setting.scales.deviation.clone(),
+        signal_scale: channels.clone(),
+        force_mean: mean.clone(),
+        force_deviation: deviation.clone(),
     };
-    if problem.reader == Kind::Linear {
+    if problem.reader == BrainKind::Linear {
         let brain = replay.linear(problem, &problem.decoder)?;
         (replay.predictions, replay.errors) = (brain.predictions, brain.errors);
     }
     Ok(replay)
 }
 
-/// All samples as a stacked network takes them, those of the training set by brains that have not seen them.
-fn stacked(setting: &Setting, signals: &[f64], forces: &Forces, kinds: &[u8]) -> Result<Data<f32>, Failure> {
-    let problem = setting.problem;
-    let all = setting.plain(signals, forces);
+/// Forces (N, T, K) (N) of all samples by a network with these weights; kind 0 are those that trained it.
+fn predicted(trial: &Trial, all: &Samples, weights: &[f32], kinds: &[u8]) -> Result<Vec<f64>, Failure> {
     let training: Vec<usize> = (0..kinds.len()).filter(|&i| kinds[i] == 0).collect();
-    let train = all.select(&training);
-    let stack = Stack::new(&problem.decoder, problem.seed, &train).map_err(Failure::Initial)?;
-    let mut answers = stack.answers(&all.x);
-    let one = answers.len() / kinds.len();
-    for (own, &sample) in stack.cross_fitted(&train.x).chunks_exact(one).zip(&training) {
-        answers[sample * one..(sample + 1) * one].copy_from_slice(own);
+    let known = all.select(&training);
+    let scales = [(); 2].map(|()| trial.scales.clone());
+    let mut reader = reader(trial.problem.recipe(), &known, scales, trial.pool).map_err(Failure::Initial)?;
+    *reader.training().expect("a brain with weights is a network") = Some(Fresh::of(weights.to_vec()));
+    let mut predictions = reader.predict(&all.signals);
+    let one = predictions.len() / kinds.len();
+    for (own, sample) in reader.predict_known().chunks_exact(one).zip(training) {
+        predictions[sample * one..][..one].copy_from_slice(own);
     }
-    Ok(setting.scales.stacked(problem.reader_shape(), signals, &all, &answers))
+    Ok(predictions)
 }
 
 /// A linear brain fitted on a replay's training samples, and what it says of all of them.
@@ -131,10 +126,9 @@ impl Replay {
             let samples = values.chunks_exact(values.len() / self.split.len()).zip(&self.split);
             samples.filter(|(_, set)| **set == 0).flat_map(|(sample, _)| sample).copied().collect()
         };
-        let (signals, forces) = (training(&self.signals), training(&targets));
+        let known = Samples { sizes, signals: training(&self.signals), targets: training(&targets) };
         let scale = Some(self.signal_scale.clone());
-        let fitted =
-            decoder.fitted(problem.seed, sizes, &signals, &forces, scale).map_err(Failure::Initial)?;
+        let fitted = decoder.fit(problem.seed, &known, scale).map_err(Failure::Initial)?;
         let predictions = fitted.predict(&self.signals);
         let errors = prediction_error(&targets, &predictions, outputs, instants);
         let [w, b] = fitted.weights();
@@ -169,7 +163,7 @@ pub fn motion(
     sample: usize,
     pool: &crate::Pool,
 ) -> Result<Motion, Failure> {
-    let solver = Tuning::of_body(problem, design, pool).solver;
+    let solver = tuned(problem, design, pool).solver;
     let forces = crate::stimuli::select(&all_forces(problem), &[sample]);
     let simulation = simulate(&problem.scene, design, &forces, &solver, true, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
@@ -177,4 +171,25 @@ pub fn motion(
     let states = (1..=problem.scene.instants).map(|n| tape.state(0, n));
     let (displacements, velocities) = states.unzip();
     Ok(Motion { displacements, velocities })
+}
+
+/// Signals (N, T, 3M) of a body under given forces, as its chips give them: those of the trial, which are the same on every body.
+///
+/// # Errors
+/// If a sample does not reach its end, or, where chips are relative to it, the trial's initial body does not.
+pub fn sense(
+    problem: &Problem,
+    design: &[f64],
+    forces: &Forces,
+    pool: &crate::Pool,
+) -> Result<Vec<f64>, Failure> {
+    let scene = &problem.scene;
+    let solver = tune(scene, design, forces, &problem.solver, pool).solver;
+    let simulation = simulate(scene, design, forces, &solver, false, pool);
+    all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+    let mut signals = simulation.signals;
+    if problem.disturbance.is_some() {
+        Trial::new(problem, pool)?.disturb(&mut signals, forces);
+    }
+    Ok(signals)
 }

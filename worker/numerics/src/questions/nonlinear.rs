@@ -3,12 +3,12 @@
 //! ```text
 //! 100 · mean over channels of Σ (s(f) − s_lin(f))² / Σ s(f)²,   s_lin(f) = s(ε f)/ε
 //! ```
-//! Both by the same integrator with the same steps, Tsit5 with a tolerance that is ε times as small where it is absolute; what is not linear in s_lin is of the order of ε.
+//! Both by the same integrator with the same steps; Tsit5's absolute tolerance is scaled by ε too. What is not linear in s_lin
+//! is of the order of ε.
 
-use super::report::Report;
-use super::setting::Setting;
 use crate::dynamics::{Accuracy, Forces, Outcome, Simulation, Solver, signal_error, simulate};
 use crate::random::Purpose;
+use crate::trial::{Counters, Trial};
 
 /// ε: errors of 1e-5 in s_lin, which rounding stays a thousand times below.
 const SMALL: f64 = 1e-5;
@@ -21,22 +21,22 @@ const SAMPLES: usize = 24;
 pub type Nonlinear = [f64; 2];
 
 /// Of a body under the first samples of the holdout, without what chips add; none where one does not end well.
-pub(super) fn nonlinear(
-    setting: &Setting,
+pub(crate) fn nonlinear(
+    trial: &Trial,
     design: &[f64],
     solver: &Solver,
-    report: &mut Report,
+    counters: &mut Counters,
 ) -> Option<Nonlinear> {
-    let (problem, scene) = (setting.problem, &setting.problem.scene);
+    let (problem, scene) = (&trial.problem, &trial.problem.scene);
     let solver = solver.at_most(EXACT);
     let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout.min(SAMPLES));
     let scaled =
         |by: f64| -> Forces { Forces { values: forces.values.iter().map(|f| by * f).collect(), ..forces } };
     let [full, small] = [1.0, SMALL].map(|by| {
         let solver = Solver { tolerance: solver.tolerance.map(|t| t.of_motion(by)), ..solver };
-        simulate(scene, design, &scaled(by), &solver, false, setting.pool)
+        simulate(scene, design, &scaled(by), &solver, false, trial.pool)
     });
-    [&full, &small].iter().for_each(|run| report.counters.dynamics += run.counters);
+    [&full, &small].iter().for_each(|run| counters.dynamics += run.counters);
     let well = |run: &Simulation| run.outcomes.iter().all(|o| *o == Outcome::Ok);
     let channels = 3 * scene.sensors.len();
     let of = |turn: bool| {

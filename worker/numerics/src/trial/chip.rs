@@ -42,18 +42,18 @@ impl Size {
 
 /// A disturbance at the scale of one trial.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Chip {
+pub(crate) struct Chip {
     seed: u64,
     /// A channel (3M).
-    pub(super) noise: Vec<f64>,
-    pub(super) bias: Vec<f64>,
+    pub(crate) noise: Vec<f64>,
+    pub(crate) bias: Vec<f64>,
     /// In instants.
     delay: f64,
 }
 
 impl Chip {
     /// `delta` is the time between two instants (s), `rms` that of each channel.
-    pub(super) fn new(disturbance: &Disturbance, seed: u64, delta: f64, rms: &[f64]) -> Self {
+    pub(crate) fn new(disturbance: &Disturbance, seed: u64, delta: f64, rms: &[f64]) -> Self {
         Self {
             seed,
             noise: disturbance.noise.of(rms),
@@ -63,7 +63,7 @@ impl Chip {
     }
 
     /// Overwrites signals (N, T, 3M) of `forces` with what the chip says.
-    pub(super) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
+    pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
         let channels = self.noise.len();
         for (i, sample) in signals.chunks_exact_mut(signals.len() / forces.samples.max(1)).enumerate() {
             self.late(sample);
@@ -86,7 +86,7 @@ impl Chip {
     }
 
     /// a(t_n − delay) of a sample's signals (T, 3M).
-    pub(super) fn late(&self, sample: &mut [f64]) {
+    pub(crate) fn late(&self, sample: &mut [f64]) {
         let (whole, part) = self.parts();
         let channels = self.noise.len();
         if self.delay == 0.0 {
@@ -99,7 +99,7 @@ impl Chip {
     }
 
     /// Transpose of the delay: a cotangent (N, T, 3M) of `samples` samples on what the chip says as one on the signals.
-    pub(super) fn disturb_vjp(&self, cotangent: &mut [f64], samples: usize) {
+    pub(crate) fn disturb_vjp(&self, cotangent: &mut [f64], samples: usize) {
         let (whole, part) = self.parts();
         let channels = self.noise.len();
         if self.delay == 0.0 {

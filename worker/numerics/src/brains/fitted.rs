@@ -1,0 +1,146 @@
+//! A linear brain fitted to the samples of one body.
+//!
+//! ```text
+//! x = signals / rms(signals)     f̂ = rms(f) · (b + W ∗ x)
+//! ```
+
+use super::linear::{Plain, solve};
+use super::{Reader, Recipe};
+use crate::Heartbeat;
+use crate::brain::linear::{Linear, Sizes};
+use crate::trial::{Decoder, Samples, Scales, Trouble};
+
+/// A linear brain and the scales that it was fitted at.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fitted {
+    linear: Linear,
+    /// λ.
+    pub ridge: f64,
+    /// What each signal channel is divided by (C).
+    pub signal_scale: Vec<f64>,
+    /// RMS of all forces (N).
+    pub force_scale: f64,
+    /// Mean error on the samples that it was fitted to (%); `None` where none has a force.
+    pub error: Option<f64>,
+}
+
+impl Decoder {
+    /// Fits the linear brain to samples, its λ by folds assigned by `seed` where it is not given. Signals are divided by
+    /// `signal_scale` (C), by default their own RMS.
+    ///
+    /// # Errors
+    /// If no λ has a solution.
+    pub fn fit(&self, seed: u64, known: &Samples, signal_scale: Option<Vec<f64>>) -> Result<Fitted, Trouble> {
+        let mut scales = Scales::of(known);
+        scales.channels = signal_scale.unwrap_or(scales.channels);
+        self.fitted(seed, known, scales, &Heartbeat::default())
+    }
+
+    /// The same at given scales.
+    fn fitted(
+        &self,
+        seed: u64,
+        known: &Samples,
+        scales: Scales,
+        heartbeat: &Heartbeat,
+    ) -> Result<Fitted, Trouble> {
+        let known = Plain::of(known, &scales, heartbeat);
+        let ridge = self.ridge_of(seed, &known, None)?;
+        let linear = solve(&known.moments(), self.lags, ridge)?.linear();
+        let error = known.error(&linear.predict(&known.x));
+        Ok(Fitted { linear, ridge, force_scale: scales.force(), signal_scale: scales.channels, error })
+    }
+}
+
+impl Fitted {
+    /// T, C, K.
+    pub fn sizes(&self) -> Sizes {
+        self.linear.sizes
+    }
+
+    /// f̂ (N, T, K) (N) of signals (N, T, C).
+    ///
+    /// # Panics
+    /// If the length is not that of whole samples.
+    pub fn predict(&self, signals: &[f64]) -> Vec<f64> {
+        let x: Vec<f64> = self.scaled(signals).collect();
+        self.physical(self.linear.predict(&x))
+    }
+
+    /// Transpose of [`Fitted::predict`] but for b: a cotangent on f̂ (N, T, K) as one on the signals.
+    ///
+    /// # Panics
+    /// Likewise.
+    pub fn predict_vjp(&self, cotangent: &[f64]) -> Vec<f64> {
+        self.physical(self.scaled(&self.linear.predict_vjp(cotangent)).collect())
+    }
+
+    /// W (K, lags, C) (N) and b (K) (N): f̂ = b + Σ W · signals / `signal_scale`.
+    pub fn weights(&self) -> [Vec<f64>; 2] {
+        [&self.linear.w, &self.linear.b].map(|w| self.physical(w.clone()))
+    }
+
+    fn scaled(&self, signals: &[f64]) -> impl Iterator<Item = f64> {
+        signals.iter().zip(self.signal_scale.iter().cycle()).map(|(a, s)| a / s)
+    }
+
+    fn physical(&self, mut values: Vec<f64>) -> Vec<f64> {
+        values.iter_mut().for_each(|y| *y *= self.force_scale);
+        values
+    }
+}
+
+/// A linear brain that reads one body.
+pub(super) struct LinearReader<'a> {
+    recipe: Recipe,
+    known: &'a Samples,
+    scales: Scales,
+    heartbeat: &'a Heartbeat,
+    fitted: Option<Fitted>,
+}
+
+impl<'a> LinearReader<'a> {
+    pub(super) fn new(
+        recipe: Recipe,
+        known: &'a Samples,
+        [scales, _]: [Scales; 2],
+        heartbeat: &'a Heartbeat,
+    ) -> Self {
+        Self { recipe, known, scales, heartbeat, fitted: None }
+    }
+
+    fn fitted(&self) -> &Fitted {
+        self.fitted.as_ref().expect("it has been fitted")
+    }
+}
+
+impl Reader for LinearReader<'_> {
+    fn fit(
+        &mut self,
+        _: u64,
+        _: usize,
+        _: &Samples,
+        _: &mut dyn FnMut(usize) -> bool,
+    ) -> Option<Result<(), Trouble>> {
+        let fitted =
+            self.recipe.decoder.fitted(self.recipe.seed, self.known, self.scales.clone(), self.heartbeat);
+        Some(fitted.map(|fitted| self.fitted = Some(fitted)))
+    }
+
+    fn predict(&mut self, signals: &[f64]) -> Vec<f64> {
+        self.fitted().predict(signals)
+    }
+
+    fn predict_known(&mut self) -> Vec<f64> {
+        self.fitted().predict(&self.known.signals)
+    }
+
+    fn error_known(&mut self) -> Option<f64> {
+        self.fitted().error
+    }
+
+    fn error(&mut self, samples: &Samples) -> Option<f64> {
+        let samples = Plain::of(samples, &self.scales, self.heartbeat);
+        samples.error(&self.fitted().linear.predict(&samples.x))
+    }
+}

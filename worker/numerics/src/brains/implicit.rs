@@ -1,0 +1,37 @@
+//! The implicit term: how the test loss changes because the trained weights follow the training signals.
+//!
+//! ```text
+//! H z = b,  b = ∂L_test/∂β,  H = ∂²L_train/∂β²          (conjugate gradients, at most 20 products)
+//! cotangent on x_train = −∂/∂x ⟨∂L_train/∂β, z⟩
+//! ```
+//! In f64 throughout: 20 products of an indefinite H amplify every rounding.
+
+use super::Implicit;
+use crate::brain::{self, Curvature, Data, Policy, Workspace};
+
+/// Tolerance ‖r‖ ≤ 1e-7 ‖b‖ and limit of 20, the paper's.
+const TOLERANCE: f64 = 1e-7;
+const PRODUCTS_MAX: usize = 20;
+
+/// Cotangent on a network's training inputs (N, T, 3M), from training and test data, and how its linear system ended.
+pub(super) fn implicit_term(
+    [train, test]: &[Data<f64>; 2],
+    weights: &[f32],
+    policy: Policy,
+    pool: &crate::Pool,
+) -> (Vec<f64>, Implicit) {
+    let mut workspace = Workspace::<f64>::new(train.shape(), pool.width());
+    let weights: Vec<f64> = weights.iter().copied().map(f64::from).collect();
+    let mut b = vec![0.0; weights.len()];
+    brain::loss_gradient(&weights, test.all(), &mut b, &mut workspace, pool);
+    let curvature = Curvature::new(&weights, train.all(), &mut workspace, pool);
+    let solve = brain::solve_implicit(&curvature, &b, policy, TOLERANCE, PRODUCTS_MAX, &mut workspace, pool);
+    let found = Implicit {
+        policy,
+        iterations: solve.iterations,
+        residual: solve.residual,
+        smallest_curvature: solve.smallest_curvature,
+        outcome: solve.outcome,
+    };
+    (curvature.mixed_product(&solve.z, &mut workspace, pool).into_iter().map(|c| -c).collect(), found)
+}

@@ -1,0 +1,271 @@
+//! The linear brain: least squares of the forces on the signals around each instant, solved exactly.
+//!
+//! ```text
+//! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: 10^−j, by a fifth of the training set
+//! ```
+
+use super::{Fit, Implicit, Learned, Learner, Learnt, Loss};
+use crate::Heartbeat;
+use crate::brain::linear::{self, Lags, Linear, Moments, Order, Sizes, downhill_ridge};
+use crate::brain::{Policy, prediction_error};
+use crate::stimuli::folds;
+use crate::trial::{Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, mean_error, pick};
+use std::ops::RangeInclusive;
+
+/// Unknowns of the longest memory that a body is read with: 0.7 GB and some 5 s a factor.
+const UNKNOWNS_MAX: usize = 9600;
+/// Bodies on whose batches a learner fits, the present one among them …
+const BODIES: usize = 8;
+/// … each older one counting less by this factor: the body has moved since.
+const FADING: f64 = 0.8;
+/// Outer steps from one look at the ridge to the next.
+const RIDGE_EVERY: u32 = 10;
+/// Parts of the training set; one of them judges a ridge that the others are fitted with.
+pub(super) const FOLDS: usize = 5;
+/// Where the search for λ begins, and how far it goes.
+const FIRST_RIDGE: f64 = 1e-6;
+const RIDGES: RangeInclusive<f64> = 1e-14..=1e2;
+
+impl Decoder {
+    /// Of the whole sample, both ways, or as much of it as can be solved for: what every body is read by.
+    pub fn whole(instants: usize, channels: usize) -> Self {
+        let both = |reach| Lags { before: reach, after: reach };
+        let solvable = |lags: &Lags| lags.groups().len() * channels <= UNKNOWNS_MAX;
+        let lags = (0..instants).rev().map(both).find(solvable).unwrap_or(both(0));
+        Self { lags, ridge: Ridge::Auto }
+    }
+}
+
+/// Samples as a linear brain takes them.
+#[derive(Debug, Clone)]
+pub(crate) struct Plain {
+    pub(crate) sizes: Sizes,
+    /// x (N, T, 3M).
+    pub(crate) x: Vec<f64>,
+    /// y (N, T, K).
+    pub(crate) y: Vec<f64>,
+    /// w (N); 0 without force.
+    pub(crate) w: Vec<f64>,
+    /// Counts what is done with them.
+    pub(crate) heartbeat: Heartbeat,
+}
+
+impl Plain {
+    /// Signals and forces at these scales.
+    pub(crate) fn of(samples: &Samples, scales: &Scales, heartbeat: &Heartbeat) -> Self {
+        let x = scales.inputs(&samples.signals);
+        Self::new(samples.sizes, x, &samples.targets, scales.force(), heartbeat)
+    }
+
+    /// From x (N, T, 3M) and forces (N, T, K) in N, `scale` of which count as 1.
+    fn new(sizes: Sizes, x: Vec<f64>, forces: &[f64], scale: f64, heartbeat: &Heartbeat) -> Self {
+        let y: Vec<f64> = forces.iter().map(|f| f / scale).collect();
+        let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
+        let weight = |power: f64| if power > 0.0 { power.recip() } else { 0.0 };
+        let w = y.chunks_exact(sizes.instants * sizes.outputs).map(|sample| weight(power(sample))).collect();
+        Self { sizes, x, y, w, heartbeat: heartbeat.clone() }
+    }
+
+    /// Their moments.
+    pub(crate) fn moments(&self) -> Moments {
+        let mut moments = Moments::new(self.sizes, &self.heartbeat);
+        moments.add(&self.x, &self.y, &self.w);
+        moments
+    }
+
+    /// These samples, in this order.
+    pub(crate) fn select(&self, samples: &[usize]) -> Self {
+        let pick = |values: &[f64]| pick(values, self.w.len(), samples);
+        let [x, y, w] = [&self.x, &self.y, &self.w].map(|values| pick(values));
+        Self { sizes: self.sizes, x, y, w, heartbeat: self.heartbeat.clone() }
+    }
+
+    /// How many have no force.
+    pub(crate) fn zero_samples(&self) -> u32 {
+        self.w.iter().filter(|w| **w == 0.0).count() as u32
+    }
+
+    /// Error of each sample (%) by these answers (N, T, K).
+    pub(crate) fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
+        prediction_error(&self.y, predicted, self.sizes.outputs, self.sizes.instants)
+    }
+
+    /// Their mean.
+    pub(crate) fn error(&self, predicted: &[f64]) -> Option<f64> {
+        mean_error(&self.errors(predicted))
+    }
+
+    /// 2w (ŷ − y)/n of the n samples with force: the derivative of the mean error, as a part of 1, in the answers.
+    pub(crate) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
+        let total = (self.w.len() - self.zero_samples() as usize) as f64;
+        let one = self.sizes.instants * self.sizes.outputs;
+        let mut residual = Vec::with_capacity(predicted.len());
+        for ((p, y), w) in predicted.chunks_exact(one).zip(self.y.chunks_exact(one)).zip(&self.w) {
+            residual.extend(p.iter().zip(y).map(|(p, y)| 2.0 * w / total * (p - y)));
+        }
+        residual
+    }
+}
+
+/// The weights of a fit, or its trouble.
+pub(crate) fn solve(moments: &Moments, lags: Lags, ridge: f64) -> Result<linear::Fit, Trouble> {
+    linear::Fit::new(moments, lags, ridge, Order::Ascending).map_err(|_| Trouble::Singular)
+}
+
+impl Decoder {
+    /// λ for these training samples: as given, or that with which four fifths of them read the last best, looked for
+    /// from `last` on.
+    ///
+    /// # Errors
+    /// If no λ has a solution.
+    pub(super) fn ridge_of(&self, seed: u64, train: &Plain, last: Option<f64>) -> Result<f64, Trouble> {
+        if let Ridge::Given(ridge) = self.ridge {
+            return Ok(ridge);
+        }
+        let lags = self.lags;
+        let dealt = folds(seed, train.w.len(), FOLDS.min(train.w.len()));
+        let kept: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] != 0).collect();
+        let judges: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == 0).collect();
+        let (moments, judges) = (train.select(&kept).moments(), train.select(&judges));
+        // too few samples to judge by
+        if kept.is_empty() || judges.w.iter().all(|w| *w == 0.0) {
+            return Ok(last.unwrap_or(FIRST_RIDGE));
+        }
+        let error = |ridge| {
+            let linear = solve(&moments, lags, ridge).ok()?.linear();
+            judges.error(&linear.predict(&judges.x))
+        };
+        downhill_ridge(last.unwrap_or(FIRST_RIDGE), RIDGES, error).ok_or(Trouble::Singular)
+    }
+}
+
+/// A linear brain that trains a body: no fit takes up where another ended.
+pub(super) struct LinearLearner<'a> {
+    trial: &'a Trial<'a>,
+    /// That of this step, and its factor where it may be asked how it would change.
+    linear: Option<(Linear, Option<linear::Fit>)>,
+}
+
+impl<'a> LinearLearner<'a> {
+    pub(super) fn new(trial: &'a Trial<'a>) -> Self {
+        Self { trial, linear: None }
+    }
+
+    fn plain(&self, samples: &Samples) -> Plain {
+        Plain::of(samples, &self.trial.scales, self.trial.pool.heartbeat())
+    }
+
+    fn linear(&self) -> &Linear {
+        &self.linear.as_ref().expect("it has been fitted").0
+    }
+
+    fn ridge(&self, train: &Plain, last: Option<f64>) -> Result<f64, Trouble> {
+        self.trial.problem.decoder.ridge_of(self.trial.problem.seed, train, last)
+    }
+
+    /// λ of these training samples, looked for anew every `RIDGE_EVERY` steps.
+    fn ridge_at(&self, step: u32, train: &Plain, learnt: &mut Learnt) -> Result<f64, Trouble> {
+        match learnt.ridge {
+            Some(ridge) if !step.is_multiple_of(RIDGE_EVERY) => Ok(ridge),
+            last => Ok(*learnt.ridge.insert(self.ridge(train, last)?)),
+        }
+    }
+
+    /// The weights for the samples of the last bodies, older ones counting less; now and then the ridge by which the older
+    /// ones read the newest best.
+    fn solve_recent(&self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
+        let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
+        let newest = &bodies[bodies.len() - 1];
+        let mut moments = Moments::new(newest.sizes, trial.pool.heartbeat());
+        for (age, samples) in bodies.iter().rev().enumerate().skip(1) {
+            let fading = FADING.powi(age as i32);
+            let w: Vec<f64> = samples.w.iter().map(|w| w * fading).collect();
+            moments.add(&samples.x, &samples.y, &w);
+        }
+        match learnt.ridge {
+            None => learnt.ridge = Some(self.ridge(&self.plain(&trial.initial), None)?),
+            Some(last) if step.is_multiple_of(RIDGE_EVERY) && bodies.len() > 1 => {
+                let error = |ridge| {
+                    let linear = solve(&moments, lags, ridge).ok()?.linear();
+                    newest.error(&linear.predict(&newest.x))
+                };
+                if trial.problem.decoder.ridge == Ridge::Auto {
+                    learnt.ridge = downhill_ridge(last, RIDGES, error).or(learnt.ridge);
+                }
+            }
+            Some(_) => {}
+        }
+        moments.add(&newest.x, &newest.y, &newest.w);
+        Ok(solve(&moments, lags, learnt.ridge.unwrap_or_default())?.linear())
+    }
+}
+
+impl Learner for LinearLearner<'_> {
+    fn bodies(&self) -> usize {
+        BODIES
+    }
+
+    fn recalls(&self, _: u32) -> bool {
+        true
+    }
+
+    fn fit(&mut self, on: Fit, step: u32, learnt: &mut Learnt, _: &mut Counters) -> Result<Learned, Trouble> {
+        let judged = match on {
+            Fit::Recent(bodies) => {
+                let mut bodies: Vec<Plain> = bodies.iter().map(|samples| self.plain(samples)).collect();
+                self.linear = Some((self.solve_recent(&bodies, step, learnt)?, None));
+                bodies.pop().expect("the newest")
+            }
+            Fit::Optimum(train) | Fit::GoOn(train) | Fit::ByNeed(train, _) => {
+                let train = self.plain(train);
+                let ridge = self.ridge_at(step, &train, learnt)?;
+                let fit = solve(&train.moments(), self.trial.problem.decoder.lags, ridge)?;
+                self.linear = Some((fit.linear(), matches!(on, Fit::Optimum(_)).then_some(fit)));
+                train
+            }
+        };
+        let error = judged.error(&self.linear().predict(&judged.x));
+        // what is no number stays none
+        Ok(Learned { loss: error.map_or(f64::NAN, |error| 0.01 * error), error })
+    }
+
+    fn loss_vjp(&mut self, samples: &Samples, _: Loss) -> (Option<f64>, Vec<f64>) {
+        let (samples, linear) = (self.plain(samples), self.linear());
+        let residual = samples.residual(&linear.predict(&samples.x));
+        (None, self.trial.scales.inputs_vjp(&linear.predict_vjp(&residual)))
+    }
+
+    fn implicit(
+        &mut self,
+        train: &Samples,
+        test: &Samples,
+        _: Policy,
+        _: &mut Counters,
+    ) -> (Vec<f64>, Option<Implicit>) {
+        let [train, test] = [train, test].map(|samples| self.plain(samples));
+        let (linear, fit) = self.linear.as_ref().expect("it has been fitted");
+        let residual = test.residual(&linear.predict(&test.x));
+        let z = fit.as_ref().expect("to its optimum").sensitivity(&linear.weights_vjp(&test.x, &residual));
+        let inputs = through_weights(&train, linear, &linear.predict(&train.x), &z);
+        (self.trial.scales.inputs_vjp(&inputs), None)
+    }
+
+    fn error(&mut self, samples: &Samples) -> Option<f64> {
+        let samples = self.plain(samples);
+        samples.error(&self.linear().predict(&samples.x))
+    }
+}
+
+/// Cotangent on the training inputs through the weights, which answer a force on them by −`z`.
+///
+/// ∂L_train/∂W = 2 Σ ŵ φ (ŷ − y) + 2λW stays zero as x moves: dL = −⟨z, d(∂L_train/∂W)⟩.
+fn through_weights(samples: &Plain, linear: &Linear, said: &[f64], z: &Linear) -> Vec<f64> {
+    let residual = samples.residual(said);
+    // 2ŵ of z's own answers
+    let answers = z.predict(&samples.x);
+    let zero = Plain { y: vec![0.0; samples.y.len()], ..samples.clone() };
+    let mut inputs = z.predict_vjp(&residual);
+    let more = linear.predict_vjp(&zero.residual(&answers));
+    inputs.iter_mut().zip(more).for_each(|(a, b)| *a = -(*a + b));
+    inputs
+}

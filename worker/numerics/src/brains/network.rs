@@ -1,0 +1,372 @@
+//! The convolutional network at the scales of a trial: trained afresh to read a body, or going from body to body.
+
+use super::stacked::Stack;
+use super::{Fit, Implicit, Learned, Learner, Learnt, Loss, Reader, Recipe, implicit};
+use crate::brain::{self, Adam, Batch, Data, Policy, Shape, TrainOutcome, Workspace};
+use crate::trial::{BrainKind, Counters, Going, Protocol, Samples, Scales, Training, Trial, Trouble};
+
+/// Initial weights of readers are numbered from here, out of the way of the outer steps'.
+const FIRST_NETWORK: u64 = 1 << 32;
+/// Iterations of a going network's first training, on the initial body's training signals.
+const FIRST_ITERATIONS: usize = 100;
+/// A network that goes on by need does so until its loss is within this factor of its trend …
+const NEED: f64 = 1.05;
+/// … but at most so many times.
+const ROUNDS_MAX: usize = 8;
+/// A going network trains on the batches of so many bodies, the present one among them.
+const BODIES: usize = 4;
+/// An iteration takes every so-many-th of these samples, by turns: they are so alike that all of them tell a step hardly more.
+const SLICES: usize = 4;
+
+/// Initial weights in the precision of training.
+fn fresh_weights(shape: Shape, seed: u64, which: u64) -> Vec<f32> {
+    brain::initial_weights(shape, seed, which).into_iter().map(|w| w as f32).collect()
+}
+
+/// A fresh network in training, with all that it takes to go on to the same bits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fresh {
+    /// Its weights.
+    pub weights: Vec<f32>,
+    /// Adam on them.
+    pub adam: Adam<f32>,
+    /// Training loss (normalised) at every iteration so far.
+    pub losses: Vec<f32>,
+    /// (Iteration, from 1, error there) at its milestones.
+    pub errors: Vec<(u32, f64)>,
+}
+
+impl Fresh {
+    fn new(shape: Shape, seed: u64, number: u64) -> Self {
+        Self::of(fresh_weights(shape, seed, FIRST_NETWORK + number))
+    }
+
+    /// Of these weights, as if untrained.
+    pub(crate) fn of(weights: Vec<f32>) -> Self {
+        Self { adam: Adam::new(weights.len()), weights, losses: Vec::new(), errors: Vec::new() }
+    }
+}
+
+/// Networks that read one body, one after another; stacked ones see a linear brain's estimates beside the signals.
+pub(crate) struct NetworkReader<'a> {
+    recipe: Recipe,
+    known: &'a Samples,
+    scales: Scales,
+    stack: Option<Stack>,
+    data: Data<f32>,
+    fresh: Option<Fresh>,
+    workspace: Workspace<f32>,
+    pool: &'a crate::Pool,
+}
+
+impl<'a> NetworkReader<'a> {
+    pub(super) fn new(
+        recipe: Recipe,
+        known: &'a Samples,
+        [linear, scales]: [Scales; 2],
+        pool: &'a crate::Pool,
+    ) -> Result<Self, Trouble> {
+        let sizes = known.sizes;
+        let stacked = recipe.kind == BrainKind::Stacked;
+        let stack = stacked
+            .then(|| Stack::new(&recipe.decoder, recipe.seed, known, linear, pool.heartbeat()))
+            .transpose()?;
+        let shape = Shape {
+            instants: sizes.instants,
+            inputs: sizes.channels + if stacked { sizes.outputs } else { 0 },
+            architecture: recipe.architecture,
+            outputs: sizes.outputs,
+        };
+        let data = match &stack {
+            Some(stack) => stack.known(shape, known, &scales),
+            None => data(shape, known, &scales),
+        };
+        Ok(Self {
+            recipe,
+            known,
+            scales,
+            stack,
+            data,
+            fresh: None,
+            workspace: Workspace::new(shape, pool.width()),
+            pool,
+        })
+    }
+}
+
+/// Samples as a network takes them.
+fn data<F: brain::Real>(shape: Shape, samples: &Samples, scales: &Scales) -> Data<F> {
+    Data::new(shape, &scales.inputs(&samples.signals), &scales.targets(&samples.targets))
+}
+
+/// Forces (N, T, K) (N) by a network.
+fn predict(
+    weights: &[f32],
+    data: &Data<f32>,
+    scales: &Scales,
+    workspace: &mut Workspace<f32>,
+    pool: &crate::Pool,
+) -> Vec<f64> {
+    scales.physical(&brain::predict(weights, data.all(), workspace, pool))
+}
+
+impl Reader for NetworkReader<'_> {
+    fn fit(
+        &mut self,
+        number: u64,
+        iterations: usize,
+        unseen: &Samples,
+        pauses: &mut dyn FnMut(usize) -> bool,
+    ) -> Option<Result<(), Trouble>> {
+        let (shape, pool, scales) = (self.data.shape(), self.pool, &self.scales);
+        let judged = match &self.stack {
+            Some(stack) => stack.unseen(shape, &unseen.signals, scales),
+            None => of_signals(shape, &unseen.signals, scales),
+        };
+        let (seed, recipe, mut aside) = (self.recipe.seed, self.recipe, Workspace::new(shape, pool.width()));
+        let fresh = self.fresh.get_or_insert_with(|| Fresh::new(shape, seed, number));
+        let Fresh { weights, adam, losses, errors } = fresh;
+        let (first, milestones) = (losses.len(), brain::milestones(iterations));
+        let mut watch = |i: usize, weights: &[f32]| {
+            if i > first && pauses(i) {
+                return false;
+            }
+            if milestones.binary_search(&(i + 1)).is_ok() {
+                let predicted = predict(weights, &judged, scales, &mut aside, pool);
+                errors.extend(super::error(unseen, &predicted).map(|error| (i as u32 + 1, error)));
+            }
+            true
+        };
+        let rate = |i| recipe.rate * recipe.schedule.factor(i, iterations);
+        let (all, workspace) = (self.data.all(), &mut self.workspace);
+        let outcome =
+            brain::train_on(weights, adam, all, &rate, iterations, losses, workspace, pool, &mut watch)?;
+        Some(well(outcome))
+    }
+
+    fn predict(&mut self, signals: &[f64]) -> Vec<f64> {
+        let (shape, scales) = (self.data.shape(), &self.scales);
+        let data = match &self.stack {
+            Some(stack) => stack.unseen(shape, signals, scales),
+            None => of_signals(shape, signals, scales),
+        };
+        let weights = &self.fresh.as_ref().expect("it has been fitted").weights;
+        predict(weights, &data, scales, &mut self.workspace, self.pool)
+    }
+
+    fn predict_known(&mut self) -> Vec<f64> {
+        let weights = &self.fresh.as_ref().expect("it has been fitted").weights;
+        predict(weights, &self.data, &self.scales, &mut self.workspace, self.pool)
+    }
+
+    fn error_known(&mut self) -> Option<f64> {
+        let predicted = self.predict_known();
+        super::error(self.known, &predicted)
+    }
+
+    fn training(&mut self) -> Option<&mut Option<Fresh>> {
+        Some(&mut self.fresh)
+    }
+
+    fn weights_at(&self, scales: &Scales) -> Vec<f32> {
+        let mut weights = self.fresh.as_ref().map_or(Vec::new(), |fresh| fresh.weights.clone());
+        brain::scale_inputs(self.data.shape(), &mut weights, &scales.over(&self.scales));
+        weights
+    }
+}
+
+fn well(outcome: TrainOutcome) -> Result<(), Trouble> {
+    if outcome == TrainOutcome::Ok { Ok(()) } else { Err(Trouble::Training(outcome)) }
+}
+
+/// Signals (N, T, 3M) alone as a network takes them.
+fn of_signals(shape: Shape, signals: &[f64], scales: &Scales) -> Data<f32> {
+    let targets = vec![0.0; signals.len() / shape.inputs * shape.outputs];
+    Data::new(shape, &scales.inputs(signals), &targets)
+}
+
+/// A network that trains a body.
+pub(super) struct NetworkLearner<'a> {
+    trial: &'a Trial<'a>,
+    shape: Shape,
+    /// Its weights at this step.
+    weights: Vec<f32>,
+    workspace: Workspace<f32>,
+}
+
+impl<'a> NetworkLearner<'a> {
+    pub(super) fn new(trial: &'a Trial<'a>) -> Self {
+        let shape = trial.problem.shape();
+        Self { trial, shape, weights: Vec::new(), workspace: Workspace::new(shape, trial.pool.width()) }
+    }
+
+    fn going(&self) -> Going {
+        match self.trial.problem.optimise.protocol {
+            Protocol::Envelope(going)
+            | Protocol::Joint(going)
+            | Protocol::Random(going)
+            | Protocol::Cmaes(going) => going,
+            Protocol::Paper(_) => panic!("the paper's networks are fresh"),
+        }
+    }
+
+    fn data<F: brain::Real>(&self, samples: &Samples) -> Data<F> {
+        data(self.shape, samples, &self.trial.scales)
+    }
+
+    /// Those whose loss is in N².
+    fn physical_data<F: brain::Real>(&self, samples: &Samples) -> Data<F> {
+        let variances: Vec<f64> = self.trial.scales.deviation.iter().map(|d| d * d).collect();
+        self.data(samples).with_output_weights(&variances)
+    }
+
+    /// Adam on a batch.
+    fn iterate(
+        &mut self,
+        weights: &mut [f32],
+        adam: &mut Adam<f32>,
+        batch: Batch<f32>,
+        iterations: usize,
+        rate: &dyn Fn(usize) -> f64,
+        counters: &mut Counters,
+    ) -> Result<(), Trouble> {
+        let (mut losses, pool) = (Vec::new(), self.trial.pool);
+        let outcome =
+            brain::train(weights, adam, batch, rate, iterations, &mut losses, &mut self.workspace, pool);
+        counters.brain_iterations += losses.len() as u64;
+        well(outcome)
+    }
+
+    fn loss(&mut self, weights: &[f32], batch: Batch<f32>) -> f64 {
+        brain::loss(weights, batch, &mut self.workspace, self.trial.pool)
+    }
+
+    /// Gives a network that is to go on from body to body its first training, if it has had none.
+    fn first_training(&mut self, learnt: &mut Learnt, counters: &mut Counters) -> Result<(), Trouble> {
+        if !learnt.weights.is_empty() {
+            return Ok(());
+        }
+        let (trial, going) = (self.trial, self.going());
+        let mut weights = fresh_weights(self.shape, trial.problem.seed, 0);
+        let data = self.data(&trial.initial);
+        let fall = brain::cosine(trial.problem.brain.rate - going.brain_rate, FIRST_ITERATIONS);
+        let rate = |i| going.brain_rate + fall(i);
+        self.iterate(&mut weights, &mut learnt.adam, data.all(), FIRST_ITERATIONS, &rate, counters)?;
+        learnt.weights = weights;
+        Ok(())
+    }
+
+    /// So many iterations of the going network on all of a batch; the loss after them.
+    fn go_on(
+        &mut self,
+        batch: Batch<f32>,
+        learnt: &mut Learnt,
+        counters: &mut Counters,
+    ) -> Result<f64, Trouble> {
+        let going = self.going();
+        let Learnt { weights, adam, .. } = learnt;
+        self.iterate(weights, adam, batch, going.brain_iterations, &|_| going.brain_rate, counters)?;
+        Ok(self.loss(weights, batch))
+    }
+
+    /// The same on slices by turns.
+    fn go_on_by_slices(
+        &mut self,
+        data: &Data<f32>,
+        samples: usize,
+        step: u32,
+        learnt: &mut Learnt,
+        counters: &mut Counters,
+    ) -> Result<f64, Trouble> {
+        let (going, slices) = (self.going(), SLICES.min(samples));
+        let Learnt { weights, adam, .. } = learnt;
+        let first = step as usize * going.brain_iterations;
+        for i in first..first + going.brain_iterations {
+            let some: Vec<usize> = (0..samples).skip(i % slices).step_by(slices).collect();
+            self.iterate(weights, adam, data.batch(&some), 1, &|_| going.brain_rate, counters)?;
+        }
+        Ok(self.loss(weights, data.all()))
+    }
+}
+
+impl Learner for NetworkLearner<'_> {
+    fn bodies(&self) -> usize {
+        BODIES
+    }
+
+    fn recalls(&self, age: u32) -> bool {
+        (age as usize) < BODIES
+    }
+
+    fn fit(
+        &mut self,
+        on: Fit,
+        step: u32,
+        learnt: &mut Learnt,
+        counters: &mut Counters,
+    ) -> Result<Learned, Trouble> {
+        if let Fit::Optimum(train) = on {
+            let Training { iterations, rate, .. } = self.trial.problem.brain;
+            let data = self.data(train);
+            let mut weights = fresh_weights(self.shape, self.trial.problem.seed, u64::from(step));
+            let mut adam = Adam::new(weights.len());
+            self.iterate(&mut weights, &mut adam, data.all(), iterations, &|_| rate, counters)?;
+            let loss = self.loss(&weights, data.all());
+            self.weights = weights;
+            return Ok(Learned { loss, error: self.error(train) });
+        }
+        self.first_training(learnt, counters)?;
+        let loss = match on {
+            Fit::Optimum(_) => unreachable!("returned above"),
+            Fit::GoOn(train) => {
+                let data = self.data(train);
+                self.go_on(data.all(), learnt, counters)?
+            }
+            Fit::ByNeed(train, trend) => {
+                let (data, mut loss) = (self.data(train), f64::INFINITY);
+                for _ in 0..ROUNDS_MAX {
+                    loss = self.go_on(data.all(), learnt, counters)?;
+                    if trend.is_none_or(|trend| loss < NEED * trend) {
+                        break;
+                    }
+                }
+                loss
+            }
+            Fit::Recent(bodies) => {
+                let all = Samples::joined(bodies);
+                let data = self.data(&all);
+                self.go_on_by_slices(&data, all.count(), step, learnt, counters)?
+            }
+        };
+        self.weights.clone_from(&learnt.weights);
+        Ok(Learned { loss, error: None })
+    }
+
+    fn loss_vjp(&mut self, samples: &Samples, loss: Loss) -> (Option<f64>, Vec<f64>) {
+        let data = if loss == Loss::Test { self.physical_data(samples) } else { self.data(samples) };
+        let (loss, gradient) =
+            brain::input_gradient(&self.weights, data.all(), &mut self.workspace, self.trial.pool);
+        let inputs: Vec<f64> = gradient.into_iter().map(f64::from).collect();
+        (Some(loss), self.trial.scales.inputs_vjp(&inputs))
+    }
+
+    fn implicit(
+        &mut self,
+        train: &Samples,
+        test: &Samples,
+        policy: Policy,
+        counters: &mut Counters,
+    ) -> (Vec<f64>, Option<Implicit>) {
+        let data = [self.data::<f64>(train), self.physical_data::<f64>(test)];
+        let (inputs, found) = implicit::implicit_term(&data, &self.weights, policy, self.trial.pool);
+        counters.hessian_products += found.iterations as u64;
+        (self.trial.scales.inputs_vjp(&inputs), Some(found))
+    }
+
+    fn error(&mut self, samples: &Samples) -> Option<f64> {
+        let data = self.data(samples);
+        let predicted =
+            predict(&self.weights, &data, &self.trial.scales, &mut self.workspace, self.trial.pool);
+        super::error(samples, &predicted)
+    }
+}

@@ -1,0 +1,101 @@
+//! How linear brains of several memories read a body, whatever brain the trial has: one factor serves many.
+
+use super::linear::{Plain, solve};
+use crate::brain::linear::{Fit, Lags, Linear, Order, Sizes};
+use crate::trial::{Decoder, Ridge, Samples, Trial, Trouble};
+
+/// The errors of a linear brain of one memory on a body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reading {
+    /// Its memory.
+    pub lags: Lags,
+    /// λ.
+    pub ridge: f64,
+    /// Mean prediction error on the training set (%).
+    pub error_train: Option<f64>,
+    /// On the test set (%).
+    pub error_test: Option<f64>,
+    /// On the holdout (%).
+    pub error_holdout: Option<f64>,
+}
+
+/// Reaches both ways, and waits after the whole past, at which a body is read beside the whole sample (s).
+const REACHES: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.4];
+const WAITS: [f64; 7] = [0.0, 0.01, 0.025, 0.05, 0.1, 0.2, 0.4];
+/// Most readings of a sample, T · 3M: the moments are this squared, 0.7 GB. Most of them times T · K: as much again.
+pub const READINGS_MAX: usize = 9600;
+const CROSS_MAX: usize = 100_000_000;
+
+/// Whether a linear brain of such samples fits into memory.
+pub fn fits(instants: usize, channels: usize, outputs: usize) -> bool {
+    let readings = instants.saturating_mul(channels);
+    readings <= READINGS_MAX && readings.saturating_mul(instants).saturating_mul(outputs) <= CROSS_MAX
+}
+
+fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
+    let error = |set: &Plain| set.error(&linear.predict(&set.x));
+    let [error_train, error_test, error_holdout] = [0, 1, 2].map(|set| error(&sets[set]));
+    Reading { lags: linear.lags, ridge, error_train, error_test, error_holdout }
+}
+
+/// Readings of a body (training, test and holdout samples) by the whole sample, first, then by shorter memories and by waits
+/// after the whole past, all with the λ of the first; none of samples that are too long.
+///
+/// # Errors
+/// If no λ has a solution.
+pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading>, Trouble> {
+    let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool.heartbeat()));
+    let train = &sets[0];
+    let Sizes { instants, channels, outputs } = train.sizes;
+    if !fits(instants, channels, outputs) {
+        return Ok(Vec::new());
+    }
+    let decoder = Decoder::whole(instants, channels);
+    let (whole, reach) = (decoder.lags, decoder.lags.before);
+    let ridge = decoder.ridge_of(trial.problem.seed, train, None)?;
+    let moments = train.moments();
+    let read = |linear: &Linear| reading(sets, linear, ridge);
+    let factor = |order| Fit::new(&moments, whole, ridge, order).map_err(|_| Trouble::Singular);
+    let delta = trial.problem.scene.duration / instants as f64;
+    let instants = |seconds: f64| Lags::whole_groups((seconds / delta).round() as usize);
+    let shorter = |seconds: f64| Some(instants(seconds)).filter(|n| *n < reach);
+
+    let mut found = Vec::new();
+    {
+        let delays = factor(Order::Ascending)?;
+        found.push(read(&delays.linear()));
+        for after in WAITS.into_iter().filter_map(shorter) {
+            found.push(read(&delays.shorter(Lags { before: reach, after })));
+        }
+    }
+    let memories = factor(Order::Outward)?;
+    for reach in REACHES.into_iter().filter_map(shorter) {
+        found.push(read(&memories.shorter(Lags { before: reach, after: reach })));
+    }
+    found.dedup_by_key(|reading| reading.lags);
+    Ok(found)
+}
+
+/// The reading of a body by the trial's own linear brain; if it is not among those of [`readings`], it joins them.
+///
+/// # Errors
+/// If λ has no solution.
+pub(crate) fn own_reading(
+    trial: &Trial,
+    sets: &[Samples; 3],
+    readings: &mut Vec<Reading>,
+) -> Result<Reading, Trouble> {
+    let decoder = trial.problem.decoder;
+    let own = match readings.first() {
+        Some(whole) if whole.lags == decoder.lags && decoder.ridge == Ridge::Auto => *whole,
+        _ => {
+            let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool.heartbeat()));
+            let ridge = decoder.ridge_of(trial.problem.seed, &sets[0], None)?;
+            reading(sets, &solve(&sets[0].moments(), decoder.lags, ridge)?.linear(), ridge)
+        }
+    };
+    if readings.iter().all(|reading| reading.lags != own.lags) {
+        readings.push(own);
+    }
+    Ok(own)
+}

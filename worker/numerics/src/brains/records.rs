@@ -1,0 +1,149 @@
+//! Brains on given signals and forces, wherever they come from: each record is predicted by one that has not seen it.
+//!
+//! A seeded shuffle assigns the records to folds; a fold's brain is fitted to all others, a network from the initial weights of
+//! the comparison at the end of a trial. Its scales are those of its own training records.
+
+use super::{Recipe, reader};
+use crate::brain::linear::Sizes;
+use crate::brain::prediction_error;
+use crate::dynamics::Forces;
+use crate::stimuli::targets;
+use crate::trial::{Samples, Scales, Trouble};
+
+/// Records of one body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Records(Samples);
+
+/// A brain's predictions of records that it was not fitted to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Unseen {
+    /// Predicted forces (n, T, K) (N) of the fold's n records.
+    pub predictions: Vec<f64>,
+    /// Their errors (%); `None` where there is no force.
+    pub errors: Vec<Option<f64>>,
+    /// Mean error on the records that trained it (%).
+    pub error_train: Option<f64>,
+    /// Training loss (normalised) at every iteration.
+    pub losses: Vec<f32>,
+    /// (Iteration, from 1, mean error on the fold's records there) at the milestones of the training.
+    pub progress: Vec<(u32, f64)>,
+    /// What went wrong.
+    pub trouble: Option<Trouble>,
+}
+
+impl Records {
+    /// Signals (N, T, 3M) of T instants under forces; with `low_pass` targets hold what T instants can say.
+    ///
+    /// # Panics
+    /// If the signals are not of whole channels.
+    pub fn new(forces: &Forces, signals: Vec<f64>, instants: usize, low_pass: bool) -> Self {
+        let (readings, outputs) = (forces.samples * instants, forces.panels);
+        assert!(signals.len().is_multiple_of(readings), "signals of {} samples", forces.samples);
+        let sizes = Sizes { instants, channels: signals.len() / readings, outputs };
+        Self(Samples { sizes, signals, targets: targets(forces, instants, low_pass) })
+    }
+
+    /// True forces (N, T, K) (N).
+    pub fn targets(&self) -> &[f64] {
+        &self.0.targets
+    }
+
+    /// Fits a brain to the records outside `fold` (of each record, as `folds` deals them) and lets it predict those inside:
+    /// of a network number `number`, trained for `iterations`.
+    ///
+    /// # Panics
+    /// If there is no record inside or outside.
+    pub fn unseen(
+        &self,
+        folds: &[usize],
+        fold: usize,
+        recipe: Recipe,
+        number: u64,
+        iterations: usize,
+        pool: &crate::Pool,
+    ) -> Unseen {
+        let (inside, outside): (Vec<usize>, Vec<usize>) =
+            (0..self.0.count()).partition(|&i| folds[i] == fold);
+        let [unseen, known] = [inside, outside].map(|records| self.0.select(&records));
+        let scales = Scales::of(&known);
+        let mut reader = match reader(recipe, &known, [scales.clone(), scales], pool) {
+            Ok(reader) => reader,
+            Err(trouble) => return Unseen::nothing(&unseen, trouble),
+        };
+        let outcome = reader.fit(number, iterations, &unseen, &mut |_| false).expect("it does not pause");
+        let trains = reader.training().is_some();
+        if let (Err(trouble), false) = (outcome, trains) {
+            return Unseen::nothing(&unseen, trouble);
+        }
+        let predictions = reader.predict(&unseen.signals);
+        let Sizes { instants, outputs, .. } = unseen.sizes;
+        let errors = prediction_error(&unseen.targets, &predictions, outputs, instants);
+        let error_train = reader.error_known();
+        let training = reader.training().and_then(Option::take);
+        let (losses, progress) = training.map(|fresh| (fresh.losses, fresh.errors)).unwrap_or_default();
+        Unseen { predictions, errors, error_train, losses, progress, trouble: outcome.err() }
+    }
+}
+
+impl Unseen {
+    /// Of a brain that could not be fitted.
+    fn nothing(unseen: &Samples, trouble: Trouble) -> Self {
+        Self {
+            predictions: vec![0.0; unseen.targets.len()],
+            errors: vec![None; unseen.count()],
+            error_train: None,
+            losses: Vec::new(),
+            progress: Vec::new(),
+            trouble: Some(trouble),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brain::Architecture;
+    use crate::random::{Purpose, Stream};
+    use crate::stimuli::folds;
+    use crate::trial::{BrainKind, Decoder, Schedule};
+
+    /// A record whose forces are made up: whoever has seen it knows them, its own fold's network cannot.
+    #[test]
+    fn a_fold_s_network_has_not_seen_its_records() {
+        let (samples, instants) = (12, 16);
+        let mut stream = Stream::new(Purpose::Design, 5, [0, 0]);
+        let mut forces = Forces { samples, panels: 1, instants, values: Vec::new() };
+        let mut signals = Vec::new();
+        for _ in 0..samples {
+            let f: Vec<f64> = (0..=instants).map(|_| stream.uniform()).collect();
+            f[1..].iter().for_each(|f| signals.extend([3e3 * f, -1e3 * f, 0.1 * f]));
+            forces.values.extend(f);
+        }
+        // the made-up one
+        signals[..instants * 3].iter_mut().for_each(|x| *x = -*x);
+        let pool = crate::Pool::new(1).unwrap();
+        let architecture = Architecture::paper(64);
+        let records = Records::new(&forces, signals, instants, false);
+        let dealt = folds(1, samples, 4);
+        let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
+        let inside_of = |record: usize| inside.iter().position(|&i| i == record).unwrap();
+        let (decoder, schedule) = (Decoder::whole(instants, 3), Schedule::Cosine);
+        let by = |kind, fold| {
+            let recipe = Recipe { kind, architecture, rate: 1e-2, schedule, decoder, seed: 1 };
+            records.unseen(&dealt, fold, recipe, 0, 150, &pool)
+        };
+        let fold = |fold| by(BrainKind::Network, fold);
+        let linear = |fold| by(BrainKind::Linear, fold);
+        let stacked = |fold| by(BrainKind::Stacked, fold);
+        assert!(stacked(dealt[0]).errors[inside_of(0)].unwrap() > 50.0);
+        let read = [fold(dealt[0]), linear(dealt[0])];
+        let seen = [fold((dealt[0] + 1) % 4), linear((dealt[0] + 1) % 4)];
+        let (own, other) = (read[0].clone(), seen[0].clone());
+        assert!(read[1].errors[inside_of(0)].unwrap() > 50.0 && seen[1].trouble.is_none(), "{:?}", read[1]);
+        let first = own.errors[inside_of(0)].unwrap();
+        let train = other.error_train.unwrap();
+        assert!(first > 50.0 && train < 10.0, "unseen {first} %, seen {train} %");
+        assert_eq!((own.errors.len(), own.predictions.len()), (3, 3 * instants));
+        assert_eq!(own, fold(dealt[0]));
+    }
+}

@@ -1,0 +1,102 @@
+//! Linear brains beneath a network: it sees their estimates of the forces beside the signals, and of what each was fitted on
+//! it never sees one's.
+
+use super::linear::{FOLDS, Plain, solve};
+use crate::Heartbeat;
+use crate::brain::linear::{Linear, Sizes};
+use crate::brain::{Data, Shape};
+use crate::stimuli::folds;
+use crate::trial::{Decoder, Samples, Scales, Trouble};
+
+/// Linear brains of one body.
+pub(crate) struct Stack {
+    /// For samples that trained none.
+    all: Linear,
+    /// The fold of each training sample, and of each fold the brain that was fitted on the others.
+    dealt: Vec<usize>,
+    parts: Vec<Linear>,
+    /// The training samples.
+    known: Plain,
+    /// Those of the linear brains; the network may have others.
+    scales: Scales,
+}
+
+impl Stack {
+    /// Fitted on these training samples.
+    ///
+    /// # Errors
+    /// If one has no solution.
+    pub(crate) fn new(
+        decoder: &Decoder,
+        seed: u64,
+        known: &Samples,
+        scales: Scales,
+        heartbeat: &Heartbeat,
+    ) -> Result<Self, Trouble> {
+        let known = Plain::of(known, &scales, heartbeat);
+        let ridge = decoder.ridge_of(seed, &known, None)?;
+        let folds_of = FOLDS.min(known.w.len());
+        let (moments, dealt) = (known.moments(), folds(seed, known.w.len(), folds_of));
+        let part = |fold: usize| {
+            let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == fold).collect();
+            let others = moments.clone().without(&known.select(&own).moments());
+            Ok(solve(&others, decoder.lags, ridge)?.linear())
+        };
+        let parts = (0..folds_of).map(part).collect::<Result<_, Trouble>>()?;
+        Ok(Self { all: solve(&moments, decoder.lags, ridge)?.linear(), dealt, parts, known, scales })
+    }
+
+    /// Signals (N, T, 3M) that are not the training samples' as the network takes them.
+    pub(super) fn unseen(&self, shape: Shape, signals: &[f64], scales: &Scales) -> Data<f32> {
+        let estimates = self.estimates(signals);
+        let targets = vec![0.0; estimates.len()];
+        self.beside(shape, signals, &estimates, &targets, scales)
+    }
+
+    /// The training samples, likewise.
+    pub(super) fn known(&self, shape: Shape, samples: &Samples, scales: &Scales) -> Data<f32> {
+        self.beside(shape, &samples.signals, &self.cross_fitted(), &self.known.y, scales)
+    }
+
+    /// Estimates (N, T, K) of samples that are not the training samples.
+    pub(crate) fn estimates(&self, signals: &[f64]) -> Vec<f64> {
+        self.all.predict(&self.scales.inputs(signals))
+    }
+
+    /// Estimates of the training samples, each by a brain that has not seen it.
+    pub(crate) fn cross_fitted(&self) -> Vec<f64> {
+        let Sizes { instants, outputs, .. } = self.all.sizes;
+        let (size, count) = (instants * outputs, self.dealt.len());
+        let mut estimates = vec![0.0; count * size];
+        for (fold, part) in self.parts.iter().enumerate() {
+            let own: Vec<usize> = (0..count).filter(|&i| self.dealt[i] == fold).collect();
+            let of_fold = part.predict(&self.known.select(&own).x);
+            for (estimate, i) in of_fold.chunks_exact(size).zip(own) {
+                estimates[i * size..][..size].copy_from_slice(estimate);
+            }
+        }
+        estimates
+    }
+
+    /// Signals (N, T, 3M) beside a linear brain's estimates (N, T, K), scaled as forces.
+    fn beside(
+        &self,
+        shape: Shape,
+        signals: &[f64],
+        estimates: &[f64],
+        targets: &[f64],
+        scales: &Scales,
+    ) -> Data<f32> {
+        let force = scales.force();
+        let physical =
+            |y: &[f64]| -> Vec<f32> { scales.targets(&y.iter().map(|y| force * y).collect::<Vec<f64>>()) };
+        let Sizes { channels, outputs, .. } = self.all.sizes;
+        let (signals, estimates) = (scales.inputs::<f32>(signals), physical(estimates));
+        let mut x = Vec::with_capacity(signals.len() + estimates.len());
+        for (signals, estimates) in signals.chunks_exact(channels).zip(estimates.chunks_exact(outputs)) {
+            x.extend_from_slice(signals);
+            x.extend_from_slice(estimates);
+        }
+        Data::new(shape, &x, &physical(targets))
+    }
+}

@@ -1,0 +1,165 @@
+//! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
+
+use super::evaluation::{BodyEvaluation, Comparison, NetworkEvaluation};
+use super::observe::{Control, Log};
+use super::state::State;
+use crate::brains::{Reader, own_reading, reader, readings};
+use crate::dynamics::Solver;
+use crate::random::Purpose;
+use crate::trial::{BrainKind, Counters, Problem, Ridge, Samples, Trial, Trouble};
+
+impl Comparison {
+    /// The part of the whole trial that is done, with so many iterations of the network in training.
+    fn part(&self, iterations: usize, problem: &Problem) -> f64 {
+        let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
+        let each = if problem.reader == BrainKind::Linear { all } else { problem.brain.iterations };
+        let of = |body: &BodyEvaluation| body.networks.len() * each + body.long.len() * long;
+        let done = self.bodies.iter().map(of).sum::<usize>() + iterations;
+        let left = 1.0 - problem.progress(problem.optimise.iterations);
+        1.0 - left * (1.0 - done as f64 / (2 * all) as f64)
+    }
+}
+
+/// A brain that is still to be fitted to a body: number, iterations, and whether they are those of a long training.
+type Lacking = (usize, usize, bool);
+
+impl BodyEvaluation {
+    /// The first brain that it lacks; a linear one is one, and not trained long.
+    fn lacks(&self, problem: &Problem) -> Option<Lacking> {
+        let linear = problem.reader == BrainKind::Linear;
+        let seeds = if linear { 1 } else { problem.evaluation.seeds };
+        let long = problem.evaluation.long.filter(|_| !linear);
+        let short =
+            (self.networks.len() < seeds).then_some((self.networks.len(), problem.brain.iterations, false));
+        short.or(long
+            .filter(|_| self.long.len() < seeds)
+            .map(|iterations| (self.long.len(), iterations, true)))
+    }
+}
+
+/// Goes on with the comparison of `state` on its body number `turn`: simulates `design` with `solver`, tuned to it, and
+/// trains what is left of its fresh networks. `None` if the observer said stop: it has the state by then.
+pub(super) fn evaluate(
+    trial: &Trial,
+    design: &[f64],
+    solver: &Solver,
+    turn: usize,
+    state: &mut State,
+    log: &mut Log,
+) -> Option<()> {
+    let problem = &trial.problem;
+    let begun = state.comparison.bodies.get(turn);
+    if begun.is_some_and(|body| body.lacks(problem).is_none()) {
+        return Some(());
+    }
+    let (begun, counted, mut recipe) = (begun.is_some(), log.report.counters, problem.recipe());
+    let sets = log.timed(|s| &mut s.simulate, |report| sets(trial, design, solver, &mut report.counters));
+    if begun {
+        log.report.counters = counted;
+    } else {
+        let mut body = BodyEvaluation { design: design.to_vec(), ..BodyEvaluation::default() };
+        if let Ok(sets) = &sets {
+            body.zero_samples = sets.each_ref().map(Samples::without_force);
+            log.timed(
+                |s| &mut s.train,
+                |_| {
+                    body.readings = readings(trial, sets).unwrap_or_default();
+                    if problem.reader == BrainKind::Linear
+                        && let Ok(own) = own_reading(trial, sets, &mut body.readings)
+                    {
+                        recipe.decoder.ridge = Ridge::Given(own.ridge);
+                    }
+                },
+            );
+        }
+        state.comparison.bodies.push(body);
+    }
+    let mut reader = match &sets {
+        Ok(sets) => {
+            // a network learns on its body's own scale: on the initial body's the louder body's would learn faster
+            let scales = [trial.scales.clone(), trial.scales.with_rms_of(&sets[0].signals)];
+            log.timed(|s| &mut s.train, |_| reader(recipe, &sets[0], scales, trial.pool))
+        }
+        Err(trouble) => Err(*trouble),
+    };
+
+    while let Some(lacking) = state.comparison.bodies[turn].lacks(problem) {
+        let found = match (&sets, &mut reader) {
+            (Ok(sets), Ok(reader)) => read(trial, &mut **reader, sets, lacking, state, log)?,
+            (Err(trouble), _) => NetworkEvaluation::nothing(*trouble),
+            (_, Err(trouble)) => NetworkEvaluation::nothing(*trouble),
+        };
+        let body = &mut state.comparison.bodies[turn];
+        if lacking.2 { &mut body.long } else { &mut body.networks }.push(found);
+        let wanted = log.progress(state.comparison.part(0, problem));
+        if wanted == Control::Stop || log.save_is_due() {
+            save(state, log);
+        }
+        if wanted == Control::Stop {
+            return None;
+        }
+    }
+    Some(())
+}
+
+/// Training set, test set and holdout of a body.
+fn sets(
+    trial: &Trial,
+    design: &[f64],
+    solver: &Solver,
+    counters: &mut Counters,
+) -> Result<[Samples; 3], Trouble> {
+    let problem = &trial.problem;
+    let mut of = |forces| Ok(trial.simulate_most(design, forces, solver, false, counters)?.samples);
+    let train = if design == problem.initial { trial.initial.clone() } else { of(trial.train.clone())? };
+    Ok([train, of(trial.test.clone())?, of(problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout))?])
+}
+
+/// Hands the observer the state, with what the report says of the comparison.
+fn save(state: &mut State, log: &mut Log) {
+    (state.comparison.counters, state.comparison.seconds) = (log.report.counters, log.report.seconds);
+    log.save(state);
+}
+
+/// Fits the brain that is lacking, or goes on with the one in training; `None` if the observer said stop.
+fn read(
+    trial: &Trial,
+    reader: &mut dyn Reader,
+    sets: &[Samples; 3],
+    (number, iterations, is_long): Lacking,
+    state: &mut State,
+    log: &mut Log,
+) -> Option<NetworkEvaluation> {
+    let outcome = loop {
+        if let Some(training) = reader.training() {
+            *training = state.comparison.training.take();
+        }
+        let (begun, mut wanted) = (log.seconds(), Control::Continue);
+        let mut pauses = |iterations: usize| {
+            wanted = log.progress(state.comparison.part(iterations, &trial.problem));
+            wanted == Control::Stop || log.save_is_due()
+        };
+        let outcome = reader.fit(number as u64, iterations, &sets[2], &mut pauses);
+        log.report.seconds.train += log.seconds() - begun;
+        if let Some(outcome) = outcome {
+            break outcome;
+        }
+        state.comparison.training = reader.training().and_then(Option::take);
+        save(state, log);
+        if wanted == Control::Stop {
+            return None;
+        }
+    };
+    if let (Err(trouble), None) = (outcome, reader.training()) {
+        return Some(NetworkEvaluation::nothing(trouble));
+    }
+    let [error_train, error_test, error_holdout] =
+        [reader.error_known(), reader.error(&sets[1]), reader.error(&sets[2])];
+    let keeps = number == 0 && !is_long;
+    let weights = if keeps { reader.weights_at(&trial.scales) } else { Vec::new() };
+    let training = reader.training().and_then(Option::take);
+    let (losses, errors) = training.map(|fresh| (fresh.losses, fresh.errors)).unwrap_or_default();
+    log.report.counters.brain_iterations += losses.len() as u64;
+    let trouble = outcome.err();
+    Some(NetworkEvaluation { error_train, error_test, error_holdout, losses, errors, weights, trouble })
+}

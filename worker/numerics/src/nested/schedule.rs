@@ -1,0 +1,68 @@
+//! How an outer loop goes over its steps: rates, integrators, looks at the test set, and the part that is done.
+
+use crate::dynamics::Solver;
+use crate::trial::{BrainKind, Optimise, Problem, Protocol};
+
+/// Looks at the test set in a loop, where a protocol does not need it anyway: so many, at least ten steps apart.
+const LOOKS: u32 = 20;
+const APART: u32 = 10;
+
+/// The part of the outer steps for which a coarse integrator serves.
+const COARSE: f64 = 0.9;
+
+impl Optimise {
+    /// Adam's rate on α at an outer step (mm): constant in the paper's protocol, else falling over the second half.
+    pub(super) fn rate_of(&self, step: u32) -> f64 {
+        let left = 1.0 - f64::from(step) / f64::from(self.iterations);
+        match self.protocol {
+            Protocol::Paper(_) => self.rate,
+            _ => self.rate * (2.0 * left + 0.05).min(1.0),
+        }
+    }
+
+    /// Adam's β₂ on α, and whether it sees gradients of length 1: those of a going network grow and shrink by turns, and
+    /// a few great ones would hold the steps small for long. The paper's protocol takes them as they are.
+    pub(super) fn scaling(&self) -> (f64, bool) {
+        match self.protocol {
+            Protocol::Paper(_) => (0.999, false),
+            _ => (0.99, true),
+        }
+    }
+
+    /// The integrator of an outer step.
+    pub(super) fn solver_of(&self, step: u32, accurate: Solver) -> Solver {
+        let far = f64::from(step) < COARSE * f64::from(self.iterations);
+        self.coarse.filter(|_| far).unwrap_or(accurate)
+    }
+
+    /// Whether a step looks at the test set: some do, and the last.
+    pub(super) fn looks_at_test(&self, step: u32) -> bool {
+        step.is_multiple_of((self.iterations / LOOKS).max(APART)) || step + 1 == self.iterations
+    }
+}
+
+impl Problem {
+    /// The part of the work that is done after `steps` outer steps, in brain iterations.
+    pub(super) fn progress(&self, steps: u32) -> f64 {
+        let evaluation = 2.0 * self.evaluation_iterations() as f64 / self.brain.iterations as f64;
+        let loop_iterations = f64::from(self.optimise.iterations) * self.step_share();
+        f64::from(steps) * self.step_share() / (loop_iterations + evaluation)
+    }
+
+    /// Brain iterations of the comparison at the end, a body.
+    pub(super) fn evaluation_iterations(&self) -> usize {
+        if self.reader == BrainKind::Linear {
+            return self.brain.iterations.div_ceil(20);
+        }
+        self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0))
+    }
+
+    /// Work of an outer step relative to a full training.
+    fn step_share(&self) -> f64 {
+        match self.optimise.protocol {
+            Protocol::Paper(_) => 1.0,
+            Protocol::Envelope(_) | Protocol::Random(_) | Protocol::Cmaes(_) => 0.1,
+            Protocol::Joint(_) => 0.05,
+        }
+    }
+}

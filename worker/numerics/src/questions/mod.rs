@@ -1,0 +1,10 @@
+//! Questions to a body that train none: what its sensors could tell, how linear it is, what it does under each sample.
+
+mod bound;
+mod nonlinear;
+mod replay;
+
+pub use bound::{Bound, bound};
+pub use nonlinear::Nonlinear;
+pub(crate) use nonlinear::nonlinear;
+pub use replay::{LinearReplay, Motion, Replay, motion, replay, sense};

@@ -1,0 +1,281 @@
+//! A trial made ready, once: its forces, its integrators tuned on the initial body, the scales of its brains.
+//!
+//! ```text
+//! A(α) = signals of the body α under forces f, as its sensors' chips give them          ∂L/∂α = Aᵀ_α ∂L/∂A
+//! ```
+//! Everything that knows a trial is given this one context: the nested optimisation, and questions to its bodies.
+
+mod chip;
+mod outcome;
+mod problem;
+mod samples;
+mod scales;
+mod settings;
+
+pub use chip::{Disturbance, Size};
+pub use outcome::{Counters, Failure, Trouble};
+pub use problem::{Placing, Problem, Stimuli};
+pub(crate) use samples::pick;
+pub use samples::{Samples, mean_error};
+pub(crate) use scales::Scales;
+pub use settings::{
+    BrainKind, Decoder, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Terms, Training,
+};
+
+use crate::brain::Shape;
+use crate::brain::linear::Sizes;
+use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, Tuned, Wrt, planned, tune};
+use crate::random::Purpose;
+use chip::Chip;
+
+/// Samples of a pilot: as many as the lanes take at once.
+const PILOT: usize = 8;
+
+/// A trial made ready.
+pub struct Trial<'a> {
+    /// What its spec says, with tuned integrators.
+    pub problem: Problem,
+    /// Threads.
+    pub pool: &'a crate::Pool,
+    /// Why the integrators are what they are.
+    pub reason: String,
+    /// Relative error of the initial body's signals by the accurate integrator, where its pilot measured it.
+    pub error: Option<f64>,
+    /// Work of the pilots.
+    pub pilots: dynamics::Counters,
+    /// The accurate integrator as the spec asks for it.
+    asked: Solver,
+    pub(crate) train: Forces,
+    pub(crate) test: Forces,
+    pub(crate) scales: Scales,
+    pub(crate) chip: Option<Chip>,
+    /// The initial body under the training forces, from which the scales come.
+    pub(crate) initial: Samples,
+}
+
+/// A body under forces.
+pub struct Response {
+    /// What its sensors tell of them.
+    pub samples: Samples,
+    /// Samples that failed; they are without force and signals.
+    pub failed: u32,
+    simulation: Simulation,
+}
+
+impl<'a> Trial<'a> {
+    /// Draws the forces, tunes the integrators, simulates the initial body and takes the scales from it. The same for every
+    /// process that goes on with a trial or looks at its result.
+    ///
+    /// # Errors
+    /// If the initial body cannot be simulated.
+    ///
+    /// # Panics
+    /// If the sensors are still to be searched for.
+    pub fn new(problem: &Problem, pool: &'a crate::Pool) -> Result<Self, Failure> {
+        assert!(problem.search.is_none(), "the sensors are not in place");
+        let (mut problem, asked) = (problem.clone(), problem.solver);
+        let (usual, coarse) = (pilot(&problem, &problem.initial, &asked, pool), problem.optimise.coarse);
+        let coarse = coarse.map(|coarse| pilot(&problem, &problem.initial, &coarse, pool));
+        let (mut reason, mut pilots) = (usual.plan.reason, usual.counters);
+        problem.solver = usual.solver;
+        if let Some(coarse) = coarse {
+            reason = format!("{reason}. Coarse steps: {}", coarse.plan.reason);
+            pilots += coarse.counters;
+            problem.optimise.coarse = Some(coarse.solver);
+        }
+
+        let [mut train, test] = problem.known();
+        let simulation = simulated(&problem, &problem.initial, &train, &problem.solver, false, pool);
+        silence(&mut train, &simulation.outcomes).map_err(Failure::Initial)?;
+        let mut initial = samples(&problem, simulation.signals, &train);
+        let scales = Scales::of(&initial);
+        let chip = problem.chip(&scales.channels);
+        disturb(chip.as_ref(), &mut initial.signals, &train);
+        Ok(Self {
+            problem,
+            pool,
+            reason,
+            error: usual.error,
+            pilots,
+            asked,
+            train,
+            test,
+            scales,
+            chip,
+            initial,
+        })
+    }
+
+    /// The accurate integrator tuned on another body.
+    pub fn tuned(&self, design: &[f64]) -> Tuned {
+        pilot(&self.problem, design, &self.asked, self.pool)
+    }
+
+    /// Simulates a body under `forces` and counts the work.
+    ///
+    /// # Errors
+    /// If a sample does not end well.
+    pub fn simulate(
+        &self,
+        design: &[f64],
+        forces: &Forces,
+        solver: &Solver,
+        keep_tape: bool,
+        counters: &mut Counters,
+    ) -> Result<Response, Trouble> {
+        let simulation = simulated(&self.problem, design, forces, solver, keep_tape, self.pool);
+        counters.dynamics += simulation.counters;
+        all_well(&simulation.outcomes)?;
+        Ok(self.response(simulation, forces, 0))
+    }
+
+    /// The same where some samples may fail.
+    ///
+    /// # Errors
+    /// If more of them fail than may.
+    pub fn simulate_most(
+        &self,
+        design: &[f64],
+        mut forces: Forces,
+        solver: &Solver,
+        keep_tape: bool,
+        counters: &mut Counters,
+    ) -> Result<Response, Trouble> {
+        let simulation = simulated(&self.problem, design, &forces, solver, keep_tape, self.pool);
+        counters.dynamics += simulation.counters;
+        let failed = silence(&mut forces, &simulation.outcomes)?;
+        Ok(self.response(simulation, &forces, failed))
+    }
+
+    fn response(&self, mut simulation: Simulation, forces: &Forces, failed: u32) -> Response {
+        let mut signals = std::mem::take(&mut simulation.signals);
+        self.disturb(&mut signals, forces);
+        Response { samples: samples(&self.problem, signals, forces), failed, simulation }
+    }
+
+    /// dL/dα of a cotangent on the signals (N, T, 3M) of a body that was simulated with its tape.
+    ///
+    /// # Errors
+    /// If it is not finite.
+    pub fn vjp(
+        &self,
+        Response { simulation, .. }: &Response,
+        mut cotangent: Vec<f64>,
+        counters: &mut Counters,
+    ) -> Result<Vec<f64>, Trouble> {
+        if let Some(chip) = &self.chip {
+            chip.disturb_vjp(&mut cotangent, simulation.outcomes.len());
+        }
+        let gradient = simulation.vjp(&cotangent, Wrt::Design, self.pool);
+        counters.dynamics += gradient.counters;
+        match gradient.design.iter().all(|g| g.is_finite()) {
+            true => Ok(gradient.design),
+            false => Err(Trouble::GradientNonFinite),
+        }
+    }
+
+    /// Simulated signals (N, T, 3M) as the sensors' chips give them.
+    pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
+        disturb(self.chip.as_ref(), signals, forces);
+    }
+
+    /// Signals (N, T, 3M) under `forces` as brains take them.
+    pub(crate) fn samples(&self, signals: Vec<f64>, forces: &Forces) -> Samples {
+        samples(&self.problem, signals, forces)
+    }
+}
+
+/// The accurate integrator of `problem` tuned on a body.
+pub(crate) fn tuned(problem: &Problem, design: &[f64], pool: &crate::Pool) -> Tuned {
+    pilot(problem, design, &problem.solver, pool)
+}
+
+/// An integrator tuned on a body, by its first training samples.
+fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Tuned {
+    let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(PILOT));
+    tune(&problem.scene, design, &forces, solver, pool)
+}
+
+fn disturb(chip: Option<&Chip>, signals: &mut [f64], forces: &Forces) {
+    if let Some(chip) = chip {
+        chip.disturb(signals, forces);
+    }
+}
+
+fn samples(problem: &Problem, signals: Vec<f64>, forces: &Forces) -> Samples {
+    let Shape { instants, inputs, outputs, .. } = problem.shape();
+    let sizes = Sizes { instants, channels: inputs, outputs };
+    Samples { sizes, signals, targets: problem.targets(forces) }
+}
+
+/// Simulates, in f64 where a linear brain trains: it takes f32's rounding for noise of the sensors, and bodies end at half as
+/// much error again (K = 2, M = 1, four seeds).
+fn simulated(
+    problem: &Problem,
+    design: &[f64],
+    forces: &Forces,
+    solver: &Solver,
+    keep_tape: bool,
+    pool: &crate::Pool,
+) -> Simulation {
+    let plan = planned(&problem.scene, design, forces, solver);
+    let plan = if problem.optimise.brain == BrainKind::Linear { plan.double() } else { plan };
+    dynamics::run(&problem.scene, design, forces, &plan, keep_tape, pool)
+}
+
+/// The first sample that did not end well gives its name.
+pub(crate) fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
+    match outcomes.iter().find(|&&outcome| outcome != Outcome::Ok) {
+        Some(&outcome) => Err(Trouble::Simulation(outcome)),
+        None => Ok(()),
+    }
+}
+
+/// One of so many samples may fail, to the nearest whole.
+const ONE_OF: usize = 32;
+
+/// Takes the forces of the samples that failed away and returns how many they are.
+///
+/// # Errors
+/// If they are more than may be: the name of the first.
+fn silence(forces: &mut Forces, outcomes: &[Outcome]) -> Result<u32, Trouble> {
+    let len = forces.panels * (forces.instants + 1);
+    let mut failed = 0;
+    let mut first = None;
+    for (history, &outcome) in forces.values.chunks_exact_mut(len).zip(outcomes) {
+        if outcome != Outcome::Ok {
+            history.fill(0.0);
+            failed += 1;
+            first.get_or_insert(outcome);
+        }
+    }
+    match first {
+        Some(outcome) if failed > (outcomes.len() + ONE_OF / 2) / ONE_OF => Err(Trouble::Simulation(outcome)),
+        _ => Ok(failed as u32),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One of 32 samples may fail, and is then one without force; of a handful none may, of many no more than in proportion.
+    #[test]
+    fn few_samples_may_fail() {
+        let forces =
+            |samples: usize| Forces { samples, panels: 2, instants: 3, values: vec![1.0; samples * 8] };
+        let failing = |samples: usize, failed: usize| -> Vec<Outcome> {
+            (0..samples).map(|i| if i < failed { Outcome::NonFinite } else { Outcome::Ok }).collect()
+        };
+        for (samples, failed, may) in
+            [(32, 1, true), (32, 2, false), (8, 1, false), (30, 1, true), (270, 8, true), (270, 9, false)]
+        {
+            let mut some = forces(samples);
+            let found = silence(&mut some, &failing(samples, failed));
+            let wanted = if may { Ok(failed as u32) } else { Err(Trouble::Simulation(Outcome::NonFinite)) };
+            assert_eq!(found, wanted, "{failed} of {samples}");
+            let silent = some.values.chunks(8).take_while(|f| f.iter().all(|f| *f == 0.0)).count();
+            assert_eq!((silent, some.values.iter().sum::<f64>()), (failed, (8 * (samples - failed)) as f64));
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! What goes wrong in a trial, by its name, and exact counts of its work.
+
+use crate::brain::TrainOutcome;
+use crate::dynamics;
+
+/// Why an outer step gave no gradient.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Trouble {
+    /// A sample's simulation or reverse sweep ended early.
+    Simulation(dynamics::Outcome),
+    /// The brain's training ended early.
+    Training(TrainOutcome),
+    /// The training loss is this many times its trend, although trained as before.
+    LossJump(f64),
+    /// The gradient in α is not finite.
+    GradientNonFinite,
+    /// The linear brain's normal matrix has no factor at its ridge.
+    Singular,
+    /// No units are as many and as far apart as the sensors are to be.
+    Nowhere,
+}
+
+impl Trouble {
+    /// Its name in records.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Simulation(outcome) => outcome.name(),
+            Self::Training(outcome) => outcome.name(),
+            Self::LossJump(_) => "loss_jump",
+            Self::GradientNonFinite => "gradient_non_finite",
+            Self::Singular => "singular",
+            Self::Nowhere => "nowhere_to_sense",
+        }
+    }
+
+    /// One of this name; what a name does not say of it is 0.
+    pub fn named(name: &str) -> Option<Self> {
+        use TrainOutcome::{DeadLayer, Diverged, NonFinite};
+        let simulations = dynamics::Outcome::ALL.into_iter().map(Self::Simulation);
+        let trainings = [NonFinite, Diverged, DeadLayer(0)].into_iter().map(Self::Training);
+        let others = [Self::LossJump(0.0), Self::GradientNonFinite, Self::Singular, Self::Nowhere];
+        simulations.chain(trainings).chain(others).find(|trouble| trouble.name() == name)
+    }
+}
+
+/// Why a trial has no result.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Failure {
+    /// The initial body.
+    Initial(Trouble),
+    /// So many steps in a row were taken back, the last for this.
+    Stuck(u32, Trouble),
+}
+
+impl std::fmt::Display for Failure {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::Initial(trouble) => write!(f, "the initial body: {}", trouble.name()),
+            Self::Stuck(steps, trouble) => write!(f, "{steps} steps in a row taken back: {}", trouble.name()),
+        }
+    }
+}
+
+/// Exact counts of work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counters {
+    /// Force evaluations, integrator steps, rejected ones.
+    pub dynamics: dynamics::Counters,
+    /// Adam iterations on the brain.
+    pub brain_iterations: u64,
+    /// Hessian-vector products.
+    pub hessian_products: u64,
+    /// Interior-point iterations of the projection.
+    pub projection_iterations: u64,
+}
+
+impl std::ops::AddAssign for Counters {
+    fn add_assign(&mut self, more: Self) {
+        self.dynamics += more.dynamics;
+        self.brain_iterations += more.brain_iterations;
+        self.hessian_products += more.hessian_products;
+        self.projection_iterations += more.projection_iterations;
+    }
+}

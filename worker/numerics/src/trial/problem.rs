@@ -1,0 +1,165 @@
+//! What a spec says of a trial: scene, forces, limits, and how body and brains are trained.
+
+use super::chip::{Chip, Disturbance};
+use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
+use crate::body::Freedom;
+use crate::brain::Shape;
+use crate::dynamics::{Forces, Scene, Solver};
+use crate::feasible::{Feasible, Limits};
+use crate::random::Purpose;
+use crate::stimuli::{Deal, Source, bells, irregular, select, split, targets};
+
+/// Everything that a nested optimisation starts from. Angles in rad.
+#[derive(Debug, Clone)]
+pub struct Problem {
+    /// Body, panels, sensors, clock; without sensors as long as they are to be searched for.
+    pub scene: Scene,
+    /// How the sensors are placed, where they are not given.
+    pub search: Option<Placing>,
+    /// α of the initial body (mm).
+    pub initial: Vec<f64>,
+    /// The integrator of every evaluation, and of the steps that ask for no other.
+    pub solver: Solver,
+    /// Limits of a castable design.
+    pub limits: Limits,
+    /// Units whose nodes stay where the initial design has them.
+    pub kept: Vec<usize>,
+    /// Units whose nodes stay there and count for nothing in a gradient's length.
+    pub frozen: Vec<usize>,
+    /// Cells along x and y of a block whose nodes are shifted together; `[1, 1]`: each by itself.
+    pub tie: [usize; 2],
+    /// Where the forces come from.
+    pub stimuli: Stimuli,
+    /// What the sensors' chips add to the signals, where they do.
+    pub disturbance: Option<Disturbance>,
+    /// The brain that reads the bodies in the comparison at the end.
+    pub reader: BrainKind,
+    /// The network, and its training where it starts fresh.
+    pub brain: Training,
+    /// The linear brain.
+    pub decoder: Decoder,
+    /// The outer loop.
+    pub optimise: Optimise,
+    /// The comparison at the end.
+    pub evaluation: Evaluation,
+    /// Seed of stimuli, split, networks and batches.
+    pub seed: u64,
+}
+
+/// A search for the units that carry the sensors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Placing {
+    /// Units that may carry a sensor.
+    pub candidates: Vec<usize>,
+    /// M.
+    pub sensors: usize,
+    /// 0 the best placement; n: that with the n-th next best single unit in it.
+    pub turn: usize,
+    /// Least distance of two sensors' cells (mm).
+    pub spacing: f64,
+}
+
+/// Force histories and how many of them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stimuli {
+    /// Where they come from.
+    pub source: Source,
+    /// Instants of the forces' own clock, a multiple of the scene's.
+    pub instants: usize,
+    /// N: samples that train and test the brain.
+    pub samples: usize,
+    /// How many of the N are the test set.
+    pub test: usize,
+    /// Samples that neither loop sees.
+    pub holdout: usize,
+}
+
+impl Problem {
+    /// Which shifts of a design move, and which together.
+    pub fn freedom(&self) -> Freedom {
+        let whole = self.tie == [1, 1] && self.frozen.is_empty();
+        // what is kept alone has always counted in a gradient's length
+        let still = if whole { Vec::new() } else { [&self.frozen[..], &self.kept].concat() };
+        Freedom::new(&self.scene.layout, self.tie, &still)
+    }
+
+    /// The designs that can be cast and had.
+    pub fn castable(&self) -> Feasible {
+        let still = [&self.frozen[..], &self.kept].concat();
+        Feasible::new(&self.scene.layout, self.limits, &still).tied(&self.freedom())
+    }
+
+    /// Of the network on the scene's clock, sensors and panels.
+    pub fn shape(&self) -> Shape {
+        let sensors = self.search.as_ref().map_or(self.scene.sensors.len(), |search| search.sensors);
+        Shape {
+            instants: self.scene.instants,
+            inputs: 3 * sensors,
+            architecture: self.brain.architecture,
+            outputs: self.scene.panels.len(),
+        }
+    }
+
+    /// Of the network that reads: a stacked one sees a linear estimate of each force, too.
+    pub fn reader_shape(&self) -> Shape {
+        let shape = self.shape();
+        let estimates = if self.reader == BrainKind::Stacked { shape.outputs } else { 0 };
+        Shape { inputs: shape.inputs + estimates, ..shape }
+    }
+
+    /// The sensors' chips, what is relative in them so to `rms` of each channel.
+    pub(super) fn chip(&self, rms: &[f64]) -> Option<Chip> {
+        let delta = self.scene.duration / self.scene.instants as f64;
+        self.disturbance.map(|d| Chip::new(&d, self.seed, delta, rms))
+    }
+
+    /// `count` force histories (N, K, R + 1) of the stimuli's clock, from number `first` of `purpose`: `Stimulus`, of which
+    /// [`Problem::known`] are the trial's, `Holdout` or `Fresh`.
+    pub fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
+        let (panels, scene) = (self.scene.panels.len(), &self.scene);
+        let (duration, instants) = (scene.duration, self.stimuli.instants);
+        let samples = first..first + count as u64;
+        match &self.stimuli.source {
+            Source::Bell(bell) => bells(bell, purpose, self.seed, samples, panels, duration, instants),
+            Source::Irregular(kind) => {
+                irregular(kind, purpose, self.seed, samples, panels, duration, instants)
+            }
+            Source::Recorded(records) => {
+                let Stimuli { samples, test, .. } = self.stimuli;
+                let deal = Deal { seed: self.seed, samples, test };
+                records.forces(deal, purpose, first, count, panels, duration)
+            }
+        }
+    }
+
+    /// Training and test set.
+    pub fn known(&self) -> [Forces; 2] {
+        let Stimuli { samples, test, .. } = self.stimuli;
+        let all = self.forces(Purpose::Stimulus, 0, samples);
+        let (train, test) = split(self.seed, samples, test);
+        [select(&all, &train), select(&all, &test)]
+    }
+
+    /// What the network is to say of `forces` (N, T, K) in N.
+    pub(crate) fn targets(&self, forces: &Forces) -> Vec<f64> {
+        let low_pass = matches!(&self.stimuli.source, Source::Recorded(records) if records.low_pass);
+        targets(forces, self.scene.instants, low_pass)
+    }
+
+    /// Histories on the clock of the signals: those of the targets, and the forces at the beginning.
+    pub(crate) fn seen(&self, forces: Forces) -> Forces {
+        let (instants, panels) = (self.scene.instants, forces.panels);
+        if forces.instants == instants {
+            return forces;
+        }
+        let targets = self.targets(&forces);
+        let mut values = Vec::with_capacity(forces.samples * panels * (instants + 1));
+        for (i, sample) in targets.chunks_exact(instants * panels).enumerate() {
+            for k in 0..panels {
+                values.push(forces.sample(i)[k * (forces.instants + 1)]);
+                values.extend(sample[k..].iter().step_by(panels));
+            }
+        }
+        Forces { samples: forces.samples, panels, instants, values }
+    }
+}
