@@ -15,16 +15,16 @@ use crate::store::Reader;
 
 /// Rates the claims of arXiv:2605.23967 by finished trials
 ///
-/// A claim holds, holds in part, fails, is open, or depends on the brain.
-/// The specs in schemas/claims have the trials that it takes; run them into one database (run SPEC --db FILE).
+/// A claim holds, holds in part, fails, is open, or depends on the brain. First run the specs in schemas/claims into one
+/// database (run SPEC --db FILE).
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database
     db: PathBuf,
-    /// A row a claim, brain and set, with ratios, intervals and votes, instead of a row a claim
+    /// A row per claim, brain and set, with ratios, intervals and votes, instead of a row per claim
     #[arg(long)]
     evidence: bool,
-    /// Also write both tables (CSV), the picture (SVG) and a page of all (index.html) into this folder
+    /// Also writes into this folder both tables (CSV), the figure (SVG) and a page of all (index.html)
     #[arg(long, value_name = "DIR")]
     out_dir: Option<PathBuf>,
     /// The form of the rows

@@ -23,10 +23,10 @@ pub(super) struct Args {
     /// The design to draw (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: Option<PathBuf>,
-    /// Where the drawing goes
+    /// The file to write
     #[arg(long, value_name = "FILE.svg")]
     out: PathBuf,
-    /// Writes the design that was drawn, too (.npy or .csv)
+    /// Also writes the design that was drawn (.npy or .csv)
     #[arg(long, value_name = "FILE")]
     design_out: Option<PathBuf>,
 }

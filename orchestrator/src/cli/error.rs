@@ -1,7 +1,7 @@
 //! Why a command could not be carried out.
 
 use std::error::Error as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::SpecError;
 use metasense_worker::design::DesignError;
@@ -78,6 +78,17 @@ pub enum Error {
 }
 
 impl Error {
+    /// A failure of the system in doing something to a file.
+    pub(super) fn io(doing: &'static str, path: impl Into<PathBuf>) -> impl Fn(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io { doing, path: path.clone(), source }
+    }
+
+    /// A file that the command line names cannot be read.
+    pub(super) fn unreadable(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        move |source| Self::Unreadable { path: path.to_owned(), source }
+    }
+
     /// The exit code.
     #[must_use]
     pub fn exit(&self) -> Exit {

@@ -20,15 +20,15 @@ use crate::report::records::{Body, Comparison};
 
 /// Compares bodies by measured signals: fresh networks read the forces from them
 ///
-/// The trial's panels, sensors, clock and networks are those of the records. Each record is predicted by networks that have not seen it (cross-validation). Where a body's design is known, the
-/// trial's model of it is put under the same forces and judged in the same way: what it promises, and how its signals
-/// agree with the measured ones. README describes the files of records.
+/// The trial gives the panels, the sensors, the clock and the networks. Each record is predicted by networks that have not seen
+/// it (cross-validation). Where a body's design is known, the same forces are simulated on it, its signals are judged in the same
+/// way, and compared with the measured ones. schemas/README.md describes the files of records.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     trial: Named,
-    /// A body and the file (TOML) of its records; more bodies, more of these: ratios are to the first. `initial` and
-    /// `optimised` are the trial's own
+    /// A body and the file (TOML) of its records; once per body. Ratios are to the first. `initial` and `optimised` are the
+    /// trial's own bodies
     #[arg(long, value_name = "BODY=FILE", required = true, value_parser = pair)]
     records: Vec<(String, PathBuf)>,
     /// The design (.npy or .csv) of a body that is not the trial's own
@@ -37,17 +37,17 @@ pub(super) struct Args {
     /// Parts of the records; each is predicted by networks trained on all others [default: 10, at most as many as records]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     folds: Option<u32>,
-    /// What reads the forces [default: the trial's brain.kind]
+    /// The brain that reads the forces [default: the trial's brain.kind]
     #[arg(long, value_enum)]
     brain: Option<Brain>,
-    /// Networks a fold, from different weights [default: the trial's evaluation.seeds]
+    /// Networks per fold, from different weights [default: the trial's evaluation.seeds]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     seeds: Option<u32>,
     /// Iterations of each network [default: the trial's brain.iterations]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
-    /// Writes into this folder the page to look at (index.html), its figures, the table and every record's error (CSV),
-    /// forces, predictions and signals (records.npz); until then the networks that are done, from which the same command goes on
+    /// Writes into this folder a page (index.html), its figures, the table and every record's error (CSV), forces, predictions and
+    /// signals (records.npz). While it runs, the folder keeps the trained networks; the same command goes on from there
     #[arg(long, value_name = "DIR")]
     out_dir: Option<PathBuf>,
     /// Threads
@@ -194,7 +194,7 @@ fn compare(
                     Some((modelled.signals, judged))
                 }
                 Err(Failure::NonFinite(why)) => {
-                    say!("{name}: the model has nothing to say: {why}");
+                    say!("{name}: the model cannot be simulated: {why}");
                     None
                 }
                 Err(e) => return Err(Error::Usage(format!("--design {name}: {e}"))),

@@ -19,13 +19,13 @@ use crate::store::{Reader, Stored, npy_bytes};
 /// The form of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Form {
-    /// Everything of a trial as NumPy arrays: designs, signals, predictions, weights, forces, split, scales, scene
+    /// The whole trial as NumPy arrays: designs, signals, predictions, weights, forces, split, scales, scene
     Npz,
-    /// Forces, signals and predictions as a table, a row a sample and instant; or a view's rows
+    /// Forces, signals and predictions as a table, a row per sample and instant; or a view's rows
     Csv,
     /// The same as a Parquet file
     Parquet,
-    /// The design alone (α), as specs and commands take it
+    /// The design alone (α), as specs and commands read it
     Npy,
     /// The body, drawn
     Svg,
@@ -36,9 +36,10 @@ enum Form {
 }
 
 /// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL
+///
+/// A view's name goes in place of the hash: DB VIEW. Of a SPEC, the trial is taken from the database that it writes to.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// In place of a hash: the name of a view, for csv and parquet
     #[command(flatten)]
     trial: Named,
     /// The form
@@ -59,7 +60,7 @@ pub(super) struct Args {
     /// Thickness of the mould's floor and rim (mm), for stl
     #[arg(long, default_value_t = 3.0)]
     wall: f64,
-    /// How much larger than the body the mould's cavity is on every side (mm), for stl
+    /// Clearance between the body and the mould's cavity on every side (mm), for stl
     #[arg(long, default_value_t = 0.0)]
     clearance: f64,
     /// Threads for simulating the trial again

@@ -21,12 +21,12 @@ use crate::store::npy_bytes;
 /// Fits stiffness, damping and density to measured records, with 95 % intervals
 ///
 /// Starts from the spec's values. Records are forces and the signals that sensors gave under them, described by a TOML file.
-/// Exit code 1 if the fit does not converge, or the records do not tell all parameters that were asked for.
+/// Exit code 1 if the fit does not converge, or the records do not determine all parameters that were asked for.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// What was measured (TOML, see README)
+    /// The records (TOML; keys in schemas/README.md)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
     /// The parameters that are fitted; the others stay at the spec's values
@@ -35,8 +35,8 @@ pub(super) struct Args {
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
-    /// Writes a page with the figures, the figures (SVG) and their data, and the fitted signals (NPY) into this folder; until then
-    /// the iterations that are done, from which the same command goes on
+    /// Writes into this folder a page (index.html), its figures (SVG) with their data, and the fitted signals (NPY). While it runs,
+    /// the folder keeps the iterations done; the same command goes on from there
     #[arg(long, value_name = "DIR")]
     out_dir: Option<PathBuf>,
     /// The form of the estimates
@@ -218,21 +218,4 @@ fn exact(value: f64) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_interval_can_be_read_from_the_table() {
-        let row = |fitted: f64, part: f64| {
-            let (low, high) = (fitted * (1.0 - part), fitted * (1.0 + part));
-            row!["p", "u", 1.3 * fitted, fitted, low, high, part]
-        };
-        let rows = vec![row(3.0, 1e-5), row(1e-8, 1e-3), row(250.0, 0.2)];
-        let shown = readable(&Table { columns: Vec::new(), rows }).rows;
-        let shown: Vec<Vec<&str>> =
-            shown.iter().map(|row| row[2..=5].iter().filter_map(Value::as_str).collect()).collect();
-        assert_eq!(shown[0], ["3.900000", "3.000000", "2.999970", "3.000030"]);
-        assert_eq!(shown[1], ["1.3000e-8", "1.0000e-8", "9.9900e-9", "1.0010e-8"]);
-        assert_eq!(shown[2], ["325.0", "250.0", "200.0", "300.0"]);
-    }
-}
+mod tests;

@@ -23,8 +23,7 @@ pub fn path(database: &Path) -> PathBuf {
 /// If the file cannot be written.
 pub fn start(path: &Path) -> Result<(), Error> {
     let file = OpenOptions::new().create(true).append(true).open(path);
-    let file =
-        file.map_err(|source| Error::Io { doing: "opening the log", path: path.to_owned(), source })?;
+    let file = file.map_err(Error::io("opening the log", path))?;
     let asked = std::env::var(FILTER).ok().and_then(|filter| filter.parse::<Targets>().ok());
     let lines = tracing_subscriber::fmt::layer().with_writer(Mutex::new(file)).with_ansi(false);
     let filter = asked.unwrap_or_else(|| Targets::new().with_default(tracing::Level::INFO));

@@ -11,18 +11,18 @@ use crate::plan::counted;
 
 /// Merges databases into one
 ///
-/// The rows are the same whatever the order of the files, and however often they are merged.
-/// Of each trial the copy that has come farthest is kept. What disagrees or is left out is listed; bits are compared
-/// between runs of one instruction set alone. Inputs are not changed; `run SPEC --db FILE` finishes what is missing.
+/// The rows do not depend on the order of the files, nor on how often they are merged. Of each trial the most advanced copy is
+/// kept. Disagreements and omissions are listed; results are compared bit by bit between runs of the same instruction set.
+/// Inputs are not changed; `run SPEC --db FILE` runs what is missing.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Databases, also of other versions or of runs that go on; of a folder, every *.sqlite in it
+    /// Databases, also of other versions or of runs in progress; of a folder, every *.sqlite in it
     #[arg(required = true, value_name = "DB")]
     files: Vec<PathBuf>,
-    /// The merged database; what it holds already stays in it
+    /// The merged database; its earlier contents stay
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// The form of the list of what disagrees or is left out
+    /// The form of the list of disagreements and omissions
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }

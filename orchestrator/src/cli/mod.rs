@@ -41,7 +41,7 @@ mod watch;
 
 use std::ffi::OsString;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::pin::Pin;
 use std::process::ExitCode;
 
@@ -164,7 +164,7 @@ pub fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'st
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
-        .map_err(|source| Error::Io { doing: "starting", path: PathBuf::from("the runtime"), source })?;
+        .map_err(Error::io("starting", "the runtime"))?;
     // Boxed: the runtime's loop is compiled once, not around every command.
     let future: Pin<Box<dyn Future<Output = Result<T, Error>>>> = Box::pin(future);
     runtime.block_on(future)
@@ -193,20 +193,12 @@ pub fn read_plan(file: &Path) -> Result<Plan, Error> {
 
 /// Writes a whole file.
 fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Error> {
-    crate::files::write(path, bytes.as_ref()).map_err(|source| Error::Io {
-        doing: "writing",
-        path: path.to_owned(),
-        source,
-    })
+    crate::files::write(path, bytes.as_ref()).map_err(Error::io("writing", path))
 }
 
 /// Makes a folder where it is missing.
 fn make_folder(path: &Path) -> Result<(), Error> {
-    std::fs::create_dir_all(path).map_err(|source| Error::Io {
-        doing: "making the folder",
-        path: path.to_owned(),
-        source,
-    })
+    std::fs::create_dir_all(path).map_err(Error::io("making the folder", path))
 }
 
 #[cfg(test)]

@@ -12,9 +12,9 @@ use crate::report::modes as pictures;
 
 /// Computes a body's eigenmodes at rest, or how a panel's force moves a unit there
 ///
-/// Small motions only: under a sweep's stimuli bodies move strongly nonlinearly (`v_trial` says how much the linear model leaves
-/// out). Frequencies are |s|/2π of exp(s t), damping ratios −Re s/|s|, with all of the damping, which no mode shares evenly. A mode of
-/// damping ratio 1 does not ring.
+/// For small motions only: under a sweep's stimuli bodies move strongly nonlinearly (`v_trial` has the error of the linear model).
+/// Modes go as exp(s t) with complex s: the frequency is |s|/2π, the damping ratio −Re s/|s|. A mode of damping ratio 1 does not
+/// oscillate.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -22,8 +22,8 @@ pub(super) struct Args {
     /// How many modes, from the slowest on
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=1000))]
     count: u16,
-    /// Instead of the modes: acceleration (mm/s²) and angular velocity (rad/s) of this unit to 1 N on each panel, amplitudes and
-    /// phases (degrees), at 200 frequencies up to the last of these modes
+    /// Instead of the modes: acceleration (mm/s²) and angular velocity (rad/s) of this unit under 1 N on each panel, as amplitudes
+    /// and phases (degrees), at 200 frequencies up to that of the last mode
     #[arg(long, value_name = "UNIT")]
     response: Option<usize>,
     /// Draws the modes' shapes, or the responses

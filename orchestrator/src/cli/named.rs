@@ -28,8 +28,7 @@ pub(super) struct Spec {
 impl Spec {
     /// The spec with its changes.
     pub fn source(&self) -> Result<Source, Error> {
-        let text = std::fs::read_to_string(&self.file)
-            .map_err(|source| Error::Unreadable { path: self.file.clone(), source })?;
+        let text = std::fs::read_to_string(&self.file).map_err(Error::unreadable(&self.file))?;
         Ok(Source::spec(&self.file, text, &self.changes)?)
     }
 

@@ -24,7 +24,7 @@ impl Pages {
     /// # Errors
     /// Where there is no such port to be had.
     pub async fn start(db: &Path, port: u16) -> Result<Self, Error> {
-        let failed = |source| Error::Io { doing: "serving the pages of", path: db.to_owned(), source };
+        let failed = Error::io("serving the pages of", db);
         let own = std::process::id();
         let mut child = Command::new("/proc/self/exe")
             .args(["serve", "--control", "--port", &port.to_string(), "--parent", &own.to_string()])
@@ -34,10 +34,10 @@ impl Pages {
             .stdout(Stdio::piped())
             .kill_on_drop(true)
             .spawn()
-            .map_err(failed)?;
+            .map_err(&failed)?;
         let mut address = String::new();
         let out = child.stdout.take().expect("it is piped");
-        BufReader::new(out).read_line(&mut address).await.map_err(failed)?;
+        BufReader::new(out).read_line(&mut address).await.map_err(&failed)?;
         if address.is_empty() {
             // it has said why
             return Err(Error::Usage(format!(

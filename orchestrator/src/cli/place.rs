@@ -15,16 +15,16 @@ use crate::report::body::sketch;
 
 /// Searches for the units that carry sensors best, and compares with random placements
 ///
-/// Errors are a linear brain's on training samples that it has not seen; test set and holdout are not looked at. As in a
-/// sweep with sensors.search, which needs no such call. Without --hash: of the first trial with the most sensors.
+/// Errors are those of a linear brain on training samples that it has not seen; test set and holdout are not used. A sweep with
+/// sensors.search searches in the same way by itself. Without --hash: the first trial with the most sensors.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// Draws the body, units coloured by the error with a sensor there, those placed numbered
+    /// Draws the body: units coloured by the error with a sensor on them, the units chosen numbered
     #[arg(long, value_name = "FILE.svg")]
     out: Option<PathBuf>,
-    /// Colours by a sensor beside the first so many of those placed
+    /// Colours by the error of one more sensor beside the first M chosen
     #[arg(long, value_name = "M", default_value_t = 0)]
     given: usize,
     /// Threads

@@ -11,9 +11,8 @@ use crate::look::{Table, row};
 
 /// Projects a design onto the nearest one that can be cast
 ///
-/// Where none is found, the previous design comes back. Without a hash: the body that all trials of the spec have.
-/// Prints status, distance and the constraints at their limit. Ends with 0 wherever what is written can be cast; with 1,
-/// and writes nothing, where neither the result nor the previous design can.
+/// Where none is found, the result is the previous design. Without a hash: the body that all trials of the spec have. Prints
+/// status, distance and the constraints at their limit. Exit code 1, and no file, if the previous design cannot be cast either.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -21,16 +20,16 @@ pub(super) struct Args {
     /// The design to project (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: PathBuf,
-    /// The previous design, which comes back where no feasible one is found [default: the initial body]
+    /// The previous design, the result where no feasible one is found [default: the initial body]
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
-    /// Weights of the metric, one a coordinate of α (NPY) [default: Euclidean]
+    /// Weights of the metric, one per coordinate of α (NPY) [default: Euclidean]
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Where the result goes (.npy or .csv)
+    /// The file to write (.npy or .csv)
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// The form of the rows, one a constraint at its limit; the summary goes before a table, else to standard error
+    /// The form of the rows, one per constraint at its limit; the summary precedes a table, else it goes to standard error
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }

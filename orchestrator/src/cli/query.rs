@@ -22,13 +22,13 @@ pub(super) struct Args {
     /// One SQL statement
     #[arg(required_unless_present = "views")]
     sql: Option<String>,
-    /// List the views and their columns instead
+    /// Lists the views and their columns instead
     #[arg(long, conflicts_with = "sql")]
     views: bool,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
-    /// The file that the rows go to, instead of standard output
+    /// The file to write, instead of standard output
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -55,8 +55,8 @@ pub(super) async fn answer_in(
     path: &Path,
     format: Format,
 ) -> Result<(), Error> {
-    let failed = |source| Error::Io { doing: "writing", path: path.to_owned(), source };
-    let file = std::fs::File::create(path).map_err(failed)?;
+    let failed = Error::io("writing", path);
+    let file = std::fs::File::create(path).map_err(&failed)?;
     let written = answer(reader, sql, file, format).await;
     written.map_err(|e| if let Error::Output(source) = e { failed(source) } else { e })
 }

@@ -56,7 +56,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         .worker_threads(THREADS)
         .enable_all()
         .build()
-        .map_err(|source| Error::Io { doing: "starting", path: PathBuf::from("the runtime"), source })?;
+        .map_err(Error::io("starting", "the runtime"))?;
     let served = std::thread::spawn(move || runtime.block_on(serve_until_stopped(args)));
     served.join().expect("no page panics")
 }
@@ -76,15 +76,13 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
         ));
     }
     let at = SocketAddr::new(args.listen, args.port);
-    let failed = |source| Error::Io { doing: "listening at", path: at.to_string().into(), source };
-    let listener = TcpListener::bind(at).await.map_err(failed)?;
+    let failed = Error::io("listening at", at.to_string());
+    let listener = TcpListener::bind(at).await.map_err(&failed)?;
     let at = listener.local_addr().map_err(failed)?;
-    let scratch = |source| Error::Io { doing: "making a folder in", path: std::env::temp_dir(), source };
+    let scratch = Error::io("making a folder in", std::env::temp_dir());
     let sources =
         paths.iter().map(|path| Source::new(path)).collect::<Result<Vec<_>, _>>().map_err(scratch)?;
-    let token = args.control.then(Token::new).transpose();
-    let token =
-        token.map_err(|source| Error::Io { doing: "reading", path: "/dev/urandom".into(), source })?;
+    let token = args.control.then(Token::new).transpose().map_err(Error::io("reading", "/dev/urandom"))?;
     let (token, behind) =
         token.map_or((None, String::new()), |(token, text)| (Some(token), format!("#token={text}")));
     print_line!("http://{at}/{behind}")?;

@@ -85,7 +85,7 @@ fn table(found: &Simulated, each: bool) -> Table {
 
 /// Shape and values of an NPY file of numbers in C order.
 fn array(path: &Path) -> Result<(Vec<usize>, Vec<f64>), Error> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Unreadable { path: path.to_owned(), source })?;
+    let bytes = std::fs::read(path).map_err(Error::unreadable(path))?;
     let bad = |what: &dyn std::fmt::Display| Error::Usage(format!("{}: {what}", path.display()));
     let file = npyz::NpyFile::new(&bytes[..]).map_err(|e| bad(&e))?;
     if file.order() != npyz::Order::C && file.shape().len() > 1 {

@@ -49,9 +49,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if args.cluster {
         return cluster(source, format).await;
     }
-    let source = source.or_else(|| newest(Path::new("results"))).ok_or_else(|| {
-        Error::Usage("there is no database under results/; name one: metasense status DB".into())
-    })?;
+    let source = source.map_or_else(|| newest("status"), Ok)?;
     let named = Named { source, words, hash };
     let db = if named.is_database() {
         if db.is_some() {
@@ -223,12 +221,15 @@ fn only(folder: &Path, ending: &str) -> Option<PathBuf> {
     found.next().filter(|_| found.next().is_none())
 }
 
-/// The database written last.
-pub(super) fn newest(folder: &Path) -> Option<PathBuf> {
+/// The database under results/ that was written last, for a command that names none.
+pub(super) fn newest(command: &str) -> Result<PathBuf, Error> {
     let written =
         |path: &PathBuf| path.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
-    let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
-    entries.filter(|path| path.extension().is_some_and(|e| e == "sqlite")).max_by_key(written)
+    let entries = std::fs::read_dir("results").into_iter().flatten().flatten().map(|entry| entry.path());
+    let newest = entries.filter(|path| path.extension().is_some_and(|e| e == "sqlite")).max_by_key(written);
+    newest.ok_or_else(|| {
+        Error::Usage(format!("there is no database under results/; name one: metasense {command} DB"))
+    })
 }
 
 /// Kinds of failures that are told one by one.

@@ -16,13 +16,12 @@ use crate::store::ask_unchanging;
 
 /// Submits a sweep to Slurm or HyperQueue as shards, with a merge behind them
 ///
-/// A shard is an ordinary run on one node; they are merged when all have ended.
+/// A shard is an ordinary run on one node; they are merged when all have ended. Leave the spec unchanged until then.
 /// Called again, it submits the shards that are not complete; they go on from where they were.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The cluster's scheduler
     scheduler: Scheduler,
-    /// Leave the spec unchanged until the shards have ended
     #[command(flatten)]
     spec: Spec,
     /// Shards; by default so many that each takes half of its time limit, by estimate
@@ -92,18 +91,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return Ok(Exit::Done);
     }
     let threads = plan.spec.run.threads.unwrap_or(1).clamp(1, args.cpus as usize) as u32;
-    let absolute = |path: &Path| {
-        std::path::absolute(path).map_err(|source| Error::Io {
-            doing: "finding",
-            path: path.to_owned(),
-            source,
-        })
-    };
-    let program = std::env::current_exe().map_err(|source| Error::Io {
-        doing: "finding",
-        path: "/proc/self/exe".into(),
-        source,
-    })?;
+    let absolute = |path: &Path| std::path::absolute(path).map_err(Error::io("finding", path));
+    let program = std::env::current_exe().map_err(Error::io("finding", "/proc/self/exe"))?;
     let submission = Submission {
         scheduler: args.scheduler,
         name: plan.spec.name.clone(),
@@ -173,9 +162,8 @@ fn submit(
     for script in submission.scripts() {
         write(&folder.join(script.name), script.text)?;
     }
-    let noting =
-        |source| Error::Io { doing: "writing down what was submitted in", path: folder.clone(), source };
-    let mut notes = Notes::open(folder).map_err(noting)?;
+    let noting = Error::io("noting what was submitted in", folder);
+    let mut notes = Notes::open(folder).map_err(&noting)?;
     let job = run(&submission.submit_shards())?;
     say!("submitted: job {job}, shards {}", ranges(&submission.which));
     let scheduler = match submission.scheduler {
@@ -183,7 +171,7 @@ fn submit(
         Scheduler::Hq => "hq",
     };
     let mut job = Job { scheduler: scheduler.into(), job, merge_job: None, shards: submission.shards };
-    notes.note(&job).map_err(noting)?;
+    notes.note(&job).map_err(&noting)?;
     say!("metasense status --cluster {} says how they are", folder.display());
     let merge_job = run(&submission.submit_merge(&job.job, others)).inspect_err(|_| {
         let (folder, out) = (folder.display(), submission.out.display());
@@ -196,12 +184,8 @@ fn submit(
 
 /// Runs a scheduler's command; the number of the job that it prints.
 fn run(words: &[String]) -> Result<String, Error> {
-    let program = PathBuf::from(&words[0]);
-    let output = Command::new(&program).args(&words[1..]).output().map_err(|source| Error::Io {
-        doing: "starting",
-        path: program,
-        source,
-    })?;
+    let output =
+        Command::new(&words[0]).args(&words[1..]).output().map_err(Error::io("starting", &words[0]))?;
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     // Slurm: `NUMBER` or `NUMBER;CLUSTER`.
     let job = said.trim().split(';').next().unwrap_or_default();
@@ -220,11 +204,7 @@ fn run(words: &[String]) -> Result<String, Error> {
 
 /// What was submitted from a folder.
 pub(super) fn submitted(folder: &Path) -> Result<Vec<Job>, Error> {
-    queue::jobs(folder).map_err(|source| Error::Io {
-        doing: "reading what was submitted from",
-        path: folder.to_owned(),
-        source,
-    })
+    queue::jobs(folder).map_err(Error::io("reading what was submitted from", folder))
 }
 
 /// Of how many shards a folder holds databases, or has had some submitted.

@@ -43,7 +43,7 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         let bytes = match std::fs::read(path) {
             Ok(bytes) => bytes,
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok((ours, None)),
-            Err(source) => return Err(Error::Unreadable { path: path.clone(), source }),
+            Err(e) => return Err(Error::unreadable(path)(e)),
         };
         let state = bytes.strip_prefix(&digest).and_then(|bytes| postcard::from_bytes(bytes).ok());
         match state {
@@ -73,8 +73,8 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         let Some(path) = &self.path else { return Ok(()) };
         for path in [path.with_extension("new"), path.clone()] {
             match std::fs::remove_file(&path) {
-                Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(Error::Io { doing: "removing", path, source });
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Error::io("removing", path)(e));
                 }
                 _ => {}
             }

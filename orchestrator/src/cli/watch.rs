@@ -1,7 +1,7 @@
 //! `watch`: a run as it goes on, seen from its database, from any terminal.
 
 use std::io::{IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use super::status::newest;
@@ -27,10 +27,7 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let db = args.db.or_else(|| newest(Path::new("results")));
-    let db = db.ok_or_else(|| {
-        Error::Usage("there is no database under results/; name one: metasense watch DB".into())
-    })?;
+    let db = args.db.map_or_else(|| newest("watch"), Ok)?;
     if !(0.1..=3600.0).contains(&args.every) {
         return Err(Error::Usage(format!("--every {} is not between 0.1 and 3600 s", args.every)));
     }

@@ -154,7 +154,9 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
         let counts = |place: &Place| place.key != BASE && !above.iter().any(|above| covers(above, place));
         places.extend(layer.places(number)?.into_iter().filter(counts));
     }
-    Ok((toml::to_string(&all).expect("tables of TOML are TOML"), places))
+    let head = layers.iter().find(|layer| layer.file == file).map_or("", |own| &own.text);
+    let head: String = head.split_inclusive('\n').take_while(|line| line.starts_with('#')).collect();
+    Ok((head + &toml::to_string(&all).expect("tables of TOML are TOML"), places))
 }
 
 /// Adds what a table has not yet.

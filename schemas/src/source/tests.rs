@@ -238,7 +238,7 @@ fn read(folder: &tempfile::TempDir, name: &str) -> Result<Source, SpecError> {
 fn a_spec_on_a_base_is_as_if_written() {
     let (head, tail) = GOOD.split_once("[stimuli]").unwrap();
     let folder = files(&[
-        ("a.toml", &format!("base = \"b/b.toml\"\nname = \"example\"\n[stimuli]{tail}")),
+        ("a.toml", &format!("# what it is for\nbase = \"b/b.toml\"\nname = \"example\"\n[stimuli]{tail}")),
         ("b/b.toml", "base = \"c.toml\"\nname = \"b\"\n[body]\nrows = 6\n[sweep]\npanels = [1, 9]\n"),
         ("b/c.toml", &head.replace("rows = 6", "rows = 99")),
     ]);
@@ -246,12 +246,13 @@ fn a_spec_on_a_base_is_as_if_written() {
     let spec = source.parse().unwrap();
     assert_eq!(spec, parse(GOOD).unwrap());
     assert_eq!(parse(&source.text).unwrap(), spec, "the text says all");
+    assert!(source.text.starts_with("# what it is for\n"), "{}", source.text);
     let at = |key: &str| {
         let error = source.error(key, "no");
         format!("{}:{}", error.file.strip_prefix(folder.path()).unwrap().display(), error.line)
     };
     let places = ["body.rows", "body.spacing", "sweep.panels", "name", "body"].map(at);
-    assert_eq!(places, ["b/b.toml:4", "b/c.toml:5", "a.toml:6", "a.toml:2", "b/b.toml:3"]);
+    assert_eq!(places, ["b/b.toml:4", "b/c.toml:5", "a.toml:7", "a.toml:3", "b/b.toml:3"]);
 }
 
 #[test]

@@ -66,20 +66,4 @@ fn nearest<'a>(text: &str, hashes: impl Iterator<Item = &'a str>) -> Option<Stri
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_beginning_names_one_trial_or_says_which_ones_there_are() {
-        let hashes = ["3f6a00000000aa", "3f6b00000000bb", "77aa00000000cc"];
-        let find = |text: &str| position_of(text, hashes.iter().copied()).map_err(|e| e.to_string());
-        assert_eq!(find("77"), Ok(2));
-        assert_eq!(find("3f6b00000000bb"), Ok(1));
-        assert_eq!(find("3f").unwrap_err(), "trial 3f: several trials begin so: 3f6a00000000, 3f6b00000000");
-        assert_eq!(find("3f7b").unwrap_err(), "trial 3f7b: no trial begins so; the nearest is 3f6b00000000");
-        assert_eq!(find("zz").unwrap_err(), "trial zz: no trial begins so");
-        let many: Vec<String> = (0..9).map(|i| format!("a{i}")).collect();
-        let several = position_of("", many.iter().map(String::as_str)).unwrap_err().to_string();
-        assert_eq!(several, "trial : several trials begin so: a0, a1, a2, a3, a4 and 4 more");
-    }
-}
+mod tests;
