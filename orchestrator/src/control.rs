@@ -62,17 +62,22 @@ pub enum Command {
 )]
 pub struct NoCommand(String);
 
+/// Commands of one word.
+const WORDS: [(&str, Command); 5] = [
+    ("state", Command::State),
+    ("pause", Command::Pause),
+    ("resume", Command::Resume),
+    ("stop", Command::Stop),
+    ("reload", Command::Reload),
+];
+
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::State => f.write_str("state"),
-            Self::Pause => f.write_str("pause"),
-            Self::Resume => f.write_str("resume"),
-            Self::Stop => f.write_str("stop"),
             Self::Cancel(hash) => write!(f, "cancel {hash}"),
             Self::Next(hash) => write!(f, "next {hash}"),
             Self::Workers(count) => write!(f, "workers {count}"),
-            Self::Reload => f.write_str("reload"),
+            word => f.write_str(WORDS.iter().find(|(_, known)| known == word).map_or("", |(word, _)| word)),
         }
     }
 }
@@ -81,28 +86,20 @@ impl FromStr for Command {
     type Err = NoCommand;
 
     fn from_str(line: &str) -> Result<Self, NoCommand> {
-        let none = || NoCommand(line.chars().take(80).collect());
-        let words: Vec<&str> = line.split_whitespace().collect();
         let hash = |text: &str| {
-            text.bytes()
-                .all(|b| b.is_ascii_alphanumeric() || b == b'-')
-                .then(|| text.to_owned())
-                .ok_or_else(none)
+            text.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-').then(|| text.to_owned())
         };
-        match words[..] {
-            ["state"] => Ok(Self::State),
-            ["pause"] => Ok(Self::Pause),
-            ["resume"] => Ok(Self::Resume),
-            ["stop"] => Ok(Self::Stop),
-            ["reload"] => Ok(Self::Reload),
-            ["cancel", text] => Ok(Self::Cancel(hash(text)?)),
-            ["next", text] => Ok(Self::Next(hash(text)?)),
-            ["workers", count] => match count.parse() {
-                Ok(count) if (1..=WORKERS_MAX).contains(&count) => Ok(Self::Workers(count)),
-                _ => Err(none()),
-            },
-            _ => Err(none()),
-        }
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let command = match words[..] {
+            [word] => WORDS.into_iter().find(|(known, _)| *known == word).map(|(_, command)| command),
+            ["cancel", text] => hash(text).map(Self::Cancel),
+            ["next", text] => hash(text).map(Self::Next),
+            ["workers", count] => {
+                count.parse().ok().filter(|count| (1..=WORKERS_MAX).contains(count)).map(Self::Workers)
+            }
+            _ => None,
+        };
+        command.ok_or_else(|| NoCommand(line.chars().take(80).collect()))
     }
 }
 

@@ -223,7 +223,8 @@ pub type Waker = iceoryx2::port::notifier::Notifier<Ipc>;
 /// Is woken.
 pub type Sleeper = iceoryx2::port::listener::Listener<Ipc>;
 
-/// The services of a worker's domain. The orchestrator creates them, the worker opens them; each limit is set here.
+/// The services of a worker's domain. The orchestrator creates them, the worker opens them; each limit is set here. What makes
+/// a port fails where iceoryx2 cannot create it.
 #[derive(Debug)]
 pub struct Services {
     /// Orchestrator to worker.
@@ -317,47 +318,36 @@ impl Services {
     }
 
     /// A sender of messages. A full buffer discards: the caller sees that nobody received.
-    ///
-    /// # Errors
-    /// If iceoryx2 cannot create it.
     pub fn sender(service: &Bytes) -> Result<MessageSender, LinkError> {
+        Self::sender_of(service, BackpressureStrategy::DiscardData, "creating a sender")
+    }
+
+    /// A sender of arrays, which are written where they are read.
+    pub fn array_sender(service: &Bytes) -> Result<MessageSender, LinkError> {
+        Self::sender_of(service, BackpressureStrategy::RetryUntilDelivered, "creating a sender of arrays")
+    }
+
+    fn sender_of(
+        service: &Bytes,
+        full: BackpressureStrategy,
+        step: &'static str,
+    ) -> Result<MessageSender, LinkError> {
         service
             .publisher_builder()
             .initial_max_slice_len(CHUNK)
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
             .max_loaned_samples(1)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .backpressure_strategy(full)
             .create()
-            .map_err(LinkError::of("creating a sender"))
+            .map_err(LinkError::of(step))
     }
 
     /// A receiver of messages.
-    ///
-    /// # Errors
-    /// If iceoryx2 cannot create it.
     pub fn receiver(service: &Bytes) -> Result<MessageReceiver, LinkError> {
         service.subscriber_builder().create().map_err(LinkError::of("creating a receiver"))
     }
 
-    /// A sender of arrays, which are written where they are read.
-    ///
-    /// # Errors
-    /// If iceoryx2 cannot create it.
-    pub fn array_sender(service: &Bytes) -> Result<MessageSender, LinkError> {
-        service
-            .publisher_builder()
-            .initial_max_slice_len(CHUNK)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
-            .max_loaned_samples(1)
-            .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
-            .create()
-            .map_err(LinkError::of("creating a sender of arrays"))
-    }
-
     /// A sender of progress.
-    ///
-    /// # Errors
-    /// If iceoryx2 cannot create it.
     pub fn beat_sender(service: &Beats) -> Result<BeatSender, LinkError> {
         service
             .publisher_builder()
@@ -368,25 +358,16 @@ impl Services {
     }
 
     /// A receiver of progress.
-    ///
-    /// # Errors
-    /// If iceoryx2 cannot create it.
     pub fn beat_receiver(service: &Beats) -> Result<BeatReceiver, LinkError> {
         service.subscriber_builder().create().map_err(LinkError::of("creating a receiver of progress"))
     }
 
     /// Wakes the listener of a wake-up service.
-    ///
-    /// # Errors
-    /// If iceoryx2 cannot create it.
     pub fn waker(service: &Wakes) -> Result<Waker, LinkError> {
         service.notifier_builder().create().map_err(LinkError::of("creating a waker"))
     }
 
     /// Waits for wake-ups.
-    ///
-    /// # Errors
-    /// If iceoryx2 cannot create it.
     pub fn sleeper(service: &Wakes) -> Result<Sleeper, LinkError> {
         service.listener_builder().create().map_err(LinkError::of("creating a sleeper"))
     }

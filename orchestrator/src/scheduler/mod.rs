@@ -168,6 +168,11 @@ impl Slot {
     }
 }
 
+/// Slots, each with the worker process that it has now.
+fn with_workers(slots: &mut [Slot]) -> impl Iterator<Item = (WorkerId, &mut Slot)> {
+    slots.iter_mut().zip(0..).map(|(state, slot)| (WorkerId { slot, generation: state.generation }, state))
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stopping {
     No,
@@ -383,8 +388,7 @@ impl State {
         }
         let (now, settings) = (self.now, &self.settings);
         let waited_out = self.stopping != Stopping::No && now > self.stopping_since + STOPPING_MAX;
-        for (slot, number) in self.slots.iter_mut().zip(0..) {
-            let worker = WorkerId { slot: number, generation: slot.generation };
+        for (worker, slot) in with_workers(&mut self.slots) {
             let (lease, why) = match slot.work {
                 Work::Busy { lease, .. } if waited_out => (Some(lease), Some(Reason::Stopped)),
                 Work::Busy { lease, beat, .. } if now > beat + settings.no_progress => {
@@ -471,8 +475,7 @@ impl State {
         if self.stopping == Stopping::No && !finished {
             return;
         }
-        for (slot, number) in self.slots.iter_mut().zip(0..) {
-            let worker = WorkerId { slot: number, generation: slot.generation };
+        for (worker, slot) in with_workers(&mut self.slots) {
             let at_once = self.stopping >= Stopping::AtOnce;
             match slot.work {
                 Work::Busy { lease, .. } if at_once => {
@@ -499,17 +502,16 @@ impl State {
             return;
         }
         let now = self.now;
-        for (slot, number) in self.slots.iter_mut().zip(0..) {
+        for (worker, slot) in with_workers(&mut self.slots) {
             if slot.work != Work::Idle || slot.unrecorded >= RESULTS_MAX || self.unrecorded >= UNRECORDED_MAX
             {
                 continue;
             }
-            let Some((_, number_of_trial)) = self.ready.pop_first() else { return };
-            let worker = WorkerId { slot: number, generation: slot.generation };
-            let trial = &mut self.trials[number_of_trial as usize];
+            let Some((_, number)) = self.ready.pop_first() else { return };
+            let trial = &mut self.trials[number as usize];
             trial.attempt += 1;
             trial.phase = Phase::Running(worker);
-            let lease = Lease { trial: number_of_trial, attempt: trial.attempt };
+            let lease = Lease { trial: number, attempt: trial.attempt };
             slot.work = Work::Busy { lease, since: now, beat: now, asked: false };
             out.push(Action::Assign(worker, lease));
         }

@@ -8,7 +8,7 @@ use std::fmt;
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Action, Payload, Phase, Prior, Slot, State, Stopping, Trial, Work, WorkerId};
+use super::{Action, Payload, Phase, Prior, Slot, State, Stopping, Trial, Work, with_workers};
 
 /// A command.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -61,6 +61,17 @@ pub enum Refusal {
     Failed(Reason),
     /// The trial is with a worker.
     Running,
+}
+
+impl Refusal {
+    /// Of a trial that does not wait.
+    fn of(phase: Phase) -> Self {
+        match phase {
+            Phase::Failed(reason) => Self::Failed(reason),
+            Phase::Recording(_) | Phase::Done => Self::Done,
+            Phase::Pending | Phase::Running(_) => Self::Running,
+        }
+    }
 }
 
 impl fmt::Display for Answer {
@@ -151,8 +162,7 @@ impl State {
                 trial.unwanted = Some(Reason::Cancelled);
                 Answer::Cancelled(true)
             }
-            Phase::Recording(_) | Phase::Done => Answer::Refused(Refusal::Done),
-            Phase::Failed(reason) => Answer::Refused(Refusal::Failed(reason)),
+            settled => Answer::Refused(Refusal::of(settled)),
         }
     }
 
@@ -165,9 +175,7 @@ impl State {
                 self.ready.insert((first, number));
                 Answer::Next
             }
-            Phase::Running(_) => Answer::Refused(Refusal::Running),
-            Phase::Recording(_) | Phase::Done => Answer::Refused(Refusal::Done),
-            Phase::Failed(reason) => Answer::Refused(Refusal::Failed(reason)),
+            other => Answer::Refused(Refusal::of(other)),
         }
     }
 
@@ -190,8 +198,7 @@ impl State {
 
     /// Asks for the trials back that are not to be finished, all of them in a pause.
     pub(super) fn take_back<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        for (slot, number) in self.slots.iter_mut().zip(0..) {
-            let worker = WorkerId { slot: number, generation: slot.generation };
+        for (worker, slot) in with_workers(&mut self.slots) {
             if let Work::Busy { lease, asked: asked @ false, .. } = &mut slot.work
                 && (self.settings.paused || self.trials[lease.trial as usize].unwanted.is_some())
             {
@@ -205,17 +212,17 @@ impl State {
     pub(super) fn shrink<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
         let surplus = alive.saturating_sub(self.settings.workers as usize);
-        let idle = |(slot, _): &(&mut Slot, u32)| matches!(slot.work, Work::Starting { .. } | Work::Idle);
-        for (slot, number) in self.slots.iter_mut().zip(0..).filter(idle).take(surplus) {
+        let idle = |(_, slot): &(_, &mut Slot)| matches!(slot.work, Work::Starting { .. } | Work::Idle);
+        for (worker, slot) in with_workers(&mut self.slots).filter(idle).take(surplus) {
             slot.work = Work::Ending { lease: None, since: self.now, why: None };
-            out.push(Action::Close(WorkerId { slot: number, generation: slot.generation }));
+            out.push(Action::Close(worker));
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Event, Mark, Outcome, Settings, on_event};
+    use super::super::{Event, Mark, Outcome, Settings, WorkerId, on_event};
     use super::*;
 
     /// Nothing is recorded, and answers are for nobody.
