@@ -1,0 +1,193 @@
+use super::super::{Event, Mark, Outcome, Settings, WorkerId, on_event};
+use super::*;
+
+/// Nothing is recorded, and answers are for nobody.
+#[derive(Debug, Clone, PartialEq)]
+struct Nothing;
+
+impl Payload for Nothing {
+    type Step = ();
+    type Saved = ();
+    type Result = ();
+    type Asker = ();
+}
+
+type Actions = Vec<Action<Nothing>>;
+
+/// A run whose workers are up: they have the first trials.
+fn run(trials: usize, workers: u32) -> State {
+    let settings = Settings {
+        workers,
+        paused: false,
+        retries: 0,
+        backoff: 500,
+        no_progress: 10_000,
+        time_limit: None,
+        prune: None,
+    };
+    let mut state = State::new(settings, &vec![Prior::default(); trials]);
+    up(&mut state, Event::Clock(0));
+    state
+}
+
+/// An event, after which workers that it starts come up; all actions.
+fn up(state: &mut State, event: Event<Nothing>) -> Actions {
+    let mut actions = on_event(state, event);
+    let spawned: Vec<WorkerId> =
+        actions.iter().filter_map(|a| if let Action::Spawn(id) = a { Some(*id) } else { None }).collect();
+    for worker in spawned {
+        actions.extend(on_event(state, Event::Up(worker)));
+    }
+    actions
+}
+
+fn steer(state: &mut State, command: Steer) -> (Answer, Actions) {
+    let mut actions = up(state, Event::Steer(command, ()));
+    let answer = |action: &Action<Nothing>| match action {
+        Action::Answer((), answer) => Some(*answer),
+        _ => None,
+    };
+    let (at, answer) =
+        actions.iter().enumerate().find_map(|(at, a)| Some((at, answer(a)?))).expect("an answer");
+    actions.remove(at);
+    (answer, actions)
+}
+
+const fn id(slot: u32) -> WorkerId {
+    WorkerId { slot, generation: 1 }
+}
+
+const fn lease(trial: u32, attempt: u32) -> Lease {
+    Lease { trial, attempt }
+}
+
+fn finish(state: &mut State, slot: u32, trial: u32) -> Actions {
+    let mut actions = up(state, Event::Finished(id(slot), lease(trial, 1), ()));
+    actions.extend(up(state, Event::Recorded(lease(trial, 1), Mark::Result)));
+    actions
+}
+
+const fn failed(trial: u32, reason: Reason, settled: bool) -> Action<Nothing> {
+    Action::RecordFailure { lease: lease(trial, 1), reason, settled }
+}
+
+/// Also trials that come back for other reasons meanwhile wait; the same trials go on, begun ones first.
+#[test]
+fn a_pause_takes_trials_back_and_hands_out_none() {
+    let mut state = run(3, 2);
+    let (answer, actions) = steer(&mut state, Steer::Pause);
+    assert_eq!(answer, Answer::Paused(2));
+    assert_eq!(actions, [Action::AskStop(id(0)), Action::AskStop(id(1))]);
+    assert_eq!(steer(&mut state, Steer::Pause), (Answer::Paused(2), vec![]), "nobody is asked twice");
+    let back = up(&mut state, Event::Failed(id(0), lease(0, 1), Reason::Stopped));
+    assert_eq!(back, [failed(0, Reason::Stopped, false)]);
+    // this one was quicker than the pause
+    assert_eq!(finish(&mut state, 1, 1), [Action::RecordResult(lease(1, 1), ())]);
+    assert_eq!(up(&mut state, Event::Clock(60_000)), []);
+    let (answer, actions) = steer(&mut state, Steer::Resume);
+    assert_eq!(answer, Answer::Resumed(2));
+    assert_eq!(actions, [Action::Assign(id(0), lease(0, 2)), Action::Assign(id(1), lease(2, 1))]);
+}
+
+/// One that waits, one that runs and stops, one whose worker dies before, one that is done before; none is given out again.
+#[test]
+fn what_is_cancelled_is_recorded_and_not_given_out_again() {
+    let mut state = run(5, 3);
+    let waits = steer(&mut state, Steer::Cancel(4));
+    assert_eq!(waits, (Answer::Cancelled(false), vec![Action::RecordCancelled(lease(4, 0))]));
+    for slot in 0..3 {
+        let (answer, actions) = steer(&mut state, Steer::Cancel(slot));
+        assert_eq!((answer, &actions[..]), (Answer::Cancelled(true), &[Action::AskStop(id(slot))][..]));
+    }
+    let stopped = up(&mut state, Event::Failed(id(0), lease(0, 1), Reason::Stopped));
+    assert_eq!(stopped, [failed(0, Reason::Cancelled, true), Action::Assign(id(0), lease(3, 1))]);
+    let died = up(&mut state, Event::Lost(id(1), Reason::WorkerKilled(9)));
+    assert_eq!(died, [failed(1, Reason::Cancelled, true)]);
+    assert_eq!(finish(&mut state, 2, 2)[0], Action::RecordResult(lease(2, 1), ()));
+    let refused = |why| (Answer::Refused(why), vec![]);
+    assert_eq!(steer(&mut state, Steer::Cancel(2)), refused(Refusal::Done));
+    assert_eq!(steer(&mut state, Steer::Cancel(4)), refused(Refusal::Failed(Reason::Cancelled)));
+    assert_eq!(steer(&mut state, Steer::Next(0)), refused(Refusal::Failed(Reason::Cancelled)));
+    for trial in [0, 1, 4] {
+        up(&mut state, Event::Recorded(lease(trial, 1), Mark::Failure));
+    }
+    let last = finish(&mut state, 0, 3);
+    assert!(!last.iter().any(|a| matches!(a, Action::Assign(..) | Action::Spawn(_))), "{last:?}");
+    let ended = [0, 2].map(|slot| up(&mut state, Event::Lost(id(slot), Reason::WorkerExited(0))));
+    assert_eq!(ended.concat(), [Action::End(Outcome::Complete)]);
+}
+
+/// The last one that was asked for goes before the others, also one that has just died and would have to wait.
+#[test]
+fn what_is_to_be_next_goes_first() {
+    let mut state = run(5, 1);
+    assert_eq!(steer(&mut state, Steer::Next(0)), (Answer::Refused(Refusal::Running), vec![]));
+    for trial in [4, 3] {
+        assert_eq!(steer(&mut state, Steer::Next(trial)), (Answer::Next, vec![]));
+    }
+    let next = |state: &mut State, trial| {
+        finish(state, 0, trial).into_iter().find(|action| matches!(action, Action::Assign(..)))
+    };
+    assert_eq!(next(&mut state, 0), Some(Action::Assign(id(0), lease(3, 1))));
+    assert_eq!(next(&mut state, 3), Some(Action::Assign(id(0), lease(4, 1))));
+    assert_eq!(next(&mut state, 4), Some(Action::Assign(id(0), lease(1, 1))));
+    let mut state = run(3, 1);
+    state.settings.retries = 1;
+    up(&mut state, Event::Lost(id(0), Reason::WorkerKilled(11)));
+    let (answer, _) = steer(&mut state, Steer::Next(0));
+    assert_eq!(answer, Answer::Next);
+    assert!(matches!(state.phase(0), Phase::Running(_)) || state.ready.first() == Some(&(-1, 0)));
+}
+
+/// More: started at once, given up slots again, too. Fewer: the idle one, then the first one whose trial ends.
+#[test]
+fn workers_become_more_and_fewer() {
+    let mut state = run(6, 1);
+    let (answer, actions) = steer(&mut state, Steer::Workers(3));
+    assert_eq!(answer, Answer::Workers([1, 3]));
+    assert_eq!(actions[..2], [Action::Spawn(id(1)), Action::Spawn(id(2))]);
+    assert_eq!((state.busy(), state.waiting()), (3, 3));
+    // one becomes idle in a pause
+    steer(&mut state, Steer::Pause);
+    finish(&mut state, 1, 1);
+    let (answer, actions) = steer(&mut state, Steer::Workers(1));
+    assert_eq!((answer, &actions[..]), (Answer::Workers([3, 1]), &[Action::Close(id(1))][..]));
+    assert_eq!(finish(&mut state, 2, 2), [Action::RecordResult(lease(2, 1), ()), Action::Close(id(2))]);
+    steer(&mut state, Steer::Resume);
+    let next = finish(&mut state, 0, 0);
+    assert_eq!(next[1..], [Action::Assign(id(0), lease(3, 1))], "one goes on");
+    for slot in [1, 2] {
+        assert_eq!(up(&mut state, Event::Lost(id(slot), Reason::WorkerExited(0))), []);
+    }
+    state.slots[1].work = Work::GivenUp;
+    let (_, actions) = steer(&mut state, Steer::Workers(2));
+    assert_eq!(actions[0], Action::Spawn(WorkerId { slot: 1, generation: 2 }));
+}
+
+/// In the order in which they come, also where all else is settled and workers are about to end; refused by nothing, as
+/// they are in the database by then.
+#[test]
+fn added_trials_are_run() {
+    let mut state = run(1, 1);
+    let ended = finish(&mut state, 0, 0);
+    assert_eq!(ended[1..], [Action::Close(id(0))]);
+    let priors = [Prior { attempts: 4, ..Prior::default() }, Prior::default()];
+    let (answer, actions) = steer(&mut state, Steer::Add(priors.to_vec()));
+    assert_eq!((answer, actions), (Answer::Added(2), vec![]));
+    let actions = up(&mut state, Event::Lost(id(0), Reason::WorkerExited(0)));
+    let worker = WorkerId { slot: 0, generation: 2 };
+    assert_eq!(actions, [Action::Spawn(worker), Action::Assign(worker, lease(1, 5))]);
+    assert_eq!(state.waiting(), 1);
+    let (answer, actions) = steer(&mut state, Steer::Stop);
+    assert_eq!((answer, &actions[..]), (Answer::Stopping(1), &[Action::AskStop(worker)][..]));
+    for command in
+        [Steer::Stop, Steer::Pause, Steer::Resume, Steer::Cancel(2), Steer::Next(2), Steer::Workers(9)]
+    {
+        assert_eq!(steer(&mut state, command), (Answer::Refused(Refusal::Stopping), vec![]));
+    }
+    assert_eq!(steer(&mut state, Steer::Add(vec![Prior::default()])).0, Answer::Added(1));
+    up(&mut state, Event::Failed(worker, lease(1, 5), Reason::Stopped));
+    up(&mut state, Event::Recorded(lease(1, 5), Mark::Failure));
+    let ended = up(&mut state, Event::Lost(worker, Reason::WorkerExited(0)));
+    assert_eq!(ended, [Action::End(Outcome::Interrupted)]);
+}
