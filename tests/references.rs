@@ -31,6 +31,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("specs", spec::files),
     ("commands", program::commands),
     ("options", program::options),
+    ("questions", program::questions),
     ("exit codes", program::exit_codes),
     ("views", program::views),
     ("tests", program::tests),

@@ -17,32 +17,29 @@ pub const MIGRATIONS: &[&str] = &[
 pub const VIEWS: &[(&str, &str)] = &[
     (
         "v_trial",
-        "a trial: what it is, its state, errors (%, mean over evaluation networks; error_… are of the test set), CPU seconds",
+        "a trial: settings, state, errors (%, mean over evaluation networks; error_… on the test set), CPU seconds",
     ),
     (
         "v_step",
-        "an outer step: losses, errors, gradient, projection, implicit term, work, where the time went (CPU seconds)",
+        "an outer step: losses, errors (%), gradient, projection, implicit term, work, where the time went (CPU seconds)",
     ),
     (
         "v_reading",
-        "what a linear brain of one memory (s before and after the instant) makes of a body, whatever the trial's brain (%)",
+        "errors (%) of a linear brain of one memory (s before and after an instant) on the initial or the optimised body, \
+         whatever the trial's own brain",
     ),
     ("v_network", "a fresh network on the initial or the optimised body, with its errors (%)"),
     (
         "v_curve",
-        "a point of such a network's training loss (normalised) and holdout error (%); thinned, whole losses are artifacts",
+        "a point of such a network's training: loss (normalised) and holdout error (%); thinned, whole losses are artifacts",
     ),
-    ("v_run", "a call of `run`: which shard, where, what was estimated (s) and what came of it"),
+    ("v_run", "a call of `run`: its shard and host, the estimated time (s), and what was done"),
     (
         "v_attempt",
-        "an attempt at a trial, how it ended and why (stopped: by Ctrl-C; the trial goes on), its seconds by the wall clock \
-         and the CPU's, \
-         and by what code and where it was made",
+        "an attempt at a trial: how it ended and why (stopped: by Ctrl-C, the trial goes on), wall-clock and CPU seconds, \
+         which code made it and where",
     ),
-    (
-        "v_log",
-        "a line of what was said of an attempt: what went wrong, in words, and what its worker wrote to standard error",
-    ),
+    ("v_log", "a line of an attempt's log: what went wrong, and what its worker wrote to standard error"),
     ("v_artifact", "an array of a trial as the bytes of an NPY file: designs, loss curves, weights"),
     ("v_error_time", "best test error so far (%) against CPU seconds spent, step by step"),
 ];

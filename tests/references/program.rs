@@ -1,5 +1,7 @@
 //! Commands with their options, exit codes and views, from the program itself; its tests, from the heads of their files.
 
+use clap::ValueEnum;
+use metasense::analysis::Question;
 use metasense::cli::{GROUPS, command};
 use metasense::exit::EXIT_CODES;
 use metasense::store::{Reader, Store};
@@ -83,6 +85,15 @@ fn option(arg: &clap::Arg) -> Vec<String> {
         means += &format!(" Default: {}.", defaults.join(", "));
     }
     vec![format!("`{}`", arg.to_string().replace("...", "…")), means]
+}
+
+/// What `analyse` is asked.
+pub fn questions() -> String {
+    let rows = Question::ALL.iter().filter_map(ValueEnum::to_possible_value);
+    table(
+        &["`--question`", "answers"],
+        rows.map(|value| vec![format!("`{}`", value.get_name()), line(value.get_help())]),
+    )
 }
 
 pub fn exit_codes() -> String {

@@ -158,7 +158,7 @@ fn toml_value(value: &Value) -> String {
     }
 }
 
-/// The specs of a folder with what their first comment says.
+/// The specs of a folder with the first paragraph of their first comment.
 pub fn files() -> String {
     let mut rows = BTreeMap::new();
     for folder in ["sweeps", "claims"] {
@@ -167,6 +167,7 @@ pub fn files() -> String {
             let Some(name) = file.strip_suffix(".toml") else { continue };
             let text = super::read(&format!("schemas/{folder}/{file}"));
             let head = text.lines().map_while(|line| line.strip_prefix('#')).map(str::trim);
+            let head = head.take_while(|line| !line.is_empty());
             let head = head.collect::<Vec<_>>().join(" ");
             rows.insert(
                 (folder != "sweeps", name.to_owned()),

@@ -79,7 +79,7 @@ fn campaigns(
     Outcome { settled: settled / all, wrong: wrong / all, run: run / all / GRID as f64 }
 }
 
-#[expect(clippy::print_stdout, reason = "what README shows")]
+#[expect(clippy::print_stdout, reason = "the table of schemas/README.md")]
 fn told(line: &str) {
     println!("{line}");
 }
