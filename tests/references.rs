@@ -43,6 +43,8 @@ const BLOCKS: &[(&str, Render)] = &[
     ("claims", results::claims),
     ("sensors", results::sensors),
     ("evaluate", results::evaluate),
+    ("protocols", results::protocols),
+    ("downhill", results::downhill),
 ];
 
 const BEGIN: &str = "<!-- generated: ";

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use serde_json::Value;
+
 use super::{root, table};
 
 type Row = BTreeMap<String, String>;
@@ -323,4 +325,51 @@ pub fn evaluate() -> String {
         ],
         ["initial", "optimised"].map(line),
     )
+}
+
+/// The rows that a bench has written, a JSON object a line.
+fn lines(file: &str) -> Vec<Value> {
+    let text = super::read(&format!("results/committed/{file}"));
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// Error against run time, protocol by protocol.
+pub fn protocols() -> String {
+    let line = |row: &Value| {
+        let protocol = match row["protocol"].as_str().unwrap() {
+            "initial" => "(initial body)".into(),
+            "warm" => "`warm`, since removed".into(),
+            other => format!("`{other}`"),
+        };
+        let seconds = format!("{:.0}", row["cpu_seconds"].as_f64().unwrap());
+        let error = short(&row["holdout_error_percent"].to_string());
+        vec![protocol, seconds, row["step"].to_string(), format!("{error} %")]
+    };
+    table(
+        &["protocol", "CPU seconds of outer steps", "outer steps", "holdout error"],
+        lines("protocols.jsonl").iter().map(line),
+    )
+}
+
+/// The change of the loss on the holdout by a step against each gradient.
+pub fn downhill() -> String {
+    let all = lines("implicit.jsonl");
+    let names = [
+        ("random", "random direction"),
+        ("direct", "direct term of the test loss"),
+        ("truncate", "with the implicit term after 20 products"),
+        ("gauss_newton", "the same with Gauss–Newton products"),
+        ("training", "training loss at fixed weights"),
+    ];
+    let line = |(name, words): (&str, &str)| {
+        let cell = |network: u64| {
+            let row = all.iter().find(|row| row["gradient"] == name && row["network"] == network).unwrap();
+            let change = row["holdout_change_percent"].as_f64().unwrap();
+            let sign = if change < 0.0 { "−" } else { "+" };
+            let residual = row["residual"].as_f64().map(|r| format!(" (residual {r:.2})"));
+            format!("{sign}{:.1} %{}", change.abs(), residual.unwrap_or_default())
+        };
+        [vec![words.to_owned()], (0..3).map(cell).collect()].concat()
+    };
+    table(&["gradient", "network 0", "network 1", "network 2"], names.map(line))
 }
