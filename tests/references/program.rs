@@ -89,7 +89,7 @@ fn option(arg: &clap::Arg) -> Vec<String> {
 
 /// What `analyse` is asked.
 pub fn questions() -> String {
-    let rows = Question::ALL.iter().filter_map(ValueEnum::to_possible_value);
+    let rows = Question::all().iter().filter_map(ValueEnum::to_possible_value);
     table(
         &["`--question`", "answers"],
         rows.map(|value| vec![format!("`{}`", value.get_name()), line(value.get_help())]),
