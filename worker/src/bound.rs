@@ -1,4 +1,4 @@
-//! What the signals of a body's sensors can tell of the forces at most.
+//! The least error that any decoder of a body's signals can have.
 
 use metasense_numerics::place::placed;
 use metasense_numerics::questions;
@@ -6,8 +6,7 @@ pub use metasense_numerics::questions::Bound;
 use metasense_numerics::trial::{Disturbance, Size};
 use metasense_schemas::spec::TrialSpec;
 
-use crate::replay::check;
-use crate::run::{Failure, pool, prepared};
+use crate::run::{Failure, pool, with_design};
 
 /// The bound of a body under the first `samples` of a trial's holdout, with its chips' noise or, in its place, with white noise of
 /// this part of each channel's RMS on the initial body.
@@ -21,8 +20,7 @@ pub fn bound(
     noise: Option<f64>,
     threads: usize,
 ) -> Result<Bound, Failure> {
-    let mut problem = prepared(trial)?;
-    check(design, problem.initial.len())?;
+    let mut problem = with_design(trial, design)?;
     if let Some(part) = noise {
         let none = Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay: 0.0 };
         let chips = problem.disturbance.unwrap_or(none);
@@ -31,9 +29,7 @@ pub fn bound(
     let pool = pool(threads)?;
     let (problem, _) = placed(&problem, &pool)?;
     questions::bound(&problem, design, samples, &pool)?.ok_or_else(|| {
-        Failure::Rejected(
-            "sensors.noise: without noise in every channel signals tell all; give --noise".to_owned(),
-        )
+        Failure::Rejected("sensors.noise: the bound needs noise in every channel; give --noise".to_owned())
     })
 }
 

@@ -8,7 +8,9 @@ pub use metasense_numerics::feasible::{
     Active, Feasible, Kind, Limits, Projection, Stage, Status, Violation,
 };
 pub use metasense_numerics::random::{Purpose, Stream};
-use npyz::{NpyFile, WriterBuilder};
+use npyz::WriterBuilder;
+
+use crate::files;
 
 /// Ends of one ligament may disagree by this much in a CSV of nodes (mm).
 const AGREE: f64 = 1e-6;
@@ -85,22 +87,11 @@ fn content(path: &Path, what: String) -> DesignError {
 }
 
 fn from_npy(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
-    let file = NpyFile::new(bytes).map_err(|e| e.to_string())?;
-    if file.order() != npyz::Order::C && file.shape().len() > 1 {
-        return Err("must be in C order".into());
+    let values = files::array(bytes)?.values;
+    match (values.len(), layout.design_len()) {
+        (count, wanted) if count == wanted => Ok(values),
+        (count, wanted) => Err(format!("holds {count} numbers; α of this body has {wanted}")),
     }
-    let (count, wanted) = (file.shape().iter().product::<u64>(), layout.design_len());
-    if count != wanted as u64 {
-        return Err(format!("holds {count} numbers; α of this body has {wanted}"));
-    }
-    let values = match file.try_data::<f64>() {
-        Ok(data) => data.collect::<Result<Vec<f64>, _>>(),
-        Err(file) => match file.try_data::<f32>() {
-            Ok(data) => data.map(|x| x.map(f64::from)).collect(),
-            Err(file) => return Err(format!("holds {}; must hold float64", file.dtype().descr())),
-        },
-    };
-    values.map_err(|e| e.to_string())
 }
 
 fn to_npy(design: &[f64]) -> std::io::Result<Vec<u8>> {

@@ -1,4 +1,4 @@
-//! A body judged by given records: fresh networks, each record predicted by those that have not seen it.
+//! A body compared by given records: fresh networks predict each record without having seen it.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -12,23 +12,22 @@ use serde::{Deserialize, Serialize};
 use crate::convert::finite;
 use crate::measured::Measured;
 use crate::problem::{self, solvable};
-use crate::replay::check;
-use crate::run::{Failure, placed, pool, prepared};
+use crate::run::{Failure, check_design, placed, pool, prepared};
 
 /// How many networks, and how long they train.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Effort {
-    /// Parts into which the records are dealt, each predicted by networks trained on the others; at least 2.
+    /// Parts into which the records are divided, each predicted by networks trained on the others; at least 2.
     pub folds: usize,
     /// Networks a fold.
     pub seeds: usize,
     /// Adam iterations of each.
     pub iterations: usize,
-    /// What reads; of linear brains one a fold.
+    /// Kind of brain; of linear ones there is one for each fold.
     pub brain: BrainKind,
 }
 
-/// What fresh networks make of records.
+/// How well fresh networks read the forces of records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluated {
     /// The fold of each record (N).
@@ -47,7 +46,7 @@ pub struct Evaluated {
     pub outcomes: Vec<Vec<String>>,
 }
 
-/// What a fold's network came to.
+/// Predictions and errors of a fold's network.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Network {
     /// Predicted forces (n, T, K) (N) of the fold's n records; of the first seed's networks alone.
@@ -181,6 +180,6 @@ pub fn simulated(
 ) -> Result<Vec<f64>, Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
-    check(design, problem.initial.len())?;
+    check_design(&problem, design)?;
     Ok(questions::sense(&problem, design, forces, &pool)?)
 }

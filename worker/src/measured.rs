@@ -9,7 +9,7 @@ use metasense_numerics::dynamics::Forces;
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{self, Augment, Resample, TrialSpec};
 
-use crate::invalid::{Invalid, invalid};
+use crate::invalid::{Invalid, invalid, positive};
 use crate::records::{self, Pick, Record};
 
 /// Records of one body.
@@ -145,7 +145,7 @@ fn check(
     let wrong =
         |key: &str, value: String, remedy: String| Err(invalid(&format!("signals.{key}"), value, remedy));
     if recorded.augment != Augment::default() {
-        let remedy = "means nothing here: measured records are taken as they are";
+        let remedy = "is not allowed here: measured records are used unchanged";
         return Err(invalid("stimuli.recorded.augment", "{ … }", remedy));
     }
     if let Some(files) = signals.files.as_ref().filter(|files| files.len() != recorded.files.len()) {
@@ -153,12 +153,10 @@ fn check(
         return wrong("files", format!("{} files", files.len()), remedy);
     }
     if signals.time.is_some() && signals.rate.is_some() {
-        let remedy = "give the clock by time or by rate, one of them".into();
+        let remedy = "give either time or rate".into();
         return wrong("rate", format!("{:?}", signals.rate), remedy);
     }
-    if let Some(rate) = signals.rate.filter(|rate| !(*rate > 0.0 && rate.is_finite())) {
-        return wrong("rate", rate.to_string(), "must be a number above 0".into());
-    }
+    signals.rate.map_or(Ok(()), |rate| positive("signals.rate", rate))?;
     if let Some(start) = signals.start.filter(|start| !start.is_finite()) {
         return wrong("start", start.to_string(), "must be a finite number (s)".into());
     }
@@ -204,7 +202,7 @@ fn fit(
     let (found, expected) = (signal.values[0].len(), force.values[0].len());
     if shared && found != expected {
         return Err(format!(
-            "holds {found} entries of signals, {expected} of force: say by signals.start, .rate or .time when they are"
+            "holds {found} entries of signals, {expected} of force: give the clock of the signals by signals.start, .rate or .time"
         ));
     }
     Ok(())

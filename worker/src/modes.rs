@@ -5,26 +5,25 @@ use metasense_numerics::modes;
 pub use metasense_numerics::modes::{Mode, Response};
 use metasense_schemas::spec::TrialSpec;
 
-use crate::replay::check;
-use crate::run::{Failure, prepared};
+use crate::run::{Failure, with_design};
 
 /// The `count` slowest modes of a body; fewer where it has fewer.
 ///
 /// # Errors
 /// If the spec stands for no trial, the design is of another length, or nothing holds the body.
 pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, Failure> {
-    let problem = prepared(trial)?;
-    check(design, problem.initial.len())?;
+    let problem = with_design(trial, design)?;
     let scene = &problem.scene;
-    let loose =
-        || Failure::Rejected("body.clamp = []: nothing holds the body, whose modes are then none".to_owned());
+    let loose = || {
+        Failure::Rejected("body.clamp = []: nothing holds the body; its modes need a clamped unit".to_owned())
+    };
     if scene.clamped.is_empty() {
         return Err(loose());
     }
     modes::modes(&Rest::new(scene, design), scene.layout.units(), count).map_err(|modes::Loose| loose())
 }
 
-/// Of a unit to each panel at these frequencies (Hz): (frequencies, panels).
+/// Responses of a unit to each panel at these frequencies (Hz): (frequencies, panels).
 ///
 /// # Errors
 /// If the spec stands for no trial, the design is of another length, or there is no such unit.
@@ -34,8 +33,7 @@ pub fn responses(
     unit: usize,
     frequencies: &[f64],
 ) -> Result<Vec<Vec<Response>>, Failure> {
-    let problem = prepared(trial)?;
-    check(design, problem.initial.len())?;
+    let problem = with_design(trial, design)?;
     let (scene, units) = (&problem.scene, problem.scene.layout.units());
     if unit >= units || scene.clamped.contains(&unit) {
         let why = if unit >= units {

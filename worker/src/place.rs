@@ -1,4 +1,4 @@
-//! Where a trial's sensors are best placed, and what other places are worth.
+//! Where a trial's sensors are best placed, and the error with others.
 
 use metasense_numerics::place::Candidates;
 use metasense_numerics::trial::Placing;
@@ -6,12 +6,10 @@ use metasense_schemas::record::Placed;
 use metasense_schemas::spec::{self, TrialSpec};
 
 use crate::convert;
-use crate::problem::problem;
-use crate::replay::check;
-use crate::run::{Failure, pool};
+use crate::run::{Failure, pool, with_design};
 
-/// What searches found for m = 1 … M sensors, and what stands beside it. Errors (%) are a linear brain's on training
-/// samples that it has not seen.
+/// Placements found for m = 1 … M sensors, beside random ones. Errors (%) are those of a linear brain on training samples
+/// that it has not seen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Looked {
     /// What the search found.
@@ -33,13 +31,11 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let mut trial = trial.clone();
     trial.sensor_units.clear();
     trial.sensors.search = Some(spec::Search::Greedy);
-    let problem = problem(&trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
-    check(design, problem.initial.len())?;
+    let problem = with_design(&trial, design)?;
     let search = problem.search.as_ref().expect("asked for");
     let pool = pool(threads)?;
-    let trouble = |what: &dyn std::fmt::Display| Failure::NonFinite(what.to_string());
-    let nowhere = |_| trouble(&"nowhere_to_sense");
-    let all = Candidates::new(&problem, search, design, &pool).map_err(|e| trouble(&e))?;
+    let nowhere = |_| Failure::numerical("nowhere_to_sense");
+    let all = Candidates::new(&problem, search, design, &pool).map_err(Failure::numerical)?;
     let best = all.clone().thinned(&problem, &pool);
     let scores = best.scores(&problem, &pool);
     let of = |sensors| Placing { sensors, candidates: best.units.clone(), ..search.clone() };

@@ -1,4 +1,4 @@
-//! The worker process: takes a job, runs it, sends what comes of it; never decides anything.
+//! The worker process: takes a job, runs it and sends its result. It never decides anything.
 //!
 //! It lives as long as its orchestrator: the kernel kills it when that dies, and the end of its standard input ends
 //! it at once, in the middle of whatever it does. Nothing needs to be put in order then, since the orchestrator removes
@@ -160,11 +160,7 @@ impl Worker {
     fn send(&self, message: &ToOrchestrator) -> Result<(), LinkError> {
         let bytes = wire::encode(message);
         make_room(bytes.len())?;
-        let mut pause = Duration::from_micros(50);
-        while !wire::send(&self.up, &bytes)? {
-            std::thread::sleep(pause);
-            pause = (2 * pause).min(Duration::from_millis(10));
-        }
+        patiently(|| Ok(wire::send(&self.up, &bytes)?.then_some(())))?;
         // A wake-up that fails is made good by the orchestrator's own polling.
         let _ = self.waker.notify();
         Ok(())
@@ -246,22 +242,28 @@ impl Worker {
     /// Loans a chunk, writes the arrays into it, and sends it; waits while the orchestrator holds all it may hold.
     fn send_arrays(&self, arrays: &Arrays) -> Result<(), LinkError> {
         make_room(arrays.len())?;
-        let mut pause = Duration::from_micros(50);
-        let mut chunk = loop {
-            match self.arrays.loan_slice_uninit(arrays.len()) {
-                Ok(chunk) => break chunk,
-                Err(iceoryx2::port::LoanError::OutOfMemory) => {
-                    std::thread::sleep(pause);
-                    pause = (2 * pause).min(Duration::from_millis(10));
-                }
-                Err(error) => return Err(LinkError::of("loaning an array")(error)),
-            }
-        };
+        let mut chunk = patiently(|| match self.arrays.loan_slice_uninit(arrays.len()) {
+            Ok(chunk) => Ok(Some(chunk)),
+            Err(iceoryx2::port::LoanError::OutOfMemory) => Ok(None),
+            Err(error) => Err(LinkError::of("loaning an array")(error)),
+        })?;
         arrays.write(chunk.payload_mut());
         // SAFETY: every byte has been written.
         let chunk = unsafe { chunk.assume_init() };
         chunk.send().map_err(LinkError::of("sending an array"))?;
         Ok(())
+    }
+}
+
+/// Asks again, after longer and longer pauses, until there is something.
+fn patiently<T>(mut ask: impl FnMut() -> Result<Option<T>, LinkError>) -> Result<T, LinkError> {
+    let mut pause = Duration::from_micros(50);
+    loop {
+        if let Some(found) = ask()? {
+            return Ok(found);
+        }
+        std::thread::sleep(pause);
+        pause = (2 * pause).min(Duration::from_millis(10));
     }
 }
 
@@ -361,7 +363,7 @@ impl Reporter<'_> {
 }
 
 impl Observe for Reporter<'_> {
-    fn progress(&mut self, _: f64) -> Control {
+    fn progress(&mut self) -> Control {
         if self.beaten.is_none_or(|at| at.elapsed() >= BEAT) {
             self.beaten = Some(Instant::now());
             self.beats.send();

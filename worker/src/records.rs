@@ -11,7 +11,7 @@ use metasense_numerics::stimuli::{Recorded, anti_aliased, resample};
 use metasense_schemas::spec::{self, Resample, Signal, TimeUnit, TrialSpec};
 
 use crate::files::{Array, Content, content};
-use crate::invalid::{Invalid, invalid};
+use crate::invalid::{Invalid, invalid, positive};
 
 /// Histories on an even clock: one of each panel, or of the one that was struck; or one of each channel.
 #[derive(Debug, Clone, PartialEq)]
@@ -108,7 +108,7 @@ pub(crate) fn recorded(
     let wanted = trial.stimuli.samples + trial.stimuli.holdout;
     if records.len() < wanted {
         let remedy = format!(
-            "with {} of stimuli.holdout more than the {} records that there are",
+            "with stimuli.holdout = {} that is {wanted} records; the files hold {}",
             trial.stimuli.holdout,
             records.len()
         );
@@ -186,15 +186,9 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
         return wrong("files", "[]".into(), "must name a file");
     }
     if recorded.time.is_some() == recorded.rate.is_some() {
-        return wrong(
-            "rate",
-            format!("{:?}", recorded.rate),
-            "give the clock by time or by rate, one of them",
-        );
+        return wrong("rate", format!("{:?}", recorded.rate), "give either time or rate");
     }
-    if let Some(rate) = recorded.rate.filter(|rate| !(*rate > 0.0 && rate.is_finite())) {
-        return wrong("rate", rate.to_string(), "must be a number above 0");
-    }
+    recorded.rate.map_or(Ok(()), |rate| positive(&key("rate"), rate))?;
     if !(recorded.scale.is_finite() && recorded.scale != 0.0) {
         return wrong("scale", recorded.scale.to_string(), "must be a number other than 0");
     }
@@ -221,7 +215,7 @@ pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String
         Content::Table(columns) => columns,
         Content::Array(array) if array.shape.len() == 3 => {
             if pick.time.is_some() {
-                return Err("of three dimensions has no clock: give rate".into());
+                return Err("has three dimensions, so no clock: give rate".into());
             }
             return Ok(histories(pick, array)?.into_iter().map(|values| even(pick, values)).collect());
         }
@@ -253,7 +247,7 @@ pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String
         Some(signals) => signals.iter().map(column).collect::<Result<Vec<_>, _>>()?,
         None if columns.len() == pick.count.unwrap_or(1) => columns.iter().map(|c| c.1.clone()).collect(),
         None => {
-            return Err(format!("has {} signals: name those that are meant by {}", columns.len(), pick.key));
+            return Err(format!("has {} signals: name the ones to read in {}", columns.len(), pick.key));
         }
     };
     Ok(vec![match pick.time {
@@ -276,7 +270,7 @@ fn of_archive(
         array.as_ref().map_err(|what| format!("{name} {what}"))
     };
     let Some(signals) = pick.signals else {
-        return Err(format!("has arrays by name: name those that are meant by {key}"));
+        return Err(format!("has arrays by name: name the ones to read in {key}"));
     };
     let alone = Pick { count: pick.count.filter(|_| signals.len() == 1), ..*pick };
     let mut records: Vec<Vec<Vec<f64>>> = Vec::new();
@@ -348,7 +342,9 @@ fn timed(pick: &Pick, clock: &[f64], values: Vec<Vec<f64>>) -> Result<Record, St
     let finest = steps().fold(f64::INFINITY, f64::min);
     let count = (span / finest).ceil();
     if count > LONGEST as f64 {
-        return Err(format!("time is uneven, with steps from {finest} to much more: resample it first"));
+        return Err(format!(
+            "time is uneven, and its finest step, {finest}, is too small to resample at: resample it first"
+        ));
     }
     let dt = span / count;
     let read = |history: &Vec<f64>| {

@@ -1,4 +1,4 @@
-//! A finished trial once more, from what is stored of it: geometry, signals, predictions, motion.
+//! A finished trial computed again from its stored design and weights: geometry, signals, predictions, motion.
 
 use metasense_numerics::body::Geometry;
 use metasense_numerics::brains::fits;
@@ -9,7 +9,7 @@ pub use metasense_numerics::questions::{LinearReplay, Motion, Replay};
 use metasense_numerics::trial::Decoder;
 use metasense_schemas::spec::TrialSpec;
 
-use crate::run::{Failure, pool, prepared};
+use crate::run::{Failure, check_length, pool, prepared, with_design};
 
 /// A body to draw.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,9 +41,8 @@ pub struct Drawing {
 /// # Errors
 /// If the spec stands for no trial, or the design is not one of its body.
 pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
-    let problem = prepared(trial)?;
+    let problem = with_design(trial, design)?;
     let scene = &problem.scene;
-    check(design, problem.initial.len())?;
     let geometry = Geometry::new(&scene.layout, design, scene.density);
     let ligaments = scene.layout.ligaments.iter();
     let instants = 1..=scene.instants;
@@ -74,8 +73,7 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
 /// # Errors
 /// If the spec stands for no trial, lengths do not fit it, or a simulation does not end well.
 pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize) -> Result<Replay, Failure> {
-    let problem = prepared(trial)?;
-    check(design, problem.initial.len())?;
+    let problem = with_design(trial, design)?;
     if !weights.is_empty() {
         check_length("network", weights.len(), problem.reader_shape().weights())?;
     }
@@ -94,7 +92,7 @@ pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>
         return Ok(None);
     }
     let found = replay.linear(&problem, &Decoder::whole(instants, channels));
-    found.map(Some).map_err(|e| Failure::NonFinite(e.to_string()))
+    found.map(Some).map_err(Failure::numerical)
 }
 
 /// Motion of a body under one sample of its trial, numbered as in [`replay`].
@@ -102,22 +100,8 @@ pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>
 /// # Errors
 /// As [`replay`].
 pub fn motion(trial: &TrialSpec, design: &[f64], sample: usize, threads: usize) -> Result<Motion, Failure> {
-    let problem = prepared(trial)?;
-    check(design, problem.initial.len())?;
+    let problem = with_design(trial, design)?;
     Ok(questions::motion(&problem, design, sample, &pool(threads)?)?)
-}
-
-pub(crate) fn check(design: &[f64], expected: usize) -> Result<(), Failure> {
-    check_length("design", design.len(), expected)
-}
-
-fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure> {
-    match given == expected {
-        true => Ok(()),
-        false => {
-            Err(Failure::Rejected(format!("the stored {what} has {given} numbers, the trial {expected}")))
-        }
-    }
 }
 
 #[cfg(test)]
@@ -129,7 +113,7 @@ pub(crate) mod tests {
     struct Blind;
 
     impl Observe for Blind {
-        fn progress(&mut self, _: f64) -> Control {
+        fn progress(&mut self) -> Control {
             Control::Continue
         }
         fn save(&mut self, _: Checkpoint) {}

@@ -15,9 +15,9 @@ use crate::simd;
 
 /// Who watches a trial.
 pub trait Observe {
-    /// A sign of life, with the part of the trial that is done, in [0, 1]: before and after every simulation, training,
-    /// gradient and projection, and at every iteration of the comparison at the end.
-    fn progress(&mut self, fraction: f64) -> Control;
+    /// A sign of life: before and after every simulation, training, gradient and projection, and at every iteration of the
+    /// comparison at the end.
+    fn progress(&mut self) -> Control;
     /// A finished outer step, and what is needed to go on after it.
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control;
     /// What is needed to go on within the comparison at the end.
@@ -47,6 +47,13 @@ pub enum Failure {
     NonFinite(String),
 }
 
+impl Failure {
+    /// Trouble of the maths, in its own words.
+    pub(crate) fn numerical(trouble: impl std::fmt::Display) -> Self {
+        Self::NonFinite(trouble.to_string())
+    }
+}
+
 /// Runs a trial, from the beginning or from a checkpoint of its own.
 ///
 /// # Errors
@@ -63,14 +70,14 @@ pub fn run_trial(
         Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(Failure::Rejected)?),
     };
     let (problem, placed) = place::placed(&problem, pool)?;
-    let mut watch = Watch { observer, store: 0.0, done: 0.0 };
+    let mut watch = Watch { observer, store: 0.0 };
     let optimised = nested::optimise(&Trial::new(&problem, pool)?, resume, &mut watch)?;
     optimised.map(|optimised| result(optimised, placed, pool)).ok_or(Failure::Stopped)
 }
 
 impl From<trial::Failure> for Failure {
     fn from(failure: trial::Failure) -> Self {
-        Self::NonFinite(failure.to_string())
+        Self::numerical(failure)
     }
 }
 
@@ -96,6 +103,46 @@ fn result(optimised: Optimised, placed: Option<Placed>, pool: &Pool) -> TrialRes
 /// If it stands for no trial.
 pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
     problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
+}
+
+/// The problem that a spec stands for, and that `design` is one of its body.
+///
+/// # Errors
+/// If the spec stands for no trial, or as `check_design`.
+pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
+    let problem = prepared(trial)?;
+    check_design(&problem, design)?;
+    Ok(problem)
+}
+
+/// Whether `design` is one of the problem's body.
+///
+/// # Errors
+/// If its length is another, or a number is not finite.
+pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
+    check_length("design", design.len(), problem.initial.len())?;
+    finite("the design", design)
+}
+
+/// Whether there are as many numbers as a trial has.
+pub(crate) fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure> {
+    match given == expected {
+        true => Ok(()),
+        false => Err(Failure::Rejected(format!("the {what} has {given} numbers, the trial {expected}"))),
+    }
+}
+
+/// Refuses NaN and infinity.
+///
+/// # Errors
+/// Names the first that is not finite, and where it stands.
+pub fn finite(what: &str, values: &[f64]) -> Result<(), Failure> {
+    match values.iter().position(|x| !x.is_finite()) {
+        None => Ok(()),
+        Some(at) => {
+            Err(Failure::Rejected(format!("{what}: number {at} is {}, which is not finite", values[at])))
+        }
+    }
 }
 
 /// The problem that a spec stands for, on these threads, its sensors in place: searched for where that is to be done.
@@ -143,20 +190,17 @@ struct Watch<'a> {
     observer: &'a mut dyn Observe,
     /// CPU seconds that the observer took with the last step; they stand in the next one's record.
     store: f64,
-    /// The part of the trial that was done when it was last said.
-    done: f64,
 }
 
 impl nested::Observe for Watch<'_> {
     /// Asked where a part of a step begins and ends, which makes it a sign of life.
     fn seconds(&mut self) -> f64 {
-        self.observer.progress(self.done);
+        self.observer.progress();
         cpu_seconds()
     }
 
-    fn progress(&mut self, fraction: f64) -> nested::Control {
-        self.done = fraction;
-        control(self.observer.progress(fraction))
+    fn progress(&mut self, _fraction: f64) -> nested::Control {
+        control(self.observer.progress())
     }
 
     fn step(&mut self, report: &nested::Report, state: &State) -> nested::Control {

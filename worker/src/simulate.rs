@@ -4,10 +4,9 @@ use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{
     self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, energy, tune,
 };
-use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 
-use crate::run::{Failure, placed, pool, prepared};
+use crate::run::{Failure, check_design, finite, placed, pool, prepared};
 
 /// What a body does; N samples, T instants, M sensors.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,19 +51,6 @@ pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces
     }
 }
 
-/// Whether `design` is one of the problem's body.
-///
-/// # Errors
-/// If its length is another, or a number is not finite.
-pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
-    let expected = problem.initial.len();
-    if design.len() != expected {
-        let given = design.len();
-        return Err(Failure::Rejected(format!("the design has {given} numbers, the trial {expected}")));
-    }
-    finite("the design", design)
-}
-
 /// Whether the shape of a cotangent is that of the signals.
 ///
 /// # Errors
@@ -82,17 +68,6 @@ pub fn check_cotangent(
         )));
     }
     finite("the cotangent", values)
-}
-
-/// Refuses NaN and infinity.
-///
-/// # Errors
-/// Names the first that is not finite, and where it stands.
-pub fn finite(what: &str, values: &[f64]) -> Result<(), Failure> {
-    match values.iter().position(|x| !x.is_finite()) {
-        None => Ok(()),
-        Some(at) => Err(Failure::Rejected(format!("{what} hold {} at flat index {at}", values[at]))),
-    }
 }
 
 /// A simulation at the solver's error, as a trial carries it out: tuned on the first samples, then run.

@@ -5,7 +5,7 @@ use metasense_numerics::brains::{Fitted, READINGS_MAX, fits};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::{Decoder, Ridge, Samples};
-use metasense_worker::simulate::finite;
+use metasense_worker::run::finite;
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;

@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use metasense::analysis::{Question, Terms};
 use metasense::control::run_of;
 use metasense::export::npz;
+use metasense::look::Table as Rows;
 use metasense::report::load::finished_trials;
 use metasense::store::{Reader, StoreError, quoted};
 use numpy::{IntoPyArray, PyArray1};
@@ -63,7 +64,7 @@ impl Database {
 
     /// The answer to one SQL statement, which cannot change the database; `metasense query --views` lists what to ask.
     fn query(&self, py: Python<'_>, sql: &str) -> PyResult<Table> {
-        Ok(self.asked(py, async |reader| reader.query(sql).await)?.into())
+        Ok(self.asked(py, async |reader| reader.query::<Rows>(sql).await)?.into())
     }
 
     /// All trials, a row each (`v_trial`).
@@ -75,7 +76,7 @@ impl Database {
     fn steps(&self, py: Python<'_>, hash: &str) -> PyResult<Table> {
         let table = self.asked(py, async |reader| {
             let named = quoted(&reader.hash_of(hash).await?);
-            reader.query(&format!("SELECT * FROM v_step WHERE hash = {named} ORDER BY step")).await
+            reader.query::<Rows>(&format!("SELECT * FROM v_step WHERE hash = {named} ORDER BY step")).await
         })?;
         Ok(table.into())
     }

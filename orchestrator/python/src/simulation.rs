@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{self, Forces, Gradient, Outcome, Parameters, Scene, Tangent, Tuned, Wrt};
-use metasense_worker::simulate::{check_cotangent, finite};
+use metasense_worker::run::finite;
+use metasense_worker::simulate::check_cotangent;
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;

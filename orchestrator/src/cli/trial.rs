@@ -78,7 +78,7 @@ const ERRORS: &[(&str, ErrorOf)] =
 struct Steps;
 
 impl Observe for Steps {
-    fn progress(&mut self, _: f64) -> Control {
+    fn progress(&mut self) -> Control {
         Control::Continue
     }
 

@@ -171,12 +171,12 @@ fn what_is_no_measured_record_is_refused_by_name() {
         ("a.csv", "none.csv", "none.csv\": cannot be read"),
         ("a.csv", "short.csv", "short.csv\": holds signals that end at 0.0780 s where a sample lasts 0.1 s"),
         ("a.csv", "nan.csv", "nan.csv\": entry 7 of a signal is NaN; must be a finite number"),
-        ("panels", "augment = { shift = [0, 0] }\npanels", "recorded.augment = { … }: means nothing here"),
+        ("panels", "augment = { shift = [0, 0] }\npanels", "recorded.augment = { … }: is not allowed here"),
         (own, &beside("s.npy"), "holds signals that end at 0.0090 s"),
         (
             own,
             &beside("s.npy").replace("rate", "start"),
-            "s.npy\": of three dimensions has no clock: give rate",
+            "s.npy\": has three dimensions, so no clock: give rate",
         ),
         (own, &beside("two.npy"), "two.npy\": holds signals of 2 records, forces of 1"),
         (own, &beside("four.npy"), "four.npy\": holds 201 signals a record; must be 3"),
@@ -185,11 +185,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
             &beside("s.npy").replace("npy\"]", "npy\", \"s.npy\"]"),
             "signals.files = 2 files: must be one for each of the 1",
         ),
-        (
-            own,
-            &(beside("s.npy") + "time = \"t\"\n"),
-            "signals.rate = Some(1000.0): give the clock by time or by rate",
-        ),
+        (own, &(beside("s.npy") + "time = \"t\"\n"), "signals.rate = Some(1000.0): give either time or rate"),
     ] {
         assert!(CSV.contains(from), "{from}");
         let error = folder.read(&CSV.replacen(from, to, 1), &trial).unwrap_err();
@@ -198,5 +194,10 @@ fn what_is_no_measured_record_is_refused_by_name() {
     let short = "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"s.npy\"]\n";
     folder.file("f.npy", &npy(&[1, 2, 21], &[0.5; 42]));
     let error = folder.read(short, &trial).unwrap_err();
-    assert!(error.contains("holds 20 entries of signals, 21 of force: say by signals.start"), "{error}");
+    assert!(
+        error.contains(
+            "holds 20 entries of signals, 21 of force: give the clock of the signals by signals.start"
+        ),
+        "{error}"
+    );
 }

@@ -113,7 +113,7 @@ fn what_is_no_record_is_refused_by_name() {
         (
             &["good.csv"; 2][..],
             keys.clone(),
-            "stimuli.samples = 2: with 1 of stimuli.holdout more than the 2 records",
+            "stimuli.samples = 2: with stimuli.holdout = 1 that is 3 records; the files hold 2",
         ),
         (&["none.csv"], keys.clone(), "none.csv\": cannot be read"),
         (&["back.csv"], keys.clone(), "back.csv\": time does not ascend: entry 2 is 2200, the next 2200"),
@@ -121,11 +121,7 @@ fn what_is_no_record_is_refused_by_name() {
         (&["wide.npy"], json!({ "rate": 10.0 }), "holds 3 forces a record; must be 1 or 2"),
         (&["deep.npy"], json!({ "rate": 10.0 }), "is of shape [1, 1, 1, 4]"),
         (&thrice, with("force", json!(["F"])), "has no signal Name(\"F\"), but time, force"),
-        (
-            &thrice,
-            with("rate", json!(10.0)),
-            "stimuli.recorded.rate = Some(10.0): give the clock by time or by rate",
-        ),
+        (&thrice, with("rate", json!(10.0)), "stimuli.recorded.rate = Some(10.0): give either time or rate"),
         (&thrice, with("trigger", json!({ "threshold": 9.0 })), "never reaches the trigger's 9 N"),
         (
             &thrice,

@@ -66,7 +66,7 @@ pub fn perform(
             std::thread::sleep(
                 (step_length - began.elapsed().min(step_length)).min(Duration::from_millis(20)),
             );
-            observer.progress(f64::from(state.step) / f64::from(noop.steps));
+            observer.progress();
         }
         let step = state.step;
         state.design[0] = mixed(state.design[0].to_bits() ^ u64::from(step));

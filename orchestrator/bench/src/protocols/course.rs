@@ -42,7 +42,7 @@ struct Keeper<'a> {
 }
 
 impl Observe for Keeper<'_> {
-    fn progress(&mut self, _: f64) -> Control {
+    fn progress(&mut self) -> Control {
         Control::Continue
     }
 
