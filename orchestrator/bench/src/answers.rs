@@ -12,12 +12,12 @@ use metasense::exit::Exit;
 use metasense::fleet;
 use metasense::plan::Plan;
 use metasense::print_line;
-use metasense::store::{Store, StoreError, npy_bytes};
+use metasense::store::{Store, npy_bytes};
 use serde_json::json;
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
 
-/// Seconds and peak memory of what is asked of databases with many trials.
+use crate::made_up::{Made, Scratch, at, count};
+
+/// Seconds and peak memory of questions to databases with many trials
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Trials of each database, in thousands.
@@ -35,10 +35,8 @@ pub struct Args {
 }
 
 pub async fn execute(args: Args) -> Result<Exit, Error> {
-    let folder = args.folder.join(format!("bench-answers-{}", std::process::id()));
-    let measured = measure(&args, &folder).await;
-    let _ = std::fs::remove_dir_all(&folder);
-    measured
+    let scratch = Scratch::new(&args.folder, "answers");
+    measure(&args, &scratch.0).await
 }
 
 async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
@@ -102,16 +100,10 @@ async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
     let mut store = Store::open(file).await?;
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
     store.close().await?;
-    let at = |source| Error::Store(StoreError::sql(file, "making", source));
-    let options = SqliteConnectOptions::new().filename(file).pragma("synchronous", "OFF");
-    let mut db = options.disable_statement_logging().connect().await.map_err(at)?;
-    let count = |n: u32| {
-        format!("WITH RECURSIVE n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i + 1 < {n})")
-    };
+    let mut made = Made::begin(file).await?;
     // noise of a trial, ± 10 %
     let noise = "(1.0 + 0.2 * ((t.id * 7919) % 101) / 101.0 - 0.1)";
     let sql = [
-        "PRAGMA journal_mode = DELETE; BEGIN".to_owned(),
         format!(
             "UPDATE trial AS t SET state = 'done', error_initial = 40.0 / (1 + 0.3 * sensors) * {noise},
                error_optimised = 40.0 / (1 + 2.0 * min(sensors, 2) + 0.1 * sensors) * {noise}, best_step = {steps} - 1,
@@ -145,10 +137,8 @@ async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
              FROM trial t CROSS JOIN json_each('[\"initial\", \"optimised\"]') CROSS JOIN n",
             count(6)
         ),
-    ]
-    .join(";\n");
-    // Our own text and numbers only.
-    db.execute(AssertSqlSafe(sql)).await.map_err(at)?;
+    ];
+    made.execute(&sql).await?;
     let losses: Vec<f32> = (0..*iterations).map(|n| 0.5 * (1.0 + n as f32).powf(-0.6)).collect();
     sqlx::query(
         "INSERT INTO artifact SELECT t.id, 'losses_' || value || '_0', ?1, ?2
@@ -156,9 +146,8 @@ async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
     )
     .bind(format!("[{iterations}]"))
     .bind(npy_bytes(&[losses.len()], &losses))
-    .execute(&mut db)
+    .execute(&mut made.db)
     .await
-    .map_err(at)?;
-    db.execute("COMMIT").await.map_err(at)?;
-    db.close().await.map_err(at)
+    .map_err(at(file))?;
+    made.commit().await
 }

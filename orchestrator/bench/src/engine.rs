@@ -22,7 +22,7 @@ use noop::{Fault, Noop};
 use serde_json::json;
 use soak::Soak;
 
-/// Durable trials a second, and the rate of arrays, of an engine whose trials do nothing.
+/// Recorded trials a second, and the rate of arrays, of an engine whose trials do nothing
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Trials.
@@ -40,10 +40,10 @@ pub struct Args {
     /// Length of an array that comes with each result (float64).
     #[arg(long, default_value_t = 0)]
     array: u64,
-    /// Read the arrays and let them go instead of recording them: the rate of shared memory alone.
+    /// Read the arrays without recording them: the rate of shared memory alone.
     #[arg(long)]
     drop_arrays: bool,
-    /// Go on for so long while workers are killed at random, with a row of memory a minute; enough trials must be asked for.
+    /// Run for this long while workers are killed at random, with a row of memory each minute; ask for enough trials.
     #[arg(long, value_name = "MINUTES")]
     soak: Option<f64>,
     /// Keep the database, and go on with it if there is one.

@@ -7,6 +7,7 @@ mod brain;
 mod dynamics;
 mod engine;
 mod linear;
+mod made_up;
 mod merge;
 mod projection;
 mod protocols;

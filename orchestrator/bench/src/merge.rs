@@ -1,7 +1,6 @@
 //! `merge`: databases of shards, made up, into one.
 //!
-//! It decides how many trials one merge, and one file, can hold. Rows and bytes of a trial are chosen; README says what
-//! they are for a real one.
+//! It decides how many trials one merge, and one file, can hold. Rows and bytes of a trial are options.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -11,10 +10,10 @@ use metasense::cluster::Shard;
 use metasense::cluster::merge::merge;
 use metasense::exit::Exit;
 use metasense::print_line;
-use metasense::store::{Store, StoreError};
+use metasense::store::Store;
 use serde_json::json;
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
+
+use crate::made_up::{Made, Scratch, count};
 
 /// Trials a second, and bytes a second, of a merge of made-up shards.
 #[derive(Debug, clap::Args)]
@@ -40,10 +39,8 @@ pub struct Args {
 }
 
 pub async fn execute(args: Args) -> Result<Exit, Error> {
-    let folder = args.folder.join(format!("bench-merge-{}", std::process::id()));
-    let measured = measure(&args, &folder).await;
-    let _ = std::fs::remove_dir_all(&folder);
-    measured
+    let scratch = Scratch::new(&args.folder, "merge");
+    measure(&args, &scratch.0).await
 }
 
 async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
@@ -87,17 +84,11 @@ fn size(file: &Path) -> u64 {
 /// A shard whose trials are done, as the engine leaves them.
 async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
     Store::open(file).await?.close().await?;
-    let at = |source| Error::Store(StoreError::sql(file, "making", source));
-    let options = SqliteConnectOptions::new().filename(file).pragma("synchronous", "OFF");
-    let mut db = options.disable_statement_logging().connect().await.map_err(at)?;
+    let mut made = Made::begin(file).await?;
     let (first, trials) = ((shard.index() - 1) * args.trials, args.trials);
     let (steps, points, bytes) = (args.steps, args.points / 2, args.bytes / 6);
-    let count = |n: u32| {
-        format!("WITH RECURSIVE n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i + 1 < {n})")
-    };
     let numbers = "0.1, 0.2, 0.3, 0.4, 0.5, 0.6";
     let sql = [
-        "PRAGMA journal_mode = DELETE; BEGIN".to_owned(),
         "INSERT INTO sweep VALUES (1, 'bench-merge', '', '{}', '0', '2026-01-01T00:00:00.000Z')".to_owned(),
         format!(
             "INSERT INTO run VALUES (1, '2026-01-01T00:00:00.000Z', 'bench', {}, {}, NULL, '0', 1, 1, {trials}, 1.0,
@@ -133,10 +124,7 @@ async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
             "INSERT INTO artifact SELECT trial.id, 'array_' || value, '[1]', randomblob({bytes})
              FROM trial, json_each('[1, 2, 3, 4, 5, 6]')"
         ),
-        "COMMIT".to_owned(),
-    ]
-    .join(";\n");
-    // Our own text and numbers only.
-    db.execute(AssertSqlSafe(sql)).await.map_err(at)?;
-    db.close().await.map_err(at)
+    ];
+    made.execute(&sql).await?;
+    made.commit().await
 }

@@ -32,7 +32,7 @@ pub struct Args {
     /// Instead: so many random projections of random bodies, planar and circular, and a count of violations
     #[arg(long, value_name = "N")]
     random: Option<u64>,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }

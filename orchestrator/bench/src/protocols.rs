@@ -26,19 +26,19 @@ pub struct Args {
     /// The spec file (TOML), whose first trial is the scene
     #[arg(required_unless_present = "redraw")]
     spec: Option<PathBuf>,
-    /// Measures nothing and draws again what the file of rows holds
+    /// Measure nothing; draw the rows of the file again
     #[arg(long, conflicts_with = "spec")]
     redraw: bool,
-    /// Protocols, each at its own defaults; that of the spec as the spec says
+    /// Protocols, each at its own defaults; the protocol of the spec with the keys of the spec
     #[arg(long, value_delimiter = ',', default_values = ["paper", "envelope", "joint"])]
     protocols: Vec<String>,
-    /// CPU seconds at which a body is kept, ascending; the last one ends a protocol
+    /// CPU seconds at which the body is evaluated, ascending; the last one ends a protocol
     #[arg(long, value_delimiter = ',', default_values_t = [15.0, 30.0, 60.0, 120.0, 240.0])]
     seconds: Vec<f64>,
-    /// Where the rows are appended as JSON lines, and a plot of all of them is drawn with `.svg` instead
+    /// File to which the rows are appended as JSON lines; a plot of all of them goes beside it, as .svg
     #[arg(long, value_name = "FILE", default_value = "results/protocols.jsonl")]
     append: PathBuf,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }

@@ -1,11 +1,11 @@
-"""Bodies of metamaterial as differentiable functions, and what metasense has found, from Python.
+"""Bodies of metamaterial as differentiable functions, and results of metasense, in Python.
 
     import metasense
     body = metasense.Body.from_spec("schemas/sweeps/quickstart.toml")
     forces = body.stimuli("train")                        # (N, K, T + 1) in N
     simulation = body.simulate(body.alpha, forces)        # .signals (N, T, 3M), .vjp, .jvp
 
-`metasense.jax.signals` and `metasense.torch.signals` are the same as functions that those differentiate through.
+`metasense.jax.signals` and `metasense.torch.signals` are the simulation as a function that JAX and PyTorch can differentiate.
 Lengths are in mm, forces in N, times in s, masses in Mg; MODEL.md has the physics and the order of every array.
 """
 
@@ -26,7 +26,7 @@ __all__ = [
 def body(*, threads: int = 1, **tables: object) -> Body:
     """The body of the first trial of a spec given as keywords: its tables by name, as dictionaries.
 
-    Raises ValueError at the first key that is unknown, or whose value no trial can have.
+    Raises ValueError at the first unknown key or impossible value.
     """
     import json
 

@@ -1,4 +1,4 @@
-"""Runs by the installed command, and what is read of their databases."""
+"""Runs by the installed command, and their databases."""
 
 import io
 import signal
@@ -16,7 +16,7 @@ from metasense import _metasense
 
 
 class Database(_metasense.Database):
-    """A database of trials, as `run` makes it; it may be read while a run writes to it."""
+    """A database of trials, written by `run`. It can be read while a run writes to it."""
 
     def trial(self, hash: str, *, threads: int = 1) -> dict[str, NDArray[Any]]:
         """A finished trial simulated again, by the names of `metasense export --format npz`.
@@ -55,10 +55,10 @@ def run(
     threads: int | None = None,
     progress: bool = True,
 ) -> Database:
-    """Runs the trials of a spec file, or goes on where an earlier run has stopped; `progress` prints what it says.
+    """Runs the trials of a spec file, or goes on where an earlier run has stopped; `progress` prints its output.
 
-    Trials that fail stand in the database with their reason. Raises ValueError where the spec or the arguments are at fault,
-    OSError where the disk is; KeyboardInterrupt stops it in order.
+    Trials that fail are in the database with their reason. Raises ValueError if the spec or the arguments are wrong, OSError if
+    the disk fails; KeyboardInterrupt stops the run in order.
     """
     command: list[str] = [fspath(program()), "run", fspath(spec)]
     for name, value in [("--db", db), ("--workers", workers), ("--threads", threads)]:
@@ -89,7 +89,7 @@ _STEPS = "SELECT hash, step, error_test FROM v_step WHERE recorded_at >= '{since
 
 
 def watch(db: Database | str | PathLike[str], *, every: float = 1.0) -> Iterator[Event]:
-    """Steps and changes of state as a run records them, looked for every so many seconds, until no run is at work."""
+    """Steps and changes of state as a run records them, polled every `every` seconds, until no run is writing."""
     database = db if isinstance(db, Database) else Database(db)
     states: dict[str, str] = {}
     seen: set[tuple[str, int]] = set()

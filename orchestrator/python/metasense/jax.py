@@ -23,7 +23,7 @@ _LOCK = threading.Lock()
 
 
 def signals(body: Body, alpha: Any, forces: Any) -> jax.Array:
-    """What the sensors of `body` feel, (N, T, 3M) (mm/s², rad/s), with the design `alpha` under `forces` (N, K, T + 1) (N).
+    """Signals of the sensors of `body`, (N, T, 3M) (mm/s², rad/s), with the design `alpha` under `forces` (N, K, T + 1) (N).
 
     Differentiable in both; the gradient in `forces` is computed only where it is asked for. A sample that does not reach its
     end raises SimulationError from the computation.

@@ -10,7 +10,7 @@ from metasense._metasense import Body
 
 
 def signals(body: Body, alpha: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
-    """What the sensors of `body` feel, (N, T, 3M) (mm/s², rad/s), with the design `alpha` under `forces` (N, K, T + 1) (N).
+    """Signals of the sensors of `body`, (N, T, 3M) (mm/s², rad/s), with the design `alpha` under `forces` (N, K, T + 1) (N).
 
     Differentiable once, in either; the gradient in `forces` is computed only where it is asked for. Raises SimulationError if a
     sample does not reach its end.

@@ -32,9 +32,9 @@ fn column<'a>(values: impl Iterator<Item = &'a Value> + Clone) -> ArrayRef {
     }
 }
 
-/// An answer of a database: rows under named columns.
+/// A table from a database: rows under named columns.
 ///
-/// `pandas.DataFrame.from_arrow`, `polars.DataFrame` and `pyarrow.table` take it as it is.
+/// `pandas.DataFrame.from_arrow`, `polars.DataFrame` and `pyarrow.table` accept it directly.
 #[pyclass(frozen, module = "metasense")]
 pub struct Table {
     rows: Rows,
@@ -75,7 +75,7 @@ impl Table {
         Ok(dict)
     }
 
-    /// The table as an Arrow stream (PyCapsule); it comes in its own types, whatever is requested.
+    /// The table as an Arrow stream (PyCapsule); its types do not depend on `requested_schema`.
     #[pyo3(signature = (requested_schema=None))]
     fn __arrow_c_stream__<'py>(
         &self,

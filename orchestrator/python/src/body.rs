@@ -23,10 +23,10 @@ use crate::arrays::{Numbers, numbers, vector};
 use crate::simulation::Simulation;
 use crate::{chain, raised};
 
-/// A body of rigid units joined by ligaments, its panels and its sensors, as a trial has them.
+/// The body of a trial: rigid units joined by ligaments, panels that are struck, and sensors.
 ///
-/// Lengths are in mm, forces in N, times in s, masses in Mg. Methods let go of the interpreter's lock and compute on the
-/// body's own threads, to the same bits on any number of them.
+/// Lengths are in mm, forces in N, times in s, masses in Mg. Methods release the interpreter's lock and compute on the
+/// body's own threads. The number of threads does not change a bit of the result.
 #[pyclass(frozen, module = "metasense")]
 pub struct Body {
     pub problem: Arc<Problem>,
@@ -63,7 +63,7 @@ impl Body {
         Ok(alpha)
     }
 
-    /// The scene with what a call has otherwise.
+    /// The scene with the material and sensors of a call.
     fn scene(&self, material: &Material<'_>, sensors: Option<Vec<usize>>) -> PyResult<Scene> {
         let mut scene = material.set(&self.problem.scene)?;
         if let Some(units) = sensors {
@@ -87,8 +87,9 @@ impl Body {
             }
             "holdout" => problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout),
             "fresh" => {
-                let count = count
-                    .ok_or_else(|| PyValueError::new_err("count must be given: fresh samples never end"))?;
+                let count = count.ok_or_else(|| {
+                    PyValueError::new_err("count must be given: the series of fresh samples is endless")
+                })?;
                 return Ok(problem.forces(Purpose::Fresh, first as u64, count));
             }
             _ => {
@@ -151,7 +152,7 @@ impl Material<'_> {
 
 #[pymethods]
 impl Body {
-    /// The body of a trial of a spec file, the first where no hash (or its beginning) is given.
+    /// The body of a trial of a spec file: of the trial whose hash begins with `hash`, by default of the first.
     #[staticmethod]
     #[pyo3(signature = (spec, hash=None, *, threads=1))]
     fn from_spec(py: Python<'_>, spec: PathBuf, hash: Option<&str>, threads: usize) -> PyResult<Self> {
@@ -212,7 +213,7 @@ impl Body {
         self.problem.scene.duration
     }
 
-    /// T, the instants of signals, at n·duration/T, n = 1…T.
+    /// T, the number of instants of the signals: n·duration/T, n = 1…T.
     #[getter]
     fn instants(&self) -> usize {
         self.problem.scene.instants
@@ -231,7 +232,7 @@ impl Body {
         vec![k.stretch, k.shear, k.bend].into_pyarray(py)
     }
 
-    /// Damping of each degree of freedom by its critical one.
+    /// Damping of each degree of freedom, relative to critical damping.
     #[getter]
     fn damping_ratio(&self) -> f64 {
         self.problem.scene.damping_ratio
@@ -257,7 +258,7 @@ impl Body {
         flat.into_pyarray(py).reshape([units, 4, 2])
     }
 
-    /// What `alpha` breaks of the limits of a body that can be cast, in words; empty where it can.
+    /// The limits of a castable body that `alpha` breaks, in words; an empty list if it can be cast.
     fn violations(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>) -> PyResult<Vec<String>> {
         let alpha = self.design("alpha", alpha)?;
         Ok(py.detach(|| {
@@ -271,8 +272,8 @@ impl Body {
         Ok(self.violations(py, alpha)?.is_empty())
     }
 
-    /// The design nearest to `alpha` that can be cast; where none is found `previous`, by default the initial body's,
-    /// which must be one.
+    /// The nearest design to `alpha` that can be cast. If none is found, `previous`, which must be castable; by default it is
+    /// the initial design.
     #[pyo3(signature = (alpha, previous=None))]
     fn project<'py>(
         &self,
@@ -290,13 +291,13 @@ impl Body {
         match found.status.is_feasible() {
             true => Ok(found.design.into_pyarray(py)),
             false => Err(PyValueError::new_err(
-                "previous cannot be cast, and nothing near alpha was found that can: see `violations`",
+                "previous cannot be cast, and no castable design was found near alpha: see `violations`",
             )),
         }
     }
 
-    /// Force histories (N, K, R + 1) (N) of the trial: "train", "test" and "holdout" are the very samples that it has,
-    /// "fresh" those that its body is trained on, which never end.
+    /// Force histories (N, K, R + 1) (N) of the trial: "train", "test" and "holdout" are its own samples, "fresh"
+    /// the endless series that its body is trained on.
     #[pyo3(signature = (set, first=0, count=None))]
     fn stimuli<'py>(
         &self,
@@ -309,8 +310,8 @@ impl Body {
         values.into_pyarray(py).reshape([samples, panels, instants + 1])
     }
 
-    /// The same body with its integrator chosen once, on the first samples of `forces`, as a trial does for all its steps. By
-    /// itself every `simulate` measures anew which integrator keeps the error asked, which costs as much as some ten samples.
+    /// The same body with its integrator chosen once, on the first samples of `forces`, as a trial does. Without it, each
+    /// `simulate` chooses the integrator again, which costs as much as some ten samples.
     fn tuned(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>, forces: &Bound<'_, PyAny>) -> PyResult<Self> {
         let design = self.design("alpha", alpha)?;
         let Numbers { shape, values } = numbers("forces", forces)?;
@@ -327,10 +328,10 @@ impl Body {
         })
     }
 
-    /// Strikes a body of this design with `forces` (N, K, R + 1) (N), R = T or a multiple of it.
+    /// Simulates a body of this design under `forces` (N, K, R + 1) (N), R = T or a multiple of it.
     ///
     /// `sensors` (units), `stiffness` ([stretch, shear, bend]), `damping_ratio` and `density` replace the body's own.
-    /// With `tape` the simulation can be differentiated; it then holds 48 bytes a free unit, instant and sample.
+    /// With `tape` the simulation can be differentiated; it then holds 48 bytes for each free unit, instant and sample.
     #[pyo3(signature = (alpha, forces, *, sensors=None, stiffness=None, damping_ratio=None, density=None, tape=true))]
     fn simulate<'py>(
         &self,

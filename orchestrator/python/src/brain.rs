@@ -1,4 +1,4 @@
-//! The linear brain of this program on any arrays.
+//! The linear brain of trials, on any arrays.
 
 use metasense_numerics::brain::linear::{Lags, Sizes};
 use metasense_numerics::brains::{Fitted, READINGS_MAX, fits};
@@ -13,10 +13,10 @@ use pyo3::prelude::*;
 use crate::arrays::{Numbers, numbers, vector};
 use crate::raised;
 
-/// Least squares of forces on the signals around each instant, exact, with λ on the squared weights.
+/// Linear least squares from the signals around each instant to the forces, with λ on the squared weights; solved exactly.
 ///
-/// `memory` is how far it looks back and ahead, (before, after) in instants; by default the whole sample. `ridge` is λ;
-/// by default it is found by folds of the samples, which `seed` deals.
+/// `memory` is how far it looks back and ahead, (before, after) in instants; by default the whole sample. `ridge` is λ; by
+/// default it is found by cross-validation, on folds that `seed` draws.
 #[pyclass(module = "metasense")]
 pub struct LinearBrain {
     memory: Option<[usize; 2]>,
@@ -72,7 +72,7 @@ impl LinearBrain {
 
     /// Fits it to signals (N, T, C) under forces (N, K, R + 1) (N), R = T or a multiple of it; returns itself.
     ///
-    /// Signals are divided by `signal_scale` (C), by default their own RMS; a trial takes that of its initial body's.
+    /// Signals are divided by `signal_scale` (C), by default their own RMS. A trial uses the RMS of its initial body.
     #[pyo3(signature = (signals, forces, *, signal_scale=None))]
     fn fit<'py>(
         mut slf: PyRefMut<'py, Self>,
@@ -118,12 +118,14 @@ impl LinearBrain {
             let known = Samples { sizes, signals, targets: targets(&forces, instants, false) };
             decoder.fit(seed, &known, signal_scale)
         });
-        let singular = |_| PyRuntimeError::new_err("no ridge gives a solution: the signals tell too little");
+        let singular = |_| {
+            PyRuntimeError::new_err("no ridge gives a solution: the signals carry too little information")
+        };
         slf.fitted = Some(fitted.map_err(singular)?);
         Ok(slf)
     }
 
-    /// Forces (N, T, K) (N) by signals (N, T, C).
+    /// Predicts forces (N, T, K) (N) from signals (N, T, C).
     fn predict<'py>(
         &self,
         py: Python<'py>,
@@ -147,19 +149,19 @@ impl LinearBrain {
         py.detach(|| fitted.predict_vjp(&cotangent)).into_pyarray(py).reshape(shape)
     }
 
-    /// λ that was used.
+    /// The λ of the fit.
     #[getter]
     fn ridge(&self) -> PyResult<f64> {
         Ok(self.fitted()?.ridge)
     }
 
-    /// Mean prediction error (%) on the samples that it was fitted to; None where none has a force.
+    /// Mean prediction error (%) on the samples of the fit; None if none of them has a force.
     #[getter]
     fn error(&self) -> PyResult<Option<f64>> {
         Ok(self.fitted()?.error)
     }
 
-    /// b (K) (N).
+    /// Bias b (K) (N).
     #[getter]
     fn bias<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let [_, b] = self.fitted()?.weights();

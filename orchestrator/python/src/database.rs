@@ -18,7 +18,7 @@ use crate::arrow::Table;
 use crate::body::read_plan;
 use crate::chain;
 
-/// A database of trials, as `metasense run` makes it; it may be read while a run writes to it.
+/// A database of trials, written by `metasense run`. It can be read while a run writes to it.
 #[pyclass(frozen, subclass, module = "metasense")]
 pub struct Database {
     path: PathBuf,
@@ -48,7 +48,7 @@ impl Database {
 
 #[pymethods]
 impl Database {
-    /// Opens it; one of an older version is upgraded first.
+    /// Opens a database; an older one is upgraded first.
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let database = Self { path };
@@ -62,17 +62,17 @@ impl Database {
         self.path.clone()
     }
 
-    /// The answer to one SQL statement, which cannot change the database; `metasense query --views` lists what to ask.
+    /// The answer to one SQL statement, which cannot change the database; `metasense query --views` lists the views.
     fn query(&self, py: Python<'_>, sql: &str) -> PyResult<Table> {
         Ok(self.asked(py, async |reader| reader.query::<Rows>(sql).await)?.into())
     }
 
-    /// All trials, a row each (`v_trial`).
+    /// All trials, one row each (`v_trial`).
     fn trials(&self, py: Python<'_>) -> PyResult<Table> {
         self.query(py, "SELECT * FROM v_trial ORDER BY panels, sensors, units, placement, seed, hash")
     }
 
-    /// The outer steps of a trial, a row each (`v_step`); of the one whose hash begins so.
+    /// The outer steps of the trial whose hash begins with `hash`, one row each (`v_step`).
     fn steps(&self, py: Python<'_>, hash: &str) -> PyResult<Table> {
         let table = self.asked(py, async |reader| {
             let named = quoted(&reader.hash_of(hash).await?);
@@ -107,7 +107,7 @@ impl Database {
         Ok(PyBytes::new(py, &archive))
     }
 
-    /// What the finished trials teach on a question of `metasense analyse`, "elbow" for instance.
+    /// Answers a question of `metasense analyse`, for instance "elbow", from the finished trials.
     fn analyse(&self, py: Python<'_>, question: &str) -> PyResult<Table> {
         let question = Question::from_str(question, false).map_err(|_| {
             let known = Question::value_variants().iter().filter_map(Question::to_possible_value);
@@ -118,7 +118,7 @@ impl Database {
         Ok(py.detach(|| question.answer(&trials, Terms::default())).into())
     }
 
-    /// Whether a run is at work on it.
+    /// Whether a run is writing to it.
     fn is_running(&self, py: Python<'_>) -> PyResult<bool> {
         self.asked(py, async |reader| Ok(run_of(reader.path()).await.is_some()))
     }
@@ -128,7 +128,7 @@ impl Database {
     }
 }
 
-/// The database of a run of this spec that names none.
+/// The file that `metasense run` writes for this spec if `--db` is not given.
 #[pyfunction]
 pub fn default_database(spec: PathBuf) -> PyResult<PathBuf> {
     Ok(read_plan(&spec)?.default_database())

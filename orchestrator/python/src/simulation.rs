@@ -1,4 +1,4 @@
-//! What a struck body did, and its derivatives.
+//! The simulation of a body, and its derivatives.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::arrays::{Numbers, numbers, vector};
 use crate::{SimulationError, raised};
 
-/// What a struck body did: its sensors' signals, how each sample ended, and derivatives of the signals.
+/// A simulation: signals of the sensors, how each sample ended, and derivatives of the signals.
 #[pyclass(frozen, module = "metasense")]
 pub struct Simulation {
     pool: Arc<Pool>,
@@ -53,7 +53,7 @@ impl Simulation {
 
 #[pymethods]
 impl Simulation {
-    /// (a_x, a_y, ω) of each sensor at n = 1…T, (N, T, 3M) (mm/s², rad/s), read-only; zero of samples that failed.
+    /// (a_x, a_y, ω) of each sensor at n = 1…T, (N, T, 3M) (mm/s², rad/s), read-only; zero for samples that failed.
     #[getter]
     fn signals(&self, py: Python<'_>) -> Py<PyArray3<f64>> {
         self.signals.clone_ref(py)
@@ -72,7 +72,7 @@ impl Simulation {
         ok.into_pyarray(py)
     }
 
-    /// The integrator, and why.
+    /// The integrator, and why it was chosen.
     #[getter]
     fn solver(&self) -> &str {
         &self.solver
@@ -92,7 +92,7 @@ impl Simulation {
         Err(error)
     }
 
-    /// dα (mm⁻¹) of Σ cotangent · signals, cotangent (N, T, 3M); of samples that failed nothing.
+    /// dα (mm⁻¹) of Σ cotangent · signals, cotangent (N, T, 3M). Samples that failed contribute nothing.
     fn vjp<'py>(
         &self,
         py: Python<'py>,
@@ -116,8 +116,8 @@ impl Simulation {
         Ok((found.design.into_pyarray(py), material))
     }
 
-    /// As `vjp`, and the derivative in the forces (N, K, R + 1), also at instants where there are none. It takes longer by what
-    /// samples are still before their first force; dα is that of `vjp` but for rounding.
+    /// As `vjp`, and the derivative in the forces (N, K, R + 1), also where they are zero. It takes longer, since each sample
+    /// is differentiated from its first instant on; dα equals that of `vjp` up to rounding.
     fn vjp_forces<'py>(&self, py: Python<'py>, cotangent: &Bound<'py, PyAny>) -> PyResult<InBoth<'py>> {
         let found = self.gradient(py, cotangent, Wrt::Forces)?;
         let Forces { samples, panels, instants, .. } = self.forces;
@@ -126,7 +126,8 @@ impl Simulation {
     }
 
     /// Derivative of the signals (N, T, 3M) along `tangent` in α and, where given, along those in the forces (N, K, R + 1) and in
-    /// the material; its steps held. Made to check and to linearise: it takes some hundred times as long as `vjp`. Zero of samples that failed.
+    /// the material, with the integrator's steps held fixed. It takes some hundred times as long as `vjp`: use it to check and to
+    /// linearise. Zero for samples that failed.
     #[pyo3(signature = (tangent, *, forces=None, stiffness=None, damping_ratio=0.0, density=0.0))]
     fn jvp<'py>(
         &self,

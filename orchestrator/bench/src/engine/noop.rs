@@ -63,9 +63,7 @@ pub fn perform(
     while state.step < noop.steps {
         let began = Instant::now();
         while began.elapsed() < step_length {
-            std::thread::sleep(
-                (step_length - began.elapsed().min(step_length)).min(Duration::from_millis(20)),
-            );
+            std::thread::sleep(step_length.saturating_sub(began.elapsed()).min(Duration::from_millis(20)));
             observer.progress();
         }
         let step = state.step;
