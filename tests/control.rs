@@ -267,22 +267,22 @@ fn questions_and_shards_decide_themselves_what_is_run() {
     assert_eq!(run.wait(), Some(4), "{}", run.told());
 }
 
-/// Forty wishes (`WISHES=N` for more, `KILL_SEED=N` for the same ones) at random moments, kills of workers among them, in as
+/// Forty commands (`COMMANDS=N` for more, `KILL_SEED=N` for the same ones) at random moments, kills of workers among them, in as
 /// many runs as it takes; then what was cancelled goes on.
 #[test]
 fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
     let bench = bench();
     bench.file("s.toml", &specs()[1]);
     let plan = Plan::new("s.toml", specs()[1].clone()).unwrap();
-    let (mut roll, most) = (Roll::new(), number("WISHES").unwrap_or(40));
-    let mut wishes = 0;
-    while wishes < most {
+    let (mut roll, most) = (Roll::new(), number("COMMANDS").unwrap_or(40));
+    let mut commands = 0;
+    while commands < most {
         let mut run = Run::start(&bench, &["--workers", "2", "--retry-failed"]);
         run.until(|| run.asks(&["state"]).0 == Some(0) || run.told().contains("database: "));
-        while wishes < most && run.child.try_wait().unwrap().is_none() {
+        while commands < most && run.child.try_wait().unwrap().is_none() {
             let hash = &plan.trials[roll.place(plan.trials.len())].hash;
             let workers = (1 + roll.below(4)).to_string();
-            let wish = match roll.below(12) {
+            let command = match roll.below(12) {
                 0..2 => vec!["pause"],
                 2..5 => vec!["resume"],
                 5..7 => vec!["cancel", hash],
@@ -290,13 +290,13 @@ fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
                 9..11 => vec!["workers", &workers],
                 _ => vec!["reload"],
             };
-            let (code, said) = run.asks(&wish);
+            let (code, said) = run.asks(&command);
             // the last one may come as the run ends
             let late = ["no run holds", "takes no commands", "without an answer"]
                 .iter()
                 .any(|why| said.contains(why));
-            assert!(matches!(code, Some(0 | 1)) || late, "{wish:?}: {said}");
-            wishes += 1;
+            assert!(matches!(code, Some(0 | 1)) || late, "{command:?}: {said}");
+            commands += 1;
             let workers = children(run.child.id());
             if roll.below(4) == 0 && !workers.is_empty() {
                 let pid = workers[roll.place(workers.len())];
@@ -313,7 +313,7 @@ fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
             break;
         }
     }
-    println!("{wishes} wishes");
+    println!("{commands} commands");
     bench.output(&["run", "s.toml", "--db", "s.sqlite", "--retry-failed"]);
     assert_eq!(results(&bench, "s.sqlite"), whole());
 }
@@ -334,21 +334,21 @@ fn a_stop_that_overtakes_its_job_ends_no_worker() {
     run.until(|| bench.path("s.sqlite.control").exists());
     // for as long as it takes until trials have come back, and then some
     let back = || run.count("count(*) FROM v_attempt WHERE state = 'failed'").parse::<usize>().unwrap() > 6;
-    let (mut wishes, mut more) = (0, 3);
+    let (mut commands, mut more) = (0, 3);
     while more > 0 {
-        more -= u32::from(wishes % 200 == 0 && back());
-        for wish in ["pause\n", "resume\n"] {
+        more -= u32::from(commands % 200 == 0 && back());
+        for command in ["pause\n", "resume\n"] {
             let mut asked = UnixStream::connect(bench.path("s.sqlite.control")).unwrap();
             let mut said = String::new();
-            asked.write_all(wish.as_bytes()).and_then(|()| asked.read_to_string(&mut said)).unwrap();
+            asked.write_all(command.as_bytes()).and_then(|()| asked.read_to_string(&mut said)).unwrap();
             assert!(said.starts_with("done "), "{said}");
-            wishes += 1;
+            commands += 1;
         }
     }
     run.asked(&["stop"], 0, "stopping");
     assert_eq!(run.wait(), Some(4), "{}", run.told());
     let stops = "count(*) > 6, sum(reason <> 'stopped') FROM v_attempt WHERE state = 'failed'";
-    assert_eq!(run.count(stops), "1,0", "after {wishes} wishes");
+    assert_eq!(run.count(stops), "1,0", "after {commands} commands");
     let log = std::fs::read_to_string(bench.path("s.log")).unwrap();
     let started = log.matches("worker started").count();
     assert!(started <= 6, "{started} workers for 6 trials: {log}");

@@ -247,7 +247,7 @@ pub struct TrialResult {
     pub solver: String,
     /// Relative error of the signals that pilots measured, on the initial body and on the best, where they could.
     pub signal_errors: [Option<f64>; 2],
-    /// Where a search put the sensors, where there was one.
+    /// Units chosen by the sensor search; `None` if placements are random.
     pub placed: Option<Placed>,
     /// Where they went from there: the outer step before which they moved, and their units since.
     pub moves: Vec<(u32, Vec<usize>)>,

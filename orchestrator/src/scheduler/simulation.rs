@@ -78,7 +78,7 @@ struct World {
     chance_of_slowness: u64,
     interrupt: bool,
     interrupted: Option<Millis>,
-    /// Trials that a person has given up, and what came of people's wishes.
+    /// Trials that a person has cancelled, and the answers to commands.
     cancelled: BTreeSet<u32>,
     answers: Vec<Answer>,
     store_breaks: bool,
@@ -133,7 +133,7 @@ impl World {
         };
         priors.iter().for_each(|prior| world.add(prior));
         if world.dice.percent(50) {
-            world.wish();
+            world.command();
         }
         if world.interrupt {
             let first = world.dice.below(30_000);
@@ -162,7 +162,7 @@ impl World {
     }
 
     /// What people will want, at times; who pauses goes on in the end. Trials are drawn when it comes to them.
-    fn wish(&mut self) {
+    fn command(&mut self) {
         for _ in 0..1 + self.dice.below(12) {
             let when = self.dice.below(30_000);
             let steer = match self.dice.below(20) {
@@ -179,7 +179,7 @@ impl World {
         self.at(30_000, Event::Steer(Steer::Resume, ()));
     }
 
-    /// The wish with the trial or trials that it is about.
+    /// The command with the trial or trials that it is about.
     fn drawn(&mut self, steer: Steer) -> Steer {
         let trials = self.length.len();
         match steer {
