@@ -1,0 +1,76 @@
+use super::*;
+
+/// A state that has all its parts goes through its stored form unchanged; one of another trial is refused.
+#[test]
+fn a_state_survives_its_checkpoint() {
+    let problem = crate::problem::problem(&crate::replay::tests::small_trial()).unwrap();
+    let (parameters, weights) = (problem.initial.len(), problem.reader_shape().weights());
+    let numbers = |n: usize| (0..n).map(|i| 0.1 * i as f64).collect::<Vec<f64>>();
+    let few = |n: usize| (0..n).map(|i| 0.1 * i as f32).collect::<Vec<f32>>();
+    let design = numbers(parameters);
+    let full = State {
+        step: 7,
+        design: design.clone(),
+        design_adam: Adam { m: numbers(parameters), v: numbers(parameters), t: 7 },
+        learnt: Learnt {
+            weights: few(weights),
+            adam: Adam { m: few(weights), v: few(weights), t: 70 },
+            ridge: None,
+        },
+        best: Some(Best { design: design.clone(), error: 12.5, step: 5 }),
+        caution: 0.5,
+        setbacks: 2,
+        trend: Some(0.01),
+        trail: vec![
+            Waypoint { step: 5, design: design.clone() },
+            Waypoint { step: 6, design: design.clone() },
+        ],
+        comparison: nested::Comparison::default(),
+        found: Vec::new(),
+    };
+    let learnt = Learnt { weights: Vec::new(), ..full.learnt.clone() };
+    let bare = State { best: None, trend: None, trail: Vec::new(), learnt: learnt.clone(), ..full.clone() };
+    let linear = State { learnt: Learnt { ridge: Some(1e-4), ..learnt }, ..full.clone() };
+    let network = nested::NetworkEvaluation {
+        error_test: Some(3.0),
+        losses: vec![0.5, 0.25],
+        errors: vec![(1, 9.0)],
+        weights: few(weights),
+        trouble: trial::Trouble::named("diverged"),
+        ..Default::default()
+    };
+    let reading = brains::Reading {
+        lags: Lags { before: 3, after: 0 },
+        ridge: 1e-6,
+        error_train: None,
+        error_test: Some(1.0),
+        error_holdout: Some(2.0),
+    };
+    let body = nested::BodyEvaluation {
+        design,
+        networks: vec![network.clone(), nested::NetworkEvaluation { trouble: None, ..network.clone() }],
+        long: vec![network],
+        readings: vec![reading],
+        zero_samples: [1, 2, 3],
+    };
+    let adam = Adam { m: few(weights), v: few(weights), t: 2 };
+    let fresh = Fresh { weights: few(weights), adam, losses: vec![0.5], errors: Vec::new() };
+    let compared = |training| State {
+        comparison: nested::Comparison {
+            bodies: vec![body.clone(), nested::BodyEvaluation { long: Vec::new(), ..body.clone() }],
+            training,
+            counters: trial::Counters { brain_iterations: 5, ..Default::default() },
+            seconds: nested::Seconds { train: 2.0, ..Default::default() },
+        },
+        ..full.clone()
+    };
+    let wrong = Fresh { weights: few(3), ..fresh.clone() };
+    let search = State { found: vec![12.5, f64::INFINITY], ..bare.clone() };
+    for original in [full.clone(), bare, linear, search, compared(None), compared(Some(fresh))] {
+        let read = Checkpoint::from_bytes(&checkpoint(&original).to_bytes()).unwrap();
+        let other = Checkpoint { design: vec![0.5; 3], ..read.clone() };
+        assert!(state(other, &problem).is_err());
+        assert_eq!(state(read, &problem).unwrap(), original);
+    }
+    assert!(state(checkpoint(&compared(Some(wrong))), &problem).is_err());
+}

@@ -1,0 +1,66 @@
+use super::*;
+
+fn pool() -> metasense_numerics::Pool {
+    metasense_numerics::Pool::new(2).expect("threads")
+}
+
+fn hold(rows: &[Row], at_least: usize) {
+    let failed: Vec<&Row> = rows.iter().filter(|row| !row.pass).collect();
+    assert!(failed.is_empty() && rows.len() >= at_least, "{} rows: {failed:#?}", rows.len());
+}
+
+/// These and the next: every row that `metasense verify` prints.
+#[test]
+fn every_integrator_is_what_it_says() {
+    hold(&numerics(&pool()), 30);
+}
+
+#[test]
+fn extreme_scenes_are_solved_at_default_settings() {
+    hold(&extremes(&pool()), 17);
+}
+
+/// Every committed case, every quantity.
+#[test]
+fn the_committed_cases_hold() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cases");
+    let rows = cases(Path::new(folder), &pool()).expect("cases");
+    let kinds: std::collections::BTreeSet<&str> =
+        rows.iter().filter_map(|r| r.case.split('_').next()).collect();
+    assert_eq!(kinds.len(), 8, "{kinds:?}");
+    hold(&rows, kinds.len());
+}
+
+/// A folder without a case, broken JSON, an unknown kind, a missing array, an array cut short, a wrong number: each
+/// is a row that fails, and the rest goes on.
+#[test]
+fn what_cannot_be_read_or_does_not_agree_fails() {
+    let folder = tempfile::tempdir().expect("folder");
+    let metric = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cases/metric_p"));
+    let make = |name: &str, spoil: &dyn Fn(&Path)| {
+        let to = folder.path().join(name);
+        std::fs::create_dir(&to).expect("folder");
+        for file in std::fs::read_dir(metric).expect("case").map(|f| f.expect("file").path()) {
+            std::fs::copy(&file, to.join(file.file_name().expect("name"))).expect("copy");
+        }
+        spoil(&to);
+    };
+    let write = |to: &Path, bytes: &[u8]| std::fs::write(to, bytes).expect("write");
+    make("a_good", &|_| ());
+    make("b_no_json", &|to| std::fs::remove_file(to.join("case.json")).expect("remove"));
+    make("c_broken", &|to| write(&to.join("case.json"), b"{"));
+    make("d_unknown", &|to| write(&to.join("case.json"), br#"{"kind": "weather"}"#));
+    make("e_missing", &|to| std::fs::remove_file(to.join("force.npy")).expect("remove"));
+    make("f_short", &|to| {
+        let bytes = std::fs::read(to.join("force.npy")).expect("read");
+        write(&to.join("force.npy"), &bytes[..bytes.len() - 8]);
+    });
+    make("g_wrong", &|to| {
+        std::fs::copy(to.join("force.npy"), to.join("predicted.npy")).expect("copy");
+    });
+    let rows = cases(folder.path(), &pool()).expect("cases");
+    let verdict = |name: &str| rows.iter().filter(|r| r.case.starts_with(name)).all(|r| r.pass);
+    assert!(verdict("a_"), "{rows:#?}");
+    assert!(["b_", "c_", "d_", "e_", "f_", "g_"].iter().all(|name| !verdict(name)), "{rows:#?}");
+    assert!(cases(&folder.path().join("nowhere"), &pool()).is_err());
+}
