@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::wire::Trouble;
+use crate::wire::{Cause, Trouble};
 
 /// Why an attempt ended without a result. Its `Display` is its name in the database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,10 +19,8 @@ pub enum Reason {
     NoProgress,
     /// Longer than `[run] time_limit`.
     TimeLimit,
-    /// Numbers that are not finite.
-    NonFinite,
-    /// Another numerical outcome that ends a trial.
-    Numerical,
+    /// The maths.
+    Numerical(Cause),
     /// Validation says no.
     Rejected,
     /// A bug: the computation panicked.
@@ -49,8 +47,7 @@ impl fmt::Display for Reason {
             Self::SharedMemoryFull => f.write_str("shared_memory_full"),
             Self::NoProgress => f.write_str("no_progress"),
             Self::TimeLimit => f.write_str("time_limit"),
-            Self::NonFinite => f.write_str("non_finite"),
-            Self::Numerical => f.write_str("numerical"),
+            Self::Numerical(cause) => f.write_str(cause.name()),
             Self::Rejected => f.write_str("rejected"),
             Self::Panicked => f.write_str("panicked"),
             Self::Pruned => f.write_str(PRUNED),
@@ -63,8 +60,7 @@ impl fmt::Display for Reason {
 impl From<Trouble> for Reason {
     fn from(trouble: Trouble) -> Self {
         match trouble {
-            Trouble::NonFinite => Self::NonFinite,
-            Trouble::Numerical => Self::Numerical,
+            Trouble::Numerical(cause) => Self::Numerical(cause),
             Trouble::Rejected => Self::Rejected,
             Trouble::Panicked => Self::Panicked,
         }
@@ -90,7 +86,7 @@ impl Reason {
             }
             Self::NoProgress => "raise `no_progress` in [run], then run with --retry-failed",
             Self::TimeLimit => "raise `time_limit` in [run], then run with --retry-failed",
-            Self::NonFinite | Self::Numerical => {
+            Self::Numerical(_) => {
                 "see `metasense trial SPEC --hash HASH`; a smaller `solver.tolerance` or learning rate may help"
             }
             Self::Rejected => "the spec is at fault: see `metasense trial SPEC --hash HASH`",

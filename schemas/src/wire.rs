@@ -69,13 +69,61 @@ pub enum ToWorker {
     },
 }
 
+/// Declares what ends a trial numerically, with the names by which records know it.
+macro_rules! causes {
+    ($($(#[$doc:meta])* $cause:ident = $name:literal,)*) => {
+        /// What ends a trial numerically.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+        pub enum Cause {
+            $($(#[$doc])* $cause,)*
+        }
+
+        impl Cause {
+            /// Each of them.
+            pub const ALL: &[Self] = &[$(Self::$cause),*];
+
+            /// Its name in the database.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$cause => $name,)*
+                }
+            }
+        }
+    };
+}
+
+causes! {
+    /// A sample took more steps than any reasonable scene needs.
+    StepLimit = "step_limit",
+    /// Its steps fell below what the clock resolves.
+    StepTooSmall = "step_too_small",
+    /// Its state was not a finite number. Older databases say so of every other cause, too.
+    NonFinite = "non_finite",
+    /// Void angles below the least allowed could not be avoided.
+    ForbiddenContact = "forbidden_contact",
+    /// Steps too long for the highest mode made energy of nothing.
+    Unstable = "unstable",
+    /// No unit of a hidden layer fires.
+    DeadLayer = "dead_layer",
+    /// The training loss grew without bound.
+    Diverged = "diverged",
+    /// The training loss was not a finite number.
+    LossNonFinite = "loss_non_finite",
+    /// The training loss left its trend.
+    LossJump = "loss_jump",
+    /// The gradient in the design was not finite.
+    GradientNonFinite = "gradient_non_finite",
+    /// The linear brain's normal matrix has no factor.
+    Singular = "singular",
+    /// No units are as many and as far apart as the sensors are to be.
+    NowhereToSense = "nowhere_to_sense",
+}
+
 /// Why an attempt came to no result, as the worker sees it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Trouble {
-    /// Numbers that are not finite.
-    NonFinite,
-    /// Another numerical outcome that ends a trial.
-    Numerical,
+    /// The maths.
+    Numerical(Cause),
     /// Validation says no.
     Rejected,
     /// A bug: the computation panicked.

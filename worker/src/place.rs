@@ -4,6 +4,7 @@ use metasense_numerics::place::Candidates;
 use metasense_numerics::trial::Placing;
 use metasense_schemas::record::Placed;
 use metasense_schemas::spec::{self, TrialSpec};
+use metasense_schemas::wire::Cause;
 
 use crate::convert;
 use crate::run::{Failure, pool, with_design};
@@ -34,8 +35,9 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let problem = with_design(&trial, design)?;
     let search = problem.search.as_ref().expect("asked for");
     let pool = pool(threads)?;
-    let nowhere = |_| Failure::numerical("nowhere_to_sense");
-    let all = Candidates::new(&problem, search, design, &pool).map_err(Failure::numerical)?;
+    let cause = Cause::NowhereToSense;
+    let nowhere = |_| Failure::Numerical { cause, detail: cause.name().to_owned() };
+    let all = Candidates::new(&problem, search, design, &pool)?;
     let best = all.clone().thinned(&problem, &pool);
     let scores = best.scores(&problem, &pool);
     let of = |sensors| Placing { sensors, candidates: best.units.clone(), ..search.clone() };

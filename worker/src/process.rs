@@ -220,7 +220,7 @@ impl Worker {
             Ok(Ok(result)) => self.finished(lease, result)?,
             Ok(Err(Failure::Stopped)) => ToOrchestrator::Stopped { lease },
             Ok(Err(Failure::Rejected(detail))) => failed(Trouble::Rejected, detail),
-            Ok(Err(Failure::NonFinite(detail))) => failed(Trouble::NonFinite, detail),
+            Ok(Err(Failure::Numerical { cause, detail })) => failed(Trouble::Numerical(cause), detail),
             Err(panic) => {
                 let text = panic.downcast_ref::<&str>().map(ToString::to_string);
                 let text = text.or_else(|| panic.downcast_ref::<String>().cloned());

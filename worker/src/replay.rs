@@ -92,7 +92,7 @@ pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>
         return Ok(None);
     }
     let found = replay.linear(&problem, &Decoder::whole(instants, channels));
-    found.map(Some).map_err(Failure::numerical)
+    Ok(Some(found?))
 }
 
 /// Motion of a body under one sample of its trial, numbered as in [`replay`].

@@ -7,6 +7,7 @@ use metasense_numerics::place::{self, Placed};
 use metasense_numerics::trial::{self, Problem, Trial};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::wire::Cause;
 
 use crate::clock::cpu_seconds;
 use crate::convert;
@@ -43,15 +44,13 @@ pub enum Failure {
     #[error("rejected: {0}")]
     Rejected(String),
     /// The maths got into trouble that no smaller step leads out of.
-    #[error("numerical: {0}")]
-    NonFinite(String),
-}
-
-impl Failure {
-    /// Trouble of the maths, in its own words.
-    pub(crate) fn numerical(trouble: impl std::fmt::Display) -> Self {
-        Self::NonFinite(trouble.to_string())
-    }
+    #[error("numerical: {detail}")]
+    Numerical {
+        /// What it was.
+        cause: Cause,
+        /// And where.
+        detail: String,
+    },
 }
 
 /// Runs a trial, from the beginning or from a checkpoint of its own.
@@ -77,7 +76,9 @@ pub fn run_trial(
 
 impl From<trial::Failure> for Failure {
     fn from(failure: trial::Failure) -> Self {
-        Self::numerical(failure)
+        let name = failure.trouble().name();
+        let cause = Cause::ALL.iter().find(|cause| cause.name() == name).copied();
+        Self::Numerical { cause: cause.unwrap_or(Cause::NonFinite), detail: failure.to_string() }
     }
 }
 
@@ -240,3 +241,6 @@ impl nested::Observe for Alone {
         nested::Control::Continue
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -193,7 +193,7 @@ fn compare(
                     let judged = judge(&name, "simulated", &modelled)?;
                     Some((modelled.signals, judged))
                 }
-                Err(Failure::NonFinite(why)) => {
+                Err(Failure::Numerical { detail: why, .. }) => {
                     say!("{name}: the model cannot be simulated: {why}");
                     None
                 }

@@ -372,7 +372,10 @@ impl World {
                 return;
             }
             if self.dice.percent(self.chance_of_trouble) {
-                return self.say(when, Event::Failed(worker, lease, Reason::NonFinite));
+                return self.say(
+                    when,
+                    Event::Failed(worker, lease, Reason::Numerical(metasense_schemas::wire::Cause::Unstable)),
+                );
             }
             self.say(when, Event::Beat(worker, lease));
             let standing = Standing {

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use metasense_numerics::Heartbeat;
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense_schemas::wire::Cause;
 use metasense_worker::run::{Control, Failure, Observe};
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +58,10 @@ pub fn perform(
             let _ = std::io::Write::write_all(&mut std::io::stderr(), b"a no-op trial that is to die\n");
             std::process::abort()
         }
-        Some(Fault::NonFinite) => return Err(Failure::NonFinite("a no-op trial that is to fail".into())),
+        Some(Fault::NonFinite) => {
+            let detail = "a no-op trial that is to fail".into();
+            return Err(Failure::Numerical { cause: Cause::NonFinite, detail });
+        }
         None => {}
     }
     while state.step < noop.steps {

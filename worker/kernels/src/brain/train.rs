@@ -70,7 +70,7 @@ impl TrainOutcome {
             Self::Ok => "ok",
             Self::DeadLayer(_) => "dead_layer",
             Self::Diverged => "diverged",
-            Self::NonFinite => "non_finite",
+            Self::NonFinite => "loss_non_finite",
         }
     }
 }

@@ -229,7 +229,10 @@ fn a_training_that_goes_wrong_does_so_in_pieces_too() {
         names.push(whole.networks[0].trouble.expect("trouble").name());
         assert_eq!(whole, in_pieces, "{rate}");
     }
-    assert!(names.iter().all(|name| ["diverged", "non_finite", "dead_layer"].contains(name)), "{names:?}");
+    assert!(
+        names.iter().all(|name| ["diverged", "loss_non_finite", "dead_layer"].contains(name)),
+        "{names:?}"
+    );
 }
 
 /// What the stored form of a finished network says of it leads back to it.
@@ -510,7 +513,7 @@ fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
     type Spoil = fn(&mut State, brain::Shape);
     let spoilt: [(&[&str], Spoil); 4] = [
         (&["loss_jump"], |state, _| state.learnt.weights.iter_mut().for_each(|w| *w *= 30.0)),
-        (&["non_finite"], |state, _| state.learnt.weights[0] = f32::NAN),
+        (&["loss_non_finite"], |state, _| state.learnt.weights[0] = f32::NAN),
         (&["dead_layer"], |state, shape| state.learnt.weights[shape.range(0)].fill(-1e3)),
         (&["non_finite", "step_too_small", "step_limit"], |state, _| state.design[0] = f64::NAN),
     ];

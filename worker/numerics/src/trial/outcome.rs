@@ -54,6 +54,15 @@ pub enum Failure {
     Stuck(u32, Trouble),
 }
 
+impl Failure {
+    /// What it was for.
+    pub fn trouble(self) -> Trouble {
+        match self {
+            Self::Initial(trouble) | Self::Stuck(_, trouble) => trouble,
+        }
+    }
+}
+
 impl std::fmt::Display for Failure {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         match self {

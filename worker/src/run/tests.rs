@@ -1,0 +1,21 @@
+use super::*;
+use metasense_numerics::brain::TrainOutcome;
+use metasense_numerics::dynamics::Outcome;
+use metasense_numerics::trial::Trouble;
+
+/// Each trouble that ends a trial reaches the database under its own name, and each name there leads back to one.
+#[test]
+fn every_trouble_is_a_cause_of_its_own() {
+    let simulations = Outcome::ALL.into_iter().filter(|o| *o != Outcome::Ok).map(Trouble::Simulation);
+    let trainings = [TrainOutcome::NonFinite, TrainOutcome::Diverged, TrainOutcome::DeadLayer(1)];
+    let others = [Trouble::LossJump(2.0), Trouble::GradientNonFinite, Trouble::Singular, Trouble::Nowhere];
+    let all: Vec<Trouble> = simulations.chain(trainings.map(Trouble::Training)).chain(others).collect();
+    for trouble in &all {
+        let failure = Failure::from(trial::Failure::Stuck(3, *trouble));
+        let Failure::Numerical { cause, detail } = failure else { panic!("{failure:?}") };
+        assert_eq!(cause.name(), trouble.name());
+        assert!(detail.starts_with("3 steps in a row taken back: "), "{detail}");
+    }
+    assert_eq!(all.len(), Cause::ALL.len());
+    assert!(Cause::ALL.iter().all(|cause| Trouble::named(cause.name()).is_some()));
+}
