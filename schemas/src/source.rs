@@ -170,7 +170,13 @@ impl Source {
                 let what = format!("{table}{field}: must be given, it has no default");
                 self.located(place, format!("{table}{field}"), what)
             }
-            (None, Some(place)) => self.wrong(place, &known.in_words(&place.key, &message)),
+            (None, Some(place)) => {
+                let mut remedy = known.in_words(&place.key, &message);
+                if place.is_list && known.is_axis(&place.key) && !remedy.contains("list") {
+                    remedy += &format!("; an axis stands in [sweep]: sweep.\"{}\" = [ … ]", place.key);
+                }
+                self.wrong(place, &remedy)
+            }
             (None, None) => self.error("", &message),
         }
     }

@@ -198,6 +198,10 @@ fn errors_of_changes_name_them() {
             "command line: body.colums = 7: unknown key; the nearest known one is \"body.columns\"",
         ),
         (&["body.rows=six"], "command line: body.rows = \"six\": must be a whole number from 0 up"),
+        (
+            &["body.rows=[5, 6]"],
+            "command line: body.rows = [5, 6]: must be a whole number from 0 up; an axis stands in [sweep]: sweep.\"body.rows\" = [ … ]",
+        ),
         (&["body.rows=1", "body.rows=six"], "command line: body.rows = \"six\": must be a whole number"),
         (&["body.spacing=nan"], "command line: body.spacing = nan: nan is no finite number"),
         (&["sweep.body.column=[7]"], "command line: sweep.\"body.column\" = [7]: unknown key; the nearest"),
