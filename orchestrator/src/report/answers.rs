@@ -32,8 +32,8 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
         let refs: Vec<&Trial> = own.map(|(trial, _)| *trial).collect();
         let who = match (&kind[0], &kind[1]) {
             _ if kinds.len() == 1 => String::new(),
-            (by, with) if by == with => format!("Body trained with {by}, forces read by {by}: "),
-            (by, with) => format!("Body trained with {with}, forces read by {by}: "),
+            (by, with) if by == with => format!("Body trained with {by}, forces read by {by}. "),
+            (by, with) => format!("Body trained with {with}, forces read by {by}. "),
         };
         if let Some(r) = paired::error_ratio(&refs, set) {
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
@@ -84,7 +84,7 @@ fn linear_model(trials: &[&Trial]) -> Option<Answer> {
 pub(super) fn interval(ratio: &Ratio) -> String {
     match ratio.interval {
         Some(i) => format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over),
-        None => format!("interval: {}", ratio.over),
+        None => format!("no interval, {}", ratio.over),
     }
 }
 

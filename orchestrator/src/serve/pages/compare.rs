@@ -114,7 +114,7 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
         trial.column("error_test").into_iter().map(|(step, error)| row![who, step, error]).collect()
     };
     let data = Table::new("trial step error_test", [("first", a), ("second", b)].into_iter().flat_map(steps));
-    let errors = curves("Test error while the body is trained", "test error (%)", &lines);
+    let errors = curves("Test error while the body is trained", ["outer step", "test error (%)"], &lines);
     Ok(html! {
         p {
             "First: " a href=(to_trial(at[0], &a.hash)) { (short(&a.hash)) } " (" (a.state) "); second: "

@@ -145,12 +145,12 @@ impl Trial {
     }
 }
 
-/// Curves against steps; a class and points each.
-pub(super) fn curves(title: &str, label: &str, lines: &[(&str, Vec<(f64, f64)>)]) -> Option<Picture> {
+/// Curves, a class and points each; `None` without a point.
+pub(super) fn curves(title: &str, [x, y]: [&str; 2], lines: &[(&str, Vec<(f64, f64)>)]) -> Option<Picture> {
     let points = || lines.iter().flat_map(|line| &line.1);
     points().next()?;
-    let x = Axis::new("outer step", Scale::Linear, points().map(|p| p.0).chain([0.0]));
-    let mut plot = Plot::new(title, x, Axis::new(label, Scale::Log, points().map(|p| p.1)));
+    let x = Axis::new(x, Scale::Linear, points().map(|p| p.0).chain([0.0]));
+    let mut plot = Plot::new(title, x, Axis::new(y, Scale::Log, points().map(|p| p.1)));
     for (class, points) in lines {
         plot.line(class, points.iter().copied());
     }
@@ -280,31 +280,27 @@ fn facts(at: &str, seen: &Seen, trial: &Trial) -> Markup {
 
 fn curves_of(trial: &Trial) -> Markup {
     let (test, train) = (trial.column("error_test"), trial.column("error_train"));
-    let steps =
-        curves("Error while the body is trained", "error (%)", &[("front", train), ("optimised", test)]);
+    let mut keys = legend(&[("optimised", "test set, by which the body is chosen")]);
+    if !train.is_empty() {
+        keys.push(("front", "training set".into()));
+    }
+    let steps = curves(
+        "Error while the body is trained",
+        ["outer step", "error (%)"],
+        &[("front", train), ("optimised", test)],
+    );
     let of = |body: &str| -> Vec<(f64, f64)> {
         let own = trial.curves.rows.iter().filter(|row| row[0] == body && row[1] == 0);
         own.filter_map(|row| row[2].as_f64().zip(row[3].as_f64())).collect()
     };
-    let (initial, optimised) = (of("initial"), of("optimised"));
-    let fresh = (!initial.is_empty() || !optimised.is_empty()).then(|| {
-        let points = || initial.iter().chain(&optimised);
-        let x = Axis::new("iteration of the brain", Scale::Linear, points().map(|p| p.0).chain([0.0]));
-        let y = Axis::new("holdout error (%)", Scale::Log, points().map(|p| p.1));
-        let mut plot = Plot::new("A fresh network on each body", x, y);
-        plot.line("initial", initial.iter().copied());
-        plot.line("optimised", optimised.iter().copied());
-        plot.picture()
-    });
-    let keys = legend(&[("optimised", "test set, which steers the body"), ("front", "training set")]);
-    let columns: Vec<usize> = (0..6).collect();
-    let data = Table {
-        columns: columns.iter().map(|&i| trial.steps.columns[i].clone()).collect(),
-        rows: trial.steps.rows.iter().map(|row| columns.iter().map(|&i| row[i].clone()).collect()).collect(),
-    };
+    let lines = [("initial", of("initial")), ("optimised", of("optimised"))];
+    let axes = ["iteration of the brain", "holdout error (%)"];
+    let fresh = curves("A fresh network on each body", axes, &lines);
+    let mut data = trial.steps.clone();
+    data.drop_columns(6..data.columns.len());
     html! {
         @if let Some(steps) = steps {
-            (Figure::new("steps", "Steps", "Error of the brain that is trained beside the body, after every outer step.", keys, vec![steps], data).html(&[]))
+            (Figure::new("steps", "Steps", "Error of the brain that is trained together with the body, after every outer step.", keys, vec![steps], data).html(&[]))
         }
         @if let Some(fresh) = fresh {
             (Figure::new(
