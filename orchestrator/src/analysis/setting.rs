@@ -76,25 +76,4 @@ impl Settings {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use serde_json::json;
-
-    #[test]
-    fn trials_that_differ_in_their_point_share_the_rest() {
-        let mut settings = Settings::default();
-        let mut of = |seed: u64, columns: u64| {
-            settings.of(&json!({"body": {"columns": columns}, "point": {"seed": seed}}))
-        };
-        let [a, b, c] = [of(1, 6), of(2, 6), of(2, 8)];
-        assert!(Arc::ptr_eq(&a.shared, &b.shared) && !Arc::ptr_eq(&b.shared, &c.shared));
-        assert_eq!(
-            (b.get("point.seed"), b.get("body.columns"), b.get("x")),
-            (Some(&json!(2)), Some(&json!(6)), None)
-        );
-        assert_eq!(
-            c.leaves().into_iter().collect::<Vec<_>>(),
-            [("body.columns", &json!(8)), ("point.seed", &json!(2))]
-        );
-    }
-}
+mod tests;

@@ -246,29 +246,4 @@ pub(super) fn label(class: &str, [x, y]: [f64; 2], anchor: &str, text: &str) -> 
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ticks_lie_within_the_axis_and_are_few() {
-        for (scale, low, high) in [
-            (Scale::Linear, 0.0, 1.0),
-            (Scale::Log, 4.0, 31.0),
-            (Scale::Log, 1.0, 1e4),
-            (Scale::Log, 20.0, 24.0),
-            (Scale::Log, 89.0, 103.0),
-        ] {
-            let axis = Axis::new("", scale, [low, high]);
-            assert!((2..=9).contains(&axis.ticks.len()), "{low} {high}: {:?}", axis.ticks);
-            assert!(axis.ticks.iter().all(|t| (0.0..=1.0).contains(&axis.place(t.0))), "{:?}", axis.ticks);
-        }
-    }
-
-    #[test]
-    fn text_cannot_leave_its_element() {
-        let axis = || Axis::new("<b>", Scale::Linear, []);
-        let svg = Plot::new("<a>&\"", axis(), axis()).picture().svg(None).into_string();
-        assert!(svg.contains("&lt;a&gt;&amp;&quot;") && svg.contains("&lt;b&gt;"), "{svg}");
-        assert!(!svg.contains("<a>") && !svg.contains("<b>"), "{svg}");
-    }
-}
+mod tests;

@@ -1,0 +1,51 @@
+//! Tests of `brains`.
+
+use super::super::trial::Reading;
+use super::*;
+use serde_json::json;
+
+fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whole: [f64; 2]) -> Trial {
+    let keys = [("brain.kind", brain), ("optimise.brain", with)];
+    let pair = |e: [f64; 2]| e.map(|e| [Some(2.0 * e), Some(e)]);
+    Trial {
+        setting: keys.into_iter().filter_map(|(k, v)| Some((k.to_owned(), json!(v?)))).collect(),
+        cluster: Cluster { placement: 0, seed },
+        errors: pair(own),
+        readings: vec![
+            Reading { memory: [1.0, 1.0], whole: true, errors: pair(whole) },
+            Reading { memory: [1.0, 0.0], whole: false, errors: pair(whole.map(|e| 3.0 * e)) },
+        ],
+        ..Trial::default()
+    }
+}
+
+/// Own brains apart by what trained and what reads, linear readings by what trained, both bodies of equal trials.
+#[test]
+fn bodies_stand_by_what_trained_and_what_read_them() {
+    let trials = [
+        trial(None, None, 1, [20.0, 10.0], [8.0, 4.0]),
+        trial(None, None, 2, [20.0, 10.0], [2.0, 1.0]),
+        trial(None, Some("linear"), 1, [20.0, 5.0], [8.0, 0.5]),
+        trial(Some("linear"), Some("linear"), 1, [8.0, 0.5], [8.0, 0.5]),
+    ];
+    let found = reads(&trials.iter().collect::<Vec<_>>());
+    let rows: Vec<(&str, &str, bool, [f64; 2], usize)> = found
+        .iter()
+        .map(|r| {
+            let errors = r.errors.map(|e| (1e6 * e).round() / 1e6);
+            (&r.trained_with[..], &r.by[..], r.whole, errors, r.ratio.trials)
+        })
+        .collect();
+    assert_eq!(
+        rows,
+        [
+            ("cnn", "cnn", false, [20.0, 10.0], 2),
+            ("linear", "cnn", false, [20.0, 5.0], 1),
+            ("linear", "linear", false, [8.0, 0.5], 1),
+            ("cnn", "linear", true, [4.0, 2.0], 2),
+            ("cnn", "linear", false, [12.0, 6.0], 2),
+            ("linear", "linear", true, [8.0, 0.5], 1),
+            ("linear", "linear", false, [24.0, 1.5], 1),
+        ]
+    );
+}

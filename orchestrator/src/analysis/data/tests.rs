@@ -1,0 +1,72 @@
+//! Tests of `data`.
+
+use super::*;
+use crate::analysis::setting::flatten;
+use serde_json::json;
+
+/// A trial with more settings.
+fn with(trial: Trial, more: &Value) -> Trial {
+    let leaves = trial.setting.leaves().into_iter().map(|(path, value)| (path.to_owned(), value.clone()));
+    let setting = leaves.chain(flatten(more)).collect();
+    Trial { setting, ..trial }
+}
+
+fn trial(panels: u64, columns: u64, sensors: u64, placement: u64) -> Trial {
+    let spec = json!({"body": {"columns": columns, "rows": 4}, "point": {"panels": panels, "sensors": sensors,
+        "placement": placement, "seed": 1}, "sensor_units": [placement]});
+    Trial {
+        setting: flatten(&spec).into_iter().collect(),
+        panels,
+        sensors,
+        cluster: Cluster { placement, seed: 1 },
+        ..Trial::default()
+    }
+}
+
+#[test]
+fn groups_differ_in_what_their_labels_say() {
+    let trials: Vec<Trial> = [(2, 5, 1, 0), (2, 5, 2, 1), (2, 6, 1, 0), (4, 6, 1, 0)]
+        .map(|(k, c, m, p)| trial(k, c, m, p))
+        .to_vec();
+    let trials: Vec<&Trial> = trials.iter().collect();
+    let labels = |but: &[&str]| -> Vec<(String, usize)> {
+        groups(&trials, but).into_iter().map(|g| (g.label, g.trials.len())).collect()
+    };
+    assert_eq!(
+        labels(SENSORS),
+        [
+            ("K = 2, 5 × 4 units".to_owned(), 2),
+            ("K = 2, 6 × 4 units".to_owned(), 1),
+            ("K = 4, 6 × 4 units".to_owned(), 1)
+        ]
+    );
+    assert_eq!(
+        labels(COMPLEXITY),
+        [("K = 2, M = 1".to_owned(), 2), ("K = 2, M = 2".to_owned(), 1), ("K = 4, M = 1".to_owned(), 1)]
+    );
+    let cut = |columns: u64, spacing: f64, bend: f64| {
+        with(trial(2, columns, 1, 0), &json!({"body": {"spacing": spacing, "stiffness": {"bend": bend}}}))
+    };
+    let sheet = [cut(5, 30.0, 4.0), cut(10, 15.0, 1.0), cut(12, 12.5, 25.0 / 36.0), cut(12, 12.5, 1.0)];
+    let found = groups(&sheet.iter().collect::<Vec<_>>(), COMPLEXITY);
+    let found: Vec<(&str, usize)> = found.iter().map(|g| (&*g.label, g.trials.len())).collect();
+    let told = |bend: &str| format!("K = 2, M = 1, body.stiffness.bend = {bend}");
+    assert_eq!(found, [(&*told("4.0"), 3), (&*told("5.76"), 1)]);
+    let ways = [("cnn", 3), ("linear", 1)].map(|(kind, seeds)| {
+        with(trial(2, 5, 1, 0), &json!({"brain": {"kind": kind}, "evaluation": {"seeds": seeds}}))
+    });
+    assert_eq!(groups(&ways.iter().collect::<Vec<_>>(), TRAINING).len(), 1);
+    let struck = |kind: &str, width: f64, double: Option<f64>| {
+        let stimuli = json!({"stimuli": {"kind": kind, "width": [width], "double": double}});
+        with(trial(2, 5, 1, 0), &stimuli)
+    };
+    let kinds = [struck("bell", 0.1, None), struck("irregular", 0.02, Some(0.1))];
+    let labels = |trials: &[Trial]| -> Vec<String> {
+        groups(&trials.iter().collect::<Vec<_>>(), &[]).into_iter().map(|g| g.label).collect()
+    };
+    let [bell, irregular] = ["bell", "irregular"].map(|kind| format!("K = 2, M = 1, stimuli.kind = {kind}"));
+    assert_eq!(labels(&kinds), [bell.clone(), irregular.clone()]);
+    let wider = [&kinds[..], &[struck("bell", 0.2, None)]].concat();
+    let told = |width: &str| format!("{bell}, stimuli.width = [{width}]");
+    assert_eq!(labels(&wider), [told("0.1"), irregular, told("0.2")]);
+}

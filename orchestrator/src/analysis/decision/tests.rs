@@ -1,0 +1,56 @@
+//! Tests of `decision`.
+
+use super::*;
+use crate::analysis::Cluster;
+
+fn curve(errors: &[f64], placements: u64) -> Vec<Observation> {
+    let of = |placement: u64| {
+        // a level of its own a placement, and one that decides nothing
+        let level = 1.0 + 0.02 * placement as f64;
+        let at = move |(i, e): (usize, &f64)| Observation {
+            at: (i + 1) as f64,
+            cluster: Cluster { placement, seed: 1 },
+            error: e * level,
+        };
+        errors.iter().enumerate().map(at).collect::<Vec<_>>()
+    };
+    (0..placements).flat_map(of).collect()
+}
+
+/// 10.9 is within 10 % of 10, 12 is not; without the last the best is 10.9, of which 12 is just not 10 % off.
+#[test]
+fn the_smallest_within_ten_percent_and_what_it_hangs_on() {
+    let errors = [30.0, 20.0, 12.0, 10.9, 10.0];
+    let found = decide(&curve(&errors, 5), Terms::default()).unwrap();
+    assert_eq!((found.within.at, found.within.without_largest), (4.0, 4.0), "{found:?}");
+    assert_eq!((found.within.share(4.0), found.priced.clone()), (Some(1.0), None), "{found:?}");
+    let falling = decide(&curve(&[16.0, 8.0, 4.0, 2.0], 5), Terms::default()).unwrap();
+    assert_eq!((falling.within.at, falling.within.without_largest), (4.0, 3.0), "{falling:?}");
+    let wide = decide(&curve(&errors, 5), Terms { within: 0.25, ..Terms::default() }).unwrap();
+    assert_eq!(wide.within.at, 3.0, "{wide:?}");
+}
+
+/// Levels are 1 … 1.08, 1.04 in the mean. Falls of 10.4, 8.3, 1.1, 0.9: a sensor worth 1 % stops at the fourth, one worth
+/// 9 % at the second.
+#[test]
+fn a_sensor_has_its_price() {
+    let of = |price| {
+        let terms = Terms { price: Some(price), ..Terms::default() };
+        decide(&curve(&[30.0, 20.0, 12.0, 10.9, 10.0], 5), terms).unwrap().priced.unwrap().at
+    };
+    assert_eq!([0.0, 1.0, 2.0, 9.0, 99.0].map(of), [5.0, 4.0, 3.0, 2.0, 1.0]);
+}
+
+/// Two of five placements need the fourth sensor, three do not: votes are split, and few placements have none.
+#[test]
+fn votes_are_split_where_placements_disagree() {
+    let mut observations = curve(&[30.0, 20.0, 10.0, 10.0], 5);
+    for o in observations.iter_mut().filter(|o| o.cluster.placement < 2 && o.at == 4.0) {
+        o.error *= 0.8;
+    }
+    let found = decide(&observations, Terms::default()).unwrap();
+    let [three, four] = [3.0, 4.0].map(|m| found.within.share(m).unwrap());
+    assert!(three > 0.3 && four > 0.2 && (three + four - 1.0).abs() < 1e-12, "{found:?}");
+    let few = decide(&curve(&[30.0, 20.0], 3), Terms::default()).unwrap();
+    assert_eq!((few.within.votes, &few.over[..]), (None, "too few to tell: 3 placements"));
+}

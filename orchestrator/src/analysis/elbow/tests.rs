@@ -1,0 +1,74 @@
+//! Tests of `elbow`.
+
+use super::*;
+use crate::analysis::Cluster;
+use metasense_worker::Draw;
+
+/// Observations of a curve at M = 1…6 for five placements and two seeds, each with a level of its own and noise.
+fn curve(error: impl Fn(f64) -> f64, noise: f64) -> Vec<Observation> {
+    let mut draw = Draw::numbered(11, 0);
+    let mut all = Vec::new();
+    for placement in 0..5 {
+        for seed in 0..2 {
+            let level = (0.2 * draw.normal()).exp();
+            for m in 1..=6 {
+                let error = error(f64::from(m)) * level * (noise * draw.normal()).exp();
+                all.push(Observation { at: f64::from(m), cluster: Cluster { placement, seed }, error });
+            }
+        }
+    }
+    all
+}
+
+#[test]
+fn a_curve_that_bends_at_two_has_its_elbow_there() {
+    let found = elbow(&curve(|m| 20.0 * (-1.2 * m.min(2.0) - 0.05 * m).exp(), 0.05)).unwrap();
+    assert_eq!(found.verdict, Verdict::At(2.0), "{found:?}");
+    assert_eq!((found.broken_stick, found.kneedle, found.chord), (Some(2.0), Some(2.0), Some(2.0)));
+    assert_eq!(found.without_largest, Some(Some(2.0)));
+    let total: f64 = found.votes.iter().map(|v| v.1).sum();
+    assert!(found.votes[0].1 > 0.95 && total <= 1.0, "{:?}", found.votes);
+}
+
+#[test]
+fn a_curve_that_bends_at_four_has_its_elbow_there() {
+    let found = elbow(&curve(|m| 30.0 * (-0.6 * m.min(4.0)).exp(), 0.08)).unwrap();
+    assert_eq!(found.verdict, Verdict::At(4.0), "{found:?}");
+}
+
+#[test]
+fn a_straight_fall_and_a_flat_curve_have_no_elbow() {
+    for (slope, noise) in [(0.3, 0.05), (0.0, 0.05), (0.3, 0.0)] {
+        let found = elbow(&curve(|m| 20.0 * (-slope * m).exp(), noise)).unwrap();
+        assert_eq!(found.verdict, Verdict::NoElbow, "slope {slope}, noise {noise}: {found:?}");
+    }
+}
+
+/// The true gain is e^0.5 before the elbow and 1 after it.
+#[test]
+fn gains_are_paired_within_clusters() {
+    let found = elbow(&curve(|m| 20.0 * (-0.5 * m.min(3.0)).exp(), 0.02)).unwrap();
+    for gain in &found.gains {
+        let truth = if gain.from < 3.0 { 0.5f64.exp() } else { 1.0 };
+        let interval = gain.interval.unwrap();
+        assert!((gain.ratio / truth - 1.0).abs() < 0.03, "{gain:?}");
+        assert!(interval.high / interval.low < 1.1, "{gain:?}");
+    }
+}
+
+#[test]
+fn three_values_of_m_are_too_few() {
+    let few: Vec<Observation> = curve(|m| 20.0 / m, 0.0).into_iter().filter(|o| o.at < 3.5).collect();
+    assert_eq!(elbow(&few), Err(TooFew(3)));
+}
+
+#[test]
+fn one_placement_and_seed_gives_a_fit_without_votes() {
+    let one: Vec<Observation> = curve(|m| 20.0 * (-m.min(2.0)).exp(), 0.0)
+        .into_iter()
+        .filter(|o| o.cluster == Cluster::default())
+        .collect();
+    let found = elbow(&one).unwrap();
+    assert_eq!(found.verdict, Verdict::WithoutVote(Some(2.0)), "{found:?}");
+    assert!(found.gains.iter().all(|g| g.interval.is_none()));
+}

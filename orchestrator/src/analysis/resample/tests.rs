@@ -1,0 +1,67 @@
+//! Tests of `resample`.
+
+use super::*;
+
+fn grid(placements: u64, seeds: u64) -> Vec<Cluster> {
+    (0..placements).flat_map(|placement| (0..seeds).map(move |seed| Cluster { placement, seed })).collect()
+}
+
+#[test]
+fn a_replicate_draws_one_placement_and_seed_fewer_than_there_are() {
+    let resampling = Resampling::new(&grid(5, 4));
+    for replicate in 0..50 {
+        let weights = resampling.weights(replicate);
+        let sum = weights.iter().sum::<f64>();
+        assert!((sum - 20.0).abs() < 1e-12, "replicate {replicate}: {weights:?}");
+    }
+    assert_ne!(resampling.weights(0), resampling.weights(1));
+    assert_eq!(resampling.weights(7), Resampling::new(&grid(5, 4)).weights(7));
+}
+
+/// A mean's variance over replicates is that of its units: Σ (x − x̄)²/n(n − 1).
+#[test]
+fn replicates_vary_as_means_do() {
+    let x = [1.0, 2.0, 4.0, 8.0];
+    let mean = |w: Vec<f64>| Some(w.iter().zip(x).map(|(w, x)| w * x).sum::<f64>() / 4.0);
+    let means = Resampling::new(&grid(4, 1)).replicates(mean);
+    let variance = means.iter().map(|m| (m - 3.75).powi(2)).sum::<f64>() / means.len() as f64;
+    let truth = x.map(|x| (x - 3.75) * (x - 3.75)).iter().sum::<f64>() / 12.0;
+    assert!((variance / truth - 1.0).abs() < 0.1, "{variance} {truth}");
+}
+
+#[test]
+fn fewer_than_four_units_of_every_kind_are_too_few_to_tell() {
+    for (placements, seeds, over) in [
+        (1, 1, "too few to tell: 1 placement × 1 seed"),
+        (3, 1, "too few to tell: 3 placements"),
+        (3, 2, "too few to tell: 3 placements × 2 seeds"),
+        (5, 1, "5 placements"),
+        (1, 4, "4 seeds"),
+        (5, 3, "5 placements at 3 seeds"),
+        (5, 4, "5 placements × 4 seeds"),
+    ] {
+        let resampling = Resampling::new(&grid(placements, seeds));
+        let tells = placements > 3 || seeds > 3;
+        assert_eq!(resampling.over(), over);
+        assert_eq!(resampling.replicates(Some).len(), if tells { REPLICATES } else { 0 }, "{over}");
+        assert_eq!(resampling.interval(|w| Some(w.iter().sum())).is_some(), tells, "{over}");
+    }
+}
+
+/// Of one trial a unit it is Student's: 4 values 1, 2, 4, 8, s² = 28.75/3, t₃ = 3.182. Nested trials add nothing.
+#[test]
+fn the_interval_of_a_mean_is_student_s_over_units() {
+    let x = [1.0, 2.0, 4.0, 8.0];
+    for nested in [1, 6] {
+        let trial = |i: usize| (Cluster { placement: (i % 4) as u64, seed: 1 }, x[i % 4]);
+        let trials: Vec<(Cluster, f64)> = (0..4 * nested).map(trial).collect();
+        let resampling = Resampling::new(&trials.iter().map(|t| t.0).collect::<Vec<_>>());
+        let mean = |w: &[f64]| {
+            Some(w.iter().zip(&trials).map(|(w, t)| w * t.1).sum::<f64>() / w.iter().sum::<f64>())
+        };
+        let found = resampling.interval(mean).unwrap();
+        let half = 3.182 * (28.75f64 / 3.0 / 4.0).sqrt();
+        assert!((found.low - (3.75 - half)).abs() < 1e-9, "{found:?}");
+        assert!((found.high - (3.75 + half)).abs() < 1e-9, "{found:?}");
+    }
+}

@@ -1,0 +1,96 @@
+//! Tests of `mould`.
+
+use metasense_worker::replay::Drawing;
+
+use super::super::outline::tests::{area_of_units, mould};
+use super::super::tests::{squares, squares_moved};
+use super::*;
+
+fn volume(triangles: &[Triangle]) -> f64 {
+    let of = |[a, b, c]: &Triangle| {
+        let n = [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]];
+        (a[0] * n[0] + a[1] * n[1] + a[2] * n[2]) / 6.0
+    };
+    triangles.iter().map(of).sum()
+}
+
+/// Closed, and its volume is that of the plate less that of the cavity.
+fn check(drawing: &Drawing, mould: &Mould, what: &str) -> Outline {
+    let cavity = Outline::new(drawing, mould).unwrap_or_else(|e| panic!("{what}: {e}"));
+    let triangles = surface(&cavity, mould);
+    assert!(is_closed(&triangles), "{what}");
+    let size = |k: usize| {
+        let all = || cavity.loops[0].iter().map(|p| cavity.mm(*p)[k]);
+        all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min) + 2.0 * mould.wall
+    };
+    let expected = size(0) * size(1) * (mould.wall + mould.height) - cavity.area() * mould.height;
+    let volume = volume(&triangles);
+    assert!((volume / expected - 1.0).abs() < 1e-6, "{what}: {volume} {expected}");
+    cavity
+}
+
+#[test]
+fn the_mould_is_closed_and_has_its_volume() {
+    for clearance in [0.0, 0.15] {
+        check(&squares(), &Mould { clearance, ..mould(1.0) }, &format!("clearance {clearance}"));
+    }
+}
+
+/// The first unit's ligament to the right goes on along the unit's lower edge, as an optimised body has it to 0.02°.
+#[test]
+fn a_ligament_that_goes_on_along_an_edge_is_cast() {
+    for turn in [0.0, 0.02, -0.02] {
+        let mut drawing = squares();
+        let [corner, before] = [drawing.units[0][0], drawing.units[0][3]];
+        let edge = (corner[1] - before[1]).atan2(corner[0] - before[0]);
+        let (sin, cos) = (edge + f64::to_radians(turn)).sin_cos();
+        let end = [corner[0] + 2.25 * cos, corner[1] + 2.25 * sin];
+        drawing.units[1][2] = end;
+        drawing.ligaments[0] = [corner, end];
+        for width in [0.2, 1.0, 1.5] {
+            let what = format!("{turn}° from the edge, {width} mm wide");
+            let cavity = check(&drawing, &mould(width), &what);
+            let (units, area) = (area_of_units(&drawing), cavity.area());
+            assert!(area > units + 12.0 * 1.9 * width, "{what}: {area}, units {units}");
+            assert_eq!((cavity.loops.len(), cavity.parted), (5, 0), "{what}");
+        }
+    }
+}
+
+/// Two ligaments of a unit begin 1.3 mm apart: 1.5 mm wide, they are one where they begin.
+#[test]
+fn ligaments_that_overlap_are_cast() {
+    let drawing = squares_moved(|unit, p| match (unit, p) {
+        (0, 0) => [-3.0, 1.5],
+        (0, 1) => [4.9, -1.6],
+        _ => [0.0; 2],
+    });
+    let apart = check(&drawing, &mould(0.5), "apart");
+    let cavity = check(&drawing, &mould(1.5), "overlapping");
+    assert_eq!(cavity.loops.len(), 5);
+    let units = area_of_units(&drawing);
+    assert!(units < apart.area() && apart.area() < cavity.area(), "{units} {}", cavity.area());
+}
+
+/// Bodies as the optimiser leaves them, and beyond: joints moved by up to 2.4 mm in any direction.
+#[test]
+fn moved_bodies_are_cast_in_one_piece() {
+    for case in 0..40 {
+        let by = |k: usize| 1.7 * (1e3 * ((case * 100 + k) as f64)).sin();
+        let drawing = squares_moved(|unit, p| [by(4 * unit + 2 * p), by(4 * unit + 2 * p + 1)]);
+        for (width, clearance) in [(0.3, 0.0), (1.0, 0.0), (1.0, 0.1), (2.0, 0.05)] {
+            let what = format!("case {case}, {width} mm wide, clearance {clearance}");
+            let cavity = check(&drawing, &Mould { clearance, ..mould(width) }, &what);
+            let (units, area) = (area_of_units(&drawing), cavity.area());
+            assert!(area > units, "{what}: {area}, units {units}");
+        }
+    }
+}
+
+#[test]
+fn a_surface_with_a_hole_is_not_closed() {
+    let mould = mould(1.0);
+    let mut triangles = surface(&Outline::new(&squares(), &mould).unwrap(), &mould);
+    triangles.pop();
+    assert!(!is_closed(&triangles));
+}

@@ -1,0 +1,18 @@
+//! Tests of `style`.
+
+use super::*;
+
+/// Every variable that a style asks for has a value in either theme.
+#[test]
+fn no_colour_is_missing() {
+    let file = of_file();
+    assert!(!file.contains("var("), "{file}");
+    // halfway from #e7e3d9 to #b3202c
+    assert!(file.contains("svg .s10 { fill: #cd8283; }"), "{file}");
+    assert!(file.contains("stroke: #c2410c") && file.contains("stroke: #fb8c45"), "{file}");
+    let page = of_page();
+    for asked in page.split("var(--").skip(1).filter_map(|rest| rest.split(')').next()) {
+        let known = PALETTE.iter().any(|(name, _)| *name == asked);
+        assert!(known || ["c", "x", "y", "t"].contains(&asked), "{asked}");
+    }
+}

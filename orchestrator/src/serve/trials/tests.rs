@@ -1,0 +1,51 @@
+//! Tests of `trials`.
+
+use super::*;
+use serde_json::json;
+
+fn trials() -> Trials {
+    let mut settings = Settings::default();
+    let row = |(i, state): (usize, &&str)| {
+        let mut numbers = [f64::NAN; NUMBERS.len()];
+        numbers[1] = (i + 1) as f64;
+        numbers[6] = if *state == "done" { 10.0 / (i + 1) as f64 } else { f64::NAN };
+        let brain = ["cnn", "linear"][i % 2];
+        let setting = settings.of(&json!({"optimise": {"brain": brain}, "x": (i as f64 / 2.0)}));
+        Arc::new(Row {
+            hash: format!("{i}abc"),
+            state: (*state).into(),
+            reason: String::new(),
+            numbers,
+            setting,
+        })
+    };
+    let rows = ["done", "failed", "done", "pending"].iter().enumerate().map(row).collect();
+    Trials { rows, ..Trials::default() }
+}
+
+fn found(text: &str, sort: &str) -> String {
+    let (trials, terms) = (trials(), terms(text).unwrap());
+    trials.found(&terms, sort).iter().map(|row| &row.hash[..1]).collect()
+}
+
+#[test]
+fn terms_choose_and_keys_sort() {
+    for (text, sort, expected) in [
+        ("", "", "0123"),
+        ("state=done", "", "02"),
+        ("M>=2 M<4", "-M", "21"),
+        ("optimise.brain=linear", "", "13"),
+        ("optimise.brain!=linear", "-x", "20"),
+        ("x=0.5", "", "1"),
+        ("x>0.5", "", "23"),
+        ("hash~3a", "", "3"),
+        ("holdout_optimised<100", "", "02"),
+        ("no.such.key>1", "", ""),
+        // those without an error come last, either way
+        ("", "holdout_optimised", "2013"),
+        ("", "-holdout_optimised", "0213"),
+    ] {
+        assert_eq!(found(text, sort), expected, "{text} {sort}");
+    }
+    assert!(terms("M").is_err() && terms("=3").is_err());
+}
