@@ -29,7 +29,6 @@ pub struct Read {
 }
 
 /// What trials that differ in brains, placement and seed alone say: their own brains first, then the linear ones.
-#[must_use]
 pub fn reads(trials: &[&Trial]) -> Vec<Read> {
     let of_trials = of_each(trials);
     let mut kinds: Vec<[String; 2]> = Vec::new();

@@ -40,7 +40,6 @@ pub enum Rating {
 
 impl Rating {
     /// In words.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Holds => "holds",
@@ -98,7 +97,6 @@ pub struct Claim {
 impl Claim {
     /// What a database's trials say of it; nothing where it holds none of its scene. Those without the implicit term say
     /// something of that alone.
-    #[must_use]
     pub fn evidence(&self, trials: &[Trial]) -> Vec<Evidence> {
         let counts = |t: &&Trial| self.spec == "gradient" || text(t, "optimise.gradient") != Some("direct");
         (self.find)(self.stated, &trials.iter().filter(counts).collect::<Vec<_>>())
@@ -106,7 +104,6 @@ impl Claim {
 }
 
 /// What evidence comes to, by the holdout where there is one: the rating that all of it shares, or who has which.
-#[must_use]
 pub fn summary(evidence: &[Evidence]) -> (String, Option<Rating>) {
     let of_set = |set: &str| evidence.iter().any(|e| e.set == set);
     let counts = |e: &&Evidence| e.set != Set::Test.name() || !of_set(Set::Holdout.name());

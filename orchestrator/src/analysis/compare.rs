@@ -29,7 +29,6 @@ pub struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     /// Finds the pairs.
-    #[must_use]
     pub fn new(first: &'a [Trial], second: &'a [Trial]) -> Self {
         let paths: BTreeSet<&str> =
             first.iter().chain(second).flat_map(|t| t.setting.leaves().into_keys()).collect();
@@ -55,7 +54,6 @@ impl<'a> Comparison<'a> {
     }
 
     /// A row a setting, quantity and body, and where there are several settings one over all of them.
-    #[must_use]
     pub fn table(&self) -> Table {
         let firsts: Vec<&Trial> = self.pairs.iter().map(|p| p[0]).collect();
         let mut settings = groups(&firsts, &[]);

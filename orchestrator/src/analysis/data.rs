@@ -31,7 +31,6 @@ pub struct Group<'a> {
 
 impl Group<'_> {
     /// Whether its trials differ in a number.
-    #[must_use]
     pub fn varies(&self, number: fn(&Trial) -> u64) -> bool {
         self.trials.iter().any(|t| number(t) != number(self.trials[0]))
     }
@@ -80,7 +79,6 @@ type Key = Vec<(String, Value)>;
 
 /// Groups by everything but placement, seed and the paths named (a path that ends in a dot: all below it), in the order
 /// of their first trials.
-#[must_use]
 pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let ignored = |path: &str| {
         CLUSTER.iter().chain(but).any(|b| path == *b || (b.ends_with('.') && path.starts_with(b)))
@@ -181,7 +179,6 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
 }
 
 /// The errors of a group's trials along an axis.
-#[must_use]
 pub fn observations(trials: &[&Trial], body: Body, set: Set, at: fn(&Trial) -> u64) -> Vec<Observation> {
     trials
         .iter()
@@ -192,7 +189,6 @@ pub fn observations(trials: &[&Trial], body: Body, set: Set, at: fn(&Trial) -> u
 }
 
 /// The places of the axis, each once, in order.
-#[must_use]
 pub fn places(observations: &[Observation]) -> Vec<f64> {
     let mut places: Vec<f64> = observations.iter().map(|o| o.at).collect();
     places.sort_by(f64::total_cmp);
@@ -214,7 +210,6 @@ impl Grid {
     ///
     /// # Panics
     /// If one is not.
-    #[must_use]
     pub fn new(observations: &[Observation], clusters: &[Cluster]) -> Self {
         let places = places(observations);
         let point = |o: &Observation| {
@@ -226,7 +221,6 @@ impl Grid {
     }
 
     /// Geometric mean of the error at every place, by weights of clusters; `None` where nothing weighs.
-    #[must_use]
     pub fn means(&self, weights: &[f64]) -> Vec<Option<f64>> {
         let mut sums = vec![[0.0; 2]; self.places.len()];
         for &(cluster, place, log) in &self.points {
@@ -238,7 +232,6 @@ impl Grid {
 }
 
 /// The clusters of observations, each once, in order.
-#[must_use]
 pub fn clusters<'a>(observations: impl IntoIterator<Item = &'a Observation>) -> Vec<Cluster> {
     distinct(observations.into_iter().map(|o| o.cluster))
 }
@@ -259,7 +252,6 @@ pub struct Level {
 }
 
 /// Mean and range of the error at every place.
-#[must_use]
 pub fn levels(observations: &[Observation]) -> Vec<Level> {
     places(observations)
         .into_iter()

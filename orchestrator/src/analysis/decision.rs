@@ -44,7 +44,6 @@ pub struct Decision {
 
 impl Decision {
     /// The share of votes for an M.
-    #[must_use]
     pub fn share(&self, m: f64) -> Option<f64> {
         Some(self.votes.as_ref()?.iter().find(|v| v.0 == m)?.1)
     }
@@ -65,7 +64,6 @@ pub struct Decisions {
 type Means = [(f64, f64)];
 
 /// Decides on M; `None` of fewer than two.
-#[must_use]
 pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
     let clusters = clusters(observations);
     let grid = Grid::new(observations, &clusters);

@@ -9,7 +9,6 @@ use serde_json::Value;
 use super::trial::Trial;
 
 /// The trial's own brain, and the one that its body was trained with.
-#[must_use]
 pub fn brains(trial: &Trial) -> [String; 2] {
     let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
     let own = match text("brain.kind") {
@@ -34,7 +33,6 @@ pub fn brains(trial: &Trial) -> [String; 2] {
 }
 
 /// [`brains`] of each trial; those that share a setting are looked at once.
-#[must_use]
 pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
     let mut known: HashMap<*const BTreeMap<String, Value>, [String; 2]> = HashMap::new();
     let mut of = |trial: &&Trial| {
@@ -63,7 +61,6 @@ fn of_spec(trial: &Trial) -> Brain {
 }
 
 /// How far the trial's own brain looks back and ahead (s).
-#[must_use]
 pub fn memory(trial: &Trial) -> [f64; 2] {
     let number = |path: &str| trial.setting.get(path).and_then(Value::as_f64);
     let duration = number("time.duration").unwrap_or(1.0);

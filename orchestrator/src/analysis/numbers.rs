@@ -3,26 +3,22 @@
 use std::collections::BTreeSet;
 
 /// `None` of nothing.
-#[must_use]
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
 /// exp of the mean logarithm.
-#[must_use]
 pub fn geometric_mean(values: &[f64]) -> f64 {
     (values.iter().map(|v| v.ln()).sum::<f64>() / values.len() as f64).exp()
 }
 
 /// Squares of ln v about the mean, summed.
-#[must_use]
 pub fn log_squares(values: &[f64]) -> f64 {
     let mean = geometric_mean(values).ln();
     values.iter().map(|v| (v.ln() - mean).powi(2)).sum()
 }
 
 /// Standard deviation; `None` of fewer than two.
-#[must_use]
 pub fn deviation(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     let squares = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
@@ -33,7 +29,6 @@ pub fn deviation(values: &[f64]) -> Option<f64> {
 ///
 /// # Panics
 /// If there are none.
-#[must_use]
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     assert!(!sorted.is_empty(), "a quantile of nothing");
     let at = q * (sorted.len() - 1) as f64;
@@ -46,14 +41,12 @@ pub fn quantile(sorted: &[f64], q: f64) -> f64 {
 ///
 /// # Panics
 /// If there are none.
-#[must_use]
 pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     quantile(&values, 0.5)
 }
 
 /// Each value once, in order.
-#[must_use]
 pub fn distinct<T: Ord>(values: impl IntoIterator<Item = T>) -> Vec<T> {
     values.into_iter().collect::<BTreeSet<T>>().into_iter().collect()
 }

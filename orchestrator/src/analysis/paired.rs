@@ -28,7 +28,6 @@ pub struct Ratio {
 
 impl Ratio {
     /// The geometric mean of positive ratios with its interval over placements and seeds; `None` of no ratios.
-    #[must_use]
     pub fn of(ratios: &[(Cluster, f64)]) -> Option<Self> {
         // By cluster, whose trials are drawn and left out together: how many, and the sum of their logarithms.
         let mut sums: BTreeMap<Cluster, [f64; 2]> = BTreeMap::new();
@@ -41,7 +40,6 @@ impl Ratio {
     }
 
     /// The same over other units.
-    #[must_use]
     pub fn over(units: &Resampling, ratios: &[f64]) -> Option<Self> {
         let logs: Vec<[f64; 2]> = ratios.iter().map(|r| [1.0, r.ln()]).collect();
         Self::weighed(units, &logs, ratios.iter().filter(|r| **r > 1.0).count())
@@ -71,13 +69,11 @@ pub(super) fn ratio_of(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64
 }
 
 /// Error of the initial over error of the optimised body.
-#[must_use]
 pub fn error_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
     ratio_of(trials, |t| Some([t.error(Body::Initial, set)?, t.error(Body::Optimised, set)?]))
 }
 
 /// The same after long training.
-#[must_use]
 pub fn long_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
     ratio_of(trials, |t| Some([t.long_error(Body::Initial, set)?, t.long_error(Body::Optimised, set)?]))
 }
@@ -96,7 +92,6 @@ impl Progress {
     pub const ALL: [Self; 2] = [Self::Error, Self::Loss];
 
     /// In words.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Loss => "training loss",
@@ -106,14 +101,12 @@ impl Progress {
 }
 
 /// The first iteration at which a curve is no more than `target`.
-#[must_use]
 pub fn first_at(curve: &[CurvePoint], target: f64) -> Option<u32> {
     curve.iter().find(|(_, value)| *value <= target).map(|(iteration, _)| *iteration)
 }
 
 /// Iterations of training on the initial body over those on the optimised body until both first have the value that the
 /// worse of the two ends at its best; `None` where a curve is empty.
-#[must_use]
 pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Option<f64> {
     let least = |curve: &[CurvePoint]| curve.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
     let target = least(initial).max(least(optimised));
@@ -121,7 +114,6 @@ pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Opti
 }
 
 /// [`iteration_ratio`] over trials, each the geometric mean over its networks.
-#[must_use]
 pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
     let ratios: Vec<(Cluster, f64)> = trials
         .iter()
@@ -135,7 +127,6 @@ pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
 
 /// Trials by the schedule of their comparison's learning rate: one that falls to nothing meets a target late, whatever the
 /// body, so that ratios of iterations under different ones are not mixed.
-#[must_use]
 pub fn schedules<'a>(trials: &[&'a Trial]) -> Vec<(&'a str, Vec<&'a Trial>)> {
     let mut found: BTreeMap<&str, Vec<&Trial>> = BTreeMap::new();
     for trial in trials {

@@ -34,7 +34,6 @@ fn search(trial: &Trial) -> Option<&str> {
 }
 
 /// Settings in which sensors were placed both at random and by a search, one a kind of search.
-#[must_use]
 pub fn placed<'a>(trials: &[&'a Trial]) -> Vec<Placed<'a>> {
     let mut found = Vec::new();
     let but = [SENSORS, SEARCH].concat();
@@ -62,7 +61,6 @@ pub fn placed<'a>(trials: &[&'a Trial]) -> Vec<Placed<'a>> {
 
 impl Level<'_> {
     /// Error (%, geometric mean) with sensors at random or (`searched`) placed.
-    #[must_use]
     pub fn error(&self, searched: bool, body: Body, set: Set) -> Option<f64> {
         let trials = &self.trials[usize::from(searched)];
         let errors: Vec<f64> = trials.iter().filter_map(|t| t.error(body, set)).collect();
@@ -70,7 +68,6 @@ impl Level<'_> {
     }
 
     /// Error with sensors at random over that with sensors placed, a seed: what placing buys on a body.
-    #[must_use]
     pub fn by_placing(&self, body: Body, set: Set) -> Option<Ratio> {
         let [random, searched] = &self.trials;
         let ratio = |t: &&Trial| {
@@ -83,7 +80,6 @@ impl Level<'_> {
     }
 
     /// Error of the initial over that of the trained body, both with sensors placed: what training buys beyond placing.
-    #[must_use]
     pub fn by_training(&self, set: Set) -> Option<Ratio> {
         super::paired::error_ratio(&self.trials[1], set)
     }
@@ -91,7 +87,6 @@ impl Level<'_> {
 
 impl Placed<'_> {
     /// The least M at which an error (%) is reached, by this and every greater M.
-    #[must_use]
     pub fn needed(&self, searched: bool, body: Body, set: Set, error: f64) -> Needed {
         let of = |(level, l): (usize, &Level<'_>)| -> Vec<(usize, Cluster, f64)> {
             let trials = l.trials[usize::from(searched)].iter();

@@ -28,7 +28,6 @@ pub struct Random {
 
 impl Random {
     /// Standard deviation of ln e over random bodies; `None` of a single one.
-    #[must_use]
     pub fn deviation(&self) -> Option<f64> {
         let freedom = self.errors.len() - 1;
         (freedom > 0).then(|| (log_squares(&self.errors) / freedom as f64).sqrt())
@@ -36,7 +35,6 @@ impl Random {
 }
 
 /// Compares a group's random bodies with its others; `None` where it lacks either.
-#[must_use]
 pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
     let (random, others): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|t| t.starts_random());
     let of =

@@ -46,7 +46,6 @@ const LAGS: i64 = 20;
 
 impl Agreement {
     /// Of signals (N, T, channels).
-    #[must_use]
     pub fn of(measured: &[f64], simulated: &[f64], [instants, channels]: [usize; 2]) -> Self {
         // pairs of a channel, of the same record
         let pairs = |c: usize, lag: i64| {
@@ -92,7 +91,6 @@ pub struct MeanRatio {
 }
 
 /// Ratio of mean errors. `paired`: record by record under the same blows, so that both leave out the same one.
-#[must_use]
 pub fn mean_ratio(first: &Judged, second: &Judged, paired: bool) -> Option<MeanRatio> {
     let both = first.errors.iter().zip(&second.errors).filter_map(|(a, b)| Some([(*a)?, (*b)?]));
     // of each record its error on either body
@@ -136,14 +134,12 @@ impl Judged {
     }
 
     /// Mean error over records (%).
-    #[must_use]
     pub fn error(&self) -> Option<f64> {
         mean(&self.known())
     }
 }
 
 /// A row a body and kind of signals; ratios are to the first body's row of the same kind. `delta` is an instant's length (s).
-#[must_use]
 pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
     let columns = "body signals records error_train error_test test_low test_high spread_folds \
         spread_seeds ratio ratio_low ratio_high iterations_ratio correlation difference lag";

@@ -34,13 +34,11 @@ pub struct Interval {
 
 impl Interval {
     /// Both ends through an increasing function.
-    #[must_use]
     pub fn map(self, f: impl Fn(f64) -> f64) -> Self {
         Self { low: f(self.low), high: f(self.high) }
     }
 
     /// Of a ratio: whether all of it is above 1, or below; `None` where it may be either.
-    #[must_use]
     pub fn is_above_one(self) -> Option<bool> {
         (self.low > 1.0 || self.high < 1.0).then_some(self.low > 1.0)
     }
@@ -68,14 +66,12 @@ pub struct Resampling {
 
 impl Resampling {
     /// Placements and seeds, one entry a trial.
-    #[must_use]
     pub fn new(clusters: &[Cluster]) -> Self {
         let of = |pick: fn(&Cluster) -> u64| clusters.iter().map(pick).collect();
         Self::of([(PLACEMENTS, of(|c| c.placement)), (SEEDS, of(|c| c.seed))])
     }
 
     /// Other kinds of units: a name, and each trial's.
-    #[must_use]
     pub fn of(kinds: impl IntoIterator<Item = ([&'static str; 2], Vec<u64>)>) -> Self {
         let kind = |(name, of_trial): ([&'static str; 2], Vec<u64>)| {
             let values = distinct(of_trial.iter().copied());
@@ -91,13 +87,11 @@ impl Resampling {
     }
 
     /// Whether there are enough units of some kind to tell anything beyond them.
-    #[must_use]
     pub fn can_tell(&self) -> bool {
         !self.drawn().is_empty()
     }
 
     /// Over what an interval or vote is: `5 placements`, `6 placements at 2 seeds`, `too few to tell: 3 seeds`.
-    #[must_use]
     pub fn over(&self) -> String {
         let list = |kinds: &[&Kind]| -> String {
             let each = kinds.iter().map(|k| format!("{} {}", k.count, k.name[usize::from(k.count > 1)]));
@@ -113,14 +107,12 @@ impl Resampling {
     }
 
     /// The unit of each trial, of the kind that is drawn and has the fewest; `None` where there are too few of every kind.
-    #[must_use]
     pub fn units(&self) -> Option<&[usize]> {
         self.drawn().into_iter().min_by_key(|k| k.count).map(|k| &k.of_trial[..])
     }
 
     /// How often each trial counts in a replicate: of n units n − 1 are drawn with replacement, so that a mean's variance
     /// comes out right (Rao and Wu 1988).
-    #[must_use]
     pub fn weights(&self, replicate: usize) -> Vec<f64> {
         let mut draw = Draw::numbered(SEED, replicate as u64);
         let mut weights = vec![1.0; self.trials];

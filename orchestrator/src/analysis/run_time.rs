@@ -13,7 +13,6 @@ use super::trial::{Cluster, Trial};
 pub type Reached = (f64, f64);
 
 /// The points that no other beats in both seconds and error, by rising seconds; the index of each is given too.
-#[must_use]
 pub fn pareto(points: &[Reached]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.retain(|&i| points[i].0.is_finite() && points[i].1.is_finite());
@@ -28,7 +27,6 @@ pub fn pareto(points: &[Reached]) -> Vec<usize> {
 }
 
 /// Seconds until a run's best error is no more than `error`.
-#[must_use]
 pub fn time_to(history: &[Reached], error: f64) -> Option<f64> {
     history.iter().find(|(_, best)| *best <= error).map(|(seconds, _)| *seconds)
 }
@@ -46,7 +44,6 @@ pub struct Watched {
 
 impl Watched {
     /// A trial's way to an error (%); `None` of one without steps.
-    #[must_use]
     pub fn new(trial: &Trial, error: f64) -> Option<Self> {
         let reached = time_to(&trial.history, error);
         let seconds = reached.or(trial.history.last().map(|last| last.0))?;
@@ -69,7 +66,6 @@ pub struct MedianTime {
 const LEAST_UNITS: usize = 6;
 
 /// The median over runs, with its interval over units.
-#[must_use]
 pub fn median_time(runs: &[Watched]) -> MedianTime {
     let resampling = Resampling::new(&runs.iter().map(|r| r.cluster).collect::<Vec<_>>());
     let of_unit = |units: &[usize], unit: usize| -> (f64, bool) {
@@ -151,14 +147,12 @@ fn order_statistics(runs: &[(f64, bool)]) -> Option<[Option<f64>; 2]> {
 }
 
 /// The best error at some seconds; `None` before the first step's end.
-#[must_use]
 pub fn best_at(history: &[Reached], seconds: f64) -> Option<f64> {
     history[..history.partition_point(|(s, _)| *s <= seconds)].last().map(|(_, best)| *best)
 }
 
 /// Geometric mean over runs of the best error so far at `count` times, spaced evenly in ln s from when all runs have a
 /// first error to the end of the longest; a run that has ended keeps its last.
-#[must_use]
 pub fn mean_history(histories: &[&[Reached]], count: usize) -> Vec<Reached> {
     let histories: Vec<&&[Reached]> = histories.iter().filter(|h| !h.is_empty()).collect();
     let start = histories.iter().map(|h| h[0].0).fold(0.0, f64::max);
@@ -181,7 +175,6 @@ pub fn mean_history(histories: &[&[Reached]], count: usize) -> Vec<Reached> {
 }
 
 /// Mean seconds a trial by part, with the parts in the order in which the first trial names them.
-#[must_use]
 pub fn mean_seconds(trials: &[&Trial]) -> Vec<(&'static str, f64)> {
     let Some(first) = trials.first() else { return Vec::new() };
     first
@@ -196,7 +189,6 @@ pub fn mean_seconds(trials: &[&Trial]) -> Vec<(&'static str, f64)> {
 
 /// Round errors (1, 1.5, 2, 3, 5, 7 × 10^n) that all but the easiest runs reach and the best ones do: between the
 /// largest first error and the least last one.
-#[must_use]
 pub fn round_errors(histories: &[&[Reached]]) -> Vec<f64> {
     let first = histories.iter().filter_map(|h| h.first()).map(|p| p.1).fold(0.0, f64::max);
     let last = histories.iter().filter_map(|h| h.last()).map(|p| p.1).fold(f64::INFINITY, f64::min);

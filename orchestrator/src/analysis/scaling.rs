@@ -45,7 +45,6 @@ pub struct Law {
 
 impl Law {
     /// L(N) in %.
-    #[must_use]
     pub fn at(&self, n: f64) -> f64 {
         self.scale * (n / self.reference).powf(-self.exponent) + self.floor
     }
@@ -89,7 +88,6 @@ pub struct HeldOut {
 
 impl Scaling {
     /// The 95 % interval of L(N), where there are units enough.
-    #[must_use]
     pub fn band(&self, n: f64) -> Option<Interval> {
         Some(self.laws.as_ref()?.interval(|law| law.at(n).ln())?.map(f64::exp))
     }

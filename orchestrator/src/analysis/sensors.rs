@@ -22,7 +22,6 @@ pub struct Fewer {
 }
 
 /// Compares the two bodies' curves of error against M; `None` without errors of both.
-#[must_use]
 pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer> {
     let clusters = clusters(initial.iter().chain(optimised));
     let [initial, optimised] = [initial, optimised].map(|observations| Grid::new(observations, &clusters));
@@ -61,7 +60,6 @@ pub struct Spread {
 }
 
 /// How much it matters where the sensors sit; `None` with a single placement.
-#[must_use]
 pub fn spread(observations: &[Observation]) -> Option<Spread> {
     let (mut squares, mut freedom, mut ratios, mut placements) = (0.0, 0usize, Vec::new(), 0);
     for seed in distinct(observations.iter().map(|o| o.cluster.seed)) {

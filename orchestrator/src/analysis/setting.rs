@@ -19,19 +19,16 @@ const OWN: &[&str] =
 
 impl Setting {
     /// The value at a path.
-    #[must_use]
     pub fn get(&self, path: &str) -> Option<&Value> {
         self.own.get(path).or_else(|| self.shared.get(path))
     }
 
     /// Whether there is one.
-    #[must_use]
     pub fn contains_key(&self, path: &str) -> bool {
         self.get(path).is_some()
     }
 
     /// All of them, by path.
-    #[must_use]
     pub fn leaves(&self) -> BTreeMap<&str, &Value> {
         self.shared.iter().chain(&self.own).map(|(path, value)| (path.as_str(), value)).collect()
     }

@@ -60,13 +60,11 @@ pub enum Question {
 
 impl Question {
     /// All of them, in the order in which they are answered.
-    #[must_use]
     pub fn all() -> &'static [Self] {
         Self::value_variants()
     }
 
     /// What the table shows, with its units.
-    #[must_use]
     pub fn title(self) -> &'static str {
         match self {
             Self::Paired => {
@@ -107,7 +105,6 @@ impl Question {
     }
 
     /// Whether the trials differ in what the question is about, so that there is something to say on it.
-    #[must_use]
     pub fn was_put(self, trials: &[Trial]) -> bool {
         let varies = |of: fn(&Trial) -> u64| trials.iter().any(|t| of(t) != of(&trials[0]));
         match self {
@@ -118,7 +115,6 @@ impl Question {
     }
 
     /// The answer; no rows where the trials cannot give one.
-    #[must_use]
     pub fn answer(self, trials: &[Trial], terms: Terms) -> Table {
         let trials: Vec<&Trial> = trials.iter().collect();
         match self {
@@ -164,13 +160,11 @@ fn by_set(columns: &str, groups: &[Group], say: impl Fn(&Group, Set) -> Option<V
     Table::new(&format!("setting set {columns}"), all.filter_map(row))
 }
 
-/// Rows of every group's curve of error along an axis, for each body and set.
-fn by_curve(
-    columns: &str,
-    groups: &[Group],
-    at: fn(&Trial) -> u64,
-    rows: impl Fn(&[Observation]) -> Vec<Vec<Value>>,
-) -> Table {
+/// Groups with a curve of error each, and what it is drawn against.
+type Curves<'a> = (Vec<Group<'a>>, fn(&Trial) -> u64);
+
+/// Rows of every group's curve, for each body and set.
+fn by_curve(columns: &str, (groups, at): Curves, rows: impl Fn(&[Observation]) -> Vec<Vec<Value>>) -> Table {
     let bodies = groups.iter().flat_map(|group| Body::ALL.map(|body| (group, body)));
     let all = bodies.flat_map(|(group, body)| Set::ALL.map(|set| (group, body, set)));
     let told = all.flat_map(|(group, body, set)| {
@@ -260,14 +254,14 @@ fn random_table(trials: &[&Trial]) -> Table {
 }
 
 /// The groups with a curve: at least two places on the axis; all groups where none has.
-fn with_curves<'a>(groups: Vec<Group<'a>>, at: fn(&Trial) -> u64) -> Vec<Group<'a>> {
-    match groups.iter().any(|group| group.varies(at)) {
-        true => groups.into_iter().filter(|group| group.varies(at)).collect(),
-        false => groups,
+fn with_curves<'a>(mut groups: Vec<Group<'a>>, at: fn(&Trial) -> u64) -> Curves<'a> {
+    if groups.iter().any(|group| group.varies(at)) {
+        groups.retain(|group| group.varies(at));
     }
+    (groups, at)
 }
 
-fn by_sensors<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+fn by_sensors<'a>(trials: &[&'a Trial]) -> Curves<'a> {
     with_curves(groups(trials, SENSORS), |t| t.sensors)
 }
 
@@ -279,31 +273,26 @@ fn level_cells(level: &Level) -> Vec<Value> {
 fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
     let columns = "M trials error least most elbow_votes within_votes price_votes gain_to_next gain_low \
         gain_high over";
-    by_curve(
-        columns,
-        &by_sensors(trials),
-        |t| t.sensors,
-        |points| {
-            let (found, decided) = (elbow(points).ok(), decide(points, terms));
-            let (found, decided) = (found.as_ref(), decided.as_ref());
-            let row = |level: Level| {
-                let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
-                let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
-                let [low, high] = ends(gain.and_then(|g| g.interval));
-                let further = row![
-                    vote.filter(|_| found.is_some_and(has_votes)),
-                    decided.and_then(|d| d.within.share(level.at)),
-                    decided.and_then(|d| d.priced.as_ref()?.share(level.at)),
-                    gain.map(|g| g.ratio),
-                    low,
-                    high,
-                    decided.map(|d| &d.over)
-                ];
-                [level_cells(&level), further].concat()
-            };
-            levels(points).into_iter().map(row).collect()
-        },
-    )
+    by_curve(columns, by_sensors(trials), |points| {
+        let (found, decided) = (elbow(points).ok(), decide(points, terms));
+        let (found, decided) = (found.as_ref(), decided.as_ref());
+        let row = |level: Level| {
+            let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
+            let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
+            let [low, high] = ends(gain.and_then(|g| g.interval));
+            let further = row![
+                vote.filter(|_| found.is_some_and(has_votes)),
+                decided.and_then(|d| d.within.share(level.at)),
+                decided.and_then(|d| d.priced.as_ref()?.share(level.at)),
+                gain.map(|g| g.ratio),
+                low,
+                high,
+                decided.map(|d| &d.over)
+            ];
+            [level_cells(&level), further].concat()
+        };
+        levels(points).into_iter().map(row).collect()
+    })
 }
 
 fn has_votes(elbow: &Elbow) -> bool {
@@ -311,7 +300,6 @@ fn has_votes(elbow: &Elbow) -> bool {
 }
 
 /// A verdict in words.
-#[must_use]
 pub fn verdict_text(verdict: Verdict) -> String {
     match verdict {
         Verdict::At(m) => format!("elbow at M = {m}"),
@@ -326,29 +314,24 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
     let columns = "verdict broken_stick votes_for_none without_largest kneedle chord within within_votes \
         within_without_largest price price_votes price_without_largest over";
     let whole = |m: f64| m as u64;
-    by_curve(
-        columns,
-        &by_sensors(trials),
-        |t| t.sensors,
-        |points| {
-            let found = elbow(points);
-            let e = found.as_ref().ok();
-            let none = |e: &Elbow| has_votes(e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>());
-            let without = |m: Option<f64>| m.map_or(json!("none"), |m| json!(whole(m)));
-            let by_elbow = row![
-                found.as_ref().map_or_else(ToString::to_string, |e| verdict_text(e.verdict)),
-                e.and_then(|e| e.broken_stick).map(whole),
-                e.and_then(none),
-                e.and_then(|e| e.without_largest).map(without),
-                e.and_then(|e| e.kneedle).map(whole),
-                e.and_then(|e| e.chord).map(whole)
-            ];
-            let decided = decide(points, terms);
-            let within = decision_cells(decided.as_ref().map(|d| &d.within));
-            let price = decision_cells(decided.as_ref().and_then(|d| d.priced.as_ref()));
-            vec![[by_elbow, within, price, row![decided.map(|d| d.over)]].concat()]
-        },
-    )
+    by_curve(columns, by_sensors(trials), |points| {
+        let found = elbow(points);
+        let e = found.as_ref().ok();
+        let none = |e: &Elbow| has_votes(e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>());
+        let without = |m: Option<f64>| m.map_or(json!("none"), |m| json!(whole(m)));
+        let by_elbow = row![
+            found.as_ref().map_or_else(ToString::to_string, |e| verdict_text(e.verdict)),
+            e.and_then(|e| e.broken_stick).map(whole),
+            e.and_then(none),
+            e.and_then(|e| e.without_largest).map(without),
+            e.and_then(|e| e.kneedle).map(whole),
+            e.and_then(|e| e.chord).map(whole)
+        ];
+        let decided = decide(points, terms);
+        let within = decision_cells(decided.as_ref().map(|d| &d.within));
+        let price = decision_cells(decided.as_ref().and_then(|d| d.priced.as_ref()));
+        vec![[by_elbow, within, price, row![decided.map(|d| d.over)]].concat()]
+    })
 }
 
 /// M, the share of votes for it, and M without the largest.
@@ -362,7 +345,7 @@ fn decision_cells(decision: Option<&Decision>) -> Vec<Value> {
 
 fn fewer_table(trials: &[&Trial]) -> Table {
     let columns = "initial_sensors initial_error optimised_sensors optimised_error votes over";
-    by_set(columns, &by_sensors(trials), |group, set| {
+    by_set(columns, &by_sensors(trials).0, |group, set| {
         let of = |body| observations(&group.trials, body, set, |t| t.sensors);
         let found = fewer(&of(Body::Initial), &of(Body::Optimised))?;
         let sensors = [Some(found.most), found.fewest].map(|m| m.map(|m| m as u64));
@@ -372,15 +355,10 @@ fn fewer_table(trials: &[&Trial]) -> Table {
 }
 
 fn placements_table(trials: &[&Trial]) -> Table {
-    by_curve(
-        "placements deviation worst_over_best",
-        &groups(trials, &[]),
-        |t| t.sensors,
-        |points| {
-            let row = |found: Spread| row![found.placements, found.deviation, found.ratio];
-            spread(points).map(row).into_iter().collect()
-        },
-    )
+    by_curve("placements deviation worst_over_best", (groups(trials, &[]), |t| t.sensors), |points| {
+        let row = |found: Spread| row![found.placements, found.deviation, found.ratio];
+        spread(points).map(row).into_iter().collect()
+    })
 }
 
 fn placed_table(trials: &[&Trial]) -> Table {
@@ -422,60 +400,50 @@ pub(crate) fn nonlinear(trials: &[&Trial], body: Body, kind: usize) -> Vec<f64> 
 }
 
 /// Trials that differ in size, and trials of one size that differ in freedom.
-fn by_parameters<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+fn by_parameters<'a>(trials: &[&'a Trial]) -> Curves<'a> {
     let found = [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(trials, but)).collect();
     with_curves(found, |t| t.design_parameters)
 }
 
 fn sizes_table(trials: &[&Trial]) -> Table {
     let columns = "design_parameters trials error least most";
-    by_curve(
-        columns,
-        &by_parameters(trials),
-        |t| t.design_parameters,
-        |points| levels(points).iter().map(level_cells).collect(),
-    )
+    by_curve(columns, by_parameters(trials), |points| levels(points).iter().map(level_cells).collect())
 }
 
 fn complexity_table(trials: &[&Trial]) -> Table {
     let columns = "verdict a N0 b b_low b_high c c_low c_high held_out_N predicted observed \
         predicted_over_observed_low predicted_over_observed_high over";
-    by_curve(
-        columns,
-        &by_parameters(trials),
-        |t| t.design_parameters,
-        |points| {
-            let found = scaling(points);
-            let verdict = match &found {
-                Err(why) => why.to_string(),
-                Ok(Scaling { not_identifiable: None, .. }) => "identified".into(),
-                Ok(Scaling { not_identifiable: Some(why), .. }) => format!("not identifiable: {why}"),
-            };
-            let found = found.as_ref().ok();
-            let law = found.map(|f| f.law);
-            let [b_low, b_high] = ends(found.and_then(|f| f.exponent));
-            let [c_low, c_high] = ends(found.and_then(|f| f.floor));
-            let held = found.and_then(|f| f.held_out);
-            let [low, high] = ends(held.and_then(|h| h.interval));
-            vec![row![
-                verdict,
-                law.map(|l| l.scale),
-                law.map(|l| l.reference),
-                law.map(|l| l.exponent),
-                b_low,
-                b_high,
-                law.map(|l| l.floor),
-                c_low,
-                c_high,
-                held.map(|h| h.at as u64),
-                held.map(|h| h.predicted),
-                held.map(|h| h.observed),
-                low,
-                high,
-                found.map(|f| &f.over)
-            ]]
-        },
-    )
+    by_curve(columns, by_parameters(trials), |points| {
+        let found = scaling(points);
+        let verdict = match &found {
+            Err(why) => why.to_string(),
+            Ok(Scaling { not_identifiable: None, .. }) => "identified".into(),
+            Ok(Scaling { not_identifiable: Some(why), .. }) => format!("not identifiable: {why}"),
+        };
+        let found = found.as_ref().ok();
+        let law = found.map(|f| f.law);
+        let [b_low, b_high] = ends(found.and_then(|f| f.exponent));
+        let [c_low, c_high] = ends(found.and_then(|f| f.floor));
+        let held = found.and_then(|f| f.held_out);
+        let [low, high] = ends(held.and_then(|h| h.interval));
+        vec![row![
+            verdict,
+            law.map(|l| l.scale),
+            law.map(|l| l.reference),
+            law.map(|l| l.exponent),
+            b_low,
+            b_high,
+            law.map(|l| l.floor),
+            c_low,
+            c_high,
+            held.map(|h| h.at as u64),
+            held.map(|h| h.predicted),
+            held.map(|h| h.observed),
+            low,
+            high,
+            found.map(|f| &f.over)
+        ]]
+    })
 }
 
 /// The parts of a group's label that say more than K and M.

@@ -18,7 +18,6 @@ impl Body {
     pub const ALL: [Self; 2] = [Self::Initial, Self::Optimised];
 
     /// Its name in the database.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Initial => "initial",
@@ -41,7 +40,6 @@ impl Set {
     pub const ALL: [Self; 2] = [Self::Test, Self::Holdout];
 
     /// Its name.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Test => "test",
@@ -119,31 +117,26 @@ pub struct Trial {
 
 impl Trial {
     /// An error (%), where there is a positive one.
-    #[must_use]
     pub fn error(&self, body: Body, set: Set) -> Option<f64> {
         self.errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
     }
 
     /// An error after long training (%), where there is a positive one.
-    #[must_use]
     pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
         self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
     }
 
     /// Iterations of long training, where it has some.
-    #[must_use]
     pub fn long_iterations(&self) -> Option<u64> {
         self.setting.get("evaluation.long_iterations").and_then(Value::as_u64)
     }
 
     /// Whether its initial body is a random one.
-    #[must_use]
     pub fn starts_random(&self) -> bool {
         self.setting.contains_key(RANDOM)
     }
 
     /// A training protocol's name.
-    #[must_use]
     pub fn protocol(&self) -> &str {
         self.setting.get("optimise.protocol").and_then(Value::as_str).unwrap_or("unknown")
     }

@@ -11,7 +11,6 @@ use metasense_worker::replay::Drawing;
 const LAYERS: [(&str, u8); 4] = [("units", 7), ("ligaments", 8), ("panels", 4), ("sensors", 1)];
 
 /// The drawing. `width` is that of a ligament, `radius` that of a sensor (mm).
-#[must_use]
 pub fn dxf(drawing: &Drawing, width: f64, radius: f64) -> String {
     let mut text =
         String::from("0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n");

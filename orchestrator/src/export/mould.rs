@@ -28,7 +28,6 @@ pub struct Mould {
 type Triangle = [[f64; 3]; 3];
 
 /// The mould with this cavity, which was made with the same measures.
-#[must_use]
 pub fn stl(cavity: &Outline, mould: &Mould) -> Vec<u8> {
     let triangles = surface(cavity, mould);
     assert!(is_closed(&triangles), "a mould's surface that is not closed");

@@ -38,7 +38,6 @@ pub fn of_trial(
 
 /// The archive. `drawings`, `replays` and, where there are, `linear` are those of the initial and of the
 /// optimised body.
-#[must_use]
 pub fn archive(
     stored: &Stored,
     drawings: &[Drawing; 2],
@@ -162,7 +161,6 @@ impl Zip {
     }
 
     /// Its bytes.
-    #[must_use]
     pub fn finish(self) -> Vec<u8> {
         self.0.finish().expect("writing to memory").into_inner()
     }

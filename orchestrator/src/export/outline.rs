@@ -88,13 +88,11 @@ impl Outline {
     }
 
     /// A point of the grid in mm.
-    #[must_use]
     pub fn mm(&self, point: Point) -> [f64; 2] {
         [point.x, point.y].map(|x| f64::from(x) * self.pitch)
     }
 
     /// Area within (mm²).
-    #[must_use]
     pub fn area(&self) -> f64 {
         self.loops.iter().map(|l| l.area_two()).sum::<i64>() as f64 * 0.5 * self.pitch * self.pitch
     }

@@ -8,7 +8,6 @@ use crate::look::{Table, row};
 use crate::store::Stored;
 
 /// Forces (N), signals (mm/s², rad/s) and predictions (N) of both bodies. `set` is train, test or holdout; `time` in s.
-#[must_use]
 pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
     let (panels, sensors, instants) =
         (stored.spec().panel_units.len(), stored.spec().point.sensors, stored.spec().time.samples);

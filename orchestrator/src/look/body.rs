@@ -47,7 +47,6 @@ pub enum Mark {
 }
 
 /// A frame around all of these bodies, so that they are drawn alike.
-#[must_use]
 pub fn frame<'a>(bodies: impl IntoIterator<Item = &'a Sketch>) -> Frame {
     let (mut low, mut high, mut spacing) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], None);
     for sketch in bodies {
@@ -76,13 +75,11 @@ pub struct Unit {
 
 impl Sketch {
     /// The body, its units as usual.
-    #[must_use]
     pub fn picture(&self, view: Frame, title: &str) -> Picture {
         self.drawn(view, title, false, |_| Unit::default())
     }
 
     /// The body. `numbers`: units and sensors are numbered.
-    #[must_use]
     pub fn drawn(&self, view: Frame, title: &str, numbers: bool, unit: impl Fn(usize) -> Unit) -> Picture {
         let class = |u: usize| {
             let clamped = if self.clamped.contains(&u) { " clamped" } else { "" };
@@ -111,14 +108,12 @@ impl Sketch {
     }
 
     /// A file of its own, without the constraints that hold the body.
-    #[must_use]
     pub fn file(mut self, title: &str) -> String {
         self.held.clear();
         file(&[self.picture(frame([&self]), title)], 1, 640.0, &Legend::default())
     }
 
     /// What there is to see, by number.
-    #[must_use]
     pub fn legend(&self) -> Legend {
         let kinds = [
             (self.clamped.len(), "unit clamped", "clamped unit", "clamped units"),
@@ -177,7 +172,6 @@ fn mark(at: &Mark, [line, dot]: [&str; 2]) -> Markup {
 }
 
 /// The mean of a unit's corners.
-#[must_use]
 pub fn middle(corners: &[Point; 4]) -> Point {
     [0, 1].map(|c| corners.iter().map(|q| q[c]).sum::<f64>() / 4.0)
 }

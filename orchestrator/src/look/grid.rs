@@ -23,7 +23,6 @@ const CELL: [f64; 2] = [56.0, 26.0];
 const ROOM: [f64; 2] = [64.0, 40.0];
 
 /// A row of cells a name on the left, a column a name at the bottom.
-#[must_use]
 pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cells: &[Vec<Cell>]) -> Picture {
     let (columns, rows) = (across.1, down.1);
     let at = |i: usize, j: usize| [ROOM[0] + i as f64 * CELL[0], j as f64 * CELL[1]];

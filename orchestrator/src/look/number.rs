@@ -1,7 +1,6 @@
 //! Numbers for people.
 
 /// A number with three significant digits and no trailing zeros; `–` where there is none.
-#[must_use]
 pub fn number(value: f64) -> String {
     match value {
         0.0 => "0".into(),
@@ -16,7 +15,6 @@ pub fn number(value: f64) -> String {
 }
 
 /// A number with so many significant digits, trailing zeros among them.
-#[must_use]
 pub fn digits(value: f64, count: usize) -> String {
     match value {
         0.0 => "0".into(),
@@ -28,7 +26,6 @@ pub fn digits(value: f64, count: usize) -> String {
 }
 
 /// Seconds in words, to two parts.
-#[must_use]
 pub fn duration(seconds: f64) -> String {
     let s = seconds.round() as u64;
     match s {

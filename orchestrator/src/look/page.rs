@@ -41,14 +41,12 @@ pub struct Answer {
 
 impl Answer {
     /// An answer.
-    #[must_use]
     pub fn new(figure: &'static str, verdict: Option<bool>, text: String) -> Self {
         Self { verdict, text, figure }
     }
 }
 
 /// A page of its own.
-#[must_use]
 pub fn page(title: &str, question: &str, content: &Markup) -> String {
     let style = html! { style { (PreEscaped(of_page())) } };
     let main = html! { main { h1 { (title) } p class="question" { (question) } (content) } };
@@ -56,7 +54,6 @@ pub fn page(title: &str, question: &str, content: &Markup) -> String {
 }
 
 /// A whole document; `head`: its style and scripts.
-#[must_use]
 pub fn document(title: &str, head: &Markup, body: &Markup) -> String {
     html! {
         (DOCTYPE)
@@ -74,7 +71,6 @@ pub fn document(title: &str, head: &Markup, body: &Markup) -> String {
 }
 
 /// Answers, one below the other.
-#[must_use]
 pub fn answers<'a>(list: impl IntoIterator<Item = &'a Answer>) -> Markup {
     let class = |verdict| match verdict {
         Some(true) => "good",
@@ -91,7 +87,6 @@ pub fn answers<'a>(list: impl IntoIterator<Item = &'a Answer>) -> Markup {
 
 impl Figure {
     /// A figure that stands still, its pictures of the usual size.
-    #[must_use]
     pub fn new(
         name: &'static str,
         title: &str,
@@ -105,7 +100,6 @@ impl Figure {
     }
 
     /// The same; `None` without a picture.
-    #[must_use]
     pub fn some(
         name: &'static str,
         title: &str,
@@ -118,13 +112,11 @@ impl Figure {
     }
 
     /// With small pictures, and what moves.
-    #[must_use]
     pub fn small(self, moving: Option<Markup>) -> Self {
         Self { moving, small: true, ..self }
     }
 
     /// The figure on a page, under those of these answers that it shows.
-    #[must_use]
     pub fn html(&self, said: &[Answer]) -> Markup {
         html! {
             h2 id=(self.name) { (self.title) }
@@ -153,7 +145,6 @@ fn download(name: &str, table: &Table) -> Markup {
 }
 
 /// A text as part of an address.
-#[must_use]
 pub fn encoded(text: &str) -> String {
     let kept = |byte: u8| byte.is_ascii_alphanumeric() || b"-._,".contains(&byte);
     let encoded = |byte: u8| if kept(byte) { (byte as char).to_string() } else { format!("%{byte:02X}") };
@@ -165,13 +156,11 @@ const MOST_ROWS: usize = 1000;
 
 impl Table {
     /// The table on a page; with a `name`, its data too.
-    #[must_use]
     pub fn html(&self, name: Option<&str>) -> Markup {
         self.linked(name, |_, _| None)
     }
 
     /// The same with links: where a value of a column leads to.
-    #[must_use]
     pub fn linked(&self, name: Option<&str>, to: impl Fn(&str, &Value) -> Option<String>) -> Markup {
         let text = |column: usize| self.rows.iter().any(|row| row[column].is_string());
         let text: Vec<bool> = (0..self.columns.len()).map(text).collect();

@@ -8,7 +8,6 @@ use super::style::{LEVELS, of_file};
 pub type Legend = Vec<(&'static str, String)>;
 
 /// Entries of a legend.
-#[must_use]
 pub fn legend(entries: &[(&'static str, &str)]) -> Legend {
     entries.iter().map(|(class, text)| (*class, (*text).to_owned())).collect()
 }
@@ -28,7 +27,6 @@ pub struct Picture {
 
 impl Picture {
     /// The SVG element; within another at `place` (left, top, width, height).
-    #[must_use]
     pub fn svg(&self, place: Option<[f64; 4]>) -> Markup {
         let side = |i: usize| place.map(|p| format!("{:.1}", p[i]));
         let view = self.view.map(|x| format!("{x:.2}")).join(" ");
@@ -46,7 +44,6 @@ const LETTER: f64 = 6.2;
 const MARK: [f64; 2] = [22.0, 10.0];
 
 /// Pictures in rows of so many under their legend, as a file of its own, this wide (px).
-#[must_use]
 pub fn file(pictures: &[Picture], columns: usize, width: f64, legend: &Legend) -> String {
     let (mut x, mut top) = (width, 0.0);
     let mut keys = Vec::new();
@@ -95,7 +92,6 @@ pub fn file(pictures: &[Picture], columns: usize, width: f64, legend: &Legend) -
 }
 
 /// A text in lines of at most so many letters, where its words allow; none of an empty one.
-#[must_use]
 pub fn lines(text: &str, most: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {

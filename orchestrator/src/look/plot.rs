@@ -25,7 +25,6 @@ pub struct Axis {
 
 impl Axis {
     /// An axis that holds all finite values (of a logarithmic one: all above 0), with a little air.
-    #[must_use]
     pub fn new(label: &str, scale: Scale, values: impl IntoIterator<Item = f64>) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for v in values.into_iter().filter(|v| v.is_finite() && (scale == Scale::Linear || *v > 0.0)) {
@@ -53,13 +52,11 @@ impl Axis {
     }
 
     /// With these ticks and no others.
-    #[must_use]
     pub fn with_ticks(self, ticks: Vec<f64>) -> Self {
         self.with_names(numbered(ticks))
     }
 
     /// With these texts at these places and no others.
-    #[must_use]
     pub fn with_names(mut self, names: Vec<(f64, String)>) -> Self {
         self.ticks = names;
         self
@@ -123,21 +120,18 @@ const LETTER: f64 = 6.2;
 
 impl Plot {
     /// An empty plot of the usual size.
-    #[must_use]
     pub fn new(title: &str, x: Axis, y: Axis) -> Self {
         let marks = String::new();
         Self { title: title.into(), x, y, size: [400.0, 264.0], right: MARGIN[1], marks }
     }
 
     /// Of another size (px).
-    #[must_use]
     pub fn sized(mut self, width: f64, height: f64) -> Self {
         self.size = [width, height];
         self
     }
 
     /// With room on the right for notes at the ends of lines.
-    #[must_use]
     pub fn with_room<'a>(mut self, notes: impl IntoIterator<Item = &'a str>) -> Self {
         let longest = notes.into_iter().map(|note| note.chars().count()).max().unwrap_or(0);
         self.right = MARGIN[1].max(10.0 + LETTER * longest as f64);
@@ -215,7 +209,6 @@ impl Plot {
     }
 
     /// The finished plot.
-    #[must_use]
     pub fn picture(self) -> Picture {
         let ([left, _, top, bottom], [width, height]) = (MARGIN, self.size);
         let (right, floor) = (width - self.right, height - bottom);

@@ -27,7 +27,6 @@ pub const SERIES: [&str; 5] = ["truth", "optimised", "front", "fourth", "fifth"]
 pub const LEVELS: usize = 20;
 
 /// The class of a part of the most, 0 to 1, by its root: what spans decades shows its quiet end too.
-#[must_use]
 pub fn level(part: f64) -> String {
     format!("s{:.0}", LEVELS as f64 * part.clamp(0.0, 1.0).sqrt())
 }
@@ -36,7 +35,6 @@ const FIGURES: &str = include_str!("figure.css");
 const DARK: &str = "@media screen and (prefers-color-scheme: dark)";
 
 /// The style of a page: both themes, by variables.
-#[must_use]
 pub fn of_page() -> String {
     let variables = |theme: usize| -> String {
         let all = PALETTE.iter().map(|(name, values)| format!("--{name}: {}; ", values[theme]));

@@ -32,7 +32,6 @@ impl From<(Vec<String>, Vec<Vec<Value>>)> for Table {
 
 impl Table {
     /// Rows under columns of these names, which blanks part.
-    #[must_use]
     pub fn new(columns: &str, rows: impl IntoIterator<Item = Vec<Value>>) -> Self {
         Self {
             columns: columns.split_whitespace().map(str::to_owned).collect(),
@@ -41,7 +40,6 @@ impl Table {
     }
 
     /// What stands under `verdict` in every row, where rows say nothing else but what they are about.
-    #[must_use]
     pub fn sole_verdict(&self) -> Option<&str> {
         let at = self.columns.iter().position(|column| column == "verdict")?;
         let verdict = self.rows.first()?[at].as_str()?;
@@ -53,7 +51,6 @@ impl Table {
     ///
     /// # Panics
     /// If there is none.
-    #[must_use]
     pub fn column(&self, name: &str) -> usize {
         self.columns.iter().position(|column| column == name).expect("a column of the table")
     }
@@ -74,7 +71,6 @@ impl Table {
     }
 
     /// Without the columns in which nothing stands.
-    #[must_use]
     pub fn without_empty_columns(&self) -> Self {
         let full: Vec<usize> =
             (0..self.columns.len()).filter(|&i| self.rows.iter().any(|row| !row[i].is_null())).collect();
@@ -86,7 +82,6 @@ impl Table {
     }
 
     /// With numbers to seven significant digits: what the data behind a picture need.
-    #[must_use]
     pub fn shortened(&self) -> Self {
         let short = |value: &Value| match value.as_f64().filter(|_| value.is_f64()) {
             Some(x) => format!("{x:.6e}").parse::<f64>().map_or(Value::Null, Value::from),
@@ -97,7 +92,6 @@ impl Table {
     }
 
     /// The rows as objects.
-    #[must_use]
     pub fn objects(self) -> Value {
         let object = |row: Vec<Value>| Value::Object(self.columns.iter().cloned().zip(row).collect());
         Value::Array(self.rows.into_iter().map(object).collect())
@@ -105,7 +99,6 @@ impl Table {
 }
 
 /// A value in full; nothing for NULL.
-#[must_use]
 pub fn plain(value: &Value) -> String {
     match value {
         Value::Null => String::new(),
@@ -115,7 +108,6 @@ pub fn plain(value: &Value) -> String {
 }
 
 /// A value to read: numbers with a point or an exponent by `shown`, the rest in full.
-#[must_use]
 pub fn readable(value: &Value, shown: impl Fn(f64) -> String) -> String {
     value.as_f64().filter(|_| value.is_f64()).map_or_else(|| plain(value), shown)
 }

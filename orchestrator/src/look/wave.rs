@@ -26,7 +26,6 @@ fn bare(sketch: &Sketch) -> Sketch {
 }
 
 /// A mode of a body: units displaced along its shape (u, v, θ), coloured by how far their centroids travel.
-#[must_use]
 pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], title: &str) -> Picture {
     let moved = |u: usize, corner: &Point| {
         let ([x, y], [du, dv, turn]) = (sketch.centroids[u], shape[u]);
@@ -50,7 +49,6 @@ pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], t
 }
 
 /// A body at an instant of a motion, units where they are and coloured by their speed over `most` (mm/s).
-#[must_use]
 pub fn snapshot(sketch: &Sketch, frame: Frame, motion: Motion, n: usize, most: f64, title: &str) -> Picture {
     let mut moved = bare(sketch);
     for (unit, [u, v, angle]) in motion.displacements[n].iter().enumerate() {
@@ -69,7 +67,6 @@ pub fn snapshot(sketch: &Sketch, frame: Frame, motion: Motion, n: usize, most: f
 
 /// Bodies whose units [`SCRIPT`] moves for some seconds and colours by speed over `most` (mm/s), at first as at instant `start`;
 /// without script they stand still.
-#[must_use]
 pub fn animation(
     bodies: &[(&str, &Sketch, Motion)],
     frame: Frame,
@@ -107,7 +104,6 @@ pub fn animation(
 ///
 /// # Panics
 /// If there is none.
-#[must_use]
 pub fn course(designs: &[(u32, Sketch)], steps: usize) -> Markup {
     let (at, first) = &designs[0];
     let still = Sketch { held: Vec::new(), ..first.clone() };

@@ -55,7 +55,6 @@ impl Table {
     }
 
     /// The rows as a file.
-    #[must_use]
     pub fn written(&self, format: Format) -> Vec<u8> {
         let mut bytes = Vec::new();
         self.write(format, &mut bytes).expect("memory takes all");
@@ -63,7 +62,6 @@ impl Table {
     }
 
     /// The rows as CSV.
-    #[must_use]
     pub fn csv(&self) -> String {
         String::from_utf8(self.written(Format::Csv)).expect("texts are UTF-8")
     }

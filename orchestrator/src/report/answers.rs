@@ -17,7 +17,6 @@ use crate::plan::counted;
 const SURE: f64 = 0.95;
 
 /// What the trials answer.
-#[must_use]
 pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let mut said = Vec::new();

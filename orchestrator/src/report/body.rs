@@ -7,7 +7,6 @@ use crate::look::body::{Mark, Point, Sketch, frame, middle};
 use crate::look::{Figure, Table, legend, row};
 
 /// The body with its constraints at their limit, and those that are broken.
-#[must_use]
 pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
     let Drawing { units, centroids, ligaments, joints, panels, sensors, clamped, spacing, .. } = drawing;
     let held = |a: &Active| mark(a.kind, a.units, Some(a.node), units);
@@ -28,7 +27,6 @@ pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
 }
 
 /// Bodies side by side, drawn alike: title, name in the data, body.
-#[must_use]
 pub fn figure(
     name: &'static str,
     title: &str,

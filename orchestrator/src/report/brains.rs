@@ -13,7 +13,6 @@ const MOST_SETTINGS: usize = 4;
 const TRAINED: [&str; 5] = ["optimised", "front", "fourth", "fifth", "truth"];
 
 /// Error against memory, and against the wait after the instant, by linear brains; dots: networks.
-#[must_use]
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let drawn: Vec<(String, Vec<Read>)> = groups(&refs, BRAINS)
@@ -104,7 +103,6 @@ fn class(with: &[&str], trained_with: &str) -> &'static str {
 }
 
 /// Errors by a linear decoder of the whole sample beside those by the bodies' own brains, a sentence a setting.
-#[must_use]
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let said =

@@ -7,13 +7,11 @@ use crate::analysis::{Set, Trial};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// What a database's trials say of every claim, in the paper's order.
-#[must_use]
 pub fn tried(trials: &[Trial]) -> Vec<Vec<Evidence>> {
     CLAIMS.iter().map(|claim| claim.evidence(trials)).collect()
 }
 
 /// A row a claim: what it comes to, and the spec that shows it.
-#[must_use]
 pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
     let rows = CLAIMS.iter().zip(found).enumerate().map(|(i, (claim, evidence))| {
         row![
@@ -28,7 +26,6 @@ pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
 }
 
 /// A row a claim, brain and set: the ratio with its interval, votes, and over what they are.
-#[must_use]
 pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
     let mut rows = Vec::new();
     for (i, (claim, evidence)) in CLAIMS.iter().zip(found).enumerate() {
@@ -56,7 +53,6 @@ fn class(rating: Rating) -> &'static str {
 const ROW: f64 = 16.0;
 
 /// Every ratio of the holdout with its interval, a row each, beside the paper's; `None` where there is none.
-#[must_use]
 pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
     let of_holdout =
         |e: &&Evidence| e.found.is_some() && ![Set::Test.name(), Progress::Loss.name()].contains(&e.set);

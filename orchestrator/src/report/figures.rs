@@ -37,7 +37,6 @@ fn sensors_axis(trials: &[&Trial]) -> Axis {
 }
 
 /// Error of the optimised against that of the initial body, a dot a trial.
-#[must_use]
 pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     let pair =
         |t| Some((t, Trial::error(t, Body::Initial, Set::Holdout)?, t.error(Body::Optimised, Set::Holdout)?));
@@ -91,7 +90,6 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
 }
 
 /// Error against M, placements shaded, elbow marked.
-#[must_use]
 pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let drawn: Vec<Group> = groups(&refs, SENSORS).into_iter().filter(|g| g.varies(|t| t.sensors)).collect();
@@ -141,7 +139,6 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
 }
 
 /// Error against M with sensors at random and placed, on both bodies.
-#[must_use]
 pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let mut pictures = Vec::new();
@@ -176,7 +173,6 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
 }
 
 /// Errors of random bodies beside those of the initial and the optimised one.
-#[must_use]
 pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let picture = |group: Group| {
@@ -213,7 +209,6 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
 }
 
 /// Training loss and holdout error against iterations: median over trials and networks, middle half shaded.
-#[must_use]
 pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let drawn = |t: &&Trial| !t.starts_random() && t.curves.iter().all(|c| !c.is_empty());
     let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
@@ -296,7 +291,6 @@ fn middle(curves: Vec<&Vec<CurvePoint>>) -> Vec<(f64, f64, f64, f64)> {
 }
 
 /// Error against design parameters, with the law where it is one.
-#[must_use]
 pub fn complexity(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let mut pictures = Vec::new();
@@ -366,7 +360,6 @@ fn told(laws: &[(String, String)]) -> String {
 }
 
 /// Best error so far against seconds.
-#[must_use]
 pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     let drawn = |t: &&Trial| !t.starts_random() && !t.history.is_empty();
     let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();

@@ -7,14 +7,12 @@ use metasense_worker::identify::Fit;
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
 /// The figures about a fit to `signals` (N, T, 3M).
-#[must_use]
 pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
     let followed = (!fit.signals[1].is_empty()).then(|| records(trial, signals, fit));
     followed.into_iter().chain([course(fit)]).collect()
 }
 
 /// The page: what was found, then the figures.
-#[must_use]
 pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) -> String {
     let content = html! {
         (found.html(None))

@@ -53,7 +53,6 @@ pub struct Sweep {
 }
 
 /// The figures of a story, and why some are missing.
-#[must_use]
 pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     let trials = &story.trials;
     let mut drawn: Vec<Figure> = [
@@ -84,7 +83,6 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
 }
 
 /// The whole page.
-#[must_use]
 pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String {
     let mut names: Vec<&str> = story.sweeps.iter().map(|s| s.name.as_str()).collect();
     names.dedup();

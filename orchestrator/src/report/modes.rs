@@ -19,13 +19,11 @@ const LEGEND: [(&str, &str); 3] =
     [("speed", "motion of a unit"), ("arrow", "input panel"), ("dot sensor", "sensor")];
 
 /// Number, frequency and damping in words.
-#[must_use]
 pub fn title(n: usize, mode: &Mode) -> String {
     format!("{}: {} Hz, {} %", n + 1, number(mode.frequency()), number(100.0 * mode.damping_ratio()))
 }
 
 /// A row a mode.
-#[must_use]
 pub fn row(n: usize, mode: &Mode) -> Vec<Value> {
     row![n + 1, mode.frequency(), mode.damping_ratio(), mode.s.im / std::f64::consts::TAU, -1.0 / mode.s.re]
 }
@@ -81,7 +79,6 @@ pub fn shapes(trial: &TrialSpec, design: &[f64], modes: &[Mode]) -> Result<(Vec<
 }
 
 /// Responses of a unit at these frequencies (Hz), as curves by panel.
-#[must_use]
 pub fn responses(unit: usize, frequencies: &[f64], found: &[Vec<Response>]) -> (Vec<Picture>, Legend) {
     let panels = found.first().map_or(0, Vec::len);
     let class = |k: usize| SERIES.get(k).copied().unwrap_or("thin");

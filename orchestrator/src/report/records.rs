@@ -80,7 +80,6 @@ fn judged(body: &str, simulated: bool, evaluated: &Evaluated, agreement: Option<
 
 impl Comparison {
     /// Judges each body by its measured signals, and by its model's where it has one.
-    #[must_use]
     pub fn new(bodies: Vec<Body>, paired: bool, shape: [usize; 3], duration: f64) -> Self {
         let [_, instants, channels] = shape;
         let measured = bodies.iter().map(|body| judged(&body.name, false, &body.measured, None));
@@ -94,7 +93,6 @@ impl Comparison {
     }
 
     /// The comparison as a table.
-    #[must_use]
     pub fn table(&self) -> Table {
         table(&self.judged, self.paired, self.duration / self.shape[1] as f64)
     }
@@ -104,7 +102,6 @@ impl Comparison {
     }
 
     /// The table in words.
-    #[must_use]
     pub fn answers(&self) -> Vec<Answer> {
         let mut said = Vec::new();
         for (body, judged) in self.bodies.iter().zip(&self.judged) {
@@ -144,7 +141,6 @@ impl Comparison {
     }
 
     /// Error of every record: a row a body and record.
-    #[must_use]
     pub fn records(&self) -> Table {
         let columns = "body record fold error error_simulated";
         let mut rows = Vec::new();
@@ -159,7 +155,6 @@ impl Comparison {
     }
 
     /// Forces, errors, networks' progress, signals beside the model's.
-    #[must_use]
     pub fn figures(&self) -> Vec<Figure> {
         let mut figures = vec![self.forces(), self.errors()];
         figures.extend(self.progress().into_iter().chain(self.signals()));
@@ -167,7 +162,6 @@ impl Comparison {
     }
 
     /// The page.
-    #[must_use]
     pub fn html(&self, figures: &[Figure]) -> String {
         let content = html! {
             (answers(&self.answers()))

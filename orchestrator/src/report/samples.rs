@@ -41,7 +41,6 @@ impl Replayed {
     }
 
     /// A sample's error (%) by the brain of either body.
-    #[must_use]
     pub fn errors(&self, sample: usize) -> [Option<f64>; 2] {
         [0, 1].map(|b| self.replays[b].errors.get(sample).copied().flatten())
     }

@@ -6,7 +6,6 @@ use crate::look::{Axis, Picture, Plot, Scale, number};
 pub type Curve = Vec<(f64, f64)>;
 
 /// Histories of one of some samples (N, T, width), after each instant of a clock of this duration (s), over their factors.
-#[must_use]
 pub fn histories(
     values: &[f64],
     sample: usize,
@@ -32,7 +31,6 @@ pub struct Strip {
 
 /// A plot a sample. Histories stand one above the other, the first on top, each by the step that is returned above the
 /// next: what the true values need. A tick above each zero has a value in `unit`. The truth, a thin line, is on top.
-#[must_use]
 pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) -> (Vec<Picture>, f64) {
     let count = names.len();
     let truth = samples.iter().flat_map(|s| s.sources[0].1.iter().flatten());
@@ -75,7 +73,6 @@ fn round_below(most: f64) -> f64 {
 }
 
 /// Four of the samples given, at the 12th, 37th, 62nd and 87th percentile of their errors.
-#[must_use]
 pub fn representative(errors: &[Option<f64>], among: impl Iterator<Item = usize>) -> Vec<usize> {
     let mut known: Vec<(f64, usize)> = among.filter_map(|n| errors[n].map(|e| (e, n))).collect();
     known.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -98,7 +95,6 @@ pub struct Errors<'a> {
 
 /// A dot a sample and body, samples by error. `joined`: all bodies have the same samples, which stand by the first
 /// body's error with a line through their dots; else each body's stand by its own.
-#[must_use]
 pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> Picture {
     let ranked = |errors: &[(usize, f64)]| -> Vec<usize> {
         let mut order: Vec<usize> = (0..errors.len()).collect();

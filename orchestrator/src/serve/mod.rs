@@ -67,7 +67,6 @@ pub struct Served {
 
 impl Served {
     /// To serve these; with a token, their runs may be steered.
-    #[must_use]
     pub fn new(sources: Vec<Source>, token: Option<Token>) -> Arc<Self> {
         let (questions, replays) = (Semaphore::new(QUESTIONS), Semaphore::new(1));
         Arc::new(Self { sources, token, questions, replays, replayed: Mutex::default() })

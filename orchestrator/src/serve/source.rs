@@ -129,7 +129,6 @@ impl Source {
     }
 
     /// What is seen from now on: each change, the last one only where several have come.
-    #[must_use]
     pub fn watched(&self) -> watch::Receiver<Arc<Seen>> {
         let seen = self.seen.clone();
         self.wanted.notify_one();

@@ -59,7 +59,6 @@ pub struct Row {
 
 impl Row {
     /// What stands under a column's name, or a path of the spec.
-    #[must_use]
     pub fn cell(&self, key: &str) -> Value {
         let text = |text: &str| if text.is_empty() { Value::Null } else { text.into() };
         match (key, NUMBERS.iter().position(|(name, _)| *name == key)) {
@@ -75,7 +74,6 @@ impl Row {
     ///
     /// # Panics
     /// If [`NUMBERS`] has none of this name.
-    #[must_use]
     pub fn number(&self, name: &str) -> Option<f64> {
         let at = NUMBERS.iter().position(|(known, _)| *known == name).expect("a number of a trial");
         Some(self.numbers[at]).filter(|x| !x.is_nan())
@@ -248,7 +246,6 @@ impl Term {
 
 impl Trials {
     /// Those that meet the terms of a text, sorted by a key; none, and what is wrong, where it holds something else.
-    #[must_use]
     pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<Row>>, Option<String>) {
         match terms(text) {
             Ok(terms) => (self.found(&terms, sort), None),
@@ -258,7 +255,6 @@ impl Trials {
 
     /// Those that meet all terms, sorted by a key (`-KEY`: the greatest first; those without always last), and among
     /// equals as planned.
-    #[must_use]
     pub fn found(&self, terms: &[Term], sort: &str) -> Vec<&Arc<Row>> {
         let mut found: Vec<&Arc<Row>> =
             self.rows.iter().filter(|row| terms.iter().all(|term| term.holds(row))).collect();

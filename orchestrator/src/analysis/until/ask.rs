@@ -98,7 +98,6 @@ impl Question {
     }
 
     /// Its key in `[until]`.
-    #[must_use]
     pub fn key(&self) -> &'static str {
         match self {
             Self::Paired(_) => "until.paired",
@@ -110,7 +109,6 @@ impl Question {
     }
 
     /// Values of M, or sizes, that it needs.
-    #[must_use]
     pub fn least_places(&self) -> usize {
         match self {
             Self::Paired(_) => 1,

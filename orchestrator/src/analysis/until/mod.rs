@@ -61,7 +61,6 @@ pub struct Decision {
 
 impl Decision {
     /// Whether every question has its answer.
-    #[must_use]
     pub fn is_settled(&self) -> bool {
         self.standings.iter().all(|standing| standing.answer.is_some())
     }
@@ -124,7 +123,6 @@ fn by_unit<'a>(trials: &[&'a Trial]) -> (Vec<Vec<&'a Trial>>, &'static str) {
 }
 
 /// The first question that no setting of the plan can answer.
-#[must_use]
 pub fn unanswerable(until: &Until, plan: &[Planned]) -> Option<Question> {
     let found = asked(until, &plan.iter().map(planned).collect::<Vec<_>>());
     Question::all(until).into_iter().find(|question| found.iter().all(|a| a.question != *question))
@@ -147,7 +145,6 @@ fn planned(trial: &Planned) -> Trial {
 
 /// Where the questions to a plan stand by what is in the database, and which trials are wanted, in the order of the plan:
 /// once the hours are spent, settled ones alone. So many units are run ahead of an open question as keep the workers busy.
-#[must_use]
 pub fn of_plan(until: &Until, plan: &[Planned], found: &[Found], workers: u32) -> Decision {
     let mut trials: Vec<Trial> = plan.iter().map(planned).collect();
     let mut settled = vec![false; trials.len()];

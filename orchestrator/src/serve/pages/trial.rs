@@ -297,7 +297,7 @@ fn curves_of(trial: &Trial) -> Markup {
     let axes = ["iteration of the brain", "holdout error (%)"];
     let fresh = curves("A fresh network on each body", axes, &lines);
     let mut data = trial.steps.clone();
-    data.drop_columns(6..data.columns.len());
+    data.drop_columns(&PARTS.map(|(column, _)| column));
     html! {
         @if let Some(steps) = steps {
             (Figure::new("steps", "Steps", "Error of the brain that is trained together with the body, after every outer step.", keys, vec![steps], data).html(&[]))
