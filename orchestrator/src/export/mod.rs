@@ -9,8 +9,7 @@ pub mod series;
 #[cfg(test)]
 pub(crate) mod tests;
 
-pub use mould::Mould;
-pub use outline::Outline;
+pub use outline::{Mould, Outline};
 
 use metasense_worker::replay::{Replay, replay};
 use metasense_worker::run::Failure;

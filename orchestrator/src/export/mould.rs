@@ -9,20 +9,7 @@ use std::collections::HashMap;
 use i_triangle::i_overlay::i_shape::int::shape::IntShape;
 use i_triangle::int::unchecked::IntUncheckedTriangulatable;
 
-use super::outline::{Outline, Point};
-
-/// Measures of a mould (mm).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Mould {
-    /// Width of the body's ligaments.
-    pub width: f64,
-    /// Depth of the cavity: height of the body.
-    pub height: f64,
-    /// Thickness of floor and rim.
-    pub wall: f64,
-    /// How much the cavity is larger than the body on every side.
-    pub clearance: f64,
-}
+use super::outline::{Mould, Outline, Point};
 
 /// A triangle of corners (mm).
 type Triangle = [[f64; 3]; 3];

@@ -14,10 +14,21 @@ use i_triangle::i_overlay::i_shape::int::path::ContourExtension;
 use i_triangle::i_overlay::i_shape::int::shape::{IntContour, IntShape};
 use metasense_worker::replay::Drawing;
 
-use super::Mould;
-
 /// A point of the grid.
 pub type Point = IntPoint<i32>;
+
+/// Measures of a mould (mm).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mould {
+    /// Width of the body's ligaments.
+    pub width: f64,
+    /// Depth of the cavity: height of the body.
+    pub height: f64,
+    /// Thickness of floor and rim.
+    pub wall: f64,
+    /// How much the cavity is larger than the body on every side.
+    pub clearance: f64,
+}
 
 /// Loops of corners.
 #[derive(Debug, Clone, PartialEq)]

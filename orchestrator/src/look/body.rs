@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::{Legend, Picture, file};
+use super::picture::{Legend, Picture, file};
 
 /// x and y (mm).
 pub type Point = [f64; 2];

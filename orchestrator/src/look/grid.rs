@@ -2,8 +2,9 @@
 
 use maud::{Markup, html};
 
+use super::picture::Picture;
 use super::plot::label;
-use super::{Picture, level};
+use super::style::level;
 
 /// A cell.
 #[derive(Debug, Clone, Default)]

@@ -3,9 +3,10 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::Value;
 
-use super::picture::keys;
+use super::number::number;
+use super::picture::{Legend, Picture, keys};
 use super::style::of_page;
-use super::{Legend, Picture, Table, number, readable};
+use super::table::{Table, readable};
 
 /// A figure: pictures side by side under one caption.
 #[derive(Debug, Clone)]

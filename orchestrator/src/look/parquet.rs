@@ -13,7 +13,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use serde_json::Value;
 
-use super::{Table, plain};
+use super::table::{Table, plain};
 
 /// Rows of a group, which is what a writer, and many a reader, holds at once.
 const GROUP: usize = 1 << 16;

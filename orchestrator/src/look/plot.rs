@@ -3,7 +3,8 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::{Picture, number};
+use super::number::number;
+use super::picture::Picture;
 
 /// How an axis runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

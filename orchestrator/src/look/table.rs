@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::digits;
+use super::number::digits;
 
 /// An answer.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -3,7 +3,8 @@
 use maud::{Markup, PreEscaped, html};
 
 use super::body::{Frame, Point, Sketch, Unit, frame};
-use super::{Picture, level};
+use super::picture::Picture;
+use super::style::level;
 
 /// How far a mode moves the corner that it moves most, by the pitch of the grid.
 const REACH: f64 = 0.4;

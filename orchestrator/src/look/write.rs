@@ -6,9 +6,8 @@ use clap::ValueEnum;
 use comfy_table::{CellAlignment, ContentArrangement, Table as Grid, presets};
 use serde_json::{Map, Value};
 
-use super::Table;
 use super::parquet::{Parquet, parquet};
-use super::table::{plain, rounded};
+use super::table::{Table, plain, rounded};
 
 /// The form in which rows are printed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
