@@ -61,7 +61,7 @@ fn kernels_are_measured() {
     let folder = tempfile::tempdir().unwrap();
     let small = "--samples 4 --instants 40 --panels 2 --format json";
     let brain = rows(folder.path(), &format!("brain --sensors 1 --repeat 1 {small}"));
-    assert!(brain.len() >= 5 && (brain.len() - 2) % 3 == 0, "{brain:?}");
+    assert!(brain.len() >= 5 && (brain.len() - 2).is_multiple_of(3), "{brain:?}");
     positive(&brain, "forward_ms iteration_ms hessian_ms gauss_newton_ms gflop peak_gflops share_of_peak");
 
     let linear = rows(folder.path(), &format!("linear --sensors 1,2 --memories 4,99 {small}"));
@@ -80,7 +80,7 @@ fn kernels_are_measured() {
 fn integrators_are_measured() {
     let folder = tempfile::tempdir().unwrap();
     let race = rows(folder.path(), "dynamics --race --quick --samples 2 --repeat 1 --format json");
-    assert!(race.len() >= 6 && race.len() % 2 == 0, "{race:?}");
+    assert!(race.len() >= 6 && race.len().is_multiple_of(2), "{race:?}");
     positive(&race, "forward_s forward_cpu_s gradient_s gradient_cpu_s kernel_cycles dual_kernel_cycles");
 
     let points = rows(folder.path(), "dynamics --scenes reference --quick --samples 2 --format json");

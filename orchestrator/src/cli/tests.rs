@@ -9,7 +9,8 @@ fn every_command_is_in_one_group_with_a_line_of_help() {
     let mut visible: Vec<&str> =
         command.get_subcommands().filter(|c| !c.is_hide_set()).map(clap::Command::get_name).collect();
     let mut sorted = grouped.clone();
-    (sorted.sort_unstable(), visible.sort_unstable());
+    sorted.sort_unstable();
+    visible.sort_unstable();
     assert_eq!(sorted, visible);
     let help = command.clone().render_long_help().to_string();
     for name in grouped {

@@ -407,7 +407,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         pictures.push(plot.picture());
     }
     let key = [("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")];
-    let of_many = (sparsest > 1).then(|| format!(" (at most {MOST_LINES} a setting)")).unwrap_or_default();
+    let of_many = if sparsest > 1 { format!(" (at most {MOST_LINES} a setting)") } else { String::new() };
     let caption = format!(
         "Best test error so far of the brain inside the outer loop, against the CPU seconds of the trial's steps (without \
          the evaluation). Thin: single trials{of_many}. Thick: geometric mean of each way of training. On the Pareto front \
