@@ -189,6 +189,18 @@ mod x86 {
     use std::arch::x86_64::*;
     use std::slice::{from_raw_parts, from_raw_parts_mut};
 
+    /// Operations that are one instruction.
+    macro_rules! instructions {
+        ($($operation:ident($($o:ident),*) = $instruction:ident;)*) => {
+            $(
+                #[inline(always)]
+                fn $operation(self, $($o: Self),*) -> Self {
+                    Self(unsafe { $instruction(self.0, $($o.0),*) })
+                }
+            )*
+        };
+    }
+
     /// A register of one instruction set and scalar.
     macro_rules! register {
         ($name:ident: $register:ty, $scalar:ty, $lanes:literal;
@@ -202,18 +214,7 @@ mod x86 {
             pub struct $name($register);
 
             impl $name {
-                #[inline(always)]
-                fn plus(self, o: Self) -> Self {
-                    Self(unsafe { $add(self.0, o.0) })
-                }
-                #[inline(always)]
-                fn minus(self, o: Self) -> Self {
-                    Self(unsafe { $sub(self.0, o.0) })
-                }
-                #[inline(always)]
-                fn times(self, o: Self) -> Self {
-                    Self(unsafe { $mul(self.0, o.0) })
-                }
+                instructions! { plus(o) = $add; minus(o) = $sub; times(o) = $mul; }
             }
             operators!([] $name);
 
@@ -233,18 +234,7 @@ mod x86 {
                 fn lanes_mut(&mut self) -> &mut [$scalar] {
                     unsafe { from_raw_parts_mut((&raw mut self.0).cast(), $lanes) }
                 }
-                #[inline(always)]
-                fn mul_add(self, a: Self, b: Self) -> Self {
-                    Self(unsafe { $fmadd(self.0, a.0, b.0) })
-                }
-                #[inline(always)]
-                fn mul_sub_from(self, a: Self, b: Self) -> Self {
-                    Self(unsafe { $fnmadd(self.0, a.0, b.0) })
-                }
-                #[inline(always)]
-                fn over(self, a: Self) -> Self {
-                    Self(unsafe { $div(self.0, a.0) })
-                }
+                instructions! { mul_add(a, b) = $fmadd; mul_sub_from(a, b) = $fnmadd; over(a) = $div; max(other) = $max; }
                 #[inline(always)]
                 fn rsqrt(self) -> Self {
                     let $r = self;
@@ -254,10 +244,6 @@ mod x86 {
                 fn abs(self) -> Self {
                     let $a = self.0;
                     Self(unsafe { $abs })
-                }
-                #[inline(always)]
-                fn max(self, other: Self) -> Self {
-                    Self(unsafe { $max(self.0, other.0) })
                 }
                 #[inline(always)]
                 fn where_less(self, a: Self, b: Self, other: Self) -> Self {
@@ -435,10 +421,31 @@ mod x86 {
     }
     operators!([L: Vector] Pair<L>);
 
+    /// Operations done on either half.
+    macro_rules! halves {
+        ($($operation:ident($($o:ident),*);)*) => {
+            $(
+                #[inline(always)]
+                fn $operation(self, $($o: Self),*) -> Self {
+                    Self(self.0.$operation($($o.0),*), self.1.$operation($($o.1),*))
+                }
+            )*
+        };
+    }
+
     impl<L: Vector> Vector for Pair<L> {
         type Scalar = L::Scalar;
         const LANES: usize = 2 * L::LANES;
         const ZERO: Self = Self(L::ZERO, L::ZERO);
+        halves! {
+            mul_add(a, b);
+            mul_sub_from(a, b);
+            over(a);
+            rsqrt();
+            abs();
+            max(other);
+            where_less(a, b, other);
+        }
         #[inline(always)]
         fn of(x: L::Scalar) -> Self {
             Self(L::of(x), L::of(x))
@@ -450,34 +457,6 @@ mod x86 {
         #[inline(always)]
         fn lanes_mut(&mut self) -> &mut [L::Scalar] {
             unsafe { from_raw_parts_mut((&raw mut *self).cast(), Self::LANES) }
-        }
-        #[inline(always)]
-        fn mul_add(self, a: Self, b: Self) -> Self {
-            Self(self.0.mul_add(a.0, b.0), self.1.mul_add(a.1, b.1))
-        }
-        #[inline(always)]
-        fn mul_sub_from(self, a: Self, b: Self) -> Self {
-            Self(self.0.mul_sub_from(a.0, b.0), self.1.mul_sub_from(a.1, b.1))
-        }
-        #[inline(always)]
-        fn over(self, a: Self) -> Self {
-            Self(self.0.over(a.0), self.1.over(a.1))
-        }
-        #[inline(always)]
-        fn rsqrt(self) -> Self {
-            Self(self.0.rsqrt(), self.1.rsqrt())
-        }
-        #[inline(always)]
-        fn abs(self) -> Self {
-            Self(self.0.abs(), self.1.abs())
-        }
-        #[inline(always)]
-        fn max(self, other: Self) -> Self {
-            Self(self.0.max(other.0), self.1.max(other.1))
-        }
-        #[inline(always)]
-        fn where_less(self, a: Self, b: Self, other: Self) -> Self {
-            Self(self.0.where_less(a.0, b.0, other.0), self.1.where_less(a.1, b.1, other.1))
         }
         #[inline(always)]
         fn any_less(self, b: Self) -> bool {

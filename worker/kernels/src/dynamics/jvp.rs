@@ -11,41 +11,33 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Dual(f64, f64);
 
-impl Add for Dual {
-    type Output = Self;
-    fn add(self, o: Self) -> Self {
-        Self(self.0 + o.0, self.1 + o.1)
-    }
+/// What an operator makes of a left and a right side.
+macro_rules! operator {
+    ($operator:ident::$method:ident($left:ty, $right:ty) = |$a:ident, $b:ident| $result:expr) => {
+        impl $operator<$right> for $left {
+            type Output = Dual;
+            fn $method(self, $b: $right) -> Dual {
+                let $a = self;
+                $result
+            }
+        }
+    };
 }
-impl Sub for Dual {
-    type Output = Self;
-    fn sub(self, o: Self) -> Self {
-        Self(self.0 - o.0, self.1 - o.1)
+operator!(Add::add(Dual, Dual) = |a, b| Dual(a.0 + b.0, a.1 + b.1));
+operator!(Sub::sub(Dual, Dual) = |a, b| Dual(a.0 - b.0, a.1 - b.1));
+operator!(Mul::mul(Dual, Dual) = |a, b| Dual(a.0 * b.0, a.0 * b.1 + a.1 * b.0));
+operator!(Mul::mul(f64, Dual) = |a, b| Dual(a * b.0, a * b.1));
+operator!(
+    Div::div(Dual, Dual) = |a, b| {
+        let q = a.0 / b.0;
+        Dual(q, (a.1 - q * b.1) / b.0)
     }
-}
+);
+
 impl Neg for Dual {
     type Output = Self;
     fn neg(self) -> Self {
         Self(-self.0, -self.1)
-    }
-}
-impl Mul for Dual {
-    type Output = Self;
-    fn mul(self, o: Self) -> Self {
-        Self(self.0 * o.0, self.0 * o.1 + self.1 * o.0)
-    }
-}
-impl Mul<Dual> for f64 {
-    type Output = Dual;
-    fn mul(self, o: Dual) -> Dual {
-        Dual(self * o.0, self * o.1)
-    }
-}
-impl Div for Dual {
-    type Output = Self;
-    fn div(self, o: Self) -> Self {
-        let q = self.0 / o.0;
-        Self(q, (self.1 - q * o.1) / o.0)
     }
 }
 
