@@ -8,7 +8,7 @@ use super::Error;
 use crate::control::{self, Command, ControlError, WORKERS_MAX};
 use crate::exit::Exit;
 
-/// Steers a run: pauses or stops it, changes its workers, cancels a trial, reloads its spec
+/// Steers a run: pauses or stops it, changes workers, cancels a trial, reloads its spec
 ///
 /// It talks to the `run` that holds the database, through the socket DB.control beside it, which only its user may open. Nothing
 /// is lost: trials stop after the step in progress and keep their checkpoints. The run's log records commands and answers.
