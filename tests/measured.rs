@@ -136,7 +136,7 @@ fn bad_records_and_sensors_are_refused() {
         (
             "samples = 9",
             "samples = 10",
-            "s.toml:16: stimuli.samples = 10: with 3 of stimuli.holdout more than the 12",
+            "s.toml:16: stimuli.samples = 10: with stimuli.holdout = 3 that is 13 records; the files hold 12",
         ),
         ("force = [\"force\"]", "force = [\"F\"]", "has no array \"F\", but force, time"),
         ("threshold = 0.1", "threshold = 50.0", "never reaches the trigger's 50 N"),
