@@ -1,7 +1,7 @@
 //! Material parameters from measured records, for a trial's body.
 
 pub use metasense_numerics::dynamics::Parameters;
-pub use metasense_numerics::identify::{Estimate, Fit, Iteration, Outcome, Parameter, Turn};
+pub use metasense_numerics::identify::{Estimate, Identified, Iteration, Parameter, Turn, Verdict};
 use metasense_numerics::identify::{Settings, fit};
 use metasense_schemas::spec::TrialSpec;
 
@@ -26,7 +26,7 @@ pub fn identify(
     threads: usize,
     known: &[Turn],
     watch: &mut dyn FnMut(&Turn),
-) -> Result<Fit, Failure> {
+) -> Result<Identified, Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     let scene = &problem.scene;

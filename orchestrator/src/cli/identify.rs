@@ -4,7 +4,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use indicatif::ProgressBar;
-use metasense_worker::identify::{Estimate, Fit, Iteration, Outcome, Parameter, Parameters, Turn, identify};
+use metasense_worker::identify::{
+    Estimate, Identified, Iteration, Parameter, Parameters, Turn, Verdict, identify,
+};
 use metasense_worker::measured;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -112,7 +114,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
     }
     unfinished.done()?;
-    Ok(if fit.outcome == Outcome::Converged { Exit::Done } else { Exit::Failed })
+    Ok(if fit.outcome == Verdict::Converged { Exit::Done } else { Exit::Failed })
 }
 
 /// A turn on disk.
@@ -138,15 +140,15 @@ impl Kept {
 }
 
 /// A row a parameter.
-fn estimates(fit: &Fit) -> Table {
+fn estimates(fit: &Identified) -> Table {
     let columns = "parameter unit start fitted lower upper interval_percent outcome";
     let row = |e: &Estimate| {
         let [lower, upper] = e.interval.map_or([None; 2], |i| i.map(Some));
         let half = e.interval.map(|[low, high]| 50.0 * (high - low) / e.value);
         let value = e.interval.map(|_| e.value);
         let outcome = match (e.interval, fit.outcome) {
-            (None, _) => Outcome::NotIdentifiable,
-            (Some(_), Outcome::NotIdentifiable) => Outcome::Converged,
+            (None, _) => Verdict::NotIdentifiable,
+            (Some(_), Verdict::NotIdentifiable) => Verdict::Converged,
             (Some(_), outcome) => outcome,
         };
         row![e.parameter.name(), e.parameter.unit(), e.start, value, lower, upper, half, outcome.name()]
@@ -168,7 +170,7 @@ fn readable(found: &Table) -> Table {
     shown
 }
 
-fn correlations(fit: &Fit) -> Table {
+fn correlations(fit: &Identified) -> Table {
     let names: String = fit.estimates.iter().map(|e| format!(" {}", e.parameter.name())).collect();
     let columns = format!("correlation{names}");
     let row = |(e, row): (&Estimate, &Vec<f64>)| row![e.parameter.name(); row];
@@ -176,7 +178,7 @@ fn correlations(fit: &Fit) -> Table {
 }
 
 /// What there is to say beside the estimates, and the lines for a spec.
-fn said(fit: &Fit, records: usize) -> Vec<String> {
+fn said(fit: &Identified, records: usize) -> Vec<String> {
     let [start, end] = fit.misfit;
     let mut said = vec![
         format!("{} after {} iterations on {records} records", fit.outcome.name(), fit.iterations.len()),

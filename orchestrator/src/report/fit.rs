@@ -2,12 +2,12 @@
 
 use maud::html;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::identify::Fit;
+use metasense_worker::identify::Identified;
 
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
 /// The figures about a fit to `signals` (N, T, 3M).
-pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
+pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Identified) -> Vec<Figure> {
     let followed = (!fit.signals[1].is_empty()).then(|| records(trial, signals, fit));
     followed.into_iter().chain([course(fit)]).collect()
 }
@@ -23,7 +23,7 @@ pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) ->
 }
 
 /// The records of least, middle and most misfit: acceleration and rotation rate of the sensor that moves most.
-fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
+fn records(trial: &TrialSpec, signals: &[f64], fit: &Identified) -> Figure {
     let (instants, width) = (trial.time.samples, 3 * trial.sensor_units.len());
     let len = instants * width;
     let count = signals.len() / len;
@@ -109,7 +109,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
 }
 
 /// Misfit and parameters against iterations.
-fn course(fit: &Fit) -> Figure {
+fn course(fit: &Identified) -> Figure {
     let steps: Vec<f64> = (1..=fit.iterations.len()).map(|i| i as f64).collect();
     let axis = || Axis::new("iteration", Scale::Linear, [0.0, steps.len() as f64]);
     let misfits = fit.iterations.iter().flat_map(|i| i.misfit);

@@ -24,7 +24,7 @@ pub use state::{Best, State, Waypoint};
 use comparison::evaluate;
 use observe::Log;
 use protocol::{Sensed, Session};
-use search::Candidates;
+use search::GradientFree;
 
 use crate::questions::{Nonlinear, nonlinear};
 use crate::trial::{Counters, Failure, Trial};
@@ -63,7 +63,7 @@ pub fn optimise(
     let problem = &trial.problem;
     let (mut castable, freedom) = (problem.castable(), problem.freedom());
     let mut state = resume.unwrap_or_else(|| State::new(problem));
-    let (mut search, mut session) = (Candidates::new(problem, &state.found), Session::new(trial));
+    let (mut search, mut session) = (GradientFree::new(problem, &state.found), Session::new(trial));
 
     while state.step < problem.optimise.iterations {
         let (before, mut log) = (state.clone(), Log::new(state.step, observer));

@@ -4,7 +4,7 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Accuracy, Forces, Frame, Method, Panel, Parameters, Scene, Solver, Stiffness, simulate,
 };
-use metasense_numerics::identify::{Fit, Outcome, Parameter, Settings, Turn, fit};
+use metasense_numerics::identify::{Identified, Parameter, Settings, Turn, Verdict, fit};
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
 
@@ -76,7 +76,7 @@ fn off_by(scene: &Scene, factors: [f64; 5]) -> Scene {
     Parameters::from_array(at).set(scene)
 }
 
-fn errors(fit: &Fit, truth: &Scene) -> Vec<f64> {
+fn errors(fit: &Identified, truth: &Scene) -> Vec<f64> {
     let truth = Parameters::of(truth).array();
     fit.estimates.iter().map(|e| e.value / truth[e.parameter as usize] - 1.0).collect()
 }
@@ -104,7 +104,7 @@ fn starts_off_by_a_factor_of_two_come_back() {
         );
         let errors = errors(&found, &scene);
         let what = format!("{factors:?}: {:?}, {errors:?}, {:?}", found.outcome, found.misfit);
-        assert_eq!(found.outcome, Outcome::Converged, "{what}");
+        assert_eq!(found.outcome, Verdict::Converged, "{what}");
         assert!(
             errors.iter().take(3).chain(&errors[4..]).all(|e| e.abs() < 0.02) && errors[3].abs() < 0.1,
             "{what}"
@@ -135,7 +135,7 @@ fn intervals_of_95_percent_hold_the_truth() {
                 &[],
                 &mut |_| (),
             );
-            assert_eq!(found.outcome, Outcome::Converged, "seed {seed}");
+            assert_eq!(found.outcome, Verdict::Converged, "seed {seed}");
             let truth = Parameters::of(&scene).array();
             for (held, e) in held.iter_mut().zip(&found.estimates) {
                 let [low, high] = e.interval.expect("identifiable");
@@ -159,7 +159,7 @@ fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
     let start = off_by(&scene, [1.2, 1.2, 1.2, 1.0, 0.9]);
     let free = [Parameter::Stretch, Parameter::Shear, Parameter::Bend, Parameter::Density];
     let found = fit(&start, &design, &forces, &signals, &settings(&free), &pool(1), &[], &mut |_| ());
-    assert_eq!(found.outcome, Outcome::NotIdentifiable, "{:?}", found.estimates);
+    assert_eq!(found.outcome, Verdict::NotIdentifiable, "{:?}", found.estimates);
     let known: Vec<bool> = found.estimates.iter().map(|e| e.interval.is_some()).collect();
     assert_eq!(known, [true, false, false, true], "{:?}", found.estimates);
     let [_, shear, bend, _] = found.undetermined.iter().fold([0.0; 4], |mut sum, d| {
@@ -194,7 +194,11 @@ fn a_fit_does_not_depend_on_threads_and_goes_on_from_any_turn() {
     for known in 1..=turns.len() {
         let (found, same) = run(1, &turns[..known]);
         let (less, all) = (found.counters, one.counters);
-        assert_eq!((Fit { counters: all, ..found }, &same), (one.clone(), &turns), "from turn {known}");
+        assert_eq!(
+            (Identified { counters: all, ..found }, &same),
+            (one.clone(), &turns),
+            "from turn {known}"
+        );
         assert!(less.force_evaluations <= all.force_evaluations, "{less:?} {all:?}");
         assert!(
             known < turns.len() || 4 * less.force_evaluations < 3 * all.force_evaluations,

@@ -4,7 +4,7 @@
 //! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: 10^−j, by a fifth of the training set
 //! ```
 
-use super::{Fit, Implicit, Learned, Learner, Learnt, Loss};
+use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss};
 use crate::Heartbeat;
 use crate::brain::linear::{self, Lags, Linear, Moments, Order, Sizes, downhill_ridge};
 use crate::brain::{Policy, prediction_error};
@@ -209,18 +209,24 @@ impl Learner for LinearLearner<'_> {
         true
     }
 
-    fn fit(&mut self, on: Fit, step: u32, learnt: &mut Learnt, _: &mut Counters) -> Result<Learned, Trouble> {
+    fn fit(
+        &mut self,
+        on: FitOn,
+        step: u32,
+        learnt: &mut Learnt,
+        _: &mut Counters,
+    ) -> Result<Learned, Trouble> {
         let judged = match on {
-            Fit::Recent(bodies) => {
+            FitOn::Recent(bodies) => {
                 let mut bodies: Vec<Plain> = bodies.iter().map(|samples| self.plain(samples)).collect();
                 self.linear = Some((self.solve_recent(&bodies, step, learnt)?, None));
                 bodies.pop().expect("the newest")
             }
-            Fit::Optimum(train) | Fit::GoOn(train) | Fit::ByNeed(train, _) => {
+            FitOn::Optimum(train) | FitOn::GoOn(train) | FitOn::ByNeed(train, _) => {
                 let train = self.plain(train);
                 let ridge = self.ridge_at(step, &train, learnt)?;
                 let fit = solve(&train.moments(), self.trial.problem.decoder.lags, ridge)?;
-                self.linear = Some((fit.linear(), matches!(on, Fit::Optimum(_)).then_some(fit)));
+                self.linear = Some((fit.linear(), matches!(on, FitOn::Optimum(_)).then_some(fit)));
                 train
             }
         };

@@ -139,7 +139,7 @@ impl Learnt {
 
 /// On what a learner is fitted.
 #[derive(Clone, Copy)]
-pub(crate) enum Fit<'a> {
+pub(crate) enum FitOn<'a> {
     /// Afresh, to its optimum: β*(A).
     Optimum(&'a Samples),
     /// On from the last body.
@@ -184,7 +184,7 @@ pub struct Implicit {
 
 /// A brain that trains a body.
 pub(crate) trait Learner {
-    /// Bodies whose samples it is fitted to at a time by [`Fit::Recent`], at most.
+    /// Bodies whose samples it is fitted to at a time by [`FitOn::Recent`], at most.
     fn bodies(&self) -> usize;
 
     /// Whether those of a body so many steps ago are among them.
@@ -196,7 +196,7 @@ pub(crate) trait Learner {
     /// If its training ends early.
     fn fit(
         &mut self,
-        on: Fit,
+        on: FitOn,
         step: u32,
         learnt: &mut Learnt,
         counters: &mut Counters,

@@ -1,7 +1,7 @@
 //! The convolutional network at the scales of a trial: trained afresh to read a body, or going from body to body.
 
 use super::stacked::Stack;
-use super::{Fit, Implicit, Learned, Learner, Learnt, Loss, Reader, Recipe, implicit};
+use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss, Reader, Recipe, implicit};
 use crate::brain::{self, Adam, Batch, Data, Policy, Shape, TrainOutcome, Workspace};
 use crate::trial::{BrainKind, Counters, Going, Protocol, Samples, Scales, Training, Trial, Trouble};
 
@@ -300,12 +300,12 @@ impl Learner for NetworkLearner<'_> {
 
     fn fit(
         &mut self,
-        on: Fit,
+        on: FitOn,
         step: u32,
         learnt: &mut Learnt,
         counters: &mut Counters,
     ) -> Result<Learned, Trouble> {
-        if let Fit::Optimum(train) = on {
+        if let FitOn::Optimum(train) = on {
             let Training { iterations, rate, .. } = self.trial.problem.brain;
             let data = self.data(train);
             let mut weights = fresh_weights(self.shape, self.trial.problem.seed, u64::from(step));
@@ -317,12 +317,12 @@ impl Learner for NetworkLearner<'_> {
         }
         self.first_training(learnt, counters)?;
         let loss = match on {
-            Fit::Optimum(_) => unreachable!("returned above"),
-            Fit::GoOn(train) => {
+            FitOn::Optimum(_) => unreachable!("returned above"),
+            FitOn::GoOn(train) => {
                 let data = self.data(train);
                 self.go_on(data.all(), learnt, counters)?
             }
-            Fit::ByNeed(train, trend) => {
+            FitOn::ByNeed(train, trend) => {
                 let (data, mut loss) = (self.data(train), f64::INFINITY);
                 for _ in 0..ROUNDS_MAX {
                     loss = self.go_on(data.all(), learnt, counters)?;
@@ -332,7 +332,7 @@ impl Learner for NetworkLearner<'_> {
                 }
                 loss
             }
-            Fit::Recent(bodies) => {
+            FitOn::Recent(bodies) => {
                 let all = Samples::joined(bodies);
                 let data = self.data(&all);
                 self.go_on_by_slices(&data, all.count(), step, learnt, counters)?

@@ -61,7 +61,7 @@ pub struct Settings {
 
 /// How a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outcome {
+pub enum Verdict {
     /// What is left of a step is below a hundredth of the standard errors.
     Converged,
     /// No step lowers F any more, though the gradient asks for one.
@@ -74,7 +74,7 @@ pub enum Outcome {
     StartFailed,
 }
 
-impl Outcome {
+impl Verdict {
     /// The name by which people know it.
     pub fn name(self) -> &'static str {
         match self {
@@ -109,9 +109,9 @@ pub struct Turn {
 
 /// A fit.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Fit {
+pub struct Identified {
     /// How it ended.
-    pub outcome: Outcome,
+    pub outcome: Verdict,
     /// The parameters found, those held included.
     pub parameters: Parameters,
     /// Of each fitted parameter.
@@ -175,7 +175,7 @@ pub fn fit(
     pool: &crate::Pool,
     known: &[Turn],
     watch: &mut dyn FnMut(&Turn),
-) -> Fit {
+) -> Identified {
     let len = forces.samples * scene.instants * 3 * scene.sensors.len();
     assert_eq!(signals.len(), len, "length of the signals");
     let start = Parameters::of(scene).array();
@@ -189,7 +189,7 @@ pub fn fit(
     let (outcome, point, first) = search.all(start);
     let Search { mut objective, iterations, solver, .. } = search;
     let signals = [first.map_or_else(Vec::new, |p| p.signals().to_vec()), Vec::new()];
-    let mut fit = Fit {
+    let mut fit = Identified {
         outcome,
         parameters: Parameters::from_array(start),
         estimates: Vec::new(),
@@ -210,8 +210,8 @@ pub fn fit(
     fit.estimates = spread.estimates(free, &start, &point.parameters);
     (fit.undetermined, fit.correlation, fit.condition) =
         (spread.undetermined, spread.correlation, spread.condition);
-    if !fit.undetermined.is_empty() && fit.outcome == Outcome::Converged {
-        fit.outcome = Outcome::NotIdentifiable;
+    if !fit.undetermined.is_empty() && fit.outcome == Verdict::Converged {
+        fit.outcome = Verdict::NotIdentifiable;
     }
     fit.misfit = [objective.misfit(&fit.signals[0]), objective.misfit(point.signals())];
     fit.noise = objective.residual_rms(point.signals());
@@ -235,8 +235,8 @@ struct Search<'a> {
 impl Search<'_> {
     /// Window after window from one start after the other until one stays with the records, then noise and fit in turns.
     /// The last point, and that of the start.
-    fn all(&mut self, start: [f64; 6]) -> (Outcome, Option<Point>, Option<Point>) {
-        let Some(first) = self.objective.at(&start) else { return (Outcome::StartFailed, None, None) };
+    fn all(&mut self, start: [f64; 6]) -> (Verdict, Option<Point>, Option<Point>) {
+        let Some(first) = self.objective.at(&start) else { return (Verdict::StartFailed, None, None) };
         let (mut best, mut farthest) = (start, (0, f64::INFINITY));
         let mut starts = vec![start];
         for tried in 0..=TRIES {
@@ -254,17 +254,17 @@ impl Search<'_> {
         }
         self.solver = self.objective.tune(&best, &self.asked);
         let Some(mut point) = self.whole(&best) else {
-            return (Outcome::NoProgress, Some(first.clone()), Some(first));
+            return (Verdict::NoProgress, Some(first.clone()), Some(first));
         };
         for _ in 0..ROUNDS {
             let changed = self.objective.weigh(&point);
             let (outcome, found) = self.descend(point, usize::MAX, CLOSE);
             point = found;
-            if outcome != Outcome::Converged || changed < 0.02 {
+            if outcome != Verdict::Converged || changed < 0.02 {
                 return (outcome, Some(point), Some(first));
             }
         }
-        (Outcome::Converged, Some(point), Some(first))
+        (Verdict::Converged, Some(point), Some(first))
     }
 
     /// From the first window on until the whole record is looked at or lost: what was found, the last window and its misfit.
@@ -313,7 +313,7 @@ impl Search<'_> {
     }
 
     /// Levenberg and Marquardt's steps until what is left is below `close` standard errors.
-    fn descend(&mut self, mut point: Point, most: usize, close: f64) -> (Outcome, Point) {
+    fn descend(&mut self, mut point: Point, most: usize, close: f64) -> (Verdict, Point) {
         let (mut damping, mut turns) = (1e-2, 0);
         // What is known is gone through without a simulation, but for that of where it ends.
         let mut there = None;
@@ -335,7 +335,7 @@ impl Search<'_> {
             };
             self.iterations.push(record);
             if self.left == 0 {
-                return (Outcome::IterationsSpent, point);
+                return (Verdict::IterationsSpent, point);
             }
             self.left -= 1;
             let number = self.iterations.len();
@@ -349,12 +349,12 @@ impl Search<'_> {
             let curvature = objective.curvature(&jacobian);
             let Some(newton) = solve(&curvature, &gradient, 0.0) else {
                 tell(None);
-                return (Outcome::NoProgress, point);
+                return (Verdict::NoProgress, point);
             };
             let decrement = gradient.dot(&newton).max(0.0).sqrt();
             if decrement < close || newton.amax() < 1e-10 {
                 tell(None);
-                return (Outcome::Converged, point);
+                return (Verdict::Converged, point);
             }
             let mut accepted = None;
             while damping < 1e9 {
@@ -383,10 +383,10 @@ impl Search<'_> {
             tell(accepted.as_ref().map(|found| (found.parameters, damping)));
             match accepted {
                 Some(found) => point = found,
-                None => return (Outcome::NoProgress, point),
+                None => return (Verdict::NoProgress, point),
             }
         }
-        (Outcome::Converged, point)
+        (Verdict::Converged, point)
     }
 }
 

@@ -11,7 +11,7 @@
 use super::observe::Log;
 use super::state::{State, Waypoint};
 use crate::brain::TrainOutcome;
-use crate::brains::{Fit, Learner, Loss, learner};
+use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Solver};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::select;
@@ -63,7 +63,7 @@ impl<'a> Session<'a> {
         let [train, test] = self.simulate(state, sets, tapes, solver, log)?;
 
         // β*(A)
-        let loss_train = self.fit(Fit::Optimum(&train.samples), state, log)?;
+        let loss_train = self.fit(FitOn::Optimum(&train.samples), state, log)?;
 
         // dL_test/dα, directly
         let (loss_test, mut gradient) = self.gradient(&test, Loss::Test, log)?;
@@ -88,7 +88,7 @@ impl<'a> Session<'a> {
         let (trial, some) = (self.trial, self.subset(state.step, going));
         let (sets, solver) = ([&trial.train, &some], self.solver(state.step));
         let [train, some] = self.simulate(state, sets, [false, true], solver, log)?;
-        let loss_train = self.fit(Fit::GoOn(&train.samples), state, log)?;
+        let loss_train = self.fit(FitOn::GoOn(&train.samples), state, log)?;
         let (_, gradient) = self.gradient(&some, Loss::Training, log)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
@@ -112,7 +112,7 @@ impl<'a> Session<'a> {
 
         let recent = std::mem::take(&mut self.recent);
         let bodies: Vec<&Samples> = recent.iter().map(|(_, samples)| samples).collect();
-        let fitted = self.fit(Fit::Recent(&bodies), state, log);
+        let fitted = self.fit(FitOn::Recent(&bodies), state, log);
         self.recent = recent;
         let loss_train = fitted?;
         let (_, gradient) = self.gradient(&newest, Loss::Training, log)?;
@@ -125,7 +125,7 @@ impl<'a> Session<'a> {
         let trial = self.trial;
         let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
         let [train, test] = self.simulate(state, sets, [false; 2], solver, log)?;
-        let by_need = Fit::ByNeed(&train.samples, state.trend);
+        let by_need = FitOn::ByNeed(&train.samples, state.trend);
         let loss_train = self.learn(by_need, state, log)?;
         let error_test = self.test_error(&test, log);
         match loss_train.is_finite() {
@@ -161,13 +161,13 @@ impl<'a> Session<'a> {
     }
 
     /// Fits the brain, and checks that its training loss (normalised) is in line with those of the bodies before.
-    fn fit(&mut self, on: Fit, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
+    fn fit(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
         let loss = self.learn(on, state, log)?;
         state.check_trend(loss)?;
         Ok(loss)
     }
 
-    fn learn(&mut self, on: Fit, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
+    fn learn(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
         let State { step, learnt, .. } = state;
         let learned =
             log.timed(|s| &mut s.train, |report| self.learner.fit(on, *step, learnt, &mut report.counters))?;

@@ -18,13 +18,13 @@ use crate::trial::{Failure, Problem, Protocol, Trouble};
 use evolution::Evolution;
 
 /// The candidates of a search at work.
-pub(super) struct Candidates<'a> {
+pub(super) struct GradientFree<'a> {
     problem: &'a Problem,
     freedom: Freedom,
     evolution: Option<Evolution>,
 }
 
-impl<'a> Candidates<'a> {
+impl<'a> GradientFree<'a> {
     /// The problem's, where its protocol is one, as far as it had come with what `found` holds.
     pub(super) fn new(problem: &'a Problem, found: &[f64]) -> Option<Self> {
         let freedom = problem.freedom();
