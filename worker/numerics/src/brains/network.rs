@@ -92,6 +92,18 @@ impl<'a> NetworkReader<'a> {
             pool,
         })
     }
+
+    /// Signals (N, T, 3M) that it was not fitted to as the network takes them.
+    fn unseen(&self, signals: &[f64]) -> Data<f32> {
+        let shape = self.data.shape();
+        match &self.stack {
+            Some(stack) => stack.unseen(shape, signals, &self.scales),
+            None => {
+                let targets = vec![0.0; signals.len() / shape.inputs * shape.outputs];
+                Data::new(shape, &self.scales.inputs(signals), &targets)
+            }
+        }
+    }
 }
 
 /// Samples as a network takes them.
@@ -119,10 +131,7 @@ impl Reader for NetworkReader<'_> {
         pauses: &mut dyn FnMut(usize) -> bool,
     ) -> Option<Result<(), Trouble>> {
         let (shape, pool, scales) = (self.data.shape(), self.pool, &self.scales);
-        let judged = match &self.stack {
-            Some(stack) => stack.unseen(shape, &unseen.signals, scales),
-            None => of_signals(shape, &unseen.signals, scales),
-        };
+        let judged = self.unseen(&unseen.signals);
         let (seed, recipe, mut aside) = (self.recipe.seed, self.recipe, Workspace::new(shape, pool.width()));
         let fresh = self.fresh.get_or_insert_with(|| Fresh::new(shape, seed, number));
         let Fresh { weights, adam, losses, errors } = fresh;
@@ -145,13 +154,9 @@ impl Reader for NetworkReader<'_> {
     }
 
     fn predict(&mut self, signals: &[f64]) -> Vec<f64> {
-        let (shape, scales) = (self.data.shape(), &self.scales);
-        let data = match &self.stack {
-            Some(stack) => stack.unseen(shape, signals, scales),
-            None => of_signals(shape, signals, scales),
-        };
+        let data = self.unseen(signals);
         let weights = &self.fresh.as_ref().expect("it has been fitted").weights;
-        predict(weights, &data, scales, &mut self.workspace, self.pool)
+        predict(weights, &data, &self.scales, &mut self.workspace, self.pool)
     }
 
     fn predict_known(&mut self) -> Vec<f64> {
@@ -177,12 +182,6 @@ impl Reader for NetworkReader<'_> {
 
 fn well(outcome: TrainOutcome) -> Result<(), Trouble> {
     if outcome == TrainOutcome::Ok { Ok(()) } else { Err(Trouble::Training(outcome)) }
-}
-
-/// Signals (N, T, 3M) alone as a network takes them.
-fn of_signals(shape: Shape, signals: &[f64], scales: &Scales) -> Data<f32> {
-    let targets = vec![0.0; signals.len() / shape.inputs * shape.outputs];
-    Data::new(shape, &scales.inputs(signals), &targets)
 }
 
 /// A network that trains a body.

@@ -8,7 +8,7 @@ use crate::brains::{Fresh, reader};
 use crate::dynamics::{Forces, simulate, tune};
 use crate::random::Purpose;
 use crate::stimuli::split;
-use crate::trial::{BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, tuned};
+use crate::trial::{BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, pilot};
 
 /// What a body and a network do with every sample of a trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,15 +54,12 @@ pub fn replay(
     let mut simulation = simulate(&problem.scene, design, &forces, &solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     trial.disturb(&mut simulation.signals, &forces);
-    let all = trial.samples(simulation.signals, &forces);
-    let predictions = match weights {
-        [] => Vec::new(),
-        weights => predicted(&trial, &all, weights, &kinds)?,
-    };
-    let errors = match weights {
-        [] => Vec::new(),
-        _ => prediction_error(&all.targets, &predictions, all.sizes.outputs, all.sizes.instants),
-    };
+    let all = problem.samples(simulation.signals, &forces);
+    let (mut predictions, mut errors) = (Vec::new(), Vec::new());
+    if !weights.is_empty() {
+        predictions = predicted(&trial, &all, weights, &kinds)?;
+        errors = prediction_error(&all.targets, &predictions, all.sizes.outputs, all.sizes.instants);
+    }
     let Scales { channels, mean, deviation } = &trial.scales;
     let mut replay = Replay {
         forces: problem.seen(forces),
@@ -163,7 +160,7 @@ pub fn motion(
     sample: usize,
     pool: &crate::Pool,
 ) -> Result<Motion, Failure> {
-    let solver = tuned(problem, design, pool).solver;
+    let solver = pilot(problem, design, &problem.solver, pool).solver;
     let forces = crate::stimuli::select(&all_forces(problem), &[sample]);
     let simulation = simulate(&problem.scene, design, &forces, &solver, true, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;

@@ -22,8 +22,6 @@ pub use settings::{
     BrainKind, Decoder, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Terms, Training,
 };
 
-use crate::brain::Shape;
-use crate::brain::linear::Sizes;
 use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, Tuned, Wrt, planned, tune};
 use crate::random::Purpose;
 use chip::Chip;
@@ -87,10 +85,12 @@ impl<'a> Trial<'a> {
         let [mut train, test] = problem.known();
         let simulation = simulated(&problem, &problem.initial, &train, &problem.solver, false, pool);
         silence(&mut train, &simulation.outcomes).map_err(Failure::Initial)?;
-        let mut initial = samples(&problem, simulation.signals, &train);
+        let mut initial = problem.samples(simulation.signals, &train);
         let scales = Scales::of(&initial);
         let chip = problem.chip(&scales.channels);
-        disturb(chip.as_ref(), &mut initial.signals, &train);
+        if let Some(chip) = &chip {
+            chip.disturb(&mut initial.signals, &train);
+        }
         Ok(Self {
             problem,
             pool,
@@ -150,7 +150,7 @@ impl<'a> Trial<'a> {
     fn response(&self, mut simulation: Simulation, forces: &Forces, failed: u32) -> Response {
         let mut signals = std::mem::take(&mut simulation.signals);
         self.disturb(&mut signals, forces);
-        Response { samples: samples(&self.problem, signals, forces), failed, simulation }
+        Response { samples: self.problem.samples(signals, forces), failed, simulation }
     }
 
     /// dL/dα of a cotangent on the signals (N, T, 3M) of a body that was simulated with its tape.
@@ -176,36 +176,16 @@ impl<'a> Trial<'a> {
 
     /// Simulated signals (N, T, 3M) as the sensors' chips give them.
     pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
-        disturb(self.chip.as_ref(), signals, forces);
+        if let Some(chip) = &self.chip {
+            chip.disturb(signals, forces);
+        }
     }
-
-    /// Signals (N, T, 3M) under `forces` as brains take them.
-    pub(crate) fn samples(&self, signals: Vec<f64>, forces: &Forces) -> Samples {
-        samples(&self.problem, signals, forces)
-    }
-}
-
-/// The accurate integrator of `problem` tuned on a body.
-pub(crate) fn tuned(problem: &Problem, design: &[f64], pool: &crate::Pool) -> Tuned {
-    pilot(problem, design, &problem.solver, pool)
 }
 
 /// An integrator tuned on a body, by its first training samples.
-fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Tuned {
+pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Tuned {
     let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(PILOT));
     tune(&problem.scene, design, &forces, solver, pool)
-}
-
-fn disturb(chip: Option<&Chip>, signals: &mut [f64], forces: &Forces) {
-    if let Some(chip) = chip {
-        chip.disturb(signals, forces);
-    }
-}
-
-fn samples(problem: &Problem, signals: Vec<f64>, forces: &Forces) -> Samples {
-    let Shape { instants, inputs, outputs, .. } = problem.shape();
-    let sizes = Sizes { instants, channels: inputs, outputs };
-    Samples { sizes, signals, targets: problem.targets(forces) }
 }
 
 /// Simulates, in f64 where a linear brain trains: it takes f32's rounding for noise of the sensors, and bodies end at half as

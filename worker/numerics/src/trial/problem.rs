@@ -1,9 +1,11 @@
 //! What a spec says of a trial: scene, forces, limits, and how body and brains are trained.
 
 use super::chip::{Chip, Disturbance};
+use super::samples::Samples;
 use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
 use crate::body::Freedom;
 use crate::brain::Shape;
+use crate::brain::linear::Sizes;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
@@ -144,6 +146,13 @@ impl Problem {
     pub(crate) fn targets(&self, forces: &Forces) -> Vec<f64> {
         let low_pass = matches!(&self.stimuli.source, Source::Recorded(records) if records.low_pass);
         targets(forces, self.scene.instants, low_pass)
+    }
+
+    /// Signals (N, T, 3M) under `forces` as brains take them.
+    pub(crate) fn samples(&self, signals: Vec<f64>, forces: &Forces) -> Samples {
+        let Shape { instants, inputs, outputs, .. } = self.shape();
+        let sizes = Sizes { instants, channels: inputs, outputs };
+        Samples { sizes, signals, targets: self.targets(forces) }
     }
 
     /// Histories on the clock of the signals: those of the targets, and the forces at the beginning.
