@@ -74,8 +74,10 @@ fn damage_bytes(file: &Path, roll: &mut Roll) {
 
 /// Everything that reads databases, as far as it comes.
 async fn read(folder: &Path, file: &Path, plan: &Plan) {
-    let _ = state::states(folder, 1, &Default::default()).await;
-    let _ = Assignment::in_folder(folder, &plan.trials, 1);
+    let assignment = Assignment::in_folder(folder, &plan.trials, 1);
+    let assignment = assignment.unwrap_or_else(|_| Assignment::new(&plan.trials, 1));
+    let _ = state::states(folder, &assignment, &Default::default()).await;
+    let _ = state::never_begun(&[file.to_owned()], file).await;
     let _ = merge::merge(&[file.to_owned()], &folder.join("merged.sqlite")).await;
     if let Ok(mut reader) = Reader::open(file).await {
         for (view, _) in VIEWS {

@@ -39,6 +39,15 @@ fn shards_merged_are_the_sweep() {
     assert_eq!(parts, all);
 
     bench.output(&["merge", "s3.sqlite", "s1.sqlite", "--out", "merged.sqlite"]);
+    // Of databases that lie with their assignment, a merge knows what nobody has begun.
+    let listed = bench.output(&["expand", "tiny.toml", "--format", "csv", "--shard", "2/3"]);
+    let second: Vec<&str> = listed.lines().skip(1).map(|line| &line[..16]).collect();
+    let hashes: String = all.iter().map(|line| format!("{},1\n", line.split(',').next().unwrap())).collect();
+    bench.file("assignment-of-3.csv", &format!("hash,shard\n{hashes}"));
+    let said = bench.metasense(&["merge", "s1.sqlite", "--out", "merged.sqlite"]);
+    let said = String::from_utf8_lossy(&said.stderr).into_owned();
+    assert!(said.contains(&format!("never begun: {} trial", second.len())), "{said}");
+    assert!(second.iter().all(|hash| said.contains(&hash[..8])), "{said}");
     bench.output(&["run", "tiny.toml", "--db", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
     // The trials of the missing shard have been done twice now, with the same bits.
@@ -54,6 +63,23 @@ fn shards_merged_are_the_sweep() {
     }
     let runs = "SELECT count(DISTINCT shard) FROM v_run WHERE shards = 3 AND outcome = 'complete' AND estimated_seconds >= 0";
     assert_eq!(number(&bench, "merged.sqlite", runs), 3);
+}
+
+/// Nodes of a cluster differ in their instruction sets, by which trials are estimated: whoever deals, every trial is dealt once.
+#[test]
+fn every_trial_has_a_shard_whatever_machine_deals() {
+    let bench = Bench::new();
+    let axes = "panels = [1, 2]\nsensors = [1, 2, 3, 4]\nseeds = [".to_owned();
+    let seeds: Vec<String> = (0..60).map(|seed| seed.to_string()).collect();
+    let text = TINY.split("panels = [2]").next().unwrap().to_owned() + &axes + &seeds.join(", ") + "]\n";
+    bench.file("many.toml", &text);
+    let mut dealt = std::collections::BTreeSet::new();
+    for (i, simd) in (1..=11).zip(["baseline", "avx2"].into_iter().cycle()) {
+        let shard = format!("{i}/11");
+        let args = ["expand", "many.toml", "--format", "csv", "--shard", &shard, "--simd", simd];
+        dealt.extend(bench.output(&args).lines().skip(1).map(|line| line[..16].to_owned()));
+    }
+    assert_eq!(dealt.len(), 480);
 }
 
 /// The whole sweep as one shard that hands in to `out`, on a node whose disk is `node`.

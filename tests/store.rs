@@ -26,7 +26,16 @@ fn trial(order: usize) -> Trial {
     }
     let spec: TrialSpec = serde_json::from_value(spec).unwrap();
     let hash = format!("{order:032x}");
-    Trial { hash, spec, order, units: 36, design_parameters: 168, brain_parameters: 13_122, cost: 1.0 }
+    Trial {
+        hash,
+        spec,
+        order,
+        units: 36,
+        design_parameters: 168,
+        brain_parameters: 13_122,
+        cost: 1.0,
+        weight: 1,
+    }
 }
 
 fn result() -> TrialResult {

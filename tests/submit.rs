@@ -3,7 +3,7 @@
 use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Output};
 
-use crate::common::{Bench, SPEC};
+use crate::common::{Bench, SPEC, TINY};
 
 /// Without the paths of this machine.
 fn dry_run(bench: &Bench, arguments: &[&str]) -> String {
@@ -166,4 +166,68 @@ fn what_the_queue_still_has_is_left_out() {
     assert!(away.status.code() == Some(3) && said(&away).contains("Unable to contact"), "{}", said(&away));
     let forgotten = squeue("#!/bin/sh\necho 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1\n");
     assert!(forgotten.status.success(), "{}", said(&forgotten));
+}
+
+/// A submitted shard runs the trials that were written down for it: it needs no spec's expansion, and an edited spec no longer
+/// concerns it. What a folder's trials have become is told by what was assigned.
+#[test]
+fn a_submitted_shard_runs_the_trials_that_were_written_down() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", &(TINY.replace("1e-4", "1e-3") + "seeds = [1, 2]\n"));
+    let hq = "case \"$*\" in *task\\ list*) echo '{}';; *) echo 7;; esac";
+    let call = |arguments: &[&str]| said(&with_hq(&bench, hq, arguments));
+    call(&["submit", "hq", "tiny.toml", "--shards", "2"]);
+    let folder = "results/tiny.shards";
+    let trials = |shard: u32| {
+        std::fs::read_to_string(bench.path(&format!("{folder}/shard-{shard}-of-2.trials.jsonl"))).unwrap()
+    };
+    assert_eq!([trials(1).lines().count(), trials(2).lines().count()], [2, 2]);
+    let spec = format!("{folder}/spec.toml");
+    let shard = |shard: &str| bench.metasense(&["run", &spec, "--shard", shard, "--copy-to", folder]);
+    assert!(shard("1/2").status.success());
+    let status = call(&["status", "--cluster"]);
+    assert!(status.contains("1 of 2 shards complete, 0 in the queue"), "{status}");
+    let mut hashes: Vec<String> =
+        trials(2).lines().map(|line| line.split('"').nth(3).unwrap()[..8].to_owned()).collect();
+    hashes.sort();
+    assert!(status.contains(&format!("never begun: 2 trials ({})", hashes.join(", "))), "{status}");
+    let early = said(&bench.metasense(&["merge", folder, "--out", "early.sqlite"]));
+    assert!(early.contains("never begun: 2 trials"), "{early}");
+    // A line that is not what this program makes of it.
+    let file = bench.path(&format!("{folder}/shard-2-of-2.trials.jsonl"));
+    std::fs::write(&file, trials(2).replacen("\"seed\":", "\"seed\":7", 1)).unwrap();
+    let refused = shard("2/2");
+    assert!(
+        refused.status.code() == Some(2) && said(&refused).contains("jsonl:1: trial"),
+        "{}",
+        said(&refused)
+    );
+    std::fs::remove_file(&file).unwrap();
+    assert!(shard("2/2").status.success());
+    let status = call(&["status", "--cluster"]);
+    assert!(status.contains("2 of 2 shards complete") && !status.contains("never"), "{status}");
+}
+
+/// Failed trials are settled, and not complete: `submit` says how many there are, and runs them again where it is told to.
+#[test]
+fn failed_trials_are_told_and_run_again_on_request() {
+    let bench = Bench::new();
+    let text = TINY
+        .replace("sensors = [1, 2]", "sensors = [4]\nseeds = [1, 2]")
+        .replace("samples = 20", "samples = 250");
+    bench.file("tiny.toml", &text.replace("[sweep]", "[run]\nmemory = 120\n[sweep]"));
+    let hq = "case \"$*\" in *task\\ list*) echo '{}';; *) echo \"$@\" >> calls; echo 7;; esac";
+    let call = |arguments: &[&str]| said(&with_hq(&bench, hq, arguments));
+    call(&["submit", "hq", "tiny.toml", "--shards", "1"]);
+    let folder = "results/tiny.shards";
+    let spec = format!("{folder}/spec.toml");
+    bench.metasense(&["run", &spec, "--shard", "1/1", "--copy-to", folder]);
+    let status = call(&["status", "--cluster"]);
+    assert!(status.contains("0 of 1 shards complete") && status.contains("2 trials failed"), "{status}");
+    let again = call(&["submit", "hq", "tiny.toml"]);
+    assert!(again.contains("2 trials of shards 1 failed") && again.contains("nothing left to do"), "{again}");
+    let again = call(&["submit", "hq", "tiny.toml", "--retry-failed"]);
+    assert!(again.contains("submitted: job 7, shards 1"), "{again}");
+    let script = std::fs::read_to_string(bench.path(&format!("{folder}/shard.sh"))).unwrap();
+    assert!(script.contains("--retry-failed"), "{script}");
 }

@@ -72,6 +72,7 @@ fn trial(
         design_parameters: 2 * ((columns + 1) * rows + columns * (rows + 1)),
         brain_parameters: 9 * sensors * 64 + 64 + 3 * 64 * 64 + 64 + 64 * panels + panels,
         cost: 10.0,
+        weight: 10_000,
     }
 }
 

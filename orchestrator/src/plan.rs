@@ -71,6 +71,15 @@ impl Plan {
         Ok(Self { source, spec, trials })
     }
 
+    /// Of trials that were expanded from it before.
+    ///
+    /// # Errors
+    /// Where the spec is none.
+    pub fn listed(source: Source, trials: Vec<Trial>) -> Result<Self, SpecError> {
+        let spec = until::grid(source.parse()?, &source)?;
+        Ok(Self { source, spec, trials })
+    }
+
     /// The one trial whose hash begins so.
     ///
     /// # Errors
@@ -194,6 +203,7 @@ struct PointPlan {
     design_parameters: usize,
     brain_parameters: usize,
     cost: f64,
+    weight: u64,
 }
 
 fn add_points(
@@ -259,10 +269,8 @@ fn add_points(
                 units: layout.units(),
                 design_parameters: problem::design_parameters(&template, &layout).map_err(located)?,
                 brain_parameters: cost::brain_parameters(&template),
-                cost: {
-                    let seconds = cost::seconds(&template, layout.units());
-                    seconds.steps + seconds.comparison
-                },
+                cost: cost::of(&template, layout.units()),
+                weight: cost::weight(&template, layout.units()),
                 template,
             });
         }
@@ -486,6 +494,7 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                         design_parameters: point.design_parameters,
                         brain_parameters: point.brain_parameters,
                         cost: point.cost,
+                        weight: point.weight,
                     });
                 }
             }

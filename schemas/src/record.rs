@@ -11,7 +11,7 @@ use crate::spec::TrialSpec;
 pub use checkpoint::{Best, Checkpoint, CheckpointError, Comparison, Moments, Training, Waypoint};
 
 /// A trial as a plan has it, before it has run.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
     /// Names the trial for ever.
     pub hash: String,
@@ -25,8 +25,11 @@ pub struct Trial {
     pub design_parameters: usize,
     /// Weights of its brain.
     pub brain_parameters: usize,
-    /// Estimated seconds on one core.
+    /// Estimated seconds on one core of this machine.
+    #[serde(skip)]
     pub cost: f64,
+    /// Work against other trials: the same number on every machine.
+    pub weight: u64,
 }
 
 /// The result of a settled trial, as far as the questions of `[until]` are about it.

@@ -184,6 +184,7 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
             units: 4,
             design_parameters: 1,
             brain_parameters: 0,
+            weight: 1,
             cost: 1.0,
         })
         .collect()

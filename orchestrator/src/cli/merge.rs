@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::{Error, Format, print_rows};
 use crate::cluster::merge::{Kind, Summary, merge};
 use crate::cluster::ranges;
+use crate::cluster::state::never_begun;
 use crate::exit::Exit;
 use crate::look::{Table, row};
 use crate::plan::counted;
@@ -38,6 +39,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     for (sweep, count, missing) in &summary.missing {
         say!("{sweep}: no database of {} of its {count} shards: {}", missing.len(), ranges(missing));
     }
+    say_never(
+        &never_begun(&args.files, &args.out).await?,
+        &format!("metasense run SPEC --db {}", args.out.display()),
+    );
     let Summary { read, trials, covered, not_compared, .. } = summary;
     say!("{} from {}", counted(trials, "trial"), counted(read, "database"));
     if covered + not_compared > 0 {
@@ -49,6 +54,24 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     say!("database: {}", args.out.display());
     let disagrees = summary.findings.iter().any(|f| f.kind == Kind::Bits);
     Ok(if disagrees || !summary.refused.is_empty() { Exit::Failed } else { Exit::Done })
+}
+
+/// Trials that nobody has begun, and what does.
+pub(super) fn say_never(never: &[String], remedy: &str) {
+    const MOST: usize = 8;
+    if never.is_empty() {
+        return;
+    }
+    let mut list = never
+        .iter()
+        .take(MOST)
+        .map(|hash| hash[..hash.len().min(8)].to_owned())
+        .collect::<Vec<_>>()
+        .join(", ");
+    if never.len() > MOST {
+        list += &format!(" and {} more", never.len() - MOST);
+    }
+    say!("never begun: {} ({list}); `{remedy}` runs what is missing", counted(never.len(), "trial"));
 }
 
 fn table(summary: &Summary) -> Table {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use metasense_schemas::source::Source;
 use metasense_schemas::spec::Run;
 use tokio::sync::oneshot;
 
@@ -15,7 +16,7 @@ use super::simd::Simd;
 use super::{Error, Format, log};
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
-use crate::cluster::{Assignment, Shard};
+use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Listener, WORKERS_MAX};
 use crate::engine::{self, Again, Control, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
@@ -84,11 +85,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(time) = stop_after {
         end_after(time);
     }
-    let mut plan = args.spec.plan()?;
-    if args.shard.is_some() {
-        not_in_shards(&plan)?;
-    }
+    let source = args.spec.source()?;
     let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
+        let mut plan = Plan::of(source)?;
+        if args.shard.is_some() {
+            not_in_shards(&plan)?;
+        }
         if let Some(shard) = args.shard {
             Assignment::new(&plan.trials, shard.count()).restrict(shard, &mut plan);
         }
@@ -99,11 +101,20 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let (outcome, plan) = run(plan, &args, &db, &log::path(&db), &mut signals).await?;
         return end(&db, &plan, args.format, outcome).await;
     };
-    check_submitted(folder, &plan)?;
-    let assignment = Assignment::in_folder(folder, &plan.trials, shard.count())?;
+    check_submitted(folder, &source)?;
+    let plan = match trials_of(folder, shard)? {
+        Some(trials) => Plan::listed(source, trials)?,
+        None => {
+            let mut plan = Plan::of(source)?;
+            not_in_shards(&plan)?;
+            let assignment = Assignment::in_folder(folder, &plan.trials, shard.count())?;
+            super::make_folder(folder)?;
+            assignment.write(folder)?;
+            assignment.restrict(shard, &mut plan);
+            plan
+        }
+    };
     let home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
-    assignment.write(folder)?;
-    assignment.restrict(shard, &mut plan);
     home.take_in().await?;
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();
@@ -134,12 +145,12 @@ pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
 }
 
 /// The spec that a folder's shards were submitted with is the one they run.
-fn check_submitted(folder: &Path, plan: &Plan) -> Result<(), Error> {
+fn check_submitted(folder: &Path, source: &Source) -> Result<(), Error> {
     let submitted = folder.join(SUBMITTED_SPEC);
     match std::fs::read_to_string(&submitted) {
-        Ok(text) if text != plan.source.text => Err(Error::Usage(format!(
+        Ok(text) if text != source.text => Err(Error::Usage(format!(
             "{} has changed since its shards were submitted ({}): put it back, or submit again",
-            plan.source.file.display(),
+            source.file.display(),
             submitted.display()
         ))),
         _ => Ok(()),

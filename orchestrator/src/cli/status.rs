@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use super::named::Named;
 use super::{Error, Format, print_rows};
+use crate::cluster::Assignment;
 use crate::cluster::queue;
 use crate::cluster::state::{self, State};
 use crate::exit::Exit;
@@ -181,7 +182,8 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
         )));
     };
     let queued = queue::ask(&jobs)?.shards;
-    let states = state::states(&folder, last.shards, &queued).await;
+    let assignment = Assignment::in_folder(&folder, &[], last.shards)?;
+    let states = state::states(&folder, &assignment, &queued).await;
     let columns = "shard state trials done failed estimated_seconds seconds outcome ran_on handed_in_ago";
     let row = |s: &State| {
         let trials = |i: usize| s.trials.map(|trials| trials[i]);
@@ -193,25 +195,34 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
             trials(0),
             trials(1),
             trials(2),
-            run.map(|r| tenths(r.0)),
-            run.and_then(|r| r.1).map(tenths),
-            run.and_then(|r| r.3.clone()),
-            run.map(|r| r.2.clone()),
+            run.map(|r| tenths(r.estimated_seconds)),
+            run.and_then(|r| r.seconds).map(tenths),
+            run.and_then(|r| r.outcome.clone()),
+            run.map(|r| r.place.clone()),
             s.age.map(f64::round)
         ]
     };
     let rows = states.iter().map(row);
     print_rows(&Table::new(columns, rows), format)?;
     let complete = states.iter().filter(|s| s.state == "complete").count();
-    let waiting =
-        states.iter().filter(|s| queued.contains_key(&s.shard.index()) && s.state != "complete").count();
-    let rest = states.len() - complete - waiting;
-    say!("{}: {complete} of {} shards complete, {waiting} in the queue", folder.display(), states.len());
-    if rest > 0 {
-        say!("{rest} have ended before their trials had: `metasense submit` goes on with them");
+    let (waiting, ended): (Vec<&State>, Vec<&State>) =
+        states.iter().filter(|s| !s.is_settled()).partition(|s| queued.contains_key(&s.shard.index()));
+    say!(
+        "{}: {complete} of {} shards complete, {} in the queue",
+        folder.display(),
+        states.len(),
+        waiting.len()
+    );
+    if !ended.is_empty() {
+        say!("{} have ended before their trials had: `metasense submit` goes on with them", ended.len());
     }
-    let failed = states.iter().any(|s| s.trials.is_some_and(|trials| trials[2] > 0));
-    Ok(if failed { Exit::Failed } else { Exit::Done })
+    let never: Vec<String> = ended.iter().flat_map(|s| s.never.iter().cloned()).collect();
+    super::merge::say_never(&never, "metasense submit");
+    let failed: usize = states.iter().map(State::failed).sum();
+    if failed > 0 {
+        say!("{} failed: `metasense submit` with --retry-failed runs them again", counted(failed, "trial"));
+    }
+    Ok(if failed > 0 { Exit::Failed } else { Exit::Done })
 }
 
 /// The only entry of a folder with this ending.

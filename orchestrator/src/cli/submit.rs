@@ -1,6 +1,6 @@
 //! `submit`: a sweep as shards on a cluster, with the merge behind them.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -8,11 +8,11 @@ use super::named::Spec;
 use super::{Error, duration, make_folder, write};
 use crate::cluster::home::{SUBMITTED_SPEC, attempts};
 use crate::cluster::queue::{self, Job, Notes};
+use crate::cluster::state::{State, states};
 use crate::cluster::submit::{Scheduler, Submission, estimate, line, planned, seconds};
 use crate::cluster::{Assignment, Shard, ranges};
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
-use crate::store::ask_unchanging;
 
 /// Submits a sweep to Slurm or HyperQueue as shards, with a merge behind them
 ///
@@ -42,6 +42,9 @@ pub(super) struct Args {
     /// The merged database; by default results/NAME.sqlite
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Runs failed trials again, from their last step
+    #[arg(long)]
+    retry_failed: bool,
     /// Prints scripts and commands; writes and submits nothing
     #[arg(long)]
     dry_run: bool,
@@ -70,12 +73,23 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         (asked, before) => asked.or(before).unwrap_or_else(|| planned(&plan.trials, args.cpus, args.time)),
     };
-    let assignment = Assignment::in_folder(&folder, &plan.trials, shards)?;
+    let mut assignment = Assignment::in_folder(&folder, &plan.trials, shards)?;
+    assignment.keep(&plan.trials);
     // In this order: what ends in between has been handed in when that is looked at.
     let queue = queue::ask(&jobs)?;
-    let incomplete = incomplete(&folder, &plan, &assignment, shards).await?;
-    let (queued, which): (Vec<u32>, Vec<u32>) =
-        incomplete.into_iter().partition(|shard| queue.shards.contains_key(shard));
+    let states = states(&folder, &assignment, &HashMap::new()).await;
+    let failed: Vec<&State> = states.iter().filter(|state| state.failed() > 0).collect();
+    if !failed.is_empty() && !args.retry_failed {
+        let trials = counted(failed.iter().map(|state| state.failed()).sum(), "trial");
+        let shards: Vec<u32> = failed.iter().map(|state| state.shard.index()).collect();
+        say!("{trials} of shards {} failed: --retry-failed runs them again", ranges(&shards));
+    }
+    let open = |state: &&State| !state.is_settled() || args.retry_failed && state.failed() > 0;
+    let (queued, which): (Vec<u32>, Vec<u32>) = states
+        .iter()
+        .filter(open)
+        .map(|state| state.shard.index())
+        .partition(|shard| queue.shards.contains_key(shard));
     if !queued.is_empty() {
         say!("running or waiting already, and left out: shards {}", ranges(&queued));
     }
@@ -85,7 +99,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     if which.is_empty() {
         say!(
-            "nothing left to do: all {shards} shards are complete; metasense merge {} --out FILE",
+            "nothing left to do: all {shards} shards are settled; metasense merge {} --out FILE",
             folder.display()
         );
         return Ok(Exit::Done);
@@ -107,6 +121,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         threads,
         seconds: args.time,
         partition: args.partition.clone(),
+        retry_failed: args.retry_failed,
         further: args.further.clone(),
     };
     if let Some(unfit) = submission.unfit() {
@@ -159,6 +174,7 @@ fn submit(
     make_folder(folder)?;
     write(&folder.join(SUBMITTED_SPEC), &plan.source.text)?;
     assignment.write(folder)?;
+    assignment.write_trials(folder, &plan.trials)?;
     for script in submission.scripts() {
         write(&folder.join(script.name), script.text)?;
     }
@@ -211,37 +227,4 @@ pub(super) fn submitted(folder: &Path) -> Result<Vec<Job>, Error> {
 fn shards_of(folder: &Path, jobs: &[Job]) -> Option<u32> {
     let submitted = jobs.last().map(|job| job.shards);
     submitted.or_else(|| attempts(folder).keys().next_back().map(|shard| shard.count()))
-}
-
-/// Shards that have handed nothing in, or not all of their trials settled. One without trials has to say so too.
-async fn incomplete(
-    folder: &Path,
-    plan: &Plan,
-    assignment: &Assignment,
-    shards: u32,
-) -> Result<Vec<u32>, Error> {
-    let mut trials = vec![Vec::new(); shards as usize];
-    for trial in &plan.trials {
-        trials[assignment.shard(&trial.hash) as usize - 1].push(trial.hash.as_str());
-    }
-    let (mut which, mut handed_in) = (Vec::new(), attempts(folder));
-    for (shard, hashes) in (1..=shards).filter_map(|i| Shard::new(i, shards)).zip(trials) {
-        let (mut there, mut all) = (false, HashSet::new());
-        for file in handed_in.remove(&shard).unwrap_or_default() {
-            // One that cannot be read is run again, and says why it cannot go on.
-            if let Ok(settled) = settled(&file).await {
-                there = true;
-                all.extend(settled);
-            }
-        }
-        if !there || hashes.iter().any(|hash| !all.contains(*hash)) {
-            which.push(shard.index());
-        }
-    }
-    Ok(which)
-}
-
-async fn settled(file: &Path) -> sqlx::Result<Vec<String>> {
-    let settled = "SELECT hash FROM trial WHERE state IN ('done', 'failed')";
-    ask_unchanging(file, async |db| sqlx::query_scalar(settled).fetch_all(db).await).await
 }

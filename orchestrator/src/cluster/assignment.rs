@@ -1,17 +1,19 @@
-//! Which shard runs which trial: the longest first, by their estimates, each to the shard that has least to do.
+//! Which shard runs which trial: the longest first, by their weight, each to the shard that has least to do. Every machine
+//! comes to the same.
 //!
 //! The assignment is written down with the shards, and stays: trials that a sweep gains later are added to it. Equal trials
-//! give equal files.
+//! give equal files. What is submitted has the trials of each shard written out as well, so that a shard expands no spec.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashSet};
 use std::io::{self, ErrorKind};
+use std::iter;
 use std::path::{Path, PathBuf};
 
 use super::Shard;
 use super::home::attempts;
 use crate::files;
-use crate::plan::{Plan, Trial};
+use crate::plan::{Plan, Trial, cost};
 
 /// The shard of each trial, by its hash.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -44,6 +46,16 @@ pub enum AssignmentError {
         text: String,
         /// How many shards there are.
         shards: u32,
+    },
+    /// A line of a shard's trials.
+    #[error("{}:{line}: {why}; `metasense submit` writes it anew", path.display())]
+    Trial {
+        /// The file.
+        path: PathBuf,
+        /// Which line.
+        line: usize,
+        /// What is wrong with it.
+        why: String,
     },
     /// Databases without it.
     #[error(
@@ -94,39 +106,75 @@ impl Assignment {
     /// # Errors
     /// If it cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), AssignmentError> {
-        let path = folder.join(file_name(self.shards));
-        let text: String = [HEAD.to_owned() + "\n"]
-            .into_iter()
-            .chain(self.of.iter().map(|(hash, shard)| format!("{hash},{shard}\n")))
-            .collect();
-        if std::fs::read_to_string(&path).is_ok_and(|written| written == text) {
-            return Ok(());
+        let lines = self.of.iter().map(|(hash, shard)| format!("{hash},{shard}\n"));
+        let text = iter::once(format!("{HEAD}\n")).chain(lines).collect();
+        write(folder.join(file_name(self.shards)), text)
+    }
+
+    /// Writes the trials of each shard, a line each.
+    ///
+    /// # Errors
+    /// If one cannot be written.
+    pub fn write_trials(&self, folder: &Path, trials: &[Trial]) -> Result<(), AssignmentError> {
+        let mut texts = vec![String::new(); self.shards as usize];
+        for trial in trials {
+            let text = &mut texts[self.shard(&trial.hash) as usize - 1];
+            text.push_str(&serde_json::to_string(trial).expect("a trial is JSON"));
+            text.push('\n');
         }
-        files::write(&path, text.as_bytes()).map_err(|source| AssignmentError::File {
-            doing: "write",
-            path,
-            source,
-        })
+        let shards = (1..=self.shards).filter_map(|index| Shard::new(index, self.shards));
+        shards.zip(texts).try_for_each(|(shard, text)| write(trials_file(folder, shard), text))
+    }
+
+    /// Those that a folder has, of whatever number of shards.
+    ///
+    /// # Errors
+    /// If one cannot be read.
+    pub fn all_in(folder: &Path) -> Result<Vec<Self>, AssignmentError> {
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        let named = entries.filter_map(|entry| {
+            let name = entry.file_name();
+            let (_, shards) = name.to_str()?.strip_suffix(".csv")?.rsplit_once("-of-")?;
+            let shards = shards.parse().ok().filter(|shards| (1..=Shard::MOST).contains(shards))?;
+            [file_name(shards), former_name(shards)].contains(&name.to_str()?.into()).then_some(shards)
+        });
+        let shards: BTreeSet<u32> = named.collect();
+        shards.into_iter().map(|shards| Self::in_folder(folder, &[], shards)).collect()
+    }
+
+    /// How many shards there are.
+    #[must_use]
+    pub fn shards(&self) -> u32 {
+        self.shards
+    }
+
+    /// The hashes of all trials, each with its shard.
+    pub fn hashes(&self) -> impl Iterator<Item = (&str, u32)> {
+        self.of.iter().map(|(hash, shard)| (hash.as_str(), *shard))
+    }
+
+    /// Only these trials; what a spec no longer has is nobody's any more.
+    pub fn keep(&mut self, trials: &[Trial]) {
+        let kept: HashSet<&str> = trials.iter().map(|trial| trial.hash.as_str()).collect();
+        self.of.retain(|hash, _| kept.contains(hash.as_str()));
     }
 
     /// Assigns what has not been, and leaves the rest where it is.
     fn add(&mut self, trials: &[Trial]) {
-        // In whole milliseconds: sums that do not depend on their order. Nothing is for free, so that all shards get some.
-        let cost = |trial: &Trial| (trial.cost * 1e3).round().max(1.0) as u64;
         let mut loads = vec![0_u64; self.shards as usize];
         let mut new = Vec::new();
         for trial in trials {
             match self.of.get(&trial.hash) {
-                Some(shard) => loads[*shard as usize - 1] += cost(trial),
-                None => new.push((Reverse(cost(trial)), &trial.hash)),
+                Some(shard) => loads[*shard as usize - 1] += trial.weight,
+                None => new.push((Reverse(trial.weight), &trial.hash)),
             }
         }
         new.sort();
         let mut least: BinaryHeap<_> = (1..).zip(loads).map(|(shard, load)| Reverse((load, shard))).collect();
-        for (Reverse(cost), hash) in new {
+        for (Reverse(weight), hash) in new {
             let Reverse((load, shard)) = least.pop().expect("there is a shard");
             self.of.insert(hash.clone(), shard);
-            least.push(Reverse((load.saturating_add(cost), shard)));
+            least.push(Reverse((load.saturating_add(weight), shard)));
         }
     }
 
@@ -161,6 +209,44 @@ fn file_name(shards: u32) -> String {
 /// Its name in folders of older programs.
 fn former_name(shards: u32) -> String {
     format!("deal-of-{shards}.csv")
+}
+
+/// The trials of a shard as they were submitted; none where nobody has written them down.
+///
+/// # Errors
+/// If they cannot be read, or are not what this program makes of them.
+pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, AssignmentError> {
+    let path = trials_file(folder, shard);
+    let text = match std::fs::read_to_string(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(source) => return Err(AssignmentError::File { doing: "read", path, source }),
+    };
+    let trial = |(line, text): (usize, &str)| {
+        let wrong = |why| AssignmentError::Trial { path: path.clone(), line: line + 1, why };
+        let mut trial: Trial = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
+        if trial.spec.hash() != trial.hash {
+            return Err(wrong(format!("trial {} has another hash by this program", trial.hash)));
+        }
+        trial.cost = cost::of(&trial.spec, trial.units);
+        Ok(trial)
+    };
+    text.lines().enumerate().map(trial).collect::<Result<_, _>>().map(Some)
+}
+
+fn trials_file(folder: &Path, shard: Shard) -> PathBuf {
+    folder.join(format!("{}.trials.jsonl", shard.file_stem()))
+}
+
+fn write(path: PathBuf, text: String) -> Result<(), AssignmentError> {
+    if std::fs::read_to_string(&path).is_ok_and(|written| written == text) {
+        return Ok(());
+    }
+    files::write(&path, text.as_bytes()).map_err(|source| AssignmentError::File {
+        doing: "write",
+        path,
+        source,
+    })
 }
 
 fn read(text: &str, shards: u32, path: &Path) -> Result<BTreeMap<String, u32>, AssignmentError> {

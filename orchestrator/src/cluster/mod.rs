@@ -12,5 +12,5 @@ mod shard;
 pub mod state;
 pub mod submit;
 
-pub use assignment::{Assignment, AssignmentError};
+pub use assignment::{Assignment, AssignmentError, trials_of};
 pub use shard::{Shard, ShardError, ranges};

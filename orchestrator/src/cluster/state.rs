@@ -1,11 +1,13 @@
 //! How the shards of a folder are: by the databases that they have handed in, and by the queue.
 
-use std::collections::HashMap;
-use std::path::Path;
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use super::Shard;
+use metasense_schemas::reason::{CANCELLED, PRUNED};
+
 use super::home::attempts;
+use super::{Assignment, AssignmentError, Shard};
 use crate::store::ask_unchanging;
 
 /// A shard.
@@ -13,34 +15,71 @@ use crate::store::ask_unchanging;
 pub struct State {
     /// Which one.
     pub shard: Shard,
-    /// `complete`, `partial` or `nothing` handed in, or what is wrong with it; what the queue says goes before.
+    /// `complete`, `failed` (all settled, but not all done), `partial` or `nothing` handed in, or what is wrong with it; what
+    /// the queue says goes before.
     pub state: String,
-    /// Trials, those done, and those that have failed, in what it has handed in.
-    pub trials: Option<[u32; 3]>,
-    /// Estimated and actual time of its last run (s), where it ran, and how that ended.
-    pub run: Option<(f64, Option<f64>, String, Option<String>)>,
+    /// Trials, those done, and those that have failed, where something was handed in.
+    pub trials: Option<[usize; 3]>,
+    /// Trials that no attempt has begun.
+    pub never: Vec<String>,
+    /// Its last run.
+    pub run: Option<Run>,
     /// Since it was handed in (s).
     pub age: Option<f64>,
 }
 
+/// A run of a shard: estimated and actual time (s), where it ran, and how it ended.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// When it began.
+    pub started_at: String,
+    /// Thought to take (s).
+    pub estimated_seconds: f64,
+    /// Took (s).
+    pub seconds: Option<f64>,
+    /// Host and job.
+    pub place: String,
+    /// How it ended.
+    pub outcome: Option<String>,
+}
+
+impl State {
+    /// Whether something was handed in, and all trials are settled.
+    #[must_use]
+    pub fn is_settled(&self) -> bool {
+        ["complete", "failed"].contains(&self.state.as_str())
+    }
+
+    /// Trials that have failed.
+    #[must_use]
+    pub fn failed(&self) -> usize {
+        self.trials.map_or(0, |[_, _, failed]| failed)
+    }
+}
+
+/// How far a trial has come, over all that was handed in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Stage {
+    Never,
+    Begun,
+    Failed,
+    /// Or given up on purpose.
+    Done,
+}
+
 /// The shards of a folder. `queued`: what the scheduler says of each.
-pub async fn states(folder: &Path, shards: u32, queued: &HashMap<u32, String>) -> Vec<State> {
-    let mut states = Vec::with_capacity(shards as usize);
+pub async fn states(folder: &Path, assignment: &Assignment, queued: &HashMap<u32, String>) -> Vec<State> {
+    let mut trials = vec![HashMap::new(); assignment.shards() as usize];
+    for (hash, shard) in assignment.hashes() {
+        trials[shard as usize - 1].insert(hash.to_owned(), Stage::Never);
+    }
+    let mut states = Vec::with_capacity(trials.len());
     let mut attempts = attempts(folder);
-    for shard in (1..=shards).filter_map(|index| Shard::new(index, shards)) {
-        let mut state = State { shard, state: "nothing".into(), trials: None, run: None, age: None };
-        let settled = |state: &State| state.trials.map(|[_, done, failed]| done + failed);
-        for file in attempts.remove(&shard).unwrap_or_default() {
-            let this = of_try(&file, shard).await;
-            let age = [state.age, this.age].into_iter().flatten().reduce(f64::min);
-            // The one that has come farthest; of several, the last.
-            if settled(&this) >= settled(&state) {
-                state = this;
-            }
-            state.age = age;
-        }
+    for (index, trials) in (1..).zip(trials) {
+        let Some(shard) = Shard::new(index, assignment.shards()) else { break };
+        let mut state = of_shard(shard, &attempts.remove(&shard).unwrap_or_default(), trials).await;
         // A shard that has handed its last database in may still be in the queue for a moment.
-        if let Some(queued) = queued.get(&shard.index()).filter(|_| state.state != "complete") {
+        if let Some(queued) = queued.get(&index).filter(|_| !state.is_settled()) {
             state.state.clone_from(queued);
         }
         states.push(state);
@@ -48,30 +87,98 @@ pub async fn states(folder: &Path, shards: u32, queued: &HashMap<u32, String>) -
     states
 }
 
-/// A shard by one of its files.
-async fn of_try(file: &Path, shard: Shard) -> State {
-    let mut state = State { shard, state: "nothing".into(), trials: None, run: None, age: None };
-    let written = file.metadata().and_then(|m| m.modified()).ok();
-    state.age = written.and_then(|at| SystemTime::now().duration_since(at).ok()).map(|age| age.as_secs_f64());
-    match read(file, &mut state).await {
-        Ok([trials, done, failed]) => {
-            state.state = if done + failed == trials { "complete" } else { "partial" }.into();
-            state.trials = Some([trials, done, failed]);
+async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, Stage>) -> State {
+    let (mut run, mut age, mut unreadable, mut readable) = (None, None, None, false);
+    for file in files {
+        let written = file.metadata().and_then(|m| m.modified()).ok();
+        let since = written.and_then(|at| SystemTime::now().duration_since(at).ok());
+        age = [age, since.map(|since| since.as_secs_f64())].into_iter().flatten().reduce(f64::min);
+        match read(file).await {
+            Ok((stages, last)) => {
+                readable = true;
+                for (hash, stage) in stages {
+                    trials.entry(hash).and_modify(|known| *known = stage.max(*known));
+                }
+                let began = |run: &Option<Run>| run.as_ref().map(|run| run.started_at.clone());
+                if began(&last) >= began(&run) {
+                    run = last;
+                }
+            }
+            Err(error) => unreadable = Some(format!("unreadable: {error}")),
         }
-        Err(error) => state.state = format!("unreadable: {error}"),
     }
-    state
+    let count = |stage| trials.values().filter(|known| **known == stage).count();
+    let counts = [trials.len(), count(Stage::Done), count(Stage::Failed)];
+    let [all, done, failed] = counts;
+    let state = match unreadable {
+        _ if readable && done == all => "complete".into(),
+        _ if readable && done + failed == all => "failed".into(),
+        _ if readable => "partial".into(),
+        Some(error) => error,
+        None => "nothing".into(),
+    };
+    let mut never: Vec<String> =
+        trials.into_iter().filter(|(_, stage)| *stage == Stage::Never).map(|(hash, _)| hash).collect();
+    never.sort();
+    State { shard, state, trials: readable.then_some(counts), never, run, age }
 }
 
-async fn read(file: &Path, state: &mut State) -> sqlx::Result<[u32; 3]> {
+async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> {
     let trials =
-        "SELECT count(*), coalesce(sum(state = 'done'), 0), coalesce(sum(state = 'failed'), 0) FROM trial";
-    let run = "SELECT estimated_seconds, seconds, host || coalesce(', ' || job, ''), outcome FROM v_run
-        ORDER BY started_at DESC LIMIT 1";
+        "SELECT hash, state, coalesce(reason, ''), EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = t.id)
+        FROM trial t";
+    let run =
+        "SELECT started_at, estimated_seconds, seconds, host || coalesce(', ' || job, '') AS place, outcome
+        FROM v_run ORDER BY started_at DESC LIMIT 1";
     ask_unchanging(file, async |db| {
-        let trials: (u32, u32, u32) = sqlx::query_as(trials).fetch_one(&mut *db).await?;
-        state.run = sqlx::query_as(run).fetch_optional(db).await?;
-        Ok(trials.into())
+        let trials: Vec<(String, String, String, bool)> = sqlx::query_as(trials).fetch_all(&mut *db).await?;
+        let stage = |(hash, state, reason, begun): (String, String, String, bool)| {
+            let stage = match (state.as_str(), reason.as_str()) {
+                ("done", _) | ("failed", PRUNED | CANCELLED) => Stage::Done,
+                ("failed", _) => Stage::Failed,
+                _ if begun => Stage::Begun,
+                _ => Stage::Never,
+            };
+            (hash, stage)
+        };
+        let run: Option<(String, f64, Option<f64>, String, Option<String>)> =
+            sqlx::query_as(run).fetch_optional(db).await?;
+        let run = run.map(|(started_at, estimated_seconds, seconds, place, outcome)| Run {
+            started_at,
+            estimated_seconds,
+            seconds,
+            place,
+            outcome,
+        });
+        Ok((trials.into_iter().map(stage).collect(), run))
     })
     .await
+}
+
+/// Trials that were assigned to shards in the folders of these files, and that a database of them all has not begun.
+///
+/// # Errors
+/// If an assignment cannot be read; a database that cannot has begun nothing.
+pub async fn never_begun(files: &[PathBuf], db: &Path) -> Result<Vec<String>, AssignmentError> {
+    let mut assigned = HashSet::new();
+    let folders: HashSet<&Path> = files.iter().map(|file| folder_of(file)).collect();
+    for folder in folders {
+        for assignment in Assignment::all_in(folder)? {
+            assigned.extend(assignment.hashes().map(|(hash, _)| hash.to_owned()));
+        }
+    }
+    if !assigned.is_empty() {
+        for (hash, stage) in read(db).await.map(|(stages, _)| stages).unwrap_or_default() {
+            if stage != Stage::Never {
+                assigned.remove(&hash);
+            }
+        }
+    }
+    let mut never: Vec<String> = assigned.into_iter().collect();
+    never.sort();
+    Ok(never)
+}
+
+fn folder_of(file: &Path) -> &Path {
+    if file.is_dir() { file } else { crate::files::folder(file) }
 }

@@ -49,6 +49,8 @@ pub struct Submission {
     pub seconds: u64,
     /// Where the scheduler has several queues.
     pub partition: Option<String>,
+    /// Failed trials are run again.
+    pub retry_failed: bool,
     /// Passed on to the scheduler's command as they are.
     pub further: Vec<String>,
 }
@@ -193,7 +195,8 @@ impl Submission {
     /// From there on.
     fn how(&self) -> String {
         let workers = (self.cpus / self.threads).max(1);
-        format!("--workers {workers} --threads {} --copy-to {}", self.threads, quoted(&self.folder))
+        let again = if self.retry_failed { " --retry-failed" } else { "" };
+        format!("--workers {workers} --threads {} --copy-to {}{again}", self.threads, quoted(&self.folder))
     }
 
     fn merge(&self) -> String {

@@ -57,7 +57,22 @@ fn unknowns(trial: &TrialSpec, memory: Option<[f64; 2]>) -> usize {
 }
 
 fn factor(unknowns: usize) -> f64 {
-    (unknowns as f64).powi(3) / 6.0 / FACTOR_RATE
+    let n = unknowns as f64;
+    n * n * n / 6.0 / FACTOR_RATE
+}
+
+/// The n-th root of x > 0, by Newton: a library's power may differ in its last bit from machine to machine.
+fn root(x: f64, n: i32) -> f64 {
+    let mut y = 1.0;
+    for _ in 0..100 {
+        let power = (1..n).fold(1.0, |power, _| power * y);
+        let next = y + (x / power - y) / f64::from(n);
+        if next == y {
+            break;
+        }
+        y = next;
+    }
+    y
 }
 
 /// Seconds of a trial on one core.
@@ -73,16 +88,22 @@ pub(super) struct Seconds {
 fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
     // In a second at an error of 1e-3, the power by which an error falls with them, and how many a step makes.
     let (at, power, stages) = match solver.method {
-        Method::Auto | Method::Nystrom6 => (12_000.0, 6.0, 11.0),
-        Method::Nystrom4 => (14_000.0, 4.0, 6.0),
-        Method::Leapfrog => (63_000.0, 2.0, 1.0),
+        Method::Auto | Method::Nystrom6 => (12_000.0, 6, 11.0),
+        Method::Nystrom4 => (14_000.0, 4, 6.0),
+        Method::Leapfrog => (63_000.0, 2, 1.0),
         // Of the time of some 1.4 others each; steps are a sample's own.
-        Method::Tsit5 | Method::Implicit => (28_000.0, 6.0, 1.0),
+        Method::Tsit5 | Method::Implicit => (28_000.0, 6, 1.0),
     };
-    let steps = trial.time.duration * at / stages * (solver.tolerance / 1e-3).powf(-1.0 / power);
+    let steps = trial.time.duration * at / stages / root(solver.tolerance / 1e-3, power);
     // A step ends at every instant, and wherever the forces' own clock has a kink.
     let kinks = trial.stimuli.force_samples.unwrap_or(trial.time.samples) as f64;
     (steps / kinks).ceil() * kinks * stages
+}
+
+/// Of a trial against others, in whole milliseconds on AVX-512: the same number on every machine, and nothing is for free.
+pub(super) fn weight(trial: &TrialSpec, units: usize) -> u64 {
+    let Seconds { steps, comparison } = seconds_by_avx512(trial, units);
+    ((steps + comparison) * 1e3).round().max(1.0) as u64
 }
 
 /// On the instruction set that this process uses.
@@ -136,6 +157,13 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     let comparison =
         2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train + readings);
     Seconds { steps: optimise.steps() as f64 * step, comparison }
+}
+
+/// Estimated seconds of a trial on one core of this machine.
+#[must_use]
+pub fn of(trial: &TrialSpec, units: usize) -> f64 {
+    let Seconds { steps, comparison } = seconds(trial, units);
+    steps + comparison
 }
 
 /// What of a trial's cost is the comparison at its end.

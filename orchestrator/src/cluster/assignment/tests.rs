@@ -5,7 +5,11 @@ use super::*;
 fn trials(costs: &[f64]) -> Vec<Trial> {
     let spec = crate::plan::Plan::new("s.toml", SPEC.into()).unwrap().trials.swap_remove(0);
     let hash = |i: usize| format!("{:016x}", (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    costs.iter().enumerate().map(|(i, &cost)| Trial { hash: hash(i), cost, ..spec.clone() }).collect()
+    costs
+        .iter()
+        .enumerate()
+        .map(|(i, &cost)| Trial { hash: hash(i), cost, weight: 1 + (cost * 1e3) as u64, ..spec.clone() })
+        .collect()
 }
 
 const SPEC: &str = "name = \"s\"\n[body]\ncolumns = 4\nrows = 4\nspacing = 15.0\nligament_length = 2.25\n\
