@@ -3,6 +3,7 @@
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::common::processes::{eventually, kill};
 use crate::common::{Bench, TINY, results};
 use metasense::plan::Plan;
 use metasense::store::Store;
@@ -285,4 +286,23 @@ fn a_run_holds_its_database_until_its_outcome_is_recorded() {
     let mut said = String::new();
     std::io::Read::read_to_string(&mut run.stderr.take().unwrap(), &mut said).unwrap();
     assert!(run.wait().unwrap().success(), "{said}");
+}
+
+/// Under nohup a terminal that goes does not end the run; without it, it does in order.
+#[test]
+fn an_ignored_hangup_stays_ignored() {
+    for (shell, code) in [("trap '' HUP; ", 0), ("", 4)] {
+        let bench = Bench::new();
+        bench.file("tiny.toml", &TINY.replace("iterations = 4\n", "iterations = 100\n"));
+        let script = format!("{shell}exec {} run tiny.toml", env!("CARGO_BIN_EXE_metasense"));
+        let mut command = Command::new("sh");
+        command.args(["-c", &script]).current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        let log = || std::fs::read_to_string(bench.path("results/tiny.log")).unwrap_or_default();
+        let begun = || log().contains("worker started").then_some(());
+        eventually(Duration::from_secs(20), begun).expect("a worker starts within 20 s");
+        kill(child.id(), libc::SIGHUP);
+        let ended = eventually(Duration::from_secs(60), || child.try_wait().unwrap());
+        assert_eq!(ended.expect("the run ends within a minute").code(), Some(code), "{shell}");
+    }
 }

@@ -1,4 +1,4 @@
-//! SIGINT, SIGTERM and SIGHUP as messages: a person wants the end.
+//! SIGINT, SIGTERM and SIGHUP as messages: a person wants the end. Under `nohup` SIGHUP is none.
 
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
@@ -10,13 +10,14 @@ use super::EngineError;
 pub struct Signals(mpsc::Receiver<()>);
 
 impl Signals {
-    /// From here on, signals are messages.
+    /// From here on, signals are messages; a hangup that whoever started us has had ignored stays ignored.
     ///
     /// # Errors
     /// If the system does not let us wait for them.
     pub fn new() -> Result<Self, EngineError> {
         let (out, signals) = mpsc::channel(4);
-        for kind in [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()] {
+        let hangup = Some(SignalKind::hangup()).filter(|_| !ignores_hangup());
+        for kind in [SignalKind::interrupt(), SignalKind::terminate()].into_iter().chain(hangup) {
             let (mut signal, out) = (signal(kind).map_err(EngineError::Signals)?, out.clone());
             tokio::spawn(async move { while signal.recv().await.is_some() && out.send(()).await.is_ok() {} });
         }
@@ -36,4 +37,11 @@ impl Signals {
             done = work => Some(done),
         }
     }
+}
+
+/// Whether this process ignores SIGHUP, the first bit of what the system says.
+fn ignores_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    ignored.is_some_and(|mask| mask.trim().ends_with(['1', '3', '5', '7', '9', 'b', 'd', 'f']))
 }
