@@ -288,6 +288,31 @@ fn a_run_holds_its_database_until_its_outcome_is_recorded() {
     assert!(run.wait().unwrap().success(), "{said}");
 }
 
+/// A machine on which every trial dies, here for want of memory, ends the run before it has used the trials up: it is named, and all
+/// go on elsewhere.
+#[test]
+fn a_machine_on_which_trials_die_one_after_the_other_fails_none_of_them() {
+    let bench = Bench::new();
+    let text =
+        TINY.replace("sensors = [1, 2]", "sensors = [4]\nseeds = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]");
+    bench.file("tiny.toml", &text.replace("samples = 20", "samples = 250"));
+    let script =
+        format!("ulimit -v 150000; exec {} run tiny.toml --workers 2", env!("CARGO_BIN_EXE_metasense"));
+    let run = Command::new("sh").args(["-c", &script]).current_dir(bench.path("")).output().unwrap();
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(5), "{said}");
+    let host = metasense::files::host();
+    assert!(said.contains(&format!("{host} is unfit")) && said.contains("out_of_memory"), "{said}");
+    let trials = "SELECT state, count(*), sum(attempts) BETWEEN 10 AND 12 FROM v_trial GROUP BY 1";
+    assert_eq!(
+        bench.output(&["query", "results/tiny.sqlite", trials, "--format", "csv"]).lines().nth(1),
+        Some("pending,12,1")
+    );
+    let outcome =
+        bench.output(&["query", "results/tiny.sqlite", "SELECT outcome FROM v_run", "--format", "csv"]);
+    assert_eq!(outcome.lines().nth(1), Some("unfit"));
+}
+
 /// Under nohup a terminal that goes does not end the run; without it, it does in order.
 #[test]
 fn an_ignored_hangup_stays_ignored() {

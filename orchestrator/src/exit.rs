@@ -16,6 +16,8 @@ pub enum Exit {
     Io = 3,
     /// Stopped on request; `run` goes on from there, as do commands that keep their progress.
     Interrupted = 4,
+    /// This machine is at fault: no worker comes up, or trials die one after the other.
+    Unfit = 5,
 }
 
 /// The codes with their meaning, as `--help` shows them.
@@ -28,7 +30,9 @@ Exit codes:
      (`control`: no run holds the database)
   3  reading or writing failed: disk full, database in use, locked or damaged
   4  stopped on request; the same `run` goes on from there, as do `evaluate` and `identify`
-     with --out-dir; other commands start again";
+     with --out-dir; other commands start again
+  5  this machine is unfit: no worker comes up, or trials die on it one after the other; the
+     same `run` goes on, better on another machine";
 
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {

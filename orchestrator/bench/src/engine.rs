@@ -107,6 +107,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
             backoff: 50,
             no_progress: args.no_progress_ms,
             time_limit: args.time_limit_ms,
+            memory_limited: false,
             prune: None,
         },
         threads: 1,
@@ -145,6 +146,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
     print_line!("{row}")?;
     Ok(match summary.outcome {
         Outcome::Interrupted => Exit::Interrupted,
+        Outcome::Unfit(_) => Exit::Unfit,
         _ if summary.failed > 0 => Exit::Failed,
         _ => Exit::Done,
     })

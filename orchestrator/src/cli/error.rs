@@ -101,6 +101,7 @@ impl Error {
                 Exit::BadInput
             }
             Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
+            Self::Engine(EngineError::NoWorkers(_)) => Exit::Unfit,
             Self::Engine(_) => Exit::Io,
             Self::Merge(MergeError::Nothing { .. }) => Exit::BadInput,
             Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,

@@ -10,8 +10,9 @@ use metasense_schemas::record::{BodyEvaluation, TrialResult, mean};
 use super::duration;
 use crate::control::Command;
 use crate::engine::{View, Watch};
+use crate::files::host;
 use crate::plan::{Trial, counted};
-use crate::scheduler::Outcome;
+use crate::scheduler::{Outcome, UNFIT_DEATHS};
 
 /// Resolution of the bar.
 const BAR: u64 = 10_000;
@@ -145,6 +146,15 @@ impl Watch for Live {
         if outcome == Outcome::Interrupted {
             let open = view.total - view.settled();
             say!("stopped with {} open; the same command goes on from there", counted(open, "trial"));
+        }
+        if let Outcome::Unfit(reason) = outcome {
+            let open = counted(view.total - view.settled(), "trial");
+            say!(
+                "{} is unfit: {UNFIT_DEATHS} attempts died there one after the other without a step, the last one of \
+                 {reason}; {}. {open} left open go on with the same command, here or elsewhere",
+                host(),
+                reason.remedy()
+            );
         }
     }
 }

@@ -318,6 +318,7 @@ fn name(outcome: Outcome) -> &'static str {
         Outcome::Interrupted => "interrupted",
         Outcome::StoreBroken => "store_broken",
         Outcome::NoWorkers => "no_workers",
+        Outcome::Unfit(_) => "unfit",
     }
 }
 
@@ -327,6 +328,7 @@ async fn end(db: &Path, plan: &Plan, format: Format, outcome: Outcome) -> Result
     say!("database: {}", db.display());
     Ok(match outcome {
         Outcome::Interrupted => Exit::Interrupted,
+        Outcome::Unfit(_) => Exit::Unfit,
         _ if failed > 0 => Exit::Failed,
         _ => Exit::Done,
     })
@@ -347,6 +349,7 @@ fn options(run: &Run, args: &Args) -> Options {
             backoff: millis(run.backoff.unwrap_or(0.5)),
             no_progress: millis(patience),
             time_limit: run.time_limit.map(millis),
+            memory_limited: run.memory.is_some(),
             prune: run.prune.clone(),
         },
         threads: threads as u32,

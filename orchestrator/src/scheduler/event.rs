@@ -106,4 +106,6 @@ pub enum Outcome {
     StoreBroken,
     /// No worker process comes up.
     NoWorkers,
+    /// Trials die on this machine one after the other without a step, the last one for this.
+    Unfit(Reason),
 }

@@ -56,6 +56,8 @@ pub struct Settings {
     pub no_progress: Millis,
     /// Longest time of an attempt.
     pub time_limit: Option<Millis>,
+    /// Workers have a limit of memory of their own: a trial that needs more needs it on every machine.
+    pub memory_limited: bool,
     /// Which trials are given up early, if any.
     pub prune: Option<Prune>,
 }
@@ -74,6 +76,11 @@ pub const MISFIRES_MAX: u32 = 4;
 pub const RESULTS_MAX: usize = 64;
 /// Records that may wait for the disk before no further trial is handed out.
 pub const UNRECORDED_MAX: usize = 256;
+
+/// Deaths in a row without a step that say that the machine is at fault and not the trials …
+pub const UNFIT_DEATHS: u32 = 10;
+/// … where so many trials are among them.
+pub const UNFIT_TRIALS: usize = 3;
 
 /// A trial as the run finds it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -195,6 +202,10 @@ pub struct State {
     standings: Standings,
     unsettled: usize,
     unrecorded: usize,
+    /// Since a worker has last come anywhere with its trial: deaths, the trials that died, and why the last one did.
+    deaths: u32,
+    dead: BTreeSet<u32>,
+    died_of: Option<Reason>,
     stopping: Stopping,
     /// Since when.
     stopping_since: Millis,
@@ -236,6 +247,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         }
         Event::Finished(worker, lease, record) => {
             state.release(worker);
+            state.alive();
             state.slots[worker.slot as usize].unrecorded += 1;
             state.trials[lease.trial as usize].phase = Phase::Recording(worker);
             state.unrecorded += 1;
@@ -288,6 +300,9 @@ impl State {
             slots: vec![Slot::EMPTY; settings.workers as usize],
             standings: Standings::default(),
             unrecorded: 0,
+            deaths: 0,
+            dead: BTreeSet::new(),
+            died_of: None,
             stopping: Stopping::No,
             stopping_since: 0,
             ended: false,
@@ -354,9 +369,21 @@ impl State {
     /// A worker has come further with its trial than a death could take back, once that is recorded.
     fn progressed(&mut self, worker: WorkerId, lease: Lease) {
         self.beat(worker);
+        self.alive();
         let trial = &mut self.trials[lease.trial as usize];
         (trial.stepped, trial.begun) = (true, true);
         self.unrecorded += 1;
+    }
+
+    /// A worker has come somewhere: this machine can do it.
+    fn alive(&mut self) {
+        self.deaths = 0;
+        self.dead.clear();
+    }
+
+    /// Why this machine is given up, where it is.
+    fn unfit(&self) -> Option<Reason> {
+        self.died_of.filter(|_| self.deaths >= UNFIT_DEATHS && self.dead.len() >= UNFIT_TRIALS)
     }
 
     /// Takes the trial from a worker that holds one.
@@ -446,15 +473,17 @@ impl State {
 
     /// An attempt came to nothing: again, later, or never.
     fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
+        let death = reason.is_retried() || reason == Reason::OutOfMemory && !self.settings.memory_limited;
         let trial = &mut self.trials[lease.trial as usize];
-        let reason = trial.unwanted.filter(|_| reason.is_retried()).unwrap_or(reason);
+        let reason = trial.unwanted.filter(|_| death).unwrap_or(reason);
+        let death = death && !reason.is_given_up();
         let by_request =
             reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && !reason.is_given_up();
         if !by_request {
             trial.deaths = if trial.stepped { 0 } else { trial.deaths + 1 };
         }
-        trial.stepped = false;
-        let settled = !by_request && (!reason.is_retried() || trial.deaths > self.settings.retries);
+        let stepped = std::mem::replace(&mut trial.stepped, false);
+        let settled = !by_request && (!death || trial.deaths > self.settings.retries);
         if settled {
             trial.phase = Phase::Failed(reason);
             self.unsettled -= 1;
@@ -465,13 +494,22 @@ impl State {
                 if trial.deaths == 0 { 0 } else { (self.settings.backoff << doublings).min(BACKOFF_MAX) };
             self.delayed.insert((self.now + wait, lease.trial));
         }
+        if !by_request && !stepped {
+            if death {
+                self.deaths += 1;
+                self.dead.insert(lease.trial);
+                self.died_of = Some(reason);
+            } else if !reason.is_given_up() {
+                self.alive(); // the worker has lived to say what is wrong with the trial
+            }
+        }
         self.unrecorded += 1;
         out.push(Action::RecordFailure { lease, reason, settled });
     }
 
     /// Ends workers where the run is to end.
     fn stop<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        let finished = self.unsettled == 0;
+        let finished = self.unsettled == 0 || self.unfit().is_some() && self.busy() == 0;
         if self.stopping == Stopping::No && !finished {
             return;
         }
@@ -498,7 +536,7 @@ impl State {
 
     /// Hands trials to idle workers.
     fn assign<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        if self.stopping != Stopping::No || self.settings.paused {
+        if self.stopping != Stopping::No || self.settings.paused || self.unfit().is_some() {
             return;
         }
         let now = self.now;
@@ -519,7 +557,7 @@ impl State {
 
     /// Starts as many workers as there are trials that wait for one.
     fn spawn<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        if self.stopping != Stopping::No || self.settings.paused {
+        if self.stopping != Stopping::No || self.settings.paused || self.unfit().is_some() {
             return;
         }
         let coming = |slot: &&Slot| matches!(slot.work, Work::Starting { .. } | Work::Idle);
@@ -548,12 +586,15 @@ impl State {
         if !deserted || recording {
             return;
         }
-        let outcome = match self.stopping {
-            Stopping::Broken => Outcome::StoreBroken,
+        let outcome = match (self.stopping, self.unfit()) {
+            (Stopping::Broken, _) => Outcome::StoreBroken,
             _ if self.unsettled == 0 => Outcome::Complete,
-            Stopping::Asked | Stopping::AtOnce => Outcome::Interrupted,
-            Stopping::No if self.slots.iter().all(|slot| slot.work == Work::GivenUp) => Outcome::NoWorkers,
-            Stopping::No => return,
+            (Stopping::Asked | Stopping::AtOnce, _) => Outcome::Interrupted,
+            (Stopping::No, Some(reason)) => Outcome::Unfit(reason),
+            (Stopping::No, None) if self.slots.iter().all(|slot| slot.work == Work::GivenUp) => {
+                Outcome::NoWorkers
+            }
+            (Stopping::No, None) => return,
         };
         self.ended = true;
         out.push(Action::End(outcome));

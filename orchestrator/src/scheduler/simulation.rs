@@ -76,6 +76,10 @@ struct World {
     chance_of_echo: u64,
     /// Of a worker that goes on with what it does for long after it was asked to stop.
     chance_of_slowness: u64,
+    /// A machine on which every trial dies at its first step.
+    black_hole: bool,
+    /// Deaths of workers with a trial since one has last come anywhere, and of which trials.
+    deaths: Vec<u32>,
     interrupt: bool,
     interrupted: Option<Millis>,
     /// Trials that a person has cancelled, and the answers to commands.
@@ -98,6 +102,7 @@ impl World {
             backoff: dice.below(2000),
             no_progress: 20_000,
             time_limit: dice.percent(30).then_some(60_000),
+            memory_limited: false,
             prune: dice.percent(30).then(|| Prune { at: vec![0.3, 0.6], grace: 1 + dice.below(3) as usize }),
         };
         let priors: Vec<Prior> = (0..trials).map(|trial| prior(trial, &mut dice)).collect();
@@ -122,6 +127,8 @@ impl World {
             chance_of_misfire: chance(&mut dice, 40),
             chance_of_echo: chance(&mut dice, 30),
             chance_of_slowness: chance(&mut dice, 100),
+            black_hole: dice.percent(3),
+            deaths: Vec::new(),
             interrupt: dice.percent(25),
             interrupted: None,
             cancelled: BTreeSet::new(),
@@ -131,6 +138,9 @@ impl World {
             outcome: None,
             dice,
         };
+        if world.black_hole {
+            (world.chance_of_death, world.chance_of_hanging) = (100, 0);
+        }
         priors.iter().for_each(|prior| world.add(prior));
         if world.dice.percent(50) {
             world.command();
@@ -158,7 +168,7 @@ impl World {
         self.results.push(0);
         self.failed.push(None);
         self.error.push(self.dice.below(1000) as f64);
-        self.length.push(self.dice.below(8) as u32);
+        self.length.push(self.dice.below(8) as u32 + u32::from(self.black_hole));
     }
 
     /// What people will want, at times; who pauses goes on in the end. Trials are drawn when it comes to them.
@@ -241,7 +251,9 @@ impl World {
         match event {
             Event::Lost(worker, _) => {
                 let gone = self.processes.insert(*worker, Process::Gone);
-                self.working.remove(worker);
+                if let Some(lease) = self.working.remove(worker) {
+                    self.deaths.push(lease.trial);
+                }
                 gone.is_some_and(|process| process != Process::Gone)
             }
             // A store that is broken says nothing more.
@@ -317,6 +329,7 @@ impl World {
             Action::Assign(worker, lease) => self.work(worker, lease),
             Action::RecordStep(lease, (trial, step)) => {
                 assert_eq!(lease.trial, trial, "a step of another trial");
+                self.deaths.clear();
                 let known = &mut self.steps[trial as usize];
                 assert!(step <= *known, "trial {trial}: step {step} recorded after {known}");
                 *known = (*known).max(step + 1);
@@ -442,6 +455,16 @@ impl World {
     /// Holds at the end of a run.
     fn check_end(&mut self) {
         let outcome = self.outcome.expect("the run has ended");
+        let dead: HashSet<u32> = self.deaths.iter().copied().collect();
+        if let Outcome::Unfit(_) = outcome {
+            let enough = self.deaths.len() >= UNFIT_DEATHS as usize && dead.len() >= UNFIT_TRIALS;
+            assert!(enough, "unfit after the deaths of {:?}", self.deaths);
+            assert!(self.state.waiting() > 0, "nothing is left to be done elsewhere");
+        }
+        if self.black_hole {
+            let most = UNFIT_DEATHS as usize + 2 * 6; // of two trials alone, six each; others are with workers by then
+            assert!(self.deaths.len() <= most, "{} attempts were burned", self.deaths.len());
+        }
         assert!(self.interrupt || outcome != Outcome::Interrupted, "nobody has interrupted");
         assert!(self.store_breaks || outcome != Outcome::StoreBroken, "the store was in order");
         let alive = self.processes.values().filter(|process| **process != Process::Gone).count();
@@ -501,14 +524,15 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_10_000_random_worlds() {
             let what = format!("{answer:?}").split(['(', '[']).next().unwrap_or_default().to_owned();
             *answers.entry(what).or_default() += 1;
         }
-        *outcomes.entry(format!("{:?}", world.outcome)).or_default() += 1;
+        let outcome = format!("{:?}", world.outcome.expect("the run has ended"));
+        *outcomes.entry(outcome.split('(').next().unwrap_or_default().to_owned()).or_default() += 1;
     }
     if seeds.end - seeds.start > 1 {
         assert!(answers.len() == 8 && answers.values().all(|count| *count > 300), "{answers:?}");
         assert!(pruned > 100, "{pruned} trials were given up as hopeless");
-        for outcome in [Outcome::Complete, Outcome::Interrupted, Outcome::StoreBroken, Outcome::NoWorkers] {
-            let count = outcomes.get(&format!("{:?}", Some(outcome))).copied().unwrap_or(0);
-            assert!(count > 20, "{outcome:?} was met in {count} worlds only: {outcomes:?}");
+        for outcome in ["Complete", "Interrupted", "StoreBroken", "NoWorkers", "Unfit"] {
+            let count = outcomes.get(outcome).copied().unwrap_or(0);
+            assert!(count > 20, "{outcome} was met in {count} worlds only: {outcomes:?}");
         }
     }
 }

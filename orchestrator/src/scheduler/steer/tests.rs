@@ -23,6 +23,7 @@ fn run(trials: usize, workers: u32) -> State {
         backoff: 500,
         no_progress: 10_000,
         time_limit: None,
+        memory_limited: false,
         prune: None,
     };
     let mut state = State::new(settings, &vec![Prior::default(); trials]);
