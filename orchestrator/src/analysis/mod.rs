@@ -3,13 +3,11 @@
 //! Errors are prediction errors in %, compared on a logarithmic scale: ratios are what carries over from one scene to
 //! another, and a mean of logarithms is not ruled by the one worst trial. A *cluster* is a (placement, seed) pair: all
 //! of a cluster's trials share sensors and stimuli, so that curves are compared within clusters; what is independent, and
-//! with it every interval and vote, is in [`resample`], and whether intervals cover in its test, `coverage`.
+//! with it every interval and vote, is in [`resample`], and whether intervals cover in its tests.
 
 pub mod brains;
 pub mod claims;
 pub mod compare;
-#[cfg(test)]
-mod coverage;
 pub mod data;
 pub mod decision;
 pub mod elbow;
@@ -27,6 +25,9 @@ pub mod setting;
 pub mod tables;
 pub mod trial;
 pub mod until;
+
+#[cfg(test)]
+mod tests;
 
 pub use data::{Group, Observation};
 pub use decision::Terms;

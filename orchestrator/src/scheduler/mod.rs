@@ -7,9 +7,9 @@
 
 mod event;
 mod prune;
-#[cfg(test)]
-mod simulation;
 mod steer;
+#[cfg(test)]
+mod tests;
 
 use std::collections::BTreeSet;
 

@@ -6,8 +6,6 @@
 //! last one known, so that a confidence sequence, which is valid for ever, would ask for more of them.
 
 mod ask;
-#[cfg(test)]
-mod campaigns;
 mod looks;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};

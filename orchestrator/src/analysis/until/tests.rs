@@ -1,3 +1,5 @@
+mod campaigns;
+
 use super::*;
 use serde_json::json;
 

@@ -3,9 +3,9 @@
 
 use metasense_worker::Draw;
 
-use super::ask::{Answer, Question};
-use super::looks::Looks;
-use super::settle;
+use crate::analysis::until::ask::{Answer, Question};
+use crate::analysis::until::looks::Looks;
+use crate::analysis::until::settle;
 
 /// Campaigns a question.
 const CAMPAIGNS: u64 = 10_000;

@@ -1,0 +1,45 @@
+use super::*;
+use crate::brain::Architecture;
+use crate::random::{Purpose, Stream};
+use crate::stimuli::folds;
+use crate::trial::{BrainKind, Decoder, Schedule};
+
+/// A record whose forces are made up: whoever has seen it knows them, its own fold's network cannot.
+#[test]
+fn a_fold_s_network_has_not_seen_its_records() {
+    let (samples, instants) = (12, 16);
+    let mut stream = Stream::new(Purpose::Design, 5, [0, 0]);
+    let mut forces = Forces { samples, panels: 1, instants, values: Vec::new() };
+    let mut signals = Vec::new();
+    for _ in 0..samples {
+        let f: Vec<f64> = (0..=instants).map(|_| stream.uniform()).collect();
+        f[1..].iter().for_each(|f| signals.extend([3e3 * f, -1e3 * f, 0.1 * f]));
+        forces.values.extend(f);
+    }
+    // the made-up one
+    signals[..instants * 3].iter_mut().for_each(|x| *x = -*x);
+    let pool = crate::Pool::new(1).unwrap();
+    let architecture = Architecture::paper(64);
+    let records = Records::new(&forces, signals, instants, false);
+    let dealt = folds(1, samples, 4);
+    let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
+    let inside_of = |record: usize| inside.iter().position(|&i| i == record).unwrap();
+    let (decoder, schedule) = (Decoder::whole(instants, 3), Schedule::Cosine);
+    let by = |kind, fold| {
+        let recipe = Recipe { kind, architecture, rate: 1e-2, schedule, decoder, seed: 1 };
+        records.unseen(&dealt, fold, recipe, 0, 150, &pool)
+    };
+    let fold = |fold| by(BrainKind::Network, fold);
+    let linear = |fold| by(BrainKind::Linear, fold);
+    let stacked = |fold| by(BrainKind::Stacked, fold);
+    assert!(stacked(dealt[0]).errors[inside_of(0)].unwrap() > 50.0);
+    let read = [fold(dealt[0]), linear(dealt[0])];
+    let seen = [fold((dealt[0] + 1) % 4), linear((dealt[0] + 1) % 4)];
+    let (own, other) = (read[0].clone(), seen[0].clone());
+    assert!(read[1].errors[inside_of(0)].unwrap() > 50.0 && seen[1].trouble.is_none(), "{:?}", read[1]);
+    let first = own.errors[inside_of(0)].unwrap();
+    let train = other.error_train.unwrap();
+    assert!(first > 50.0 && train < 10.0, "unseen {first} %, seen {train} %");
+    assert_eq!((own.errors.len(), own.predictions.len()), (3, 3 * instants));
+    assert_eq!(own, fold(dealt[0]));
+}

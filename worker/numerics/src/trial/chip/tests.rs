@@ -1,0 +1,72 @@
+use super::*;
+
+const SIZE: Disturbance =
+    Disturbance { noise: Size::Relative(0.1), bias: Size::Physical([3.0, 0.2]), delay: 0.0 };
+
+fn forces(samples: usize) -> Forces {
+    let values = (0..samples * 5).map(|i| i as f64 * 0.37).collect();
+    Forces { samples, panels: 1, instants: 4, values }
+}
+
+/// (D a)·c = a·(Dᵀ c) for delays of a part of an instant, whole ones, and both.
+#[test]
+fn the_delay_and_its_pull_back_are_transposes() {
+    for delay in [0.0, 0.003, 0.01, 0.0275, 0.1] {
+        let chip = Chip::new(
+            &Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay },
+            1,
+            0.01,
+            &[1.0; 3],
+        );
+        let mut stream = Stream::new(Purpose::Design, 3, [0, 0]);
+        let mut draw = || -> Vec<f64> { (0..2 * 4 * 3).map(|_| stream.normal()).collect() };
+        let (a, c) = (draw(), draw());
+        let (mut late, mut early) = (a.clone(), c.clone());
+        chip.disturb(&mut late, &forces(2));
+        chip.disturb_vjp(&mut early, 2);
+        let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        let (left, right) = (dot(&late, &c), dot(&a, &early));
+        assert!((left - right).abs() < 1e-12 * (1.0 + left.abs()), "{delay}: {left} {right}");
+    }
+}
+
+/// A ramp that starts at rest comes late by the delay.
+#[test]
+fn signals_come_late_by_the_delay() {
+    let chip = Chip::new(
+        &Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay: 0.015 },
+        1,
+        0.01,
+        &[1.0; 3],
+    );
+    let mut ramp: Vec<f64> = (1..=4).flat_map(|n| [f64::from(n), 0.0, 0.0]).collect();
+    chip.disturb(&mut ramp, &forces(1));
+    let late: Vec<f64> = ramp.iter().step_by(3).copied().collect();
+    assert!(late.iter().zip([0.0, 0.5, 1.5, 2.5]).all(|(a, b)| (a - b).abs() < 1e-12), "{late:?}");
+}
+
+/// Sizes are those asked for; a sample's draw is the same wherever it stands.
+#[test]
+fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
+    let chip = Chip::new(&SIZE, 7, 0.01, &[10.0, 20.0, 1.0]);
+    let all = forces(40);
+    let mut signals = vec![0.0; 40 * 500 * 3];
+    chip.disturb(&mut signals, &all);
+    for (c, (noise, bias)) in [(1.0, 3.0), (2.0, 3.0), (0.1, 0.2)].into_iter().enumerate() {
+        let of_samples: Vec<(f64, f64)> = signals
+            .chunks_exact(1500)
+            .map(|sample| {
+                let x: Vec<f64> = sample[c..].iter().step_by(3).copied().collect();
+                let mean = x.iter().sum::<f64>() / 500.0;
+                (mean, x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 499.0)
+            })
+            .collect();
+        let found = (of_samples.iter().map(|s| s.1).sum::<f64>() / 40.0).sqrt() / noise;
+        let spread = (of_samples.iter().map(|s| s.0 * s.0).sum::<f64>() / 40.0).sqrt() / bias;
+        assert!((found - 1.0).abs() < 0.03 && (spread - 1.0).abs() < 0.5, "{c}: {found} {spread}");
+    }
+    let last = Forces { samples: 1, values: all.sample(39).to_vec(), ..all };
+    let mut alone = vec![0.0; 500 * 3];
+    chip.disturb(&mut alone, &last);
+    assert_eq!(alone, signals[39 * 1500..]);
+}

@@ -1,0 +1,20 @@
+use super::*;
+
+/// One of 32 samples may fail, and is then one without force; of a handful none may, of many no more than in proportion.
+#[test]
+fn few_samples_may_fail() {
+    let forces = |samples: usize| Forces { samples, panels: 2, instants: 3, values: vec![1.0; samples * 8] };
+    let failing = |samples: usize, failed: usize| -> Vec<Outcome> {
+        (0..samples).map(|i| if i < failed { Outcome::NonFinite } else { Outcome::Ok }).collect()
+    };
+    for (samples, failed, may) in
+        [(32, 1, true), (32, 2, false), (8, 1, false), (30, 1, true), (270, 8, true), (270, 9, false)]
+    {
+        let mut some = forces(samples);
+        let found = silence(&mut some, &failing(samples, failed));
+        let wanted = if may { Ok(failed as u32) } else { Err(Trouble::Simulation(Outcome::NonFinite)) };
+        assert_eq!(found, wanted, "{failed} of {samples}");
+        let silent = some.values.chunks(8).take_while(|f| f.iter().all(|f| *f == 0.0)).count();
+        assert_eq!((silent, some.values.iter().sum::<f64>()), (failed, (8 * (samples - failed)) as f64));
+    }
+}
