@@ -30,6 +30,7 @@ mod shards;
 mod simulate;
 mod slurm;
 mod spec_fuzz;
+mod ssh;
 mod store;
 mod submit;
 mod until;

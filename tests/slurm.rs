@@ -177,19 +177,38 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     assert_eq!(site.rows("results/slow.sqlite", runs).trim_matches('"'), "lost,interrupted,complete");
 }
 
-/// SIGTERM comes a minute before the time limit, here at once; what is cut off goes on with the next submission.
+/// A shard is told a minute before its time limit, here at once; it queues again by itself and goes on. Cancelled, it stays away.
 #[test]
-fn a_time_limit_cuts_a_shard_off_in_order() {
-    let Some(site) = Site::new("a_time_limit_cuts_a_shard_off_in_order") else { return };
+fn a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled() {
+    let Some(site) = Site::new("a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled") else {
+        return;
+    };
     std::fs::write(site.home.join("long.toml"), spec("long", 6000, "[1]")).unwrap();
     // A name that neither a shell nor sbatch is to take for more than that.
     let folder = "$(touch${IFS}pwned)#'%d.shards";
-    site.says(0, &format!("submit slurm long.toml --shards 1 --cpus 1 --time 1 --out-dir {folder}"));
-    site.slurm.until_empty(100);
+    site.says(
+        0,
+        &format!("submit slurm long.toml --shards 1 --cpus 1 --time 1 --out-dir {folder} -- --mem=0"),
+    );
+    let waits = || site.slurm.tool("squeue", "-h -r -t pending -o %r").contains("BeginTime");
+    site.slurm.until("the shard waits again", 100, waits);
     assert!(site.home.join(folder).join("shard-1-of-1.out").exists() && !site.home.join("pwned").exists());
+    site.says(0, &format!("merge {folder} --out early.sqlite"));
     let outcome = "SELECT outcome, shards, estimated_seconds > 0 FROM v_run";
-    assert_eq!(site.rows("results/long.sqlite", outcome), "interrupted,1,1");
-    assert_ne!(site.rows("results/long.sqlite", "SELECT count(*) FROM v_step"), "0");
+    assert_eq!(site.rows("early.sqlite", outcome), "interrupted,1,1");
+    assert_ne!(site.rows("early.sqlite", "SELECT count(*) FROM v_step"), "0");
+
+    // A longer one from now on, which somebody cancels.
+    let id = site.slurm.tool("squeue", "-h -r -t pending -o %i");
+    let id = id.lines().find(|id| id.contains('_')).expect("an array's job").to_owned();
+    std::thread::sleep(Duration::from_secs(2)); // as above
+    site.slurm.tool("scontrol", &format!("update jobid={id} starttime=now timelimit=5"));
+    site.until_running(&format!("{folder}/shard-1-of-1.log"), 2);
+    site.slurm.tool("scancel", &id);
+    site.slurm.until_empty(60);
     let status = site.says(0, &format!("status --cluster {folder}"));
     assert!(status.contains("partial") && status.contains("`metasense submit` goes on"), "{status}");
+    site.says(0, &format!("merge {folder} --out late.sqlite"));
+    let outcomes = "SELECT group_concat(outcome) FROM (SELECT outcome FROM v_run ORDER BY started_at)";
+    assert_eq!(site.rows("late.sqlite", outcomes).trim_matches('"'), "interrupted,interrupted");
 }

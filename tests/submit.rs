@@ -1,9 +1,11 @@
 //! What is handed to a cluster's scheduler, to the letter; and that it is handed over.
 
 use std::os::unix::fs::PermissionsExt;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
 
-use crate::common::{Bench, SPEC, TINY};
+use crate::common::processes::{eventually, kill};
+use crate::common::{Bench, SPEC, TINY, results};
 
 /// Without the paths of this machine.
 fn dry_run(bench: &Bench, arguments: &[&str]) -> String {
@@ -11,8 +13,9 @@ fn dry_run(bench: &Bench, arguments: &[&str]) -> String {
     let text = bench.output(&[&["submit"], arguments, &["s.toml", "--dry-run"]].concat());
     let folder = bench.path("").canonicalize().unwrap();
     assert!(!bench.path("results").exists(), "a dry run writes nothing");
-    text.replace(env!("CARGO_BIN_EXE_metasense"), "/opt/metasense")
-        .replace(folder.to_str().unwrap(), "/home/user")
+    let text = text.replace(folder.to_str().unwrap(), "/home/user");
+    let digest = text.split("metasense-").nth(1).map_or(String::new(), |rest| rest[..8].to_owned());
+    text.replace(&digest, "DIGEST")
 }
 
 #[test]
@@ -20,14 +23,39 @@ fn scripts_for_slurm_are_readable() {
     let bench = Bench::new();
     insta::assert_snapshot!(dry_run(
         &bench,
-        &["slurm", "--shards", "12", "--partition", "main", "--time", "1-12", "--cpus", "8"]
+        &[
+            "slurm",
+            "--shards",
+            "12",
+            "--partition",
+            "main",
+            "--time",
+            "1-12",
+            "--cpus",
+            "8",
+            "--at-most",
+            "3"
+        ]
     ));
 }
 
 #[test]
 fn scripts_for_hyperqueue_run_the_same_shard() {
     let bench = Bench::new();
-    insta::assert_snapshot!(dry_run(&bench, &["hq", "--shards", "3"]));
+    let prefix = "apptainer exec image.sif";
+    insta::assert_snapshot!(dry_run(
+        &bench,
+        &[
+            "hq",
+            "--shards",
+            "3",
+            "--prefix",
+            prefix,
+            "--run",
+            "--simd avx2 --copy-every 300",
+            "--retry-failed"
+        ]
+    ));
 }
 
 /// Calls the program where `hq` is this script.
@@ -100,8 +128,8 @@ fn no_part_of_a_folder_is_run() {
     let folder = "a $(touch pwned) `touch pwned` 'b' $HOME %d";
     let output = with_hq(&bench, "echo 7", &["submit", "hq", "s.toml", "--shards", "1", "--out-dir", folder]);
     assert!(output.status.success(), "{}", said(&output));
-    // Changed since, so that the shard ends at once.
-    bench.file("s.toml", &SPEC.replace("columns = 6", "columns = 5"));
+    // Damaged, so that the shard ends at once.
+    std::fs::write(bench.path(folder).join("shard-1-of-1.trials.jsonl"), "{}\n").unwrap();
     for script in ["shard.sh", "merge.sh"] {
         let mut sh = Command::new("sh");
         sh.arg(bench.path(folder).join(script))
@@ -111,7 +139,7 @@ fn no_part_of_a_folder_is_run() {
         sh.current_dir(bench.path("")).output().unwrap();
     }
     let log = std::fs::read_to_string(bench.path(folder).join("shard-1-of-1.out")).unwrap();
-    assert!(log.contains("has changed since") && !bench.path("pwned").exists(), "{log}");
+    assert!(log.contains("jsonl:1") && !bench.path("pwned").exists(), "{log}");
     assert!(bench.path(folder).join("merge.out").exists());
     for (scheduler, folder) in [("hq", "a\nb"), ("slurm", "a\nb"), ("slurm", "a\"b"), ("slurm", "a\\b")] {
         let args = ["submit", scheduler, "s.toml", "--shards", "1", "--out-dir", folder, "--dry-run"];
@@ -230,4 +258,121 @@ fn failed_trials_are_told_and_run_again_on_request() {
     assert!(again.contains("submitted: job 7, shards 1"), "{again}");
     let script = std::fs::read_to_string(bench.path(&format!("{folder}/shard.sh"))).unwrap();
     assert!(script.contains("--retry-failed"), "{script}");
+}
+
+/// Options that a shard's run would refuse are refused before anything is submitted; so is what a scheduler has not.
+#[test]
+fn options_that_nobody_has_are_refused_at_once() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    for (arguments, expected) in [
+        ("slurm s.toml --run=--no-such", "unexpected argument"),
+        ("slurm s.toml --run=--workers=3", "cannot be used multiple times"),
+        ("hq s.toml --at-most 3", "HyperQueue"),
+        ("hq s.toml --partition main", "only Slurm"),
+        ("local s.toml --time 10", "without a limit"),
+        ("ssh s.toml", "--hosts"),
+        ("local s.toml --hosts s.toml", "submit ssh"),
+        ("ssh s.toml --hosts s.toml", "s.toml:1"),
+    ] {
+        let words: Vec<&str> = ["submit"].into_iter().chain(arguments.split(' ')).collect();
+        let output = bench.metasense(&words);
+        let message = said(&output);
+        assert!(output.status.code() == Some(2) && message.contains(expected), "{arguments}: {message}");
+        assert!(!bench.path("results").exists(), "{arguments}");
+    }
+}
+
+/// Slurm's arrays have a largest index: more shards are several arrays, each with its offset. Options behind a second `--` are the
+/// merge's alone.
+#[test]
+fn shards_beyond_the_largest_array_are_further_arrays() {
+    let bench = Bench::new();
+    let seeds: Vec<String> = (0..1050).map(|seed| seed.to_string()).collect();
+    let text = TINY
+        .replace("sensors = [1, 2]", "sensors = [1, 2]\nseeds = [SEEDS]")
+        .replace("SEEDS", &seeds.join(", "));
+    bench.file("tiny.toml", &text);
+    let args =
+        ["submit", "slurm", "tiny.toml", "--shards", "2050", "--dry-run", "--", "--mem=9G", "--", "--mem=1G"];
+    let text = bench.output(&args);
+    let commands: Vec<&str> = text.lines().filter(|line| line.starts_with('$')).collect();
+    let expected = [
+        ("--array=1-1000 --mem=9G ", "shard.sh"),
+        ("--array=1-1000 --output=", "shard-%a+1000-of-2050.out --mem=9G "),
+        ("--array=1-50 --output=", "shard.sh 2000"),
+        ("--dependency=afterany:JOB --mem=1G ", "merge.sh"),
+    ];
+    assert_eq!(commands.len(), expected.len(), "{commands:#?}");
+    for (command, (first, second)) in commands.iter().zip(expected) {
+        assert!(command.contains(first) && command.contains(second), "{command}");
+    }
+}
+
+/// A rebuilt program does not change what waits: shards are run by the copy that was submitted.
+#[test]
+fn what_waits_is_run_by_the_program_that_was_submitted() {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    let copies = || -> Vec<String> {
+        let names = bench.path("results/s.shards").read_dir().unwrap().flatten();
+        let names = names.map(|file| file.file_name().into_string().unwrap());
+        names.filter(|name| name.starts_with("metasense-")).collect()
+    };
+    let submit = |queue: &str| {
+        let hq = format!("case \"$*\" in *task\\ list*) echo '{queue}';; *) echo 7;; esac");
+        let output = with_hq(&bench, &hq, &["submit", "hq", "s.toml", "--shards", "2"]);
+        assert!(output.status.success(), "{}", said(&output));
+    };
+    submit("{}");
+    let [copy] = &copies()[..] else { panic!("{:?}", copies()) };
+    let same = std::fs::read(bench.path("results/s.shards").join(copy)).unwrap()
+        == std::fs::read(env!("CARGO_BIN_EXE_metasense")).unwrap();
+    let script = std::fs::read_to_string(bench.path("results/s.shards/shard.sh")).unwrap();
+    assert!(same && script.contains(&format!("s.shards/{copy} run ")), "{script}");
+    // That of another build stays while anything of it may wait.
+    bench.file("results/s.shards/metasense-01234567", "");
+    submit(r#"{"7": [{"id": 1, "state": "waiting"}]}"#);
+    assert_eq!(copies().len(), 2);
+    submit("{}");
+    assert_eq!(copies().len(), 1);
+}
+
+/// Without a scheduler: shards on this machine, stopped in order and gone on with, and merged.
+#[test]
+fn shards_on_this_machine_are_the_sweep() {
+    let bench = Bench::new();
+    let text =
+        TINY.replace("1e-4", "1e-3").replace("iterations = 4\n", "iterations = 100\n") + "seeds = [1, 2]\n";
+    bench.file("tiny.toml", &text);
+    bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+    std::fs::create_dir(bench.path("tmp")).unwrap();
+    let submit = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+        command.args(["submit", "local", "tiny.toml", "--shards", "2", "--cpus", "1", "--at-most", "2"]);
+        command.current_dir(bench.path("")).env("TMPDIR", bench.path("tmp"));
+        command.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap()
+    };
+    let first = submit();
+    let log = |i: u32| bench.path(&format!("results/tiny.shards/shard-{i}-of-2.log"));
+    let begun = |i| std::fs::read_to_string(log(i)).unwrap_or_default().contains("worker started");
+    eventually(Duration::from_secs(60), || (begun(1) && begun(2)).then_some(())).expect("both shards begin");
+    let status = said(&bench.metasense(&["status", "--cluster"]));
+    assert!(status.contains("a submit is at work on them"), "{status}");
+    let second = submit().wait_with_output().unwrap();
+    assert!(
+        second.status.code() == Some(3) && said(&second).contains("another `metasense submit`"),
+        "{}",
+        said(&second)
+    );
+    kill(first.id(), libc::SIGTERM);
+    let first = first.wait_with_output().unwrap();
+    assert_eq!(first.status.code(), Some(4), "{}", said(&first));
+    assert!(said(&first).contains("left: shards 1-2"), "{}", said(&first));
+    let again = submit().wait_with_output().unwrap();
+    assert_eq!(again.status.code(), Some(0), "{}", said(&again));
+    assert_eq!(results(&bench, "results/tiny.sqlite"), results(&bench, "whole.sqlite"));
+    assert_eq!(bench.path("tmp").read_dir().unwrap().count(), 0, "nothing is left on the machine");
+    let status = said(&bench.metasense(&["status", "--cluster"]));
+    assert!(status.contains("2 of 2 shards complete"), "{status}");
 }

@@ -1,6 +1,6 @@
 //! `merge`: databases of shards, or of whole sweeps, into one.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::{Error, Format, print_rows};
 use crate::cluster::merge::{Kind, Summary, merge};
@@ -26,6 +26,13 @@ pub(super) struct Args {
     /// The form of the list of disagreements and omissions
     #[arg(long, value_enum, default_value_t)]
     format: Format,
+}
+
+impl Args {
+    /// The databases of a folder into one.
+    pub fn folder(folder: &Path, out: &Path) -> Self {
+        Self { files: vec![folder.to_owned()], out: out.to_owned(), format: Format::default() }
+    }
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {

@@ -213,6 +213,10 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
         states.len(),
         waiting.len()
     );
+    if queue::is_held(&folder) {
+        say!("a submit is at work on them");
+        return Ok(Exit::Done);
+    }
     if !ended.is_empty() {
         say!("{} have ended before their trials had: `metasense submit` goes on with them", ended.len());
     }

@@ -7,6 +7,7 @@
 mod assignment;
 pub mod home;
 pub mod merge;
+pub mod places;
 pub mod queue;
 mod shard;
 pub mod state;

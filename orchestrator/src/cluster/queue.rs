@@ -1,7 +1,7 @@
 //! What the scheduler says of the shards that were submitted. Only its queue is asked: there need be no accounting.
 
 use std::collections::HashMap;
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::process::{Command, ExitStatus};
@@ -15,7 +15,7 @@ const JOBS: &str = "jobs.jsonl";
 /// A job that was submitted.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Job {
-    /// `slurm` or `hq`.
+    /// `slurm`, `hq`, `local` or `ssh`.
     pub scheduler: String,
     /// Its number there.
     pub job: String,
@@ -24,6 +24,9 @@ pub struct Job {
     pub merge_job: Option<String>,
     /// Shards of the sweep.
     pub shards: u32,
+    /// Added to the scheduler's indices, it gives the shards.
+    #[serde(default)]
+    pub offset: u32,
 }
 
 /// What was submitted from a folder, open before anything is: what a scheduler has accepted can be written down.
@@ -31,10 +34,19 @@ pub struct Job {
 pub struct Notes(File);
 
 impl Notes {
+    /// For this process alone, as long as it is open.
+    ///
     /// # Errors
-    /// If nothing can be written there.
+    /// If nothing can be written there, or another `submit` is at work.
     pub fn open(folder: &Path) -> io::Result<Self> {
-        OpenOptions::new().create(true).append(true).open(folder.join(JOBS)).map(Self)
+        let file = OpenOptions::new().create(true).append(true).open(folder.join(JOBS))?;
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => {
+                Err(io::Error::new(ErrorKind::ResourceBusy, "another `metasense submit` is at work on it"))
+            }
+            // Not every network file system has locks.
+            _ => Ok(Self(file)),
+        }
     }
 
     /// Notes a job; again, with its merge.
@@ -46,6 +58,13 @@ impl Notes {
         self.0.write_all(line.as_bytes())?;
         self.0.sync_data()
     }
+}
+
+/// Whether a `submit` is at work on a folder.
+#[must_use]
+pub fn is_held(folder: &Path) -> bool {
+    let held = |file: File| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
+    File::open(folder.join(JOBS)).is_ok_and(held)
 }
 
 /// The jobs of a folder, oldest first; none where nothing was submitted.
@@ -169,6 +188,14 @@ fn output(words: &[&str]) -> Result<String, QueueError> {
     Err(QueueError::Failed { command: command(), status: output.status, said })
 }
 
+/// Slurm's `MaxArraySize`, where it says.
+#[must_use]
+pub fn max_array_size() -> Option<u32> {
+    let config = output(&["scontrol", "show", "config"]).ok()?;
+    let line = config.lines().find_map(|line| line.trim().strip_prefix("MaxArraySize"))?;
+    line.split_once('=')?.1.trim().parse().ok()
+}
+
 impl Queue {
     fn add_job(&mut self, job: &str) {
         if !self.jobs.iter().any(|known| known == job) {
@@ -186,11 +213,11 @@ impl Queue {
             let reason = parts.next().unwrap_or("None");
             let state = state.to_lowercase();
             self.add_job(job);
-            if let Ok(index) = index.parse()
-                && jobs.iter().any(|known| known.job == job)
+            if let Ok(index) = index.parse::<u32>()
+                && let Some(known) = jobs.iter().find(|known| known.job == job)
             {
                 let state = if reason == "None" { state } else { format!("{state} ({reason})") };
-                self.shards.insert(index, state);
+                self.shards.insert(known.offset + index, state);
             }
         }
     }

@@ -2,22 +2,51 @@
 
 use std::path::{Path, PathBuf};
 
-use super::Assignment;
+use super::home::SUBMITTED_SPEC;
 use super::shard::ranges;
+use super::{Assignment, Shard};
+use crate::exit::Exit;
 use crate::plan::Trial;
 
-/// SIGTERM comes so long before the time limit (s): the run ends within two seconds, the copy has the rest.
+/// A shard is told so long before its time limit (s): the run ends within two seconds, the copy has the rest.
 pub const NOTICE: u64 = 60;
-/// Most shards that are planned; more have to be asked for. Slurm's `MaxArraySize` is 1001 where nobody has changed it.
+/// Most shards that are planned; more have to be asked for.
 const MOST_PLANNED: u32 = 1000;
+/// Slurm's `MaxArraySize`, one more than the largest index of an array, where nobody has changed it.
+pub const MAX_ARRAY_SIZE: u32 = 1001;
+/// How often a shard queues again by itself at its time limit.
+const REQUEUES: u32 = 20;
 
-/// A scheduler.
+/// Who starts shards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Scheduler {
     /// Slurm, by `sbatch`
     Slurm,
     /// `HyperQueue`, by `hq`
     Hq,
+    /// This machine, until all have ended
+    Local,
+    /// Machines that share the folder, by `ssh`, until all have ended
+    Ssh,
+}
+
+impl Scheduler {
+    /// As the list of jobs has it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Slurm => "slurm",
+            Self::Hq => "hq",
+            Self::Local => "local",
+            Self::Ssh => "ssh",
+        }
+    }
+
+    /// Whether it has a queue of its own, that outlives `submit`.
+    #[must_use]
+    pub fn has_queue(self) -> bool {
+        matches!(self, Self::Slurm | Self::Hq)
+    }
 }
 
 /// Shards to submit.
@@ -27,13 +56,11 @@ pub struct Submission {
     pub scheduler: Scheduler,
     /// The sweep.
     pub name: String,
-    /// This program.
+    /// The copy of this program in the folder.
     pub program: PathBuf,
-    /// The spec file.
-    pub spec: PathBuf,
-    /// What is changed of it, as `run` takes it.
-    pub changes: Vec<String>,
-    /// Where scripts, outputs and databases of shards go.
+    /// What goes before the program, as a shell reads it.
+    pub prefix: Option<String>,
+    /// Where scripts, spec, outputs and databases of shards are.
     pub folder: PathBuf,
     /// The merged database.
     pub out: PathBuf,
@@ -47,12 +74,27 @@ pub struct Submission {
     pub threads: u32,
     /// Time limit (s).
     pub seconds: u64,
+    /// Shards at a time, where that is limited.
+    pub at_most: Option<u32>,
     /// Where the scheduler has several queues.
     pub partition: Option<String>,
-    /// Failed trials are run again.
-    pub retry_failed: bool,
-    /// Passed on to the scheduler's command as they are.
-    pub further: Vec<String>,
+    /// Further options of each shard's `run`.
+    pub run: Vec<String>,
+    /// Passed on to the command that submits shards.
+    pub for_shards: Vec<String>,
+    /// Passed on to the command that submits the merge.
+    pub for_merge: Vec<String>,
+    /// Largest index of an array.
+    pub most_index: u32,
+}
+
+/// Shards that are submitted together: `offset` and an index each.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Array {
+    /// Shard = offset + index.
+    pub offset: u32,
+    /// From 1.
+    pub indices: Vec<u32>,
 }
 
 /// A file to write.
@@ -89,17 +131,16 @@ impl Submission {
         let control = |text: &str| text.chars().any(char::is_control);
         // Slurm reads its directives itself, with quotes and backslashes of its own.
         let directive = |text: &str| self.scheduler == Scheduler::Slurm && text.contains(['"', '\\']);
-        let paths =
-            [("folder", &self.folder), ("out", &self.out), ("spec", &self.spec), ("program", &self.program)];
+        let paths = [("folder", &self.folder), ("out", &self.out)];
         let path = paths.into_iter().find(|(name, path)| {
             path.to_str().is_none_or(|text| control(text) || *name == "folder" && directive(text))
         });
         let partition = self.partition.as_ref().filter(|p| p.contains(char::is_whitespace) || control(p));
-        let change = self.changes.iter().find(|change| control(change));
+        let prefix = self.prefix.as_ref().filter(|prefix| control(prefix));
         path.map(|(name, path)| {
             format!("{name} {path:?}: must be text without line ends, quotes and backslashes")
         })
-        .or_else(|| change.map(|change| format!("{change:?}: must be text without line ends")))
+        .or_else(|| prefix.map(|prefix| format!("prefix {prefix:?}: must be text without line ends")))
         .or_else(|| partition.map(|name| format!("partition {name:?}: is no name of a partition")))
     }
 
@@ -109,6 +150,7 @@ impl Submission {
         let (shard, merge) = match self.scheduler {
             Scheduler::Slurm => (self.slurm_shard(), self.slurm_merge()),
             Scheduler::Hq => (self.hq_shard(), self.hq_merge()),
+            Scheduler::Local | Scheduler::Ssh => (self.own_shard(), self.own_merge()),
         };
         [Script { name: "shard.sh", text: shard }, Script { name: "merge.sh", text: merge }]
     }
@@ -118,26 +160,34 @@ impl Submission {
         format!(
             "#!/bin/sh\n\
              #SBATCH --job-name={name}\n\
-             #SBATCH --array={}\n\
              #SBATCH --nodes=1\n\
              #SBATCH --ntasks=1\n\
              #SBATCH --cpus-per-task={cpus}\n\
              #SBATCH --time={}\n\
              {}\
-             #SBATCH --signal=B:TERM@{NOTICE}\n\
+             #SBATCH --signal=B:USR1@{NOTICE}\n\
              #SBATCH --requeue\n\
              #SBATCH --open-mode=append\n\
              #SBATCH --output={}\n\
-             # A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on\n\
-             # from what an earlier attempt has left here, and puts its database here when it ends: also by SIGTERM, which\n\
-             # comes {NOTICE} s before the time limit and reaches it because of exec.\n\
-             exec {} \"$SLURM_ARRAY_TASK_ID/{shards}\" {}\n",
-            ranges(&self.which),
+             {ABOUT}\
+             # also by SIGTERM, and {NOTICE} s before the time limit, of which Slurm tells this script by SIGUSR1. Then it queues\n\
+             # again, at most {REQUEUES} times.\n\
+             shard=$((SLURM_ARRAY_TASK_ID + ${{1:-0}}))\n\
+             {} &\n\
+             run=$!\n\
+             trap : TERM # which the run gets, too\n\
+             trap 'limit=reached; kill -TERM $run' USR1\n\
+             while wait $run; code=$?; kill -0 $run 2>/dev/null; do :; done # a signal ends only the waiting\n\
+             [ $code -le 128 ] || {{ wait $run; code=$?; }} # or it had ended meanwhile\n\
+             if [ \"$code $limit\" = \"{} reached\" ] && [ \"${{SLURM_RESTART_COUNT:-0}}\" -lt {REQUEUES} ]; then\n  \
+               exec scontrol requeue \"$SLURM_JOB_ID\"\n\
+             fi\n\
+             exit $code\n",
             clock(self.seconds),
             self.partition_line(),
             self.directive(&format!("shard-%a-of-{shards}.out")),
-            self.run(),
-            self.how()
+            self.run("$shard", None),
+            Exit::Interrupted as u8,
         )
     }
 
@@ -160,17 +210,14 @@ impl Submission {
     }
 
     fn hq_shard(&self) -> String {
-        let output = format!("{}/shard-\"$HQ_TASK_ID\"-of-{}.out", quoted(&self.folder), self.shards);
+        let stop_after = self.seconds.saturating_sub(NOTICE).max(1);
         format!(
             "#!/bin/sh\n\
-             # A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on\n\
-             # from what an earlier attempt has left here, and puts its database here when it ends: by itself {NOTICE} s before\n\
-             # the time limit, of which HyperQueue gives no notice.\n\
-             exec {} \"$HQ_TASK_ID/{}\" {} --stop-after {} \\\n  >> {output} 2>&1\n",
-            self.run(),
-            self.shards,
-            self.how(),
-            self.seconds.saturating_sub(NOTICE).max(1),
+             {ABOUT}\
+             # by itself {NOTICE} s before the time limit, of which HyperQueue gives no notice.\n\
+             exec {} {}\n",
+            self.run("$HQ_TASK_ID", Some(stop_after)),
+            self.output("$HQ_TASK_ID"),
         )
     }
 
@@ -185,22 +232,58 @@ impl Submission {
         )
     }
 
-    /// Up to the number of the shard.
-    fn run(&self) -> String {
-        let changes: String =
-            self.changes.iter().map(|change| format!(" {}", quoted(Path::new(change)))).collect();
-        format!("{} run {}{changes} --shard", quoted(&self.program), quoted(&self.spec))
+    fn own_shard(&self) -> String {
+        format!(
+            "#!/bin/sh\n\
+             {ABOUT}\
+             # also by SIGTERM. Its number is the first word behind the script.\n\
+             exec {} {}\n",
+            self.run("$1", None),
+            self.output("$1")
+        )
     }
 
-    /// From there on.
-    fn how(&self) -> String {
+    fn own_merge(&self) -> String {
+        format!("#!/bin/sh\n# What there is becomes one database.\nexec {}\n", self.merge())
+    }
+
+    /// The words of a shard's run, but for its number, which stands in a variable of the shell.
+    #[must_use]
+    pub fn run_words(&self, shard: &str, stop_after: Option<u64>) -> Vec<String> {
         let workers = (self.cpus / self.threads).max(1);
-        let again = if self.retry_failed { " --retry-failed" } else { "" };
-        format!("--workers {workers} --threads {} --copy-to {}{again}", self.threads, quoted(&self.folder))
+        let spec = self.folder.join(SUBMITTED_SPEC).display().to_string();
+        let shard = format!("{shard}/{}", self.shards);
+        let head = ["run", &spec, "--shard", &shard, "--workers", &workers.to_string()].map(str::to_owned);
+        let tail = ["--threads", &self.threads.to_string(), "--copy-to", &self.folder.display().to_string()]
+            .map(str::to_owned);
+        let stop = stop_after.map(|s| ["--stop-after".to_owned(), s.to_string()]);
+        [&head[..], &tail, &stop.into_iter().flatten().collect::<Vec<_>>(), &self.run].concat()
+    }
+
+    fn run(&self, shard: &str, stop_after: Option<u64>) -> String {
+        let words = self.run_words("SHARD", stop_after);
+        let number = format!("SHARD/{}", self.shards);
+        let word = |word: &String| match *word == number {
+            true => format!("\"{shard}/{}\"", self.shards),
+            false => quoted(Path::new(word)),
+        };
+        let words: Vec<String> = words.iter().map(word).collect();
+        format!("{} {} \\\n  {}", self.command(), words[..4].join(" "), words[4..].join(" "))
+    }
+
+    /// A shard's output, appended to.
+    fn output(&self, shard: &str) -> String {
+        format!("\\\n  >> {}/shard-\"{shard}\"-of-{}.out 2>&1", quoted(&self.folder), self.shards)
     }
 
     fn merge(&self) -> String {
-        format!("{} merge {} --out {}", quoted(&self.program), quoted(&self.folder), quoted(&self.out))
+        format!("{} merge {} --out {}", self.command(), quoted(&self.folder), quoted(&self.out))
+    }
+
+    /// The program, with what goes before it.
+    fn command(&self) -> String {
+        let prefix = self.prefix.as_ref().map_or(String::new(), |prefix| format!("{prefix} "));
+        prefix + &quoted(&self.program)
     }
 
     fn partition_line(&self) -> String {
@@ -212,47 +295,71 @@ impl Submission {
         format!("\"{}/{file}\"", self.folder.display().to_string().replace('%', "%%"))
     }
 
-    /// The command that submits the shards; it prints the job's number.
+    /// What is submitted together: Slurm's arrays have a largest index.
     #[must_use]
-    pub fn submit_shards(&self) -> Vec<String> {
+    pub fn arrays(&self) -> Vec<Array> {
+        let most = if self.scheduler == Scheduler::Slurm { self.most_index.max(1) } else { Shard::MOST };
+        let mut arrays: Vec<Array> = Vec::new();
+        for shard in &self.which {
+            let offset = (shard - 1) / most * most;
+            match arrays.last_mut().filter(|array| array.offset == offset) {
+                Some(array) => array.indices.push(shard - offset),
+                None => arrays.push(Array { offset, indices: vec![shard - offset] }),
+            }
+        }
+        arrays
+    }
+
+    /// The command that submits shards; it prints the job's number.
+    #[must_use]
+    pub fn submit_shards(&self, array: &Array) -> Vec<String> {
         let script = self.folder.join("shard.sh").display().to_string();
-        match self.scheduler {
-            Scheduler::Slurm => self.words(&["sbatch", "--parsable"], &[&script]),
-            Scheduler::Hq => {
-                let (cpus, limit) = (self.cpus.to_string(), format!("{}s", self.seconds));
-                let (name, array) = (&self.name, ranges(&self.which));
-                let options =
-                    ["--cpus", &cpus, "--time-limit", &limit, "--stdout", "none", "--stderr", "none"];
-                let head = ["hq", "--output-mode=quiet", "submit", "--name", name, "--array", &array];
-                self.words(&[&head[..], &options].concat(), &["--", "sh", &script])
-            }
+        let indices = ranges(&array.indices);
+        if self.scheduler == Scheduler::Hq {
+            let (cpus, limit) = (self.cpus.to_string(), format!("{}s", self.seconds));
+            let options = ["--cpus", &cpus, "--time-limit", &limit, "--stdout", "none", "--stderr", "none"];
+            let head = ["hq", "--output-mode=quiet", "submit", "--name", &self.name, "--array", &indices];
+            return words(&[&head[..], &options].concat(), &self.for_shards, &["--", "sh", &script]);
+        }
+        let throttle = self.at_most.map_or(String::new(), |most| format!("%{most}"));
+        let which = format!("--array={indices}{throttle}");
+        let (offset, file) =
+            (array.offset.to_string(), format!("shard-%a+{}-of-{}.out", array.offset, self.shards));
+        let folder = self.folder.display().to_string().replace('%', "%%");
+        let output = format!("--output={folder}/{file}");
+        // Further arrays count from 1, too.
+        match array.offset {
+            0 => words(&["sbatch", "--parsable", &which], &self.for_shards, &[&script]),
+            _ => words(&["sbatch", "--parsable", &which, &output], &self.for_shards, &[&script, &offset]),
         }
     }
 
-    /// The command that submits the merge behind them, and behind other jobs on the same folder.
+    /// The command that submits the merge behind jobs.
     #[must_use]
-    pub fn submit_merge(&self, job: &str, others: &[String]) -> Vec<String> {
-        let jobs = |between: &str| [&[job.to_owned()], others].concat().join(between);
+    pub fn submit_merge(&self, jobs: &[String]) -> Vec<String> {
         let script = self.folder.join("merge.sh").display().to_string();
-        match self.scheduler {
-            Scheduler::Slurm => {
-                let after = format!("--dependency=afterany:{}", jobs(":"));
-                self.words(&["sbatch", "--parsable", &after], &[&script])
-            }
-            Scheduler::Hq => {
-                // It waits on a core, and only for one that no shard wants.
-                let name = format!("{}-merge", self.name);
-                let head = ["hq", "--output-mode=quiet", "submit", "--name", &name, "--cpus", "1"];
-                let tail = ["--priority=-1", "--stdout", "none", "--stderr", "none"];
-                self.words(&[&head[..], &tail].concat(), &["--", "sh", &script, &jobs(",")])
-            }
+        if self.scheduler == Scheduler::Hq {
+            // It waits on a core, and only for one that no shard wants.
+            let name = format!("{}-merge", self.name);
+            let head = ["hq", "--output-mode=quiet", "submit", "--name", &name, "--cpus", "1"];
+            let tail = ["--priority=-1", "--stdout", "none", "--stderr", "none"];
+            let head = [&head[..], &tail].concat();
+            return words(&head, &self.for_merge, &["--", "sh", &script, &jobs.join(",")]);
         }
+        let after = format!("--dependency=afterany:{}", jobs.join(":"));
+        words(&["sbatch", "--parsable", &after], &self.for_merge, &[&script])
     }
+}
 
-    fn words(&self, head: &[&str], tail: &[&str]) -> Vec<String> {
-        let own = |words: &[&str]| words.iter().map(ToString::to_string).collect::<Vec<_>>();
-        [own(head), self.further.clone(), own(tail)].concat()
-    }
+/// What stands in every script of a shard, up to when it ends.
+const ABOUT: &str = "\
+# A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on
+# from what an earlier attempt has left here, and puts its database here when it ends:
+";
+
+fn words(head: &[&str], further: &[String], tail: &[&str]) -> Vec<String> {
+    let own = |words: &[&str]| words.iter().map(ToString::to_string).collect::<Vec<_>>();
+    [own(head), further.to_vec(), own(tail)].concat()
 }
 
 /// A command as a shell reads it.
@@ -261,7 +368,7 @@ pub fn line(words: &[String]) -> String {
     words.iter().map(|word| quoted(Path::new(word))).collect::<Vec<_>>().join(" ")
 }
 
-fn quoted(path: &Path) -> String {
+pub(super) fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,@%+".contains(c);
     if !text.is_empty() && text.chars().all(plain) {

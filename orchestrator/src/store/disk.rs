@@ -26,6 +26,9 @@ const BY_MAGIC: &[(u64, &str)] = &[
     (0x0102_1997, "9p"),
     (0xaad7_aaea, "PanFS"),
     (0x1803_1977, "WekaFS"),
+    (0x7461_636f, "OCFS2"),
+    (0x0116_1970, "GFS2"),
+    (0x786f_4256, "vboxsf"),
 ];
 
 /// Programs behind FUSE that fetch their files over a network, by the subtype in the mount table.
@@ -36,7 +39,10 @@ const BY_SUBTYPE: &[&str] = &[
     "ceph",
     "curlftpfs",
     "cvmfs",
+    "daos",
     "davfs",
+    "dfuse",
+    "eos",
     "gcsfuse",
     "geesefs",
     "glusterfs",

@@ -1,0 +1,250 @@
+//! Shards on machines without a scheduler: one at a time in each place, on this machine or by `ssh`, until all have been run.
+//!
+//! A host that cannot be reached, or is unfit, gets no more; what it had goes to another. Whoever asks for the end asks every
+//! shard: SIGTERM here, Ctrl-C through the terminal that `ssh` has made there.
+
+use std::collections::{HashMap, VecDeque};
+use std::fs::OpenOptions;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+
+use rustix::process::{Pid, Signal, kill_process};
+use tokio::io::AsyncWriteExt;
+use tokio::process::{Child, ChildStdin, Command};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use super::submit::{line, quoted};
+use crate::engine::Signals;
+use crate::exit::Exit;
+use crate::files::host;
+
+/// How often a shard is begun that dies, or whose host goes away.
+const MOST_TRIES: u32 = 3;
+/// What `ssh` says of itself, and our script of a folder that is not there.
+const UNREACHABLE: i32 = 255;
+/// `ssh` gives a host up that says nothing for four times so long (s).
+const ALIVE_EVERY: u32 = 15;
+
+/// Room for a shard at a time: on a host, or here.
+pub type Place = Option<String>;
+
+/// How shards are begun.
+#[derive(Debug, Clone)]
+pub struct How {
+    /// The folder, with the script.
+    pub folder: PathBuf,
+    /// Options of `ssh`.
+    pub options: Vec<String>,
+}
+
+/// What came of it.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Ended {
+    /// Shards that have not come to their end.
+    pub left: Vec<u32>,
+    /// Somebody has asked for the end.
+    pub asked: bool,
+    /// Trials have failed.
+    pub failed: bool,
+    /// No place is left that can be used.
+    pub deserted: bool,
+}
+
+/// The places of a file: a host a line, with how many shards it may have at a time behind it; `#` begins a remark.
+///
+/// # Errors
+/// The first line that is none.
+pub fn places(text: &str) -> Result<Vec<Place>, String> {
+    let mut places = Vec::new();
+    for (number, line) in text.lines().enumerate() {
+        let words: Vec<&str> = line.split('#').next().unwrap_or_default().split_whitespace().collect();
+        let (host, count) = match words[..] {
+            [] => continue,
+            [host] => (host, Some(1)),
+            [host, count] => (host, count.parse().ok().filter(|count| (1..=1024).contains(count))),
+            _ => (words[0], None),
+        };
+        match count {
+            Some(count) if !host.starts_with('-') => places.extend(vec![Some(host.to_owned()); count]),
+            _ => {
+                return Err(format!(
+                    "{}: {line:?}: say HOST, or HOST and how many shards at a time",
+                    number + 1
+                ));
+            }
+        }
+    }
+    Ok(places)
+}
+
+/// Runs shards in these places. `say` is told what happens.
+pub async fn run(
+    places: &[Place],
+    which: &[u32],
+    how: &How,
+    signals: &mut Signals,
+    mut say: impl FnMut(String),
+) -> Ended {
+    let mut free: Vec<Place> = places.iter().rev().cloned().collect();
+    let mut waiting: VecDeque<u32> = which.iter().copied().collect();
+    let (mut tries, mut lost) = (HashMap::<u32, u32>::new(), Vec::<Place>::new());
+    let (mut ended, mut running) = (Ended::default(), JoinSet::new());
+    let (ask, asked) = watch::channel(());
+    loop {
+        while !waiting.is_empty()
+            && let Some(place) = free.pop()
+        {
+            let shard = waiting.pop_front().expect("it is not empty");
+            say(format!("shard {shard} begins on {}", name(&place)));
+            *tries.entry(shard).or_default() += 1;
+            running.spawn(one(place, shard, how.clone(), asked.clone()));
+        }
+        match signals.unless(running.join_next()).await {
+            None => {
+                say("stopping: the steps in progress are finished and handed in".into());
+                ended.asked = true;
+                ended.left.extend(waiting.drain(..));
+                let _ = ask.send(());
+            }
+            Some(None) => break,
+            Some(Some(Err(bug))) => std::panic::resume_unwind(bug.into_panic()),
+            Some(Some(Ok((place, shard, code)))) => {
+                let verdict = Verdict::of(code, place.is_some());
+                say(format!("shard {shard} on {}: {}", name(&place), verdict.words()));
+                let again = !ended.asked && verdict.is_begun_again() && tries[&shard] < MOST_TRIES;
+                match verdict {
+                    Verdict::Done => {}
+                    Verdict::Failed => ended.failed = true,
+                    _ if again => waiting.push_back(shard),
+                    _ => ended.left.push(shard),
+                }
+                if verdict == Verdict::Unfit {
+                    lost.push(place.clone());
+                    free.retain(|free| !lost.contains(free));
+                }
+                if !lost.contains(&place) {
+                    free.push(place);
+                }
+            }
+        }
+    }
+    ended.deserted = free.is_empty();
+    ended.left.extend(waiting);
+    ended.left.sort_unstable();
+    ended
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Verdict {
+    Done,
+    Failed,
+    Stopped,
+    Refused,
+    Unfit,
+    Died,
+}
+
+impl Verdict {
+    fn of(code: Option<i32>, is_remote: bool) -> Self {
+        match code {
+            Some(code) if code == Exit::Done as i32 => Self::Done,
+            Some(code) if code == Exit::Failed as i32 => Self::Failed,
+            Some(code) if code == Exit::Interrupted as i32 => Self::Stopped,
+            Some(code) if [Exit::BadInput as i32, Exit::Io as i32].contains(&code) => Self::Refused,
+            Some(code) if code == Exit::Unfit as i32 || is_remote && code == UNREACHABLE => Self::Unfit,
+            _ => Self::Died,
+        }
+    }
+
+    fn is_begun_again(self) -> bool {
+        matches!(self, Self::Unfit | Self::Died)
+    }
+
+    fn words(self) -> &'static str {
+        match self {
+            Self::Done => "all is done",
+            Self::Failed => "trials have failed",
+            Self::Stopped => "stopped on request",
+            Self::Refused => "it could not go on; its output says why",
+            Self::Unfit => {
+                "the machine is unfit, cannot be reached or does not see the folder: it gets no more"
+            }
+            Self::Died => "it died",
+        }
+    }
+}
+
+fn name(place: &Place) -> String {
+    place.clone().unwrap_or_else(host)
+}
+
+/// Runs a shard to its end; its exit code.
+async fn one(
+    place: Place,
+    shard: u32,
+    how: How,
+    mut asked: watch::Receiver<()>,
+) -> (Place, u32, Option<i32>) {
+    let code = match begin(&place, shard, &how) {
+        Ok(mut child) => {
+            // Taken out, as waiting would close it; an end of its input is no end for what runs there.
+            let mut terminal = child.stdin.take();
+            loop {
+                tokio::select! {
+                    status = child.wait() => break status.ok().and_then(|status| status.code()),
+                    Ok(()) = asked.changed() => end(&child, terminal.as_mut()).await,
+                }
+            }
+        }
+        Err(error) => {
+            tracing::error!(%error, shard, "a shard could not be begun");
+            Some(Exit::Io as i32)
+        }
+    };
+    (place, shard, code)
+}
+
+fn begin(place: &Place, shard: u32, how: &How) -> io::Result<Child> {
+    let script = how.folder.join("shard.sh");
+    let mut command = match place {
+        None => {
+            let mut command = Command::new("sh");
+            command.arg(&script).arg(shard.to_string()).stdin(Stdio::null());
+            command
+        }
+        Some(host) => {
+            let file = quoted(&script);
+            let there = format!("[ -r {file} ] || exit {UNREACHABLE}; exec sh {file} {shard}");
+            let mut command = Command::new("ssh");
+            let alive = format!("ServerAliveInterval={ALIVE_EVERY}");
+            command.args(["-tt", "-o", "BatchMode=yes", "-o", &alive, "-o", "ServerAliveCountMax=4"]);
+            command.args(&how.options).args(["--", host, &format!("sh -c {}", line(&[there]))]);
+            command.stdin(Stdio::piped());
+            command
+        }
+    };
+    let log = log(&how.folder, place)?;
+    // A group of its own: Ctrl-C comes to us alone, and we ask once.
+    command.process_group(0).stdout(log.try_clone()?).stderr(log).spawn()
+}
+
+/// What a script says that does not come to write to its shard's output, and what `ssh` says.
+fn log(folder: &Path, place: &Place) -> io::Result<std::fs::File> {
+    let host: String = name(place).chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+    OpenOptions::new().create(true).append(true).open(folder.join(format!("{host}.out")))
+}
+
+/// Asks a shard to end: through the terminal that it has on its host, or by a signal here.
+async fn end(child: &Child, terminal: Option<&mut ChildStdin>) {
+    if let Some(terminal) = terminal {
+        let _ = terminal.write_all(b"\x03").await;
+        let _ = terminal.flush().await;
+    } else if let Some(pid) = child.id().and_then(|pid| Pid::from_raw(pid.cast_signed())) {
+        let _ = kill_process(pid, Signal::TERM);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,40 @@
+use super::*;
+
+#[test]
+fn hosts_are_read_with_their_places() {
+    let place = |host: &str| Some(host.to_owned());
+    let read = places("# three machines\nn1\n  n2 2 # large\n\nme@n3\n");
+    assert_eq!(read, Ok(vec![place("n1"), place("n2"), place("n2"), place("me@n3")]));
+    for text in ["n1 0", "n1 x", "n1 1 1", "-oProxyCommand=x", "n1 2000"] {
+        assert!(places(text).is_err_and(|e| e.starts_with("1: ")), "{text}");
+    }
+}
+
+/// A script stands in for shards: it writes down what it is asked, and ends as the test wants.
+#[tokio::test]
+async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let how = How { folder: folder.path().to_owned(), options: Vec::new() };
+    let run = async |script: &str, which: &[u32]| {
+        let _ = std::fs::remove_file(folder.path().join("calls"));
+        let head = format!("cd {}; echo $1 >> calls\n", quoted(folder.path()));
+        std::fs::write(folder.path().join("shard.sh"), head + script).unwrap();
+        let mut signals = Signals::new().unwrap();
+        let ended = super::run(&[None, None], which, &how, &mut signals, |_| {}).await;
+        let mut calls: Vec<u32> = std::fs::read_to_string(folder.path().join("calls"))
+            .unwrap()
+            .lines()
+            .map(|line| line.parse().unwrap())
+            .collect();
+        calls.sort_unstable();
+        (ended, calls)
+    };
+    let (ended, calls) = run("exit 0", &[1, 2, 3, 7]).await;
+    assert_eq!((ended, calls), (Ended::default(), vec![1, 2, 3, 7]));
+    let (ended, calls) = run("[ $1 = 2 ] && kill -9 $$; [ $1 = 3 ] && exit 3; exit 1", &[1, 2, 3]).await;
+    assert_eq!(ended, Ended { left: vec![2, 3], failed: true, ..Ended::default() });
+    assert_eq!(calls, [1, 2, 2, 2, 3]);
+    let (ended, calls) = run("exit 5", &[1, 2, 3, 4]).await;
+    assert_eq!(ended, Ended { left: vec![1, 2, 3, 4], deserted: true, ..Ended::default() });
+    assert_eq!(calls, [1, 2]);
+}
