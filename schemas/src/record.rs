@@ -208,7 +208,7 @@ pub struct BodyEvaluation {
     pub long: Vec<NetworkEvaluation>,
     /// By linear brains, whatever the trial's own is: the whole sample's first.
     pub readings: Vec<Reading>,
-    /// Samples without force, or whose simulation failed, which have no error: train, test, holdout.
+    /// Samples without force, which have no error, or whose simulation failed, which have 100 %: train, test, holdout.
     pub zero_samples: [u32; 3],
 }
 

@@ -115,7 +115,7 @@ impl LinearBrain {
         let fitted = py.detach(|| {
             let forces = Forces { samples: n, panels, instants: clock - 1, values };
             let sizes = Sizes { instants, channels, outputs: panels };
-            let known = Samples { sizes, signals, targets: targets(&forces, instants, false) };
+            let known = Samples::new(sizes, signals, targets(&forces, instants, false));
             decoder.fit(seed, &known, signal_scale)
         });
         let singular = |_| {

@@ -6,10 +6,12 @@
 
 use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss};
 use crate::Heartbeat;
+use crate::brain::Policy;
 use crate::brain::linear::{self, Lags, Linear, Moments, Order, Sizes, downhill_ridge};
-use crate::brain::{Policy, prediction_error};
 use crate::stimuli::folds;
-use crate::trial::{Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, mean_error, pick};
+use crate::trial::{
+    Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, error_of_each, mean_error, pick,
+};
 use std::ops::RangeInclusive;
 
 /// Unknowns of the longest memory that a body is read with: 0.7 GB and some 5 s a factor.
@@ -46,6 +48,8 @@ pub(crate) struct Plain {
     pub(crate) y: Vec<f64>,
     /// w (N); 0 without force.
     pub(crate) w: Vec<f64>,
+    /// Whether a sample's simulation failed (N).
+    pub(crate) failed: Vec<bool>,
     /// Counts what is done with them.
     pub(crate) heartbeat: Heartbeat,
 }
@@ -53,17 +57,12 @@ pub(crate) struct Plain {
 impl Plain {
     /// Signals and forces at these scales.
     pub(crate) fn of(samples: &Samples, scales: &Scales, heartbeat: &Heartbeat) -> Self {
-        let x = scales.inputs(&samples.signals);
-        Self::new(samples.sizes, x, &samples.targets, scales.force(), heartbeat)
-    }
-
-    /// From x (N, T, 3M) and forces (N, T, K) in N, `scale` of which count as 1.
-    fn new(sizes: Sizes, x: Vec<f64>, forces: &[f64], scale: f64, heartbeat: &Heartbeat) -> Self {
-        let y: Vec<f64> = forces.iter().map(|f| f / scale).collect();
+        let (sizes, x, scale) = (samples.sizes, scales.inputs(&samples.signals), scales.force());
+        let y: Vec<f64> = samples.targets.iter().map(|f| f / scale).collect();
         let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
         let weight = |power: f64| if power > 0.0 { power.recip() } else { 0.0 };
         let w = y.chunks_exact(sizes.instants * sizes.outputs).map(|sample| weight(power(sample))).collect();
-        Self { sizes, x, y, w, heartbeat: heartbeat.clone() }
+        Self { sizes, x, y, w, failed: samples.failed.clone(), heartbeat: heartbeat.clone() }
     }
 
     /// Their moments.
@@ -75,29 +74,20 @@ impl Plain {
 
     /// These samples, in this order.
     pub(crate) fn select(&self, samples: &[usize]) -> Self {
-        let pick = |values: &[f64]| pick(values, self.w.len(), samples);
-        let [x, y, w] = [&self.x, &self.y, &self.w].map(|values| pick(values));
-        Self { sizes: self.sizes, x, y, w, heartbeat: self.heartbeat.clone() }
+        let [x, y, w] = [&self.x, &self.y, &self.w].map(|values| pick(values, self.w.len(), samples));
+        let failed = pick(&self.failed, self.w.len(), samples);
+        Self { sizes: self.sizes, x, y, w, failed, heartbeat: self.heartbeat.clone() }
     }
 
-    /// How many have no force.
-    pub(crate) fn zero_samples(&self) -> u32 {
-        self.w.iter().filter(|w| **w == 0.0).count() as u32
-    }
-
-    /// Error of each sample (%) by these answers (N, T, K).
-    pub(crate) fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
-        prediction_error(&self.y, predicted, self.sizes.outputs, self.sizes.instants)
-    }
-
-    /// Their mean.
+    /// Mean error (%) by these answers (N, T, K).
     pub(crate) fn error(&self, predicted: &[f64]) -> Option<f64> {
-        mean_error(&self.errors(predicted))
+        mean_error(&error_of_each(self.sizes, &self.y, &self.failed, predicted))
     }
 
-    /// 2w (ŷ − y)/n of the n samples with force: the derivative of the mean error, as a part of 1, in the answers.
+    /// 2w (ŷ − y)/n of the n samples that have an error: the derivative of its mean, as a part of 1, in the answers.
     pub(crate) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
-        let total = (self.w.len() - self.zero_samples() as usize) as f64;
+        let total =
+            self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count() as f64;
         let one = self.sizes.instants * self.sizes.outputs;
         let mut residual = Vec::with_capacity(predicted.len());
         for ((p, y), w) in predicted.chunks_exact(one).zip(self.y.chunks_exact(one)).zip(&self.w) {

@@ -23,10 +23,8 @@ pub use records::{Records, Unseen};
 #[cfg(test)]
 pub(crate) use stacked::Stack;
 
-use crate::brain::{Adam, Architecture, Policy, SolveOutcome, prediction_error};
-use crate::trial::{
-    BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble, mean_error,
-};
+use crate::brain::{Adam, Architecture, Policy, SolveOutcome};
+use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};
 
 /// How a brain that reads is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,7 +80,7 @@ pub(crate) trait Reader {
 
     /// Mean prediction error (%) on others.
     fn error(&mut self, samples: &Samples) -> Option<f64> {
-        error(samples, &self.predict(&samples.signals))
+        samples.error(&self.predict(&samples.signals))
     }
 
     /// A network in training or trained; `None` of a brain without weights to keep.
@@ -112,11 +110,6 @@ pub(crate) fn reader<'a>(
         }
         BrainKind::Linear => Box::new(fitted::LinearReader::new(recipe, known, scales, pool.heartbeat())),
     })
-}
-
-/// Mean prediction error (%) of forces (N, T, K).
-pub(crate) fn error(samples: &Samples, predicted: &[f64]) -> Option<f64> {
-    mean_error(&prediction_error(&samples.targets, predicted, samples.sizes.outputs, samples.sizes.instants))
 }
 
 /// What a learner takes from body to body.

@@ -142,7 +142,7 @@ impl Reader for NetworkReader<'_> {
             }
             if milestones.binary_search(&(i + 1)).is_ok() {
                 let predicted = predict(weights, &judged, scales, &mut aside, pool);
-                errors.extend(super::error(unseen, &predicted).map(|error| (i as u32 + 1, error)));
+                errors.extend(unseen.error(&predicted).map(|error| (i as u32 + 1, error)));
             }
             true
         };
@@ -166,7 +166,7 @@ impl Reader for NetworkReader<'_> {
 
     fn error_known(&mut self) -> Option<f64> {
         let predicted = self.predict_known();
-        super::error(self.known, &predicted)
+        self.known.error(&predicted)
     }
 
     fn training(&mut self) -> Option<&mut Option<Fresh>> {
@@ -366,6 +366,6 @@ impl Learner for NetworkLearner<'_> {
         let data = self.data(samples);
         let predicted =
             predict(&self.weights, &data, &self.trial.scales, &mut self.workspace, self.trial.pool);
-        super::error(samples, &predicted)
+        samples.error(&predicted)
     }
 }

@@ -5,7 +5,6 @@
 
 use super::{Recipe, reader};
 use crate::brain::linear::Sizes;
-use crate::brain::prediction_error;
 use crate::dynamics::Forces;
 use crate::stimuli::targets;
 use crate::trial::{Samples, Scales, Trouble};
@@ -40,7 +39,7 @@ impl Records {
         let (readings, outputs) = (forces.samples * instants, forces.panels);
         assert!(signals.len().is_multiple_of(readings), "signals of {} samples", forces.samples);
         let sizes = Sizes { instants, channels: signals.len() / readings, outputs };
-        Self(Samples { sizes, signals, targets: targets(forces, instants, low_pass) })
+        Self(Samples::new(sizes, signals, targets(forces, instants, low_pass)))
     }
 
     /// True forces (N, T, K) (N).
@@ -76,8 +75,7 @@ impl Records {
             return Unseen::nothing(&unseen, trouble);
         }
         let predictions = reader.predict(&unseen.signals);
-        let Sizes { instants, outputs, .. } = unseen.sizes;
-        let errors = prediction_error(&unseen.targets, &predictions, outputs, instants);
+        let errors = unseen.errors(&predictions);
         let error_train = reader.error_known();
         let training = reader.training().and_then(Option::take);
         let (losses, progress) = training.map(|fresh| (fresh.losses, fresh.errors)).unwrap_or_default();
@@ -86,11 +84,12 @@ impl Records {
 }
 
 impl Unseen {
-    /// Of a brain that could not be fitted.
+    /// Of a brain that could not be fitted: it says nothing, so its records have 100 % error.
     fn nothing(unseen: &Samples, trouble: Trouble) -> Self {
+        let predictions = vec![0.0; unseen.targets.len()];
         Self {
-            predictions: vec![0.0; unseen.targets.len()],
-            errors: vec![None; unseen.count()],
+            errors: unseen.errors(&predictions),
+            predictions,
             error_train: None,
             losses: Vec::new(),
             progress: Vec::new(),

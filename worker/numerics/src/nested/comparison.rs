@@ -111,8 +111,10 @@ fn sets(
 ) -> Result<[Samples; 3], Trouble> {
     let problem = &trial.problem;
     let mut of = |forces| Ok(trial.simulate_most(design, forces, solver, false, counters)?.samples);
-    let train = if design == problem.initial { trial.initial.clone() } else { of(trial.train.clone())? };
-    Ok([train, of(trial.test.clone())?, of(problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout))?])
+    // every training sample, those too on which the initial body failed
+    let [train, test] = problem.known();
+    let train = if design == problem.initial { trial.initial.clone() } else { of(train)? };
+    Ok([train, of(test)?, of(problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout))?])
 }
 
 /// Hands the observer the state, with what the report says of the comparison.

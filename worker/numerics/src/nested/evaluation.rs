@@ -42,7 +42,7 @@ pub struct BodyEvaluation {
     pub long: Vec<NetworkEvaluation>,
     /// Errors of linear brains on it, whatever the trial's own brain is: the whole sample's first, then other memories.
     pub readings: Vec<Reading>,
-    /// Samples without force, or whose simulation failed, which have no error: train, test, holdout.
+    /// Samples without force, which have no error, or whose simulation failed, which have 100 %: train, test, holdout.
     pub zero_samples: [u32; 3],
 }
 

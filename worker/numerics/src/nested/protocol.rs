@@ -134,7 +134,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Simulates the state's design under two sets of forces, each with a tape where asked for.
+    /// Simulates the state's design under two sets of forces, the training set first, each with a tape where asked for.
     fn simulate(
         &self,
         state: &State,
@@ -149,7 +149,10 @@ impl<'a> Session<'a> {
                 let mut of = |set: usize| {
                     self.trial.simulate(&state.design, sets[set], &solver, tapes[set], &mut report.counters)
                 };
-                Ok([of(0)?, of(1)?])
+                let (mut train, other) = (of(0)?, of(1)?);
+                // those on which the initial body failed train no body, and count against all
+                train.samples.failed.clone_from(&self.trial.initial.failed);
+                Ok([train, other])
             },
         )
     }
@@ -241,7 +244,7 @@ impl<'a> Session<'a> {
             |report| trial.simulate_most(design, forces, &solver, keep_tape, &mut report.counters),
         )?;
         if step == log.report.step {
-            log.report.fresh_samples = going.batch as u64 - u64::from(response.failed);
+            log.report.fresh_samples = going.batch as u64 - response.samples.failures();
         }
         Ok(response)
     }

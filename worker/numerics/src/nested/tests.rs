@@ -12,6 +12,7 @@ use crate::trial::{
     Stimuli, Terms, Training, Trouble,
 };
 
+mod failing;
 mod known;
 mod linear;
 

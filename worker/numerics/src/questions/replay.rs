@@ -3,12 +3,13 @@
 //! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
 
 use crate::brain::linear::{Lags, Sizes};
-use crate::brain::prediction_error;
 use crate::brains::{Fresh, reader};
 use crate::dynamics::{Forces, simulate, tune};
 use crate::random::Purpose;
 use crate::stimuli::split;
-use crate::trial::{BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, pilot};
+use crate::trial::{
+    BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, few_failed, pilot, silence,
+};
 
 /// What a body and a network do with every sample of a trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,6 +24,8 @@ pub struct Replay {
     pub predictions: Vec<f64>,
     /// Prediction error of each sample (%); `None` where there is no force, empty without weights.
     pub errors: Vec<Option<f64>>,
+    /// Whether a sample's simulation failed (N): it then has no signals, its forces stand as zero, its error is 100 %.
+    pub failed: Vec<bool>,
     /// What each signal channel is divided by (3M).
     pub signal_scale: Vec<f64>,
     /// Mean of each panel's training forces (N).
@@ -34,7 +37,7 @@ pub struct Replay {
 /// Simulates `design` under all samples of the trial and lets a network with `weights` (or none, if empty) predict.
 ///
 /// # Errors
-/// If a simulation does not end well.
+/// If more simulations fail than may in a comparison.
 ///
 /// # Panics
 /// If lengths do not fit the problem.
@@ -46,25 +49,30 @@ pub fn replay(
 ) -> Result<Replay, Failure> {
     let trial = Trial::new(problem, pool)?;
     let (problem, solver) = (&trial.problem, trial.tuned(design).solver);
-    let forces = all_forces(problem);
+    let mut forces = all_forces(problem);
     let (_, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
     let mut kinds = vec![0; problem.stimuli.samples];
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);
     let mut simulation = simulate(&problem.scene, design, &forces, &solver, false, pool);
-    all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+    for set in 0..3 {
+        let own = simulation.outcomes.iter().zip(&kinds).filter(|(_, kind)| **kind == set);
+        few_failed(&own.map(|(outcome, _)| *outcome).collect::<Vec<_>>()).map_err(Failure::Initial)?;
+    }
+    let failed = silence(&mut forces, &simulation.outcomes);
     trial.disturb(&mut simulation.signals, &forces);
-    let all = problem.samples(simulation.signals, &forces);
+    let all = problem.samples(simulation.signals, &forces).with_failed(failed);
     let (mut predictions, mut errors) = (Vec::new(), Vec::new());
     if !weights.is_empty() {
         predictions = predicted(&trial, &all, weights, &kinds)?;
-        errors = prediction_error(&all.targets, &predictions, all.sizes.outputs, all.sizes.instants);
+        errors = all.errors(&predictions);
     }
     let Scales { channels, mean, deviation } = &trial.scales;
     let mut replay = Replay {
         forces: problem.seen(forces),
         split: kinds,
         signals: all.signals,
+        failed: all.failed,
         predictions,
         errors,
         signal_scale: channels.clone(),
@@ -119,15 +127,12 @@ impl Replay {
         let (instants, outputs) = (problem.scene.instants, problem.scene.panels.len());
         let sizes = Sizes { instants, channels: self.signal_scale.len(), outputs };
         let targets = crate::stimuli::targets(&self.forces, instants, false);
-        let training = |values: &[f64]| -> Vec<f64> {
-            let samples = values.chunks_exact(values.len() / self.split.len()).zip(&self.split);
-            samples.filter(|(_, set)| **set == 0).flat_map(|(sample, _)| sample).copied().collect()
-        };
-        let known = Samples { sizes, signals: training(&self.signals), targets: training(&targets) };
+        let all = Samples::new(sizes, self.signals.clone(), targets).with_failed(self.failed.clone());
+        let training: Vec<usize> = (0..self.split.len()).filter(|&i| self.split[i] == 0).collect();
         let scale = Some(self.signal_scale.clone());
-        let fitted = decoder.fit(problem.seed, &known, scale).map_err(Failure::Initial)?;
-        let predictions = fitted.predict(&self.signals);
-        let errors = prediction_error(&targets, &predictions, outputs, instants);
+        let fitted = decoder.fit(problem.seed, &all.select(&training), scale).map_err(Failure::Initial)?;
+        let predictions = fitted.predict(&all.signals);
+        let errors = all.errors(&predictions);
         let [w, b] = fitted.weights();
         Ok(LinearReplay { lags: decoder.lags, ridge: fitted.ridge, w, b, predictions, errors })
     }

@@ -15,8 +15,8 @@ mod settings;
 pub use chip::{Disturbance, Size};
 pub use outcome::{Counters, Failure, Trouble};
 pub use problem::{Placing, Problem, Stimuli};
-pub(crate) use samples::pick;
-pub use samples::{Samples, mean_error};
+pub use samples::Samples;
+pub(crate) use samples::{error_of_each, mean_error, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
     BrainKind, Decoder, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Terms, Training,
@@ -55,8 +55,6 @@ pub struct Trial<'a> {
 pub struct Response {
     /// What its sensors tell of them.
     pub samples: Samples,
-    /// Samples that failed; they are without force and signals.
-    pub failed: u32,
     simulation: Simulation,
 }
 
@@ -84,8 +82,9 @@ impl<'a> Trial<'a> {
 
         let [mut train, test] = problem.known();
         let simulation = simulated(&problem, &problem.initial, &train, &problem.solver, false, pool);
-        silence(&mut train, &simulation.outcomes).map_err(Failure::Initial)?;
-        let mut initial = problem.samples(simulation.signals, &train);
+        few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
+        let failed = silence(&mut train, &simulation.outcomes);
+        let mut initial = problem.samples(simulation.signals, &train).with_failed(failed);
         let scales = Scales::of(&initial);
         let chip = problem.chip(&scales.channels);
         if let Some(chip) = &chip {
@@ -126,7 +125,7 @@ impl<'a> Trial<'a> {
         let simulation = simulated(&self.problem, design, forces, solver, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
-        Ok(self.response(simulation, forces, 0))
+        Ok(self.response(simulation, forces, vec![false; forces.samples]))
     }
 
     /// The same where some samples may fail.
@@ -143,14 +142,15 @@ impl<'a> Trial<'a> {
     ) -> Result<Response, Trouble> {
         let simulation = simulated(&self.problem, design, &forces, solver, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
-        let failed = silence(&mut forces, &simulation.outcomes)?;
+        few_failed(&simulation.outcomes)?;
+        let failed = silence(&mut forces, &simulation.outcomes);
         Ok(self.response(simulation, &forces, failed))
     }
 
-    fn response(&self, mut simulation: Simulation, forces: &Forces, failed: u32) -> Response {
+    fn response(&self, mut simulation: Simulation, forces: &Forces, failed: Vec<bool>) -> Response {
         let mut signals = std::mem::take(&mut simulation.signals);
         self.disturb(&mut signals, forces);
-        Response { samples: self.problem.samples(signals, forces), failed, simulation }
+        Response { samples: self.problem.samples(signals, forces).with_failed(failed), simulation }
     }
 
     /// dL/dα of a cotangent on the signals (N, T, 3M) of a body that was simulated with its tape.
@@ -214,25 +214,24 @@ pub(crate) fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
 /// One of so many samples may fail, to the nearest whole.
 const ONE_OF: usize = 32;
 
-/// Takes the forces of the samples that failed away and returns how many they are.
-///
 /// # Errors
-/// If they are more than may be: the name of the first.
-fn silence(forces: &mut Forces, outcomes: &[Outcome]) -> Result<u32, Trouble> {
+/// If more samples failed than may: the name of the first.
+pub(crate) fn few_failed(outcomes: &[Outcome]) -> Result<(), Trouble> {
+    let failed = outcomes.iter().filter(|&&outcome| outcome != Outcome::Ok).count();
+    if failed > (outcomes.len() + ONE_OF / 2) / ONE_OF { all_well(outcomes) } else { Ok(()) }
+}
+
+/// Takes the forces of the samples that failed away, and says which they are of those that had any.
+pub(crate) fn silence(forces: &mut Forces, outcomes: &[Outcome]) -> Vec<bool> {
     let len = forces.panels * (forces.instants + 1);
-    let mut failed = 0;
-    let mut first = None;
-    for (history, &outcome) in forces.values.chunks_exact_mut(len).zip(outcomes) {
-        if outcome != Outcome::Ok {
+    let one = |(history, &outcome): (&mut [f64], &Outcome)| {
+        let failed = outcome != Outcome::Ok && history.iter().any(|f| *f != 0.0);
+        if failed {
             history.fill(0.0);
-            failed += 1;
-            first.get_or_insert(outcome);
         }
-    }
-    match first {
-        Some(outcome) if failed > (outcomes.len() + ONE_OF / 2) / ONE_OF => Err(Trouble::Simulation(outcome)),
-        _ => Ok(failed as u32),
-    }
+        failed
+    };
+    forces.values.chunks_exact_mut(len).zip(outcomes).map(one).collect()
 }
 
 #[cfg(test)]

@@ -152,7 +152,7 @@ impl Problem {
     pub(crate) fn samples(&self, signals: Vec<f64>, forces: &Forces) -> Samples {
         let Shape { instants, inputs, outputs, .. } = self.shape();
         let sizes = Sizes { instants, channels: inputs, outputs };
-        Samples { sizes, signals, targets: self.targets(forces) }
+        Samples::new(sizes, signals, self.targets(forces))
     }
 
     /// Histories on the clock of the signals: those of the targets, and the forces at the beginning.

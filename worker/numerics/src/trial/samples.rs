@@ -1,6 +1,7 @@
 //! Samples of a body: what its sensors tell, and the forces that brains are to say.
 
 use crate::brain::linear::Sizes;
+use crate::brain::prediction_error;
 
 /// Signals and forces of N samples.
 #[derive(Debug, Clone, PartialEq)]
@@ -11,15 +12,35 @@ pub struct Samples {
     pub signals: Vec<f64>,
     /// Forces (N, T, K) in N.
     pub targets: Vec<f64>,
+    /// Whether a sample's simulation failed (N): it then has neither signals nor force, and counts as read entirely wrong.
+    pub failed: Vec<bool>,
 }
 
 impl Samples {
-    /// N.
-    pub fn count(&self) -> usize {
-        self.targets.len() / (self.sizes.instants * self.sizes.outputs)
+    /// Signals (N, T, 3M) under forces (N, T, K), none of which failed.
+    pub fn new(sizes: Sizes, signals: Vec<f64>, targets: Vec<f64>) -> Self {
+        let failed = vec![false; targets.len() / (sizes.instants * sizes.outputs)];
+        Self { sizes, signals, targets, failed }
     }
 
-    /// How many have no force.
+    /// These, of which some failed.
+    #[must_use]
+    pub fn with_failed(self, failed: Vec<bool>) -> Self {
+        assert_eq!(failed.len(), self.count(), "one a sample");
+        Self { failed, ..self }
+    }
+
+    /// N.
+    pub fn count(&self) -> usize {
+        self.failed.len()
+    }
+
+    /// How many failed.
+    pub fn failures(&self) -> u64 {
+        self.failed.iter().filter(|failed| **failed).count() as u64
+    }
+
+    /// How many have no force, those that failed among them.
     pub fn without_force(&self) -> u32 {
         let one = self.sizes.instants * self.sizes.outputs;
         self.targets.chunks_exact(one).filter(|sample| sample.iter().all(|f| *f == 0.0)).count() as u32
@@ -30,7 +51,17 @@ impl Samples {
     pub fn select(&self, samples: &[usize]) -> Self {
         let (signals, targets) =
             (pick(&self.signals, self.count(), samples), pick(&self.targets, self.count(), samples));
-        Self { sizes: self.sizes, signals, targets }
+        Self { sizes: self.sizes, signals, targets, failed: pick(&self.failed, self.count(), samples) }
+    }
+
+    /// Error of each sample (%) by these predictions (N, T, K): [`error_of_each`].
+    pub fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
+        error_of_each(self.sizes, &self.targets, &self.failed, predicted)
+    }
+
+    /// Their mean.
+    pub fn error(&self, predicted: &[f64]) -> Option<f64> {
+        mean_error(&self.errors(predicted))
     }
 
     /// The samples of all of these, one set after another.
@@ -43,17 +74,33 @@ impl Samples {
             sizes: sets[0].sizes,
             signals: sets.iter().flat_map(|set| &set.signals).copied().collect(),
             targets: sets.iter().flat_map(|set| &set.targets).copied().collect(),
+            failed: sets.iter().flat_map(|set| &set.failed).copied().collect(),
         }
     }
 }
 
 /// Those of `count` equal pieces of `values` that are listed, in the order listed.
-pub(crate) fn pick(values: &[f64], count: usize, pieces: &[usize]) -> Vec<f64> {
+pub(crate) fn pick<T: Copy>(values: &[T], count: usize, pieces: &[usize]) -> Vec<T> {
     let one = values.len() / count.max(1);
     pieces.iter().flat_map(|&i| &values[i * one..][..one]).copied().collect()
 }
 
-/// Mean over the samples with force; `None` where there is none, or it is no number.
+/// Error of a sample that failed (%): that of a brain which says nothing.
+const FAILED: f64 = 100.0;
+
+/// Error of each sample (%), forces and predictions (N, T, K) in the same unit: 100·Σ(f − f̂)²/Σf², 100 of one that failed,
+/// `None` of one that has no force. Every error of this program is a mean of these.
+pub(crate) fn error_of_each(
+    sizes: Sizes,
+    targets: &[f64],
+    failed: &[bool],
+    predicted: &[f64],
+) -> Vec<Option<f64>> {
+    let errors = prediction_error(targets, predicted, sizes.outputs, sizes.instants);
+    errors.into_iter().zip(failed).map(|(error, failed)| if *failed { Some(FAILED) } else { error }).collect()
+}
+
+/// Mean over the samples that have an error; `None` where there is none, or it is no number.
 pub fn mean_error(errors: &[Option<f64>]) -> Option<f64> {
     let known: Vec<f64> = errors.iter().flatten().copied().collect();
     let mean = known.iter().sum::<f64>() / known.len() as f64;

@@ -22,7 +22,7 @@ pub(crate) struct Scales {
 
 impl Scales {
     /// Of training samples.
-    pub(crate) fn of(Samples { sizes, signals, targets }: &Samples) -> Self {
+    pub(crate) fn of(Samples { sizes, signals, targets, .. }: &Samples) -> Self {
         let force = moments(targets, sizes.outputs);
         Self {
             channels: rms(signals, sizes.channels),

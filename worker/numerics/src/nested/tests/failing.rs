@@ -1,0 +1,108 @@
+//! Samples whose simulation fails count as read entirely wrong, on every body and by every brain.
+
+use super::*;
+use crate::dynamics::Forces;
+use crate::stimuli::Recorded;
+use crate::trial::Trial;
+use std::sync::Arc;
+
+/// 16 training, test and holdout samples from records; those of `spoilt` (purpose, number there) are of no force, or of one
+/// that nothing survives.
+fn problem(brain: BrainKind, spoilt: &[(Purpose, usize)], factor: f64) -> Problem {
+    let mut problem = small(Protocol::Envelope(GOING));
+    problem.stimuli = Stimuli { samples: 32, test: 16, holdout: 16, ..problem.stimuli };
+    (problem.reader, problem.optimise.brain) = (brain, brain);
+    if brain == BrainKind::Stacked {
+        problem.optimise.brain = BrainKind::Network;
+    }
+    let mut histories = problem.forces(Purpose::Stimulus, 0, 48);
+    let recorded = |histories: Forces| {
+        Source::Recorded(Recorded {
+            histories: Arc::new(histories),
+            struck: None,
+            scale: [1.0; 2],
+            shift: [0.0; 2],
+            low_pass: false,
+        })
+    };
+    problem.stimuli.source = recorded(histories.clone());
+    let len = histories.values.len() / 48;
+    for &(purpose, number) in spoilt {
+        let there = problem.forces(purpose, number as u64, 1).values;
+        let history = histories.values.chunks_exact_mut(len).find(|history| *history == &there[..]);
+        history.expect("dealt").iter_mut().for_each(|f| *f *= factor);
+    }
+    problem.stimuli.source = recorded(histories);
+    problem
+}
+
+/// A blow that no integrator survives has 100 % error in the training set, the test set and the holdout, of both bodies,
+/// during and after the optimisation, in readings by other brains and replayed. Without force in its place the same bits come
+/// out, but for a mean over one sample fewer.
+#[test]
+fn samples_that_fail_count_as_read_entirely_wrong() {
+    // numbers beyond the pilot's; one in the training set, one in the test set
+    let (train, test) = crate::stimuli::split(3, 32, 16);
+    let late = |set: &[usize]| *set.last().expect("not empty");
+    let spoilt = [(Purpose::Stimulus, late(&train)), (Purpose::Stimulus, late(&test)), (Purpose::Holdout, 2)];
+    for brain in [BrainKind::Linear, BrainKind::Network, BrainKind::Stacked] {
+        let [failing, silent] = [1e200, 0.0].map(|factor| {
+            let problem = problem(brain, &spoilt, factor);
+            let mut keeper = Keeper::default();
+            let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
+            let tests: Vec<f64> = keeper.reports.iter().filter_map(|report| report.error_test).collect();
+            (problem, found, tests)
+        });
+        let counted = |failing: Option<f64>, silent: Option<f64>, what: &str| {
+            let (found, wanted) = (failing.unwrap(), (15.0 * silent.unwrap() + 100.0) / 16.0);
+            assert!((found / wanted - 1.0).abs() < 1e-9, "{brain:?}, {what}: {found} %, not {wanted} %");
+        };
+        for (a, b) in [(&failing.1.initial, &silent.1.initial), (&failing.1.optimised, &silent.1.optimised)] {
+            assert_eq!((a.zero_samples, &a.design), ([1; 3], &b.design));
+            for (a, b) in a.networks.iter().zip(&b.networks) {
+                counted(a.error_train, b.error_train, "training set");
+                counted(a.error_test, b.error_test, "test set");
+                counted(a.error_holdout, b.error_holdout, "holdout");
+                for (a, b) in a.errors.iter().zip(&b.errors) {
+                    counted(Some(a.1), Some(b.1), "on the way");
+                }
+            }
+            for (a, b) in a.readings.iter().zip(&b.readings) {
+                counted(a.error_train, b.error_train, "training set read");
+                counted(a.error_holdout, b.error_holdout, "holdout read");
+            }
+        }
+        assert!(!failing.2.is_empty());
+        failing.2.iter().zip(&silent.2).for_each(|(a, b)| counted(Some(*a), Some(*b), "a step's test"));
+
+        let own = &failing.1.optimised;
+        let again = replay(&failing.0, &own.design, &own.networks[0].weights, &pool(2)).unwrap();
+        let failed: Vec<usize> = (0..48).filter(|&i| again.failed[i]).collect();
+        let mut wanted = vec![late(&train), late(&test), 32 + 2];
+        wanted.sort_unstable();
+        assert_eq!(failed, wanted, "{brain:?}");
+        assert!(failed.iter().all(|&i| again.errors[i] == Some(100.0)), "{:?}", again.errors);
+        let holdout = again.errors[32..].iter().flatten().sum::<f64>() / 16.0;
+        let error = own.networks[0].error_holdout.unwrap();
+        assert!((holdout / error - 1.0).abs() < 1e-3, "{brain:?}: replayed {holdout} %, {error} % before");
+    }
+}
+
+/// A training sample on which the initial body fails trains no body in `envelope`, and counts against every step.
+#[test]
+fn what_the_initial_body_fails_on_counts_against_every_step() {
+    let (train, _) = crate::stimuli::split(3, 32, 16);
+    let last = *train.last().expect("not empty");
+    let [failing, silent] = [1e200, 0.0].map(|factor| {
+        let problem = problem(BrainKind::Linear, &[(Purpose::Stimulus, last)], factor);
+        let mut keeper = Keeper::default();
+        let trial = Trial::new(&problem, &pool(2)).map(|trial| trial.initial.failures());
+        assert_eq!(trial, Ok(u64::from(factor > 0.0)));
+        optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
+        keeper.reports.iter().map(|report| report.error_train.unwrap()).collect::<Vec<f64>>()
+    });
+    for (found, silent) in failing.iter().zip(&silent) {
+        let wanted = (15.0 * silent + 100.0) / 16.0;
+        assert!((found / wanted - 1.0).abs() < 1e-9, "{found} %, not {wanted} %");
+    }
+}
