@@ -128,6 +128,33 @@ fn a_sweep_in_shards_is_the_sweep() {
     assert_eq!(site.slurm.tool("ls", &site.home.parent().unwrap().join("tmp").display().to_string()), "");
 }
 
+/// More shards than an array may have, one at a time in each; options of the shards are not the merge's.
+#[test]
+fn arrays_are_cut_and_throttled() {
+    let Some(site) = Site::new("arrays_are_cut_and_throttled") else { return };
+    std::fs::write(site.home.join("tiny.toml"), spec("tiny", 4, "[1, 2, 3, 4]")).unwrap();
+    site.says(0, "run tiny.toml --db whole.sqlite --simd baseline");
+    let options =
+        "--at-most 1 --prefix env --run=--simd=baseline -- --mem=100M -- --mem=50M --comment=behind";
+    let said = site.says(0, &format!("submit slurm tiny.toml --shards 4 --cpus 1 --time 5 {options}"));
+    assert!(said.contains("shards 1-2") && said.contains("shards 3-4"), "{said}");
+    let jobs = site.slurm.tool("scontrol", "show job");
+    let merge = jobs.split("JobId=").find(|job| job.contains("Comment=behind")).expect("the merge is a job");
+    assert!(merge.contains("Dependency=afterany") && !merge.contains("ArrayTaskId"), "{merge}");
+    assert!(
+        merge.contains("mem=50M") && jobs.contains("mem=100M") && jobs.contains("ArrayTaskThrottle=1"),
+        "{jobs}"
+    );
+    site.slurm.until_empty(120);
+    assert_eq!(site.results("results/tiny.sqlite"), site.results("whole.sqlite"));
+    assert_eq!(site.rows("results/tiny.sqlite", "SELECT DISTINCT simd FROM v_trial"), "baseline");
+    let status = site.says(0, "status --cluster");
+    assert!(status.contains("4 of 4 shards complete"), "{status}");
+    let outputs =
+        ["shard-2-of-4.out", "shard-2+2-of-4.out"].map(|name| format!("results/tiny.shards/{name}"));
+    assert!(outputs.iter().all(|file| site.home.join(file).exists()), "{outputs:?}");
+}
+
 /// Killed, it has to be submitted again; requeued, it comes back by itself; each time it goes on.
 #[test]
 fn a_shard_that_is_killed_or_requeued_goes_on() {

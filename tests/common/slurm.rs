@@ -44,14 +44,17 @@ impl Slurm {
             .map(|socket| socket.local_addr().unwrap().port())
             .collect();
         let node = |i: usize| {
-            format!("NodeName=n{i} NodeHostname={host} NodeAddr=127.0.0.1 Port={} CPUs=1", ports[i])
+            format!(
+                "NodeName=n{i} NodeHostname={host} NodeAddr=127.0.0.1 Port={} CPUs=1 RealMemory=2000",
+                ports[i]
+            )
         };
         let config = format!(
             "ClusterName=test\nSlurmctldHost={host}(127.0.0.1)\nSlurmctldPort={}\nSlurmUser=root\nSlurmdUser=root\n\
              AuthType=auth/munge\nAuthInfo=socket={}\nCredType=cred/munge\nStateSaveLocation={}\nSlurmdSpoolDir={}/%n\n\
              SlurmctldPidFile={}\nSlurmdPidFile={}/slurmd-%n.pid\nProctrackType=proctrack/linuxproc\n\
              TaskPlugin=task/none\nSelectType=select/cons_tres\nSelectTypeParameters=CR_CPU\nReturnToService=2\n\
-             AccountingStorageType=accounting_storage/none\nJobAcctGatherType=jobacct_gather/none\nMpiDefault=none\n\
+             MaxArraySize=3\nAccountingStorageType=accounting_storage/none\nJobAcctGatherType=jobacct_gather/none\nMpiDefault=none\n\
              SchedulerParameters=batch_sched_delay=0,sched_interval=1,bf_interval=1\n{}\n{}\n\
              PartitionName=main Nodes=n1,n2 Default=YES State=UP\n",
             ports[0],

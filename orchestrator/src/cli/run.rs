@@ -18,7 +18,7 @@ use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Listener, WORKERS_MAX};
-use crate::engine::{self, Again, Control, Options, Reread, Signals};
+use crate::engine::{self, Again, Control, EngineError, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::scheduler::{Outcome, Settings};
@@ -302,6 +302,7 @@ impl Round<'_> {
         let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
         let noted = match &ended {
             Ok(summary) => store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await,
+            Err(EngineError::NoWorkers(_)) => store.end_run(&run, name(Outcome::NoWorkers), 0, 0).await,
             Err(_) => Ok(()),
         };
         let summary = ended?;

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use metasense_schemas::reason::{CANCELLED, PRUNED};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
 
 use super::home::attempts;
 use super::{Assignment, AssignmentError, Shard};
@@ -127,7 +129,7 @@ async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> 
     let trials =
         "SELECT hash, state, coalesce(reason, ''), EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = t.id)
         FROM trial t";
-    let run =
+    let last =
         "SELECT started_at, estimated_seconds, seconds, host || coalesce(', ' || job, '') AS place, outcome
         FROM v_run ORDER BY started_at DESC LIMIT 1";
     ask_unchanging(file, async |db| {
@@ -141,15 +143,16 @@ async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> 
             };
             (hash, stage)
         };
-        let run: Option<(String, f64, Option<f64>, String, Option<String>)> =
-            sqlx::query_as(run).fetch_optional(db).await?;
-        let run = run.map(|(started_at, estimated_seconds, seconds, place, outcome)| Run {
-            started_at,
-            estimated_seconds,
-            seconds,
-            place,
-            outcome,
-        });
+        let run = |row: SqliteRow| {
+            Ok(Run {
+                started_at: row.try_get(0)?,
+                estimated_seconds: row.try_get(1)?,
+                seconds: row.try_get(2)?,
+                place: row.try_get(3)?,
+                outcome: row.try_get(4)?,
+            })
+        };
+        let run = sqlx::query(last).try_map(run).fetch_optional(db).await?;
         Ok((trials.into_iter().map(stage).collect(), run))
     })
     .await

@@ -34,6 +34,7 @@ use links::Link;
 use spent::Ledger;
 use steer::{Asker, Steering};
 
+use crate::files::host;
 use crate::fleet::Fleet;
 use crate::link::{Runtime, RuntimeError, Word};
 use crate::plan::Trial;
@@ -98,7 +99,7 @@ pub enum EngineError {
     #[error("cannot wait for signals")]
     Signals(#[source] std::io::Error),
     /// No worker comes up.
-    #[error("no worker process comes up; the last one: {0}")]
+    #[error("no worker process comes up on {host}; the last one: {0}", host = host())]
     NoWorkers(String),
 }
 

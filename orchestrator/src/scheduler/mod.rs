@@ -499,7 +499,7 @@ impl State {
                 self.deaths += 1;
                 self.dead.insert(lease.trial);
                 self.died_of = Some(reason);
-            } else if !reason.is_given_up() {
+            } else if !reason.is_given_up() && reason != Reason::TimeLimit {
                 self.alive(); // the worker has lived to say what is wrong with the trial
             }
         }
