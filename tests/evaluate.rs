@@ -52,7 +52,8 @@ fn bench() -> (Bench, String) {
     let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
     let hash = csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned();
     let layout = Layout::planar(4, 4, 15.0, 2.25);
-    design::write(&bench.path("other.npy"), &layout, &layout.initial_design(0.3)).unwrap();
+    let other = bench.path("other.npy");
+    std::fs::write(&other, design::bytes(&other, &layout, &layout.initial_design(0.3)).unwrap()).unwrap();
     let force = |i: usize, k: usize, n: usize| -> f64 {
         let t = n as f64 / INSTANTS as f64 * (1.0 + 0.2 * i as f64) - 0.1 * k as f64;
         0.5 * (7.0 * t).sin().max(0.0) * (-3.0 * t).exp()

@@ -43,6 +43,35 @@ async fn rows_come_in_every_form() {
     }
 }
 
+/// Neither the database, by whatever name, nor another one; nor the former rows, by a statement that fails; nor a spec.
+#[tokio::test]
+async fn what_is_read_and_what_was_there_stay() {
+    let bench = Bench::new();
+    database(&bench).await;
+    std::fs::hard_link(bench.path("s.sqlite"), bench.path("link.sqlite")).unwrap();
+    std::fs::copy(bench.path("s.sqlite"), bench.path("other.sqlite")).unwrap();
+    std::fs::write(bench.path("s.toml"), SPEC).unwrap();
+    std::fs::write(bench.path("rows.csv"), "former").unwrap();
+    let read = |name: &str| std::fs::read(bench.path(name)).unwrap();
+    let kept = ["s.sqlite", "other.sqlite", "s.toml", "rows.csv"];
+    let before = kept.map(read);
+    for (words, why) in [
+        (&["query", "s.sqlite", "SELECT 1", "--out", "s.sqlite"][..], "is what `query` reads"),
+        (&["query", "s.sqlite", "SELECT 1", "--out=link.sqlite"], "is what `query` reads"),
+        (&["query", "s.sqlite", "SELECT 1", "--out", "other.sqlite"], "it is a database"),
+        (&["report", "s.sqlite", "--out", "./s.sqlite"], "is what `report` reads"),
+        (&["report", "s.sqlite", "--out", "other.sqlite"], "it is a database"),
+        (&["draw", "s.toml", "--out", "s.toml"], "is what `draw` reads"),
+        (&["query", "s.sqlite", "SELECT FROM", "--format", "csv", "--out", "rows.csv"], "syntax error"),
+    ] {
+        let output = bench.metasense(words);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && said.contains(why), "{words:?}: {said}");
+    }
+    assert!(kept.map(read) == before);
+    assert_eq!(std::fs::read_dir(bench.path("")).unwrap().count(), 5, "nothing is left beside");
+}
+
 #[tokio::test]
 async fn nothing_can_be_changed_and_no_file_is_left() {
     let bench = Bench::new();

@@ -1,9 +1,9 @@
 //! Whole files: written beside their place and renamed into it. Whoever reads finds the old one or the new one, also after
 //! a power cut.
 
-use std::fs::File;
-use std::io;
-use std::path::Path;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
 
 /// The folder that a file is in.
 #[must_use]
@@ -34,24 +34,87 @@ pub fn put_in_place(finished: &Path, path: &Path) -> io::Result<()> {
     File::open(folder(path))?.sync_all()
 }
 
-/// Writes a whole file. What is no file (a pipe, a terminal) is written to as it is; a link stays one.
+/// Writes a whole file, as [`Output`] does.
 ///
 /// # Errors
-/// Where the system fails; what lay there before does so still.
+/// Where the system fails or a database lies there; what lay there before does so still.
 pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let path = &path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    let before = path.metadata().ok();
-    if before.as_ref().is_some_and(|before| !before.is_file()) {
-        return std::fs::write(path, bytes);
+    let mut output = Output::create(path)?;
+    output.write_all(bytes)?;
+    output.finish()
+}
+
+/// A file that is written beside its place, and put there when it is whole; dropped before that, it leaves nothing. What is
+/// no file (a pipe, a terminal) is written to as it is; a link stays one; permissions stay.
+#[derive(Debug)]
+pub struct Output {
+    file: File,
+    /// The file beside, and its place.
+    whole: Option<(PathBuf, PathBuf)>,
+}
+
+impl Output {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// Where the system fails, or a database lies there: nothing that writes whole files may take its place.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        let before = path.metadata().ok();
+        if before.as_ref().is_some_and(|before| !before.is_file()) {
+            return Ok(Self { file: OpenOptions::new().write(true).open(path)?, whole: None });
+        }
+        if before.is_some() && is_database(&path) {
+            return Err(io::Error::new(
+                io::ErrorKind::AlreadyExists,
+                "it is a database, which nothing but `run` and `merge` writes to; choose another file",
+            ));
+        }
+        let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
+        let beside = path.with_file_name(format!(".{name}.{}.tmp", own_mark()));
+        let file = File::create(&beside)?;
+        let output = Self { file, whole: Some((beside, path)) };
+        before.map_or(Ok(()), |before| output.file.set_permissions(before.permissions()))?;
+        Ok(output)
     }
-    let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
-    let beside = path.with_file_name(format!(".{name}.{}.tmp", own_mark()));
-    let written = std::fs::write(&beside, bytes)
-        .and_then(|()| {
-            before.map_or(Ok(()), |before| std::fs::set_permissions(&beside, before.permissions()))
-        })
-        .and_then(|()| put_in_place(&beside, path));
-    written.inspect_err(|_| drop(std::fs::remove_file(&beside)))
+
+    /// Puts the file in its place. When this returns, it is on disk.
+    ///
+    /// # Errors
+    /// Where the system fails; what lay there before does so still.
+    pub fn finish(mut self) -> io::Result<()> {
+        if let Some((beside, path)) = &self.whole {
+            put_in_place(beside, path)?;
+            self.whole = None;
+        }
+        Ok(())
+    }
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for Output {
+    fn drop(&mut self) {
+        if let Some((beside, _)) = &self.whole {
+            let _ = std::fs::remove_file(beside);
+        }
+    }
+}
+
+/// Whether a file begins as SQLite's do.
+fn is_database(path: &Path) -> bool {
+    const MAGIC: &[u8] = b"SQLite format 3\0";
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(MAGIC.len() as u64).read_to_end(&mut head));
+    read.is_ok() && head == MAGIC
 }
 
 #[cfg(test)]

@@ -61,17 +61,16 @@ pub fn read(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
     }
 }
 
-/// Writes a design, by the file's ending.
+/// A design as the bytes of a file, by the ending of its name.
 ///
 /// # Errors
-/// Where the file cannot be written or has another ending.
-pub fn write(path: &Path, layout: &Layout, design: &[f64]) -> Result<(), DesignError> {
-    let bytes = match ending(path) {
-        Some("npy") => to_npy(design).map_err(|e| io("writing", path, e))?,
-        Some("csv") => to_csv(layout, design).into_bytes(),
-        _ => return Err(DesignError::Ending { path: path.into() }),
-    };
-    std::fs::write(path, bytes).map_err(|e| io("writing", path, e))
+/// Where it is another ending.
+pub fn bytes(path: &Path, layout: &Layout, design: &[f64]) -> Result<Vec<u8>, DesignError> {
+    match ending(path) {
+        Some("npy") => to_npy(design).map_err(|e| io("writing", path, e)),
+        Some("csv") => Ok(to_csv(layout, design).into_bytes()),
+        _ => Err(DesignError::Ending { path: path.into() }),
+    }
 }
 
 fn ending(path: &Path) -> Option<&str> {

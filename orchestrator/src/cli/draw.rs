@@ -77,7 +77,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let text = file(&[picture], 1, 640.0, &sketch.legend());
     write(&args.out, text)?;
     if let Some(file) = &args.design_out {
-        design::write(file, &body.layout, &drawn)?;
+        write(file, design::bytes(file, &body.layout, &drawn)?)?;
     }
     print_line!(
         "{}: {caption}, {} constraints at their limit, {} broken",

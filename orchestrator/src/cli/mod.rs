@@ -39,13 +39,15 @@ mod unfinished;
 mod verify;
 mod watch;
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fmt::Write as _;
+use std::fs::Metadata;
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::pin::Pin;
 use std::process::ExitCode;
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::engine::Signals;
 use crate::exit::{EXIT_CODES, Exit};
@@ -136,10 +138,35 @@ pub fn command() -> clap::Command {
 pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     let matches = command().get_matches_from(old::rewritten(args)?);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
+    spares_what_it_reads(&matches)?;
     match cli.command {
         Command::Worker { start } => std::process::exit(process::run(&start, process::perform_trial)),
         command => block_on(command.execute()),
     }
+}
+
+/// No command writes over a file that its own command line has it read; `merge` goes on with what its result holds already.
+///
+/// # Errors
+/// Where it would.
+fn spares_what_it_reads(matches: &ArgMatches) -> Result<(), Error> {
+    let Some((name, matches)) = matches.subcommand().filter(|(name, _)| *name != "merge") else {
+        return Ok(());
+    };
+    let named = |id: &str| matches.try_get_raw(id).ok().flatten().into_iter().flatten();
+    let inode = |path: &OsStr| {
+        let file = std::fs::metadata(path).ok().filter(Metadata::is_file)?;
+        Some((file.dev(), file.ino()))
+    };
+    let written = ["out", "design_out"];
+    for out in written.into_iter().flat_map(named) {
+        let read = matches.ids().map(clap::Id::as_str).filter(|id| !written.contains(id)).flat_map(named);
+        if inode(out).is_some_and(|place| read.into_iter().any(|path| inode(path) == Some(place))) {
+            let out = out.display();
+            return Err(Error::Usage(format!("{out} is what `{name}` reads: choose another file to write")));
+        }
+    }
+    Ok(())
 }
 
 /// How the program ends after this; an error is said.

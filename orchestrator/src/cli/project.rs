@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use metasense_worker::design::{self, Feasible, Projection, Status};
 
 use super::named::Named;
-use super::{Error, Format, print_rows};
+use super::{Error, Format, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 
@@ -47,7 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let broken = feasible.violations(&target);
     let mut summary = summary(&found, &previous, broken.len());
     if found.status.is_feasible() {
-        design::write(&args.out, &body.layout, &found.design)?;
+        write(&args.out, design::bytes(&args.out, &body.layout, &found.design)?)?;
         summary.push(format!("written   {}", args.out.display()));
     }
     for line in summary {

@@ -7,6 +7,7 @@ use metasense_schemas::database::VIEWS;
 
 use super::{Error, Format, print_rows};
 use crate::exit::Exit;
+use crate::files::Output;
 use crate::look::{RowWriter, Table, lines, standard_output};
 use crate::store::Reader;
 
@@ -48,7 +49,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Writes the answer into a file, row by row.
+/// Writes the answer into a file, row by row; it is put in its place when it is whole.
 pub(super) async fn answer_in(
     reader: &mut Reader,
     sql: &str,
@@ -56,9 +57,10 @@ pub(super) async fn answer_in(
     format: Format,
 ) -> Result<(), Error> {
     let failed = Error::io("writing", path);
-    let file = std::fs::File::create(path).map_err(&failed)?;
-    let written = answer(reader, sql, file, format).await;
-    written.map_err(|e| if let Error::Output(source) = e { failed(source) } else { e })
+    let mut output = Output::create(path).map_err(&failed)?;
+    let written = answer(reader, sql, &mut output, format).await;
+    written.map_err(|e| if let Error::Output(source) = e { failed(source) } else { e })?;
+    output.finish().map_err(failed)
 }
 
 /// Rows that a table to read holds.

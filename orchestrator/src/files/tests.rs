@@ -21,3 +21,20 @@ fn a_file_is_the_old_one_or_the_new_one() {
     let names: Vec<_> = std::fs::read_dir(bench.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(names.len(), 2, "nothing is left beside: {names:?}");
 }
+
+/// What is not finished leaves the former file, and nothing beside it; a database is never written over.
+#[test]
+fn an_unfinished_file_and_one_over_a_database_leave_what_was_there() {
+    let bench = tempfile::tempdir().unwrap();
+    let (file, db) = (bench.path().join("a.csv"), bench.path().join("a.sqlite"));
+    std::fs::write(&file, "before").unwrap();
+    std::fs::write(&db, "SQLite format 3\0 and so on").unwrap();
+    let mut output = Output::create(&file).unwrap();
+    output.write_all(b"half").unwrap();
+    drop(output);
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "before");
+    let why = write(&db, b"rows").unwrap_err().to_string();
+    assert!(why.contains("it is a database"), "{why}");
+    assert!(std::fs::read_to_string(&db).unwrap().ends_with("and so on"));
+    assert_eq!(std::fs::read_dir(bench.path()).unwrap().count(), 2);
+}

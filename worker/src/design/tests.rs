@@ -1,5 +1,9 @@
 use super::*;
 
+fn write(path: &Path, layout: &Layout, design: &[f64]) {
+    std::fs::write(path, bytes(path, layout, design).expect("a known ending")).expect("written");
+}
+
 fn somewhere(name: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join(name);
@@ -13,10 +17,10 @@ fn a_design_comes_back_from_its_file() {
         let mut design = layout.initial_design(0.4);
         design[3] = 0.1 + 0.2;
         let (_folder, npy) = somewhere("a.npy");
-        write(&npy, &layout, &design).expect("written");
+        write(&npy, &layout, &design);
         assert_eq!(read(&npy, &layout).expect("read"), design);
         let (_folder, csv) = somewhere("a.csv");
-        write(&csv, &layout, &design).expect("written");
+        write(&csv, &layout, &design);
         let back = read(&csv, &layout).expect("read");
         let worst = back.iter().zip(&design).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 1e-12, "{worst} mm");
@@ -41,7 +45,7 @@ fn a_file_that_is_no_design_is_refused_by_name() {
         assert!(error.contains(said) && error.contains("a.csv"), "{error}");
     }
     let (_folder, path) = somewhere("a.npy");
-    write(&path, &Layout::planar(3, 2, 15.0, 2.25), &[0.0; 34]).expect("written");
+    write(&path, &Layout::planar(3, 2, 15.0, 2.25), &[0.0; 34]);
     let error = read(&path, &layout).expect_err("refused").to_string();
     assert!(error.contains("holds 34 numbers; α of this body has 24"), "{error}");
     assert!(read(Path::new("a.txt"), &layout).is_err());
