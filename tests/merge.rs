@@ -334,3 +334,223 @@ async fn a_live_database_can_be_read_but_not_written() {
     merged.begin_sweep(&s.spec, &s.source.text, &s.trials).await.unwrap();
     assert_eq!(merged.checkpoint(&s.trials[1].hash).await.unwrap().map(|c| c.step), Some(2));
 }
+
+/// A database with one trial done.
+async fn one(path: &Path, name: &str, trial: usize) {
+    database(path, &plan(name), 1, &[(trial, Life::Done(5.0, "avx2"))]).await;
+}
+
+/// Names and bytes of all files of a folder, hidden ones too.
+fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let paths = folder.read_dir().unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.is_file());
+    let mut files: Vec<_> = paths.map(|path| (path.clone(), std::fs::read(path).unwrap())).collect();
+    files.sort();
+    files
+}
+
+/// Notes, a database of a newer version, a damaged one, one that is damaged in the middle, a folder: an error before anything
+/// is touched.
+#[tokio::test]
+async fn a_result_that_cannot_be_read_is_refused_and_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    one(&at("a.sqlite"), "s", 0).await;
+    let whole = std::fs::read(&pool()[0]).unwrap();
+    std::fs::write(at("notes.txt"), "mine alone ".repeat(200)).unwrap();
+    std::fs::write(at("short.txt"), "mine").unwrap();
+    let mut newer = whole.clone();
+    newer[60..64].copy_from_slice(&99u32.to_be_bytes());
+    std::fs::write(at("newer.sqlite"), newer).unwrap();
+    std::fs::write(at("cut.sqlite"), &whole[..whole.len() / 2]).unwrap();
+    let mut holed = whole.clone();
+    holed[8192..whole.len() - 4096].fill(0xa5);
+    std::fs::write(at("holed.sqlite"), holed).unwrap();
+    std::fs::create_dir(at("folder")).unwrap();
+    let before = files(folder.path());
+    for (out, why) in [
+        ("notes.txt", "not a metasense database"),
+        ("short.txt", "not a metasense database"),
+        ("newer.sqlite", "version 99"),
+        ("cut.sqlite", "malformed"),
+        ("holed.sqlite", "malformed"),
+        ("folder", "no file"),
+    ] {
+        let refused = merge(&[at("a.sqlite")], &at(out)).await.unwrap_err();
+        let said = metasense::exit::chain(&refused);
+        assert!(said.contains(why) && said.contains(out), "{out}: {said}");
+        assert!(files(folder.path()) == before, "{out}: a file has changed");
+    }
+}
+
+/// A run that begins on a result that is being made for the first time waits, is refused, or is there first: what it records
+/// is never gone.
+#[test]
+fn a_run_and_a_merge_do_not_take_a_file_from_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let inputs: Vec<PathBuf> = (0..12).map(|i| folder.path().join(format!("in-{i}.sqlite"))).collect();
+    runtime.block_on(async {
+        for (i, input) in inputs.iter().enumerate() {
+            one(input, &format!("s{i}"), 0).await;
+        }
+    });
+    let mut between = 0;
+    for round in 0..12 {
+        let out = folder.path().join(format!("out-{round}.sqlite"));
+        let merging = std::thread::spawn({
+            let (inputs, out) = (inputs.clone(), out.clone());
+            move || merged(&inputs, &out)
+        });
+        std::thread::sleep(Duration::from_millis(round * 4));
+        let recorded = runtime.block_on(async {
+            let own = plan("own");
+            let opened = Store::open(&out).await;
+            let mut store = match opened {
+                Ok(store) => store,
+                Err(StoreError::InUse { .. }) => return false,
+                Err(error) => panic!("{error}"),
+            };
+            store.begin_sweep(&own.spec, &own.source.text, &own.trials).await.unwrap();
+            between += u64::from(!merging.is_finished());
+            // As a run holds it.
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            store.close().await.unwrap();
+            true
+        });
+        let merge_done = match merging.join().unwrap() {
+            Ok(_) => true,
+            Err(MergeError::Store(StoreError::InUse { .. })) => false,
+            Err(error) => panic!("{error}"),
+        };
+        assert!(recorded || merge_done, "both were refused");
+        let sweeps = ask(&out, "SELECT count(*), sum(name = 'own') FROM sweep");
+        let expected = 12 * u64::from(merge_done) + u64::from(recorded);
+        assert_eq!(sweeps, [format!("[{expected},{}]", u64::from(recorded))], "round {round}");
+    }
+    println!("{between} runs held the file while a merge had begun");
+}
+
+/// With few descriptors all inputs are merged, or the result stays as it was and the merge says why.
+#[test]
+fn a_shortage_of_descriptors_refuses_no_input() {
+    let folder = tempfile::tempdir().unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let inputs = folder.path().join("in");
+    std::fs::create_dir(&inputs).unwrap();
+    for i in 0..60 {
+        std::fs::copy(&pool()[i % 8], inputs.join(format!("{i}.sqlite"))).unwrap();
+    }
+    let out = folder.path().join("out.sqlite");
+    let mut merges = 0;
+    for limit in [64, 30, 16, 14, 12, 10, 8, 6] {
+        let _ = std::fs::remove_file(&out);
+        runtime.block_on(one(&out, "own", 0));
+        let before = std::fs::read(&out).unwrap();
+        let script = format!("ulimit -n {limit}; exec \"$0\" merge in --out out.sqlite");
+        let mut command = std::process::Command::new("sh");
+        command.args(["-c", &script, env!("CARGO_BIN_EXE_metasense")]).current_dir(folder.path());
+        let output = command.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!said.contains("refused"), "{limit}: {said}");
+        if said.contains("from 61 databases") {
+            merges += 1;
+            assert_eq!(ask(&out, "SELECT sum(name = 'own') FROM sweep"), ["[1]"]);
+        } else {
+            assert!(!output.status.success() && std::fs::read(&out).unwrap() == before, "{limit}: {said}");
+        }
+    }
+    assert!((1..8).contains(&merges), "{merges} merges of 8");
+}
+
+/// As a killed run leaves it: a step is in the log beside the file alone.
+async fn left_behind(path: &Path) {
+    let folder = tempfile::tempdir().unwrap();
+    let (db, s) = (folder.path().join("db.sqlite"), plan("s"));
+    let mut store = Store::open(&db).await.unwrap();
+    store.begin_sweep(&s.spec, &s.source.text, &s.trials).await.unwrap();
+    live(&mut store, &s.trials[0].hash, Life::Killed(2)).await;
+    for end in ["", "-wal"] {
+        std::fs::copy(folder.path().join(format!("db.sqlite{end}")), format!("{}{end}", path.display()))
+            .unwrap();
+    }
+}
+
+/// What is in the log beside a file counts, behind a link and where the log's index cannot be made, to a merge, a question
+/// and a run.
+#[tokio::test]
+async fn a_log_is_read_behind_a_link_and_in_a_folder_that_cannot_be_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let steps = async |db: &Path| {
+        let mut reader = Reader::open(db).await.unwrap();
+        let table: metasense::look::Table = reader.query("SELECT count(*) FROM v_step").await.unwrap();
+        reader.close().await;
+        table.rows[0][0].as_u64()
+    };
+    for (round, readonly) in [false, true].into_iter().enumerate() {
+        let (db, link) = (at(&format!("db{round}.sqlite")), at(&format!("link{round}.sqlite")));
+        left_behind(&db).await;
+        std::os::unix::fs::symlink(&db, &link).unwrap();
+        let index = at(&format!("db{round}.sqlite-shm"));
+        if readonly {
+            // No index can be made there, whoever we are.
+            std::fs::create_dir(&index).unwrap();
+        }
+        let before = files(folder.path());
+        let out = at(&format!("out{round}"));
+        let summary = merge(std::slice::from_ref(&link), &out).await.unwrap();
+        assert!(summary.refused.is_empty(), "{:?}", summary.refused);
+        assert_eq!(steps(&out).await, Some(2), "merged, {readonly}");
+        std::fs::remove_file(&out).unwrap();
+        assert!(files(folder.path()) == before, "an input has changed");
+        assert_eq!(steps(&link).await, Some(2), "read, {readonly}");
+        if !readonly {
+            let mut store = Store::open(&link).await.unwrap();
+            let s = plan("s");
+            store.begin_sweep(&s.spec, &s.source.text, &s.trials).await.unwrap();
+            assert_eq!(store.checkpoint(&s.trials[0].hash).await.unwrap().map(|c| c.step), Some(2));
+            assert_eq!(store.path(), db.canonicalize().unwrap());
+        }
+    }
+}
+
+/// A view in a table's place, a column that is computed, or a default that rows do not hold: small files that would become
+/// large.
+#[tokio::test]
+async fn what_an_input_does_not_hold_as_rows_is_not_copied() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    one(&at("good.sqlite"), "s", 1).await;
+    for (i, sql) in [
+        "DROP VIEW v_artifact; DROP TABLE artifact; CREATE VIEW artifact AS SELECT id AS trial_id, 'a' || value AS name,
+           '[1]' AS shape, zeroblob(1000000) AS bytes FROM trial, json_each('[1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]')",
+        "DROP TABLE log; CREATE TABLE log (trial_id INTEGER NOT NULL, attempt INTEGER NOT NULL, line INTEGER NOT NULL,
+           at TEXT NOT NULL, level TEXT NOT NULL, text TEXT NOT NULL AS (hex(zeroblob(1000000))));
+         INSERT INTO log SELECT id, 1, 1, '', 'info' FROM trial",
+        "PRAGMA writable_schema = ON; UPDATE sqlite_schema SET sql =
+           replace(sql, 'text TEXT NOT NULL', 'text TEXT NOT NULL DEFAULT ''long''') WHERE name = 'log'",
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let hostile = at(&format!("hostile{i}.sqlite"));
+        one(&hostile, "s", 0).await;
+        let mut db = SqliteConnectOptions::new().filename(&hostile).connect().await.unwrap();
+        sqlx::raw_sql(sqlx::AssertSqlSafe(sql.to_owned())).execute(&mut db).await.unwrap();
+        db.close().await.unwrap();
+        let out = at("out.sqlite");
+        let summary = merge(&[at("good.sqlite"), hostile.clone()], &out).await.unwrap();
+        assert_eq!((summary.read, summary.refused.len()), (1, 1), "{i}: {:?}", summary.refused);
+        assert!(summary.refused[0].1.contains("not a stored column"), "{:?}", summary.refused);
+        assert!(out.metadata().unwrap().len() < 1_000_000);
+        std::fs::remove_file(&out).unwrap();
+    }
+    // What a user has added is no harm.
+    let mut db = SqliteConnectOptions::new().filename(at("good.sqlite")).connect().await.unwrap();
+    sqlx::raw_sql("CREATE TABLE note (text); CREATE VIEW mine AS SELECT hash FROM trial; ALTER TABLE trial ADD COLUMN note TEXT")
+        .execute(&mut db)
+        .await
+        .unwrap();
+    db.close().await.unwrap();
+    assert_eq!(merge(&[at("good.sqlite")], &at("out.sqlite")).await.unwrap().refused, []);
+}

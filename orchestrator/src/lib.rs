@@ -12,6 +12,7 @@ pub mod exit;
 pub mod export;
 pub mod files;
 pub mod fleet;
+pub mod leftovers;
 pub mod link;
 pub mod look;
 pub mod plan;

@@ -115,7 +115,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
     };
     let home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
-    home.take_in().await?;
+    if let Some(aside) = home.take_in().await? {
+        say!(
+            "the shard's database on this node was damaged: it is now {}; the shard goes on from what was handed in",
+            aside.display()
+        );
+    }
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();
     let running = async {

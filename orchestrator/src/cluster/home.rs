@@ -5,7 +5,7 @@
 //! name, so that none overwrites another's, and one that is there is whole: it is renamed into its place.
 
 use std::collections::BTreeMap;
-use std::fs::DirBuilder;
+use std::fs::{DirBuilder, File};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
@@ -17,7 +17,7 @@ use rustix::process::{Signal, getpid, kill_process};
 use super::Shard;
 use super::merge::{self, MergeError};
 use crate::files;
-use crate::store::StoreError;
+use crate::store::{self, StoreError};
 
 /// Between two attempts to hand in for the last time.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -118,23 +118,59 @@ impl Home {
         self.folder.join(format!("{}.log", self.shard.file_stem()))
     }
 
-    /// Takes in what earlier attempts have handed in. To be called before the database is opened.
+    /// Takes in what earlier attempts have handed in. To be called before the database is opened. Returns where the live
+    /// database is now, if it was damaged: in the results folder, so that the shard goes on without it and it is not lost.
     ///
     /// # Errors
-    /// If it cannot be read.
-    pub async fn take_in(&self) -> Result<(), HomeError> {
+    /// If what was handed in cannot be read, or the live database is of a newer version or none of ours.
+    pub async fn take_in(&self) -> Result<Option<PathBuf>, HomeError> {
         let earlier = attempts(&self.folder).remove(&self.shard).unwrap_or_default();
-        if earlier.is_empty() {
-            return Ok(());
+        if earlier.is_empty() && !self.live.exists() {
+            return Ok(None);
         }
-        let summary = match merge::merge(&earlier, &self.live).await {
+        let (merged, aside) = match merge::merge(&earlier, &self.live).await {
+            Err(MergeError::Result { source, .. }) if self.is_damage(&source) => {
+                let aside = self.set_aside()?;
+                (
+                    if earlier.is_empty() {
+                        return Ok(Some(aside));
+                    } else {
+                        merge::merge(&earlier, &self.live).await
+                    },
+                    Some(aside),
+                )
+            }
+            merged => (merged, None),
+        };
+        let summary = match merged {
             Err(MergeError::Nothing { refused }) => merge::Summary { refused, ..Default::default() },
             other => other?,
         };
         match summary.refused.into_iter().next() {
             Some((path, why)) => Err(HomeError::Refused { path, why }),
-            None => Ok(()),
+            None => Ok(aside),
         }
+    }
+
+    /// Whether a disk has done this to the live database; in a folder of our own also where nothing of it can be known.
+    fn is_damage(&self, error: &StoreError) -> bool {
+        error.is_damage() || self.scratch.is_some() && matches!(error, StoreError::NotOurs { .. })
+    }
+
+    /// Moves the live database with its log to the results folder, under a name by which no merge takes it.
+    fn set_aside(&self) -> Result<PathBuf, HomeError> {
+        let aside = self.handed_in.with_extension("damaged");
+        for end in ["-wal", ""] {
+            let (from, to) = (store::beside(&self.live, end), store::beside(&aside, end));
+            let at = |source| HomeError::Folder { path: to.clone(), source };
+            if from.exists() {
+                // From one disk to another.
+                std::fs::copy(&from, &to).and_then(|_| File::open(&to)?.sync_all()).map_err(at)?;
+                std::fs::remove_file(&from).map_err(at)?;
+            }
+        }
+        let _ = std::fs::remove_file(store::beside(&self.live, "-shm"));
+        Ok(aside)
     }
 
     /// Copies the database, live or not, to the results folder.
@@ -144,7 +180,7 @@ impl Home {
     pub async fn hand_in(&self) -> Result<(), HomeError> {
         let copy = self.handed_in.with_extension("tmp");
         let _ = std::fs::remove_file(&copy);
-        merge::snapshot(&self.live, &copy, true).await?;
+        merge::snapshot(&self.live, &copy, true, || true).await?;
         files::put_in_place(&copy, &self.handed_in)
             .map_err(|source| HomeError::Folder { path: self.handed_in.clone(), source })
     }

@@ -16,6 +16,7 @@ use crate::cluster::home::attempts;
 use crate::cluster::merge::merge;
 use crate::exit::chain;
 use crate::fleet::cpu_seconds;
+use crate::leftovers;
 use crate::look::{Answer, Figure, Table};
 use crate::progress::{FAILED, Looks, Progress};
 use crate::report::load::finished_trials;
@@ -154,7 +155,7 @@ struct Merged {
 
 impl Merged {
     fn new() -> std::io::Result<Self> {
-        Ok(Self { scratch: tempfile::Builder::new().prefix("metasense-serve-").tempdir()?, of: Vec::new() })
+        Ok(Self { scratch: leftovers::scratch("metasense-serve-")?, of: Vec::new() })
     }
 
     fn db(&self) -> PathBuf {

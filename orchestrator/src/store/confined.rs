@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use libsqlite3_sys as ffi;
 
 use super::read::{Answer, connect, reading};
-use super::{OPENING, Reader, StoreError, check_version};
+use super::{OPENING, Reader, StoreError, check_version, real};
 
 /// What an answer may come to.
 #[derive(Debug, Clone, Copy)]
@@ -37,8 +37,9 @@ impl Reader {
         if !path.is_file() {
             return Err(StoreError::Missing { path: path.to_owned() });
         }
+        let path = &real(path);
         let at = |source| StoreError::sql(path, OPENING, source);
-        let mut connection = connect(reading(path).row_buffer_size(ROWS_AHEAD), path).await?;
+        let (mut connection, copy) = connect(reading(path).row_buffer_size(ROWS_AHEAD), path).await?;
         check_version(&mut connection, path).await?;
         let mut handle = connection.lock_handle().await.map_err(at)?;
         let db = handle.as_raw_handle().as_ptr();
@@ -49,7 +50,7 @@ impl Reader {
             ffi::sqlite3_set_authorizer(db, Some(reads_only), std::ptr::null_mut());
         }
         drop(handle);
-        Ok(Self { connection, path: path.to_owned(), alone: false })
+        Ok(Self { connection, path: path.to_owned(), alone: false, _copy: copy })
     }
 
     /// Answers one statement as far as the limits allow; beside the rows, what ended them early.

@@ -56,6 +56,14 @@ pub enum StoreError {
         /// The newest that this program knows.
         known: usize,
     },
+    /// Its folder cannot be written to, a killed run has left a log there, and no copy can be made.
+    #[error("{} has a log beside it that cannot be read where it lies; copying both failed", path.display())]
+    NotCopied {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// There is no such file.
     #[error("there is no database {}; `metasense run SPEC` makes one", path.display())]
     Missing {
@@ -133,12 +141,19 @@ impl StoreError {
         }
     }
 
+    /// Whether the file is damaged.
+    #[must_use]
+    pub fn is_damage(&self) -> bool {
+        matches!(self, Self::Sql { source, .. } if code(source) == Some(11))
+    }
+
     /// Whether what was asked for is at fault, rather than the disk, the file's state or who else is at work on it.
     #[must_use]
     pub fn is_bad_input(&self) -> bool {
         match self {
             Self::Sql { doing, source, .. } => *doing == OPENING && !is_trouble(source),
             Self::Unwritable { source, .. } => source.kind() != std::io::ErrorKind::StorageFull,
+            Self::NotCopied { .. } => false,
             other => !matches!(other, Self::InUse { .. } | Self::Stale { .. } | Self::Unreadable { .. }),
         }
     }
@@ -153,6 +168,16 @@ fn code(source: &sqlx::Error) -> Option<u32> {
 /// Whether the file is locked or damaged, or the disk full or failing: nothing that another statement would mend.
 pub(super) fn is_trouble(source: &sqlx::Error) -> bool {
     matches!(source, sqlx::Error::Io(_)) || matches!(code(source), Some(5 | 6 | 10 | 11 | 13))
+}
+
+/// Whether a file could not be opened.
+pub(crate) fn is_not_opened(source: &sqlx::Error) -> bool {
+    code(source) == Some(14)
+}
+
+/// Whether it is not the file that is read that is at fault: memory, the disk, descriptors.
+pub(crate) fn is_shortage(source: &sqlx::Error) -> bool {
+    matches!(source, sqlx::Error::Io(_)) || matches!(code(source), Some(7 | 8 | 10 | 13 | 14))
 }
 
 /// What to do, by SQLite's primary result code.

@@ -9,6 +9,7 @@ mod confined;
 mod designs;
 mod disk;
 mod error;
+mod lock;
 mod log;
 mod made;
 mod npy;
@@ -21,7 +22,7 @@ mod sweep;
 mod write;
 
 use std::collections::HashMap;
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -33,10 +34,13 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 pub use confined::Limits;
 use error::OPENING;
 pub use error::StoreError;
+pub(crate) use error::is_shortage;
+pub(crate) use lock::{beside, has_journal, is_still, lock, real};
 pub use log::Level;
 pub use made::{Made, Nearest};
 pub use npy::{npy_bytes, npy_values};
 pub use prior::{Attempted, Reached};
+pub(crate) use read::copy_with_journal;
 pub use read::{Answer, Artifact, Reader, Row, ask_unchanging, quoted};
 pub use runs::{RunKey, RunPlan};
 pub use stored::Stored;
@@ -65,11 +69,19 @@ impl Store {
     /// # Errors
     /// Unwritable, not ours, of a newer version, or in use by another run.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
+        Self::open_file(real(path.as_ref())).await.map_err(StoreError::on_opening)
     }
 
     async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
-        let lock = lock(&path)?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        std::fs::create_dir_all(folder)
+            .map_err(|source| StoreError::Unwritable { path: path.clone(), source })?;
+        if let Some(system) = disk::network_of(folder) {
+            return Err(StoreError::NetworkDisk { path, system });
+        }
+        let lock = lock(&path, true)?;
+        // A link may have led to nothing before.
+        let path = real(&path);
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
@@ -114,32 +126,6 @@ pub(crate) fn options(path: &Path) -> SqliteConnectOptions {
         .filename(path)
         .busy_timeout(Duration::from_secs(10))
         .disable_statement_logging()
-}
-
-/// Makes the folder and the file where they are missing, and keeps other writers out.
-fn lock(path: &Path) -> Result<File, StoreError> {
-    let unwritable = |source| StoreError::Unwritable { path: path.to_owned(), source };
-    let folder = Path::new(".").join(path.parent().unwrap_or(Path::new("")));
-    std::fs::create_dir_all(&folder).map_err(unwritable)?;
-    if let Some(system) = disk::network_of(&folder) {
-        return Err(StoreError::NetworkDisk { path: path.to_owned(), system });
-    }
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .open(path)
-        .map_err(unwritable)?;
-    // A reader that tidies up holds the lock for some milliseconds, a run for as long as it lasts.
-    for _ in 0..20 {
-        match file.try_lock() {
-            Ok(()) => return Ok(file),
-            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
-            Err(TryLockError::Error(source)) => return Err(unwritable(source)),
-        }
-    }
-    Err(StoreError::InUse { path: path.to_owned() })
 }
 
 /// The version of a database, 0 for an empty file.

@@ -3,6 +3,7 @@
 //! A read-only connection makes the journal's two files where they are missing and cannot remove them again: `close`
 //! does, unless somebody else is at work on the database.
 
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 
 use futures_util::TryStreamExt;
@@ -12,10 +13,14 @@ use sqlx::{
     AssertSqlSafe, Column, ConnectOptions, Connection, Either, Executor, Row as _, SqlSafeStr, Statement,
     TypeInfo, ValueRef,
 };
+use tempfile::TempDir;
 
-use super::error::is_trouble;
+use super::error::{is_not_opened, is_trouble};
 use super::write::read_checkpoint;
-use super::{OPENING, Store, StoreError, check_version, lock, npy_values, options};
+use super::{
+    OPENING, Store, StoreError, beside, check_version, has_journal, is_still, lock, npy_values, options, real,
+};
+use crate::leftovers;
 use metasense_schemas::database::MIGRATIONS;
 use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::position_of;
@@ -65,6 +70,8 @@ pub struct Reader {
     pub(super) connection: SqliteConnection,
     pub(super) path: PathBuf,
     pub(super) alone: bool,
+    /// What is read in place of the file, where that cannot be.
+    pub(super) _copy: Option<TempDir>,
 }
 
 /// A stored array.
@@ -98,22 +105,22 @@ impl Reader {
     /// # Errors
     /// Missing, not ours, of a newer version.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
+        Self::open_file(real(path.as_ref())).await.map_err(StoreError::on_opening)
     }
 
     async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
         if !path.is_file() {
             return Err(StoreError::Missing { path });
         }
-        let alone = !journal(&path).exists();
-        let mut connection = connect(reading(&path), &path).await?;
+        let alone = !beside(&path, "-wal").exists();
+        let (mut connection, mut copy) = connect(reading(&path), &path).await?;
         let version = check_version(&mut connection, &path).await?;
         if version < MIGRATIONS.len() {
             drop(connection);
             Store::open(&path).await?.close().await?;
-            connection = connect(reading(&path), &path).await?;
+            (connection, copy) = connect(reading(&path), &path).await?;
         }
-        Ok(Self { connection, path, alone })
+        Ok(Self { connection, path, alone, _copy: copy })
     }
 
     /// Opens a database, asks it, and closes it, whatever came of that.
@@ -132,12 +139,12 @@ impl Reader {
 
     /// Closes the connection and leaves no file behind that was not there before.
     pub async fn close(self) {
-        let Self { connection, path, alone } = self;
+        let Self { connection, path, alone, _copy } = self;
         // Whatever goes wrong here harms nobody: the next writer tidies up as well.
         let closed = connection.close().await;
         if closed.is_ok()
             && alone
-            && let Ok(_lock) = lock(&path)
+            && let Ok(_lock) = lock(&path, false)
             && let Ok(mut writable) = options(&path).connect().await
         {
             let _ = writable.execute("SELECT count(*) FROM sqlite_schema").await;
@@ -274,13 +281,6 @@ fn wrong(path: &Path, source: sqlx::Error) -> StoreError {
     }
 }
 
-/// The write-ahead log of a database.
-fn journal(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push("-wal");
-    name.into()
-}
-
 /// Asks a database that nobody writes to, as a file that does not change: neither locks nor a journal are looked for. It may
 /// be of an older version.
 pub async fn ask_unchanging<T>(
@@ -298,20 +298,43 @@ pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
     options(path).read_only(true).pragma("query_only", "ON")
 }
 
-/// Where the folder cannot hold the journal's index (a read-only medium), as an unchanging file.
+/// Where the folder cannot hold the journal's index (a read-only medium), as an unchanging file; where there is a journal, a
+/// copy of both, which lives as long as its folder.
 pub(super) async fn connect(
     options: SqliteConnectOptions,
     path: &Path,
-) -> Result<SqliteConnection, StoreError> {
+) -> Result<(SqliteConnection, Option<TempDir>), StoreError> {
     let at = |source| StoreError::sql(path, OPENING, source);
     let mut connection = options.clone().connect().await.map_err(at)?;
     match connection.execute("SELECT count(*) FROM sqlite_schema").await {
-        Ok(_) => Ok(connection),
-        Err(e) if e.as_database_error().and_then(|e| e.code()).is_some_and(|c| c == "14") => {
-            options.immutable(true).connect().await.map_err(at)
-        }
-        Err(source) => Err(at(source)),
+        Ok(_) => return Ok((connection, None)),
+        Err(e) if is_not_opened(&e) => {}
+        Err(source) => return Err(at(source)),
     }
+    if !has_journal(path) {
+        return Ok((options.immutable(true).connect().await.map_err(at)?, None));
+    }
+    let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
+    let scratch = leftovers::scratch("metasense-read-").map_err(failed)?;
+    let copy = scratch.path().join("copy.sqlite");
+    copy_with_journal(path, &copy)?;
+    Ok((options.filename(copy).connect().await.map_err(at)?, Some(scratch)))
+}
+
+/// Copies a database that nobody writes to, with what lies in its journal.
+///
+/// # Errors
+/// `InUse` where somebody does; `NotCopied` where the system fails.
+pub(crate) fn copy_with_journal(path: &Path, copy: &Path) -> Result<(), StoreError> {
+    let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
+    let lock = File::open(path).map_err(failed)?;
+    if matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)) || !is_still(&lock, path) {
+        return Err(StoreError::InUse { path: path.to_owned() });
+    }
+    for end in ["", "-wal"] {
+        std::fs::copy(beside(path, end), beside(copy, end)).map_err(failed)?;
+    }
+    Ok(())
 }
 
 fn values(row: &SqliteRow) -> Vec<Value> {

@@ -34,6 +34,21 @@ pub(super) async fn create(path: &Path) -> sqlx::Result<SqliteConnection> {
     Ok(out)
 }
 
+/// What of the attached input is no table of this program: a view in its place, a computed column, or a default that rows
+/// do not hold make much out of a small file. Tables and columns that are more than ours are left alone.
+pub(super) async fn foreign(out: &mut SqliteConnection) -> sqlx::Result<Option<String>> {
+    let columns = |schema: &str| {
+        format!(
+            "SELECT t.name || '.' || c.name AS name, c.type, c.\"notnull\", c.dflt_value, c.pk, c.hidden
+             FROM pragma_table_list t, pragma_table_xinfo(t.name, '{schema}') c
+             WHERE t.schema = '{schema}' AND t.type = 'table' AND substr(t.name, 1, 7) <> 'sqlite_'"
+        )
+    };
+    // Names of our own schema only.
+    let sql = format!("SELECT name FROM ({} EXCEPT {}) LIMIT 1", columns("main"), columns("src"));
+    sqlx::query_scalar(AssertSqlSafe(sql)).fetch_optional(out).await
+}
+
 /// Notes an input's sweeps, and how far it has come with each trial: by steps, behind the last one by what a checkpoint
 /// holds of the comparison.
 pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Result<()> {

@@ -1,13 +1,18 @@
-//! A database to be merged: attached as it is where we can keep writers away from it, through a copy where a run may write
-//! to it, where it has a journal, or where it is of an older version.
+//! A database to be merged: attached as it is where nobody writes to it, through a copy where a run does, where it has a
+//! journal, or where it is of an older version.
+//!
+//! One input at a time is open. That it is between two looks what it was is seen by its size and time; one that is not is
+//! taken as a copy.
 
 use std::fs::{File, TryLockError};
+use std::io;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::database::MIGRATIONS;
 use sqlx::{ConnectOptions, Connection};
 
-use super::{MergeError, name_of};
+use crate::exit::chain;
 use crate::store::{self, StoreError};
 
 /// An input that can be attached.
@@ -17,54 +22,109 @@ pub(super) struct Input {
     pub named: PathBuf,
     /// To attach.
     pub uri: String,
-    /// Keeps writers out for as long as it is attached, if it is the file itself.
-    _lock: Option<File>,
+    /// The file and what it was; `None` of a copy, and of what is locked already.
+    seen: Option<(PathBuf, Stamp)>,
+}
+
+/// What tells a file from what it was before: device, inode, size, time of its last change.
+type Stamp = (u64, u64, u64, i64, i64);
+
+/// Why an input cannot be attached.
+#[derive(Debug)]
+pub(super) enum Refusal {
+    /// It is at fault.
+    Input(String),
+    /// Something else: the disk, memory, descriptors.
+    Shortage(sqlx::Error),
+    /// A run writes to it, or has.
+    Changed,
+}
+
+impl From<io::Error> for Refusal {
+    fn from(e: io::Error) -> Self {
+        match e.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied => Self::Input(e.to_string()),
+            _ => Self::Shortage(sqlx::Error::Io(e)),
+        }
+    }
+}
+
+impl From<StoreError> for Refusal {
+    fn from(e: StoreError) -> Self {
+        match e {
+            StoreError::Sql { source, .. } if store::is_shortage(&source) => Self::Shortage(source),
+            StoreError::NotCopied { source, .. } => source.into(),
+            e => Self::Input(chain(&e)),
+        }
+    }
 }
 
 impl Input {
-    /// `number` names its copy in `scratch`, if it needs one.
-    pub async fn open(file: &Path, scratch: &Path, number: usize) -> Result<Self, String> {
-        let named = file.to_owned();
-        if !file.is_file() {
-            return Err("there is no such file".into());
+    /// `copy` is where its copy goes, if it needs one; `held`: writers are kept out already.
+    pub async fn open(named: &Path, copy: &Path, held: bool) -> Result<Self, Refusal> {
+        if !named.is_file() {
+            return Err(Refusal::Input("there is no such file".into()));
         }
-        let text = |e: &dyn std::error::Error| {
-            let cause = e.source().map_or(String::new(), |cause| format!(": {cause}"));
-            format!("{e}{cause}")
-        };
-        let copy = scratch.join(format!("input-{number}.sqlite"));
-        let mut path = file.to_owned();
-        let lock = File::open(file).map_err(|e| text(&e))?;
-        let busy = matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
-        if busy || has_journal(file) {
-            snapshot(file, &copy, false).await.map_err(|e| text(&e))?;
-            path.clone_from(&copy);
-        }
-        let version = store::ask_unchanging(&path, async |db| Ok(store::check_version(db, file).await)).await;
-        let version = version.map_err(|source| StoreError::sql(&path, "opening", source)).and_then(|v| v);
-        if version.map_err(|e| text(&e))? < MIGRATIONS.len() {
-            if path != copy {
-                std::fs::copy(&path, &copy).map_err(|e| text(&e))?;
-                path.clone_from(&copy);
+        let file = store::real(named);
+        let lock = File::open(&file)?;
+        let busy = !held && matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
+        let mut path = file.clone();
+        if busy {
+            snapshot(&file, copy, false, || true).await?;
+            path = copy.to_owned();
+        } else if store::has_journal(&file) {
+            match store::copy_with_journal(&file, copy) {
+                // begun since
+                Err(StoreError::InUse { .. }) => return Err(Refusal::Changed),
+                copied => copied?,
             }
-            store::upgrade(&copy).await.map_err(|e| text(&e))?;
+            fold(copy, true).await?;
+            path = copy.to_owned();
         }
-        Ok(Self { named, uri: uri(&path), _lock: (path != copy).then_some(lock) })
+        let version =
+            store::ask_unchanging(&path, async |db| Ok(store::check_version(db, &file).await)).await;
+        let version = version.map_err(|source| StoreError::sql(&file, "opening", source)).and_then(|v| v)?;
+        if version < MIGRATIONS.len() {
+            if path != copy {
+                std::fs::copy(&path, copy)?;
+                path = copy.to_owned();
+            }
+            store::upgrade(copy).await?;
+        }
+        let as_it_is = path != copy && !held;
+        let seen = if as_it_is { Some((file, stamp(&lock)?)) } else { None };
+        Ok(Self { named: named.to_owned(), uri: uri(&path), seen })
+    }
+
+    /// Keeps writers out for as long as the handle lives; of a copy there is none.
+    pub fn hold(&self) -> Result<Option<File>, Refusal> {
+        let Some((file, seen)) = &self.seen else { return Ok(None) };
+        let lock = File::open(file)?;
+        let busy = matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
+        match busy || stamp(&lock)? != *seen || store::has_journal(file) {
+            true => Err(Refusal::Changed),
+            false => Ok(Some(lock)),
+        }
     }
 }
 
-/// Whether there is a write-ahead log with something in it.
-pub(super) fn has_journal(file: &Path) -> bool {
-    beside(file, "-wal").metadata().is_ok_and(|m| m.len() > 0)
+fn stamp(file: &File) -> io::Result<Stamp> {
+    file.metadata().map(|m| (m.dev(), m.ino(), m.size(), m.mtime(), m.mtime_nsec()))
 }
 
-/// Folds what a killed run has left in the log into the file, so that nothing is lost with the log.
-pub(super) async fn fold(file: &Path) -> Result<(), StoreError> {
-    if !has_journal(file) {
+/// Folds what a killed run has left in the log into the file, so that nothing is lost with the log. `alone`: nobody else
+/// knows of the file.
+pub(super) async fn fold(file: &Path, alone: bool) -> Result<(), StoreError> {
+    if !store::has_journal(file) {
         return Ok(());
     }
     let at = |source| StoreError::sql(file, "folding the log into", source);
-    let mut connection = store::options(file).connect().await.map_err(at)?;
+    let mut options = store::options(file);
+    if alone {
+        // Without an index in shared memory, which network file systems may not have.
+        options = options.pragma("locking_mode", "EXCLUSIVE");
+    }
+    let mut connection = options.connect().await.map_err(at)?;
     // Busy, frames in the log, those of them that are in the file.
     let folded: (i64, i64, i64) =
         sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&mut connection).await.map_err(at)?;
@@ -76,32 +136,26 @@ pub(super) async fn fold(file: &Path) -> Result<(), StoreError> {
 }
 
 /// One consistent state of a database, whoever writes to it, as a file without a journal. `ours`: it may be tidied up
-/// behind us; otherwise it is only read.
+/// behind us; otherwise it is only read. It is given up when `goes_on` says no.
 ///
 /// # Errors
 /// Where SQLite fails.
-pub(in crate::cluster) async fn snapshot(file: &Path, copy: &Path, ours: bool) -> Result<(), StoreError> {
+pub(in crate::cluster) async fn snapshot(
+    file: &Path,
+    copy: &Path,
+    ours: bool,
+    goes_on: impl FnMut() -> bool + Send + 'static,
+) -> Result<(), StoreError> {
     let at = |source| StoreError::sql(file, "copying", source);
     let mut connection = store::options(file).read_only(!ours).connect().await.map_err(at)?;
+    connection.lock_handle().await.map_err(at)?.set_progress_handler(OPERATIONS, goes_on);
     let done = sqlx::query("VACUUM INTO ?").bind(writable_uri(copy)).execute(&mut connection).await;
     connection.close().await.map_err(at)?;
     done.map(|_| ()).map_err(at)
 }
 
-/// Keeps runs and other merges away from the result until it is renamed into its place.
-pub(super) fn keep_writers_out(out: &Path) -> Result<Option<File>, MergeError> {
-    let Ok(file) = File::open(out) else { return Ok(None) };
-    match file.try_lock() {
-        Err(TryLockError::WouldBlock) => Err(StoreError::InUse { path: out.to_owned() }.into()),
-        // A file system without locks is no reason not to write there.
-        Ok(()) | Err(TryLockError::Error(_)) => Ok(Some(file)),
-    }
-}
-
-/// A file beside a database.
-pub(super) fn beside(file: &Path, end: &str) -> PathBuf {
-    file.with_file_name(format!("{}{end}", name_of(file)))
-}
+/// SQLite's operations between two looks at whether a copy is still wanted: some milliseconds.
+const OPERATIONS: i32 = 10_000;
 
 /// A file that does not change while it is read: neither locks nor a journal are asked for.
 fn uri(file: &Path) -> String {

@@ -8,16 +8,20 @@ mod compare;
 mod copy;
 mod input;
 
+use std::fs::File;
+use std::io;
 use std::path::{Path, PathBuf};
 
+use metasense_schemas::database::MIGRATIONS;
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
 
 use crate::files;
-use crate::store::StoreError;
+use crate::leftovers;
+use crate::store::{self, StoreError};
 pub use compare::{Finding, Kind};
-use input::Input;
 pub(super) use input::snapshot;
+use input::{Input, Refusal};
 
 /// What a merge came to.
 #[derive(Debug, Default)]
@@ -52,6 +56,27 @@ pub enum MergeError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// There is something in the result's place that cannot be merged.
+    #[error(
+        "{} was there before and cannot be merged with; it stays as it is: move it away, or name another file",
+        path.display()
+    )]
+    Result {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: Box<StoreError>,
+    },
+    /// An input could not be read, and is not at fault.
+    #[error("cannot merge {} into {}; nothing was changed", input.display(), out.display())]
+    Stopped {
+        /// The input.
+        input: PathBuf,
+        /// The result.
+        out: PathBuf,
+        /// The disk, memory, or descriptors.
+        source: Box<sqlx::Error>,
+    },
     /// SQLite refused.
     #[error("cannot write the merged database {}", path.display())]
     Sql {
@@ -72,30 +97,68 @@ fn first(refused: &[(PathBuf, String)]) -> String {
     refused.first().map_or(String::new(), |(path, why)| format!("; {}: {why}", path.display()))
 }
 
-/// Merges `files` into `out`, which is one of them if it exists.
+/// Merges `files` into `out`, which is one of them if it exists. While it is made, no run and no other merge has it.
 ///
 /// # Errors
-/// If the result is in use, cannot be written, or nothing can be read.
+/// If the result is in use, cannot be written, holds what cannot be read, or nothing can be read.
 pub async fn merge(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
+    let out = &store::real(out);
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     let folder = files::folder(out);
     std::fs::create_dir_all(folder).map_err(unwritable)?;
-    let _lock = input::keep_writers_out(out)?;
-    let scratch = folder.join(format!(".{}.merge-{}", name_of(out), std::process::id()));
+    let is_new = !out.exists();
+    let lock = keep_writers_out(out)?;
+    let prefix = format!(".{}.merge-", name_of(out));
+    leftovers::remove_abandoned(folder, |name| name.starts_with(&prefix));
+    let scratch = folder.join(prefix + &files::own_mark());
     let _ = std::fs::remove_dir_all(&scratch);
-    std::fs::create_dir(&scratch).map_err(unwritable)?;
-    let summary = merge_in(&scratch, files, out).await;
+    let summary = match std::fs::create_dir(&scratch) {
+        Ok(()) => merge_in(&scratch, files, out, &lock).await,
+        Err(e) => Err(unwritable(e)),
+    };
     let _ = std::fs::remove_dir_all(&scratch);
+    if summary.is_err() && is_new && store::is_still(&lock, out) {
+        let _ = std::fs::remove_file(out);
+    }
     summary
 }
 
-async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
+/// Keeps runs and other merges away from the result until it is renamed into its place; makes it where it is missing.
+fn keep_writers_out(out: &Path) -> Result<File, MergeError> {
+    match store::lock(out, true) {
+        // A file system without locks is no reason not to write there.
+        Err(StoreError::Unwritable { source, .. }) if has_no_locks(&source) => {
+            File::open(out).map_err(|source| MergeError::Unwritable { path: out.to_owned(), source })
+        }
+        Err(StoreError::Unwritable { path, source }) => Err(MergeError::Unwritable { path, source }),
+        locked => Ok(locked?),
+    }
+}
+
+fn has_no_locks(e: &io::Error) -> bool {
+    e.kind() == io::ErrorKind::Unsupported || e.raw_os_error() == Some(libc::ENOLCK)
+}
+
+async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path, lock: &File) -> Result<Summary, MergeError> {
     let mut summary = Summary::default();
+    let of_result = |source| MergeError::Result { path: out.to_owned(), source: Box::new(source) };
+    let stopped = |input: &Path, source| MergeError::Stopped {
+        input: input.to_owned(),
+        out: out.to_owned(),
+        source: Box::new(source),
+    };
+    check_result(out)
+        .await
+        .map_err(|e| if let StoreError::InUse { .. } = e { e.into() } else { of_result(e) })?;
     let mut inputs = Vec::new();
+    let mut copies = (0..).map(|n| scratch.join(format!("input-{n}.sqlite")));
+    let mut copy = || copies.next().expect("numbers do not end");
     for file in distinct(files, out) {
-        match Input::open(&file, scratch, inputs.len()).await {
+        match opened(&file, &mut copy, store::real(&file) == out).await {
             Ok(input) => inputs.push(input),
-            Err(why) => summary.refused.push((file, why)),
+            Err(Refusal::Shortage(source)) => return Err(stopped(&file, source)),
+            Err(Refusal::Input(why)) => summary.refused.push((file, why)),
+            Err(Refusal::Changed) => summary.refused.push((file, CHANGES.into())),
         }
     }
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
@@ -104,30 +167,77 @@ async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path) -> Result<Summa
         if inputs.is_empty() {
             return Err(MergeError::Nothing { refused: summary.refused });
         }
-        match build(&built, &inputs, &mut summary).await {
+        let (i, why) = match build(&built, &inputs, &mut summary).await {
             Ok(()) => break,
-            Err(Trouble::Input(i, source)) => {
-                let input = inputs.remove(i);
-                summary.refused.push((input.named, format!("it cannot be read: {source}")));
-                std::fs::remove_file(&built).map_err(unwritable)?;
-            }
             Err(Trouble::Output(source)) => {
                 return Err(MergeError::Sql { path: out.to_owned(), source });
             }
-        }
+            Err(Trouble::Input(i, source)) if store::is_shortage(&source) => {
+                return Err(stopped(&inputs[i].named, source));
+            }
+            Err(Trouble::Input(i, source)) if store::real(&inputs[i].named) == out => {
+                return Err(of_result(StoreError::sql(out, "reading", source)));
+            }
+            Err(Trouble::Input(i, source)) => (i, format!("it cannot be read: {source}")),
+            Err(Trouble::Refused(i, Refusal::Shortage(source))) => {
+                return Err(stopped(&inputs[i].named, source));
+            }
+            Err(Trouble::Refused(i, Refusal::Input(why))) => (i, why),
+            Err(Trouble::Refused(i, Refusal::Changed)) => {
+                // As it is now: a copy, which does not change any more, where somebody is at work on it.
+                match opened(&inputs[i].named, &mut copy, false).await {
+                    Ok(input) => {
+                        inputs[i] = input;
+                        std::fs::remove_file(&built).map_err(unwritable)?;
+                        continue;
+                    }
+                    Err(Refusal::Shortage(source)) => return Err(stopped(&inputs[i].named, source)),
+                    Err(Refusal::Input(why)) => (i, why),
+                    Err(Refusal::Changed) => (i, CHANGES.into()),
+                }
+            }
+        };
+        summary.refused.push((inputs.remove(i).named, why));
+        std::fs::remove_file(&built).map_err(unwritable)?;
     }
     summary.read = inputs.len();
-    put_in_place(&built, out).await?;
+    put_in_place(&built, out, lock).await?;
     Ok(summary)
 }
 
-/// Puts what was built where the former result lies, which is whole until then: a log that a killed run has left beside it
-/// would be taken for the new one's, and goes when all that it holds is in the former file.
-async fn put_in_place(built: &Path, out: &Path) -> Result<(), MergeError> {
+/// What is said of an input that is another one at every look.
+const CHANGES: &str = "it changes all the time: merge again when runs and merges into it have ended";
+/// Looks at an input that changes meanwhile.
+const LOOKS: usize = 5;
+
+/// An input as it is now, though a run may begin or end on it meanwhile.
+async fn opened(file: &Path, copy: &mut impl FnMut() -> PathBuf, held: bool) -> Result<Input, Refusal> {
+    for _ in 1..LOOKS {
+        match Input::open(file, &copy(), held).await {
+            Err(Refusal::Changed) => {}
+            input => return input,
+        }
+    }
+    Input::open(file, &copy(), held).await
+}
+
+/// Whether what the result holds so far can be merged. What a killed run has left in its log is folded into it.
+async fn check_result(out: &Path) -> Result<(), StoreError> {
+    input::fold(out, false).await?;
+    let version = store::ask_unchanging(out, async |db| Ok(store::check_version(db, out).await)).await;
+    version.map_err(|source| StoreError::sql(out, "reading", source))?.map(|_| ())
+}
+
+/// Puts what was built where the former result lies, which is whole until then: its log, which has been folded into it,
+/// would be taken for the new one's.
+async fn put_in_place(built: &Path, out: &Path, lock: &File) -> Result<(), MergeError> {
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
-    input::fold(out).await?;
+    if !store::is_still(lock, out) {
+        return Err(StoreError::InUse { path: out.to_owned() }.into());
+    }
+    input::fold(out, false).await?;
     for journal in ["-wal", "-shm"] {
-        let _ = std::fs::remove_file(input::beside(out, journal));
+        let _ = std::fs::remove_file(store::beside(out, journal));
     }
     files::put_in_place(built, out).map_err(unwritable)
 }
@@ -136,13 +246,21 @@ async fn put_in_place(built: &Path, out: &Path) -> Result<(), MergeError> {
 #[derive(Debug)]
 enum Trouble {
     Input(usize, sqlx::Error),
+    Refused(usize, Refusal),
     Output(sqlx::Error),
 }
 
 async fn build(path: &Path, inputs: &[Input], summary: &mut Summary) -> Result<(), Trouble> {
     let mut out = copy::create(path).await.map_err(Trouble::Output)?;
     for (i, input) in inputs.iter().enumerate() {
-        attached(&mut out, i, input, async |out| copy::survey(out, i).await).await?;
+        let foreign = attached(&mut out, i, input, async |out| match copy::foreign(out).await? {
+            None => copy::survey(out, i).await.map(|()| None),
+            foreign => Ok(foreign),
+        });
+        if let Some(column) = foreign.await? {
+            let why = format!("its {column} is not a stored column as version {} has it", MIGRATIONS.len());
+            return Err(Trouble::Refused(i, Refusal::Input(why)));
+        }
     }
     copy::choose(&mut out).await.map_err(Trouble::Output)?;
     for (i, input) in inputs.iter().enumerate() {
@@ -161,21 +279,19 @@ async fn build(path: &Path, inputs: &[Input], summary: &mut Summary) -> Result<(
 }
 
 /// Does something with an input attached as `src`.
-async fn attached(
+async fn attached<T>(
     out: &mut SqliteConnection,
     i: usize,
     input: &Input,
-    work: impl AsyncFnOnce(&mut SqliteConnection) -> sqlx::Result<()>,
-) -> Result<(), Trouble> {
-    let blame = |e: sqlx::Error| match e.as_database_error().and_then(|e| e.code()).as_deref() {
-        // full, read-only, out of memory: nothing that an input can be blamed for
-        Some("13" | "8" | "7") => Trouble::Output(e),
-        _ => Trouble::Input(i, e),
-    };
+    work: impl AsyncFnOnce(&mut SqliteConnection) -> sqlx::Result<T>,
+) -> Result<T, Trouble> {
+    let _lock = input.hold().map_err(|why| Trouble::Refused(i, why))?;
+    let blame = |e: sqlx::Error| Trouble::Input(i, e);
     sqlx::query("ATTACH ? AS src").bind(&input.uri).execute(&mut *out).await.map_err(blame)?;
-    let done = work(out).await;
+    // What has failed may hold it attached; the file that is built goes then.
+    let done = work(out).await.map_err(blame)?;
     sqlx::query("DETACH src").execute(&mut *out).await.map_err(Trouble::Output)?;
-    done.map_err(blame)
+    Ok(done)
 }
 
 /// Each file once, the databases of a folder for the folder, and the result if there is one already.
@@ -188,13 +304,15 @@ fn distinct(files: &[PathBuf], out: &Path) -> Vec<PathBuf> {
             Err(_) => all.push(file.clone()),
         }
     }
-    if out.metadata().is_ok_and(|m| m.len() > 0) {
-        all.push(out.to_owned());
+    // What is empty was made by us, to be locked.
+    match out.metadata().is_ok_and(|m| m.len() > 0) {
+        true => all.push(out.to_owned()),
+        false => all.retain(|file| store::real(file) != out),
     }
     // Sorted, so that also the order of rows without an order is the same.
     all.sort();
     let mut seen = std::collections::HashSet::new();
-    all.retain(|file| seen.insert(file.canonicalize().unwrap_or_else(|_| file.clone())));
+    all.retain(|file| seen.insert(store::real(file)));
     all
 }
 

@@ -13,14 +13,16 @@ async fn until_the_new_file_is_in_place_nothing_of_the_old_one_is_gone() {
     store.begin_sweep(&plan.spec, spec, &plan.trials).await.unwrap();
     // As a killed run leaves them.
     for end in ["", "-wal"] {
-        std::fs::copy(input::beside(&live, end), input::beside(&out, end)).unwrap();
+        std::fs::copy(store::beside(&live, end), store::beside(&out, end)).unwrap();
     }
-    assert!(input::has_journal(&out));
+    assert!(store::has_journal(&out));
     let built = folder.path().join("built.sqlite");
     // A folder that is not empty takes no file's place, and cannot take one's.
     std::fs::create_dir(&built).unwrap();
     std::fs::write(built.join("x"), "").unwrap();
-    assert!(put_in_place(&built, &out).await.is_err());
+    let lock = store::lock(&out, false).unwrap();
+    assert!(put_in_place(&built, &out, &lock).await.is_err());
+    drop(lock);
     let mut reader = crate::store::Reader::open(&out).await.unwrap();
     let rows = reader.query::<crate::look::Table>("SELECT count(*) FROM v_trial").await.unwrap().rows;
     assert_eq!(rows[0][0], 2);
