@@ -1,0 +1,61 @@
+//! What processes that were killed have left: files and folders whose names end with the mark of their process.
+
+use std::io;
+use std::path::Path;
+use std::time::Duration;
+
+use tempfile::TempDir;
+
+use crate::files::own_mark;
+
+/// What an ended process has left is taken for that when it is older than this, where it ran on another machine.
+const ABANDONED: Duration = Duration::from_secs(24 * 3600);
+
+/// Whether a file or folder whose name ends with the mark of a process (and `.tmp`) was left behind by it: on this machine
+/// the process has ended; of another machine's, nothing has been written for a day.
+#[must_use]
+pub fn is_abandoned(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let mark = name.strip_suffix(".tmp").unwrap_or(&name);
+    let Some((before, Ok(pid))) = mark.rsplit_once('-').map(|(before, pid)| (before, pid.parse::<u32>()))
+    else {
+        return false;
+    };
+    let own = own_mark();
+    let here = own.rsplit_once('-').is_some_and(|(host, _)| before.ends_with(host));
+    let written = || path.symlink_metadata().and_then(|m| m.modified()).ok()?.elapsed().ok();
+    match here {
+        true => !Path::new("/proc").join(pid.to_string()).exists(),
+        false => written().is_some_and(|age| age > ABANDONED),
+    }
+}
+
+/// Removes what ended processes have left in a folder, as far as it can be.
+pub fn remove_abandoned(folder: &Path, is_one: impl Fn(&str) -> bool) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if is_one(&entry.file_name().to_string_lossy()) && is_abandoned(&path) {
+            let _ = remove(&path);
+        }
+    }
+}
+
+/// A folder in TMPDIR that goes when it is dropped; those of ended processes go now.
+///
+/// # Errors
+/// Where it cannot be made.
+pub fn scratch(prefix: &str) -> io::Result<TempDir> {
+    remove_abandoned(&std::env::temp_dir(), |name| name.starts_with(prefix));
+    tempfile::Builder::new().prefix(prefix).suffix(&format!(".{}", own_mark())).tempdir()
+}
+
+/// Removes a file, or a folder with all in it.
+///
+/// # Errors
+/// Where the system fails.
+pub fn remove(path: &Path) -> io::Result<()> {
+    match path.symlink_metadata()?.is_dir() {
+        true => std::fs::remove_dir_all(path),
+        false => std::fs::remove_file(path),
+    }
+}
