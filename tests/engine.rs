@@ -237,6 +237,19 @@ fn what_ends_an_attempt_stands_in_the_database_by_name() {
     }
 }
 
+/// A machine on which every trial dies ends the run before it has used the trials up.
+#[test]
+fn ten_deaths_one_after_the_other_end_the_run_and_fail_no_trial() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("unfit.sqlite");
+    let mut run = Run::start(&db, "--trials 20 --workers 2 --fault die");
+    assert_eq!(run.wait(), Some(5));
+    let trials =
+        rows(&db, "SELECT state, count(*), (SELECT count(*) IN (10, 11) FROM attempt) FROM trial GROUP BY 1");
+    assert_eq!(trials, [r#"["pending",20,1]"#]);
+    assert_eq!(run.leftovers(), [""; 0]);
+}
+
 /// Results that do not fit into what is left of shared memory, of which the run has one of its own here.
 #[test]
 fn a_full_shared_memory_is_a_reason_of_its_own() {

@@ -141,9 +141,9 @@ impl Trial {
         }
     }
 
-    /// Its place among those that may be handed out.
+    /// Its place among those that may be handed out: one that has died lets the others go first.
     fn rank(&self) -> i64 {
-        self.first.unwrap_or(i64::from(!self.begun))
+        self.first.unwrap_or(2 * i64::from(self.deaths) + i64::from(!self.begun))
     }
 }
 
@@ -194,7 +194,7 @@ pub struct State {
     settings: Settings,
     now: Millis,
     trials: Vec<Trial>,
-    /// Trials that may be handed out: those asked for first, begun ones, then in the order of the plan.
+    /// Trials that may be handed out: those asked for first, begun ones, then in the order of the plan; behind them those that died.
     ready: BTreeSet<(i64, u32)>,
     /// Trials that wait for a time.
     delayed: BTreeSet<(Millis, u32)>,
