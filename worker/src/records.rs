@@ -60,6 +60,8 @@ impl<'a> Pick<'a> {
 
 /// A clock may be uneven by so much of its step.
 const UNEVEN: f64 = 0.02;
+/// An entry may lie so far from where an even clock has it, in steps: small errors of one sign add up to instants.
+const DRIFT: f64 = 0.1;
 /// Entries of a clock that was uneven, at most.
 const LONGEST: usize = 10_000_000;
 
@@ -336,7 +338,10 @@ fn timed(pick: &Pick, clock: &[f64], values: Vec<Vec<f64>>) -> Result<Record, St
     let span = clock[clock.len() - 1] - clock[0];
     let mean = span / (clock.len() - 1) as f64;
     let start = pick.start + clock[0] * unit;
-    if steps().all(|step| (step - mean).abs() <= UNEVEN * mean) {
+    let drift = |(n, t): (usize, &f64)| (t - clock[0] - n as f64 * mean).abs();
+    if steps().all(|step| (step - mean).abs() <= UNEVEN * mean)
+        && clock.iter().enumerate().map(drift).all(|off| off <= DRIFT * mean)
+    {
         return Ok(Record { start, dt: mean * unit, values });
     }
     let finest = steps().fold(f64::INFINITY, f64::min);

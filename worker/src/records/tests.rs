@@ -77,6 +77,20 @@ fn arrays_and_uneven_clocks_are_read() {
     assert_eq!(wrong, None);
 }
 
+/// A clock 1 % slow for half a record and 1 % fast for the other is 1 s off in the middle, by steps that each are even to 1 %:
+/// f(t) = t is read as t all the same.
+#[test]
+fn a_clock_that_drifts_is_evened_out() {
+    let clock: Vec<f64> = (0..=200)
+        .map(|n| if n <= 100 { 1.01 * f64::from(n) } else { 101.0 + 0.99 * f64::from(n - 100) })
+        .collect();
+    let recorded = serde_json::from_value(json!({ "files": [], "time": "t", "force": ["f"] })).unwrap();
+    let record = timed(&Pick::forces(&recorded), &clock, vec![clock.clone()]).unwrap();
+    let off = |(n, f): (usize, &f64)| (f - record.start - n as f64 * record.dt).abs();
+    let most = record.values[0].iter().enumerate().map(off).fold(0.0, f64::max);
+    assert!(most < 1e-9, "off by {most} s");
+}
+
 /// The digest is that of the contents.
 #[test]
 fn what_the_files_hold_and_not_where_they_lie_makes_the_digest() {
