@@ -279,3 +279,33 @@ async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
     assert!(reading.await.unwrap() > 0);
     assert_eq!(store.settled().await.unwrap().len(), 400);
 }
+
+/// A clock that was set back while an attempt went on: no time is negative.
+#[tokio::test]
+async fn no_time_is_negative() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("s.sqlite");
+    let mut store = Store::open(&db).await.unwrap();
+    store.begin_sweep(&sweep(), "text", &[trial(0)]).await.unwrap();
+    let later = async || {
+        use sqlx::{ConnectOptions, Connection};
+        let mut other = sqlx::sqlite::SqliteConnectOptions::new().filename(&db).connect().await.unwrap();
+        let sql = "UPDATE attempt SET started_at = '2999-01-01T00:00:00.000Z' WHERE ended_at IS NULL";
+        assert_eq!(sqlx::query(sql).execute(&mut other).await.unwrap().rows_affected(), 1);
+        other.close().await.unwrap();
+    };
+    for end in 0..3 {
+        let attempt = store.begin_attempt(&trial(0).hash).await.unwrap();
+        later().await;
+        match end {
+            0 => store.give_up_attempt(&trial(0).hash, attempt, "stopped").await.unwrap(),
+            1 => drop(store.begin_attempt(&trial(0).hash).await.unwrap()),
+            _ => {
+                drop(store);
+                store = Store::open(&db).await.unwrap();
+            }
+        }
+    }
+    store.begin_sweep(&sweep(), "text", &[trial(0)]).await.unwrap();
+    assert_eq!(value(&db, "SELECT sum(seconds >= 0) FROM v_attempt").await, 4);
+}

@@ -10,6 +10,8 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use rustix::process::{Signal, getpid, kill_process};
@@ -178,11 +180,19 @@ impl Home {
     /// # Errors
     /// If it cannot be copied; what this attempt has handed in before still lies there.
     pub async fn hand_in(&self) -> Result<(), HomeError> {
+        self.hand_in_while(|| true).await
+    }
+
+    /// The same, given up when `goes_on` says no.
+    async fn hand_in_while(&self, goes_on: impl FnMut() -> bool + Send + 'static) -> Result<(), HomeError> {
         let copy = self.handed_in.with_extension("tmp");
         let _ = std::fs::remove_file(&copy);
-        merge::snapshot(&self.live, &copy, true, || true).await?;
-        files::put_in_place(&copy, &self.handed_in)
-            .map_err(|source| HomeError::Folder { path: self.handed_in.clone(), source })
+        merge::snapshot(&self.live, &copy, true, goes_on).await?;
+        let place = self.handed_in.clone();
+        // On a thread of its own: a network's disk may take its time, and the run goes on meanwhile.
+        let put = tokio::task::spawn_blocking(move || files::put_in_place(&copy, &place));
+        let put = put.await.unwrap_or_else(|e| Err(io::Error::other(e)));
+        put.map_err(|source| HomeError::Folder { path: self.handed_in.clone(), source })
     }
 
     /// Hands in for the last time, again and again until it has worked or `notice` is over.
@@ -205,14 +215,26 @@ impl Home {
         }
     }
 
-    /// Hands in every so often until `stopped` says that the run is over.
+    /// Hands in every so often until `stopped` says that the run is over; what is being copied then is given up, as the last
+    /// copy is to be made within the time that is left.
     pub async fn hand_in_every(&self, period: Duration, mut stopped: tokio::sync::oneshot::Receiver<()>) {
         loop {
             tokio::select! {
                 _ = &mut stopped => return,
                 () = tokio::time::sleep(period) => {}
             }
-            if let Err(error) = self.hand_in().await {
+            let over = Arc::new(AtomicBool::new(false));
+            let seen = Arc::clone(&over);
+            let mut handing_in = std::pin::pin!(self.hand_in_while(move || !seen.load(Ordering::Relaxed)));
+            let handed_in = tokio::select! {
+                handed_in = &mut handing_in => handed_in,
+                _ = &mut stopped => {
+                    over.store(true, Ordering::Relaxed);
+                    let _ = handing_in.await;
+                    return;
+                }
+            };
+            if let Err(error) = handed_in {
                 tracing::warn!(%error, "the database could not be handed in; it will be tried again");
             }
         }

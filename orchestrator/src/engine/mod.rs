@@ -294,6 +294,9 @@ impl Engine<'_> {
                 self.record(Write::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordFailure { lease, reason, settled } => {
+                if settled {
+                    self.checkpoints.remove(&lease.trial);
+                }
                 let trial = self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
                 let (hash, attempt) = (&trial.hash, lease.attempt);

@@ -58,7 +58,7 @@ impl Store {
         failed: usize,
     ) -> Result<(), StoreError> {
         sqlx::query(
-            "UPDATE run SET ended_at = strftime('%Y-%m-%dT%H:%M:%fZ'), outcome = ?, done = ?, failed = ?
+            "UPDATE run SET ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ')), outcome = ?, done = ?, failed = ?
              WHERE sweep_id = ? AND started_at = ? AND host = ? AND shard = ? AND shards = ?",
         )
         .bind(outcome)

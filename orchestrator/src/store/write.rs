@@ -84,7 +84,7 @@ impl Store {
         // An attempt that was not ended by name was superseded.
         sqlx::query(
             "UPDATE attempt SET state = 'failed', reason = coalesce(reason, 'superseded'),
-               ended_at = strftime('%Y-%m-%dT%H:%M:%fZ')
+               ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ'))
              WHERE trial_id = ? AND state = 'running'",
         )
         .bind(id)
@@ -442,6 +442,7 @@ impl Store {
         .await
     }
 
+    /// A clock that was set back on the way gives no negative time.
     async fn end_attempt(
         &mut self,
         id: i64,
@@ -450,7 +451,7 @@ impl Store {
         reason: Option<&str>,
     ) -> sqlx::Result<bool> {
         let done = sqlx::query(
-            "UPDATE attempt SET state = ?, reason = ?, ended_at = strftime('%Y-%m-%dT%H:%M:%fZ')
+            "UPDATE attempt SET state = ?, reason = ?, ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ'))
              WHERE trial_id = ? AND number = ? AND state = 'running'",
         )
         .bind(state)
@@ -467,7 +468,7 @@ impl Store {
         self.together("tidying", async |store| {
             sqlx::raw_sql(
                 "UPDATE attempt SET state = 'failed', reason = 'orchestrator_lost',
-                   ended_at = strftime('%Y-%m-%dT%H:%M:%fZ') WHERE state = 'running';
+                   ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ')) WHERE state = 'running';
                  UPDATE trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running'",
             )
             .execute(&mut store.connection)

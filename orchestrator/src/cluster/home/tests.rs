@@ -46,3 +46,41 @@ async fn a_damaged_live_database_is_set_aside_and_no_other() {
         home.hand_in().await.unwrap();
     }
 }
+
+/// A run that ends while a large database is being copied does not wait for that copy.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_last_hand_in_does_not_wait_for_a_periodic_one() {
+    use sqlx::ConnectOptions;
+    let bench = tempfile::tempdir().unwrap();
+    let (folder, db) = (bench.path().join("out"), bench.path().join("live.sqlite"));
+    let home = Home::new("s", Shard::new(1, 2).unwrap(), &folder, Some(db.clone())).unwrap();
+    Store::open(&db).await.unwrap().close().await.unwrap();
+    let mut large = store::options(&db).connect().await.unwrap();
+    sqlx::raw_sql(
+        "CREATE TABLE large (n INTEGER); WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c WHERE n < 1000000)
+         INSERT INTO large SELECT n FROM c",
+    )
+    .execute(&mut large)
+    .await
+    .unwrap();
+    let began = std::time::Instant::now();
+    home.hand_in().await.unwrap();
+    let whole = began.elapsed();
+    let (stop, stopped) = tokio::sync::oneshot::channel();
+    let copy = home.handed_in.with_extension("tmp");
+    let ending = async {
+        while !copy.exists() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let began = std::time::Instant::now();
+        drop(stop);
+        began
+    };
+    let every = async {
+        home.hand_in_every(Duration::from_millis(1), stopped).await;
+        std::time::Instant::now()
+    };
+    let (began, ended) = tokio::join!(ending, every);
+    assert!(ended - began < whole / 2, "{:?} of {whole:?}", ended - began);
+    assert!(copy.exists(), "it was given up");
+}
