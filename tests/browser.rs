@@ -181,7 +181,12 @@ fn served(dbs: &[&Path]) -> (Process, String) {
     let mut process = Process(command.spawn().unwrap());
     let mut line = String::new();
     BufReader::new(process.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-    (process, line.trim().trim_end_matches('/').to_owned())
+    (process, line.trim().to_owned())
+}
+
+/// Where pages are, without the key and the token.
+fn pages(address: &str) -> &str {
+    address.split("/?key=").next().unwrap()
 }
 
 /// A run with pages, in a folder with its spec, and their address with the token.
@@ -216,7 +221,8 @@ fn a_run_is_steered_by_its_pages() {
     assert_eq!(page.value("document.querySelector('#control').hidden"), true);
     page.open(&address);
     page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
-    assert_eq!(page.value("location.href"), format!("{plain}0/"), "the token stays in the address");
+    let plain = pages(&address);
+    assert_eq!(page.value("location.href"), format!("{plain}/0/"), "key and token stay in the address");
     for width in [1200, 390] {
         page.width(width);
         let nameless = page.nameless();
@@ -244,14 +250,14 @@ fn a_run_is_steered_by_its_pages() {
     let trial =
         page.value("fetch('sql.csv?q=SELECT+hash+FROM+v_trial+ORDER+BY+attempts,hash').then(a => a.text())");
     let hash = trial.as_str().unwrap().lines().nth(1).unwrap().to_owned();
-    page.open(&format!("{plain}0/trial/{hash}"));
+    page.open(&format!("{plain}/0/trial/{hash}"));
     page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
     assert!(page.nameless().is_empty());
     press(&mut page, "next", "goes to the next worker");
     press(&mut page, "cancel", "cancelled");
     let failed = "document.querySelector('#facts .question').textContent === 'failed: cancelled'";
     page.until("the end of the trial", |page| page.value(failed) == true);
-    page.open(&format!("{plain}0/"));
+    page.open(&format!("{plain}/0/"));
     page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
     assert!(page.complaints.is_empty(), "{:?}", page.complaints);
     press(&mut page, "stop", "stopping: no trial is running");
@@ -273,6 +279,8 @@ fn nothing_moves_where_no_motion_is_wanted() {
     bench.output(&["report", "done.sqlite", "--out", "report.html"]);
     let (_server, address) = served(&[&bench.path("done.sqlite")]);
     let mut page = Page::new(&bench);
+    page.open(&address);
+    let address = pages(&address);
     let report = format!("file://{}", bench.path("report.html").display());
     let hash = bench.output(&["query", "done.sqlite", "SELECT hash FROM v_trial LIMIT 1", "--format", "csv"]);
     let trial = format!("{address}/0/trial/{}?replay=1", hash.lines().nth(1).unwrap());
@@ -321,6 +329,8 @@ async fn a_browser_shows_follows_and_asks() {
     store.begin_attempt(&first.hash).await.unwrap();
     let (_server, address) = served(&[&db, &done]);
     let mut page = Page::new(&bench);
+    page.open(&address);
+    let address = pages(&address);
 
     // what is recorded is seen, without anything being done
     page.open(&format!("{address}/0/"));
@@ -407,7 +417,7 @@ async fn a_browser_shows_follows_and_asks() {
     let told = page.value("document.querySelector('td').textContent");
     assert_eq!(told, "14");
 
-    let elsewhere: Vec<&String> = page.requests.iter().filter(|url| !url.starts_with(&address)).collect();
+    let elsewhere: Vec<&String> = page.requests.iter().filter(|url| !url.starts_with(address)).collect();
     assert!(elsewhere.iter().all(|url| *url == "about:blank"), "{elsewhere:?}");
     assert!(page.requests.len() > 30, "{}", page.requests.len());
     assert!(page.complaints.is_empty(), "{:?}", page.complaints);

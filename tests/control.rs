@@ -366,13 +366,14 @@ fn post(port: u16, head: &str, body: &str) -> (u16, String) {
     (answer.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0), answer)
 }
 
-/// The port and the token of a run's pages.
-fn pages(run: &Run) -> (u16, String) {
-    run.until(|| run.told().contains("/#token="));
+/// The port, the key and the token of a run's pages.
+fn pages(run: &Run) -> (u16, String, String) {
+    run.until(|| run.told().contains("#token="));
     let told = run.told();
     let address = told.split("http://127.0.0.1:").nth(1).unwrap().lines().next().unwrap();
-    let (port, token) = address.split_once("/#token=").unwrap();
-    (port.parse().unwrap(), token.to_owned())
+    let (port, secrets) = address.split_once("/?key=").unwrap();
+    let (key, token) = secrets.split_once("#token=").unwrap();
+    (port.parse().unwrap(), key.to_owned(), token.to_owned())
 }
 
 /// Pages steer with the token alone, asked by themselves alone; they end with the run, and leave nothing behind.
@@ -382,10 +383,11 @@ fn pages_of_a_run_steer_it_and_nobody_else_does() {
     bench.file("s.toml", &specs()[1]);
     let mut run = Run::start(&bench, &["--workers", "1", "--serve=0"]);
     run.busy("1 of 1 worker busy");
-    let (port, token) = pages(&run);
+    let (port, key, token) = pages(&run);
     assert_eq!(token.len(), 32, "{token}");
 
-    let (status, page) = post(port, "GET /0/ HTTP/1.1\r\nHost: localhost\r\n", "");
+    let (status, page) =
+        post(port, &format!("GET /0/ HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {key}\r\n"), "");
     assert!(status == 200 && page.contains("data-control=\"/0/control\""), "{page}");
     let host = format!("Host: 127.0.0.1:{port}\r\n");
     let own = format!("{host}Origin: http://127.0.0.1:{port}\r\n");
@@ -394,6 +396,7 @@ fn pages_of_a_run_steer_it_and_nobody_else_does() {
     let reversed: String = token.chars().rev().collect();
     for (head, body, expected) in [
         (format!("{line}{own}"), "stop", 401),
+        (format!("{line}{own}Authorization: Bearer {key}\r\n"), "stop", 401),
         (format!("{line}{own}Authorization: Bearer \r\n"), "stop", 401),
         (format!("{line}{own}Authorization: Bearer {}\r\n", &token[1..]), "stop", 401),
         (format!("{line}{own}Authorization: Bearer {reversed}\r\n"), "stop", 401),
@@ -454,7 +457,7 @@ fn pages_of_a_run_steer_it_and_nobody_else_does() {
     // a run that is killed takes its pages with it
     bench.file("s.toml", &specs()[0].replace("[1, 2, 3]", "[7, 8, 9]"));
     let mut run = Run::start(&bench, &["--serve=0"]);
-    let (port, _) = pages(&run);
+    let (port, ..) = pages(&run);
     run.child.kill().unwrap();
     run.child.wait().unwrap();
     run.until(|| TcpStream::connect(("127.0.0.1", port)).is_err());

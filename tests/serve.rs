@@ -17,7 +17,7 @@ use crate::common::roll::{Roll, number};
 use crate::common::{Bench, TINY};
 
 /// What a browser of this machine says of itself.
-const HOST: &str = "Host: localhost\r\n";
+const HOST: &str = "Host: localhost\r\nAuthorization: Bearer key\r\n";
 
 /// Pages of a database's own.
 const PAGES: [&str; 8] = [
@@ -46,7 +46,8 @@ impl Server {
     async fn with(dbs: &[PathBuf], token: Option<Token>) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
-        let served = Served::new(dbs.iter().map(|db| Source::new(db).unwrap()).collect(), token);
+        let served =
+            Served::new(dbs.iter().map(|db| Source::new(db).unwrap()).collect(), Token::of("key"), token);
         let task = tokio::spawn(serve(listener, Arc::clone(&served)));
         Self { port, served, task }
     }
@@ -217,10 +218,20 @@ async fn only_pages_of_our_own_are_answered() {
     let (_store, _) = begun(&bench.path("run.sqlite")).await;
     let server = Server::new(&[bench.path("run.sqlite")]).await;
     let port = server.port;
-    let ours = format!("Host: 127.0.0.1:{port}\r\n");
+    let anyone = format!("Host: 127.0.0.1:{port}\r\n");
+    let ours = format!("{anyone}Authorization: Bearer key\r\n");
     for (request, expected) in [
+        // another user of the machine, with no key, a wrong one, or one of another server's
+        (format!("GET /0/ HTTP/1.1\r\n{anyone}"), 401),
+        (format!("GET /style.css HTTP/1.1\r\n{anyone}"), 401),
+        (format!("GET /0/sql.csv?q=SELECT+1 HTTP/1.1\r\n{anyone}"), 401),
+        (format!("GET /0/events HTTP/1.1\r\n{anyone}Authorization: Bearer kez\r\n"), 401),
+        (format!("GET /?key=kez HTTP/1.1\r\n{anyone}"), 401),
+        (format!("GET /0/ HTTP/1.1\r\n{anyone}Cookie: metasense-1=key\r\n"), 401),
+        (format!("GET /?key=key HTTP/1.1\r\n{anyone}"), 303),
+        (format!("GET /0/ HTTP/1.1\r\n{anyone}Cookie: a=b; metasense-{port}=key\r\n"), 200),
         (format!("GET /0/ HTTP/1.1\r\n{ours}"), 200),
-        (format!("GET /0/ HTTP/1.1\r\nHost: [::1]:{port}\r\n"), 200),
+        (format!("GET /0/ HTTP/1.1\r\nHost: [::1]:{port}\r\nAuthorization: Bearer key\r\n"), 200),
         (format!("HEAD /0/ HTTP/1.1\r\n{ours}"), 200),
         (format!("GET /0/ HTTP/1.1\r\n{ours}Origin: http://127.0.0.1:{port}\r\n"), 200),
         (

@@ -3,6 +3,9 @@
 //! A file is a table (CSV, or NPY of two dimensions: one record, signals along the shorter side), an NPY of
 //! (samples, panels, entries), or an NPZ whose arrays hold (entries), (samples, entries) or (samples, panels, entries).
 
+use std::fs::File;
+use std::io::{self, Read};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -64,6 +67,8 @@ const UNEVEN: f64 = 0.02;
 const DRIFT: f64 = 0.1;
 /// Entries of a clock that was uneven, at most.
 const LONGEST: usize = 10_000_000;
+/// A file may be so large (bytes).
+const LARGEST: u64 = 4 << 30;
 
 /// BLAKE3 over the lengths and contents of the files, in their order: 32 hex digits.
 ///
@@ -79,8 +84,18 @@ pub fn digest(recorded: &spec::Recorded) -> Result<String, Invalid> {
     Ok(hasher.finalize().to_hex()[..32].to_owned())
 }
 
+/// Reads a file. Whoever made a database has named it: a pipe would be waited for, a device has no end.
 fn read(file: &Path) -> Result<Vec<u8>, Invalid> {
-    std::fs::read(file).map_err(|e| at(file, format!("cannot be read: {e}")))
+    let failed = |e: io::Error| at(file, format!("cannot be read: {e}"));
+    let opened = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(file).map_err(failed)?;
+    let known = opened.metadata().map_err(failed)?;
+    if !known.is_file() || known.len() > LARGEST {
+        let largest = LARGEST >> 30;
+        return Err(at(file, format!("must be an ordinary file of at most {largest} GiB")));
+    }
+    let mut bytes = Vec::new();
+    opened.take(LARGEST).read_to_end(&mut bytes).map_err(failed)?;
+    Ok(bytes)
 }
 
 pub(crate) fn at(file: &Path, what: impl Into<String>) -> Invalid {

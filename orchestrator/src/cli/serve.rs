@@ -15,7 +15,8 @@ use crate::serve::{Served, Source, Token, serve};
 
 /// Shows databases in a browser, live, until Ctrl-C
 ///
-/// How far a run is, what its trials answer so far, every trial, and SQL.
+/// How far a run is, what its trials answer so far, every trial, and SQL. Whoever has the printed address can read; other users
+/// of the machine cannot.
 /// It only reads databases and does not disturb runs. From another machine: ssh -L 8017:localhost:8017 HOST. With --control,
 /// its pages can steer runs (see `control`).
 #[derive(Debug, clap::Args)]
@@ -26,10 +27,10 @@ pub(super) struct Args {
     /// The port; 0 takes any that is free
     #[arg(long, default_value_t = 8017)]
     port: u16,
-    /// The address to listen at. At any other than this machine's own, everyone who reaches it can read the databases
+    /// The address to listen at. To any other than this machine's own, the connection can be read on the way
     #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     listen: IpAddr,
-    /// Prints an address with a token; whoever has it can steer this user's runs of these databases
+    /// Prints an address with a token; whoever has it can also steer this user's runs of these databases
     #[arg(long)]
     control: bool,
     /// Ends with this process, which has started it
@@ -82,18 +83,22 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     let scratch = Error::io("making a folder in", std::env::temp_dir());
     let sources =
         paths.iter().map(|path| Source::new(path)).collect::<Result<Vec<_>, _>>().map_err(scratch)?;
-    let token = args.control.then(Token::new).transpose().map_err(Error::io("reading", "/dev/urandom"))?;
-    let (token, behind) =
-        token.map_or((None, String::new()), |(token, text)| (Some(token), format!("#token={text}")));
-    print_line!("http://{at}/{behind}")?;
+    let random = Error::io("reading", "/dev/urandom");
+    let (reading, key) = Token::new().map_err(&random)?;
+    let steering = args.control.then(Token::new).transpose().map_err(random)?;
+    let (steering, behind) =
+        steering.map_or((None, String::new()), |(token, text)| (Some(token), format!("#token={text}")));
+    print_line!("http://{at}/?key={key}{behind}")?;
     if !at.ip().is_loopback() {
-        say!("whoever reaches {at} can read everything in these databases");
+        say!(
+            "whoever can listen on the way to {at} can read these databases: the connection is not encrypted"
+        );
     }
     if let [only] = &sources[..] {
         // it is read by the time that somebody looks
         drop(only.watched());
     }
-    let served = Served::new(sources, token);
+    let served = Served::new(sources, reading, steering);
     signals.unless(serve(listener, Arc::clone(&served))).await;
     served.close().await;
     Ok(Exit::Done)

@@ -1,19 +1,23 @@
-//! Who is answered: people on this machine, through our own pages. A foreign page can make a browser ask us, by a name of its
+//! Who is answered: whoever has the key, through our own pages. A foreign page can make a browser ask us, by a name of its
 //! own that it has pointed at this machine (DNS rebinding) or across sites. Neither is answered.
 
 use std::io;
 use std::net::IpAddr;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use axum::extract::Request;
+use axum::extract::{Request, State};
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Sleep, sleep};
+
+use super::Served;
+use super::token::turned_away;
 
 /// What every answer says to the browser: nothing from elsewhere, nothing inline, in no frame, kept nowhere.
 const HEADERS: [(HeaderName, &str); 7] = [
@@ -31,9 +35,10 @@ const HEADERS: [(HeaderName, &str); 7] = [
 ];
 
 /// Answers a request, or says why not.
-pub async fn guard(request: Request, next: Next) -> Response {
-    let mut response = match refused(&request) {
-        Some((status, why)) => (status, why).into_response(),
+pub async fn guard(State(served): State<Arc<Served>>, request: Request, next: Next) -> Response {
+    let refusal = refused(&request).map(IntoResponse::into_response);
+    let mut response = match refusal.or_else(|| turned_away(&served, &request)) {
+        Some(response) => response,
         None => next.run(request).await,
     };
     for (name, value) in HEADERS {

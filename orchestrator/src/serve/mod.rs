@@ -5,6 +5,7 @@ mod guard;
 mod pages;
 mod source;
 mod steer;
+mod token;
 mod trials;
 
 use std::convert::Infallible;
@@ -15,7 +16,7 @@ use std::time::Duration;
 use axum::Router;
 use axum::extract::{Path, State};
 use axum::http::{StatusCode, header};
-use axum::middleware::from_fn;
+use axum::middleware::from_fn_with_state;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::{get, post};
@@ -34,7 +35,7 @@ use crate::report::samples::Replayed;
 use crate::store::Stored;
 use guard::{Impatient, guard};
 pub use source::{Seen, Source};
-pub use steer::Token;
+pub use token::Token;
 
 /// Connections at a time; more wait.
 const CONNECTIONS: usize = 64;
@@ -57,8 +58,10 @@ const ICON: &str = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 16 1
 #[derive(Debug)]
 pub struct Served {
     sources: Vec<Source>,
+    /// Whoever knows it may read.
+    reading: Token,
     /// Whoever knows it may steer runs.
-    token: Option<Token>,
+    steering: Option<Token>,
     questions: Semaphore,
     /// Trials are simulated again one at a time; the last one is kept, with what it is of.
     replays: Semaphore,
@@ -66,10 +69,10 @@ pub struct Served {
 }
 
 impl Served {
-    /// To serve these; with a token, their runs may be steered.
-    pub fn new(sources: Vec<Source>, token: Option<Token>) -> Arc<Self> {
+    /// To serve these, to whoever has the key to `reading`; with a token for `steering`, their runs may be steered.
+    pub fn new(sources: Vec<Source>, reading: Token, steering: Option<Token>) -> Arc<Self> {
         let (questions, replays) = (Semaphore::new(QUESTIONS), Semaphore::new(1));
-        Arc::new(Self { sources, token, questions, replays, replayed: Mutex::default() })
+        Arc::new(Self { sources, reading, steering, questions, replays, replayed: Mutex::default() })
     }
 
     /// Ends all watching, and leaves no file behind that was not there before.
@@ -129,8 +132,8 @@ fn pages(served: Arc<Served>) -> Router {
         .route("/{source}/events", get(events))
         .route("/{source}/control", post(steer::post))
         .fallback(async || Refusal::NoPage)
-        .with_state(served)
-        .layer(from_fn(guard))
+        .with_state(Arc::clone(&served))
+        .layer(from_fn_with_state(served, guard))
 }
 
 /// The file of a database, once it has been looked at: that of shards is made then.

@@ -1,15 +1,14 @@
 //! Steering by pages: one line, posted with the token that was printed, is passed on to the run that holds the database.
 
-use std::fs::File;
-use std::io::{self, Read};
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body, to_bytes};
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, StatusCode};
 use maud::{Markup, html};
 
+use super::token::bearer;
 use super::{Served, source};
 use crate::control::{Command, WORKERS_MAX, ask};
 use crate::exit::chain;
@@ -17,28 +16,6 @@ use crate::exit::chain;
 /// The longest line (bytes), and the time in which it must have come.
 const LINE: usize = 1 << 10;
 const ASKING: Duration = Duration::from_secs(5);
-
-/// What whoever steers must know.
-#[derive(Debug)]
-pub struct Token(blake3::Hash);
-
-impl Token {
-    /// A new one, and how it is written.
-    ///
-    /// # Errors
-    /// Where the system gives no random bytes.
-    pub fn new() -> io::Result<(Self, String)> {
-        let mut bytes = [0; 16];
-        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-        let text: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok((Self(blake3::hash(text.as_bytes())), text))
-    }
-
-    /// Digests are compared, in constant time.
-    fn is(&self, given: &str) -> bool {
-        self.0 == blake3::hash(given.as_bytes())
-    }
-}
 
 type Answer = (StatusCode, String);
 
@@ -57,9 +34,7 @@ pub async fn post(
 
 async fn steer(served: &Served, at: &str, headers: &HeaderMap, body: Body) -> Result<String, Answer> {
     let no = |status: StatusCode, why: &str| Err((status, why.to_owned()));
-    let given = headers.get(header::AUTHORIZATION);
-    let given = given.and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
-    if !served.token.as_ref().zip(given).is_some_and(|(token, given)| token.is(given)) {
+    if !served.steering.as_ref().zip(bearer(headers)).is_some_and(|(token, given)| token.is(given)) {
         return no(StatusCode::UNAUTHORIZED, "needs the token of the address that `metasense serve` printed");
     }
     let Some(db) = source(served, at).ok().and_then(|source| source.db.as_ref()) else {
@@ -81,7 +56,7 @@ async fn steer(served: &Served, at: &str, headers: &HeaderMap, body: Body) -> Re
 
 /// Controls of a run, shown to whoever has the token: buttons with what they ask, and more.
 fn panel(served: &Served, at: &str, title: &str, buttons: &[(String, &str)], more: &Markup) -> Markup {
-    let steers = served.token.is_some() && source(served, at).is_ok_and(|source| source.db.is_some());
+    let steers = served.steering.is_some() && source(served, at).is_ok_and(|source| source.db.is_some());
     html! {
         @if steers {
             section id="control" data-control=(format!("/{at}/control")) aria-labelledby="steer" hidden {

@@ -154,3 +154,16 @@ fn what_is_no_record_is_refused_by_name() {
         assert!(error.contains(said), "{error}\n{said}");
     }
 }
+
+/// A pipe that nobody writes to, a device without an end, a folder: named, and not waited for.
+#[test]
+fn what_is_no_ordinary_file_is_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe.csv");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status().unwrap();
+    assert!(made.success());
+    for file in [&pipe, Path::new("/dev/zero"), folder.path()] {
+        let error = open(file).err().expect("it is refused").to_string();
+        assert!(error.contains("must be an ordinary file of at most 4 GiB"), "{error}");
+    }
+}

@@ -31,7 +31,7 @@ pub async fn home(State(served): State<Arc<Served>>) -> Response {
     let list = html! {
         ul { @for (i, source) in served.sources.iter().enumerate() { li { a href=(format!("/{i}/")) { (source.name) } } } }
     };
-    Html(bare(served.token.is_some(), "Databases", &list)).into_response()
+    Html(bare(served.steering.is_some(), "Databases", &list)).into_response()
 }
 
 /// A page of no database. `steers`: others do.
@@ -80,7 +80,7 @@ fn framed(
             main id="main" tabindex="-1" { h1 { (title) } (content) }
         }
     };
-    Ok(Html(document(&format!("{title} – {name}"), &head(served.token.is_some()), &body)))
+    Ok(Html(document(&format!("{title} – {name}"), &head(served.steering.is_some()), &body)))
 }
 
 /// A part of a page that is put in its place again when something has changed.

@@ -1,0 +1,75 @@
+//! Who may read and who may steer: whoever has the address that was printed, and no other user of the machine. A browser
+//! keeps the key to reading in a cookie of this server's port; other programs send it with each request.
+
+use std::fs::File;
+use std::io::{self, Read};
+
+use axum::extract::Request;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+use super::Served;
+
+/// A secret, known by its digest.
+#[derive(Debug)]
+pub struct Token(blake3::Hash);
+
+impl Token {
+    /// A new one, and how it is written.
+    ///
+    /// # Errors
+    /// Where the system gives no random bytes.
+    pub fn new() -> io::Result<(Self, String)> {
+        let mut bytes = [0; 16];
+        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+        let text: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok((Self::of(&text), text))
+    }
+
+    /// The one that is written like this.
+    #[must_use]
+    pub fn of(text: &str) -> Self {
+        Self(blake3::hash(text.as_bytes()))
+    }
+
+    /// Digests are compared, in constant time.
+    pub(super) fn is(&self, given: &str) -> bool {
+        self.0 == blake3::hash(given.as_bytes())
+    }
+}
+
+/// What a program sends: `Authorization: Bearer TOKEN`.
+pub(super) fn bearer(headers: &HeaderMap) -> Option<&str> {
+    headers.get(header::AUTHORIZATION)?.to_str().ok()?.strip_prefix("Bearer ")
+}
+
+/// The answer to whoever may not read, or who comes with the key in the address and is sent on with it in a cookie.
+pub(super) fn turned_away(served: &Served, request: &Request) -> Option<Response> {
+    let (headers, uri) = (request.headers(), request.uri());
+    let reads = |given: &str| served.reading.is(given);
+    let cookie = format!("metasense-{}", port(headers));
+    if let Some(key) = uri.query().and_then(|query| query.strip_prefix("key=")).filter(|key| reads(key)) {
+        // Lax: a link from elsewhere shows a page; a foreign page reads nothing.
+        let cookie = HeaderValue::from_str(&format!("{cookie}={key}; Path=/; HttpOnly; SameSite=Lax"));
+        let cookie = cookie.expect("names and keys are ASCII");
+        let home = HeaderValue::from_static("/");
+        return Some(
+            (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, home)]).into_response(),
+        );
+    }
+    let steers = |given: &str| served.steering.as_ref().is_some_and(|token| token.is(given));
+    let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
+    let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
+    let known = pairs.any(|(name, value)| name == cookie && reads(value))
+        || bearer(headers).is_some_and(|given| reads(given) || steers(given));
+    let why = "open the whole address that `metasense serve` printed: the key to these pages is in it; programs send it as \
+               `Authorization: Bearer KEY`";
+    (!known).then(|| (StatusCode::UNAUTHORIZED, why).into_response())
+}
+
+/// The port that a browser knows this server by; cookies of one host's ports are not apart by themselves.
+fn port(headers: &HeaderMap) -> &str {
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let port = host.rsplit_once(':').map_or("80", |(_, port)| port);
+    if port.bytes().all(|b| b.is_ascii_digit()) { port } else { "80" }
+}
