@@ -554,3 +554,39 @@ async fn what_an_input_does_not_hold_as_rows_is_not_copied() {
     db.close().await.unwrap();
     assert_eq!(merge(&[at("good.sqlite")], &at("out.sqlite")).await.unwrap().refused, []);
 }
+
+/// `gc` lists, and removes, what ended processes have left, and of a shard's copies those whose rows are all in the last one;
+/// what another machine's process may still write to, and what holds a row of its own, stay.
+#[test]
+fn gc_removes_what_holds_nothing_of_its_own() {
+    let bench = crate::common::Bench::new();
+    let mark = metasense::files::own_mark();
+    let host = mark.rsplit_once('-').unwrap().0;
+    let ended = u32::MAX;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let shards = bench.path("results/s.shards");
+    let [contained, own_row, later] =
+        [1, 2, 3].map(|n| shards.join(format!("shard-1-of-3.{n}-{host}-{ended}.sqlite")));
+    runtime.block_on(async {
+        let s = plan("s");
+        database(&contained, &s, 1, &[(0, Life::Done(5.0, "avx2")), (3, Life::Steps(2))]).await;
+        std::fs::copy(&contained, &later).unwrap();
+        std::fs::copy(&contained, &own_row).unwrap();
+        database(&own_row, &s, 1, &[(1, Life::Done(5.0, "avx2"))]).await;
+        database(&later, &s, 1, &[(4, Life::Done(5.0, "avx2"))]).await;
+    });
+    let left = [format!(".a.svg.{host}-{ended}.tmp"), format!("shard-1-of-3.4-{host}-{ended}.tmp")];
+    let stays =
+        [format!(".a.svg.{mark}.tmp"), format!(".b.svg.elsewhere-{ended}.tmp"), "notes.tmp".to_owned()];
+    for name in left.iter().chain(&stays) {
+        std::fs::write(shards.join(name), "x").unwrap();
+    }
+    let listed = bench.metasense(&["gc", "--format", "csv"]);
+    assert_eq!(String::from_utf8_lossy(&listed.stdout).lines().count(), 4, "{listed:?}");
+    assert_eq!(files(&shards).len(), 8);
+    bench.output(&["gc", "--remove"]);
+    let mut expected: Vec<PathBuf> = stays.iter().map(|name| shards.join(name)).collect();
+    expected.extend([own_row, later]);
+    expected.sort();
+    assert_eq!(files(&shards).into_iter().map(|file| file.0).collect::<Vec<_>>(), expected);
+}

@@ -11,12 +11,12 @@ use crate::files::own_mark;
 /// What an ended process has left is taken for that when it is older than this, where it ran on another machine.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Whether a file or folder whose name ends with the mark of a process (and `.tmp`) was left behind by it: on this machine
+/// Whether a file or folder whose name ends with the mark of a process (and `.tmp` or `.sqlite`) was left behind by it: on this machine
 /// the process has ended; of another machine's, nothing has been written for a day.
 #[must_use]
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let mark = name.strip_suffix(".tmp").unwrap_or(&name);
+    let mark = name.strip_suffix(".tmp").or(name.strip_suffix(".sqlite")).unwrap_or(&name);
     let Some((before, Ok(pid))) = mark.rsplit_once('-').map(|(before, pid)| (before, pid.parse::<u32>()))
     else {
         return false;

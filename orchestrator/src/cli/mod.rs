@@ -14,6 +14,7 @@ mod error;
 mod evaluate;
 mod expand;
 mod export;
+mod gc;
 mod identify;
 mod live;
 pub mod log;
@@ -100,7 +101,7 @@ macro_rules! commands {
 
 commands! {
     "A sweep": Run run, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
-    "A cluster": Submit submit, Merge merge;
+    "A cluster": Submit submit, Merge merge, Gc gc;
     "Results": Query query, Analyse analyse, Report report, Claims claims, Export export;
     "Bodies": Simulate simulate, Modes modes, Bound bound, Place place, Project project, Draw draw;
     "Measured data": Identify identify, Evaluate evaluate;

@@ -158,7 +158,7 @@ pub(super) async fn trials(out: &mut SqliteConnection) -> sqlx::Result<usize> {
 }
 
 /// `trial`, and the tables whose rows belong to one, with the column that says to which.
-async fn tables_of_trials(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, String)>> {
+pub(super) async fn tables_of_trials(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, String)>> {
     let children = sqlx::query(
         "SELECT t.name FROM main.sqlite_schema t, pragma_table_info(t.name) c
          WHERE t.type = 'table' AND c.name = 'trial_id' AND t.name <> 'sweep_trial' ORDER BY t.name",
@@ -170,7 +170,7 @@ async fn tables_of_trials(out: &mut SqliteConnection) -> sqlx::Result<Vec<(Strin
 }
 
 /// The columns of a table but for one, as a list.
-async fn columns(out: &mut SqliteConnection, table: &str, but: &str) -> sqlx::Result<String> {
+pub(super) async fn columns(out: &mut SqliteConnection, table: &str, but: &str) -> sqlx::Result<String> {
     let names: Vec<String> =
         sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main') WHERE name <> ? ORDER BY cid")
             .bind(table)
@@ -180,6 +180,6 @@ async fn columns(out: &mut SqliteConnection, table: &str, but: &str) -> sqlx::Re
     Ok(names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(", "))
 }
 
-fn of_x(columns: &str) -> String {
+pub(super) fn of_x(columns: &str) -> String {
     columns.split(", ").map(|name| format!("x.{name}")).collect::<Vec<_>>().join(", ")
 }

@@ -158,7 +158,7 @@ pub(in crate::cluster) async fn snapshot(
 const OPERATIONS: i32 = 10_000;
 
 /// A file that does not change while it is read: neither locks nor a journal are asked for.
-fn uri(file: &Path) -> String {
+pub(super) fn uri(file: &Path) -> String {
     format!("file:{}?immutable=1", escaped(file))
 }
 

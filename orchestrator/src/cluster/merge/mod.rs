@@ -5,6 +5,7 @@
 //! written to. An existing result is one more input.
 
 mod compare;
+mod contains;
 mod copy;
 mod input;
 
@@ -20,6 +21,7 @@ use crate::files;
 use crate::leftovers;
 use crate::store::{self, StoreError};
 pub use compare::{Finding, Kind};
+pub use contains::contains;
 pub(super) use input::snapshot;
 use input::{Input, Refusal};
 

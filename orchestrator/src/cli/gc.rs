@@ -1,0 +1,79 @@
+//! `gc`: what killed processes have left, and copies that hold nothing of their own.
+
+use std::path::{Path, PathBuf};
+
+use super::{Error, Format, print_rows};
+use crate::cluster::home::attempts;
+use crate::cluster::merge::contains;
+use crate::exit::Exit;
+use crate::leftovers::{is_abandoned, remove};
+use crate::look::{Table, row};
+use crate::plan::counted;
+
+/// Lists what can be removed: files of killed processes, and copies of shards that a later one contains
+///
+/// A copy of a shard is listed if every row of it is in that shard's last one. What another machine has left is listed when it is
+/// a day old. Looks into the folders and the folders in them.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Folders
+    #[arg(value_name = "DIR", default_value = "results")]
+    folders: Vec<PathBuf>,
+    /// Removes it
+    #[arg(long)]
+    remove: bool,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let mut found = Vec::new();
+    for folder in &args.folders {
+        let entries = std::fs::read_dir(folder).map_err(Error::unreadable(folder))?;
+        let inner = entries.flatten().map(|entry| entry.path()).filter(|path| path.is_dir());
+        for folder in std::iter::once(folder.clone()).chain(inner) {
+            left_behind(&folder, &mut found);
+            superseded(&folder, &mut found).await;
+        }
+    }
+    found.sort();
+    let size = |path: &Path| path.metadata().map_or(0, |m| m.len());
+    let rows = found.iter().map(|(path, why)| row![path.display().to_string(), size(path), why]);
+    print_rows(&Table::new("file bytes why", rows), args.format)?;
+    if args.remove {
+        for (path, _) in &found {
+            remove(path).map_err(Error::io("removing", path))?;
+        }
+    }
+    say!("{} {}", counted(found.len(), "file"), if args.remove { "removed" } else { "to remove: --remove" });
+    Ok(Exit::Done)
+}
+
+/// Files and folders that are written beside their place, of processes that have ended.
+fn left_behind(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let (name, path) = (entry.file_name().to_string_lossy().into_owned(), entry.path());
+        let beside = name.starts_with('.') && (name.ends_with(".tmp") || name.contains(".merge-"));
+        if (beside || name.starts_with("shard-") && name.ends_with(".tmp")) && is_abandoned(&path) {
+            found.push((path, "its process has ended".into()));
+        }
+    }
+}
+
+/// Copies of shards whose rows are all in the shard's last one.
+async fn superseded(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
+    for mut files in attempts(folder).into_values() {
+        let Some(last) = files.pop() else { continue };
+        for file in files {
+            if !is_abandoned(&file) {
+                continue;
+            }
+            match contains(&last, &file).await {
+                Ok(true) => found.push((file, format!("all of it is in {}", last.display()))),
+                Ok(false) => {}
+                Err(error) => say!("{} cannot be compared, and stays: {error}", file.display()),
+            }
+        }
+    }
+}
