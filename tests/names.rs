@@ -114,7 +114,7 @@ fn changes_are_in_the_hash_as_if_written() {
     let text = bench.output(&["query", "results/tiny.sqlite", "SELECT text FROM sweep", "--format", "json"]);
     assert!(text.contains("iterations = 3"), "{text}");
     let scripts = bench.output(&[&["submit", "slurm", "--dry-run"], &changed[..]].concat());
-    assert!(scripts.contains("tiny.toml optimise.iterations=3 'sweep.sensors=[1]' --shard"), "{scripts}");
+    assert!(scripts.contains("tiny.shards/spec.toml --shard"), "{scripts}");
     let refused = bench.metasense(&["run", "tiny.toml", "optimise.iteratons=3"]);
     let said = String::from_utf8_lossy(&refused.stderr);
     let expected =

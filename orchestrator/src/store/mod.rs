@@ -69,19 +69,18 @@ impl Store {
     /// # Errors
     /// Unwritable, not ours, of a newer version, or in use by another run.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        Self::open_file(real(path.as_ref())).await.map_err(StoreError::on_opening)
+        Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
     }
 
     async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let file = real(&path);
+        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)
             .map_err(|source| StoreError::Unwritable { path: path.clone(), source })?;
         if let Some(system) = disk::network_of(folder) {
             return Err(StoreError::NetworkDisk { path, system });
         }
         let lock = lock(&path, true)?;
-        // A link may have led to nothing before.
-        let path = real(&path);
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
@@ -123,7 +122,7 @@ impl Store {
 /// A connection that waits for others, and says nothing of what it is asked.
 pub(crate) fn options(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
-        .filename(path)
+        .filename(real(path))
         .busy_timeout(Duration::from_secs(10))
         .disable_statement_logging()
 }
