@@ -189,7 +189,7 @@ fn a_shard_goes_on_on_another_node() {
     assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
 }
 
-/// A shard is killed at random moments, on two nodes in turn, one of which is lost each time; so are merges of what it has
+/// A shard is killed at random moments, on two nodes in turn, one of which is lost each time; so are merges and `gc` of what it has
 /// handed in (`KILLS=N` for more, `KILL_SEED=N` for the same). What a merge has once given is never less, and what comes
 /// of it all is what an undisturbed run gives.
 #[test]
@@ -201,21 +201,21 @@ fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
         bench.file("tiny.toml", &four().replace("iterations = 4\n", "iterations = 100\n"));
         bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
         let mut before = 0;
-        let mut merge = |roll: &mut Roll, kill: bool| {
-            let args = ["merge", "out", "--out", "merged.sqlite"];
+        let mut tidied = |words: &[&str], kill_after: Option<u64>| {
             let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
-            command.args(args).current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::null());
+            command.args(words).current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::null());
             let mut child = command.spawn().unwrap();
-            if kill {
-                std::thread::sleep(Duration::from_millis(roll.below(150)));
+            if let Some(time) = kill_after {
+                std::thread::sleep(Duration::from_millis(time));
                 signal(&child, libc::SIGKILL);
             }
-            let status = child.wait().unwrap();
+            let killed = child.wait().unwrap().code().is_none();
             let now = number(&bench, "merged.sqlite", "SELECT count(*) FROM v_step");
             assert!(now >= before, "{now} steps after {before}");
             before = now;
-            u64::from(status.code().is_none())
+            u64::from(killed)
         };
+        let (merge, gc) = (["merge", "out", "--out", "merged.sqlite"], ["gc", ".", "--remove"]);
         for round in 0.. {
             let node = format!("node{}", round % 2);
             let mut shard = start(&bench, &node);
@@ -226,12 +226,19 @@ fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
             if ended {
                 break;
             }
-            killed += 1 + merge(&mut roll, true);
+            killed += 1 + tidied(&merge, Some(roll.below(150))) + tidied(&gc, Some(roll.below(60)));
             if roll.below(2) == 0 {
                 std::fs::remove_dir_all(bench.path(&node)).unwrap();
             }
         }
-        merge(&mut roll, false);
+        tidied(&merge, None);
+        // what a killed process has left goes, and with it no row
+        tidied(&gc, None);
+        let left = std::fs::read_dir(bench.path("")).unwrap().flatten();
+        let left: Vec<_> = left.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+        assert!(!left.iter().any(|name| name.contains(".merge-") || name.ends_with(".tmp")), "{left:?}");
+        bench.output(&["merge", "out", "--out", "again.sqlite"]);
+        assert_eq!(results(&bench, "again.sqlite"), results(&bench, "whole.sqlite"));
         assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
     }
     println!("{killed} kills, no difference");
