@@ -583,7 +583,7 @@ fn gc_removes_what_holds_nothing_of_its_own() {
     let listed = bench.metasense(&["gc", "--format", "csv"]);
     assert_eq!(String::from_utf8_lossy(&listed.stdout).lines().count(), 4, "{listed:?}");
     assert_eq!(files(&shards).len(), 8);
-    bench.output(&["gc", "--remove"]);
+    bench.output(&["gc", "--yes"]);
     let mut expected: Vec<PathBuf> = stays.iter().map(|name| shards.join(name)).collect();
     expected.extend([own_row, later]);
     expected.sort();

@@ -1,6 +1,6 @@
 //! `query` answers in SQL and changes nothing, whatever it is asked.
 
-use crate::common::{Bench, SPEC};
+use crate::common::{Bench, SPEC, TINY};
 use metasense::plan::Plan;
 use metasense::store::Store;
 
@@ -164,4 +164,46 @@ async fn status_shows_the_error_on_the_holdout() {
     database(&bench).await;
     let header = bench.output(&["status", "s.sqlite", "--format", "csv"]);
     assert!(header.contains(",holdout_error_initial,holdout_error_optimised\n"), "{header}");
+}
+
+/// Trials that meet the conditions go with all that is theirs, when that is asked for; a run makes them again, to the same bits.
+#[tokio::test]
+async fn trials_are_taken_out_by_conditions() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml", "--db", "s.sqlite"]);
+    let count = |table: &str| {
+        bench.output(&["query", "s.sqlite", &format!("SELECT count(*) FROM {table}"), "--format", "csv"])
+    };
+    let tables = ["trial", "sweep_trial", "attempt", "step", "network", "curve", "artifact"];
+    let errors =
+        "SELECT hash, error_initial, error_optimised, holdout_error_optimised FROM v_trial ORDER BY 1";
+    let results = || bench.output(&["query", "s.sqlite", errors, "--format", "csv"]);
+    let (whole, before) = (tables.map(count), results());
+    for (words, why) in [
+        (&["remove", "s.sqlite"][..], "CONDITION"),
+        (&["remove", "s.sqlite", "sensor!=7", "--yes"], "no trial has `sensor`"),
+        (&["remove", "s.sqlite", "M", "--yes"], "`M` is not a condition"),
+        (&["remove", "none.sqlite", "M=1", "--yes"], "there is no database none.sqlite"),
+    ] {
+        let output = bench.metasense(words);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && said.contains(why), "{words:?}: {said}");
+    }
+    assert!(!bench.path("none.sqlite").exists());
+    let listed = bench.metasense(&["remove", "s.sqlite", "M=2", "state=done"]);
+    assert!(
+        String::from_utf8_lossy(&listed.stderr).contains("1 trial would be removed: --yes"),
+        "{listed:?}"
+    );
+    assert_eq!(tables.map(count), whole);
+    bench.output(&["remove", "s.sqlite", "M=2", "state=done", "--yes"]);
+    for (table, whole) in tables.into_iter().zip(&whole) {
+        let [rows, all] =
+            [&count(table), whole].map(|text| text.lines().nth(1).unwrap().parse::<u32>().unwrap());
+        assert!(rows > 0 && rows < all, "{table}: {rows} of {all}");
+    }
+    bench.output(&["run", "tiny.toml", "--db", "s.sqlite"]);
+    assert_eq!(count("step"), whole[3]);
+    assert_eq!(results(), before);
 }

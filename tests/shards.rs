@@ -215,7 +215,7 @@ fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
             before = now;
             u64::from(killed)
         };
-        let (merge, gc) = (["merge", "out", "--out", "merged.sqlite"], ["gc", ".", "--remove"]);
+        let (merge, gc) = (["merge", "out", "--out", "merged.sqlite"], ["gc", ".", "--yes"]);
         for round in 0.. {
             let node = format!("node{}", round % 2);
             let mut shard = start(&bench, &node);

@@ -19,9 +19,9 @@ pub(super) struct Args {
     /// Folders
     #[arg(value_name = "DIR", default_value = "results")]
     folders: Vec<PathBuf>,
-    /// Removes it
+    /// Removes it; without it that is only listed
     #[arg(long)]
-    remove: bool,
+    yes: bool,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -41,12 +41,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let size = |path: &Path| path.metadata().map_or(0, |m| m.len());
     let rows = found.iter().map(|(path, why)| row![path.display().to_string(), size(path), why]);
     print_rows(&Table::new("file bytes why", rows), args.format)?;
-    if args.remove {
+    if args.yes {
         for (path, _) in &found {
             remove(path).map_err(Error::io("removing", path))?;
         }
     }
-    say!("{} {}", counted(found.len(), "file"), if args.remove { "removed" } else { "to remove: --remove" });
+    say!("{} {}", counted(found.len(), "file"), if args.yes { "removed" } else { "would be removed: --yes" });
     Ok(Exit::Done)
 }
 

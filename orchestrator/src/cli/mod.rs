@@ -26,6 +26,7 @@ mod pages;
 mod place;
 mod project;
 mod query;
+mod remove;
 mod report;
 mod results;
 mod run;
@@ -102,7 +103,7 @@ macro_rules! commands {
 commands! {
     "A sweep": Run run, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
     "A cluster": Submit submit, Merge merge, Gc gc;
-    "Results": Query query, Analyse analyse, Report report, Claims claims, Export export;
+    "Results": Query query, Analyse analyse, Report report, Claims claims, Export export, Remove remove;
     "Bodies": Simulate simulate, Modes modes, Bound bound, Place place, Project project, Draw draw;
     "Measured data": Identify identify, Evaluate evaluate;
     "Checks": Verify verify, Schema schema;

@@ -2,6 +2,7 @@
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::Path;
 use std::sync::Arc;
 
 use serde_json::Value;
@@ -242,6 +243,27 @@ impl Term {
             _ => order.is_ge(),
         }
     }
+}
+
+/// Trials of a database that meet all conditions; what is wrong, where one is none or names what no trial has.
+///
+/// # Errors
+/// Where the database cannot be read.
+pub async fn trials_of(
+    db: &Path,
+    conditions: &[String],
+) -> Result<Result<Vec<Arc<Row>>, String>, StoreError> {
+    let trials = Reader::asked(db, async |reader| Keeper::default().look(reader).await).await?;
+    let terms = match terms(&conditions.join(" ")) {
+        Ok(terms) => terms,
+        Err(wrong) => return Ok(Err(wrong)),
+    };
+    // A misspelt key must not be one that differs from everything.
+    let has = |key: &str| key == "reason" || trials.rows.iter().any(|row| !row.cell(key).is_null());
+    Ok(match terms.iter().find(|term| !trials.rows.is_empty() && !has(&term.key)) {
+        Some(term) => Err(format!("no trial has `{}`: it is no column and no path of a spec here", term.key)),
+        None => Ok(trials.found(&terms, "").into_iter().cloned().collect()),
+    })
 }
 
 impl Trials {

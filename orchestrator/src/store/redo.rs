@@ -1,4 +1,4 @@
-//! Trials that other code has made, to be made again.
+//! Trials that other code has made, to be made again; trials that are taken out.
 
 use sqlx::{AssertSqlSafe, Connection};
 
@@ -13,6 +13,11 @@ const OTHERS: &str =
 const LEFT: &str = "SELECT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'
     AND c.name = 'trial_id' AND t.name NOT IN ('sweep_trial', 'attempt', 'log') ORDER BY t.name";
 
+/// Tables of all that belongs to a trial.
+const ALL: &str =
+    "SELECT DISTINCT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'
+    AND c.name = 'trial_id' ORDER BY t.name";
+
 /// What becomes of the trials themselves. Attempts stay, marked, and so does what was said of them.
 const EMPTY: &str = "
     UPDATE attempt SET redone = 1 WHERE trial_id IN (SELECT id FROM temp.other);
@@ -22,6 +27,27 @@ const EMPTY: &str = "
       result = NULL, finished_at = NULL WHERE id IN (SELECT id FROM temp.other)";
 
 impl Store {
+    /// Takes trials out, with all that belongs to them; hashes that are not there are none.
+    pub async fn remove(&mut self, hashes: impl Iterator<Item = &str>) -> Result<(), StoreError> {
+        let at = self.at("removing trials from");
+        let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
+        let tables: Vec<String> = sqlx::query_scalar(ALL).fetch_all(&mut *tx).await.map_err(&at)?;
+        let of_trials = tables.iter().map(|table| (table.as_str(), "trial_id")).chain([("trial", "id")]);
+        // Names of our own schema only.
+        let statements = of_trials.map(|(table, id)| {
+            format!("DELETE FROM {table} WHERE {id} = (SELECT id FROM trial WHERE hash = ?)")
+        });
+        let statements: Vec<String> = statements.collect();
+        for hash in hashes {
+            for sql in &statements {
+                let delete = sqlx::query(AssertSqlSafe(sql.clone())).bind(hash);
+                delete.execute(&mut *tx).await.map_err(&at)?;
+            }
+            self.ids.remove(hash);
+        }
+        tx.commit().await.map_err(&at)
+    }
+
     /// Empties the trials of the sweep that was begun which other code than this program's has worked on: they are open,
     /// and begin anew. Returns how many.
     pub async fn redo_other_code(&mut self) -> Result<usize, StoreError> {

@@ -1,0 +1,53 @@
+//! `remove`: trials out of a database.
+
+use std::path::PathBuf;
+
+use super::{Error, Format, print_rows};
+use crate::exit::Exit;
+use crate::look::{Table, row};
+use crate::plan::counted;
+use crate::serve::trials_of;
+use crate::store::{Store, StoreError};
+
+/// Lists the trials that meet conditions, and takes them out of the database
+///
+/// Conditions are those of the pages: metasense remove results/x.sqlite state=failed "M<=3" optimise.brain=linear
+/// Their results, steps, networks and arrays go with them; `run` makes trials of its spec again that are gone. The room is used by
+/// what comes; `sqlite3 DB VACUUM` gives it back.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The database; no run may hold it
+    db: PathBuf,
+    /// KEY=VALUE, also with != < > <= >= and ~ (contains); all of them hold. KEY is K, M, placement, seed, units, state, reason,
+    /// hash, an error, or a path of the spec
+    #[arg(required = true, value_name = "CONDITION")]
+    conditions: Vec<String>,
+    /// Takes them out; without it they are only listed
+    #[arg(long)]
+    yes: bool,
+    /// The form of the list
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    if !args.db.is_file() {
+        return Err(StoreError::Missing { path: args.db }.into());
+    }
+    // No run may change what is listed before it goes.
+    let store = if args.yes { Some(Store::open(&args.db).await?) } else { None };
+    let found = trials_of(&args.db, &args.conditions).await?.map_err(Error::Usage)?;
+    let cells = ["K", "M", "placement", "seed", "holdout_optimised"];
+    let rows = found.iter().map(|trial| {
+        let [panels, sensors, placement, seed, error] = cells.map(|key| trial.cell(key));
+        row![trial.hash.clone(), trial.state.clone(), panels, sensors, placement, seed, error]
+    });
+    print_rows(&Table::new("hash state K M placement seed holdout_error_optimised", rows), args.format)?;
+    if let Some(mut store) = store {
+        store.remove(found.iter().map(|trial| trial.hash.as_str())).await?;
+        store.close().await?;
+    }
+    let count = counted(found.len(), "trial");
+    say!("{count} {}", if args.yes { "removed" } else { "would be removed: --yes" });
+    Ok(Exit::Done)
+}
