@@ -175,7 +175,8 @@ fn a_shard_goes_on_on_another_node() {
     let mut last = start(&bench, "node3");
     assert_eq!(wait(&mut last), Some(0));
     assert_eq!(left("node3"), 0);
-    assert_eq!(attempts().len(), 3, "{:?}", attempts());
+    // The last one holds all that the earlier two have handed in.
+    assert_eq!(attempts().len(), 1, "{:?}", attempts());
     assert_eq!(results(&bench, &handed_in()), results(&bench, "whole.sqlite"));
     bench.output(&["merge", "out", "--out", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));

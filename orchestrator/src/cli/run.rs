@@ -134,7 +134,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (outcome, plan) = outcome?;
     let exit = end(&db, &plan, args.format, outcome).await?;
     handed_in?;
-    home.leave();
+    home.leave().await;
     Ok(exit)
 }
 

@@ -240,8 +240,16 @@ impl Home {
         }
     }
 
-    /// Leaves the node as it was found. Only after handing in.
-    pub fn leave(self) {
+    /// Leaves the node as it was found, and of what earlier attempts have handed in only what this one's does not hold. Only
+    /// after handing in.
+    pub async fn leave(self) {
+        for earlier in attempts(&self.folder).remove(&self.shard).unwrap_or_default() {
+            if earlier < self.handed_in
+                && matches!(merge::contains(&self.handed_in, &earlier).await, Ok(true))
+            {
+                let _ = std::fs::remove_file(earlier);
+            }
+        }
         if let Some(scratch) = self.scratch {
             let _ = std::fs::remove_dir_all(scratch);
         }
