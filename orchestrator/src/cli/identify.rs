@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use indicatif::ProgressBar;
 use metasense_worker::identify::{
-    Estimate, Identified, Iteration, Parameter, Parameters, Turn, Verdict, identify,
+    BOX, Estimate, Identified, Iteration, Parameter, Parameters, Turn, Verdict, identify,
 };
 use metasense_worker::measured;
 use serde::{Deserialize, Serialize};
@@ -145,10 +145,12 @@ fn estimates(fit: &Identified) -> Table {
     let row = |e: &Estimate| {
         let [lower, upper] = e.interval.map_or([None; 2], |i| i.map(Some));
         let half = e.interval.map(|[low, high]| 50.0 * (high - low) / e.value);
-        let value = e.interval.map(|_| e.value);
+        let bound = e.is_at_the_bound();
+        let value = (bound || e.interval.is_some()).then_some(e.value);
         let outcome = match (e.interval, fit.outcome) {
+            _ if bound => Verdict::AtTheBound,
             (None, _) => Verdict::NotIdentifiable,
-            (Some(_), Verdict::NotIdentifiable) => Verdict::Converged,
+            (Some(_), Verdict::NotIdentifiable | Verdict::AtTheBound) => Verdict::Converged,
             (Some(_), outcome) => outcome,
         };
         row![e.parameter.name(), e.parameter.unit(), e.start, value, lower, upper, half, outcome.name()]
@@ -187,6 +189,14 @@ fn said(fit: &Identified, records: usize) -> Vec<String> {
             start[0], end[0], fit.noise[0], start[1], end[1], fit.noise[1]
         ),
     ];
+    for e in fit.estimates.iter().filter(|e| e.is_at_the_bound()) {
+        said.push(format!(
+            "at the bound: {} is {} times what the spec says, the farthest that a fit may lead; begin from a spec with a value \
+             beyond it",
+            e.parameter.name(),
+            if e.value > e.start { BOX } else { 1.0 / BOX }
+        ));
+    }
     for direction in &fit.undetermined {
         let parts = direction.exponents.iter().zip(&fit.estimates).filter(|(x, _)| x.abs() > 0.05);
         let parts: Vec<String> = parts.map(|(x, e)| format!("{}^{x:.2}", e.parameter.name())).collect();

@@ -4,7 +4,7 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Accuracy, Forces, Frame, Method, Panel, Parameters, Scene, Solver, Stiffness, simulate,
 };
-use metasense_numerics::identify::{Identified, Parameter, Settings, Turn, Verdict, fit};
+use metasense_numerics::identify::{BOX, Identified, Parameter, Settings, Turn, Verdict, fit};
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
 
@@ -168,6 +168,25 @@ fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
     });
     assert!(shear > 0.9 && bend > 0.9, "{:?}", found.undetermined);
     assert!(errors(&found, &scene)[0].abs() < 0.02, "{:?}", found.estimates);
+}
+
+/// A parameter that lies farther from the scene's than a fit may lead ends at the bound; that is not what records do not tell.
+#[test]
+fn what_lies_beyond_the_bound_is_said_to_be_at_the_bound() {
+    let stiffness = Stiffness { stretch: 0.1, shear: 0.5, bend: 1.0 };
+    let scene = Scene { linearised: true, damping_ratio: 0.0, stiffness, ..scene(1, 2, 1) };
+    let design = scene.layout.initial_design(0.0);
+    let forces = blows(&scene, 3);
+    let signals = records(&scene, &design, &forces, 0.02, 0.0, 3);
+    for (factor, bound) in [(0.1, BOX), (0.12, BOX), (8.5, 1.0 / BOX)] {
+        let start = off_by(&scene, [factor, 1.0, 1.0, 1.0, 1.0]);
+        let free = [Parameter::Stretch];
+        let found = fit(&start, &design, &forces, &signals, &settings(&free), &pool(1), &[], &mut |_| ());
+        let [stretch] = found.estimates[..] else { panic!("{:?}", found.estimates) };
+        assert_eq!(found.outcome, Verdict::AtTheBound, "{stretch:?}");
+        assert!((stretch.value / stretch.start / bound - 1.0).abs() < 1e-9, "{stretch:?}");
+        assert!(stretch.interval.is_none() && found.undetermined.is_empty(), "{:?}", found.undetermined);
+    }
 }
 
 /// The same bits on one thread and on two, and on from wherever it was; what is held stays.

@@ -7,8 +7,8 @@
 //! left out once. A group is a record, or, of fewer than ten records, a part of one in time, so that noise may be
 //! correlated within it. 95 % by Student's t with G − 1 degrees of freedom.
 
-use super::Parameter;
 use super::objective::{Objective, Point};
+use super::{BOX, Parameter};
 use crate::student::student;
 use nalgebra::{DMatrix, DVector};
 
@@ -31,8 +31,15 @@ pub struct Estimate {
     pub start: f64,
     /// What was found; of one that is not identifiable, where it happens to stand.
     pub value: f64,
-    /// 95 %; none where it is not identifiable.
+    /// 95 %; none where it is not identifiable, or at the bound.
     pub interval: Option<[f64; 2]>,
+}
+
+impl Estimate {
+    /// Whether it stands as far from its start as a fit may lead.
+    pub fn is_at_the_bound(&self) -> bool {
+        (self.value / self.start).ln().abs() > BOX.ln() - 1e-9
+    }
 }
 
 /// A combination Π pᵏ of the fitted parameters that the records do not tell.
@@ -58,7 +65,8 @@ impl Spread {
         let of = |(&parameter, half): (&Parameter, &Option<f64>)| {
             let (start, value) = (start[parameter as usize], found[parameter as usize]);
             let interval = half.map(|h| [value * (-h).exp(), value * h.exp()]);
-            Estimate { parameter, start, value, interval }
+            let found = Estimate { parameter, start, value, interval };
+            Estimate { interval: interval.filter(|_| !found.is_at_the_bound()), ..found }
         };
         free.iter().zip(&self.half).map(of).collect()
     }

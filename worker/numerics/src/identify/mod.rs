@@ -70,6 +70,8 @@ pub enum Verdict {
     IterationsSpent,
     /// The records do not tell some combination of parameters.
     NotIdentifiable,
+    /// A parameter stands as far from the scene's as it may: the records ask for one beyond.
+    AtTheBound,
     /// The scene as it is given could not be simulated.
     StartFailed,
 }
@@ -82,6 +84,7 @@ impl Verdict {
             Self::NoProgress => "no progress",
             Self::IterationsSpent => "iterations spent",
             Self::NotIdentifiable => "not identifiable",
+            Self::AtTheBound => "at the bound",
             Self::StartFailed => "the start cannot be simulated",
         }
     }
@@ -150,8 +153,8 @@ const LOST: f64 = 60.0;
 const SCALES: [f64; 3] = [1.0, 0.5, 2.0];
 /// Other starts that are tried, those of least misfit in the first window first.
 const TRIES: usize = 24;
-/// Farthest from the scene's values that a start may lead.
-const BOX: f64 = 8.0;
+/// Farthest from the scene's values that a fit may lead, as a factor.
+pub const BOX: f64 = 8.0;
 /// Iterations of the first window.
 const FIRST: usize = 12;
 /// Iterations of a window but the last.
@@ -210,7 +213,9 @@ pub fn fit(
     fit.estimates = spread.estimates(free, &start, &point.parameters);
     (fit.undetermined, fit.correlation, fit.condition) =
         (spread.undetermined, spread.correlation, spread.condition);
-    if !fit.undetermined.is_empty() && fit.outcome == Verdict::Converged {
+    if fit.estimates.iter().any(Estimate::is_at_the_bound) {
+        fit.outcome = Verdict::AtTheBound;
+    } else if !fit.undetermined.is_empty() && fit.outcome == Verdict::Converged {
         fit.outcome = Verdict::NotIdentifiable;
     }
     fit.misfit = [objective.misfit(&fit.signals[0]), objective.misfit(point.signals())];

@@ -198,6 +198,13 @@ impl<'a> Objective<'a> {
         moved
     }
 
+    /// The parameters with the `k`-th free one times e^`NUDGE`, also out of the box: at its edge records tell no less.
+    fn nudged(&self, parameters: &[f64; 6], k: usize) -> [f64; 6] {
+        let mut nudged = *parameters;
+        nudged[self.free[k] as usize] *= NUDGE.exp();
+        nudged
+    }
+
     /// Parameters with stretch, shear, bend and density scaled; none where that would move one that is held.
     pub fn scaled(&self, parameters: &[f64; 6], scales: [f64; 4]) -> Option<[f64; 6]> {
         let mut scaled = *parameters;
@@ -244,9 +251,7 @@ impl<'a> Objective<'a> {
     /// da/dq/s in the window, a column a free parameter.
     pub fn jacobian(&mut self, point: &Point) -> DMatrix<f64> {
         let of = |k: usize| {
-            let mut step = DVector::zeros(self.free.len());
-            step[k] = NUDGE;
-            let scene = self.with(&self.moved(&point.parameters, &step));
+            let scene = self.with(&self.nudged(&point.parameters, k));
             run(&scene, self.design, &self.forces, &point.plan, false, self.pool)
         };
         let free = self.free.len();
