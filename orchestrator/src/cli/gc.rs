@@ -10,7 +10,7 @@ use crate::leftovers::{is_abandoned, remove};
 use crate::look::{Table, row};
 use crate::plan::counted;
 
-/// Lists what can be removed: files of killed processes, and copies of shards that a later one contains
+/// Lists what can go: what killed processes left, and copies of shards
 ///
 /// A copy of a shard is listed if every row of it is in that shard's last one. What another machine has left is listed when it is
 /// a day old. Looks into the folders and the folders in them.

@@ -145,7 +145,7 @@ fn estimates(fit: &Identified) -> Table {
     let row = |e: &Estimate| {
         let [lower, upper] = e.interval.map_or([None; 2], |i| i.map(Some));
         let half = e.interval.map(|[low, high]| 50.0 * (high - low) / e.value);
-        let bound = e.is_at_the_bound();
+        let bound = e.at_the_bound;
         let value = (bound || e.interval.is_some()).then_some(e.value);
         let outcome = match (e.interval, fit.outcome) {
             _ if bound => Verdict::AtTheBound,
@@ -189,7 +189,7 @@ fn said(fit: &Identified, records: usize) -> Vec<String> {
             start[0], end[0], fit.noise[0], start[1], end[1], fit.noise[1]
         ),
     ];
-    for e in fit.estimates.iter().filter(|e| e.is_at_the_bound()) {
+    for e in fit.estimates.iter().filter(|e| e.at_the_bound) {
         said.push(format!(
             "at the bound: {} is {} times what the spec says, the farthest that a fit may lead; begin from a spec with a value \
              beyond it",

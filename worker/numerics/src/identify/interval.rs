@@ -33,13 +33,8 @@ pub struct Estimate {
     pub value: f64,
     /// 95 %; none where it is not identifiable, or at the bound.
     pub interval: Option<[f64; 2]>,
-}
-
-impl Estimate {
-    /// Whether it stands as far from its start as a fit may lead.
-    pub fn is_at_the_bound(&self) -> bool {
-        (self.value / self.start).ln().abs() > BOX.ln() - 1e-9
-    }
+    /// Whether records that tell it ask for a value farther from its start than a fit may lead.
+    pub at_the_bound: bool,
 }
 
 /// A combination Π pᵏ of the fitted parameters that the records do not tell.
@@ -64,9 +59,10 @@ impl Spread {
     pub fn estimates(&self, free: &[Parameter], start: &[f64; 6], found: &[f64; 6]) -> Vec<Estimate> {
         let of = |(&parameter, half): (&Parameter, &Option<f64>)| {
             let (start, value) = (start[parameter as usize], found[parameter as usize]);
-            let interval = half.map(|h| [value * (-h).exp(), value * h.exp()]);
-            let found = Estimate { parameter, start, value, interval };
-            Estimate { interval: interval.filter(|_| !found.is_at_the_bound()), ..found }
+            let at_the_bound = half.is_some() && (value / start).ln().abs() > BOX.ln() - 1e-9;
+            let within = half.filter(|_| !at_the_bound);
+            let interval = within.map(|h| [value * (-h).exp(), value * h.exp()]);
+            Estimate { parameter, start, value, interval, at_the_bound }
         };
         free.iter().zip(&self.half).map(of).collect()
     }

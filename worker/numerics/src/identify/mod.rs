@@ -213,7 +213,7 @@ pub fn fit(
     fit.estimates = spread.estimates(free, &start, &point.parameters);
     (fit.undetermined, fit.correlation, fit.condition) =
         (spread.undetermined, spread.correlation, spread.condition);
-    if fit.estimates.iter().any(Estimate::is_at_the_bound) {
+    if fit.estimates.iter().any(|e| e.at_the_bound) {
         fit.outcome = Verdict::AtTheBound;
     } else if !fit.undetermined.is_empty() && fit.outcome == Verdict::Converged {
         fit.outcome = Verdict::NotIdentifiable;

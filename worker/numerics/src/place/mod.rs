@@ -37,6 +37,8 @@ pub struct Placed {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Nowhere;
 
+/// Exchanges of a unit at most: each set is rated by its own λ, so that two might take turns for ever.
+const EXCHANGES: usize = 1000;
 /// More candidates are thinned out to those that are best alone: what the exchange goes through grows with their square.
 pub const CANDIDATES: usize = 64;
 /// Where the search for λ begins, and how far it goes.
@@ -187,10 +189,12 @@ impl<'a> Scores<'a> {
         mut ridge: f64,
         search: &Placing,
     ) -> (Vec<usize>, Option<Rated>, f64) {
+        let mut left = EXCHANGES;
         loop {
             let neighbours = self.neighbours(&chosen, kept, search);
             match self.rated(neighbours, ridge).into_iter().next() {
-                Some((set, error)) if error < self.error(&chosen, ridge) => {
+                Some((set, error)) if left > 0 && error < self.error(&chosen, ridge) => {
+                    left -= 1;
                     ridge = self.ridge(&set, ridge);
                     chosen = set;
                 }
