@@ -44,6 +44,18 @@ pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     output.finish()
 }
 
+/// Copies a whole file with its permissions, as [`Output`] writes one.
+///
+/// # Errors
+/// As [`write`], or where `from` cannot be read.
+pub fn copy(from: &Path, path: &Path) -> io::Result<()> {
+    let mut from = File::open(from)?;
+    let mut output = Output::create(path)?;
+    io::copy(&mut from, &mut output.file)?;
+    output.file.set_permissions(from.metadata()?.permissions())?;
+    output.finish()
+}
+
 /// A file that is written beside its place, and put there when it is whole; dropped before that, it leaves nothing. What is
 /// no file (a pipe, a terminal) is written to as it is; a link stays one; permissions stay.
 #[derive(Debug)]

@@ -1,7 +1,7 @@
 //! What processes that were killed have left: files and folders whose names end with the mark of their process.
 
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tempfile::TempDir;
@@ -30,13 +30,17 @@ pub fn is_abandoned(path: &Path) -> bool {
     }
 }
 
-/// Removes what ended processes have left in a folder, as far as it can be.
+/// What ended processes have left in a folder, of these names.
+pub fn abandoned(folder: &Path, is_one: impl Fn(&str) -> bool) -> impl Iterator<Item = PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let named = entries.filter(move |entry| is_one(&entry.file_name().to_string_lossy()));
+    named.map(|entry| entry.path()).filter(|path| is_abandoned(path))
+}
+
+/// Removes it, as far as it can be.
 pub fn remove_abandoned(folder: &Path, is_one: impl Fn(&str) -> bool) {
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let path = entry.path();
-        if is_one(&entry.file_name().to_string_lossy()) && is_abandoned(&path) {
-            let _ = remove(&path);
-        }
+    for path in abandoned(folder, is_one) {
+        let _ = remove(&path);
     }
 }
 

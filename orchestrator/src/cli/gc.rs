@@ -6,7 +6,7 @@ use super::{Error, Format, print_rows};
 use crate::cluster::home::attempts;
 use crate::cluster::merge::contains;
 use crate::exit::Exit;
-use crate::leftovers::{is_abandoned, remove};
+use crate::leftovers::{abandoned, is_abandoned, remove};
 use crate::look::{Table, row};
 use crate::plan::counted;
 
@@ -33,7 +33,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let entries = std::fs::read_dir(folder).map_err(Error::unreadable(folder))?;
         let inner = entries.flatten().map(|entry| entry.path()).filter(|path| path.is_dir());
         for folder in std::iter::once(folder.clone()).chain(inner) {
-            left_behind(&folder, &mut found);
+            found.extend(left_behind(&folder));
             superseded(&folder, &mut found).await;
         }
     }
@@ -51,14 +51,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Files and folders that are written beside their place, of processes that have ended.
-fn left_behind(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let (name, path) = (entry.file_name().to_string_lossy().into_owned(), entry.path());
+fn left_behind(folder: &Path) -> impl Iterator<Item = (PathBuf, String)> {
+    let is_one = |name: &str| {
         let beside = name.starts_with('.') && (name.ends_with(".tmp") || name.contains(".merge-"));
-        if (beside || name.starts_with("shard-") && name.ends_with(".tmp")) && is_abandoned(&path) {
-            found.push((path, "its process has ended".into()));
-        }
-    }
+        beside || name.starts_with("shard-") && name.ends_with(".tmp")
+    };
+    abandoned(folder, is_one).map(|path| (path, "its process has ended".to_owned()))
 }
 
 /// Copies of shards whose rows are all in the shard's last one.

@@ -6,7 +6,7 @@ use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 use crate::plan::counted;
-use crate::serve::trials_of;
+use crate::serve::Trials;
 use crate::store::{Store, StoreError};
 
 /// Lists the trials that meet conditions, and takes them out of the database
@@ -36,7 +36,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     // No run may change what is listed before it goes.
     let store = if args.yes { Some(Store::open(&args.db).await?) } else { None };
-    let found = trials_of(&args.db, &args.conditions).await?.map_err(Error::Usage)?;
+    let trials = Trials::of(&args.db).await?;
+    let found = trials.chosen(&args.conditions.join(" ")).map_err(Error::Usage)?;
     let cells = ["K", "M", "placement", "seed", "holdout_optimised"];
     let rows = found.iter().map(|trial| {
         let [panels, sensors, placement, seed, error] = cells.map(|key| trial.cell(key));

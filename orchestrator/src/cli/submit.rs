@@ -249,11 +249,7 @@ impl Program {
     fn put(&self, folder: &Path, alone: bool) -> Result<(), Error> {
         let path = folder.join(&self.name);
         if !path.exists() {
-            let beside = folder.join(format!(".{}.{}.tmp", self.name, files::own_mark()));
-            let copied = std::fs::copy(Self::SELF, &beside).and_then(|_| files::put_in_place(&beside, &path));
-            copied
-                .inspect_err(|_| drop(std::fs::remove_file(&beside)))
-                .map_err(Error::io("writing", &path))?;
+            files::copy(Path::new(Self::SELF), &path).map_err(Error::io("writing", &path))?;
         }
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten().filter(|_| alone) {
             let name = entry.file_name();

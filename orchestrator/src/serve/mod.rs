@@ -36,7 +36,7 @@ use crate::store::Stored;
 use guard::{Impatient, guard};
 pub use source::{Seen, Source};
 pub use token::Token;
-pub use trials::trials_of;
+pub use trials::Trials;
 
 /// Connections at a time; more wait.
 const CONNECTIONS: usize = 64;

@@ -245,28 +245,30 @@ impl Term {
     }
 }
 
-/// Trials of a database that meet all conditions; what is wrong, where one is none or names what no trial has.
-///
-/// # Errors
-/// Where the database cannot be read.
-pub async fn trials_of(
-    db: &Path,
-    conditions: &[String],
-) -> Result<Result<Vec<Arc<Row>>, String>, StoreError> {
-    let trials = Reader::asked(db, async |reader| Keeper::default().look(reader).await).await?;
-    let terms = match terms(&conditions.join(" ")) {
-        Ok(terms) => terms,
-        Err(wrong) => return Ok(Err(wrong)),
-    };
-    // A misspelt key must not be one that differs from everything.
-    let has = |key: &str| key == "reason" || trials.rows.iter().any(|row| !row.cell(key).is_null());
-    Ok(match terms.iter().find(|term| !trials.rows.is_empty() && !has(&term.key)) {
-        Some(term) => Err(format!("no trial has `{}`: it is no column and no path of a spec here", term.key)),
-        None => Ok(trials.found(&terms, "").into_iter().cloned().collect()),
-    })
-}
-
 impl Trials {
+    /// All trials of a database.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    pub async fn of(db: &Path) -> Result<Self, StoreError> {
+        Reader::asked(db, async |reader| Keeper::default().look(reader).await).await
+    }
+
+    /// Those that meet all terms of a text, as planned.
+    ///
+    /// # Errors
+    /// With the term that is none, or whose key no trial has: a misspelt one must not be one that differs from everything.
+    pub fn chosen(&self, text: &str) -> Result<Vec<&Arc<Row>>, String> {
+        let terms = terms(text)?;
+        let has = |key: &str| key == "reason" || self.rows.iter().any(|row| !row.cell(key).is_null());
+        match terms.iter().find(|term| !self.rows.is_empty() && !has(&term.key)) {
+            Some(term) => {
+                Err(format!("no trial has `{}`: it is no column and no path of a spec here", term.key))
+            }
+            None => Ok(self.found(&terms, "")),
+        }
+    }
+
     /// Those that meet the terms of a text, sorted by a key; none, and what is wrong, where it holds something else.
     pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<Row>>, Option<String>) {
         match terms(text) {

@@ -1,50 +1,57 @@
 //! Trials that other code has made, to be made again; trials that are taken out.
 
+use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, Connection};
 
 use super::{Store, StoreError};
 
 /// Trials of the sweep `?1` of which some work that counts was done by other code than `?2`; those that have failed stay.
 const OTHERS: &str =
-    "CREATE TEMP TABLE other AS SELECT t.id FROM trial t JOIN sweep_trial x ON x.trial_id = t.id
+    "INSERT INTO temp.chosen SELECT t.id FROM trial t JOIN sweep_trial x ON x.trial_id = t.id
     JOIN v_trial v ON v.hash = t.hash WHERE x.sweep_id = ?1 AND t.state <> 'failed' AND v.code <> ?2";
 
-/// Tables of what attempts leave.
-const LEFT: &str = "SELECT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'
-    AND c.name = 'trial_id' AND t.name NOT IN ('sweep_trial', 'attempt', 'log') ORDER BY t.name";
+/// Trials that something is done to.
+const CHOSEN: &str = "DROP TABLE IF EXISTS temp.chosen; CREATE TEMP TABLE chosen (id INTEGER PRIMARY KEY)";
 
-/// Tables of all that belongs to a trial.
-const ALL: &str =
-    "SELECT DISTINCT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'
+/// Tables of what belongs to trials.
+const OF_TRIALS: &str =
+    "SELECT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'
     AND c.name = 'trial_id' ORDER BY t.name";
+
+/// Deletes what belongs to the chosen trials, but for these tables.
+async fn clear(db: &mut SqliteConnection, but: &[&str]) -> sqlx::Result<()> {
+    let tables: Vec<String> = sqlx::query_scalar(OF_TRIALS).fetch_all(&mut *db).await?;
+    for table in tables.iter().filter(|table| !but.contains(&table.as_str())) {
+        // Names of our own schema only.
+        let sql = format!("DELETE FROM {table} WHERE trial_id IN (SELECT id FROM temp.chosen)");
+        sqlx::query(AssertSqlSafe(sql)).execute(&mut *db).await?;
+    }
+    Ok(())
+}
 
 /// What becomes of the trials themselves. Attempts stay, marked, and so does what was said of them.
 const EMPTY: &str = "
-    UPDATE attempt SET redone = 1 WHERE trial_id IN (SELECT id FROM temp.other);
+    UPDATE attempt SET redone = 1 WHERE trial_id IN (SELECT id FROM temp.chosen);
     UPDATE trial SET state = 'pending', reason = NULL, error_initial = NULL, error_optimised = NULL,
       train_error_initial = NULL, train_error_optimised = NULL, holdout_error_initial = NULL,
       holdout_error_optimised = NULL, best_step = NULL, seconds_evaluation = NULL, simd = NULL, solver = NULL,
-      result = NULL, finished_at = NULL WHERE id IN (SELECT id FROM temp.other)";
+      result = NULL, finished_at = NULL WHERE id IN (SELECT id FROM temp.chosen)";
 
 impl Store {
     /// Takes trials out, with all that belongs to them; hashes that are not there are none.
     pub async fn remove(&mut self, hashes: impl Iterator<Item = &str>) -> Result<(), StoreError> {
         let at = self.at("removing trials from");
         let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
-        let tables: Vec<String> = sqlx::query_scalar(ALL).fetch_all(&mut *tx).await.map_err(&at)?;
-        let of_trials = tables.iter().map(|table| (table.as_str(), "trial_id")).chain([("trial", "id")]);
-        // Names of our own schema only.
-        let statements = of_trials.map(|(table, id)| {
-            format!("DELETE FROM {table} WHERE {id} = (SELECT id FROM trial WHERE hash = ?)")
-        });
-        let statements: Vec<String> = statements.collect();
+        sqlx::raw_sql(CHOSEN).execute(&mut *tx).await.map_err(&at)?;
         for hash in hashes {
-            for sql in &statements {
-                let delete = sqlx::query(AssertSqlSafe(sql.clone())).bind(hash);
-                delete.execute(&mut *tx).await.map_err(&at)?;
-            }
+            let choose =
+                sqlx::query("INSERT INTO temp.chosen SELECT id FROM trial WHERE hash = ?").bind(hash);
+            choose.execute(&mut *tx).await.map_err(&at)?;
             self.ids.remove(hash);
         }
+        clear(&mut tx, &[]).await.map_err(&at)?;
+        let trials = "DELETE FROM trial WHERE id IN (SELECT id FROM temp.chosen)";
+        sqlx::query(trials).execute(&mut *tx).await.map_err(&at)?;
         tx.commit().await.map_err(&at)
     }
 
@@ -54,17 +61,12 @@ impl Store {
         let at = self.at("reopening trials in");
         let (sweep, code) = (self.sweep, self.provenance.as_ref().map(|made| made.code.clone()));
         let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
-        sqlx::query("DROP TABLE IF EXISTS temp.other").execute(&mut *tx).await.map_err(&at)?;
+        sqlx::raw_sql(CHOSEN).execute(&mut *tx).await.map_err(&at)?;
         sqlx::query(OTHERS).bind(sweep).bind(code).execute(&mut *tx).await.map_err(&at)?;
-        let left: Vec<String> = sqlx::query_scalar(LEFT).fetch_all(&mut *tx).await.map_err(&at)?;
-        for table in left {
-            // Names of our own schema only.
-            let sql = format!("DELETE FROM {table} WHERE trial_id IN (SELECT id FROM temp.other)");
-            sqlx::query(AssertSqlSafe(sql)).execute(&mut *tx).await.map_err(&at)?;
-        }
+        clear(&mut tx, &["sweep_trial", "attempt", "log"]).await.map_err(&at)?;
         sqlx::raw_sql(EMPTY).execute(&mut *tx).await.map_err(&at)?;
         let count: i64 =
-            sqlx::query_scalar("SELECT count(*) FROM temp.other").fetch_one(&mut *tx).await.map_err(&at)?;
+            sqlx::query_scalar("SELECT count(*) FROM temp.chosen").fetch_one(&mut *tx).await.map_err(&at)?;
         tx.commit().await.map_err(&at)?;
         Ok(count as usize)
     }

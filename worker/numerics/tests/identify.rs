@@ -146,16 +146,21 @@ fn intervals_of_95_percent_hold_the_truth() {
     }
 }
 
-/// One unit on one ligament, pushed along it: stretching and mass show, shearing and bending do not. (With damping they
-/// would, through its formula.)
-#[test]
-fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
+/// One unit on one ligament, pushed along it, with its design, blows and records: stretching and mass show, shearing and
+/// bending do not. (With damping they would, through its formula.)
+fn pushed() -> (Scene, Vec<f64>, Forces, Vec<f64>) {
     // Some 50 Hz, which a clock of 200 Hz can follow
     let stiffness = Stiffness { stretch: 0.1, shear: 0.5, bend: 1.0 };
     let scene = Scene { linearised: true, damping_ratio: 0.0, stiffness, ..scene(1, 2, 1) };
     let design = scene.layout.initial_design(0.0);
     let forces = blows(&scene, 3);
     let signals = records(&scene, &design, &forces, 0.02, 0.0, 3);
+    (scene, design, forces, signals)
+}
+
+#[test]
+fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
+    let (scene, design, forces, signals) = pushed();
     let start = off_by(&scene, [1.2, 1.2, 1.2, 1.0, 0.9]);
     let free = [Parameter::Stretch, Parameter::Shear, Parameter::Bend, Parameter::Density];
     let found = fit(&start, &design, &forces, &signals, &settings(&free), &pool(1), &[], &mut |_| ());
@@ -173,11 +178,7 @@ fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
 /// A parameter that lies farther from the scene's than a fit may lead ends at the bound; that is not what records do not tell.
 #[test]
 fn what_lies_beyond_the_bound_is_said_to_be_at_the_bound() {
-    let stiffness = Stiffness { stretch: 0.1, shear: 0.5, bend: 1.0 };
-    let scene = Scene { linearised: true, damping_ratio: 0.0, stiffness, ..scene(1, 2, 1) };
-    let design = scene.layout.initial_design(0.0);
-    let forces = blows(&scene, 3);
-    let signals = records(&scene, &design, &forces, 0.02, 0.0, 3);
+    let (scene, design, forces, signals) = pushed();
     for (factor, bound) in [(0.1, BOX), (0.12, BOX), (8.5, 1.0 / BOX)] {
         let start = off_by(&scene, [factor, 1.0, 1.0, 1.0, 1.0]);
         let free = [Parameter::Stretch];

@@ -62,7 +62,10 @@ pub async fn contains(whole: &Path, part: &Path) -> sqlx::Result<bool> {
         for sql in questions {
             // Names of our own schema only.
             let sql = format!("SELECT EXISTS ({sql})");
-            lacking |= sqlx::query_scalar::<_, bool>(AssertSqlSafe(sql)).fetch_one(&mut db).await?;
+            lacking = sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut db).await?;
+            if lacking {
+                break;
+            }
         }
     }
     db.close().await?;
