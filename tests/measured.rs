@@ -28,7 +28,7 @@ files = ["blows.npz"]
 time = "time"
 force = ["force"]
 remove_offset = true
-trigger = { threshold = 0.1, before = 0.02 }
+trigger = { threshold = 0.1 }
 [brain]
 iterations = 10
 [optimise]
@@ -141,6 +141,16 @@ fn bad_records_and_sensors_are_refused() {
         ("force = [\"force\"]", "force = [\"F\"]", "has no array \"F\", but force, time"),
         ("threshold = 0.1", "threshold = 50.0", "never reaches the trigger's 50 N"),
         (
+            "threshold = 0.1",
+            "threshold = 0.1, before = 0.0",
+            "stimuli.recorded.augment.shift = [-0.02, 0.02]: cuts force of 100 % of its peak off the beginning of record 0",
+        ),
+        (
+            "threshold = 0.1",
+            "threshold = 0.1, before = 0.17",
+            "of its peak off the end of record 0: lengthen time.duration, or shift less",
+        ),
+        (
             "force_samples = 160",
             "force_samples = 100",
             "s.toml:19: stimuli.force_samples = 100: must be a multiple",
@@ -161,4 +171,23 @@ fn bad_records_and_sensors_are_refused() {
         assert_eq!(output.status.code(), Some(2), "{to}: {errors}");
         assert!(errors.contains(said), "{errors}\n{said}");
     }
+}
+
+/// A blow at a sample's very beginning is refused where fresh samples would lose it, and nowhere else; a name from before there
+/// was room by default stays that of its trial.
+#[test]
+fn a_trigger_without_room_is_for_blows_that_are_not_shifted() {
+    let bench = bench();
+    let spec = |before: &str, rest: &str| {
+        let text = SPEC.replace("threshold = 0.1", &format!("threshold = 0.1{before}"));
+        bench.file("s.toml", &text.replace("batch = 4", rest));
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
+    };
+    let paper = "protocol = \"paper\"";
+    let of_old = spec(", before = 0.0", paper);
+    // as the program before said
+    assert_eq!(of_old, "99420358c68b08e3cd1f1fa09158c6da");
+    assert_ne!(spec("", paper), of_old);
+    spec(", before = 0.0", "batch = 4\n[stimuli.recorded.augment]\nshift = [0.0, 0.02]");
 }

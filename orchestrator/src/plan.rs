@@ -261,7 +261,9 @@ fn add_points(
             let to_check = if spec.sensors.placements.is_some() { 0 } else { placements.len() - 1 };
             for (placement, units) in placements.iter().enumerate().skip(to_check) {
                 let trial = at(&template, placement, units, sweep.sweep.seeds[0]);
-                problem::problem(&trial).map_err(located)?;
+                problem::problem(&trial)
+                    .and_then(|problem| records::check_shifts(&problem))
+                    .map_err(located)?;
             }
             points.push(PointPlan {
                 placements,

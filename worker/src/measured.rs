@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use metasense_numerics::dynamics::Forces;
+use metasense_numerics::stimuli::{anti_aliased, resample};
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{self, Augment, Resample, TrialSpec};
 
@@ -78,7 +79,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
         }
         for (mut force, mut signal) in of_file.into_iter().zip(read) {
             fit(signals, &force, &signal, channels).map_err(|what| faulty(beside, what))?;
-            let later = records::align(recorded, &mut force).map_err(|what| records::at(file, what))?;
+            let later = records::align(recorded, &mut force, 0.0).map_err(|what| records::at(file, what))?;
             signal.start += later;
             records::in_units(
                 "signal",
@@ -116,6 +117,8 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
             }
         }
     }
+    let low_pass = recorded.resample == Resample::Antialias;
+    let clock = if low_pass { anti_aliased } else { resample };
     let read = |record: &Record| -> Vec<f64> {
         let delta = duration / instants as f64;
         let on_clock = |history: &Vec<f64>| {
@@ -128,7 +131,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     Ok(Measured {
         signals: readings.iter().flat_map(read).collect(),
         forces: Forces { samples: forces.len(), panels, instants: own, values },
-        low_pass: recorded.resample == Resample::Antialias,
+        low_pass,
     })
 }
 

@@ -10,7 +10,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use metasense_numerics::dynamics::Forces;
-use metasense_numerics::stimuli::{Recorded, anti_aliased, resample};
+use metasense_numerics::stimuli::{REACH, Recorded, Source, felt, resample};
+use metasense_numerics::trial::{Problem, Protocol};
 use metasense_schemas::spec::{self, Resample, Signal, TimeUnit, TrialSpec};
 
 use crate::files::{Array, Content, content};
@@ -115,10 +116,11 @@ pub(crate) fn recorded(
 ) -> Result<Recorded, Invalid> {
     check(recorded)?;
     let panels = trial.panel_units.len();
+    let room = REACH * trial.time.duration / trial.time.samples as f64 - recorded.augment.shift[0].min(0.0);
     let mut records = Vec::new();
     for file in &recorded.files {
         for mut record in forces(recorded, file, &open(file)?, panels)? {
-            align(recorded, &mut record).map_err(|what| at(file, what))?;
+            align(recorded, &mut record, room).map_err(|what| at(file, what))?;
             records.push(record);
         }
     }
@@ -149,11 +151,60 @@ pub(crate) fn recorded(
 }
 
 /// How a history is read onto another clock: (history, start, dt, duration, instants).
-pub(crate) fn clock(kind: Resample) -> fn(&[f64], f64, f64, f64, usize) -> Vec<f64> {
+pub(crate) type Clock = fn(&[f64], f64, f64, f64, usize) -> Vec<f64>;
+
+/// That of a force.
+pub(crate) fn clock(kind: Resample) -> Clock {
     match kind {
-        Resample::Antialias => anti_aliased,
+        Resample::Antialias => felt,
         Resample::Linear => resample,
     }
+}
+
+/// Part of its peak that a force may have where a shift cuts it off: of a half sine's impulse less than 0.1 % is below it, and
+/// noise of a force sensor may reach 0.02 in the record of a weak blow.
+const CUT: f64 = 0.05;
+
+/// Whether the fresh samples of `joint` have the whole force of their records, however these are shifted. The plan asks;
+/// trials that were run before it did are still read.
+///
+/// # Errors
+/// Names the record, and how much of its peak is cut.
+pub fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
+    let (Source::Recorded(Recorded { histories, shift, .. }), Protocol::Joint(_)) =
+        (&problem.stimuli.source, problem.optimise.protocol)
+    else {
+        return Ok(());
+    };
+    let instants = |time: f64| (time * histories.instants as f64 / problem.scene.duration).round() as usize;
+    let [early, late] = [instants(-shift[0]), instants(shift[1])];
+    let peak = |values: &[f64]| values.iter().fold(0.0, |peak: f64, f| peak.max(f.abs()));
+    let remedies = [
+        (early, "the beginning", "let trigger.before put it later"),
+        (late, "the end", "lengthen time.duration"),
+    ];
+    for (end, (cut, place, remedy)) in remedies.into_iter().enumerate() {
+        for i in 0..histories.samples {
+            let lost = |history: &[f64]| {
+                let cut = cut.min(history.len());
+                peak(if end == 0 { &history[..cut] } else { &history[history.len() - cut..] })
+            };
+            let record = histories.sample(i);
+            let part =
+                record.chunks_exact(histories.instants + 1).map(lost).fold(0.0, f64::max) / peak(record);
+            if part > CUT {
+                return Err(invalid(
+                    "stimuli.recorded.augment.shift",
+                    format!("{shift:?}"),
+                    format!(
+                        "cuts force of {:.0} % of its peak off {place} of record {i}: {remedy}, or shift less",
+                        100.0 * part
+                    ),
+                ));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// The forces of a file: of all panels a record, or of one.
@@ -209,7 +260,7 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     if !(recorded.scale.is_finite() && recorded.scale != 0.0) {
         return wrong("scale", recorded.scale.to_string(), "must be a number other than 0");
     }
-    if let Some(trigger) = recorded.trigger.filter(|t| !(t.threshold > 0.0 && t.before.is_finite())) {
+    if let Some(trigger) = recorded.trigger.filter(|t| t.threshold.is_nan() || t.threshold <= 0.0) {
         return wrong("trigger.threshold", trigger.threshold.to_string(), "must be above 0");
     }
     for (name, [least, most]) in
@@ -382,9 +433,9 @@ fn timed(pick: &Pick, clock: &[f64], values: Vec<Vec<f64>>) -> Result<Record, St
     Ok(Record { start, dt: dt * unit, values: values.iter().map(read).collect() })
 }
 
-/// Puts forces into newtons, without offset, and the blow where the trigger wants it. Returns by how much that is later
-/// than it was (s).
-pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record) -> Result<f64, String> {
+/// Puts forces into newtons, without offset, and the blow where the trigger wants it, where it does not say at `room` (s).
+/// Returns by how much that is later than it was (s).
+pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -> Result<f64, String> {
     let factor = recorded.force_unit.newtons() * recorded.scale;
     let factors = vec![factor; record.values.len()];
     in_units("force", &mut record.values, &factors, recorded.remove_offset)?;
@@ -394,7 +445,7 @@ pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record) -> Result<f6
         return Err(format!("holds a record that never reaches the trigger's {} N", trigger.threshold));
     };
     let before = record.start;
-    record.start = trigger.before - first as f64 * record.dt;
+    record.start = trigger.before.unwrap_or(room) - first as f64 * record.dt;
     Ok(record.start - before)
 }
 

@@ -186,9 +186,10 @@ pub enum Resample {
 pub struct Trigger {
     /// Force that the first entry of a blow reaches, in either direction, after `scale`. Unit: N.
     pub threshold: f64,
-    /// Time of that entry in the sample. Unit: s.
-    #[serde(default)]
-    pub before: f64,
+    /// Time of that entry in the sample. Unit: s. Default: room for the earliest of `augment.shift` and for 12 instants of
+    /// `time.samples`, the low-pass's reach; of measured signals 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub before: Option<f64>,
 }
 
 /// How a recorded sample is varied where protocol `"joint"` draws fresh ones from the training set.

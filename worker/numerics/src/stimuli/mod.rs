@@ -13,7 +13,8 @@ use std::ops::Range;
 use crate::dynamics::Forces;
 use crate::random::{Purpose, Stream};
 pub use irregular::{Irregular, irregular};
-pub use recorded::{Deal, Recorded, anti_aliased, resample};
+use recorded::within;
+pub use recorded::{Deal, REACH, Recorded, anti_aliased, felt, resample};
 
 /// Intervals, `[least, most]`, from which the parameters of a bell pulse are drawn uniformly.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -123,7 +124,8 @@ pub fn targets(forces: &Forces, instants: usize, low_pass: bool) -> Vec<f64> {
     let mut targets = Vec::with_capacity(forces.samples * instants * panels);
     for sample in forces.values.chunks_exact(panels * clock) {
         if low_pass && every > 1 {
-            let read = |history| anti_aliased(history, 0.0, 1.0, forces.instants as f64, instants);
+            let read =
+                |history: &[f64]| within(history, 0.0, 1.0, forces.instants as f64, instants, history[0]);
             let histories: Vec<Vec<f64>> = sample.chunks_exact(clock).map(read).collect();
             (1..=instants).for_each(|n| targets.extend(histories.iter().map(|f| f[n])));
         } else {

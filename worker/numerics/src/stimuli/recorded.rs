@@ -2,7 +2,8 @@
 //!
 //! A simulation takes f as linear between its instants, so `resample` onto a clock fine enough (`Scene::instants` of its
 //! own) loses nothing; a target must hold what a clock of T instants can say, so `anti_aliased` takes out all above
-//! half its rate first: a sinc of that cutoff in a Kaiser window (β = 8, stopband −80 dB), normalised at rest.
+//! half its rate first: a sinc of that cutoff in a Kaiser window (β = 8, stopband −80 dB), normalised at rest. Of a force all
+//! that acts within the sample stays there (`felt`): the low-pass would send half of a blow at its beginning to before it.
 
 use std::sync::Arc;
 
@@ -117,9 +118,48 @@ fn at(record: &[f64], s: f64) -> f64 {
     (1.0 - w) * record[i] + w * next
 }
 
-/// Half width of the window, in instants.
-const REACH: f64 = 12.0;
+/// Half width of the low-pass's window, in instants.
+pub const REACH: f64 = 12.0;
 const BETA: f64 = 8.0;
+
+/// A clock's low-pass: weights of a record's entries about an instant.
+struct LowPass {
+    /// Of instant 0, and from one instant to the next (entries).
+    origin: f64,
+    delta: f64,
+    /// Where the first weight stood against its instant, and the weights: where the clocks are in step, all have the same.
+    known: (f64, Vec<f64>),
+}
+
+impl LowPass {
+    fn new(origin: f64, delta: f64) -> Self {
+        Self { origin, delta, known: (0.0, Vec::new()) }
+    }
+
+    /// Of an instant, for entries whose values `entry` gives.
+    fn at(&mut self, n: usize, entry: impl Fn(i64) -> f64) -> f64 {
+        let (centre, reach) = (self.origin + n as f64 * self.delta, REACH * self.delta);
+        let first = (centre - reach).ceil();
+        if self.known.1.is_empty() || (centre - first - self.known.0).abs() > 1e-9 {
+            let last = (centre + reach).floor();
+            let weights: Vec<f64> =
+                (0..=(last - first) as i64).map(|i| self.weight(first + i as f64 - centre)).collect();
+            let total: f64 = weights.iter().sum();
+            self.known = (centre - first, weights.into_iter().map(|w| w / total).collect());
+        }
+        self.known.1.iter().enumerate().map(|(i, w)| w * entry(first as i64 + i as i64)).sum()
+    }
+
+    fn weight(&self, offset: f64) -> f64 {
+        let z = offset / self.delta;
+        let inside = 1.0 - (z / REACH).powi(2);
+        if inside <= 0.0 {
+            return 0.0;
+        }
+        let sinc = if z == 0.0 { 1.0 } else { (std::f64::consts::PI * z).sin() / (std::f64::consts::PI * z) };
+        sinc * bessel(BETA * inside.sqrt())
+    }
+}
 
 /// As `resample`, of the record without what lies above half a rate of T/duration. A record no finer than that clock is
 /// read linearly.
@@ -128,32 +168,48 @@ pub fn anti_aliased(record: &[f64], start: f64, dt: f64, duration: f64, instants
     if dt >= delta {
         return resample(record, start, dt, duration, instants);
     }
-    let reach = REACH * delta / dt;
-    let mut known = (0.0, Vec::new());
-    let weight = |offset: f64| {
-        let z = offset * dt / delta;
-        let inside = 1.0 - (z / REACH).powi(2);
-        if inside <= 0.0 {
-            return 0.0;
+    let mut low_pass = LowPass::new(-start / dt, delta / dt);
+    let entry = |i: i64| usize::try_from(i).ok().and_then(|i| record.get(i)).copied().unwrap_or(0.0);
+    (0..=instants).map(|n| low_pass.at(n, entry)).collect()
+}
+
+/// The same of a force, of which what acts from 0 to `duration` stays in the sample.
+pub fn felt(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
+    let delta = duration / instants as f64;
+    if dt >= delta {
+        return resample(record, start, dt, duration, instants);
+    }
+    let origin = -start / dt;
+    let mut low_pass = LowPass::new(origin, delta / dt);
+    // as what came before it has it
+    let beginning = low_pass.at(0, |i| at(record, origin - (origin - i as f64).abs()));
+    within(record, start, dt, duration, instants, beginning)
+}
+
+/// A force mirrored at both ends of the sample before the low-pass, so that it sends no impulse out of it. Instant 0 has no
+/// target: the force there is given, and the impulse that the low-pass has brought beyond it goes to instant 1.
+pub(super) fn within(
+    record: &[f64],
+    start: f64,
+    dt: f64,
+    duration: f64,
+    instants: usize,
+    beginning: f64,
+) -> Vec<f64> {
+    let (origin, length) = (-start / dt, duration / dt);
+    let mut low_pass = LowPass::new(origin, length / instants as f64);
+    let mirrored = |i: i64| {
+        let after = i as f64 - origin;
+        if (0.0..=length).contains(&after) {
+            return at(record, i as f64);
         }
-        let sinc = if z == 0.0 { 1.0 } else { (std::f64::consts::PI * z).sin() / (std::f64::consts::PI * z) };
-        sinc * bessel(BETA * inside.sqrt())
+        let turned = after.rem_euclid(2.0 * length);
+        at(record, origin + turned.min(2.0 * length - turned))
     };
-    let value = |n: usize| {
-        let centre = (n as f64 * delta - start) / dt;
-        let first = (centre - reach).ceil();
-        // where the clocks are in step, every instant has the same weights
-        if known.1.is_empty() || (centre - first - known.0).abs() > 1e-9 {
-            let last = (centre + reach).floor();
-            let weights: Vec<f64> =
-                (0..=(last - first) as i64).map(|i| weight(first + i as f64 - centre)).collect();
-            let total: f64 = weights.iter().sum();
-            known = (centre - first, weights.into_iter().map(|w| w / total).collect());
-        }
-        let at = |i: usize| usize::try_from(first as i64 + i as i64).ok().and_then(|i| record.get(i));
-        known.1.iter().enumerate().filter_map(|(i, w)| Some(w * at(i)?)).sum()
-    };
-    (0..=instants).map(value).collect()
+    let mut values: Vec<f64> = (0..=instants).map(|n| low_pass.at(n, mirrored)).collect();
+    values[1] += 0.5 * (values[0] - beginning);
+    values[0] = beginning;
+    values
 }
 
 /// I₀, the modified Bessel function of order 0, by its series.

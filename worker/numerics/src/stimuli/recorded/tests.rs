@@ -32,6 +32,49 @@ fn the_impulse_of_a_short_blow_stays() {
     assert!((sum(resample(&record, 0.0, dt, 1.0, 200)) / impulse - 1.0).abs() > 0.5);
 }
 
+/// A blow of 1 or 3 ms at the beginning, or at the end, of a sample: all of its impulse is in the targets, whatever clock
+/// the forces have between them and the record.
+#[test]
+fn the_impulse_of_a_blow_at_either_end_stays() {
+    let dt = 1.0 / 25_600.0;
+    for (onset, width) in [(0.0, 1e-3), (0.0, 3e-3), (0.004, 1e-3), (0.996, 3e-3)] {
+        let blow = |t: f64| if t > 0.0 && t < width { (TAU * t / (2.0 * width)).sin() } else { 0.0 };
+        // half a second before the sample, and after it
+        let record: Vec<f64> = (-12_800..38_400).map(|i| blow(f64::from(i) * dt - onset)).collect();
+        let impulse = record.iter().sum::<f64>() * dt;
+        for instants in [200, 800] {
+            let values = felt(&record, -0.5, dt, 1.0, instants);
+            let ends = 0.5 * (values[0] + values[instants]);
+            let simulated = (values.iter().sum::<f64>() - ends) / instants as f64;
+            let forces = Forces { samples: 1, panels: 1, instants, values };
+            let told = crate::stimuli::targets(&forces, 200, true);
+            let told = (told.iter().sum::<f64>() - 0.5 * told[199]) / 200.0;
+            for (what, kept) in [("simulated", simulated / impulse), ("told", told / impulse)] {
+                assert!((kept - 1.0).abs() < 1e-2, "{what}: {kept} of {width} s at {onset} s by {instants}");
+            }
+        }
+    }
+}
+
+/// A force that goes on through both ends is not altered there.
+#[test]
+fn a_force_that_goes_on_is_left_as_it_is() {
+    let dt = 1.0 / 25_600.0;
+    let force = |t: f64| 2.0 + (TAU * 0.5 * (t - 0.3)).cos();
+    let record: Vec<f64> = (-12_800..38_400).map(|i| force(f64::from(i) * dt)).collect();
+    for instants in [200, 800] {
+        let values = felt(&record, -0.5, dt, 1.0, instants);
+        let off = |(n, f): (usize, &f64)| (f - force(n as f64 / instants as f64)).abs();
+        let most = values.iter().enumerate().map(off).fold(0.0, f64::max);
+        assert!(most < 0.02, "{most} by {instants}");
+        let forces = Forces { samples: 1, panels: 1, instants, values };
+        let told = crate::stimuli::targets(&forces, 200, true);
+        let off = |(n, f): (usize, &f64)| (f - force((n + 1) as f64 / 200.0)).abs();
+        let most = told.iter().enumerate().map(off).fold(0.0, f64::max);
+        assert!(most < 0.02, "{most} of targets by {instants}");
+    }
+}
+
 /// Ends, outside and rounding.
 #[test]
 fn a_record_is_linear_inside_and_zero_outside() {
