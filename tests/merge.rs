@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use crate::common::SPEC;
-use metasense::cluster::merge::{Kind, MergeError, Summary, merge};
+use metasense::cluster::merge::{Kind, MergeError, Summary, merge, merge_facts};
 use metasense::plan::Plan;
 use metasense::store::{Array, Reader, RunPlan, Store, StoreError, npy_bytes};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
@@ -588,4 +588,101 @@ fn gc_removes_what_holds_nothing_of_its_own() {
     expected.extend([own_row, later]);
     expected.sort();
     assert_eq!(files(&shards).into_iter().map(|file| file.0).collect::<Vec<_>>(), expected);
+}
+
+/// The same rows as by a whole merge, but for what takes most of the bytes, which is named as lying in the inputs.
+#[test]
+fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    merged(pool(), &at("whole")).unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(merge_facts(pool(), &at("facts"))).unwrap();
+    for (i, file) in pool().iter().enumerate().rev() {
+        let read = runtime.block_on(merge_facts(std::slice::from_ref(file), &at("stepwise"))).unwrap();
+        assert_eq!((read.read, read.known), (if i + 1 == pool().len() { 1 } else { 2 }, 0));
+    }
+    for sql in [
+        "SELECT hash, state, reason, error_optimised, best_step, attempts, seconds, sweep, code, placed FROM v_trial",
+        "SELECT hash, attempt, state, reason, steps, started_at, ended_at, code, redone FROM v_attempt",
+        "SELECT * FROM v_network",
+        "SELECT * FROM v_run",
+        "SELECT * FROM v_log",
+        "SELECT name, text, spec, version, created_at FROM sweep",
+    ] {
+        let sorted = |db: &str| {
+            let mut rows = ask(&at(db), sql);
+            rows.sort();
+            rows
+        };
+        assert_eq!(sorted("facts"), sorted("whole"), "{sql}");
+        assert_eq!(sorted("stepwise"), sorted("whole"), "{sql}");
+    }
+    for table in ["step", "curve", "artifact", "checkpoint"] {
+        assert_eq!(ask(&at("facts"), &format!("SELECT count(*) FROM {table}")), ["[0]"], "{table}");
+    }
+    // Each trial's file has that trial, as far as it has come.
+    let homes = "SELECT t.hash, t.state, s.file FROM elsewhere e JOIN trial t ON t.id = e.trial_id JOIN source s ON s.id = e.source_id";
+    let homes = ask(&at("facts"), homes);
+    assert_eq!(homes.len(), ask(&at("facts"), "SELECT hash FROM trial").len());
+    for home in homes {
+        let [hash, state, file] = serde_json::from_str::<[String; 3]>(&home).unwrap();
+        let there =
+            format!("SELECT count(*) FROM trial WHERE hash = '{hash}' AND state IN ('{state}', 'running')");
+        assert_eq!(ask(Path::new(&file), &there), ["[1]"], "{home}");
+    }
+    // Nothing goes on from facts, and whole trials and facts are not mixed.
+    let facts = runtime.block_on(async {
+        let mut store = Store::open(at("facts")).await.unwrap();
+        let s = plan("s");
+        store.begin_sweep(&s.spec, &s.source.text, &s.trials).await
+    });
+    assert!(matches!(facts, Err(StoreError::FactsAlone { .. })), "{facts:?}");
+    assert!(matches!(merged(&pool()[..1], &at("facts")), Err(MergeError::Result { .. })));
+    let mixed = runtime.block_on(merge_facts(&pool()[..1], &at("whole")));
+    assert!(matches!(mixed, Err(MergeError::NotFacts(_))), "{mixed:?}");
+    assert_eq!(merged(&[at("facts"), pool()[0].clone()], &at("more")).unwrap().refused.len(), 1);
+}
+
+/// What is in the result as it lies is not opened again: it may even have become unreadable inside. What has changed is, and so is
+/// all after trials were taken out.
+#[test]
+fn a_second_merge_reads_only_what_is_new() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let files: Vec<PathBuf> = (0..4).map(|i| at(&format!("in-{i}.sqlite"))).collect();
+    for (i, file) in files.iter().enumerate() {
+        runtime.block_on(one(file, &format!("s{i}"), 0));
+    }
+    let out = at("out.sqlite");
+    merged(&files[..2], &out).unwrap();
+    // Of the same size, written at the same time.
+    let (kept, stamp) = (std::fs::read(&files[0]).unwrap(), files[0].metadata().unwrap().modified().unwrap());
+    let put = |bytes: &[u8]| {
+        use std::io::Write;
+        let mut file = std::fs::OpenOptions::new().write(true).open(&files[0]).unwrap();
+        file.write_all(bytes).unwrap();
+        file.set_modified(stamp).unwrap();
+    };
+    put(&vec![0xa5; kept.len()]);
+    let second = merged(&files[..3], &out).unwrap();
+    assert_eq!((second.read, second.known, second.refused.len()), (4, 2, 0), "the result is one of them");
+    let before = out.metadata().unwrap().modified().unwrap();
+    let third = merged(&files[..3], &out).unwrap();
+    assert_eq!((third.read, third.known, third.trials), (4, 3, second.trials));
+    assert_eq!(out.metadata().unwrap().modified().unwrap(), before, "nothing new was written all the same");
+    put(&kept);
+    runtime.block_on(database(&files[1], &plan("s1"), 1, &[(1, Life::Done(5.0, "avx2"))]));
+    assert_eq!(merged(&files, &out).unwrap().known, 2, "one has changed, one is new");
+    merged(&files, &at("at-once.sqlite")).unwrap();
+    assert_eq!(rows(&out), rows(&at("at-once.sqlite")));
+    let hash = plan("s0").trials[0].hash.clone();
+    runtime.block_on(async {
+        let mut store = Store::open(&out).await.unwrap();
+        store.remove([hash.as_str()].into_iter()).await.unwrap();
+        store.close().await.unwrap();
+    });
+    assert_eq!(merged(&files, &out).unwrap().known, 0);
+    assert_eq!(rows(&out), rows(&at("at-once.sqlite")), "what was taken out came again");
 }

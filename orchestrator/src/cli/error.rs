@@ -103,7 +103,9 @@ impl Error {
             Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
             Self::Engine(EngineError::NoWorkers(_)) => Exit::Unfit,
             Self::Engine(_) => Exit::Io,
-            Self::Merge(MergeError::Nothing { .. } | MergeError::Result { .. }) => Exit::BadInput,
+            Self::Merge(MergeError::Nothing { .. } | MergeError::Result { .. } | MergeError::NotFacts(_)) => {
+                Exit::BadInput
+            }
             Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
             Self::Merge(_)
             | Self::Home(_)

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Error, Format, print_rows};
-use crate::cluster::merge::{Kind, Summary, merge};
+use crate::cluster::merge::{Kind, Summary, merge, merge_facts};
 use crate::cluster::ranges;
 use crate::cluster::state::never_begun;
 use crate::exit::Exit;
@@ -14,7 +14,7 @@ use crate::plan::counted;
 ///
 /// The rows do not depend on the order of the files, nor on how often they are merged. Of each trial the most advanced copy is
 /// kept. Disagreements and omissions are listed; results are compared bit by bit between runs of the same instruction set.
-/// Inputs are not changed; `run SPEC --db FILE` runs what is missing.
+/// Inputs are not changed, and those that FILE holds already are not read again; `run SPEC --db FILE` runs what is missing.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Databases, also of other versions or of runs in progress; of a folder, every *.sqlite in it
@@ -23,6 +23,9 @@ pub(super) struct Args {
     /// The merged database; its earlier contents stay
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// Takes over facts alone (settings, results, attempts: some kB a trial); steps, curves and arrays are read where they lie
+    #[arg(long)]
+    facts: bool,
     /// The form of the list of disagreements and omissions
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -31,12 +34,15 @@ pub(super) struct Args {
 impl Args {
     /// The databases of a folder into one.
     pub fn folder(folder: &Path, out: &Path) -> Self {
-        Self { files: vec![folder.to_owned()], out: out.to_owned(), format: Format::default() }
+        Self { files: vec![folder.to_owned()], out: out.to_owned(), facts: false, format: Format::default() }
     }
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let summary = merge(&args.files, &args.out).await?;
+    let summary = match args.facts {
+        false => merge(&args.files, &args.out).await?,
+        true => merge_facts(&args.files, &args.out).await?,
+    };
     if !summary.findings.is_empty() {
         print_rows(&table(&summary), args.format)?;
     }
@@ -46,12 +52,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     for (sweep, count, missing) in &summary.missing {
         say!("{sweep}: no database of {} of its {count} shards: {}", missing.len(), ranges(missing));
     }
-    say_never(
-        &never_begun(&args.files, &args.out).await?,
-        &format!("metasense run SPEC --db {}", args.out.display()),
-    );
-    let Summary { read, trials, covered, not_compared, .. } = summary;
-    say!("{} from {}", counted(trials, "trial"), counted(read, "database"));
+    let remedy = match args.facts {
+        false => format!("metasense run SPEC --db {}", args.out.display()),
+        true => "metasense submit".to_owned(),
+    };
+    say_never(&never_begun(&args.files, &args.out).await?, &remedy);
+    let Summary { read, known, trials, covered, not_compared, .. } = summary;
+    let before = if known > 0 { format!(", {known} of them read before") } else { String::new() };
+    say!("{} from {}{before}", counted(trials, "trial"), counted(read, "database"));
     if covered + not_compared > 0 {
         say!(
             "there more than once: {covered} with nothing new, {not_compared} not compared, as their instruction sets \

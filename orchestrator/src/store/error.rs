@@ -64,6 +64,16 @@ pub enum StoreError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// Trials without their steps, curves and arrays.
+    #[error(
+        "{} holds facts alone, without steps, curves and arrays: nothing can go on from there; `metasense merge` makes a whole \
+         database of the files that they are of",
+        path.display()
+    )]
+    FactsAlone {
+        /// The file.
+        path: PathBuf,
+    },
     /// There is no such file.
     #[error("there is no database {}; `metasense run SPEC` makes one", path.display())]
     Missing {

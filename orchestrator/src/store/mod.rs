@@ -135,8 +135,7 @@ pub(crate) async fn check_version(
     let at = |source| StoreError::sql(path, "reading the version of", source);
     let application: i32 =
         sqlx::query_scalar("PRAGMA application_id").fetch_one(&mut *connection).await.map_err(at)?;
-    let version: i64 =
-        sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await.map_err(at)?;
+    let version = version(connection).await.map_err(at)?;
     let tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_schema")
         .fetch_one(&mut *connection)
         .await
@@ -157,6 +156,11 @@ pub(crate) async fn check_version(
         Ok(version) if version <= MIGRATIONS.len() => Ok(version),
         _ => Err(StoreError::Newer { path: path.to_owned(), version, known: MIGRATIONS.len() }),
     }
+}
+
+/// What a database says that its version is.
+pub(crate) async fn version(connection: &mut SqliteConnection) -> sqlx::Result<i64> {
+    sqlx::query_scalar("PRAGMA main.user_version").fetch_one(connection).await
 }
 
 /// Brings a copy of an older database to the newest version. Nobody else may know of it: nothing is locked.

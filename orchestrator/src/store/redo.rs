@@ -50,8 +50,10 @@ impl Store {
             self.ids.remove(hash);
         }
         clear(&mut tx, &[]).await.map_err(&at)?;
-        let trials = "DELETE FROM trial WHERE id IN (SELECT id FROM temp.chosen)";
-        sqlx::query(trials).execute(&mut *tx).await.map_err(&at)?;
+        // What they were merged of has them still, and may bring them again.
+        let trials =
+            "DELETE FROM trial WHERE id IN (SELECT id FROM temp.chosen); UPDATE source SET state = NULL";
+        sqlx::raw_sql(trials).execute(&mut *tx).await.map_err(&at)?;
         tx.commit().await.map_err(&at)
     }
 

@@ -20,6 +20,9 @@ pub enum Reopen {
 impl Store {
     /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing; where recorded
     /// forces lie elsewhere by now, it learns that.
+    ///
+    /// # Errors
+    /// `FactsAlone` where trials are here without what they would go on from.
     pub async fn begin_sweep(
         &mut self,
         spec: &SweepSpec,
@@ -27,6 +30,10 @@ impl Store {
         trials: &[Trial],
     ) -> Result<(), StoreError> {
         let at = self.at("recording the sweep in");
+        let facts = "SELECT EXISTS (SELECT 1 FROM elsewhere)";
+        if sqlx::query_scalar(facts).fetch_one(&mut self.connection).await.map_err(&at)? {
+            return Err(StoreError::FactsAlone { path: self.path.clone() });
+        }
         // One for all: they move together.
         let first = trials.first().map(|t| serde_json::to_string(&t.spec).expect("a trial is JSON"));
         let known: Option<i64> = sqlx::query_scalar(

@@ -5,13 +5,19 @@
 
 use std::path::Path;
 
+use metasense_schemas::database::MIGRATIONS;
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, ConnectOptions, Executor, Row};
 
+use super::Extent;
 use crate::store;
 
-/// A new database, made at the speed of the disk: if the machine goes down in the middle, nothing has been done.
-pub(super) async fn create(path: &Path) -> sqlx::Result<SqliteConnection> {
+/// Tables of what takes most of a trial's bytes: all others hold its facts.
+const BULK: [&str; 4] = ["step", "curve", "artifact", "checkpoint"];
+
+/// A database, new or as it is, written to at the speed of the disk: if the machine goes down in the middle, nothing has been
+/// done.
+pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
     let mut out = store::options(path)
         .create_if_missing(true)
         .foreign_keys(false)
@@ -22,13 +28,14 @@ pub(super) async fn create(path: &Path) -> sqlx::Result<SqliteConnection> {
         .pragma("temp_store", "MEMORY")
         .connect()
         .await?;
-    store::migrate(&mut out, 0).await?;
+    let version = store::version(&mut out).await? as usize;
+    store::migrate(&mut out, version.min(MIGRATIONS.len())).await?;
     out.execute(
         "CREATE TEMP TABLE candidate (input INTEGER, old INTEGER, hash TEXT, settled INTEGER, reached INTEGER,
            attempts INTEGER, redone INTEGER, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT, simd TEXT, error REAL);
          CREATE TEMP TABLE sweeps (input INTEGER, old INTEGER, name TEXT, text TEXT, version TEXT, spec TEXT,
            created_at TEXT, new INTEGER, chosen INTEGER);
-         CREATE TEMP TABLE kept (new INTEGER PRIMARY KEY, input INTEGER, old INTEGER, hash TEXT);",
+         CREATE TEMP TABLE kept (new INTEGER PRIMARY KEY, input INTEGER, old INTEGER, hash TEXT, reached INTEGER);",
     )
     .await?;
     Ok(out)
@@ -56,7 +63,8 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
         "INSERT INTO temp.candidate
          SELECT ?, t.id, t.hash,
            CASE t.state WHEN 'done' THEN 2 WHEN 'failed' THEN 0 WHEN 'pending' THEN 0 WHEN 'running' THEN 0 ELSE 1 END,
-           coalesce((SELECT (c.step << 32) + length(c.bytes) FROM src.checkpoint c WHERE c.trial_id = t.id), 0),
+           coalesce((SELECT (c.step << 32) + length(c.bytes) FROM src.checkpoint c WHERE c.trial_id = t.id),
+             (SELECT e.reached FROM src.elsewhere e WHERE e.trial_id = t.id), 0),
            (SELECT count(*) FROM src.attempt a WHERE a.trial_id = t.id),
            (SELECT coalesce(sum(a.redone), 0) FROM src.attempt a WHERE a.trial_id = t.id),
            coalesce((SELECT a.state <> 'running' AND a.reason IS NOT 'orchestrator_lost' FROM src.attempt a
@@ -73,33 +81,82 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
     Ok(())
 }
 
-/// Of each trial the copy that has come farthest: made again by other code; done; else with most steps behind it, then most attempts. A trial that
-/// failed and is open again has been asked for anew. Of several that are done, the first one. Sweeps are numbered as the store
-/// numbers them, the first one highest.
-pub(super) async fn choose(out: &mut SqliteConnection) -> sqlx::Result<()> {
-    out.execute(
+/// Of each trial the copy that has come farthest: made again by other code; done; else with most steps behind it, then most
+/// attempts. A trial that failed and is open again has been asked for anew. Of several that are done, the first one. Of equals
+/// the one that is in the result already (`base`) stays; of equal facts the last input's counts, as its file stays longest.
+/// Sweeps are numbered as the store numbers them, the first one highest.
+pub(super) async fn choose(
+    out: &mut SqliteConnection,
+    base: Option<usize>,
+    extent: Extent,
+) -> sqlx::Result<()> {
+    let base = base.map_or(-1, |base| base as i64);
+    let among_equals = match extent {
+        Extent::Whole => format!("input <> {base}, input"),
+        Extent::Facts => format!("input = {base}, input DESC"),
+    };
+    // Numbers and names of our own only.
+    out.execute(AssertSqlSafe(format!(
         "INSERT INTO temp.kept
-         SELECT row_number() OVER (ORDER BY input, old), input, old, hash FROM
-           (SELECT input, old, hash, row_number() OVER (PARTITION BY hash ORDER BY redone DESC, settled DESC, reached DESC,
-              CASE WHEN settled = 0 THEN attempts END DESC, ended DESC, open DESC, finished_at, last DESC, simd, error,
-              input) AS place
+         SELECT coalesce(there, (SELECT coalesce(max(old), 0) FROM temp.candidate WHERE input = {base})
+             + row_number() OVER (PARTITION BY there IS NULL ORDER BY input, old)), input, old, hash, reached FROM
+           (SELECT input, old, hash, reached, max(CASE input WHEN {base} THEN old END) OVER (PARTITION BY hash) AS there,
+              row_number() OVER (PARTITION BY hash ORDER BY redone DESC, settled DESC, reached DESC,
+                CASE WHEN settled = 0 THEN attempts END DESC, ended DESC, open DESC, finished_at, last DESC, simd, error,
+                {among_equals}) AS place
             FROM temp.candidate)
          WHERE place = 1;
          CREATE INDEX temp.kept_input ON kept (input, old);
          CREATE INDEX temp.kept_hash ON kept (hash);
          UPDATE temp.sweeps SET (new, chosen) = (n.new, n.chosen) FROM
            (SELECT rowid AS row, dense_rank() OVER (ORDER BY first DESC, name DESC, text DESC) AS new,
-              1 = row_number() OVER (PARTITION BY name, text ORDER BY version DESC, spec, input) AS chosen
+              1 = row_number() OVER (PARTITION BY name, text ORDER BY version DESC, spec, input <> {base}, input) AS chosen
             FROM (SELECT rowid, *, min(created_at) OVER (PARTITION BY name, text) AS first FROM temp.sweeps)) n
-         WHERE n.row = sweeps.rowid;",
-    )
+         WHERE n.row = sweeps.rowid"
+    )))
     .await?;
     Ok(())
 }
 
-/// Takes over what is chosen from an input.
-pub(super) async fn copy(out: &mut SqliteConnection, input: usize) -> sqlx::Result<()> {
+/// Makes room in the result, which was input `base`: trials of which another copy is kept go, with all that is theirs; sweeps get
+/// their new numbers.
+pub(super) async fn make_room(out: &mut SqliteConnection, base: usize) -> sqlx::Result<()> {
+    let mut sql = format!(
+        "BEGIN;
+         CREATE TEMP TABLE replaced AS SELECT c.old FROM temp.candidate c JOIN temp.kept k ON k.hash = c.hash
+           WHERE c.input = {base} AND k.input <> {base};
+         DELETE FROM main.sweep WHERE id IN (SELECT old FROM temp.sweeps WHERE input = {base} AND NOT chosen);"
+    );
+    for (table, key) in tables_of_trials(out).await? {
+        sql += &format!("DELETE FROM main.{table} WHERE {key} IN (SELECT old FROM temp.replaced);");
+    }
+    // By way of numbers that no row has.
+    for (table, key) in [("sweep", "id"), ("run", "sweep_id"), ("sweep_trial", "sweep_id")] {
+        sql += &format!(
+            "UPDATE main.{table} AS x SET {key} = s.new + (1 << 40) FROM temp.sweeps s
+               WHERE s.input = {base} AND s.old = x.{key} AND s.new <> s.old;
+             UPDATE main.{table} SET {key} = {key} - (1 << 40) WHERE {key} > (1 << 40);"
+        );
+    }
+    // Numbers and names of our own only.
+    out.execute(AssertSqlSafe(sql + "COMMIT")).await?;
+    Ok(())
+}
+
+/// Takes over what is chosen from an input, which is this file.
+pub(super) async fn copy(
+    out: &mut SqliteConnection,
+    input: usize,
+    file: &Path,
+    extent: Extent,
+) -> sqlx::Result<()> {
     out.execute("BEGIN").await?;
+    let source: i64 = sqlx::query_scalar(
+        "INSERT INTO main.source (file) VALUES (?) ON CONFLICT DO UPDATE SET state = NULL RETURNING id",
+    )
+    .bind(file.to_string_lossy())
+    .fetch_one(&mut *out)
+    .await?;
     let sweep = columns(out, "sweep", "id").await?;
     let run = columns(out, "run", "sweep_id").await?;
     let mut statements = vec![
@@ -122,12 +179,26 @@ pub(super) async fn copy(out: &mut SqliteConnection, input: usize) -> sqlx::Resu
             .to_owned(),
     ];
     for (table, key) in tables_of_trials(out).await? {
+        if table == "elsewhere" || extent == Extent::Facts && BULK.contains(&table.as_str()) {
+            continue;
+        }
         let columns = columns(out, &table, &key).await?;
+        let mut values = of_x(&columns);
+        if extent == Extent::Facts && table == "attempt" {
+            for (column, value) in FROM_STEPS {
+                values = values.replace(&format!("x.\"{column}\""), value);
+            }
+        }
         // CROSS JOIN: in this order, so that rows come as they are to lie.
         statements.push(format!(
-            "INSERT INTO main.{table} ({key}, {columns}) SELECT k.new, {} FROM temp.kept k
-             CROSS JOIN src.{table} x ON x.{key} = k.old WHERE k.input = ?1",
-            of_x(&columns)
+            "INSERT INTO main.{table} ({key}, {columns}) SELECT k.new, {values} FROM temp.kept k
+             CROSS JOIN src.{table} x ON x.{key} = k.old WHERE k.input = ?1"
+        ));
+    }
+    if extent == Extent::Facts {
+        statements.push(format!(
+            "INSERT INTO main.elsewhere (trial_id, source_id, reached) SELECT k.new, {source}, k.reached FROM temp.kept k
+             WHERE k.input = ?1"
         ));
     }
     for sql in statements {
@@ -138,17 +209,59 @@ pub(super) async fn copy(out: &mut SqliteConnection, input: usize) -> sqlx::Resu
     Ok(())
 }
 
+/// What steps say of an attempt, where the attempt itself does not: facts alone have no steps.
+const FROM_STEPS: [(&str, &str); 2] = [
+    (
+        "cpu_seconds",
+        "coalesce(x.cpu_seconds, (SELECT sum(p.seconds_simulate + p.seconds_train + p.seconds_differentiate
+             + p.seconds_implicit + p.seconds_project + p.seconds_store)
+           FROM src.step p WHERE p.trial_id = x.trial_id AND p.attempt = x.number), 0)
+         + CASE WHEN x.cpu_seconds IS NULL AND x.state = 'done'
+             THEN (SELECT coalesce(t.seconds_evaluation, 0) FROM src.trial t WHERE t.id = x.trial_id) ELSE 0 END",
+    ),
+    (
+        "ended_at",
+        "CASE x.state WHEN 'running' THEN (SELECT max(p.recorded_at) FROM src.step p
+           WHERE p.trial_id = x.trial_id AND p.attempt = x.number) ELSE x.ended_at END",
+    ),
+];
+
+/// Files that are merged with nothing left out, as they were: they are not read again while they are that.
+pub(super) async fn note(
+    out: &mut SqliteConnection,
+    sources: impl Iterator<Item = (&Path, &str)>,
+) -> sqlx::Result<()> {
+    out.execute("BEGIN").await?;
+    for (file, state) in sources {
+        let sql = "UPDATE main.source SET state = ? WHERE file = ?";
+        sqlx::query(sql).bind(state).bind(file.to_string_lossy()).execute(&mut *out).await?;
+    }
+    out.execute("COMMIT").await?;
+    Ok(())
+}
+
 /// What is left when all is there: attempts that a dead run, or one that goes on elsewhere, has left running.
 pub(super) async fn finish(out: &mut SqliteConnection) -> sqlx::Result<()> {
     out.execute(
         "UPDATE main.attempt AS a SET state = 'failed', reason = 'orchestrator_lost',
-           ended_at = coalesce((SELECT max(p.recorded_at) FROM main.step p
+           ended_at = coalesce(a.ended_at, (SELECT max(p.recorded_at) FROM main.step p
              WHERE p.trial_id = a.trial_id AND p.attempt = a.number), a.started_at) WHERE state = 'running';
          UPDATE main.trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running';
          UPDATE main.sweep SET created_at = (SELECT min(s.created_at) FROM temp.sweeps s WHERE s.new = sweep.id);",
     )
     .await?;
     Ok(())
+}
+
+/// Whether a database holds trials by their facts alone, and whether it holds whole ones.
+pub(super) async fn extents(db: &mut SqliteConnection, schema: &str) -> sqlx::Result<[bool; 2]> {
+    // Names of our own only.
+    let sql = format!(
+        "SELECT EXISTS (SELECT 1 FROM {schema}.elsewhere),
+           (SELECT count(*) FROM {schema}.trial) > (SELECT count(*) FROM {schema}.elsewhere)"
+    );
+    let (facts, whole): (bool, bool) = sqlx::query_as(AssertSqlSafe(sql)).fetch_one(db).await?;
+    Ok([facts, whole])
 }
 
 /// Trials in the result.

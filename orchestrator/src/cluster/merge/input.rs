@@ -20,14 +20,15 @@ use crate::store::{self, StoreError};
 pub(super) struct Input {
     /// As it was named.
     pub named: PathBuf,
-    /// To attach.
-    pub uri: String,
-    /// The file and what it was; `None` of a copy, and of what is locked already.
-    seen: Option<(PathBuf, Stamp)>,
+    /// The file behind links.
+    pub file: PathBuf,
+    /// What is attached: the file, or its copy.
+    pub path: PathBuf,
+    /// What the file was, where nobody was at work on it.
+    pub state: Option<String>,
+    /// Writers are kept out of it already.
+    held: bool,
 }
-
-/// What tells a file from what it was before: device, inode, size, time of its last change.
-type Stamp = (u64, u64, u64, i64, i64);
 
 /// Why an input cannot be attached.
 #[derive(Debug)]
@@ -67,11 +68,12 @@ impl Input {
         }
         let file = store::real(named);
         let lock = File::open(&file)?;
+        let mut state = Some(state_of(&lock)?);
         let busy = !held && matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
         let mut path = file.clone();
         if busy {
             snapshot(&file, copy, false, || true).await?;
-            path = copy.to_owned();
+            (path, state) = (copy.to_owned(), None);
         } else if store::has_journal(&file) {
             match store::copy_with_journal(&file, copy) {
                 // begun since
@@ -79,7 +81,7 @@ impl Input {
                 copied => copied?,
             }
             fold(copy, true).await?;
-            path = copy.to_owned();
+            (path, state) = (copy.to_owned(), None);
         }
         let version =
             store::ask_unchanging(&path, async |db| Ok(store::check_version(db, &file).await)).await;
@@ -91,25 +93,38 @@ impl Input {
             }
             store::upgrade(copy).await?;
         }
-        let as_it_is = path != copy && !held;
-        let seen = if as_it_is { Some((file, stamp(&lock)?)) } else { None };
-        Ok(Self { named: named.to_owned(), uri: uri(&path), seen })
+        Ok(Self { named: named.to_owned(), file, path, state, held })
     }
 
     /// Keeps writers out for as long as the handle lives; of a copy there is none.
     pub fn hold(&self) -> Result<Option<File>, Refusal> {
-        let Some((file, seen)) = &self.seen else { return Ok(None) };
-        let lock = File::open(file)?;
+        if self.path != self.file || self.held {
+            return Ok(None);
+        }
+        let lock = File::open(&self.file)?;
         let busy = matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
-        match busy || stamp(&lock)? != *seen || store::has_journal(file) {
+        match busy || Some(state_of(&lock)?) != self.state || store::has_journal(&self.file) {
             true => Err(Refusal::Changed),
             false => Ok(Some(lock)),
         }
     }
+
+    /// To attach.
+    pub fn uri(&self) -> String {
+        uri(&self.path)
+    }
 }
 
-fn stamp(file: &File) -> io::Result<Stamp> {
-    file.metadata().map(|m| (m.dev(), m.ino(), m.size(), m.mtime(), m.mtime_nsec()))
+/// What tells a file from what it was before: device, inode, size, time of its last change.
+fn state_of(file: &File) -> io::Result<String> {
+    file.metadata()
+        .map(|m| format!("{} {} {} {}.{:09}", m.dev(), m.ino(), m.size(), m.mtime(), m.mtime_nsec()))
+}
+
+/// Whether a file, behind links, is what it was, and nobody has left a log beside it.
+pub(super) fn is_as_before(file: &Path, state: &str) -> bool {
+    let now = File::open(file).and_then(|file| state_of(&file));
+    now.is_ok_and(|now| now == state) && !store::has_journal(file)
 }
 
 /// Folds what a killed run has left in the log into the file, so that nothing is lost with the log. `alone`: nobody else

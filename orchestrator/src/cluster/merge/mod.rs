@@ -1,14 +1,15 @@
 //! Databases into one: the same rows whatever the order of the files, and however often each is named.
 //!
-//! Of each trial the copy that has come farthest is kept, whole: its attempts, steps, networks and arrays. The result is
-//! built beside its place and renamed into it, so that a merge that is killed has done nothing. Inputs are never
-//! written to. An existing result is one more input.
+//! Of each trial the copy that has come farthest is kept, whole: its attempts, steps, networks and arrays; or its facts alone,
+//! with the file that has the rest. The result is built beside its place and renamed into it, so that a merge that is killed has
+//! done nothing. An existing result is copied and added to; what it was made of is not read again. Inputs are never written to.
 
 mod compare;
 mod contains;
 mod copy;
 mod input;
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -25,11 +26,22 @@ pub use contains::contains;
 pub(super) use input::snapshot;
 use input::{Input, Refusal};
 
+/// What of trials a merge takes over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Extent {
+    /// All that they are.
+    Whole,
+    /// All but steps, curves, arrays and checkpoints: some kB a trial.
+    Facts,
+}
+
 /// What a merge came to.
 #[derive(Debug, Default)]
 pub struct Summary {
-    /// Databases read.
+    /// Databases in the result, with `known`.
     pub read: usize,
+    /// Those of them that were in it before, as they are now: they were not read again.
+    pub known: usize,
     /// Files that could not be read, and why; nothing of theirs is in the result.
     pub refused: Vec<(PathBuf, String)>,
     /// Trials in the result.
@@ -69,6 +81,9 @@ pub enum MergeError {
         /// Why not.
         source: Box<StoreError>,
     },
+    /// Facts into whole trials.
+    #[error("{} holds whole trials; facts alone go into a file of their own", .0.display())]
+    NotFacts(PathBuf),
     /// An input could not be read, and is not at fault.
     #[error("cannot merge {} into {}; nothing was changed", input.display(), out.display())]
     Stopped {
@@ -102,8 +117,20 @@ fn first(refused: &[(PathBuf, String)]) -> String {
 /// Merges `files` into `out`, which is one of them if it exists. While it is made, no run and no other merge has it.
 ///
 /// # Errors
-/// If the result is in use, cannot be written, holds what cannot be read, or nothing can be read.
+/// If the result is in use, cannot be written, holds what cannot be read or facts alone, or nothing can be read.
 pub async fn merge(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
+    merge_as(Extent::Whole, files, out).await
+}
+
+/// The same with the facts of trials alone. What a result is made of may change: the last file that holds a trial counts.
+///
+/// # Errors
+/// The same, or if the result holds whole trials.
+pub async fn merge_facts(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
+    merge_as(Extent::Facts, files, out).await
+}
+
+async fn merge_as(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
     let out = &store::real(out);
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     let folder = files::folder(out);
@@ -115,7 +142,7 @@ pub async fn merge(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError>
     let scratch = folder.join(prefix + &files::own_mark());
     let _ = std::fs::remove_dir_all(&scratch);
     let summary = match std::fs::create_dir(&scratch) {
-        Ok(()) => merge_in(&scratch, files, out, &lock).await,
+        Ok(()) => merge_in(&scratch, extent, files, out, &lock).await,
         Err(e) => Err(unwritable(e)),
     };
     let _ = std::fs::remove_dir_all(&scratch);
@@ -141,7 +168,13 @@ fn has_no_locks(e: &io::Error) -> bool {
     e.kind() == io::ErrorKind::Unsupported || e.raw_os_error() == Some(libc::ENOLCK)
 }
 
-async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path, lock: &File) -> Result<Summary, MergeError> {
+async fn merge_in(
+    scratch: &Path,
+    extent: Extent,
+    files: &[PathBuf],
+    out: &Path,
+    lock: &File,
+) -> Result<Summary, MergeError> {
     let mut summary = Summary::default();
     let of_result = |source| MergeError::Result { path: out.to_owned(), source: Box::new(source) };
     let stopped = |input: &Path, source| MergeError::Stopped {
@@ -152,10 +185,22 @@ async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path, lock: &File) ->
     check_result(out)
         .await
         .map_err(|e| if let StoreError::InUse { .. } = e { e.into() } else { of_result(e) })?;
+    let ([facts, whole], known) =
+        made_of(out).await.map_err(|e| of_result(StoreError::sql(out, "reading", e)))?;
+    match extent {
+        Extent::Whole if facts => return Err(of_result(StoreError::FactsAlone { path: out.to_owned() })),
+        Extent::Facts if whole => return Err(MergeError::NotFacts(out.to_owned())),
+        _ => {}
+    }
+    let is_known = |file: &Path| known.get(file).is_some_and(|state| input::is_as_before(file, state));
     let mut inputs = Vec::new();
     let mut copies = (0..).map(|n| scratch.join(format!("input-{n}.sqlite")));
     let mut copy = || copies.next().expect("numbers do not end");
     for file in distinct(files, out) {
+        if is_known(&store::real(&file)) {
+            summary.known += 1;
+            continue;
+        }
         match opened(&file, &mut copy, store::real(&file) == out).await {
             Ok(input) => inputs.push(input),
             Err(Refusal::Shortage(source)) => return Err(stopped(&file, source)),
@@ -163,13 +208,23 @@ async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path, lock: &File) ->
             Err(Refusal::Changed) => summary.refused.push((file, CHANGES.into())),
         }
     }
+    if summary.known > 0 && inputs.iter().all(|input| input.file == out) {
+        let asked = store::ask_unchanging(out, async |db| {
+            Ok((copy::trials(db).await?, compare::missing_shards(db).await?))
+        });
+        (summary.trials, summary.missing) =
+            asked.await.map_err(|e| of_result(StoreError::sql(out, "reading", e)))?;
+        summary.read = inputs.len() + summary.known;
+        return Ok(summary);
+    }
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     let built = scratch.join("merged.sqlite");
     loop {
         if inputs.is_empty() {
             return Err(MergeError::Nothing { refused: summary.refused });
         }
-        let (i, why) = match build(&built, &inputs, &mut summary).await {
+        let base = inputs.iter().position(|input| input.file == out);
+        let (i, why) = match build(&built, extent, base, &inputs, &mut summary).await {
             Ok(()) => break,
             Err(Trouble::Output(source)) => {
                 return Err(MergeError::Sql { path: out.to_owned(), source });
@@ -177,7 +232,7 @@ async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path, lock: &File) ->
             Err(Trouble::Input(i, source)) if store::is_shortage(&source) => {
                 return Err(stopped(&inputs[i].named, source));
             }
-            Err(Trouble::Input(i, source)) if store::real(&inputs[i].named) == out => {
+            Err(Trouble::Input(i, source)) if Some(i) == base => {
                 return Err(of_result(StoreError::sql(out, "reading", source)));
             }
             Err(Trouble::Input(i, source)) => (i, format!("it cannot be read: {source}")),
@@ -202,7 +257,7 @@ async fn merge_in(scratch: &Path, files: &[PathBuf], out: &Path, lock: &File) ->
         summary.refused.push((inputs.remove(i).named, why));
         std::fs::remove_file(&built).map_err(unwritable)?;
     }
-    summary.read = inputs.len();
+    summary.read = inputs.len() + summary.known;
     put_in_place(&built, out, lock).await?;
     Ok(summary)
 }
@@ -252,33 +307,78 @@ enum Trouble {
     Output(sqlx::Error),
 }
 
-async fn build(path: &Path, inputs: &[Input], summary: &mut Summary) -> Result<(), Trouble> {
-    let mut out = copy::create(path).await.map_err(Trouble::Output)?;
+/// `base`: which input is the result as it was, to be added to.
+async fn build(
+    path: &Path,
+    extent: Extent,
+    base: Option<usize>,
+    inputs: &[Input],
+    summary: &mut Summary,
+) -> Result<(), Trouble> {
+    if let Some(i) = base {
+        std::fs::copy(&inputs[i].path, path).map_err(|e| Trouble::Output(e.into()))?;
+    }
+    let mut out = copy::open(path).await.map_err(Trouble::Output)?;
     for (i, input) in inputs.iter().enumerate() {
-        let foreign = attached(&mut out, i, input, async |out| match copy::foreign(out).await? {
-            None => copy::survey(out, i).await.map(|()| None),
-            foreign => Ok(foreign),
+        let refused = attached(&mut out, i, input, async |out| {
+            if let Some(column) = copy::foreign(out).await? {
+                let version = MIGRATIONS.len();
+                return Ok(Some(format!("its {column} is not a stored column as version {version} has it")));
+            }
+            if Some(i) != base && copy::extents(out, "src").await?[0] {
+                return Ok(Some("it holds facts alone: name the databases that they are of".to_owned()));
+            }
+            copy::survey(out, i).await.map(|()| None)
         });
-        if let Some(column) = foreign.await? {
-            let why = format!("its {column} is not a stored column as version {} has it", MIGRATIONS.len());
+        if let Some(why) = refused.await? {
             return Err(Trouble::Refused(i, Refusal::Input(why)));
         }
     }
-    copy::choose(&mut out).await.map_err(Trouble::Output)?;
-    for (i, input) in inputs.iter().enumerate() {
-        attached(&mut out, i, input, async |out| copy::copy(out, i).await).await?;
+    copy::choose(&mut out, base, extent).await.map_err(Trouble::Output)?;
+    if let Some(base) = base {
+        copy::make_room(&mut out, base).await.map_err(Trouble::Output)?;
+    }
+    for (i, input) in inputs.iter().enumerate().filter(|(i, _)| Some(*i) != base) {
+        attached(&mut out, i, input, async |out| copy::copy(out, i, &input.file, extent).await).await?;
     }
     copy::finish(&mut out).await.map_err(Trouble::Output)?;
-    let losers = compare::losers(&mut out).await.map_err(Trouble::Output)?;
     (summary.findings, summary.covered, summary.not_compared) = (Vec::new(), 0, 0);
-    for (i, input) in inputs.iter().enumerate().filter(|(i, _)| losers.contains(i)) {
-        attached(&mut out, i, input, async |out| compare::compare(out, i, inputs, summary).await).await?;
+    if extent == Extent::Whole {
+        let losers = compare::losers(&mut out).await.map_err(Trouble::Output)?;
+        for (i, input) in inputs.iter().enumerate().filter(|(i, _)| losers.contains(i)) {
+            attached(&mut out, i, input, async |out| compare::compare(out, i, inputs, summary).await).await?;
+        }
+        summary.findings.sort();
     }
-    summary.findings.sort();
+    // What there was something to say of is read, and said, again.
+    let is_said = |input: &Input| summary.findings.iter().any(|f| f.other == input.named);
+    let noted = inputs.iter().filter(|input| !is_said(input));
+    let noted = noted.filter_map(|input| Some((&*input.file, input.state.as_deref()?)));
+    copy::note(&mut out, noted).await.map_err(Trouble::Output)?;
     summary.trials = copy::trials(&mut out).await.map_err(Trouble::Output)?;
     summary.missing = compare::missing_shards(&mut out).await.map_err(Trouble::Output)?;
     out.close().await.map_err(Trouble::Output)
 }
+
+/// Files that a result was made of, behind links, each with what it was then.
+type Known = HashMap<PathBuf, String>;
+
+/// What a result holds, as [`copy::extents`] has it, and what it was made of.
+async fn made_of(out: &Path) -> sqlx::Result<([bool; 2], Known)> {
+    let sql = "SELECT file, state FROM source WHERE state IS NOT NULL";
+    store::ask_unchanging(out, async |db| {
+        if store::version(db).await? < MERGED {
+            return Ok(([false, out.metadata()?.len() > 0], Known::new()));
+        }
+        let rows: Vec<(String, String)> = sqlx::query_as(sql).fetch_all(&mut *db).await?;
+        let known = rows.into_iter().map(|(file, state)| (file.into(), state)).collect();
+        Ok((copy::extents(db, "main").await?, known))
+    })
+    .await
+}
+
+/// The first version of a database that knows what it was made of.
+const MERGED: i64 = 7;
 
 /// Does something with an input attached as `src`.
 async fn attached<T>(
@@ -289,7 +389,7 @@ async fn attached<T>(
 ) -> Result<T, Trouble> {
     let _lock = input.hold().map_err(|why| Trouble::Refused(i, why))?;
     let blame = |e: sqlx::Error| Trouble::Input(i, e);
-    sqlx::query("ATTACH ? AS src").bind(&input.uri).execute(&mut *out).await.map_err(blame)?;
+    sqlx::query("ATTACH ? AS src").bind(input.uri()).execute(&mut *out).await.map_err(blame)?;
     // What has failed may hold it attached; the file that is built goes then.
     let done = work(out).await.map_err(blame)?;
     sqlx::query("DETACH src").execute(&mut *out).await.map_err(Trouble::Output)?;
