@@ -65,6 +65,75 @@ fn shards_merged_are_the_sweep() {
     assert_eq!(number(&bench, "merged.sqlite", runs), 3);
 }
 
+/// A folder of shards answers as a whole database does, from their facts, to which it adds what is new; a trial's arrays are taken
+/// from its own shard; what facts do not hold is said.
+#[test]
+fn a_folder_of_shards_answers_questions_without_a_merge() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", &four());
+    bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+    let run = |shard: &str| {
+        bench.output(&["run", "tiny.toml", "--shard", shard, "--copy-to", "s.shards"]);
+    };
+    let refused = bench.metasense(&["query", "s.shards", "SELECT 1"]);
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+    let count = |state: &str| {
+        number(&bench, "s.shards", &format!("SELECT count(*) FROM v_trial WHERE state = '{state}'"))
+    };
+    run("1/2");
+    assert_eq!(count("done"), 2);
+    run("2/2");
+    assert_eq!(count("done"), 4);
+    let facts = || bench.path("s.shards/facts.db").metadata().unwrap().modified().unwrap();
+    let made = facts();
+    let trials = "SELECT hash, state, steps, attempts, error_initial, holdout_error_optimised, linear_holdout_error_initial, code
+        FROM v_trial ORDER BY hash";
+    for args in [
+        &["query", "DB", trials, "--format", "csv"][..],
+        &["query", "DB", "SELECT * FROM v_network ORDER BY 1, 8, 9", "--format", "csv"],
+        &["query", "DB", "SELECT * FROM v_reading ORDER BY 1, 10, 11, 12", "--format", "csv"],
+        &["analyse", "DB", "--question", "paired", "--format", "csv"],
+        &["analyse", "DB", "--question", "sensors", "--format", "csv"],
+    ] {
+        let of = |db: &str| {
+            bench.output(&args.iter().map(|a| if *a == "DB" { db } else { *a }).collect::<Vec<_>>())
+        };
+        assert_eq!(of("s.shards"), of("whole.sqlite"), "{args:?}");
+    }
+    let status = bench.metasense(&["status", "s.shards"]);
+    let said = String::from_utf8_lossy(&status.stderr).into_owned();
+    assert!(
+        said.contains("facts of 2 databases handed in; steps, curves and arrays are in these files"),
+        "{said}"
+    );
+    let hash = bench.output(&["query", "s.shards", "SELECT hash FROM v_trial LIMIT 1", "--format", "csv"]);
+    let hash = hash.lines().nth(1).unwrap();
+    for db in ["s.shards", "whole.sqlite"] {
+        bench.output(&["export", db, hash, "--format", "npy", "--out", &format!("{db}.npy")]);
+        bench.output(&["report", db, hash, "--out", &format!("{db}.html")]);
+    }
+    assert_eq!(bench.array("s.shards.npy"), bench.array("whole.sqlite.npy"));
+    let wave = |db: &str| {
+        std::fs::read_to_string(bench.path(&format!("{db}.html"))).unwrap().matches("<canvas").count()
+    };
+    assert_eq!(wave("s.shards"), wave("whole.sqlite"));
+    assert!(bench.output(&["status", "s.shards", hash]).lines().count() < 1000);
+    assert_eq!(facts(), made, "written again with nothing new");
+
+    // The whole merge of a folder takes no facts for a shard; without the files the rest of a trial is nowhere.
+    bench.output(&["merge", "s.shards", "--out", "merged.sqlite"]);
+    assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
+    bench.output(&["merge", "s.shards", "--facts", "--out", "facts.sqlite"]);
+    std::fs::remove_dir_all(bench.path("s.shards")).unwrap();
+    let gone = bench.metasense(&["export", "facts.sqlite", hash, "--format", "npy", "--out", "gone.npy"]);
+    let said = String::from_utf8_lossy(&gone.stderr).into_owned();
+    assert!(
+        said.contains("which cannot be read: merge the facts again") && said.contains("shard-"),
+        "{said}"
+    );
+    assert_eq!(gone.status.code(), Some(2));
+}
+
 /// Nodes of a cluster differ in their instruction sets, by which trials are estimated: whoever deals, every trial is dealt once.
 #[test]
 fn every_trial_has_a_shard_whatever_machine_deals() {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
+use super::named::Database;
 use super::{Error, Format, print_rows};
 use crate::analysis::compare::Comparison;
 use crate::analysis::{Question, Terms};
@@ -18,7 +19,8 @@ use crate::store::Reader;
 #[derive(Debug, clap::Args)]
 #[command(visible_alias = "analyze")]
 pub(super) struct Args {
-    /// The database
+    /// The database; of a folder of shards, their facts
+    #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
     /// Compare the database, trial by trial, with this one, which comes first: ratios of errors and seconds
     #[arg(long, value_name = "FIRST", conflicts_with_all = ["question", "within", "price"])]
@@ -42,7 +44,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
-    let (trials, made) = Reader::asked(&args.db, async |reader| {
+    let (trials, made) = Reader::asked(Database::at(&args.db).await?, async |reader| {
         Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?))
     })
     .await?;
@@ -88,8 +90,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Error> {
     let [a, b] = [
-        finished_trials(&mut Reader::open(first).await?).await?,
-        finished_trials(&mut Reader::open(second).await?).await?,
+        finished_trials(&mut Reader::open(Database::at(first).await?).await?).await?,
+        finished_trials(&mut Reader::open(Database::at(second).await?).await?).await?,
     ];
     let found = Comparison::new(&a, &b);
     let shown = |value: Option<&Value>| value.map_or("none".to_owned(), Value::to_string);

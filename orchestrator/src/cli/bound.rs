@@ -7,7 +7,7 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::bound::{Bound, bound};
 use serde_json::{Value, json};
 
-use super::named::Designed;
+use super::named::{Database, Designed};
 use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::look::Table;
@@ -84,7 +84,7 @@ async fn achieved(
     of: impl Fn(&TrialSpec, &[f64]) -> Result<Bound, Error>,
 ) -> Result<Vec<Vec<Value>>, Error> {
     let scene = scene(&json!(trial));
-    let trials = Reader::asked(db, async |reader| -> Result<_, Error> {
+    let trials = Reader::asked(Database::at(db).await?, async |reader| -> Result<_, Error> {
         let sql =
             "SELECT hash, spec, brain, trained_with, holdout_error_initial, linear_holdout_error_initial,
                      holdout_error_optimised, linear_holdout_error_optimised

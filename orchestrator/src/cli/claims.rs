@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use maud::html;
 
+use super::named::Database;
 use super::report::write_figures;
 use super::{Error, Format, print_rows, write};
 use crate::exit::Exit;
@@ -19,7 +20,8 @@ use crate::store::Reader;
 /// database (run SPEC --db FILE).
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database
+    /// The database; of a folder of shards, their facts
+    #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
     /// A row per claim, brain and set, with ratios, intervals and votes, instead of a row per claim
     #[arg(long)]
@@ -33,7 +35,7 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let (trials, made) = Reader::asked(&args.db, async |reader| {
+    let (trials, made) = Reader::asked(Database::at(&args.db).await?, async |reader| {
         Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?))
     })
     .await?;

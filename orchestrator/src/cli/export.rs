@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
 use metasense_worker::replay::drawing;
 
-use super::named::{Named, Which};
+use super::named::{Database, Named, Which};
 use super::query::answer_in;
 use super::{Error, write};
 use crate::analysis::Body;
@@ -77,7 +77,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             _ => return Err(Error::Usage(format!("{what} is a view: --format csv or parquet"))),
         };
         let sql = format!("SELECT * FROM {what}");
-        Reader::asked(db, async |reader| answer_in(reader, &sql, out, format).await).await?;
+        Reader::asked(Database::at(db).await?, async |reader| answer_in(reader, &sql, out, format).await)
+            .await?;
     } else {
         write(out, trial(&args.trial.stored().await?, &args)?)?;
     }

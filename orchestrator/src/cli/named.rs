@@ -10,6 +10,8 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::{design, simulate};
 
 use super::{Error, old};
+use crate::cluster::facts::Facts;
+use crate::cluster::home::attempts;
 use crate::look::Table;
 use crate::plan::{OneBody, Plan, Trial};
 use crate::store::{Reader, StoreError, Stored, quoted};
@@ -52,6 +54,43 @@ pub(super) struct Named {
     pub hash: Option<String>,
 }
 
+/// A database to read: a file, or the facts of the shards of a folder.
+#[derive(Debug)]
+pub(super) enum Database {
+    File(PathBuf),
+    Facts(Facts),
+}
+
+impl Database {
+    /// What a path stands for. Of a folder, what has been handed in since is added to its facts.
+    pub async fn at(path: &Path) -> Result<Self, Error> {
+        if !path.is_dir() {
+            return Ok(Self::File(path.to_owned()));
+        }
+        if attempts(path).is_empty() {
+            return Err(Error::Usage(format!(
+                "{} holds no database of a shard; name a database in it",
+                path.display()
+            )));
+        }
+        let mut facts = Facts::of(path).map_err(Error::io("making a folder in", std::env::temp_dir()))?;
+        for (file, why) in facts.look().await? {
+            say!("refused: {}: {why}", file.display());
+        }
+        say!("{}", facts.said());
+        Ok(Self::Facts(facts))
+    }
+}
+
+impl AsRef<Path> for Database {
+    fn as_ref(&self) -> &Path {
+        match self {
+            Self::File(path) => path,
+            Self::Facts(facts) => facts.db(),
+        }
+    }
+}
+
 /// Which body of a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum Which {
@@ -71,7 +110,8 @@ impl Named {
                 .and_then(|mut file| file.read_exact(&mut start))
                 .is_ok_and(|()| start == *MAGIC)
         };
-        self.source.extension().is_some_and(|e| e == "sqlite") || begins(&self.source)
+        let named_so = self.source.extension().is_some_and(|e| e == "sqlite");
+        named_so || self.source.is_dir() || begins(&self.source)
     }
 
     /// The hash that was asked for, or its beginning.
@@ -126,6 +166,7 @@ impl Named {
     /// The trial as it is stored; an error where it is not done.
     pub async fn stored(&self) -> Result<Stored, Error> {
         let (db, hash) = self.in_database()?;
+        let db = Database::at(&db).await?;
         let stored = Reader::asked(&db, async |reader| reader.stored(&hash).await).await?;
         stored.ok_or_else(|| Error::Usage(format!("trial {hash} is not done yet")))
     }
@@ -142,6 +183,7 @@ impl Named {
             return Ok((trial.hash, trial.spec));
         }
         let (db, hash) = self.in_database()?;
+        let db = Database::at(&db).await?;
         Reader::asked(&db, async |reader| {
             let hash = reader.hash_of(&hash).await?;
             let sql = format!("SELECT spec FROM trial WHERE hash = {}", quoted(&hash));

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::database::VIEWS;
 
+use super::named::Database;
 use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::files::Output;
@@ -18,7 +19,8 @@ use crate::store::Reader;
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
-    /// The database
+    /// The database; of a folder of shards, their facts
+    #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
     /// One SQL statement
     #[arg(required_unless_present = "views")]
@@ -36,7 +38,7 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { db, sql, format, out, .. } = args;
-    Reader::asked(&db, async |reader| {
+    Reader::asked(Database::at(&db).await?, async |reader| {
         let Some(sql) = &sql else {
             return Ok(print_rows(&views(reader, format).await?, format)?);
         };

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 
+use super::named::Database;
 use super::{Error, make_folder, write};
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
@@ -14,7 +15,8 @@ use crate::store::Reader;
 /// Writes answers and figures of a database as one HTML file
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database
+    /// The database; of a folder of shards, their facts
+    #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
     /// The trial whose forces, bodies and waves are shown, by its hash or the beginning of it [default: a typical one]
     hash: Option<String>,
@@ -33,7 +35,7 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let asked = async |reader: &mut Reader| load::story(reader, args.hash.as_deref(), args.terms).await;
-    let story = Reader::asked(&args.db, asked).await?;
+    let story = Reader::asked(Database::at(&args.db).await?, asked).await?;
     let (drawn, missing) = figures(&story, args.threads);
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
     write(&out, html(&story, &drawn, missing.as_deref()))?;

@@ -6,7 +6,7 @@ use std::time::SystemTime;
 use metasense_schemas::reason::{CANCELLED, PRUNED};
 use serde_json::{Value, json};
 
-use super::named::Named;
+use super::named::{Database, Named};
 use super::{Error, Format, print_rows};
 use crate::cluster::Assignment;
 use crate::cluster::queue;
@@ -57,7 +57,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             return Err(Error::Usage("--db is for a spec; a database is named in its place".into()));
         }
         if let Some(hash) = named.asked()? {
-            return Reader::asked(&named.source, async |reader| {
+            return Reader::asked(Database::at(&named.source).await?, async |reader| {
                 let hash = reader.hash_of(hash).await?;
                 one(reader, &hash, format).await
             })
@@ -72,7 +72,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         db
     };
-    let (table, failed, made) = Reader::asked(&db, async |reader| {
+    let (table, failed, made) = Reader::asked(Database::at(&db).await?, async |reader| {
         Ok::<_, Error>((
             reader.query(STATES).await?,
             reader.query::<Table>(FAILED).await?,

@@ -5,6 +5,7 @@
 //! each.
 
 mod assignment;
+pub mod facts;
 pub mod home;
 pub mod merge;
 pub mod places;

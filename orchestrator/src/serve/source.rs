@@ -1,22 +1,19 @@
-//! A database, or the shards of a folder merged into one, read for as long as somebody watches. Each state is published whole:
+//! A database, or the facts of the shards of a folder, read for as long as somebody watches. Each state is published whole:
 //! pages show the last one without waiting for the database.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
-use tempfile::TempDir;
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinHandle;
 
 use super::trials::{Keeper, Trials};
 use crate::analysis::Terms;
-use crate::cluster::home::attempts;
-use crate::cluster::merge::merge;
+use crate::cluster::facts::Facts;
 use crate::exit::chain;
 use crate::fleet::cpu_seconds;
-use crate::leftovers;
 use crate::look::{Answer, Figure, Table};
 use crate::progress::{FAILED, Looks, Progress};
 use crate::report::load::finished_trials;
@@ -48,7 +45,7 @@ pub struct Seen {
     pub generation: u64,
     /// When it was looked at last.
     pub checked: Option<Instant>,
-    /// The database; of shards the merged one, once there is any.
+    /// The database; of shards that of their facts, once there is any.
     pub db: PathBuf,
     /// Why it could not be looked at.
     pub trouble: Option<String>,
@@ -95,15 +92,15 @@ impl Source {
     /// Begins to watch a database, or a folder of shards.
     ///
     /// # Errors
-    /// Where there is no folder for what shards are merged into.
+    /// Where there is no folder for the facts of shards.
     pub fn new(path: &Path) -> std::io::Result<Self> {
         let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        let merged = path.is_dir().then(Merged::new).transpose()?;
+        let facts = path.is_dir().then(|| Facts::of(path)).transpose()?;
         let (publish, seen) = watch::channel(Arc::new(Seen::default()));
         let wanted = Arc::new(Notify::new());
         let watcher = Watcher {
             path: path.to_owned(),
-            merged,
+            facts,
             reader: None,
             version: -1,
             looks: Looks::default(),
@@ -146,48 +143,10 @@ impl Source {
     }
 }
 
-/// What the shards of a folder are merged into.
-#[derive(Debug)]
-struct Merged {
-    scratch: TempDir,
-    of: Vec<(PathBuf, u64, Option<SystemTime>)>,
-}
-
-impl Merged {
-    fn new() -> std::io::Result<Self> {
-        Ok(Self { scratch: leftovers::scratch("metasense-serve-")?, of: Vec::new() })
-    }
-
-    fn db(&self) -> PathBuf {
-        self.scratch.path().join("merged.sqlite")
-    }
-
-    /// Merges what shards have handed in since.
-    async fn look(&mut self, folder: &Path) -> Result<(), String> {
-        let files: Vec<PathBuf> = attempts(folder).into_values().flatten().collect();
-        let stamp = |path: PathBuf| {
-            let known = path.metadata().ok();
-            let (size, at) = (known.as_ref().map_or(0, |m| m.len()), known.and_then(|m| m.modified().ok()));
-            (path, size, at)
-        };
-        let of: Vec<_> = files.into_iter().map(stamp).collect();
-        if of.is_empty() {
-            return Err(format!("{} holds no database of a shard yet", folder.display()));
-        }
-        if of != self.of {
-            let changed: Vec<PathBuf> =
-                of.iter().filter(|file| !self.of.contains(file)).map(|file| file.0.clone()).collect();
-            merge(&changed, &self.db()).await.map_err(|e| chain(&e))?;
-            self.of = of;
-        }
-        Ok(())
-    }
-}
-
 /// Looks at one database.
 struct Watcher {
     path: PathBuf,
-    merged: Option<Merged>,
+    facts: Option<Facts>,
     /// With the file's number.
     reader: Option<(Reader, u64)>,
     version: i64,
@@ -233,11 +192,11 @@ impl Watcher {
             return Ok(());
         }
         let (begun, spent) = (Instant::now(), cpu());
-        let db = match &mut self.merged {
+        let db = match &mut self.facts {
             None => self.path.clone(),
-            Some(merged) => {
-                merged.look(&self.path).await?;
-                merged.db()
+            Some(facts) => {
+                facts.look().await.map_err(|e| chain(&e))?;
+                facts.db().to_owned()
             }
         };
         let number = db.metadata().map(|m| m.ino()).map_err(|e| format!("{}: {e}", db.display()))?;

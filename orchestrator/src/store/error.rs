@@ -74,6 +74,22 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
     },
+    /// The file that has the rest of a trial whose facts were merged.
+    #[error(
+        "{}: the steps, curves and arrays of trial {hash} were in {}, which cannot be read: merge the facts again",
+        path.display(),
+        file.display()
+    )]
+    Elsewhere {
+        /// The facts.
+        path: PathBuf,
+        /// The trial.
+        hash: String,
+        /// Where the rest was.
+        file: PathBuf,
+        /// Why it cannot be read.
+        source: Box<StoreError>,
+    },
     /// There is no such file.
     #[error("there is no database {}; `metasense run SPEC` makes one", path.display())]
     Missing {

@@ -131,7 +131,7 @@ impl Reader {
         path: impl AsRef<Path>,
         ask: impl AsyncFnOnce(&mut Self) -> Result<T, E>,
     ) -> Result<T, E> {
-        let mut reader = Self::open(path).await?;
+        let mut reader = Self::open(path.as_ref()).await?;
         let answer = ask(&mut reader).await;
         reader.close().await;
         answer
@@ -237,6 +237,32 @@ impl Reader {
         found.map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
+    /// The database that has a trial's steps, curves and arrays, where its facts alone are here; to be closed.
+    ///
+    /// # Errors
+    /// `Elsewhere` where that does not have it any more.
+    pub async fn rest_of(&mut self, hash: &str) -> Result<Option<Self>, StoreError> {
+        let sql = "SELECT s.file FROM trial t JOIN elsewhere e ON e.trial_id = t.id JOIN source s ON s.id = e.source_id
+             WHERE t.hash = ?";
+        let file: Option<String> = sqlx::query_scalar(sql)
+            .bind(hash)
+            .fetch_optional(&mut self.connection)
+            .await
+            .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+        let Some(file) = file.map(PathBuf::from) else { return Ok(None) };
+        let opened = async {
+            let mut rest = Self::open(&file).await?;
+            rest.hash_of(hash).await.map(|_| rest)
+        };
+        let gone = |source| StoreError::Elsewhere {
+            path: self.path.clone(),
+            hash: hash.to_owned(),
+            file: file.clone(),
+            source: Box::new(source),
+        };
+        opened.await.map(Some).map_err(gone)
+    }
+
     /// A trial's last checkpoint; `None` where it has none.
     ///
     /// # Errors
@@ -251,8 +277,17 @@ impl Reader {
         bytes.map(|bytes| read_checkpoint(hash, &bytes)).transpose()
     }
 
-    /// The stored arrays of a trial, by name.
+    /// The stored arrays of a trial, by name, wherever they lie.
     pub async fn arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
+        if let Some(mut rest) = self.rest_of(hash).await? {
+            let arrays = rest.own_arrays_of(hash).await;
+            rest.close().await;
+            return arrays;
+        }
+        self.own_arrays_of(hash).await
+    }
+
+    async fn own_arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
         let rows: Vec<(String, String, Vec<u8>)> = sqlx::query_as(
             "SELECT t.hash, a.name, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id
              WHERE t.hash = ? ORDER BY a.name",

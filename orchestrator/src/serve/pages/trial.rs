@@ -60,6 +60,11 @@ impl Trial {
     /// Reads it.
     pub async fn read(reader: &mut Reader, hash: &str) -> Result<Self, StoreError> {
         let hash = reader.hash_of(hash).await?;
+        if let Some(mut rest) = reader.rest_of(&hash).await? {
+            let trial = Box::pin(Self::read(&mut rest, &hash)).await;
+            rest.close().await;
+            return trial;
+        }
         let of = format!("WHERE hash = {}", quoted(&hash));
         let moves = format!("SELECT result->>'$.moves' FROM trial {of}");
         let mut ask = async |what: &str, from: &str, more: &str| -> Result<Table, StoreError> {
