@@ -375,6 +375,12 @@ fn a_pilot_says_what_it_cannot_measure() {
         assert!(wild.error.is_none() && wild.plan.reason.contains("no steps of the pilot"), "{wild:?}");
         assert_eq!(wild.plan.steps.count(), refined * law, "{factor}: {}", wild.plan.reason);
     }
+    // one sample of eight stands for none of the seven that cannot be simulated
+    let mut eight = pushes(&scene, 8, 0.4);
+    let one = eight.values.len() / 8;
+    eight.values[one..].iter_mut().for_each(|f| *f *= 1e200);
+    let alone = tune(&scene, &design, &eight, &auto, &pool(2));
+    assert!(alone.error.is_none() && alone.plan.reason.contains("no steps of the pilot"), "{alone:?}");
     forces.values.fill(0.0);
     let still = tune(&scene, &design, &forces, &auto, &pool(1));
     assert!(still.error.is_none() && still.counters.steps == 0, "{still:?}");

@@ -4,7 +4,7 @@ use super::evaluation::{BodyEvaluation, Comparison, NetworkEvaluation};
 use super::observe::{Control, Log};
 use super::state::State;
 use crate::brains::{Reader, own_reading, reader, readings};
-use crate::dynamics::Solver;
+use crate::dynamics::{Precision, Solver};
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Problem, Ridge, Samples, Trial, Trouble};
 
@@ -110,7 +110,8 @@ fn sets(
     counters: &mut Counters,
 ) -> Result<[Samples; 3], Trouble> {
     let problem = &trial.problem;
-    let mut of = |forces| Ok(trial.simulate_most(design, forces, solver, false, counters)?.samples);
+    let double = Precision::Double;
+    let mut of = |forces| Ok(trial.simulate_most(design, forces, solver, double, false, counters)?.samples);
     // every training sample, those too on which the initial body failed
     let [train, test] = problem.known();
     let train = if design == problem.initial { trial.initial.clone() } else { of(train)? };

@@ -12,10 +12,10 @@ use super::observe::Log;
 use super::state::{State, Waypoint};
 use crate::brain::TrainOutcome;
 use crate::brains::{FitOn, Learner, Loss, learner};
-use crate::dynamics::{Forces, Solver};
+use crate::dynamics::{Forces, Precision, Solver};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::select;
-use crate::trial::{Going, Protocol, Response, Samples, Terms, Trial, Trouble};
+use crate::trial::{BrainKind, Going, Protocol, Response, Samples, Terms, Trial, Trouble};
 
 /// What a protocol finds out about the state's design.
 pub(super) struct Sensed {
@@ -143,11 +143,14 @@ impl<'a> Session<'a> {
         solver: Solver,
         log: &mut Log,
     ) -> Result<[Response; 2], Trouble> {
+        let precision = self.precision();
         log.timed(
             |s| &mut s.simulate,
             |report| {
                 let mut of = |set: usize| {
-                    self.trial.simulate(&state.design, sets[set], &solver, tapes[set], &mut report.counters)
+                    let counters = &mut report.counters;
+                    let design = &state.design;
+                    self.trial.simulate(design, sets[set], &solver, precision, tapes[set], counters)
                 };
                 let (mut train, other) = (of(0)?, of(1)?);
                 // those on which the initial body failed train no body, and count against all
@@ -155,6 +158,14 @@ impl<'a> Session<'a> {
                 Ok([train, other])
             },
         )
+    }
+
+    /// Rounding is noise to a linear brain.
+    fn precision(&self) -> Precision {
+        match self.trial.problem.optimise.brain {
+            BrainKind::Linear => Precision::Double,
+            BrainKind::Network | BrainKind::Stacked => Precision::Single,
+        }
     }
 
     /// The integrator of a step that a going brain moves far.
@@ -212,7 +223,8 @@ impl<'a> Session<'a> {
             |s| &mut s.simulate,
             |report| {
                 let forces = trial.test.clone();
-                trial.simulate_most(&state.design, forces, &problem.solver, false, &mut report.counters)
+                let (double, counters) = (Precision::Double, &mut report.counters);
+                trial.simulate_most(&state.design, forces, &problem.solver, double, false, counters)
             },
         )?;
         Ok(self.test_error(&test, log))
@@ -241,7 +253,10 @@ impl<'a> Session<'a> {
         let forces = trial.problem.forces(Purpose::Fresh, first, going.batch);
         let response = log.timed(
             |s| &mut s.simulate,
-            |report| trial.simulate_most(design, forces, &solver, keep_tape, &mut report.counters),
+            |report| {
+                let (precision, counters) = (self.precision(), &mut report.counters);
+                trial.simulate_most(design, forces, &solver, precision, keep_tape, counters)
+            },
         )?;
         if step == log.report.step {
             log.report.fresh_samples = going.batch as u64 - response.samples.failures();

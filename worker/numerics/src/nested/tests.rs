@@ -2,7 +2,7 @@ use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
 use crate::brain::{self, Architecture, Data, TrainOutcome, Workspace};
-use crate::dynamics::{Accuracy, Frame, Method, Panel, Scene, Solver, Stiffness};
+use crate::dynamics::{Accuracy, Frame, Method, Panel, Precision, Scene, Solver, Stiffness};
 use crate::feasible::{Feasible, Limits};
 use crate::questions::{bound, replay, sense};
 use crate::random::{Purpose, Stream};
@@ -445,7 +445,8 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let mut workspace = Workspace::<f64>::new(shape, pool.width());
     let mut loss = |design: &[f64]| {
         let counters = &mut Counters::default();
-        let response = trial.simulate(design, &trial.test, &problem.solver, true, counters).unwrap();
+        let response =
+            trial.simulate(design, &trial.test, &problem.solver, Precision::Double, true, counters).unwrap();
         let (x, y) =
             (trial.scales.inputs(&response.samples.signals), trial.scales.targets(&response.samples.targets));
         let data = Data::<f64>::new(shape, &x, &y).with_output_weights(&variances);

@@ -22,7 +22,7 @@ pub use settings::{
     BrainKind, Decoder, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Terms, Training,
 };
 
-use crate::dynamics::{self, Forces, Outcome, Simulation, Solver, Tuned, Wrt, planned, tune};
+use crate::dynamics::{self, Forces, Outcome, Precision, Simulation, Solver, Tuned, Wrt, planned, tune};
 use crate::random::Purpose;
 use chip::Chip;
 
@@ -81,7 +81,8 @@ impl<'a> Trial<'a> {
         }
 
         let [mut train, test] = problem.known();
-        let simulation = simulated(&problem, &problem.initial, &train, &problem.solver, false, pool);
+        let simulation =
+            simulated(&problem, &problem.initial, &train, &problem.solver, Precision::Double, false, pool);
         few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
         let failed = silence(&mut train, &simulation.outcomes);
         let mut initial = problem.samples(simulation.signals, &train).with_failed(failed);
@@ -110,7 +111,7 @@ impl<'a> Trial<'a> {
         pilot(&self.problem, design, &self.asked, self.pool)
     }
 
-    /// Simulates a body under `forces` and counts the work.
+    /// Simulates a body under `forces`, with `Single` in f32 where steps are coarse, and counts the work.
     ///
     /// # Errors
     /// If a sample does not end well.
@@ -119,10 +120,11 @@ impl<'a> Trial<'a> {
         design: &[f64],
         forces: &Forces,
         solver: &Solver,
+        precision: Precision,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
-        let simulation = simulated(&self.problem, design, forces, solver, keep_tape, self.pool);
+        let simulation = simulated(&self.problem, design, forces, solver, precision, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
         Ok(self.response(simulation, forces, vec![false; forces.samples]))
@@ -137,10 +139,11 @@ impl<'a> Trial<'a> {
         design: &[f64],
         mut forces: Forces,
         solver: &Solver,
+        precision: Precision,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
-        let simulation = simulated(&self.problem, design, &forces, solver, keep_tape, self.pool);
+        let simulation = simulated(&self.problem, design, &forces, solver, precision, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         few_failed(&simulation.outcomes)?;
         let failed = silence(&mut forces, &simulation.outcomes);
@@ -188,18 +191,19 @@ pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &c
     tune(&problem.scene, design, &forces, solver, pool)
 }
 
-/// Simulates, in f64 where a linear brain trains: it takes f32's rounding for noise of the sensors, and bodies end at half as
-/// much error again (K = 2, M = 1, four seeds).
-fn simulated(
+/// Simulates; `Single` is for the steps that train a network alone. A linear brain takes f32's rounding for noise of the sensors,
+/// and bodies end at half as much error again (K = 2, M = 1, four seeds).
+pub(crate) fn simulated(
     problem: &Problem,
     design: &[f64],
     forces: &Forces,
     solver: &Solver,
+    precision: Precision,
     keep_tape: bool,
     pool: &crate::Pool,
 ) -> Simulation {
     let plan = planned(&problem.scene, design, forces, solver);
-    let plan = if problem.optimise.brain == BrainKind::Linear { plan.double() } else { plan };
+    let plan = if precision == Precision::Double { plan.double() } else { plan };
     dynamics::run(&problem.scene, design, forces, &plan, keep_tape, pool)
 }
 

@@ -3,7 +3,8 @@
 use super::super::protocol::Session;
 use super::*;
 use crate::brain::linear::Lags;
-use crate::brains::{Plain, Stack, own_reading, solve};
+use crate::brains::{Plain, Stack, own_reading, readings, solve};
+use crate::dynamics::{planned, run};
 use crate::place::placed;
 use crate::trial::{Placing, Samples};
 
@@ -129,7 +130,9 @@ fn the_whole_gradient_holds_through_simulator_and_solve() {
         let loss = |design: &[f64]| {
             let set = |forces| {
                 let counters = &mut Counters::default();
-                let found = trial.simulate(design, forces, &problem.solver, false, counters).unwrap();
+                let found = trial
+                    .simulate(design, forces, &problem.solver, Precision::Double, false, counters)
+                    .unwrap();
                 Plain::of(&found.samples, &trial.scales, pool.heartbeat())
             };
             let train = set(&trial.train);
@@ -181,7 +184,7 @@ fn readings_are_those_of_their_own_fits() {
     let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
     let sets: [Samples; 3] = [&trial.train, &trial.test, &holdout].map(|forces| {
         let (counters, solver) = (&mut Counters::default(), &trial.problem.solver);
-        trial.simulate(&problem.initial, forces, solver, false, counters).unwrap().samples
+        trial.simulate(&problem.initial, forces, solver, Precision::Double, false, counters).unwrap().samples
     });
     for reading in &found.readings {
         trial.problem.decoder = Decoder { lags: reading.lags, ridge: Ridge::Given(reading.ridge) };
@@ -195,6 +198,32 @@ fn readings_are_those_of_their_own_fits() {
     assert_eq!(own.networks.len(), 1);
     assert_eq!(own.networks[0].error_holdout, own.readings[0].error_holdout);
     assert_eq!(own.readings, found.readings);
+}
+
+/// However coarse the integrator and whatever brain trains, a body is read in f64: readings of both bodies are those of
+/// signals in f64, to the bit.
+#[test]
+fn readings_are_of_signals_in_double_precision() {
+    let mut problem = small(PROTOCOLS[2]);
+    (problem.solver.accuracy, problem.optimise.coarse) = (Accuracy(3e-2), None);
+    let pool = pool(1);
+    let trial = Trial::new(&problem, &pool).unwrap();
+    let found = super::super::optimise(&trial, None, &mut Keeper::default()).unwrap().unwrap();
+    let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    for body in [&found.initial, &found.optimised] {
+        let solver = if body.design == problem.initial {
+            trial.problem.solver
+        } else {
+            trial.tuned(&body.design).solver
+        };
+        let sets: [Samples; 3] = [&trial.train, &trial.test, &holdout].map(|forces| {
+            let plan = planned(&problem.scene, &body.design, forces, &solver);
+            assert_eq!(plan.precision, Precision::Single, "or this shows nothing: {}", plan.reason);
+            let signals = run(&problem.scene, &body.design, forces, &plan.double(), false, &pool).signals;
+            problem.samples(signals, forces)
+        });
+        assert_eq!(readings(&trial, &sets).unwrap(), body.readings);
+    }
 }
 
 /// A stacked network beside the plain one, on the same body: its inputs are more, its estimates of training samples come
