@@ -447,7 +447,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     read.delay = read.delay.filter(|delay| *delay != 0.0);
     let mut stimuli = spec.stimuli.clone().resolved();
     stimuli.force_samples = stimuli.force_samples.filter(|instants| *instants != spec.time.samples);
-    let (brain, mut optimise, evaluation) = brains::resolved(spec);
+    let (brain, mut optimise, evaluation, variation) = brains::resolved(spec);
     optimise.learning_rate = optimise.learning_rate.map(|rate| scale * rate);
     TrialSpec {
         body,
@@ -455,6 +455,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
         solver: spec.solver,
         sensors: read,
         stimuli,
+        variation,
         brain,
         optimise,
         evaluation,

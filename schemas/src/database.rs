@@ -12,6 +12,7 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0005.sql"),
     include_str!("../migrations/0006.sql"),
     include_str!("../migrations/0007.sql"),
+    include_str!("../migrations/0008.sql"),
 ];
 
 /// The stable views, and what a row of each is.
@@ -28,6 +29,12 @@ pub const VIEWS: &[(&str, &str)] = &[
         "v_reading",
         "errors (%) of a linear brain of one memory (s before and after an instant) on the initial or the optimised body, \
          whatever the trial's own brain",
+    ),
+    (
+        "v_cast",
+        "error (%) of one brain on one cast of the initial or the optimised body: `nominal` (linear, fitted to the body as \
+         designed), `casts` (linear, fitted to other casts), `records` (linear, fitted to so many samples of this cast), \
+         `network`; `nominal_error` is the linear brain's on the body as designed",
     ),
     ("v_network", "a fresh network on the initial or the optimised body, with its errors (%)"),
     (

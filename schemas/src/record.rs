@@ -230,6 +230,23 @@ pub struct Placed {
     pub energies: bool,
 }
 
+/// How one brain reads one cast of a body.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct CastReading {
+    /// Which cast, from 0; those of equal number are cast alike, whatever the body.
+    pub cast: u32,
+    /// `network`: the first network of the comparison; of linear brains `nominal`: fitted to the body as designed, `casts`: to
+    /// other casts, `records`: to samples of this one.
+    pub reader: String,
+    /// How many samples of this cast it was fitted to.
+    pub records: u32,
+    /// Prediction error on the holdout (%).
+    pub error: Option<f64>,
+    /// `ok`, or the named numerical outcome.
+    pub outcome: String,
+}
+
 /// A finished trial.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -257,4 +274,6 @@ pub struct TrialResult {
     /// The part of the initial and of the best body's accelerations and angular velocities that their linearisation at rest
     /// does not give (%).
     pub nonlinear: [Option<[f64; 2]>; 2],
+    /// How casts of the initial and of the best body are read.
+    pub casts: [Vec<CastReading>; 2],
 }

@@ -4,11 +4,11 @@ use metasense_numerics::brain::Adam;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brains::{self, Fresh, Learnt};
 use metasense_numerics::dynamics;
-use metasense_numerics::nested::{self, Best, State, Waypoint};
+use metasense_numerics::nested::{self, Best, CastBrain, State, Waypoint};
 use metasense_numerics::trial::{self, Problem};
 use metasense_schemas::record::{
-    self, BodyEvaluation, Checkpoint, Comparison, Counters, ImplicitRecord, Moments, NetworkEvaluation,
-    Placed, Reading, Seconds, StepRecord, Training,
+    self, BodyEvaluation, CastReading, Checkpoint, Comparison, Counters, ImplicitRecord, Moments,
+    NetworkEvaluation, Placed, Reading, Seconds, StepRecord, Training,
 };
 
 /// Not a number becomes absent.
@@ -125,6 +125,51 @@ pub fn checkpoint(state: &State) -> Checkpoint {
         comparison: Some(&state.comparison).filter(|c| !c.bodies.is_empty()).map(comparison).map(Box::new),
         moves: Vec::new(),
         found: state.found.clone(),
+        casts: state.comparison.casts.iter().map(|casts| cast_readings(casts)).collect(),
+    }
+}
+
+/// How casts of a body are read.
+pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
+    let reading = |reading: &nested::CastReading| {
+        let (reader, records) = match reading.by {
+            CastBrain::Network => ("network", 0),
+            CastBrain::Nominal => ("nominal", 0),
+            CastBrain::Casts => ("casts", 0),
+            CastBrain::Records(n) => ("records", n),
+        };
+        CastReading {
+            cast: reading.cast,
+            reader: reader.into(),
+            records,
+            error: finite(reading.error),
+            outcome: reading.trouble.map_or("ok", |trouble| trouble.name()).into(),
+        }
+    };
+    casts.iter().map(reading).collect()
+}
+
+/// The inverse of [`cast_readings`].
+fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastReading>, String> {
+    let reading = |reading: &CastReading| {
+        let by = match &*reading.reader {
+            "network" => CastBrain::Network,
+            "nominal" => CastBrain::Nominal,
+            "casts" => CastBrain::Casts,
+            "records" => CastBrain::Records(reading.records),
+            name => return Err(format!("a cast that is read by {name:?}")),
+        };
+        let trouble = trouble(&reading.outcome)?;
+        Ok(nested::CastReading { cast: reading.cast, by, error: reading.error, trouble })
+    };
+    casts.iter().map(reading).collect()
+}
+
+/// What went wrong, by its name.
+fn trouble(outcome: &str) -> Result<Option<trial::Trouble>, String> {
+    match outcome {
+        "ok" => Ok(None),
+        name => trial::Trouble::named(name).map(Some).ok_or_else(|| format!("a brain that ended {name:?}")),
     }
 }
 
@@ -158,7 +203,7 @@ fn comparison(comparison: &nested::Comparison) -> Comparison {
 pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String> {
     let parameters = problem.initial.len();
     let Checkpoint { step, design, design_moments, weights, weight_moments, best, trail, .. } = checkpoint;
-    let Checkpoint { caution, setbacks, trend, ridge, comparison, found, .. } = checkpoint;
+    let Checkpoint { caution, setbacks, trend, ridge, comparison, found, casts, .. } = checkpoint;
     let lengths = [design.len(), design_moments.first.len(), design_moments.second.len()];
     if lengths != [parameters; 3] || trail.iter().any(|waypoint| waypoint.design.len() != parameters) {
         return Err(format!(
@@ -169,6 +214,8 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         return Err(format!("a checkpoint whose steps are {caution} of what its protocol asks for"));
     }
     let waypoint = |w: record::Waypoint| Waypoint { step: w.step, design: w.design };
+    let casts = casts.iter().map(|casts| casts_read(casts)).collect::<Result<_, _>>()?;
+    let comparison = comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default();
     Ok(State {
         step,
         design,
@@ -179,7 +226,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         setbacks,
         trend,
         trail: trail.into_iter().map(waypoint).collect(),
-        comparison: comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default(),
+        comparison: nested::Comparison { casts, ..comparison },
         found,
     })
 }
@@ -203,6 +250,7 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
     let Seconds { simulate, train, differentiate, implicit, project, .. } = seconds;
     Ok(nested::Comparison {
         bodies: bodies.into_iter().map(evaluated).collect::<Result<_, _>>()?,
+        casts: Vec::new(),
         training: training.map(fresh),
         counters: trial::Counters {
             dynamics: dynamics::Counters {
@@ -221,12 +269,7 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
 /// The inverse of [`body_evaluation`].
 fn evaluated(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
     let network = |network: NetworkEvaluation| {
-        let trouble = match &*network.outcome {
-            "ok" => None,
-            name => {
-                Some(trial::Trouble::named(name).ok_or_else(|| format!("a network that ended {name:?}"))?)
-            }
-        };
+        let trouble = trouble(&network.outcome)?;
         let NetworkEvaluation { error_train, error_test, error_holdout, losses, errors, weights, .. } =
             network;
         let network = nested::NetworkEvaluation {

@@ -14,6 +14,7 @@ use metasense_numerics::trial::{
 };
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
 
+mod casts;
 mod optimise;
 mod stimuli;
 
@@ -21,6 +22,7 @@ pub use crate::invalid::Invalid;
 use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
 pub use metasense_numerics::brains::READINGS_MAX;
 
+use casts::{casting, casts, variation};
 pub use optimise::design_parameters;
 use optimise::{frozen, protocol, tie};
 use stimuli::{disturbance, stimuli};
@@ -54,6 +56,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         limits,
         stimuli: stimuli(trial)?,
         disturbance: disturbance(&trial.sensors, &trial.time)?,
+        variation: variation(trial)?,
         reader: kind(trial.brain.kind),
         decoder: decoder(trial)?,
         brain: Training {
@@ -68,6 +71,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
             rate: trial.optimise.clone().resolved().learning_rate.unwrap_or_default(),
             coarse: coarse.as_ref().map(|coarse| solver("optimise.coarse.method", coarse)).transpose()?,
+            casting: casting(trial)?,
         },
         evaluation: Evaluation {
             seeds: trial.evaluation.networks(),
@@ -76,6 +80,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
                 spec::Schedule::Constant => Schedule::Constant,
             },
             long: trial.evaluation.long_iterations,
+            casts: casts(trial)?,
         },
         seed: trial.point.seed,
         search: search(trial, &scene)?,

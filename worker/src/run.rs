@@ -95,6 +95,7 @@ fn result(optimised: Optimised, placed: Option<Placed>, pool: &Pool) -> TrialRes
         placed: placed.map(convert::placed),
         nonlinear: optimised.nonlinear,
         moves: Vec::new(),
+        casts: optimised.casts.map(|casts| convert::cast_readings(&casts)),
     }
 }
 

@@ -165,6 +165,7 @@ fn sweep() -> SweepSpec {
 
 fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
     let spec = |order: u32| TrialSpec {
+        variation: None,
         body: sweep.body.clone(),
         time: sweep.time,
         solver: sweep.solver,

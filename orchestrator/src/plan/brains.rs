@@ -1,7 +1,9 @@
 //! Which brains a trial has, and that it carries the keys of no other: equal trials have equal hashes.
 
 use metasense_schemas::source::{Source, SpecError};
-use metasense_schemas::spec::{Brain, BrainKind, Evaluation, Optimise, Ridge, SweepSpec};
+use metasense_schemas::spec::{
+    Brain, BrainKind, Evaluation, Objective, Optimise, Ridge, SweepSpec, Variation,
+};
 use metasense_worker::problem::lags;
 
 /// The brain that reads the bodies, and the one that trains them. A stacked one does not train.
@@ -22,15 +24,18 @@ fn has_linear(kind: BrainKind) -> bool {
 }
 
 /// Brain, outer loop and comparison of a combination, without keys that its brains do not read, defaults in place.
-pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
+pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option<Variation>) {
     let ([reader, trainer], none) = (kinds(spec), Brain::default());
-    let (mut brain, mut optimise, mut evaluation) =
-        (spec.brain.clone().resolved(), spec.optimise.clone(), spec.evaluation.resolved());
+    let (mut brain, mut optimise, mut evaluation) = (
+        spec.brain.clone().resolved(),
+        spec.optimise.clone(),
+        spec.evaluation.resolved(spec.variation.is_some()),
+    );
     if reader == BrainKind::Linear && trainer == BrainKind::Linear {
         brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };
     }
     if reader == BrainKind::Linear {
-        evaluation = Evaluation::of_linear();
+        evaluation = evaluation.of_linear();
     }
     if !has_linear(reader) && !has_linear(trainer) {
         (brain.memory, brain.ridge) = (None, None);
@@ -51,7 +56,14 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation) {
         units.sort_unstable();
         units
     });
-    (brain, optimise.resolved(), evaluation)
+    let optimise = optimise.resolved();
+    let (optimise, robust) = match optimise.objective {
+        Some(_) => (optimise, true),
+        None => (Optimise { casts: None, reader: None, ..optimise }, false),
+    };
+    // where no key asks about casts they scatter as they like
+    let variation = spec.variation.filter(|_| robust || evaluation.casts.is_some());
+    (brain, optimise, evaluation, variation.and_then(Variation::resolved))
 }
 
 /// Whether a spec gives a key.
@@ -70,6 +82,24 @@ pub(super) fn refuse_unread<'a>(
     if any(&|spec| spec.optimise.brain == Some(BrainKind::Stacked)) {
         let remedy = "a stacked brain only reads: must be \"cnn\" or \"linear\"";
         return Err(source.error("optimise.brain", remedy));
+    }
+    let robust = any(&|spec| spec.optimise.objective.and_then(Objective::tail).is_some());
+    let varied = any(&|spec| spec.variation.is_some());
+    let no_objective = "means nothing here: no trial has an optimise.objective over casts";
+    let no_variation = "means nothing here: no trial has a [variation]";
+    let of_casts: [(&str, bool, Given, &str); 4] = [
+        ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), no_objective),
+        ("optimise.reader", robust, &|s| s.optimise.reader.is_some(), no_objective),
+        ("evaluation.casts", varied, &|s| s.evaluation.casts.is_some(), no_variation),
+        (
+            "variation",
+            false,
+            &|s| s.variation.is_some_and(|v| v.resolved().is_none()),
+            "must say what scatters",
+        ),
+    ];
+    if let Some((key, _, _, remedy)) = of_casts.iter().find(|(_, read, given, _)| !read && any(*given)) {
+        return Err(source.error(key, remedy));
     }
     let linear = any(&|spec| kinds(spec).into_iter().any(has_linear));
     let network = any(&|spec| kinds(spec).into_iter().any(has_network));

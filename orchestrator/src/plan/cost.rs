@@ -29,6 +29,8 @@ const FACTOR_RATE: f64 = 2.5e10;
 /// Factors of the comparison, a body, and of a step, looks for a ridge included.
 const FACTORS: f64 = 8.0;
 const STEP_FACTORS: f64 = 1.5;
+/// And of the brains fitted anew to a cast.
+const CAST_FACTORS: f64 = 24.0;
 
 /// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, of a stacked one both; with biases.
 pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
@@ -135,17 +137,18 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     let coarse = sample_by(optimise.coarse.unwrap_or(trial.solver));
     let fresh =
         batch * (0.9 * coarse + 0.1 * one_sample) * (1.0 + REVERSE) + 0.1 * stimuli.test as f64 * one_sample;
+    let casts = optimise.casts.unwrap_or(1) as f64;
     let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory));
     let step = match optimise.protocol {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
         Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
-        Protocol::Joint if optimise.linear() => fresh + solve,
+        Protocol::Joint if optimise.linear() => casts * (fresh + solve),
         Protocol::Random | Protocol::Cmaes if optimise.linear() => simulate + solve,
         Protocol::Random | Protocol::Cmaes => simulate + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
         Protocol::Warm | Protocol::Envelope => simulate + differentiate + going,
         // each iteration on as many samples as a batch, and the loss of four of them
-        Protocol::Joint => fresh + (going + 4.0 * forward) * batch / train_samples.max(1.0),
+        Protocol::Joint => casts * (fresh + (going + 4.0 * forward) * batch / train_samples.max(1.0)),
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
     let trainings = if network { trial.evaluation.networks() as f64 * (1.0 + long) } else { 0.0 };
@@ -154,8 +157,11 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
         true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)),
         false => 0.0,
     };
-    let comparison =
-        2.0 * ((stimuli.samples + stimuli.holdout) as f64 * one_sample + trainings * train + readings);
+    let each = (stimuli.samples + stimuli.holdout) as f64 * one_sample;
+    let own_factor = CAST_FACTORS * factor(unknowns(trial, trial.brain.memory));
+    let cast = each + own_factor;
+    let of_casts = trial.evaluation.casts.map_or(0.0, |casts| casts as f64 * cast + 4.0 * each);
+    let comparison = 2.0 * (each + trainings * train + readings + of_casts);
     Seconds { steps: optimise.steps() as f64 * step, comparison }
 }
 

@@ -3,7 +3,8 @@
 use std::borrow::Cow;
 
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, Counters, NetworkEvaluation, Seconds, StepRecord, TrialResult, mean,
+    BodyEvaluation, CastReading, Checkpoint, Counters, NetworkEvaluation, Seconds, StepRecord, TrialResult,
+    mean,
 };
 use metasense_worker::milestones;
 use sqlx::Executor;
@@ -289,6 +290,9 @@ impl Store {
         for (body, evaluation) in [("initial", &result.initial), ("optimised", &result.optimised)] {
             self.insert_evaluation(id, body, evaluation, arrays).await?;
         }
+        for (body, casts) in ["initial", "optimised"].into_iter().zip(&result.casts) {
+            self.insert_casts(id, body, casts).await?;
+        }
         for array in arrays {
             self.insert_artifact(id, array.name, array.shape, array.npy.to_vec()).await?;
         }
@@ -366,6 +370,22 @@ impl Store {
         if !design.is_empty() {
             let bytes = npy_bytes(&shape, design);
             self.insert_artifact(id, &format!("alpha_{body}"), &shape, bytes).await?;
+        }
+        Ok(())
+    }
+
+    async fn insert_casts(&mut self, id: i64, body: &str, casts: &[CastReading]) -> sqlx::Result<()> {
+        for reading in casts {
+            sqlx::query("INSERT OR REPLACE INTO cast_reading VALUES (?, ?, ?, ?, ?, ?, ?)")
+                .bind(id)
+                .bind(body)
+                .bind(reading.cast)
+                .bind(&reading.reader)
+                .bind(reading.records)
+                .bind(finite(reading.error))
+                .bind(&reading.outcome)
+                .execute(&mut self.connection)
+                .await?;
         }
         Ok(())
     }
@@ -535,6 +555,7 @@ fn finite(value: Option<f64>) -> Option<f64> {
 /// The result as JSON; designs, loss curves and weights have their own places.
 fn without_bulk(result: &TrialResult) -> String {
     let mut small = result.clone();
+    small.casts = Default::default();
     for body in [&mut small.initial, &mut small.optimised] {
         body.design.clear();
         body.readings.clear();

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{BodyEvaluation, Counters, Seconds};
+use super::{BodyEvaluation, CastReading, Counters, Seconds};
 
 /// Adam on some parameters.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -93,6 +93,8 @@ pub struct Checkpoint {
     pub moves: Vec<(u32, Vec<usize>)>,
     /// Fitness of the candidates of a search without gradient so far.
     pub found: Vec<f64>,
+    /// How casts of the bodies of the comparison are read so far.
+    pub casts: Vec<Vec<CastReading>>,
 }
 
 /// Version 3, and the beginnings of it that were versions 1 (up to `protocol`) and 2 (up to `moves`).
@@ -136,6 +138,7 @@ impl From<Former> for Checkpoint {
             comparison,
             moves,
             found,
+            casts: Vec::new(),
         }
     }
 }
@@ -153,7 +156,7 @@ pub enum CheckpointError {
 
 impl Checkpoint {
     /// Of what [`Checkpoint::to_bytes`] writes.
-    pub const VERSION: u8 = 4;
+    pub const VERSION: u8 = 5;
 
     /// As it is stored.
     ///
@@ -172,8 +175,9 @@ impl Checkpoint {
         let former = |bytes: &[u8]| read::<Former>(bytes).map(Self::from);
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
+            // It ends before what came later, of which there is nothing; so do the others.
+            Some((4, rest)) => read(&[rest, &[0]].concat()),
             Some((3, rest)) => former(rest),
-            // They end before what came later, of which there is nothing.
             Some((2, rest)) => former(&[rest, &[0]].concat()),
             Some((1, rest)) => former(&[rest, &[0, 0, 0]].concat()),
             Some((version, _)) => Err(CheckpointError::Version(*version)),

@@ -13,6 +13,7 @@ mod solver;
 mod stimuli;
 mod trial;
 mod until;
+mod variation;
 
 pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
 pub use feasible::Feasible;
@@ -20,14 +21,15 @@ pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
 pub use named::{NotOne, position_of};
 pub use optimise::{
-    Auto, Brain, BrainKind, Curvature, Evaluation, GradientTerms, Network, Optimise, Preset, Protocol, Ridge,
-    Schedule,
+    Auto, Brain, BrainKind, CastReader, Curvature, Evaluation, GradientTerms, Network, Objective,
+    ObjectiveName, Optimise, Preset, Protocol, Ridge, Schedule, Tail,
 };
 pub use sensors::{Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{Augment, ForceUnit, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger};
 pub use trial::{Point, TrialSpec, flatten};
 pub use until::{AtMost, Until};
+pub use variation::Variation;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -56,6 +58,10 @@ pub struct SweepSpec {
     pub sensors: Sensors,
     /// The forces that strike the body.
     pub stimuli: Stimuli,
+    /// How castings scatter about the design: for bodies that are trained for it (`optimise.objective`), and to see what is
+    /// left of any (`evaluation.casts`). Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variation: Option<Variation>,
     /// What reads forces from signals: the paper's network, a linear decoder, or both.
     #[serde(default)]
     pub brain: Brain,

@@ -191,6 +191,68 @@ pub enum Curvature {
     GaussNewton,
 }
 
+/// Whose errors move the body.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Objective {
+    /// A word.
+    Named(ObjectiveName),
+    /// `{ cvar = q }`: the mean of the worst part 1 − q of the casts.
+    Tail(Tail),
+}
+
+/// Objectives that have a name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ObjectiveName {
+    /// `"nominal"`: the body as designed.
+    Nominal,
+    /// `"mean"`: the mean over casts.
+    Mean,
+    /// `"worst"`: the worst cast.
+    Worst,
+}
+
+/// The level of a conditional value at risk.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Tail {
+    /// q: 0.9 counts the worst tenth of the casts. Unit: 1.
+    pub cvar: f64,
+}
+
+impl Objective {
+    /// The part of the casts that counts, the worst ones; none of the body as designed.
+    #[must_use]
+    pub fn tail(self) -> Option<f64> {
+        match self {
+            Self::Named(ObjectiveName::Nominal) => None,
+            Self::Named(ObjectiveName::Mean) => Some(1.0),
+            Self::Named(ObjectiveName::Worst) => Some(0.0),
+            Self::Tail(Tail { cvar }) => Some(1.0 - cvar),
+        }
+    }
+
+    /// What is the same said in one way.
+    fn resolved(self) -> Option<Self> {
+        match self {
+            Self::Named(ObjectiveName::Nominal) => None,
+            Self::Tail(Tail { cvar: 0.0 }) => Some(Self::Named(ObjectiveName::Mean)),
+            other => Some(other),
+        }
+    }
+}
+
+/// Which brain reads the casts of a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum CastReader {
+    /// One brain for all casts: for bodies that are read without calibration.
+    One,
+    /// A brain for each cast, fitted to its samples: for bodies whose brain is fitted anew to each.
+    Each,
+}
+
 /// The outer loop over the body's design. What is left out gets the default of its protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -241,6 +303,17 @@ pub struct Optimise {
     /// Units whose shape stays. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frozen: Option<Vec<usize>>,
+    /// Whose errors move the body: `"nominal"`, the body as designed; over casts that scatter as `[variation]` says, drawn
+    /// anew each step, `"mean"`, `"worst"` or `{ cvar = 0.9 }`, the mean of the worst tenth; for `"joint"` only. Default:
+    /// `"nominal"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub objective: Option<Objective>,
+    /// Casts a step, `batch` samples each. Default: 3.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub casts: Option<usize>,
+    /// The brain that reads them while the body is trained: `"one"` for all, or `"each"` its own. Default: `"one"`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reader: Option<CastReader>,
 }
 
 /// Candidates that a search reads in some of the CPU time that `"joint"` takes, by a linear brain and by the network; and
@@ -260,6 +333,11 @@ impl Optimise {
             Protocol::Joint if self.linear() => (100, 0.3),
             Protocol::Joint => (350, 0.2),
         };
+        self.objective = self.objective.and_then(Objective::resolved);
+        if self.objective.is_some() {
+            self.casts.get_or_insert(3);
+            self.reader.get_or_insert(CastReader::One);
+        }
         self.iterations.get_or_insert(iterations);
         self.learning_rate.get_or_insert(learning_rate);
         if self.protocol == Protocol::Paper {
@@ -311,6 +389,9 @@ impl Default for Optimise {
             coarse: None,
             tie: None,
             frozen: None,
+            objective: None,
+            casts: None,
+            reader: None,
         }
     }
 }
@@ -339,22 +420,28 @@ pub struct Evaluation {
     /// others. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub long_iterations: Option<usize>,
+    /// Casts of the initial and of the optimised body, which no training has seen, that brains read in `v_cast`; 0: none.
+    /// Default: 24 where there is a `[variation]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub casts: Option<usize>,
 }
 
-/// Fresh networks a body where the spec does not say.
+/// Fresh networks a body, and casts of it where there is a variation, where the spec does not say.
 const NETWORKS: usize = 3;
+const CASTS: usize = 24;
 
 impl Evaluation {
-    /// Of a body that a network reads, with the default in place.
+    /// With the defaults in place, of a body that a network reads, of casts that do or do not vary.
     #[must_use]
-    pub fn resolved(self) -> Self {
-        Self { seeds: Some(self.networks()), ..self }
+    pub fn resolved(self, varied: bool) -> Self {
+        let casts = Some(self.casts.unwrap_or(CASTS)).filter(|casts| varied && *casts > 0);
+        Self { seeds: Some(self.networks()), casts, ..self }
     }
 
-    /// Of a body that a linear brain reads: it is solved for once.
+    /// The same of a body that a linear brain reads: it is solved for once.
     #[must_use]
-    pub fn of_linear() -> Self {
-        Self { seeds: Some(1), ..Self::default() }
+    pub fn of_linear(self) -> Self {
+        Self { seeds: Some(1), casts: self.casts, ..Self::default() }
     }
 
     /// Fresh networks a body.
@@ -366,6 +453,6 @@ impl Evaluation {
 
 impl Default for Evaluation {
     fn default() -> Self {
-        Self { seeds: None, schedule: Schedule::Cosine, long_iterations: None }
+        Self { seeds: None, schedule: Schedule::Cosine, long_iterations: None, casts: None }
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Body, Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Stimuli, Time};
+use super::{Body, Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Stimuli, Time, Variation};
 
 /// One point of a sweep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -35,6 +35,9 @@ pub struct TrialSpec {
     pub sensors: Sensors,
     /// The stimuli.
     pub stimuli: Stimuli,
+    /// How castings scatter, where a key asks about them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub variation: Option<Variation>,
     /// The brain.
     pub brain: Brain,
     /// The outer loop.

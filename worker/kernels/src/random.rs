@@ -29,6 +29,8 @@ pub enum Purpose {
     Chip = 9,
     /// Candidates of a search without gradient; counters: candidate, nothing.
     Search = 10,
+    /// Casts of a body; counters: what for and which, material or mould.
+    Cast = 11,
 }
 
 /// Where a stream has its bits from.

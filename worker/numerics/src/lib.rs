@@ -12,5 +12,6 @@ pub mod questions;
 pub mod stimuli;
 pub mod student;
 pub mod trial;
+pub mod variation;
 
 pub use metasense_kernels::{Heartbeat, Pool, body, brain, dynamics, random, simd};

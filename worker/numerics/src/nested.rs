@@ -7,6 +7,7 @@
 //! How far β is trained and which loss moves the body is the [`Protocol`]'s matter; the rest is the same for all.
 //! Searches without a gradient stand beside them as baselines. Afterwards the initial and the best body meet fresh networks, on the holdout too, which nothing else touches.
 
+mod casts;
 mod comparison;
 mod evaluation;
 mod observe;
@@ -16,11 +17,13 @@ mod schedule;
 mod search;
 mod state;
 
+pub use casts::{CastBrain, CastReading};
 pub use evaluation::{BodyEvaluation, Comparison, NetworkEvaluation};
 pub use observe::{Control, Observe};
 pub use report::{Report, Seconds};
 pub use state::{Best, State, Waypoint};
 
+use casts::read_casts;
 use comparison::evaluate;
 use observe::Log;
 use protocol::{Sensed, Session};
@@ -38,6 +41,8 @@ pub struct Optimised {
     pub optimised: BodyEvaluation,
     /// The outer step whose design is the best, by the test set.
     pub best_step: u32,
+    /// How casts of both bodies are read, where the trial asks about them.
+    pub casts: [Vec<CastReading>; 2],
     /// The part of both bodies' signals that their linearisation at rest does not give.
     pub nonlinear: [Option<Nonlinear>; 2],
     /// What the solvers came to, and why.
@@ -101,6 +106,9 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     for (turn, (design, solver)) in bodies.into_iter().enumerate() {
         evaluate(trial, design, solver, turn, &mut state, &mut log)?;
     }
+    for (turn, (design, solver)) in bodies.into_iter().enumerate() {
+        read_casts(trial, design, solver, turn, &mut state, &mut log)?;
+    }
     let nonlinear = bodies.map(|(design, solver)| {
         log.timed(|s| &mut s.simulate, |report| nonlinear(trial, design, solver, &mut report.counters))
     });
@@ -109,8 +117,20 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     counters.dynamics += tuned.counters;
     let solver = format!("{}. Best body: {}", trial.reason, tuned.plan.reason);
     let [initial, optimised] = <[_; 2]>::try_from(state.comparison.bodies).expect("two turns");
+    let mut casts = state.comparison.casts.into_iter();
+    let casts = [(); 2].map(|()| casts.next().unwrap_or_default());
     let signal_errors = [trial.error, tuned.error];
-    Some(Optimised { initial, optimised, best_step, nonlinear, solver, signal_errors, counters, seconds })
+    Some(Optimised {
+        initial,
+        optimised,
+        best_step,
+        casts,
+        nonlinear,
+        solver,
+        signal_errors,
+        counters,
+        seconds,
+    })
 }
 
 /// The comparison at the end for any designs: fresh networks of the same initial weights on each, until the observer says

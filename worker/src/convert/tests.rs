@@ -55,9 +55,24 @@ fn a_state_survives_its_checkpoint() {
     };
     let adam = Adam { m: few(weights), v: few(weights), t: 2 };
     let fresh = Fresh { weights: few(weights), adam, losses: vec![0.5], errors: Vec::new() };
+    let brains = [
+        CastBrain::Network,
+        CastBrain::Nominal,
+        CastBrain::Casts,
+        CastBrain::Records(10),
+        CastBrain::Records(30),
+    ];
+    let reading = |by| nested::CastReading {
+        cast: 7,
+        by,
+        error: Some(2.5),
+        trouble: trial::Trouble::named("diverged").filter(|_| by == CastBrain::Casts),
+    };
+    let casts = brains.map(reading).to_vec();
     let compared = |training| State {
         comparison: nested::Comparison {
             bodies: vec![body.clone(), nested::BodyEvaluation { long: Vec::new(), ..body.clone() }],
+            casts: vec![casts.clone(), casts[..2].to_vec()],
             training,
             counters: trial::Counters { brain_iterations: 5, ..Default::default() },
             seconds: nested::Seconds { train: 2.0, ..Default::default() },

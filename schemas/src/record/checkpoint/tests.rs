@@ -17,6 +17,9 @@ const COMPARISON: &str = "01 \
 const MOVES: &str = "01 c801 02 03 05";
 const FOUND: &str = "02 0000000000002940 000000000000f07f";
 
+/// Of two bodies: two readings, a cast, a name, records, 2.0 % and ok; none.
+const CASTS: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 01077265636f726473ac02 010000000000000040 026f6b 00";
+
 fn bytes(digits: &str) -> Vec<u8> {
     let digits: Vec<u8> = digits.bytes().filter(u8::is_ascii_hexdigit).collect();
     let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
@@ -89,17 +92,28 @@ fn checkpoints_of_all_versions_go_on() {
         found: vec![12.5, f64::INFINITY],
         ..second.clone()
     };
+    let reading = |cast, reader: &str, records| CastReading {
+        cast,
+        reader: reader.into(),
+        records,
+        error: Some(2.0),
+        outcome: "ok".into(),
+    };
+    let casts = vec![vec![reading(0, "nominal", 0), reading(1, "records", 300)], Vec::new()];
+    let fifth = Checkpoint { casts, ..third.clone() };
     let version_1 = bytes(&["01", HEAD, CAUTION].concat());
     let version_2 = bytes(&["02", HEAD, CAUTION, COMPARISON, MOVES].concat());
     let version_3 = bytes(&["03", HEAD, PROTOCOL, COMPARISON, MOVES, FOUND].concat());
     let version_4 = bytes(&["04", HEAD, NAMED, COMPARISON, MOVES, FOUND].concat());
+    let version_5 = bytes(&["05", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS].concat());
     assert_eq!(Checkpoint::from_bytes(&version_1), Ok(first));
     assert_eq!(Checkpoint::from_bytes(&version_2), Ok(second));
     assert_eq!(Checkpoint::from_bytes(&version_3), Ok(third.clone()));
     assert_eq!(Checkpoint::from_bytes(&version_4), Ok(third.clone()));
-    assert_eq!(third.to_bytes(), version_4);
+    assert_eq!(Checkpoint::from_bytes(&version_5), Ok(fifth.clone()));
+    assert_eq!(fifth.to_bytes(), version_5);
     assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
-    for stored in [version_1, version_2, version_3, version_4] {
+    for stored in [version_1, version_2, version_3, version_4, version_5] {
         for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {
             assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
         }

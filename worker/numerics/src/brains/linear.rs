@@ -161,6 +161,14 @@ impl<'a> LinearLearner<'a> {
         }
     }
 
+    /// λ of the initial body's training samples: a few of a cast tell none.
+    fn first_ridge(&self, learnt: &mut Learnt) -> Result<f64, Trouble> {
+        match learnt.ridge {
+            Some(ridge) => Ok(ridge),
+            None => Ok(*learnt.ridge.insert(self.ridge(&self.plain(&self.trial.initial), None)?)),
+        }
+    }
+
     /// The weights for the samples of the last bodies, older ones counting less; now and then the ridge by which the older
     /// ones read the newest best.
     fn solve_recent(&self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
@@ -173,7 +181,7 @@ impl<'a> LinearLearner<'a> {
             moments.add(&samples.x, &samples.y, &w);
         }
         match learnt.ridge {
-            None => learnt.ridge = Some(self.ridge(&self.plain(&trial.initial), None)?),
+            None => drop(self.first_ridge(learnt)?),
             Some(last) if step.is_multiple_of(RIDGE_EVERY) && bodies.len() > 1 => {
                 let error = |ridge| {
                     let linear = solve(&moments, lags, ridge).ok()?.linear();
@@ -212,9 +220,12 @@ impl Learner for LinearLearner<'_> {
                 self.linear = Some((self.solve_recent(&bodies, step, learnt)?, None));
                 bodies.pop().expect("the newest")
             }
-            FitOn::Optimum(train) | FitOn::GoOn(train) | FitOn::ByNeed(train, _) => {
+            FitOn::Optimum(train) | FitOn::GoOn(train) | FitOn::ByNeed(train, _) | FitOn::Cast(train) => {
                 let train = self.plain(train);
-                let ridge = self.ridge_at(step, &train, learnt)?;
+                let ridge = match on {
+                    FitOn::Cast(_) => self.first_ridge(learnt)?,
+                    _ => self.ridge_at(step, &train, learnt)?,
+                };
                 let fit = solve(&train.moments(), self.trial.problem.decoder.lags, ridge)?;
                 self.linear = Some((fit.linear(), matches!(on, FitOn::Optimum(_)).then_some(fit)));
                 train

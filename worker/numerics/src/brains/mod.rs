@@ -139,6 +139,8 @@ pub(crate) enum FitOn<'a> {
     GoOn(&'a Samples),
     /// Likewise, until its loss is in line with this trend.
     ByNeed(&'a Samples, Option<f64>),
+    /// Likewise, on a few samples of one cast of the body.
+    Cast(&'a Samples),
     /// Likewise, on the last bodies, the newest last.
     Recent(&'a [&'a Samples]),
 }

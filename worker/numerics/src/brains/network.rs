@@ -317,7 +317,7 @@ impl Learner for NetworkLearner<'_> {
         self.first_training(learnt, counters)?;
         let loss = match on {
             FitOn::Optimum(_) => unreachable!("returned above"),
-            FitOn::GoOn(train) => {
+            FitOn::GoOn(train) | FitOn::Cast(train) => {
                 let data = self.data(train);
                 self.go_on(data.all(), learnt, counters)?
             }

@@ -10,11 +10,13 @@ use crate::trial::{BrainKind, Counters, Problem, Ridge, Samples, Trial, Trouble}
 
 impl Comparison {
     /// The part of the whole trial that is done, with so many iterations of the network in training.
-    fn part(&self, iterations: usize, problem: &Problem) -> f64 {
+    pub(super) fn part(&self, iterations: usize, problem: &Problem) -> f64 {
         let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
-        let each = if problem.reader == BrainKind::Linear { all } else { problem.brain.iterations };
+        let linear = problem.reader == BrainKind::Linear;
+        let each = if linear { problem.linear_iterations() } else { problem.brain.iterations };
         let of = |body: &BodyEvaluation| body.networks.len() * each + body.long.len() * long;
-        let done = self.bodies.iter().map(of).sum::<usize>() + iterations;
+        let casts = (0..self.casts.len()).map(|turn| self.casts_read(turn) * problem.linear_iterations());
+        let done = self.bodies.iter().map(of).chain(casts).sum::<usize>() + iterations;
         let left = 1.0 - problem.progress(problem.optimise.iterations);
         1.0 - left * (1.0 - done as f64 / (2 * all) as f64)
     }
@@ -119,7 +121,7 @@ fn sets(
 }
 
 /// Hands the observer the state, with what the report says of the comparison.
-fn save(state: &mut State, log: &mut Log) {
+pub(super) fn save(state: &mut State, log: &mut Log) {
     (state.comparison.counters, state.comparison.seconds) = (log.report.counters, log.report.seconds);
     log.save(state);
 }

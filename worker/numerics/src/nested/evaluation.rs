@@ -1,5 +1,6 @@
 //! What a comparison finds: fresh brains on the initial and on the best body.
 
+use super::casts::CastReading;
 use super::report::Seconds;
 use crate::brains::{Fresh, Reading};
 use crate::trial::{Counters, Trouble};
@@ -51,10 +52,19 @@ pub struct BodyEvaluation {
 pub struct Comparison {
     /// The bodies, the initial one first; the last may lack networks.
     pub bodies: Vec<BodyEvaluation>,
+    /// How casts of each body are read.
+    pub casts: Vec<Vec<CastReading>>,
     /// The network that is being trained on it.
     pub training: Option<Fresh>,
     /// Counts of work.
     pub counters: Counters,
     /// Seconds.
     pub seconds: Seconds,
+}
+
+impl Comparison {
+    /// Casts of the body number `turn` that are read.
+    pub(super) fn casts_read(&self, turn: usize) -> usize {
+        self.casts.get(turn).and_then(|read| read.last()).map_or(0, |last| last.cast as usize + 1)
+    }
 }

@@ -15,7 +15,13 @@ use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Precision, Solver};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::select;
-use crate::trial::{BrainKind, Going, Protocol, Response, Samples, Terms, Trial, Trouble};
+use crate::trial::{
+    BrainKind, CastReader, Casting, Going, Protocol, Response, Samples, Terms, Trial, Trouble,
+};
+use crate::variation::{Cast, Casts};
+
+/// Casts that a look at the test set reads.
+const LOOKED_AT: usize = 8;
 
 /// What a protocol finds out about the state's design.
 pub(super) struct Sensed {
@@ -50,7 +56,10 @@ impl<'a> Session<'a> {
         match self.trial.problem.optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
             Protocol::Envelope(going) => self.envelope(state, going, log),
-            Protocol::Joint(going) => self.joint(state, going, log),
+            Protocol::Joint(going) => match self.trial.problem.optimise.casting {
+                Some(Casting { reader: CastReader::Each, .. }) => self.joint_each(state, going, log),
+                _ => self.joint(state, going, log),
+            },
             Protocol::Random(_) | Protocol::Cmaes(_) => self.candidate(state, log),
         }
     }
@@ -79,7 +88,7 @@ impl<'a> Session<'a> {
             let through_brain = self.vjp(&train, cotangent, log)?;
             gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
         }
-        let error_test = self.test_error(&test, log);
+        let error_test = self.test_error(&test.samples, log);
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
@@ -102,22 +111,57 @@ impl<'a> Session<'a> {
         self.recent.retain(|(known, _)| past.iter().any(|passed| passed.step == *known));
         for passed in past {
             if self.recent.iter().all(|(known, _)| *known != passed.step) {
-                let samples = self.fresh(&passed.design, passed.step, going, false, log)?.samples;
-                self.recent.push((passed.step, samples));
+                let casts = self.fresh(&passed.design, passed.step, going, false, log)?;
+                self.recent.push((passed.step, joined(&casts)));
             }
         }
         self.recent.sort_by_key(|(known, _)| *known);
         let newest = self.fresh(&state.design, step, going, true, log)?;
-        self.recent.push((step, newest.samples.clone()));
+        self.recent.push((step, joined(&newest)));
 
         let recent = std::mem::take(&mut self.recent);
         let bodies: Vec<&Samples> = recent.iter().map(|(_, samples)| samples).collect();
         let fitted = self.fit(FitOn::Recent(&bodies), state, log);
         self.recent = recent;
         let loss_train = fitted?;
-        let (_, gradient) = self.gradient(&newest, Loss::Training, log)?;
+        let weighted = self.trial.problem.optimise.casting.is_some_and(|casting| casting.tail < 1.0);
+        let mut found = Vec::with_capacity(newest.len());
+        for cast in &newest {
+            let (_, gradient) = self.gradient(cast, Loss::Training, log)?;
+            let error = if weighted { self.learner.error(&cast.samples) } else { Some(loss_train) };
+            found.push((error, gradient));
+        }
+        let (_, gradient) = self.over_casts(found);
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// The same with a brain a cast, fitted to its samples alone.
+    fn joint_each(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
+        let newest = self.fresh(&state.design, state.step, going, true, log)?;
+        let mut found = Vec::with_capacity(newest.len());
+        for cast in &newest {
+            let loss = self.learn(FitOn::Cast(&cast.samples), state, log)?;
+            found.push((Some(loss), self.gradient(cast, Loss::Training, log)?.1));
+        }
+        let (loss_train, gradient) = self.over_casts(found);
+        state.check_trend(loss_train)?;
+        let error_test = self.look_at_test(state, log)?;
+        Ok(Sensed { gradient, loss_train, error_test })
+    }
+
+    /// The objective of a step's casts, of the error and its gradient in α of each. One that tells no error counts as the worst.
+    fn over_casts(&self, found: Vec<(Option<f64>, Vec<f64>)>) -> (f64, Vec<f64>) {
+        let (errors, gradients): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+        let errors: Vec<f64> = errors.into_iter().map(|error| error.unwrap_or(f64::INFINITY)).collect();
+        let casting = self.trial.problem.optimise.casting;
+        let weights = casting.map_or(vec![1.0; errors.len()], |casting| casting.weights(&errors));
+        let mut gradient = vec![0.0; gradients[0].len()];
+        for (by, of_cast) in weights.iter().zip(&gradients) {
+            gradient.iter_mut().zip(of_cast).for_each(|(sum, g)| *sum += by * g);
+        }
+        let counted = weights.iter().zip(&errors).filter(|(by, _)| **by > 0.0);
+        (counted.map(|(by, error)| by * error).sum(), gradient)
     }
 
     /// A search's candidate is worth its test error, read by the trial's brain on its training set.
@@ -127,7 +171,7 @@ impl<'a> Session<'a> {
         let [train, test] = self.simulate(state, sets, [false; 2], solver, log)?;
         let by_need = FitOn::ByNeed(&train.samples, state.trend);
         let loss_train = self.learn(by_need, state, log)?;
-        let error_test = self.test_error(&test, log);
+        let error_test = self.test_error(&test.samples, log);
         match loss_train.is_finite() {
             true => Ok(Sensed { gradient: Vec::new(), loss_train, error_test }),
             false => Err(Trouble::Training(TrainOutcome::NonFinite)),
@@ -208,26 +252,71 @@ impl<'a> Session<'a> {
         )
     }
 
-    fn test_error(&mut self, test: &Response, log: &mut Log) -> Option<f64> {
-        log.report.error_test = self.learner.error(&test.samples);
+    fn test_error(&mut self, test: &Samples, log: &mut Log) -> Option<f64> {
+        log.report.error_test = self.learner.error(test);
         log.report.error_test
     }
 
-    /// The test error of the state's design, with the accurate integrator, at the steps where it is due.
+    /// The test error of the state's design, with the accurate integrator, at the steps where it is due: where the body is
+    /// trained for casts the objective of theirs, the same casts at every look, the test set dealt among them.
     fn look_at_test(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
         let (trial, problem) = (self.trial, &self.trial.problem);
         if !problem.optimise.looks_at_test(state.step) {
             return Ok(None);
         }
-        let test = log.timed(
+        let Some(casting) = problem.optimise.casting else {
+            let test = self.look(None, state, trial.test.clone(), log)?;
+            return Ok(self.test_error(&test.samples, log));
+        };
+        let casts = LOOKED_AT.min(trial.test.samples);
+        let mut errors = Vec::with_capacity(casts);
+        for number in 0..casts {
+            let dealt = |forces: &Forces, most: usize| {
+                let own: Vec<usize> = (number..forces.samples).step_by(casts).take(most).collect();
+                select(forces, &own)
+            };
+            let cast = trial.cast(Casts::Look, number as u64);
+            let mut error = || {
+                if let (CastReader::Each, Protocol::Joint(going)) =
+                    (casting.reader, problem.optimise.protocol)
+                {
+                    let train = dealt(&trial.train, going.batch);
+                    let train = self.look(cast.as_ref(), state, train, log)?.samples;
+                    // what it learns here is not for the steps to come
+                    let (on, mut learnt) = (FitOn::Cast(&train), state.learnt.clone());
+                    let counters = &mut log.report.counters;
+                    self.learner.fit(on, state.step, &mut learnt, counters)?;
+                }
+                let test = self.look(cast.as_ref(), state, dealt(&trial.test, usize::MAX), log)?;
+                Ok::<_, Trouble>(self.learner.error(&test.samples))
+            };
+            // a cast that fails is read entirely wrong
+            errors.extend(error().unwrap_or(Some(100.0)));
+        }
+        if errors.is_empty() {
+            return Ok(None);
+        }
+        let weights = casting.weights(&errors);
+        log.report.error_test = Some(weights.iter().zip(&errors).map(|(by, error)| by * error).sum());
+        Ok(log.report.error_test)
+    }
+
+    /// A cast of the state's design under known forces, with the accurate integrator.
+    fn look(
+        &self,
+        cast: Option<&Cast>,
+        state: &State,
+        forces: Forces,
+        log: &mut Log,
+    ) -> Result<Response, Trouble> {
+        let (trial, solver) = (self.trial, &self.trial.problem.solver);
+        log.timed(
             |s| &mut s.simulate,
             |report| {
-                let forces = trial.test.clone();
                 let (double, counters) = (Precision::Double, &mut report.counters);
-                trial.simulate_most(&state.design, forces, &problem.solver, double, false, counters)
+                trial.simulate_cast(cast, &state.design, forces, solver, double, false, counters)
             },
-        )?;
-        Ok(self.test_error(&test, log))
+        )
     }
 
     /// Training samples drawn for a step of `envelope`.
@@ -239,7 +328,8 @@ impl<'a> Session<'a> {
         select(&trial.train, &order)
     }
 
-    /// A body under the samples that are drawn for a step of `joint` alone; those of the report's step are counted.
+    /// A body under the samples that are drawn for a step of `joint` alone, each of the step's casts under its own; those of
+    /// the report's step are counted.
     fn fresh(
         &self,
         design: &[f64],
@@ -247,20 +337,38 @@ impl<'a> Session<'a> {
         going: Going,
         keep_tape: bool,
         log: &mut Log,
-    ) -> Result<Response, Trouble> {
+    ) -> Result<Vec<Response>, Trouble> {
         let (trial, solver) = (self.trial, self.solver(step));
-        let first = u64::from(step) * going.batch as u64;
-        let forces = trial.problem.forces(Purpose::Fresh, first, going.batch);
-        let response = log.timed(
-            |s| &mut s.simulate,
-            |report| {
-                let (precision, counters) = (self.precision(), &mut report.counters);
-                trial.simulate_most(design, forces, &solver, precision, keep_tape, counters)
-            },
-        )?;
-        if step == log.report.step {
-            log.report.fresh_samples = going.batch as u64 - response.samples.failures();
+        let casts = trial.problem.optimise.casting.map_or(1, |casting| casting.casts as u64);
+        let mut responses = Vec::with_capacity(casts as usize);
+        for number in u64::from(step) * casts..(u64::from(step) + 1) * casts {
+            let forces = trial.problem.forces(Purpose::Fresh, number * going.batch as u64, going.batch);
+            let cast = trial.problem.optimise.casting.and_then(|_| trial.cast(Casts::Step, number));
+            let response = log.timed(
+                |s| &mut s.simulate,
+                |report| {
+                    let (precision, counters) = (self.precision(), &mut report.counters);
+                    trial.simulate_cast(
+                        cast.as_ref(),
+                        design,
+                        forces,
+                        &solver,
+                        precision,
+                        keep_tape,
+                        counters,
+                    )
+                },
+            )?;
+            if step == log.report.step {
+                log.report.fresh_samples += going.batch as u64 - response.samples.failures();
+            }
+            responses.push(response);
         }
-        Ok(response)
+        Ok(responses)
     }
+}
+
+/// The samples of all casts.
+fn joined(casts: &[Response]) -> Samples {
+    Samples::joined(&casts.iter().map(|cast| &cast.samples).collect::<Vec<_>>())
 }

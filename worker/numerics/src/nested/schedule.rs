@@ -1,7 +1,7 @@
 //! How an outer loop goes over its steps: rates, integrators, looks at the test set, and the part that is done.
 
 use crate::dynamics::Solver;
-use crate::trial::{BrainKind, Optimise, Problem, Protocol};
+use crate::trial::{BrainKind, CastReader, Optimise, Problem, Protocol};
 
 /// Looks at the test set in a loop, where a protocol does not need it anyway: so many, at least ten steps apart.
 const LOOKS: u32 = 20;
@@ -37,7 +37,10 @@ impl Optimise {
 
     /// Whether a step looks at the test set: some do, and the last.
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
-        step.is_multiple_of((self.iterations / LOOKS).max(APART)) || step + 1 == self.iterations
+        // a brain of its own for each cast knows too little of it for its error to choose a body by
+        let each = self.casting.is_some_and(|casting| casting.reader == CastReader::Each);
+        let due = step.is_multiple_of((self.iterations / LOOKS).max(APART)) && !each;
+        due || step + 1 == self.iterations
     }
 }
 
@@ -51,10 +54,17 @@ impl Problem {
 
     /// Brain iterations of the comparison at the end, a body.
     pub(super) fn evaluation_iterations(&self) -> usize {
-        if self.reader == BrainKind::Linear {
-            return self.brain.iterations.div_ceil(20);
-        }
-        self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0))
+        let casts = self.evaluation.casts * self.linear_iterations();
+        casts
+            + match self.reader {
+                BrainKind::Linear => self.linear_iterations(),
+                _ => self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0)),
+            }
+    }
+
+    /// What a linear brain on one body, or on a cast of it, is counted as.
+    pub(super) fn linear_iterations(&self) -> usize {
+        self.brain.iterations.div_ceil(20)
     }
 
     /// Work of an outer step relative to a full training.

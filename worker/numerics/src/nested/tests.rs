@@ -12,6 +12,7 @@ use crate::trial::{
     Stimuli, Terms, Training, Trouble,
 };
 
+mod casts;
 mod failing;
 mod known;
 mod linear;
@@ -56,6 +57,7 @@ fn small(protocol: Protocol) -> Problem {
             holdout: 4,
         },
         disturbance: None,
+        variation: None,
         reader: BrainKind::Network,
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
         brain: Training { iterations: 30, rate: 1e-2, architecture: Architecture::paper(8) },
@@ -65,8 +67,9 @@ fn small(protocol: Protocol) -> Problem {
             iterations: 4,
             rate: 0.1,
             coarse: Some(Solver::new(Method::Auto, Accuracy(1e-3))),
+            casting: None,
         },
-        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None },
+        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None, casts: 0 },
         seed: 3,
     }
 }

@@ -55,7 +55,7 @@ pub fn replay(
     let mut kinds = vec![0; problem.stimuli.samples];
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);
-    let mut simulation = simulated(problem, design, &forces, &solver, Precision::Double, false, pool);
+    let mut simulation = simulated(&problem.scene, design, &forces, &solver, Precision::Double, false, pool);
     for set in 0..3 {
         let own = simulation.outcomes.iter().zip(&kinds).filter(|(_, kind)| **kind == set);
         few_failed(&own.map(|(outcome, _)| *outcome).collect::<Vec<_>>()).map_err(Failure::Initial)?;
@@ -188,7 +188,7 @@ pub fn sense(
 ) -> Result<Vec<f64>, Failure> {
     let scene = &problem.scene;
     let solver = tune(scene, design, forces, &problem.solver, pool).solver;
-    let simulation = simulated(problem, design, forces, &solver, Precision::Double, false, pool);
+    let simulation = simulated(&problem.scene, design, forces, &solver, Precision::Double, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     let mut signals = simulation.signals;
     if problem.disturbance.is_some() {

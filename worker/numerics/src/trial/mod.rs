@@ -19,11 +19,15 @@ pub use samples::Samples;
 pub(crate) use samples::{error_of_each, mean_error, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
-    BrainKind, Decoder, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Terms, Training,
+    BrainKind, CastReader, Casting, Decoder, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Terms,
+    Training,
 };
 
-use crate::dynamics::{self, Forces, Outcome, Precision, Simulation, Solver, Tuned, Wrt, planned, tune};
+use crate::dynamics::{
+    self, Forces, Outcome, Precision, Scene, Simulation, Solver, Tuned, Wrt, planned, tune,
+};
 use crate::random::Purpose;
+use crate::variation::{Cast, Casts};
 use chip::Chip;
 
 /// Samples of a pilot: as many as the lanes take at once.
@@ -81,8 +85,15 @@ impl<'a> Trial<'a> {
         }
 
         let [mut train, test] = problem.known();
-        let simulation =
-            simulated(&problem, &problem.initial, &train, &problem.solver, Precision::Double, false, pool);
+        let simulation = simulated(
+            &problem.scene,
+            &problem.initial,
+            &train,
+            &problem.solver,
+            Precision::Double,
+            false,
+            pool,
+        );
         few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
         let failed = silence(&mut train, &simulation.outcomes);
         let mut initial = problem.samples(simulation.signals, &train).with_failed(failed);
@@ -124,7 +135,8 @@ impl<'a> Trial<'a> {
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
-        let simulation = simulated(&self.problem, design, forces, solver, precision, keep_tape, self.pool);
+        let scene = &self.problem.scene;
+        let simulation = simulated(scene, design, forces, solver, precision, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
         Ok(self.response(simulation, forces, vec![false; forces.samples]))
@@ -137,13 +149,55 @@ impl<'a> Trial<'a> {
     pub fn simulate_most(
         &self,
         design: &[f64],
+        forces: Forces,
+        solver: &Solver,
+        precision: Precision,
+        keep_tape: bool,
+        counters: &mut Counters,
+    ) -> Result<Response, Trouble> {
+        self.simulate_in(&self.problem.scene, design, forces, solver, precision, keep_tape, counters)
+    }
+
+    /// A cast of the trial's body; without a variation every cast is as designed.
+    pub(crate) fn cast(&self, casts: Casts, number: u64) -> Option<Cast> {
+        let problem = &self.problem;
+        problem.variation.map(|variation| variation.cast(problem.seed, casts, number, problem.initial.len()))
+    }
+
+    /// The same of a cast of the body; of none as [`Trial::simulate_most`]. dα of the cast is that of its design.
+    ///
+    /// # Errors
+    /// Likewise.
+    pub(crate) fn simulate_cast(
+        &self,
+        cast: Option<&Cast>,
+        design: &[f64],
+        forces: Forces,
+        solver: &Solver,
+        precision: Precision,
+        keep_tape: bool,
+        counters: &mut Counters,
+    ) -> Result<Response, Trouble> {
+        match cast {
+            None => self.simulate_most(design, forces, solver, precision, keep_tape, counters),
+            Some(cast) => {
+                let (scene, design) = (cast.scene(&self.problem.scene), cast.design(design));
+                self.simulate_in(&scene, &design, forces, solver, precision, keep_tape, counters)
+            }
+        }
+    }
+
+    fn simulate_in(
+        &self,
+        scene: &Scene,
+        design: &[f64],
         mut forces: Forces,
         solver: &Solver,
         precision: Precision,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
-        let simulation = simulated(&self.problem, design, &forces, solver, precision, keep_tape, self.pool);
+        let simulation = simulated(scene, design, &forces, solver, precision, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         few_failed(&simulation.outcomes)?;
         let failed = silence(&mut forces, &simulation.outcomes);
@@ -194,7 +248,7 @@ pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &c
 /// Simulates; `Single` is for the steps that train a network alone. A linear brain takes f32's rounding for noise of the sensors,
 /// and bodies end at half as much error again (K = 2, M = 1, four seeds).
 pub(crate) fn simulated(
-    problem: &Problem,
+    scene: &Scene,
     design: &[f64],
     forces: &Forces,
     solver: &Solver,
@@ -202,9 +256,9 @@ pub(crate) fn simulated(
     keep_tape: bool,
     pool: &crate::Pool,
 ) -> Simulation {
-    let plan = planned(&problem.scene, design, forces, solver);
+    let plan = planned(scene, design, forces, solver);
     let plan = if precision == Precision::Double { plan.double() } else { plan };
-    dynamics::run(&problem.scene, design, forces, &plan, keep_tape, pool)
+    dynamics::run(scene, design, forces, &plan, keep_tape, pool)
 }
 
 /// The first sample that did not end well gives its name.

@@ -10,6 +10,7 @@ use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
 use crate::stimuli::{Deal, Source, bells, irregular, select, split, targets};
+use crate::variation::Variation;
 
 /// Everything that a nested optimisation starts from. Angles in rad.
 #[derive(Debug, Clone)]
@@ -34,6 +35,8 @@ pub struct Problem {
     pub stimuli: Stimuli,
     /// What the sensors' chips add to the signals, where they do.
     pub disturbance: Option<Disturbance>,
+    /// How casts of a body scatter, where they are asked about.
+    pub variation: Option<Variation>,
     /// The brain that reads the bodies in the comparison at the end.
     pub reader: BrainKind,
     /// The network, and its training where it starts fresh.

@@ -57,6 +57,45 @@ pub struct Optimise {
     pub rate: f64,
     /// A cheaper integrator for the steps that move the body far; the accurate one finishes. `joint` and `envelope`.
     pub coarse: Option<Solver>,
+    /// Casts whose errors move the body; `None`: the body as designed. `joint`.
+    pub casting: Option<Casting>,
+}
+
+/// Casts that a body is trained for, drawn anew each outer step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Casting {
+    /// How many a step, a batch of samples each.
+    pub casts: usize,
+    /// The part of them, those read worst, whose mean loss moves the body: 1 all, 0 the worst alone.
+    pub tail: f64,
+    /// Which brain reads them while the body is trained.
+    pub reader: CastReader,
+}
+
+/// Which brain reads casts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CastReader {
+    /// One for all.
+    One,
+    /// One for each, fitted to its own samples.
+    Each,
+}
+
+impl Casting {
+    /// Weight of each cast's loss in the objective; their sum is 1. With a tail of 1 − q the objective is the conditional value at
+    /// risk at level q (Rockafellar and Uryasev 2000, doi:10.21314/JOR.2000.038).
+    pub fn weights(&self, losses: &[f64]) -> Vec<f64> {
+        let one = 1.0 / losses.len() as f64;
+        let tail = self.tail.max(one);
+        let mut worst: Vec<usize> = (0..losses.len()).collect();
+        worst.sort_by(|&a, &b| losses[b].total_cmp(&losses[a]));
+        let (mut weights, mut left) = (vec![0.0; losses.len()], tail);
+        for i in worst {
+            weights[i] = one.min(left) / tail;
+            left = (left - one).max(0.0);
+        }
+        weights
+    }
 }
 
 /// How body and brain are trained together.
@@ -103,6 +142,8 @@ pub struct Evaluation {
     pub schedule: Schedule,
     /// Iterations of as many further networks, whose training is to be a long one.
     pub long: Option<usize>,
+    /// Casts of each body that are read.
+    pub casts: usize,
 }
 
 /// Adam's rate over a training.

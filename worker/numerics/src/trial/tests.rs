@@ -20,3 +20,17 @@ fn few_samples_may_fail() {
         assert_eq!((silent, some.values.iter().sum::<f64>()), (failed, (8 * (samples - failed)) as f64));
     }
 }
+
+/// The mean of all casts, of the worst half, of a worst part that cuts through one, and the worst alone.
+#[test]
+fn an_objective_weighs_the_worst_casts() {
+    let weights = |tail| Casting { casts: 4, tail, reader: CastReader::One }.weights(&[3.0, 1.0, 4.0, 2.0]);
+    assert_eq!(weights(1.0), [0.25; 4]);
+    assert_eq!(weights(0.5), [0.5, 0.0, 0.5, 0.0]);
+    let cut = weights(0.4);
+    let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
+    assert!(near(cut[2], 0.625) && near(cut[0], 0.375) && cut[1] == 0.0 && cut[3] == 0.0, "{cut:?}");
+    for tail in [0.25, 0.1, 0.0] {
+        assert_eq!(weights(tail), [0.0, 0.0, 1.0, 0.0]);
+    }
+}

@@ -17,7 +17,7 @@ const LINEAR: [Protocol; 6] = [
     Protocol::Cmaes(GOING),
 ];
 
-fn linear(protocol: Protocol) -> Problem {
+pub(super) fn linear(protocol: Protocol) -> Problem {
     let small = small(protocol);
     let decoder = Decoder { lags: Lags { before: 12, after: 6 }, ridge: Ridge::Auto };
     Problem {

@@ -1,0 +1,50 @@
+//! How castings scatter about the design.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How castings scatter about the design: material by a factor common to a cast, nodes each by itself. A deviation of 0.05 is
+/// 5 %.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Variation {
+    /// Standard deviation of the logarithm of `body.stiffness.stretch`. Unit: 1. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stretch: Option<f64>,
+    /// Of `body.stiffness.shear`. Unit: 1. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shear: Option<f64>,
+    /// Of `body.stiffness.bend`. Unit: 1. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bend: Option<f64>,
+    /// Of `body.damping_ratio`. Unit: 1. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub damping: Option<f64>,
+    /// Of `body.density`. Unit: 1. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub density: Option<f64>,
+    /// Of `body.contact.stiffness`. Unit: 1. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contact: Option<f64>,
+    /// Standard deviation of each coordinate of each node shift. Unit: mm. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nodes: Option<f64>,
+}
+
+impl Variation {
+    /// Without deviations of 0; `None` if nothing is left.
+    #[must_use]
+    pub fn resolved(self) -> Option<Self> {
+        let some = |deviation: Option<f64>| deviation.filter(|deviation| *deviation != 0.0);
+        let found = Self {
+            stretch: some(self.stretch),
+            shear: some(self.shear),
+            bend: some(self.bend),
+            damping: some(self.damping),
+            density: some(self.density),
+            contact: some(self.contact),
+            nodes: some(self.nodes),
+        };
+        (found != Self::default()).then_some(found)
+    }
+}

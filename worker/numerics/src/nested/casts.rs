@@ -1,0 +1,206 @@
+//! What is left of a body once it is cast: brains on casts of it that no training has seen.
+//!
+//! A linear brain fitted to the body as designed, one to samples of many other casts, and one anew to the first 30, 100 and to
+//! all training samples of the cast itself; of a trial with networks also the first network of its comparison. Each reads the
+//! holdout on the cast. A cast that cannot be simulated is read entirely wrong.
+
+use super::comparison::save;
+use super::observe::{Control, Log};
+use super::state::State;
+use crate::brains::{Fitted, Fresh, reader};
+use crate::dynamics::{Precision, Solver};
+use crate::random::Purpose;
+use crate::trial::{Counters, Samples, Trial, Trouble};
+use crate::variation::{Cast, Casts};
+
+/// How one brain reads one cast.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CastReading {
+    /// Which cast, from 0.
+    pub cast: u32,
+    /// By what it is read.
+    pub by: CastBrain,
+    /// Mean error on the holdout (%); `None` where no sample has a force.
+    pub error: Option<f64>,
+    /// What went wrong; the error is then that of a brain that says nothing.
+    pub trouble: Option<Trouble>,
+}
+
+/// A brain that reads a cast.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CastBrain {
+    /// The first network of the comparison, trained on the body as designed.
+    Network,
+    /// A linear brain fitted to the body as designed.
+    Nominal,
+    /// A linear brain fitted to samples of many other casts.
+    Casts,
+    /// A linear brain fitted to so many samples of this cast.
+    Records(u32),
+}
+
+/// Casts to which the brain for all casts is fitted, and samples of each.
+const KNOWN_CASTS: usize = 24;
+const KNOWN_SAMPLES: usize = 20;
+/// Its samples are numbered from here, out of the way of the outer steps'.
+const KNOWN_FIRST: u64 = 1 << 40;
+/// Samples of a cast to which a brain is fitted anew, where there are more, and then all.
+const RECORDS: [usize; 2] = [30, 100];
+/// Error of what is not read at all (%).
+const NOTHING: f64 = 100.0;
+
+/// A body, and what makes casts of it.
+struct Mould<'a> {
+    trial: &'a Trial<'a>,
+    design: &'a [f64],
+    solver: &'a Solver,
+}
+
+/// The brains that have been fitted before a cast is seen, or why not.
+struct Brains {
+    /// Weights of the network; empty without.
+    network: Vec<f32>,
+    known: [Result<Samples, Trouble>; 2],
+    linear: [Result<Fitted, Trouble>; 2],
+}
+
+/// Goes on with the casts of the body number `turn`, simulated with `solver`; `None` if the observer said stop: it has the
+/// state by then.
+pub(super) fn read_casts(
+    trial: &Trial,
+    design: &[f64],
+    solver: &Solver,
+    turn: usize,
+    state: &mut State,
+    log: &mut Log,
+) -> Option<()> {
+    let problem = &trial.problem;
+    let done = state.comparison.casts_read(turn);
+    if done >= problem.evaluation.casts {
+        return Some(());
+    }
+    let (mould, counted) = (Mould { trial, design, solver }, log.report.counters);
+    let known = log.timed(|s| &mut s.simulate, |report| mould.known(&mut report.counters));
+    if done > 0 {
+        log.report.counters = counted;
+    }
+    let network = state.comparison.bodies[turn].networks.first().map_or(Vec::new(), |n| n.weights.clone());
+    let brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, network, known));
+    for number in done..problem.evaluation.casts {
+        let cast = trial.cast(Casts::Unseen, number as u64);
+        let sets = log.timed(|s| &mut s.simulate, |report| mould.sets(cast.as_ref(), &mut report.counters));
+        let found = log.timed(|s| &mut s.train, |_| brains.read(trial, number as u32, sets));
+        state.comparison.casts.resize_with(turn + 1, Vec::new);
+        state.comparison.casts[turn].extend(found);
+        let wanted = log.progress(state.comparison.part(0, problem));
+        if wanted == Control::Stop || log.save_is_due() {
+            save(state, log);
+        }
+        if wanted == Control::Stop {
+            return None;
+        }
+    }
+    Some(())
+}
+
+impl Mould<'_> {
+    /// Training samples of the body as designed, and samples of many casts.
+    fn known(&self, counters: &mut Counters) -> [Result<Samples, Trouble>; 2] {
+        let &Self { trial, design, solver } = self;
+        let [train, _] = trial.problem.known();
+        let nominal = trial
+            .simulate_most(design, train, solver, Precision::Double, false, counters)
+            .map(|found| found.samples);
+        let mut all = Vec::with_capacity(KNOWN_CASTS);
+        for number in 0..KNOWN_CASTS {
+            let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
+            let forces = trial.problem.forces(Purpose::Fresh, first, KNOWN_SAMPLES);
+            let cast = trial.cast(Casts::Known, number as u64);
+            match trial.simulate_cast(
+                cast.as_ref(),
+                design,
+                forces,
+                solver,
+                Precision::Double,
+                false,
+                counters,
+            ) {
+                Ok(found) => all.push(found.samples),
+                // one that fails teaches nothing
+                Err(trouble) if number + 1 == KNOWN_CASTS && all.is_empty() => {
+                    return [nominal, Err(trouble)];
+                }
+                Err(_) => {}
+            }
+        }
+        [nominal, Ok(Samples::joined(&all.iter().collect::<Vec<_>>()))]
+    }
+
+    /// Training and holdout samples of a cast.
+    fn sets(&self, cast: Option<&Cast>, counters: &mut Counters) -> Result<[Samples; 2], Trouble> {
+        let &Self { trial, design, solver } = self;
+        let [train, _] = trial.problem.known();
+        let holdout = trial.problem.forces(Purpose::Holdout, 0, trial.problem.stimuli.holdout);
+        let mut of = |forces| {
+            Ok(trial.simulate_cast(cast, design, forces, solver, Precision::Double, false, counters)?.samples)
+        };
+        Ok([of(train)?, of(holdout)?])
+    }
+}
+
+impl Brains {
+    fn new(trial: &Trial, network: Vec<f32>, known: [Result<Samples, Trouble>; 2]) -> Self {
+        let linear = known.each_ref().map(|known| match known {
+            Ok(known) => fitted(trial, known),
+            Err(trouble) => Err(*trouble),
+        });
+        Self { network, known, linear }
+    }
+
+    /// How they read a cast of these training and holdout samples, and how those do that are fitted to it.
+    fn read(&self, trial: &Trial, cast: u32, sets: Result<[Samples; 2], Trouble>) -> Vec<CastReading> {
+        let all = trial.train.samples;
+        let records = RECORDS.into_iter().filter(|&n| n < all).chain([all]);
+        let networks = (!self.network.is_empty()).then_some(CastBrain::Network);
+        let brains = networks.into_iter().chain([CastBrain::Nominal, CastBrain::Casts]);
+        let brains = brains.chain(records.map(|n| CastBrain::Records(n as u32)));
+        brains
+            .map(|by| {
+                let found = sets.as_ref().map_err(|trouble| *trouble);
+                let found = found.and_then(|[train, holdout]| match by {
+                    CastBrain::Network => self.by_network(trial, holdout),
+                    CastBrain::Nominal => by_linear(&self.linear[0], holdout),
+                    CastBrain::Casts => by_linear(&self.linear[1], holdout),
+                    CastBrain::Records(n) => {
+                        let some = train.select(&(0..n as usize).collect::<Vec<_>>());
+                        by_linear(&fitted(trial, &some), holdout)
+                    }
+                });
+                match found {
+                    Ok(error) => CastReading { cast, by, error, trouble: None },
+                    Err(trouble) => CastReading { cast, by, error: Some(NOTHING), trouble: Some(trouble) },
+                }
+            })
+            .collect()
+    }
+
+    fn by_network(&self, trial: &Trial, holdout: &Samples) -> Result<Option<f64>, Trouble> {
+        let known = self.known[0].as_ref().map_err(|trouble| *trouble)?;
+        let scales = [(); 2].map(|()| trial.scales.clone());
+        let mut reader = reader(trial.problem.recipe(), known, scales, trial.pool)?;
+        *reader.training().expect("a brain with weights is a network") =
+            Some(Fresh::of(self.network.clone()));
+        Ok(reader.error(holdout))
+    }
+}
+
+/// A linear brain of the trial's memory, at the trial's scales.
+fn fitted(trial: &Trial, known: &Samples) -> Result<Fitted, Trouble> {
+    let problem = &trial.problem;
+    problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()))
+}
+
+fn by_linear(brain: &Result<Fitted, Trouble>, holdout: &Samples) -> Result<Option<f64>, Trouble> {
+    let brain = brain.as_ref().map_err(|trouble| *trouble)?;
+    Ok(holdout.error(&brain.predict(&holdout.signals)))
+}

@@ -1,0 +1,80 @@
+//! How casts scatter, and who trains for them or asks about them, from their spec.
+
+use metasense_numerics::brains::fits;
+use metasense_numerics::dynamics::Parameters;
+use metasense_numerics::trial::{CastReader, Casting};
+use metasense_numerics::variation::Variation;
+use metasense_schemas::spec::{self, TrialSpec};
+
+use crate::invalid::{Invalid, at_least, at_most, invalid, require};
+
+/// Largest standard deviation of a logarithm: one cast in three hundred is then off by a factor of twenty.
+const DEVIATION_MAX: f64 = 1.0;
+/// Largest standard deviation of a node, as a part of the ligaments' length: four of the distance of two nodes reach it.
+const NODES_MAX: f64 = 1.0 / 6.0;
+/// More casts than this are taken for a mistake.
+const CASTS_MAX: usize = 10_000;
+
+/// How casts scatter.
+pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid> {
+    let Some(given) = &trial.variation else { return Ok(None) };
+    let spec::Variation { stretch, shear, bend, damping, density, contact, nodes } = *given;
+    let deviation = |key: &str, value: Option<f64>| {
+        let value = value.unwrap_or(0.0);
+        let remedy = "must be a standard deviation of the logarithm, from 0 to 1";
+        require((0.0..=DEVIATION_MAX).contains(&value), &format!("variation.{key}"), value, remedy)
+            .map(|()| value)
+    };
+    let of_contact = deviation("contact", contact)?;
+    require(
+        trial.body.contact.is_some() || contact.is_none(),
+        "variation.contact",
+        of_contact,
+        "means nothing here: the body has no body.contact",
+    )?;
+    let (nodes, most) = (nodes.unwrap_or(0.0), NODES_MAX * trial.body.ligament_length);
+    let remedy =
+        format!("must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: units would touch");
+    require((0.0..=most).contains(&nodes), "variation.nodes", nodes, &remedy)?;
+    let material = Parameters {
+        stretch: deviation("stretch", stretch)?,
+        shear: deviation("shear", shear)?,
+        bend: deviation("bend", bend)?,
+        damping_ratio: deviation("damping", damping)?,
+        density: deviation("density", density)?,
+        contact: of_contact,
+    };
+    Ok(Some(Variation { material, nodes }))
+}
+
+/// Casts that the body is trained for.
+pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
+    let spec::Optimise { objective, casts, reader, protocol, .. } = trial.optimise.clone().resolved();
+    let Some(tail) = objective.and_then(spec::Objective::tail) else { return Ok(None) };
+    let shown = serde_json::to_string(&objective).unwrap_or_default();
+    if trial.variation.is_none() {
+        return Err(invalid("optimise.objective", shown, "needs a [variation] that says how casts scatter"));
+    }
+    let remedy = "means nothing to this optimise.protocol, only to joint";
+    require(protocol == spec::Protocol::Joint, "optimise.objective", shown, remedy)?;
+    let remedy = "must be at least 0 and less than 1";
+    require((0.0..=1.0).contains(&tail), "optimise.objective.cvar", 1.0 - tail, remedy)?;
+    let casts = casts.unwrap_or(1);
+    at_least("optimise.casts", casts, 1)?;
+    at_most("optimise.casts", casts, CASTS_MAX)?;
+    let reader = match reader {
+        Some(spec::CastReader::Each) => CastReader::Each,
+        _ => CastReader::One,
+    };
+    Ok(Some(Casting { casts, tail, reader }))
+}
+
+/// Casts that are read in the comparison at the end.
+pub(super) fn casts(trial: &TrialSpec) -> Result<usize, Invalid> {
+    let casts = trial.evaluation.casts.unwrap_or(0);
+    at_most("evaluation.casts", casts, CASTS_MAX)?;
+    let readable = fits(trial.time.samples, 3 * trial.point.sensors, trial.point.panels);
+    let remedy = "must be 0 here: a linear brain of such long samples does not fit into memory";
+    require(casts == 0 || readable, "evaluation.casts", casts, remedy)?;
+    Ok(casts)
+}
