@@ -283,7 +283,8 @@ pub struct Optimise {
     /// What `curvature` adds to the diagonal. Unit: 1. Default: 0 for `"gauss_newton"`; must be given for `"damped"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
-    /// Samples of each step whose gradient moves the body. Default: 32 for `"joint"`, 64 for `"envelope"`.
+    /// Samples of each step whose gradient moves the body; over casts of each cast. Default: 32 for `"joint"`, over casts 8,
+    /// with `reader = "each"` 24; 64 for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Iterations of the network in each outer step; `"paper"` has `brain.iterations` instead. Default: 10.
@@ -308,7 +309,7 @@ pub struct Optimise {
     /// `"nominal"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub objective: Option<Objective>,
-    /// Casts a step, `batch` samples each. Default: 3.
+    /// Casts a step, `batch` samples each. Default: 4, with `reader = "each"` 3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
     /// The brain that reads them while the body is trained: `"one"` for all, or `"each"` its own. Default: `"one"`.
@@ -321,6 +322,9 @@ pub struct Optimise {
 const SEARCH_LINEAR: usize = 30;
 const SEARCH: usize = 80;
 const SEARCH_SPREAD: f64 = 1.0;
+/// Casts a step and samples of each, by one brain for all and by a brain a cast.
+const CASTS_ONE: [usize; 2] = [4, 8];
+const CASTS_EACH: [usize; 2] = [3, 24];
 
 impl Optimise {
     /// With the defaults of the protocol in place: only what the protocol does not read stays open.
@@ -334,9 +338,13 @@ impl Optimise {
             Protocol::Joint => (350, 0.2),
         };
         self.objective = self.objective.and_then(Objective::resolved);
+        // one brain learns more from many casts, one a cast from many samples of it
+        let mut batch = 32;
         if self.objective.is_some() {
-            self.casts.get_or_insert(3);
-            self.reader.get_or_insert(CastReader::One);
+            let reader = *self.reader.get_or_insert(CastReader::One);
+            let casts = if reader == CastReader::One { CASTS_ONE } else { CASTS_EACH };
+            self.casts.get_or_insert(casts[0]);
+            batch = casts[1];
         }
         self.iterations.get_or_insert(iterations);
         self.learning_rate.get_or_insert(learning_rate);
@@ -352,7 +360,7 @@ impl Optimise {
                 self.batch.get_or_insert(64);
             }
             Protocol::Joint => {
-                self.batch.get_or_insert(32);
+                self.batch.get_or_insert(batch);
                 self.coarse.get_or_insert(Solver { method: Method::Auto, tolerance: 0.03 });
             }
         }

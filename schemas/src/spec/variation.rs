@@ -11,19 +11,19 @@ pub struct Variation {
     /// Standard deviation of the logarithm of `body.stiffness.stretch`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stretch: Option<f64>,
-    /// Of `body.stiffness.shear`. Unit: 1. Default: 0.
+    /// Standard deviation of the logarithm of `body.stiffness.shear`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shear: Option<f64>,
-    /// Of `body.stiffness.bend`. Unit: 1. Default: 0.
+    /// Standard deviation of the logarithm of `body.stiffness.bend`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bend: Option<f64>,
-    /// Of `body.damping_ratio`. Unit: 1. Default: 0.
+    /// Standard deviation of the logarithm of `body.damping_ratio`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
-    /// Of `body.density`. Unit: 1. Default: 0.
+    /// Standard deviation of the logarithm of `body.density`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub density: Option<f64>,
-    /// Of `body.contact.stiffness`. Unit: 1. Default: 0.
+    /// Standard deviation of the logarithm of `body.contact.stiffness`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact: Option<f64>,
     /// Standard deviation of each coordinate of each node shift. Unit: mm. Default: 0.
