@@ -65,7 +65,7 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
 }
 
 /// Seconds by the wall clock, CPU seconds, and the most memory (MiB) that the process had.
-fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
+pub fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
     let failed = |source| Error::Io { doing: "asking by", path: arguments.join(" ").into(), source };
     let began = Instant::now();
     let (null, quiet) = (Stdio::null(), Stdio::null());

@@ -7,12 +7,13 @@ use std::time::Instant;
 
 use metasense::cli::Error;
 use metasense::cluster::Shard;
-use metasense::cluster::merge::merge;
+use metasense::cluster::merge::{merge, merge_facts};
 use metasense::exit::Exit;
 use metasense::print_line;
 use metasense::store::Store;
 use serde_json::json;
 
+use crate::answers::asked;
 use crate::made_up::{Made, Scratch, count};
 
 /// Trials a second, and bytes a second, of a merge of made-up shards.
@@ -33,6 +34,9 @@ pub struct Args {
     /// Bytes of the arrays of a trial, in six.
     #[arg(long, default_value_t = 120_000)]
     bytes: u32,
+    /// Takes over facts alone, and asks `status` of them.
+    #[arg(long)]
+    facts: bool,
     /// Where the databases are made, and removed again.
     #[arg(long, default_value = "results", value_name = "DIR")]
     folder: PathBuf,
@@ -56,8 +60,11 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
     }
     let out = folder.join("merged.sqlite");
     let began = Instant::now();
-    let summary = merge(std::slice::from_ref(&shards), &out).await?;
+    let shards = std::slice::from_ref(&shards);
+    let summary = if args.facts { merge_facts(shards, &out).await? } else { merge(shards, &out).await? };
     let seconds = began.elapsed().as_secs_f64();
+    let resident = crate::peak_mib();
+    let status = if args.facts { Some(asked(&["status", &out.to_string_lossy()])?) } else { None };
     let row = json!({
         "bench": "merge",
         "shards": args.shards,
@@ -70,7 +77,9 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
         "rows_per_second": summary.trials as f64 * f64::from(args.steps + args.points + 12) / seconds,
         "bytes_per_second": bytes as f64 / seconds,
         "merged_bytes": size(&out),
-        "resident_mib": crate::peak_mib(),
+        "resident_mib": resident,
+        "facts": args.facts,
+        "status_seconds": status.map(|asked| asked.0),
         "version": env!("CARGO_PKG_VERSION"),
     });
     print_line!("{row}")?;
@@ -98,8 +107,8 @@ async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
         ),
         format!(
             "{} INSERT INTO trial SELECT i + 1, printf('%016x%016x', (i + {first}) * 7046029254386353131, i + {first}),
-               hex(zeroblob(700)), 'done', NULL, 'planar', 6, 6, 36, 2, 1, i, 1, 'joint', 168, 13122, 1.0, {numbers}, 3,
-               1.0, 'avx512', 'tsit5', hex(zeroblob(300)), '2026-01-01T00:00:00.000Z', '2026-01-01T00:00:00.000Z' FROM n",
+               json_object('brain', json_object('kind', 'cnn'), 'sensor_units', '[]', 'more', hex(zeroblob(650))), 'done', NULL, 'planar', 6, 6, 36, 2, 1, i, 1, 'joint', 168, 13122, 1.0, {numbers}, 3,
+               1.0, 'avx512', 'tsit5', json_object('more', hex(zeroblob(290))), '2026-01-01T00:00:00.000Z', '2026-01-01T00:00:00.000Z' FROM n",
             count(trials)
         ),
         format!("INSERT INTO sweep_trial SELECT 1, id, id + {first} FROM trial"),
