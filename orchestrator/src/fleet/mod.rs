@@ -8,12 +8,14 @@ mod processes;
 use std::collections::HashMap;
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
+use std::pin::pin;
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Start;
 use metasense_worker::process;
+use rustix::process::{Pid, Signal, kill_process};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, ChildStderr, ChildStdin, Command};
 use tokio::sync::mpsc::Sender;
@@ -44,6 +46,8 @@ pub enum Heard {
 
 /// Longest wait for the last lines of a process that has ended: something that it has started may hold them back.
 const LINES_GRACE: Duration = Duration::from_millis(300);
+/// Longest wait for a process that was killed: one that waits for a disk or a device ends when that answers, and may never.
+const UNKILLABLE: Duration = Duration::from_secs(5);
 
 #[derive(Debug)]
 struct Process {
@@ -120,15 +124,35 @@ async fn watch(
     mut killed: oneshot::Receiver<()>,
     heard: Sender<(WorkerId, Heard)>,
 ) {
-    let status = tokio::select! {
-        status = child.wait() => status,
-        _ = &mut killed => {
-            let _ = child.start_kill();
-            child.wait().await
+    let pid = child.id().unwrap_or_default();
+    // It is not reaped before `wait` is over, and has its number until then.
+    let kill = || Pid::from_raw(pid as i32).map(|pid| kill_process(pid, Signal::KILL));
+    let status = end(child.wait(), &mut killed, kill, UNKILLABLE).await;
+    let out_of_memory = matches!(timeout(LINES_GRACE, lines).await, Ok(Ok(true)));
+    let reason = match status {
+        Some(status) => reason(status, out_of_memory),
+        None => {
+            let state = processes::state(pid).map_or(String::new(), |state| format!(" (state {state})"));
+            tracing::error!(%worker, pid, "the process does not end though it was killed{state}: it waits for the system; it is left behind");
+            Reason::WorkerKilled(libc::SIGKILL)
         }
     };
-    let out_of_memory = matches!(timeout(LINES_GRACE, lines).await, Ok(Ok(true)));
-    let _ = heard.send((worker, Heard::End(reason(status, out_of_memory)))).await;
+    let _ = heard.send((worker, Heard::End(reason))).await;
+}
+
+/// How a process ends: by itself, or killed when that is asked for; `None`: not `within` this time after that.
+async fn end<T, K>(
+    wait: impl Future<Output = T>,
+    killed: &mut oneshot::Receiver<()>,
+    kill: impl FnOnce() -> K,
+    within: Duration,
+) -> Option<T> {
+    let mut wait = pin!(wait);
+    tokio::select! {
+        status = &mut wait => return Some(status),
+        _ = killed => drop(kill()),
+    }
+    timeout(within, wait).await.ok()
 }
 
 fn reason(status: std::io::Result<ExitStatus>, out_of_memory: bool) -> Reason {
@@ -158,3 +182,6 @@ async fn pass_on(worker: WorkerId, errors: ChildStderr, heard: Sender<(WorkerId,
     }
     out_of_memory
 }
+
+#[cfg(test)]
+mod tests;

@@ -58,6 +58,12 @@ pub fn peak_mib(pid: u32) -> Option<f64> {
     line.split_whitespace().next()?.parse::<f64>().ok().map(|kib| kib / 1024.0)
 }
 
+/// The kernel's letter for what a process does; `None` once it is gone.
+#[must_use]
+pub fn state(pid: u32) -> Option<char> {
+    stat(pid).map(|stat| stat.state)
+}
+
 struct Stat {
     name: String,
     state: char,
