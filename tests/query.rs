@@ -1,8 +1,11 @@
 //! `query` answers in SQL and changes nothing, whatever it is asked.
 
+use std::io::Read;
+
 use crate::common::{Bench, SPEC, TINY};
 use metasense::plan::Plan;
 use metasense::store::Store;
+use metasense_schemas::record::{Checkpoint, StepRecord};
 
 /// A database with the two trials of the spec, both pending.
 async fn database(bench: &Bench) {
@@ -206,4 +209,57 @@ async fn trials_are_taken_out_by_conditions() {
     bench.output(&["run", "tiny.toml", "--db", "s.sqlite"]);
     assert_eq!(count("step"), whole[3]);
     assert_eq!(results(), before);
+}
+
+/// Nobody reads the answer while a run records on: the log is folded into the database all the same, and the answer is that of the
+/// moment when it was asked for.
+#[tokio::test]
+async fn a_stalled_reader_does_not_make_the_log_grow() {
+    let bench = Bench::new();
+    let plan = Plan::new("s.toml", SPEC.into()).unwrap();
+    let mut store = Store::open(bench.path("s.sqlite")).await.unwrap();
+    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
+    let hash = &plan.trials[0].hash;
+    store.begin_attempt(hash).await.unwrap();
+    let mut recorded = 0..;
+    let mut record = async |store: &mut Store, count: usize| {
+        for step in recorded.by_ref().take(count) {
+            let record = StepRecord { step, outcome: "ok".into(), ..Default::default() };
+            let design = vec![f64::from(step); 5000];
+            store
+                .record_step(hash, 1, &record, &Checkpoint { step: step + 1, design, ..Default::default() })
+                .await
+                .unwrap();
+        }
+    };
+    record(&mut store, 3).await;
+    // Some MB, of which a pipe takes 64 kB.
+    let sql =
+        "WITH n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i < 19999) SELECT i, p.* FROM n, step p";
+    let mut asking = std::process::Command::new(env!("CARGO_BIN_EXE_metasense"))
+        .args(["query", "s.sqlite", sql, "--format", "csv"])
+        .current_dir(bench.path(""))
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut answer = asking.stdout.take().unwrap();
+    let mut begun = vec![0; 10];
+    answer.read_exact(&mut begun).unwrap();
+    let log = || bench.path("s.sqlite-wal").metadata().unwrap().len();
+    // A state of before would be held for as long as nobody reads on: 40 kB a step, then.
+    let begun_at = std::time::Instant::now();
+    let mut grown = Vec::new();
+    loop {
+        let before = log();
+        record(&mut store, 200).await;
+        grown.push(log() - before);
+        if grown.ends_with(&[0, 0]) {
+            break;
+        }
+        assert!(begun_at.elapsed().as_secs() < 20, "the log has {} bytes, grown by {grown:?}", log());
+    }
+    let mut rest = String::new();
+    answer.read_to_string(&mut rest).unwrap();
+    assert!(asking.wait().unwrap().success());
+    assert_eq!(rest.lines().count(), 1 + 3 * 20_000 - usize::from(begun.contains(&b'\n')));
 }

@@ -21,4 +21,5 @@ pub mod provenance;
 pub mod report;
 pub mod scheduler;
 pub mod serve;
+pub mod spool;
 pub mod store;

@@ -10,6 +10,7 @@ use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::files::Output;
 use crate::look::{RowWriter, Table, lines, standard_output};
+use crate::spool::Spool;
 use crate::store::Reader;
 
 /// Asks a database in SQL, read-only, also while a run writes to it
@@ -43,7 +44,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             return Ok(print_rows(&views(reader, format).await?, format)?);
         };
         match &out {
-            None => answer(reader, sql, standard_output(format)?, format).await,
+            None => {
+                let mut spool = Spool::new(standard_output(format)?);
+                let answered = answer(reader, sql, &mut spool, format).await;
+                // Nothing is held of the database any more while whoever reads the rows takes their time.
+                let passed_on = spool.finish();
+                answered.and(passed_on.map_err(Error::Output))
+            }
             Some(path) => answer_in(reader, sql, path, format).await,
         }
     })

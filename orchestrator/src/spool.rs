@@ -1,0 +1,145 @@
+//! A writer that does not keep its user waiting: what the other end does not take yet lies in memory, and beyond that in a file
+//! without a name. Whoever reads a database must not hold a state of it for as long as somebody reads the answer: the log of a run
+//! grows meanwhile.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{self, Write};
+use std::os::unix::fs::FileExt;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::thread::JoinHandle;
+
+/// Bytes that wait in memory.
+const MEMORY: usize = 4 << 20;
+/// Bytes that are read back at a time.
+const PART: u64 = 1 << 16;
+
+/// See above. What is written last is with the other end after [`Spool::finish`].
+#[derive(Debug)]
+pub struct Spool {
+    shared: Arc<Shared>,
+    passing: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    waiting: Mutex<Waiting>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct Waiting {
+    /// In order: first these, then the file from `taken` on.
+    memory: VecDeque<Vec<u8>>,
+    bytes: usize,
+    file: Option<File>,
+    taken: u64,
+    written: u64,
+    ended: bool,
+    error: Option<io::Error>,
+}
+
+impl Shared {
+    fn locked(&self) -> MutexGuard<'_, Waiting> {
+        self.waiting.lock().expect("nobody panics with it")
+    }
+}
+
+impl Spool {
+    /// Passes on to `out`, by a thread.
+    pub fn new(out: impl Write + Send + 'static) -> Self {
+        let shared = Arc::new(Shared::default());
+        let passing = Arc::clone(&shared);
+        let passing = std::thread::spawn(move || {
+            if let Err(error) = pass_on(&passing, out) {
+                passing.locked().error = Some(error);
+            }
+        });
+        Self { shared, passing: Some(passing) }
+    }
+
+    /// Waits until the other end has all.
+    ///
+    /// # Errors
+    /// Where it takes no more.
+    pub fn finish(mut self) -> io::Result<()> {
+        self.end();
+        self.shared.locked().error.take().map_or(Ok(()), Err)
+    }
+
+    fn end(&mut self) {
+        self.shared.locked().ended = true;
+        self.shared.changed.notify_one();
+        if let Some(passing) = self.passing.take() {
+            passing.join().expect("it does not panic");
+        }
+    }
+}
+
+impl Drop for Spool {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+impl Write for Spool {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut waiting = self.shared.locked();
+        if let Some(error) = waiting.error.take() {
+            return Err(error);
+        }
+        // As long as something is in the file, what comes belongs behind it.
+        if waiting.bytes + bytes.len() <= MEMORY && waiting.taken == waiting.written {
+            waiting.bytes += bytes.len();
+            waiting.memory.push_back(bytes.to_vec());
+        } else {
+            if waiting.file.is_none() {
+                waiting.file = Some(tempfile::tempfile()?);
+            }
+            let at = waiting.written;
+            waiting.file.as_ref().expect("it was just made").write_all_at(bytes, at)?;
+            waiting.written += bytes.len() as u64;
+        }
+        drop(waiting);
+        self.shared.changed.notify_one();
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Until there is no more.
+fn pass_on(shared: &Shared, mut out: impl Write) -> io::Result<()> {
+    loop {
+        let mut waiting = shared.locked();
+        let part = loop {
+            if let Some(part) = waiting.memory.pop_front() {
+                waiting.bytes -= part.len();
+                break part;
+            }
+            if waiting.taken < waiting.written {
+                let at = waiting.taken;
+                let mut part = vec![0; (waiting.written - at).min(PART) as usize];
+                waiting.file.as_ref().expect("something was written to it").read_exact_at(&mut part, at)?;
+                waiting.taken += part.len() as u64;
+                if waiting.taken == waiting.written {
+                    // All of it is taken: its room is given back.
+                    (waiting.file, waiting.taken, waiting.written) = (None, 0, 0);
+                }
+                break part;
+            }
+            if waiting.ended {
+                drop(waiting);
+                return out.flush();
+            }
+            waiting = shared.changed.wait(waiting).expect("nobody panics with it");
+        };
+        drop(waiting);
+        out.write_all(&part)?;
+    }
+}
+
+#[cfg(test)]
+mod tests;
