@@ -6,6 +6,47 @@ use crate::common::{Bench, SPEC};
 const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]",
+        "[variation]\nstretch = -0.1\n[sweep]",
+        "s.toml:14: variation.stretch = -0.1: must be a standard deviation of the logarithm, from 0 to 1",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nnodes = 0.4\n[sweep]",
+        "s.toml:14: variation.nodes = 0.4: must lie between 0 and 0.375 mm, a sixth of body.ligament_length",
+    ),
+    (
+        "[sweep]",
+        "[variation]\ncontact = 0.1\n[sweep]",
+        "s.toml:14: variation.contact = 0.1: means nothing here: the body has no body.contact",
+    ),
+    ("[sweep]", "[variation]\nnodes = 0.0\n[sweep]", "s.toml:13: variation: must say what scatters"),
+    (
+        "[sweep]",
+        "[optimise]\nobjective = \"mean\"\n[sweep]",
+        "s.toml:14: optimise.objective = \"mean\": needs a [variation] that says how casts scatter",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nnodes = 0.1\n[optimise]\nprotocol = \"paper\"\nobjective = \"worst\"\n[sweep]",
+        "s.toml:17: optimise.objective = \"worst\": means nothing to this optimise.protocol, only to joint",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nnodes = 0.1\n[optimise]\nobjective = { cvar = 1.5 }\n[sweep]",
+        "optimise.objective.cvar = 1.5: must be at least 0 and less than 1",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nnodes = 0.1\n[optimise]\ncasts = 4\n[sweep]",
+        "s.toml:16: optimise.casts = 4: means nothing here: no trial has an optimise.objective over casts",
+    ),
+    (
+        "[sweep]",
+        "[evaluation]\ncasts = 4\n[sweep]",
+        "s.toml:14: evaluation.casts = 4: means nothing here: no trial has a [variation]",
+    ),
+    (
+        "[sweep]",
         "[run]\nprune = { at = [0.5, 0.25] }\n[sweep]",
         "s.toml:14: run.prune.at = [0.5, 0.25]: must be parts of the steps between 0 and 1, ascending",
     ),

@@ -15,6 +15,7 @@ const COMMANDS: &[&[&str]] = &[
     &["identify", "--records", "r.toml"],
     &["status"],
     &["bound"],
+    &["casts", "--casts", "1"],
     &["modes"],
     &["place"],
     &["project", "--design", "d.npy", "--out", "o.npy"],

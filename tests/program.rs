@@ -8,6 +8,7 @@ mod answers;
 mod bad_input;
 mod brains;
 mod browser;
+mod casts;
 mod comparison;
 mod control;
 mod design;

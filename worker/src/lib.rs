@@ -2,6 +2,7 @@
 
 pub mod arrays;
 pub mod bound;
+pub mod casts;
 pub mod clock;
 pub mod convert;
 pub mod design;

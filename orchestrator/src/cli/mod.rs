@@ -7,6 +7,7 @@ mod say;
 
 mod analyse;
 mod bound;
+mod casts;
 mod claims;
 mod control;
 mod draw;
@@ -104,7 +105,7 @@ commands! {
     "A sweep": Run run, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
     "A cluster": Submit submit, Merge merge, Gc gc;
     "Results": Query query, Analyse analyse, Report report, Claims claims, Export export, Remove remove;
-    "Bodies": Simulate simulate, Modes modes, Bound bound, Place place, Project project, Draw draw;
+    "Bodies": Simulate simulate, Modes modes, Bound bound, Casts casts, Place place, Project project, Draw draw;
     "Measured data": Identify identify, Evaluate evaluate;
     "Checks": Verify verify, Schema schema;
 }

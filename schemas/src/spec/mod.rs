@@ -29,7 +29,7 @@ pub use solver::{Method, Solver, Time};
 pub use stimuli::{Augment, ForceUnit, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger};
 pub use trial::{Point, TrialSpec, flatten};
 pub use until::{AtMost, Until};
-pub use variation::Variation;
+pub use variation::{Variation, VariationFile};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

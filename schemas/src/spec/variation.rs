@@ -31,6 +31,14 @@ pub struct Variation {
     pub nodes: Option<f64>,
 }
 
+/// A file that says how casts scatter, and nothing else.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct VariationFile {
+    /// How they do.
+    pub variation: Variation,
+}
+
 impl Variation {
     /// Without deviations of 0; `None` if nothing is left.
     #[must_use]

@@ -17,7 +17,7 @@ mod schedule;
 mod search;
 mod state;
 
-pub use casts::{CastBrain, CastReading};
+pub use casts::{CastBrain, CastReading, casts_of};
 pub use evaluation::{BodyEvaluation, Comparison, NetworkEvaluation};
 pub use observe::{Control, Observe};
 pub use report::{Report, Seconds};

@@ -103,6 +103,25 @@ pub(super) fn read_casts(
     Some(())
 }
 
+/// How the first `count` casts of a design are read by linear brains; `progress` is told how many have been.
+pub fn casts_of(
+    trial: &Trial,
+    design: &[f64],
+    count: usize,
+    progress: &mut dyn FnMut(usize),
+) -> Vec<CastReading> {
+    let (solver, counters) = (&trial.tuned(design).solver, &mut Counters::default());
+    let mould = Mould { trial, design, solver };
+    let brains = Brains::new(trial, Vec::new(), mould.known(counters));
+    let mut found = Vec::new();
+    for number in 0..count {
+        let cast = trial.cast(Casts::Unseen, number as u64);
+        found.extend(brains.read(trial, number as u32, mould.sets(cast.as_ref(), counters)));
+        progress(number + 1);
+    }
+    found
+}
+
 impl Mould<'_> {
     /// Training samples of the body as designed, and samples of many casts.
     fn known(&self, counters: &mut Counters) -> [Result<Samples, Trouble>; 2] {

@@ -1,0 +1,96 @@
+//! `casts`: what is left of a body once it is cast.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use metasense_schemas::record::CastReading;
+use metasense_schemas::source::Source;
+use metasense_schemas::spec::{TrialSpec, Variation, VariationFile};
+use metasense_worker::casts::casts;
+
+use super::named::Designed;
+use super::{Error, Format, print_rows};
+use crate::analysis::numbers::quantile;
+use crate::exit::Exit;
+use crate::look::{Table, row};
+
+/// Casts a body virtually, and says what brains still read
+///
+/// Each cast has its own material and its own nodes, as `[variation]` scatters them, and each of its holdout samples is read by linear
+/// brains: one fitted to the body as designed (nominal), one to samples of 24 other casts (casts), and one anew to samples of the cast
+/// itself (records). The first casts are those of the trial's own comparison, `v_cast`. A cast that cannot be simulated counts as 100 %.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(flatten)]
+    one: Designed,
+    /// How many
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    casts: u16,
+    /// A TOML file with a [variation] table in place of the trial's
+    #[arg(long, value_name = "FILE")]
+    variation: Option<PathBuf>,
+    /// A row for each cast and brain in place of medians
+    #[arg(long)]
+    each: bool,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// The form of the rows
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let (hash, trial, design) = args.one.read().await?;
+    let variation = args.variation.as_deref().map(scatter).transpose()?;
+    let count = usize::from(args.casts);
+    let found = read(&args, &trial, &design, variation).map_err(|e| args.one.trial.refused(e))?;
+    let failed =
+        found.iter().filter(|reading| reading.reader == "nominal" && reading.outcome != "ok").count();
+    let table = if args.each { each(&found) } else { medians(&found) };
+    print_rows(&table, args.format)?;
+    say!("trial {}: {count} casts, {failed} of which failed", &hash[..8]);
+    Ok(Exit::Done)
+}
+
+fn scatter(file: &Path) -> Result<Variation, Error> {
+    let text = std::fs::read_to_string(file).map_err(Error::unreadable(file))?;
+    Ok(Source::new(file, text)?.parse_as::<VariationFile>()?.variation)
+}
+
+fn read(
+    args: &Args,
+    trial: &TrialSpec,
+    design: &[f64],
+    variation: Option<Variation>,
+) -> Result<Vec<CastReading>, metasense_worker::run::Failure> {
+    let mut said = Instant::now();
+    let mut progress = |done: usize| {
+        if said.elapsed().as_secs() >= SAY_EVERY {
+            said = Instant::now();
+            say!("{done} of {} casts", args.casts);
+        }
+    };
+    casts(trial, design, args.casts.into(), variation, args.threads.into(), &mut progress)
+}
+
+/// Seconds between two lines of progress.
+const SAY_EVERY: u64 = 10;
+
+fn each(found: &[CastReading]) -> Table {
+    let rows = found.iter().map(|r| row![r.cast, &r.reader, r.records, r.error, &r.outcome]);
+    Table::new("casting reader records error outcome", rows)
+}
+
+/// Of each brain, over the casts.
+fn medians(found: &[CastReading]) -> Table {
+    let brains = found.iter().take_while(|reading| reading.cast == 0);
+    let rows = brains.map(|brain| {
+        let own = found.iter().filter(|r| (&r.reader, r.records) == (&brain.reader, brain.records));
+        let mut errors: Vec<f64> = own.filter_map(|r| r.error).collect();
+        errors.sort_by(f64::total_cmp);
+        let [median, most] = [0.5, 0.9].map(|part| quantile(&errors, part));
+        row![&brain.reader, brain.records, median, most, errors.last()]
+    });
+    Table::new("reader records median percentile_90 worst", rows)
+}

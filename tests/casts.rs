@@ -1,0 +1,100 @@
+//! Bodies that are cast: trained for it, judged by it, and asked about it afterwards.
+
+use crate::common::{Bench, TINY};
+use serde_json::Value;
+
+const SCATTER: &str =
+    "[variation]\nstretch = 0.05\nshear = 0.05\nbend = 0.05\ndamping = 0.2\ndensity = 0.03\nnodes = 0.1\n";
+
+fn json(text: &str) -> Vec<Value> {
+    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
+}
+
+/// A nominal and a robust trial of one sensor, by a linear brain, three casts of each body.
+fn spec() -> String {
+    TINY.replace("sensors = [1, 2]", "sensors = [1]\n\"optimise.objective\" = [\"nominal\", \"mean\"]")
+        .replace(
+            "[brain]\niterations = 10\n",
+            &format!("{SCATTER}[brain]\nkind = \"linear\"\n[evaluation]\ncasts = 3\n"),
+        )
+}
+
+/// Every brain reads every cast of both bodies; the command reads the same casts to the same bits, and goes on to others; of less
+/// scatter they are read better; what fails is refused by file and line.
+#[test]
+fn casts_of_finished_bodies_are_read() {
+    let bench = Bench::new();
+    bench.file("s.toml", &spec());
+    bench.output(&["run", "s.toml", "--workers", "1"]);
+    let db = "results/tiny.sqlite";
+    let ask = |sql: &str| json(&bench.output(&["query", db, sql, "--format", "json"]));
+    let rows = ask("SELECT objective, body, casting, reader, records, error, nominal_error, hash FROM v_cast
+                    ORDER BY objective, body, casting, reader");
+    // two trials, two bodies, three casts; fitted as designed, over casts, and to all six training samples
+    assert_eq!(rows.len(), 2 * 2 * 3 * 3, "{rows:?}");
+    let error = |row: &Value| row["error"].as_f64().unwrap_or_else(|| panic!("{row}"));
+    assert!(rows.iter().all(|row| error(row) > 0.0 && row["nominal_error"].as_f64().unwrap() > 0.0));
+    let of = |objective: &str, body: &str| -> Vec<f64> {
+        rows.iter().filter(|row| row["objective"] == objective && row["body"] == body).map(error).collect()
+    };
+    // the same body meets the same casts, whatever it is trained for
+    assert_eq!(of("nominal", "initial"), of("mean", "initial"));
+    assert_ne!(of("nominal", "optimised"), of("mean", "optimised"));
+
+    let hash = rows.iter().find(|row| row["objective"] == "mean").unwrap()["hash"].as_str().unwrap();
+    let asked = ["casts", db, hash, "--body", "optimised", "--casts", "4", "--each", "--format", "json"];
+    let each = json(&bench.output(&asked));
+    assert_eq!(each.len(), 4 * 3);
+    for row in rows.iter().filter(|row| row["hash"] == hash && row["body"] == "optimised") {
+        let same = |other: &&Value| ["casting", "reader", "records"].iter().all(|key| row[key] == other[key]);
+        assert_eq!(error(each.iter().find(same).unwrap()), error(row));
+    }
+
+    bench.file("less.toml", "[variation]\nnodes = 0.001\n");
+    let less = json(&bench.output(&["casts", db, hash, "--variation", "less.toml", "--format", "json"]));
+    let more = json(&bench.output(&["casts", db, hash, "--format", "json"]));
+    let median = |rows: &[Value]| rows[0]["median"].as_f64().unwrap();
+    assert!(less[0]["reader"] == "nominal" && median(&less) < median(&more), "{less:?} {more:?}");
+
+    bench.file("wrong.toml", "[variation]\nstretch = 2.0\n");
+    bench.file("unknown.toml", "[variation]\nnode = 0.1\n");
+    bench.file("tiny.toml", TINY);
+    for (args, why) in [
+        (&["casts", db, hash, "--variation", "wrong.toml"][..], "variation.stretch = 2: "),
+        (
+            &["casts", db, hash, "--variation", "unknown.toml"],
+            "unknown.toml:2: variation.node = 0.1: unknown key",
+        ),
+        (&["casts", "tiny.toml"], "has no [variation]"),
+    ] {
+        let output = bench.metasense(args);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && said.contains(why), "{args:?}: {said}");
+    }
+}
+
+/// A scatter that no key asks about makes no other trial; objectives that are the same have the same hash.
+#[test]
+fn what_no_key_reads_makes_no_other_trial() {
+    let bench = Bench::new();
+    let hashes = |text: &str| -> Vec<String> {
+        bench.file("s.toml", text);
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        csv.lines().skip(1).map(|line| line[..32].to_owned()).collect()
+    };
+    let plain = hashes(TINY);
+    assert_eq!(
+        hashes(&TINY.replace("[brain]", &format!("{SCATTER}[evaluation]\ncasts = 0\n[brain]"))),
+        plain
+    );
+    assert_ne!(hashes(&TINY.replace("[brain]", &format!("{SCATTER}[brain]"))), plain);
+    let with = |keys: &str| {
+        hashes(&TINY.replace("[brain]", &format!("{SCATTER}[brain]")).replace("batch = 4", keys))
+    };
+    assert_eq!(with("batch = 4\nobjective = \"nominal\""), with("batch = 4"));
+    assert_eq!(
+        with("objective = { cvar = 0.0 }"),
+        with("objective = \"mean\"\ncasts = 4\nbatch = 8\nreader = \"one\"")
+    );
+    assert_ne!(with("objective = \"worst\""), with("objective = \"mean\""));
+}

@@ -1,0 +1,35 @@
+//! What is left of a design once it is cast, for any trial and any scatter.
+
+use metasense_numerics::nested::casts_of;
+use metasense_numerics::place::placed;
+use metasense_numerics::trial::Trial;
+use metasense_schemas::record::CastReading;
+use metasense_schemas::spec::{TrialSpec, Variation};
+
+use crate::convert::cast_readings;
+use crate::run::{Failure, pool, with_design};
+
+/// How `count` casts of a design are read by linear brains, those of the trial's own comparison first, or of another scatter.
+/// `progress` is told how many have been.
+///
+/// # Errors
+/// If the spec stands for no trial, the design is of another length, nothing scatters, or the initial body cannot be simulated.
+pub fn casts(
+    trial: &TrialSpec,
+    design: &[f64],
+    count: usize,
+    variation: Option<Variation>,
+    threads: usize,
+    progress: &mut dyn FnMut(usize),
+) -> Result<Vec<CastReading>, Failure> {
+    let mut trial = trial.clone();
+    trial.variation = variation.or(trial.variation).and_then(Variation::resolved);
+    trial.evaluation.casts = Some(count);
+    if trial.variation.is_none() {
+        let why = "it has no [variation] that says how casts scatter; give --variation FILE";
+        return Err(Failure::Rejected(why.into()));
+    }
+    let pool = pool(threads)?;
+    let (problem, _) = placed(&with_design(&trial, design)?, &pool)?;
+    Ok(cast_readings(&casts_of(&Trial::new(&problem, &pool)?, design, count, progress)))
+}
