@@ -3,7 +3,7 @@
 use super::jobs::{Backward, Queue, take};
 use super::ligaments::{self, ShapeCotangent, Turn};
 use super::model::{Bar, Model, ModelCotangent};
-use super::system::{GradientKernel, Kernels, ProductKernel, System, Unit};
+use super::system::{EnergyKernel, GradientKernel, Kernels, ProductKernel, System, Unit};
 use super::{Counters, Forces, Plan, Precision, Scene, Steps, Wrt, splitting, tsit5};
 use crate::Heartbeat;
 use crate::lanes::{Avx2, Avx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
@@ -49,6 +49,16 @@ macro_rules! machine {
             }
 
             $(#[target_feature(enable = $feature)])?
+            unsafe fn energy<const LINEAR: bool, const CONTACT: bool>(
+                model: &Model,
+                bars: Bars<'_>,
+                x: &[Unit<$vector>],
+                turn: &[Turn<$vector>],
+            ) -> $vector {
+                ligaments::energy::<$vector, LINEAR, CONTACT>(model, bars, x, turn)
+            }
+
+            $(#[target_feature(enable = $feature)])?
             unsafe fn product<const LINEAR: bool, const CONTACT: bool, const GRADIENT: bool, const PARAMETERS: bool>(
                 model: &Model,
                 bars: Bars<'_>,
@@ -66,6 +76,11 @@ macro_rules! machine {
             /// measures go with all that a kernel can do.
             fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {
                 type Of = (GradientKernel<$vector>, [ProductKernel<$vector>; 2]);
+                let energy: EnergyKernel<$vector> = match (scene.linearised, scene.contact.is_some()) {
+                    (false, false) => energy::<false, false>,
+                    (false, true) => energy::<false, true>,
+                    (true, _) => energy::<true, true>,
+                };
                 let (gradient, [second, alone]): Of = match (scene.linearised, scene.contact.is_some(), parameters) {
                     (false, false, false) => {
                         (gradient::<false, false>, [product::<false, false, true, false>, product::<false, false, false, false>])
@@ -77,7 +92,7 @@ macro_rules! machine {
                     (false, true, true) => (gradient::<false, true>, [product::<false, true, true, true>; 2]),
                     (true, ..) => (gradient::<true, true>, [product::<true, true, true, true>; 2]),
                 };
-                Kernels { gradient, second, product: alone }
+                Kernels { gradient, energy, second, product: alone }
             }
 
             $(#[target_feature(enable = $feature)])?

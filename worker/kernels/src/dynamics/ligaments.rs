@@ -99,6 +99,36 @@ pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: 
     }
 }
 
+/// U at `x`, of which `turn` holds the turns. Allocates nothing.
+#[inline(always)]
+pub fn energy<V: Vector, const LINEAR: bool, const CONTACT: bool>(
+    model: &Model,
+    bars: &[Bar<V::Scalar>],
+    x: &[[V; 3]],
+    turn: &[Turn<V>],
+) -> V {
+    let k = model.stiffness;
+    let mut sum = V::splat(0.0);
+    for bar in bars {
+        let at = kinematics::<V, LINEAR>(bar, x, turn);
+        let gamma = shear_angle::<V, LINEAR>(&at);
+        let [stretched, slid, turned] = if LINEAR {
+            linear(model, bar, at.d, at.mean, at.relative).2
+        } else {
+            let length = V::of(bar.length);
+            [at.size - length, length * gamma, at.relative]
+        };
+        for (k, strain) in [(k.stretch, stretched), (k.shear, slid), (k.bend, turned)] {
+            sum = (V::splat(0.5 * k) * strain).mul_add(strain, sum);
+        }
+        if CONTACT && let Some(contact) = model.contact {
+            let psi = [V::of(bar.voids[0]) - turned, V::of(bar.voids[1]) + turned];
+            psi.into_iter().for_each(|psi| sum = sum + contact_energy(contact, psi));
+        }
+    }
+    sum
+}
+
 /// Takes the derivative of ∂U/∂s along `w` from `h`, what forces of cotangent `w` pass on to states, and with `GRADIENT`
 /// adds ∂U/∂s itself to `g`. Allocates nothing.
 ///
@@ -402,6 +432,16 @@ impl<V: Vector> Reaction<V> {
         let turned = omega * lever[0].mul_add(self.force[0], lever[1] * self.force[1]);
         lever[0].mul_sub_from(along[1], lever[1].mul_add(along[0], turned))
     }
+}
+
+/// E_c of a void angle.
+#[inline(always)]
+fn contact_energy<V: Vector>(contact: super::Contact, psi: V) -> V {
+    let width = contact.cutoff_angle - contact.min_angle;
+    let (one, zero) = (V::splat(1.0), V::splat(0.0));
+    let x = (psi - V::splat(contact.cutoff_angle)) * V::splat(1.0 / width);
+    let square = (x * x).where_less(x, zero, zero).where_less(-one, x, zero);
+    V::splat(0.5 * contact.stiffness * width * width) * square.over(one - square)
 }
 
 /// dE_c/dψ = k_c w x/(1−x²)² and d²E_c/dψ² = k_c (1+3x²)/(1−x²)³; zero from ψ_c on and below ψ_min.

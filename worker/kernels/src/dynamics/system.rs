@@ -12,6 +12,9 @@ pub type Unit<V> = [V; 3];
 pub type GradientKernel<V> =
     unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Unit<V>], &[Turn<V>], &mut [Unit<V>], &mut V);
 
+/// (model, its ligaments, x, turns): the energy.
+pub type EnergyKernel<V> = unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Unit<V>], &[Turn<V>]) -> V;
+
 /// (model, its ligaments, x, w, turns, where to add ∂U/∂s if at all, where to take its derivative along w from, and where to add that of
 /// arms, void angles and stiffnesses).
 pub type ProductKernel<V> = unsafe fn(
@@ -29,6 +32,8 @@ pub type ProductKernel<V> = unsafe fn(
 pub struct Kernels<V: Vector> {
     /// Gradient of the energy.
     pub gradient: GradientKernel<V>,
+    /// The energy.
+    pub energy: EnergyKernel<V>,
     /// Gradient and second derivatives along a direction.
     pub second: ProductKernel<V>,
     /// The same, by those who do not ask for the gradient.
@@ -140,6 +145,13 @@ impl<'a, V: Vector> System<'a, V> {
     pub fn prepare(&mut self, x: &[Unit<V>], g: &mut [Unit<V>]) {
         g.fill([V::splat(0.0); 3]);
         turns(x, &mut self.turn);
+    }
+
+    /// U at `x`, the one prepared.
+    #[inline(always)]
+    pub fn energy(&self, x: &[Unit<V>]) -> V {
+        // SAFETY: as in `add_forces`.
+        unsafe { (self.kernels.energy)(self.model, &self.bars, x, &self.turn) }
     }
 
     /// Adds ∂U/∂s − f at `x`, the one prepared, to `g` and lowers `margin` to the least ψ − ψ_min.
