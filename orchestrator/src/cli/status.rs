@@ -250,11 +250,22 @@ pub(super) fn newest(command: &str) -> Result<PathBuf, Error> {
 /// Kinds of failures that are told one by one.
 const MOST_FAILURES: usize = 20;
 
-/// Trials by sweep, state and reason.
-const STATES: &str = "SELECT (SELECT group_concat(name, ', ') FROM (SELECT name FROM sweep_trial JOIN sweep ON sweep.id = sweep_id
-                 JOIN trial ON trial.id = trial_id WHERE hash = v.hash GROUP BY name ORDER BY min(sweep.created_at), name))
-               AS sweep, state, CASE WHEN state <> 'done' THEN coalesce(reason, '') ELSE '' END AS reason,
-               count(*) AS trials, sum(steps) AS steps, sum(attempts) AS attempts,
-               round(sum(seconds), 1) AS seconds, avg(holdout_error_initial) AS holdout_error_initial,
-               avg(holdout_error_optimised) AS holdout_error_optimised
-             FROM v_trial v GROUP BY 1, 2, 3 ORDER BY 1, 2, 3";
+/// Trials by sweep, state and reason, in one pass: steps are those that attempts have recorded, and sweeps are named once a
+/// group.
+const STATES: &str = "WITH of_trial AS (
+    SELECT (SELECT group_concat(x.sweep_id) FROM sweep_trial x WHERE x.trial_id = t.id) AS sweeps, t.state,
+      CASE WHEN t.state <> 'done' THEN coalesce(t.reason, '') ELSE '' END AS reason,
+      count(a.number) AS attempts, sum(CASE WHEN a.redone THEN 0 ELSE a.steps END) AS steps,
+      sum(CASE WHEN NOT a.redone THEN coalesce(a.cpu_seconds,
+        CASE a.state WHEN 'done' THEN coalesce(t.seconds_evaluation, 0) ELSE 0 END
+          + coalesce((SELECT sum(p.seconds_simulate + p.seconds_train + p.seconds_differentiate + p.seconds_implicit
+                                 + p.seconds_project + p.seconds_store)
+                      FROM step p WHERE p.trial_id = t.id AND p.attempt = a.number), 0)) END) AS seconds,
+      t.holdout_error_initial, t.holdout_error_optimised
+    FROM trial t LEFT JOIN attempt a ON a.trial_id = t.id GROUP BY t.id)
+  SELECT (SELECT group_concat(name, ', ') FROM
+      (SELECT name FROM sweep WHERE instr(',' || sweeps || ',', ',' || id || ',') GROUP BY name ORDER BY min(created_at), name))
+      AS sweep, state, reason, count(*) AS trials, coalesce(sum(steps), 0) AS steps, sum(attempts) AS attempts,
+    round(sum(seconds), 1) AS seconds, avg(holdout_error_initial) AS holdout_error_initial,
+    avg(holdout_error_optimised) AS holdout_error_optimised
+  FROM of_trial GROUP BY sweeps, state, reason ORDER BY 1, 2, 3";

@@ -42,7 +42,13 @@ impl Reader {
         let mut of_code: HashMap<String, Vec<String>> = HashMap::new();
         revisions.into_iter().for_each(|(code, revision)| of_code.entry(code).or_default().push(revision));
         let rows: Vec<(String, i64)> = sqlx::query_as(
-            "SELECT code, count(*) FROM v_trial WHERE code IS NOT NULL GROUP BY 1 ORDER BY 2 DESC, 1",
+            // In the order of their work only where there are several: few trials have them.
+            "SELECT CASE several WHEN 0 THEN code ELSE
+                 (SELECT v.code FROM v_trial v JOIN trial t ON t.hash = v.hash WHERE t.id = trial_id) END, count(*) FROM
+               (SELECT trial_id, min(coalesce(code, 'unknown')) AS code,
+                  min(coalesce(code, 'unknown')) < max(coalesce(code, 'unknown')) AS several FROM attempt
+                WHERE NOT redone AND (steps > 0 OR saves > 0 OR state = 'done') GROUP BY trial_id)
+             GROUP BY 1 ORDER BY 2 DESC, 1",
         )
         .fetch_all(&mut self.connection)
         .await

@@ -24,8 +24,8 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
         .pragma("locking_mode", "EXCLUSIVE")
         .pragma("journal_mode", "OFF")
         .pragma("synchronous", "OFF")
-        .pragma("cache_size", "-131072")
-        .pragma("temp_store", "MEMORY")
+        .pragma("cache_size", "-65536")
+        .pragma("temp_store", "FILE")
         .connect()
         .await?;
     let version = store::version(&mut out).await? as usize;
