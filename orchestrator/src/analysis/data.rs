@@ -1,6 +1,8 @@
 //! The groups within which trials are compared, and the errors of a group along an axis.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::hash::Hash;
+use std::rc::Rc;
 
 use serde_json::Value;
 
@@ -120,29 +122,60 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
         });
         found[place].1.push(trial);
     }
-    let keys: Vec<&Key> = found.iter().map(|(k, _)| k).collect();
-    let labels: Vec<String> = keys.iter().map(|k| label(k, &keys)).collect();
+    let labels = labels(&found.iter().map(|(k, _)| k).collect::<Vec<_>>());
     labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
+}
+
+/// The value at a path of a key; keys are sorted.
+fn at<'k>(key: &'k Key, path: &str) -> Option<&'k Value> {
+    key.binary_search_by(|(p, _)| p.as_str().cmp(path)).ok().map(|i| &key[i].1)
+}
+
+/// Paths at which not all of these are alike.
+fn differing<'k>(keys: &[&'k Key]) -> HashSet<&'k str> {
+    let Some(first) = keys.first() else { return HashSet::new() };
+    let mut differing = HashSet::new();
+    for key in keys {
+        let odd = key.iter().filter(|(path, value)| at(first, path) != Some(value));
+        differing.extend(odd.map(|(path, _)| path.as_str()));
+        let missing = first.iter().filter(|(path, _)| at(key, path).is_none());
+        differing.extend(missing.map(|(path, _)| path.as_str()));
+    }
+    differing
+}
+
+/// The same, among those of one kind.
+fn differing_within<'k, K: Hash + Eq>(keys: &[&'k Key], kinds: &[K]) -> Vec<Rc<HashSet<&'k str>>> {
+    let mut of_kind: HashMap<&K, Vec<&'k Key>> = HashMap::new();
+    keys.iter().zip(kinds).for_each(|(key, kind)| of_kind.entry(kind).or_default().push(key));
+    let differing: HashMap<&K, Rc<HashSet<&str>>> =
+        of_kind.into_iter().map(|(kind, keys)| (kind, Rc::new(differing(&keys)))).collect();
+    kinds.iter().map(|kind| Rc::clone(&differing[kind])).collect()
 }
 
 /// K always, M where fixed; of the rest what differs among the groups. Panel units follow from K and layout and say
 /// nothing more.
-fn label(key: &[(String, Value)], all: &[&Key]) -> String {
-    let value = |path: &str| key.iter().find(|(p, _)| p == path).map(|(_, v)| v);
+fn labels(all: &[&Key]) -> Vec<String> {
     // what a brain brings along differs with it: that alone is told
-    let kind = |key: &[(String, Value)]| {
+    let kind = |key: &&Key| {
         let setting = key.iter().cloned().collect();
         brains(&Trial { setting, ..Trial::default() })
     };
-    let own = kind(key);
-    let alike: Vec<&Key> = all.iter().filter(|k| kind(k) == own).copied().collect();
-    fn at<'k>(key: &'k Key, path: &str) -> Option<&'k Value> {
-        key.iter().find(|(p, _)| p == path).map(|(_, v)| v)
-    }
-    let differs = |among: &[&Key], path: &str| among.iter().any(|k| at(k, path) != at(among[0], path));
+    let kinds: Vec<[String; 2]> = all.iter().map(kind).collect();
     // and what a kind of stimuli has by default differs with it
-    let stimuli = value("stimuli.kind");
-    let struck: Vec<&Key> = all.iter().filter(|k| at(k, "stimuli.kind") == stimuli).copied().collect();
+    let stimuli: Vec<Option<String>> =
+        all.iter().map(|key| at(key, "stimuli.kind").map(Value::to_string)).collect();
+    let differs = differing(all);
+    let (alike, struck) = (differing_within(all, &kinds), differing_within(all, &stimuli));
+    let one_kind = kinds.iter().all(|kind| *kind == kinds[0]);
+    let told = all.iter().zip(&kinds).zip(alike.iter().zip(&struck));
+    told.map(|((key, own), (alike, struck))| label(key, own, one_kind, [&differs, alike, struck])).collect()
+}
+
+/// `differ`: paths at which groups differ, those of its brains, those of its stimuli.
+fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 3]) -> String {
+    let value = |path: &str| at(key, path);
+    let [differs, alike, struck] = differ;
     let of_brains = |path: &str| BRAINS.iter().any(|table| path.starts_with(table));
     let mut parts = Vec::new();
     for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
@@ -150,13 +183,13 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
     }
     const SIZES: [&str; 2] = ["body.columns", "body.rows"];
     match SIZES.map(value) {
-        [Some(columns), Some(rows)] if SIZES.iter().any(|p| differs(all, p)) => {
+        [Some(columns), Some(rows)] if SIZES.iter().any(|p| differs.contains(p)) => {
             parts.push(format!("{columns} × {rows} units"));
         }
-        [Some(columns), None] if differs(all, SIZES[0]) => parts.push(format!("{columns} units across")),
+        [Some(columns), None] if differs.contains(SIZES[0]) => parts.push(format!("{columns} units across")),
         _ => {}
     }
-    if alike.len() < all.len() {
+    if !one_kind {
         let training_told = key.iter().any(|(path, _)| path.starts_with("optimise."));
         parts.push(match own[0] == own[1] || !training_told {
             true => own[0].clone(),
@@ -167,9 +200,9 @@ fn label(key: &[(String, Value)], all: &[&Key]) -> String {
         let told =
             path.starts_with("point.") || path.ends_with("panel_units") || SIZES.contains(&path.as_str());
         let apart = match path.as_str() {
-            path if of_brains(path) => differs(&alike, path),
-            path if path.starts_with("stimuli.") && path != "stimuli.kind" => differs(&struck, path),
-            path => differs(all, path),
+            path if of_brains(path) => alike.contains(path),
+            path if path.starts_with("stimuli.") && path != "stimuli.kind" => struck.contains(path),
+            path => differs.contains(path),
         };
         if !told && apart {
             parts.push(format!("{path} = {}", plain(value)));

@@ -95,6 +95,10 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     loader.error_curves().await?;
     loader.long_errors().await?;
     loader.readings().await?;
+    for trial in &mut trials {
+        trial.history.shrink_to_fit();
+        trial.readings.shrink_to_fit();
+    }
     Ok(trials)
 }
 

@@ -328,9 +328,13 @@ pub async fn ask_unchanging<T>(
     Ok(answer)
 }
 
+/// Rows on their way, of some kB at most but for arrays, which are some tens.
+const ROWS: usize = 256;
+
 /// Read-only.
 pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
-    options(path).read_only(true).pragma("query_only", "ON")
+    // Rows on their way from SQLite's thread: with fewer the two wait for each other most of the time.
+    options(path).read_only(true).pragma("query_only", "ON").row_buffer_size(ROWS)
 }
 
 /// Where the folder cannot hold the journal's index (a read-only medium), as an unchanging file; where there is a journal, a
