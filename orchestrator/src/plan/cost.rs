@@ -21,6 +21,8 @@ const BRAIN_RATE: f64 = 1.1e11;
 /// Of an iteration (forward, backward) and of a Hessian-vector product to a forward pass.
 const ITERATION: f64 = 3.0;
 const HESSIAN_PRODUCT: f64 = 6.3;
+/// Iterations of a search's network on each candidate, before the spec's own.
+const AFRESH: f64 = 100.0;
 /// Products of the implicit term.
 const PRODUCTS: f64 = 21.0;
 
@@ -144,7 +146,7 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
         Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
         Protocol::Joint if optimise.linear() => casts * (fresh + solve),
         Protocol::Random | Protocol::Cmaes if optimise.linear() => simulate + solve,
-        Protocol::Random | Protocol::Cmaes => simulate + going,
+        Protocol::Random | Protocol::Cmaes => simulate + AFRESH * ITERATION * forward + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
         Protocol::Warm | Protocol::Envelope => simulate + differentiate + going,
         // each iteration on as many samples as a batch, and the loss of four of them

@@ -220,7 +220,7 @@ impl Learner for LinearLearner<'_> {
                 self.linear = Some((self.solve_recent(&bodies, step, learnt)?, None));
                 bodies.pop().expect("the newest")
             }
-            FitOn::Optimum(train) | FitOn::GoOn(train) | FitOn::ByNeed(train, _) | FitOn::Cast(train) => {
+            FitOn::Optimum(train) | FitOn::GoOn(train) | FitOn::Alike(train) | FitOn::Cast(train) => {
                 let train = self.plain(train);
                 let ridge = match on {
                     FitOn::Cast(_) => self.first_ridge(learnt)?,

@@ -137,8 +137,8 @@ pub(crate) enum FitOn<'a> {
     Optimum(&'a Samples),
     /// On from the last body.
     GoOn(&'a Samples),
-    /// Likewise, until its loss is in line with this trend.
-    ByNeed(&'a Samples, Option<f64>),
+    /// Afresh, of the same initial weights and iterations for every body.
+    Alike(&'a Samples),
     /// Likewise, on a few samples of one cast of the body.
     Cast(&'a Samples),
     /// Likewise, on the last bodies, the newest last.

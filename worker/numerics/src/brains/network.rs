@@ -7,12 +7,8 @@ use crate::trial::{BrainKind, Counters, Going, Protocol, Samples, Scales, Traini
 
 /// Initial weights of readers are numbered from here, out of the way of the outer steps'.
 const FIRST_NETWORK: u64 = 1 << 32;
-/// Iterations of a going network's first training, on the initial body's training signals.
+/// Iterations of a going network's first training, on the initial body's training signals, of a search's on its candidate's.
 const FIRST_ITERATIONS: usize = 100;
-/// A network that goes on by need does so until its loss is within this factor of its trend …
-const NEED: f64 = 1.05;
-/// … but at most so many times.
-const ROUNDS_MAX: usize = 8;
 /// A going network trains on the batches of so many bodies, the present one among them.
 const BODIES: usize = 4;
 /// An iteration takes every so-many-th of these samples, by turns: they are so alike that all of them tell a step hardly more.
@@ -240,14 +236,19 @@ impl<'a> NetworkLearner<'a> {
         brain::loss(weights, batch, &mut self.workspace, self.trial.pool)
     }
 
-    /// Gives a network that is to go on from body to body its first training, if it has had none.
-    fn first_training(&mut self, learnt: &mut Learnt, counters: &mut Counters) -> Result<(), Trouble> {
+    /// Gives a network its first training, if it has had none.
+    fn first_training(
+        &mut self,
+        samples: &Samples,
+        learnt: &mut Learnt,
+        counters: &mut Counters,
+    ) -> Result<(), Trouble> {
         if !learnt.weights.is_empty() {
             return Ok(());
         }
         let (trial, going) = (self.trial, self.going());
         let mut weights = fresh_weights(self.shape, trial.problem.seed, 0);
-        let data = self.data(&trial.initial);
+        let data = self.data(samples);
         let fall = brain::cosine(trial.problem.brain.rate - going.brain_rate, FIRST_ITERATIONS);
         let rate = |i| going.brain_rate + fall(i);
         self.iterate(&mut weights, &mut learnt.adam, data.all(), FIRST_ITERATIONS, &rate, counters)?;
@@ -314,22 +315,17 @@ impl Learner for NetworkLearner<'_> {
             self.weights = weights;
             return Ok(Learned { loss, error: self.error(train) });
         }
-        self.first_training(learnt, counters)?;
+        let mut fresh = Learnt::nothing(self.shape.weights());
+        let (first, learnt) = match on {
+            FitOn::Alike(train) => (train, &mut fresh),
+            _ => (&self.trial.initial, learnt),
+        };
+        self.first_training(first, learnt, counters)?;
         let loss = match on {
             FitOn::Optimum(_) => unreachable!("returned above"),
-            FitOn::GoOn(train) | FitOn::Cast(train) => {
+            FitOn::GoOn(train) | FitOn::Cast(train) | FitOn::Alike(train) => {
                 let data = self.data(train);
                 self.go_on(data.all(), learnt, counters)?
-            }
-            FitOn::ByNeed(train, trend) => {
-                let (data, mut loss) = (self.data(train), f64::INFINITY);
-                for _ in 0..ROUNDS_MAX {
-                    loss = self.go_on(data.all(), learnt, counters)?;
-                    if trend.is_none_or(|trend| loss < NEED * trend) {
-                        break;
-                    }
-                }
-                loss
             }
             FitOn::Recent(bodies) => {
                 let all = Samples::joined(bodies);

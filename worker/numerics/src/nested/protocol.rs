@@ -164,13 +164,13 @@ impl<'a> Session<'a> {
         (counted.map(|(by, error)| by * error).sum(), gradient)
     }
 
-    /// A search's candidate is worth its test error, read by the trial's brain on its training set.
+    /// A search's candidate is worth its test error, read by a brain that its training set alone has trained: one that went on from
+    /// candidate to candidate would read the later ones better.
     fn candidate(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
         let trial = self.trial;
         let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
         let [train, test] = self.simulate(state, sets, [false; 2], solver, log)?;
-        let by_need = FitOn::ByNeed(&train.samples, state.trend);
-        let loss_train = self.learn(by_need, state, log)?;
+        let loss_train = self.learn(FitOn::Alike(&train.samples), state, log)?;
         let error_test = self.test_error(&test.samples, log);
         match loss_train.is_finite() {
             true => Ok(Sensed { gradient: Vec::new(), loss_train, error_test }),

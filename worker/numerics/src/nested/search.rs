@@ -84,9 +84,6 @@ impl<'a> GradientFree<'a> {
             Err(trouble) if state.step == 0 => return Err(Failure::Initial(trouble)),
             Err(trouble) => {
                 log.report.trouble = Some(trouble);
-                if matches!(trouble, Trouble::Training(_)) {
-                    state.forget_network();
-                }
                 f64::INFINITY
             }
         };

@@ -147,16 +147,11 @@ impl State {
         }
         // A network that died or went to infinity is no start
         if matches!(trouble, Trouble::Training(_)) {
-            self.forget_network();
+            let ridge = self.learnt.ridge;
+            self.learnt = Learnt { ridge, ..Learnt::nothing(self.learnt.adam.m.len()) };
+            self.trend = None;
         }
         Ok(self)
-    }
-
-    /// A network gets another first training.
-    pub(super) fn forget_network(&mut self) {
-        let ridge = self.learnt.ridge;
-        self.learnt = Learnt { ridge, ..Learnt::nothing(self.learnt.adam.m.len()) };
-        self.trend = None;
     }
 }
 

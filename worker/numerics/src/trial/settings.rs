@@ -107,7 +107,7 @@ pub enum Protocol {
     Envelope(Going),
     /// The network goes on; the loss on samples drawn for the step alone moves the body.
     Joint(Going),
-    /// No gradient: candidates drawn about the initial body; the network goes on from one to the next.
+    /// No gradient: candidates drawn about the initial body; a network starts afresh on each.
     Random(Going),
     /// Likewise, drawn by CMA-ES.
     Cmaes(Going),
