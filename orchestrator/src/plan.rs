@@ -445,6 +445,8 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     read.noise = read.noise.filter(|size| !none(size));
     read.bias = read.bias.filter(|size| !none(size));
     read.delay = read.delay.filter(|delay| *delay != 0.0);
+    read.mass = read.mass.filter(|mass| *mass != 0.0);
+    read.inertia = read.inertia.filter(|moment| *moment != 0.0);
     let mut stimuli = spec.stimuli.clone().resolved();
     stimuli.force_samples = stimuli.force_samples.filter(|instants| *instants != spec.time.samples);
     let (brain, mut optimise, evaluation, variation) = brains::resolved(spec);

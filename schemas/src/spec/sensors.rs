@@ -80,4 +80,10 @@ pub struct Sensors {
     /// Delay of the signals. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
+    /// Mass of each chip, on the centroid of its unit. Of `sensors.search` the candidates carry none. Unit: Mg. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mass: Option<f64>,
+    /// Its moment of inertia about the centroid. Unit: Mg mm². Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inertia: Option<f64>,
 }

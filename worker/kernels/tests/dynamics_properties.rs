@@ -5,8 +5,8 @@ mod common;
 use common::{norm, pool, relative};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Forces, Frame, Method, Outcome, Panel, Plan, Precision, Scene, Simulation, Solver,
-    Stiffness, Tolerance, Wrt, choose, highest_frequency, run, signal_error, simulate, tune,
+    Accuracy, Contact, Forces, Frame, Inertia, Method, Outcome, Panel, Plan, Precision, Scene, Simulation,
+    Solver, Stiffness, Tolerance, Wrt, choose, highest_frequency, run, signal_error, simulate, tune,
 };
 use metasense_kernels::simd::Width;
 use metasense_kernels::{Heartbeat, Pool};
@@ -24,6 +24,7 @@ fn small_scene() -> Scene {
         clamped: vec![0, 1, 2],
         panels: vec![Panel { unit: 6, direction: [0.0, -1.0] }, Panel { unit: 8, direction: [0.6, -0.8] }],
         sensors: vec![4, 7],
+        chip: None,
         frame: Frame::World,
         duration: 0.1,
         instants: 20,
@@ -570,4 +571,42 @@ fn motion_that_steps_have_made_is_found_before_it_drowns_the_signals() {
         }
     }
     assert!(well > 20 && worst < 3.0, "{worst} times the truth's signals, {well} runs");
+}
+
+/// Chips as heavy as their units are a body of twice the density, but for its damping; chips elsewhere are another body.
+#[test]
+fn chips_weigh() {
+    let base = Scene { damping_ratio: 0.0, sensors: vec![3, 4, 5, 6, 7, 8], ..small_scene() };
+    let design = base.layout.initial_design(0.4363);
+    let geometry = Geometry::new(&base.layout, &design, base.density);
+    let chip = Some(Inertia { mass: geometry.mass[4], moment: geometry.moment[4] });
+    let forces = pushes(&base, 2, 0.2);
+    let signals =
+        |scene: &Scene| run(scene, &design, &forces, &plan(Method::Nystrom6, 24), false, &pool(1)).signals;
+    let heavy = signals(&Scene { chip, ..base.clone() });
+    let dense = signals(&Scene { density: 2.0 * base.density, ..base.clone() });
+    assert!(relative(&heavy, &dense) < 1e-9, "{:e}", relative(&heavy, &dense));
+    assert!(relative(&heavy, &signals(&base)) > 0.1);
+}
+
+/// Gradients in design and density of a body that carries chips are those of differences: what a chip adds does not hang on them.
+#[test]
+fn gradients_hold_where_chips_weigh() {
+    let scene = Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
+    let (design, forces, plan) = (shaken(&scene), pushes(&scene, 2, 0.3), plan(Method::Nystrom6, 24));
+    let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));
+    let gradient = simulation.vjp(&simulation.signals, Wrt::Parameters, &pool(1));
+    let energy = |scene: &Scene, design: &[f64]| {
+        let signals = run(scene, design, &forces, &plan, false, &pool(1)).signals;
+        0.5 * signals.iter().map(|a| a * a).sum::<f64>()
+    };
+    let direction: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
+    let moved = |by: f64| -> Vec<f64> { design.iter().zip(&direction).map(|(a, d)| a + by * d).collect() };
+    let slope: f64 = gradient.design.iter().zip(&direction).map(|(g, d)| g * d).sum();
+    let difference = (energy(&scene, &moved(1e-5)) - energy(&scene, &moved(-1e-5))) / 2e-5;
+    assert!((difference / slope - 1.0).abs() < 1e-6, "{difference} {slope}");
+    let of_density = |by: f64| energy(&Scene { density: by * scene.density, ..scene.clone() }, &design);
+    let difference = (of_density(1.0 + 1e-5) - of_density(1.0 - 1e-5)) / 2e-5;
+    let slope = gradient.parameters.unwrap().density * scene.density;
+    assert!((difference / slope - 1.0).abs() < 1e-6, "{difference} {slope}");
 }

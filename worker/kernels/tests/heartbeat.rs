@@ -30,6 +30,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
         clamped: vec![0, 1, 2],
         panels: vec![Panel { unit: 7, direction: [0.0, -1.0] }],
         sensors: vec![4],
+        chip: None,
         frame: Frame::World,
         duration: 0.1,
         instants,

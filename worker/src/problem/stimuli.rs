@@ -1,10 +1,11 @@
 //! Force histories and what the sensors' chips add, from their spec.
 
+use metasense_numerics::dynamics::Inertia;
 use metasense_numerics::stimuli::{Bell, Irregular, Source};
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
-use crate::invalid::{Invalid, at_least, at_most, invalid, require};
+use crate::invalid::{Invalid, at_least, at_most, invalid, not_negative, require};
 use crate::records;
 
 /// Where the forces of a trial come from, and how many samples there are.
@@ -151,4 +152,12 @@ pub(super) fn disturbance(
     let disturbance = Disturbance { noise, bias, delay };
     let still = |size| matches!(size, Size::Relative(0.0)) || size == Size::Physical([0.0; 2]);
     Ok((!(still(noise) && still(bias) && delay == 0.0)).then_some(disturbance))
+}
+
+/// What a chip adds to its unit.
+pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<Inertia>, Invalid> {
+    let [mass, moment] = [sensors.mass, sensors.inertia].map(Option::unwrap_or_default);
+    not_negative("sensors.mass", mass)?;
+    not_negative("sensors.inertia", moment)?;
+    Ok((mass > 0.0 || moment > 0.0).then_some(Inertia { mass, moment }))
 }

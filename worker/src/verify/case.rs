@@ -175,6 +175,7 @@ impl Case {
             clamped: units("clamped")?,
             panels: units("panels")?.into_iter().map(|unit| Panel { unit, direction }).collect(),
             sensors: units("sensors")?,
+            chip: None,
             frame: if self.text("scene.frame")? == "body" { Frame::Body } else { Frame::World },
             duration: number("duration")?,
             instants: size("T")?,

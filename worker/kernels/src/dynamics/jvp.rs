@@ -5,7 +5,7 @@
 //! that signals which agree to rounding check those too.
 
 use super::schemes::Drift;
-use super::{Forces, Frame, Method, Parameters, Scene, Simulation, Tape, tsit5};
+use super::{Forces, Frame, Inertia, Method, Parameters, Scene, Simulation, Tape, tsit5};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -134,7 +134,9 @@ impl<'a> Body<'a> {
             });
             let m = 0.5 * density * doubled;
             arms.push(r);
-            mass.push([m, m, 1.0 / 12.0 * density * polar]);
+            let own = [m, m, 1.0 / 12.0 * density * polar];
+            let chip = Inertia::on(scene, u);
+            mass.push([0, 1, 2].map(|d| own[d] + Dual(chip[d], 0.0)));
         }
         // C of the square of angle 0
         let area = 2.0 * layout.half.powi(2);

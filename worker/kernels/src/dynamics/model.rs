@@ -1,6 +1,6 @@
 //! A scene with a design, in the form that the kernels read.
 
-use super::{Contact, Parameters, Scene, Stiffness};
+use super::{Contact, Inertia, Parameters, Scene, Stiffness};
 use crate::body::{Geometry, Layout, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -110,8 +110,12 @@ impl Model {
             }
         };
         let bars = layout.ligaments.iter().zip(&voids).enumerate().map(bar).collect();
-        let mut inverse_mass: Vec<[f64; 3]> =
-            geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [1.0 / m, 1.0 / m, 1.0 / j]).collect();
+        let own = geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [*m, *m, *j]);
+        let inverse = |(unit, own): (usize, [f64; 3])| {
+            let chip = Inertia::on(scene, unit);
+            std::array::from_fn(|d| 1.0 / (own[d] + chip[d]))
+        };
+        let mut inverse_mass: Vec<[f64; 3]> = own.enumerate().map(inverse).collect();
         for &u in &scene.clamped {
             inverse_mass[u] = [0.0; 3];
         }

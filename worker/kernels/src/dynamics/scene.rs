@@ -74,6 +74,25 @@ impl Parameters {
     }
 }
 
+/// Mass on the centroid of a unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Inertia {
+    /// m (Mg).
+    pub mass: f64,
+    /// J about the centroid (Mg·mm²).
+    pub moment: f64,
+}
+
+impl Inertia {
+    /// Of the chip on a unit of a scene: (m, m, J), zero where it carries none.
+    pub(super) fn on(scene: &Scene, unit: usize) -> [f64; 3] {
+        match scene.chip {
+            Some(Self { mass, moment }) if scene.sensors.contains(&unit) => [mass, mass, moment],
+            _ => [0.0; 3],
+        }
+    }
+}
+
 /// The frame in which accelerations are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Frame {
@@ -113,6 +132,8 @@ pub struct Scene {
     pub panels: Vec<Panel>,
     /// Units of the M sensors.
     pub sensors: Vec<usize>,
+    /// What each sensor's chip adds to its unit; a scene without does not pay for it.
+    pub chip: Option<Inertia>,
     /// How sensors read.
     pub frame: Frame,
     /// Length of a sample (s).

@@ -19,6 +19,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
             Panel { unit: top - 2, direction: [0.0, -1.0] },
         ],
         sensors: vec![4, top],
+        chip: None,
         frame: Frame::World,
         duration: 0.1,
         instants: 20,
@@ -60,6 +61,7 @@ fn a_column_of_squares_has_the_modes_of_a_chain() {
         damping_ratio: 0.6,
         panels: Vec::new(),
         sensors: Vec::new(),
+        chip: None,
         ..scene(Layout::planar(1, n + 1, 15.0, 2.25), vec![0])
     };
     let design = column.layout.initial_design(0.0);

@@ -33,6 +33,7 @@ fn small(protocol: Protocol) -> Problem {
             clamped: vec![0, 1, 2, 3],
             panels: vec![Panel { unit: 9, direction }, Panel { unit: 10, direction }],
             sensors: vec![5],
+            chip: None,
             frame: Frame::World,
             duration: 0.2,
             instants: 40,

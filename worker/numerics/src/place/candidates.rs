@@ -39,7 +39,8 @@ impl Candidates {
         pool: &crate::Pool,
     ) -> Result<Self, Failure> {
         let units = search.candidates.clone();
-        let scene = Scene { sensors: units.clone(), ..problem.scene.clone() };
+        // a chip on each candidate would be another body
+        let scene = Scene { sensors: units.clone(), chip: None, ..problem.scene.clone() };
         let optimise = Optimise { coarse: None, ..problem.optimise };
         let trial = Trial::new(&Problem { scene, search: None, optimise, ..problem.clone() }, pool)?;
         let heard = if design == problem.initial {
