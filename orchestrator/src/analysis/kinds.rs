@@ -32,6 +32,11 @@ pub fn brains(trial: &Trial) -> [String; 2] {
     }
 }
 
+/// Whether the trial's own brain is the linear one.
+pub fn is_linear(trial: &Trial) -> bool {
+    trial.setting.get("brain.kind").and_then(Value::as_str) == Some("linear")
+}
+
 /// [`brains`] of each trial; those that share a setting are looked at once.
 pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
     let mut known: HashMap<*const BTreeMap<String, Value>, [String; 2]> = HashMap::new();

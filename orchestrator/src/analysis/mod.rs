@@ -6,6 +6,7 @@
 //! with it every interval and vote, is in [`resample`], and whether intervals cover in its tests.
 
 pub mod brains;
+pub mod casts;
 pub mod claims;
 pub mod compare;
 pub mod data;

@@ -4,6 +4,7 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::brains::reads;
+use super::casts;
 use super::data::{
     BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, groups, levels,
     observations,
@@ -18,7 +19,7 @@ use super::resample::Interval;
 use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
 use super::scaling::{Scaling, scaling};
 use super::sensors::{Spread, fewer, spread};
-use super::trial::{Body, Set, Trial};
+use super::trial::{Body, CastBrain, Set, Trial};
 use crate::look::{Table, row};
 
 /// A question to finished trials.
@@ -28,6 +29,8 @@ pub enum Question {
     Paired,
     /// Error by brain and memory; bodies trained with one brain, forces read by another
     Brains,
+    /// What is left of a body once it is cast: error over virtual casts by body and brain, gain kept ([variation])
+    Casts,
     /// Training iterations on the initial over those on the optimised body, to equal error and loss
     Iterations,
     /// Initial against optimised body after long training (evaluation.long_iterations)
@@ -72,6 +75,9 @@ impl Question {
             }
             Self::Brains => {
                 "Holdout error (%, geometric mean): the brain that the optimised body was trained with, the brain that reads it, and its memory (s before and after)"
+            }
+            Self::Casts => {
+                "Error (%) on casts that no training has seen, by body and by the brain that reads them (fitted to the body as designed, to other casts, or to records of each cast): median and 90th percentile over casts, geometric means over trials; kept: ln(initial/trained) over casts by that as designed (95 % intervals)"
             }
             Self::Iterations => {
                 "Iterations on the initial over those on the optimised body, to equal holdout error and training loss"
@@ -120,6 +126,7 @@ impl Question {
         match self {
             Self::Paired => paired_table(&trials),
             Self::Brains => brains_table(&trials),
+            Self::Casts => casts_table(&trials),
             Self::Iterations => iterations_table(&trials),
             Self::Long => long_table(&trials),
             Self::Sensors => sensors_table(&trials, terms),
@@ -187,6 +194,31 @@ fn brains_table(trials: &[&Trial]) -> Table {
     }
     let columns = "setting trained_with read_by before after initial optimised trials improved ratio low \
         high over";
+    Table::new(columns, rows)
+}
+
+fn casts_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for setting in casts::settings(trials) {
+        for (body, by) in
+            setting.bodies.iter().flat_map(|body| body.brains().into_iter().map(move |by| (body, by)))
+        {
+            let Some(found) = body.left(by) else { continue };
+            let records = if let CastBrain::Records(records) = by { Some(records) } else { None };
+            let names = row![setting.label, body.name, by.name(), records];
+            let [median, most] = &found.errors;
+            let designed = found.designed.map(|designed| designed.ratio);
+            let counts = row![median.trials, found.casts[0], found.casts[1], designed];
+            let [kept, kept_most] = found.kept.map(|kept| {
+                let [low, high] = ends(kept.and_then(|kept| kept.interval));
+                row![kept.map(|kept| kept.part), low, high]
+            });
+            let errors = [interval_cells(Some(median)), interval_cells(Some(most))].concat();
+            rows.push([names, counts, errors, kept, kept_most, row![median.over]].concat());
+        }
+    }
+    let columns = "setting body read_by records trials casts failed designed median median_low median_high \
+        percentile_90 percentile_90_low percentile_90_high kept kept_low kept_high kept_90 kept_90_low kept_90_high over";
     Table::new(columns, rows)
 }
 

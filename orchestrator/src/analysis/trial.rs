@@ -71,6 +71,57 @@ pub struct Reading {
     pub errors: [[Option<f64>; 2]; 2],
 }
 
+/// A brain that reads casts of a body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum CastBrain {
+    /// The trial's network, trained on the body as designed.
+    Network,
+    /// A linear one, fitted to the body as designed.
+    Nominal,
+    /// A linear one, fitted to other casts.
+    Casts,
+    /// A linear one, fitted anew to so many samples of each cast.
+    Records(u64),
+}
+
+impl CastBrain {
+    /// Its name in the database.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Network => "network",
+            Self::Nominal => "nominal",
+            Self::Casts => "casts",
+            Self::Records(_) => "records",
+        }
+    }
+
+    /// By its name in the database and the samples that it is fitted to.
+    pub fn named(name: &str, records: u64) -> Option<Self> {
+        Some(match name {
+            "network" => Self::Network,
+            "nominal" => Self::Nominal,
+            "casts" => Self::Casts,
+            "records" => Self::Records(records),
+            _ => return None,
+        })
+    }
+}
+
+/// How a brain reads the casts of a trial's body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CastReading {
+    /// The body.
+    pub body: Body,
+    /// The brain.
+    pub by: CastBrain,
+    /// How many casts.
+    pub casts: u64,
+    /// How many of them could not be simulated or read, and count as 100 %.
+    pub failed: u64,
+    /// Median and 90th percentile of the holdout errors (%).
+    pub errors: [f64; 2],
+}
+
 /// The seed of a random initial body.
 pub const RANDOM: &str = "body.design.random";
 
@@ -97,6 +148,8 @@ pub struct Trial {
     pub long_errors: [[Option<f64>; 2]; 2],
     /// By linear brains, whatever the trial's own is; none in trials of versions before 4.
     pub readings: Vec<Reading>,
+    /// How casts of both bodies are read; none in trials without casts.
+    pub casts: Vec<CastReading>,
     /// The part of the accelerations and of the angular velocities (%) that a linear model of the body at rest does not explain,
     /// `[initial, optimised][acceleration, rotation]`; none in trials of versions before 6.
     pub nonlinear: [[Option<f64>; 2]; 2],

@@ -9,7 +9,7 @@ use super::{Story, Sweep};
 use crate::analysis::numbers::mean;
 use crate::analysis::paired::{Progress, iteration_ratio};
 use crate::analysis::setting::Settings;
-use crate::analysis::trial::{CurvePoint, Reading};
+use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::store::{Reader, Row, StoreError, npy_values};
 
@@ -95,6 +95,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     loader.error_curves().await?;
     loader.long_errors().await?;
     loader.readings().await?;
+    loader.casts().await?;
     for trial in &mut trials {
         trial.history.shrink_to_fit();
         trial.readings.shrink_to_fit();
@@ -271,6 +272,31 @@ impl Loader<'_> {
             let last = trial.readings.len() - 1;
             trial.readings[last].errors[body as usize] =
                 [row.number("error_test"), row.number("error_holdout")];
+            Ok(())
+        })
+        .await
+    }
+
+    /// Quantiles over casts, by weights of the two order statistics about each.
+    async fn casts(&mut self) -> Result<(), StoreError> {
+        let quantile = |q: f64| format!("sum(error * max(0, 1 - abs({q:?} * (count - 1) - place)))");
+        let of = "PARTITION BY trial_id, body, reader, records";
+        let sql = format!(
+            "SELECT trial_id, body, reader, records, count, sum(outcome <> 'ok') AS failed, {} AS median, {} AS most FROM
+               (SELECT *, row_number() OVER ({of} ORDER BY error) - 1 AS place, count(*) OVER ({of}) AS count
+                FROM cast_reading WHERE error IS NOT NULL)
+             GROUP BY trial_id, body, reader, records",
+            quantile(0.5),
+            quantile(0.9)
+        );
+        self.each(&sql, |trial, row| {
+            let named =
+                body_named(row.text("body")).zip(CastBrain::named(row.text("reader"), row.count("records")));
+            let errors = [row.number("median"), row.number("most")];
+            if let (Some((body, by)), [Some(median), Some(most)]) = (named, errors) {
+                let (casts, failed) = (row.count("count"), row.count("failed"));
+                trial.casts.push(CastReading { body, by, casts, failed, errors: [median, most] });
+            }
             Ok(())
         })
         .await

@@ -1,0 +1,164 @@
+//! What is left of a body once it is cast: errors over virtual casts, by body and by the brain that reads them.
+//!
+//! A trial is told by the median and the 90th percentile over its casts, trials by geometric means with intervals over
+//! placements and seeds. The gain that is kept compares a trained body with the initial one of the same trials:
+//! ```text
+//! kept = Σ ln(initial/trained, over casts) / Σ ln(initial/trained, as designed)
+//! ```
+//! Sums and not a mean of each trial's share: that has no mean where a trial gains little.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::data::{Group, groups};
+use super::kinds::is_linear;
+use super::numbers::distinct;
+use super::paired::Ratio;
+use super::resample::{Interval, Resampling};
+use super::tables::apart;
+use super::trial::{Body, CastBrain, CastReading, Cluster, Set, Trial};
+
+/// Trials of one setting that are cast, by body.
+#[derive(Debug, Clone)]
+pub struct Setting<'a> {
+    /// What sets it apart.
+    pub label: String,
+    /// The initial body, those trained as designed, those trained over casts.
+    pub bodies: Vec<Cast<'a>>,
+}
+
+/// A body that is cast.
+#[derive(Debug, Clone)]
+pub struct Cast<'a> {
+    /// `initial`, or how it was trained: `nominal`; the objective and whose errors count: `mean, one`.
+    pub name: String,
+    /// Which body of its trials.
+    pub body: Body,
+    /// One a cluster of the initial body, whatever trains it.
+    pub trials: Vec<&'a Trial>,
+}
+
+/// How a brain reads a body's casts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Left {
+    /// Casts of all trials, and how many of them could not be simulated.
+    pub casts: [u64; 2],
+    /// Error (%) by a brain of this kind of the body as designed: geometric mean over the trials that have it.
+    pub designed: Option<Ratio>,
+    /// Median and 90th percentile over a trial's casts (%): geometric means over trials.
+    pub errors: [Ratio; 2],
+    /// The parts of the gain as designed that are kept at the median and at the 90th percentile; `None` of the initial body,
+    /// or without gain.
+    pub kept: [Option<Kept>; 2],
+}
+
+/// A part of a gain.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Kept {
+    /// 1 is all of it.
+    pub part: f64,
+    /// 95 %, where there are enough placements or seeds.
+    pub interval: Option<Interval>,
+}
+
+/// Trials with casts that differ in training, placement and seed alone.
+pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
+    let cast: Vec<&Trial> = trials.iter().filter(|t| !t.casts.is_empty()).copied().collect();
+    let setting = |group: Group<'a>| Setting { label: group.label, bodies: bodies(&group.trials) };
+    groups(&cast, &["optimise."]).into_iter().map(setting).collect()
+}
+
+fn bodies<'a>(trials: &[&'a Trial]) -> Vec<Cast<'a>> {
+    let initial: BTreeMap<Cluster, &Trial> = trials.iter().rev().map(|t| (t.cluster, *t)).collect();
+    let name = "initial".to_owned();
+    let mut found = vec![Cast { name, body: Body::Initial, trials: initial.into_values().collect() }];
+    let mut trained: BTreeMap<(bool, String), Vec<&Trial>> = BTreeMap::new();
+    for trial in trials {
+        let objective = objective(trial);
+        let key = (objective.is_some(), objective.unwrap_or("nominal".into()));
+        trained.entry(key).or_default().push(trial);
+    }
+    for ((_, objective), trials) in trained {
+        // what an objective brings along differs with it: told is what else does
+        let mut ways = groups(&trials, &[]);
+        ways.sort_by(|a, b| a.label.cmp(&b.label));
+        found.extend(ways.into_iter().map(|way| {
+            let rest = apart(&way.label).into_iter().map(|part| part.trim_start_matches("optimise."));
+            let name = std::iter::once(&objective[..]).chain(rest).collect::<Vec<_>>().join(", ");
+            Cast { name, body: Body::Optimised, trials: way.trials }
+        }));
+    }
+    found
+}
+
+/// The objective over casts that a trial's body was trained for, and whether for one brain or for each cast its own.
+fn objective(trial: &Trial) -> Option<String> {
+    let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
+    let tail = trial.setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
+    let objective = tail.or_else(|| text("optimise.objective").map(str::to_owned))?;
+    Some(format!("{objective}, {}", text("optimise.reader").unwrap_or("one")))
+}
+
+impl Cast<'_> {
+    /// The brains that read it.
+    pub fn brains(&self) -> Vec<CastBrain> {
+        distinct(self.trials.iter().flat_map(|t| &t.casts).map(|reading| reading.by))
+    }
+
+    /// How a brain reads its casts; `None` if it reads none.
+    pub fn left(&self, by: CastBrain) -> Option<Left> {
+        let read: Vec<(&Trial, &CastReading)> =
+            self.trials.iter().filter_map(|t| Some((*t, reading(t, self.body, by)?))).collect();
+        let mean = |of: &dyn Fn(&(&Trial, &CastReading)) -> Option<f64>| {
+            Ratio::of(&read.iter().filter_map(|r| Some((r.0.cluster, of(r)?))).collect::<Vec<_>>())
+        };
+        let errors = [0, 1].map(|quantile| mean(&|r| Some(r.1.errors[quantile])));
+        let sum = |of: fn(&CastReading) -> u64| read.iter().map(|r| of(r.1)).sum();
+        Some(Left {
+            casts: [sum(|r| r.casts), sum(|r| r.failed)],
+            designed: mean(&|r| designed(r.0, self.body, by)),
+            kept: [0, 1].map(|quantile| self.kept(by, quantile)),
+            errors: match errors {
+                [Some(median), Some(most)] => [median, most],
+                _ => return None,
+            },
+        })
+    }
+
+    fn kept(&self, by: CastBrain, quantile: usize) -> Option<Kept> {
+        if self.body == Body::Initial {
+            return None;
+        }
+        // of each trial ln(initial/trained) over casts and as designed
+        let gains = |trial: &&Trial| {
+            let cast = Body::ALL.map(|body| Some(reading(trial, body, by)?.errors[quantile]));
+            let gain = |[initial, trained]: [Option<f64>; 2]| Some((initial? / trained?).ln());
+            let found = [gain(cast)?, gain(Body::ALL.map(|body| designed(trial, body, by)))?];
+            Some((trial.cluster, found))
+        };
+        let (clusters, gains): (Vec<Cluster>, Vec<[f64; 2]>) = self.trials.iter().filter_map(gains).unzip();
+        let part = |weights: &[f64]| {
+            let sum = |which: usize| gains.iter().zip(weights).map(|(g, w)| w * g[which]).sum::<f64>();
+            Some(sum(0) / sum(1)).filter(|part| sum(1) > 0.0 && part.is_finite())
+        };
+        let whole = part(&vec![1.0; gains.len()])?;
+        Some(Kept { part: whole, interval: Resampling::new(&clusters).interval(part) })
+    }
+}
+
+fn reading(trial: &Trial, body: Body, by: CastBrain) -> Option<&CastReading> {
+    trial.casts.iter().find(|reading| (reading.body, reading.by) == (body, by))
+}
+
+/// Holdout error (%) of the body as designed: by the trial's networks, or by a linear brain of the memory that casts are read with.
+fn designed(trial: &Trial, body: Body, by: CastBrain) -> Option<f64> {
+    if by == CastBrain::Network || is_linear(trial) {
+        return trial.error(body, Set::Holdout);
+    }
+    let whole = trial.readings.iter().find(|reading| reading.whole)?;
+    whole.errors[body as usize][Set::Holdout as usize].filter(|error| *error > 0.0)
+}
+
+#[cfg(test)]
+mod tests;
