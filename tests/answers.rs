@@ -163,6 +163,7 @@ fn a_report_is_one_file_that_needs_nothing_else() {
         assert!(html.contains(&format!("<h2 id=\"{name}\">")), "no figure {name}");
         assert!(figures.join(format!("{name}.csv")).is_file(), "no data of {name}");
     }
+    assert!(!html.contains("id=\"casts\""), "a figure of casts, of which there are none");
     for said in [
         "elbow at M = 2",
         "the holdout error of 3 random bodies is 1.",

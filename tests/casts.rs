@@ -56,6 +56,37 @@ fn casts_of_finished_bodies_are_read() {
     let median = |rows: &[Value]| rows[0]["median"].as_f64().unwrap();
     assert!(less[0]["reader"] == "nominal" && median(&less) < median(&more), "{less:?} {more:?}");
 
+    // analyse takes the same rows: of three casts the median is the second, the 90th percentile is 0.2 + 0.8 of the last two
+    let analysed = ["analyse", db, "--question", "casts", "--format", "json"];
+    let analysed = json(&bench.output(&analysed));
+    assert_eq!(analysed.len(), 3 * 3, "{analysed:?}");
+    for (name, objective, body) in [
+        ("initial", "nominal", "initial"),
+        ("nominal", "nominal", "optimised"),
+        ("mean, one", "mean", "optimised"),
+    ] {
+        for by in ["nominal", "casts", "records"] {
+            let said = |row: &&Value| row["body"] == name && row["read_by"] == by;
+            let said = analysed.iter().find(said).unwrap_or_else(|| panic!("{name}, {by}: {analysed:?}"));
+            let own =
+                |row: &&Value| row["objective"] == objective && row["body"] == body && row["reader"] == by;
+            let mut errors: Vec<f64> = rows.iter().filter(own).map(error).collect();
+            errors.sort_by(f64::total_cmp);
+            for (column, expected) in
+                [("median", errors[1]), ("percentile_90", 0.2 * errors[1] + 0.8 * errors[2])]
+            {
+                let found = said[column].as_f64().unwrap();
+                assert!((found / expected - 1.0).abs() < 1e-9, "{column} {expected}: {said}");
+            }
+            assert_eq!((&said["trials"], &said["casts"], &said["failed"]), (&1.into(), &3.into(), &0.into()));
+        }
+    }
+    bench.output(&["report", db, "--out", "r.html"]);
+    let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
+    for part in ["<h2 id=\"casts\">", "by one brain for all casts: initial ", "mean, one"] {
+        assert!(page.contains(part), "the page lacks {part}");
+    }
+
     bench.file("wrong.toml", "[variation]\nstretch = 2.0\n");
     bench.file("unknown.toml", "[variation]\nnode = 0.1\n");
     bench.file("tiny.toml", TINY);

@@ -3,6 +3,7 @@
 pub mod answers;
 pub mod body;
 pub mod brains;
+pub mod casts;
 pub mod claims;
 pub mod figures;
 pub mod fit;
@@ -58,6 +59,7 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     let mut drawn: Vec<Figure> = [
         figures::pairs(trials),
         brains::figure(trials),
+        casts::figure(trials),
         figures::sensors(trials, story.terms),
         figures::placed_sensors(trials),
         figures::random_bodies(trials),
