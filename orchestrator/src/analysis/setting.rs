@@ -1,4 +1,5 @@
-//! Everything that a trial is, by path. Trials of a sweep share most of it, and hold it once.
+//! Everything that a trial is, by path. Trials of a sweep share most of it, and hold it once; what differs from trial to trial is
+//! held once, too, by those that differ in the rest alone.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use serde_json::Value;
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Setting {
     shared: Arc<BTreeMap<String, Value>>,
-    own: BTreeMap<String, Value>,
+    own: Arc<BTreeMap<String, Value>>,
 }
 
 /// What differs from trial to trial in most sweeps.
@@ -30,7 +31,7 @@ impl Setting {
 
     /// All of them, by path.
     pub fn leaves(&self) -> BTreeMap<&str, &Value> {
-        self.shared.iter().chain(&self.own).map(|(path, value)| (path.as_str(), value)).collect()
+        self.shared.iter().chain(&*self.own).map(|(path, value)| (path.as_str(), value)).collect()
     }
 
     /// What it may share with others: equal, if the very same.
@@ -47,28 +48,38 @@ impl Setting {
 /// All of it its own.
 impl FromIterator<(String, Value)> for Setting {
     fn from_iter<I: IntoIterator<Item = (String, Value)>>(leaves: I) -> Self {
-        Self { shared: Arc::default(), own: leaves.into_iter().collect() }
+        Self { shared: Arc::default(), own: Arc::new(leaves.into_iter().collect()) }
+    }
+}
+
+/// Values by path, each set of them once.
+#[derive(Debug, Default)]
+struct Known(HashMap<String, Arc<BTreeMap<String, Value>>>);
+
+impl Known {
+    fn of(&mut self, values: BTreeMap<String, Value>) -> Arc<BTreeMap<String, Value>> {
+        let name = serde_json::to_string(&values).expect("values are JSON");
+        Arc::clone(self.0.entry(name).or_insert_with(|| Arc::new(values)))
     }
 }
 
 /// Keeps what settings share.
 #[derive(Debug, Default)]
 pub struct Settings {
-    known: HashMap<String, Arc<BTreeMap<String, Value>>>,
+    shared: Known,
+    own: Known,
 }
 
 impl Settings {
     /// The setting of a trial, from its spec.
     pub fn of(&mut self, spec: &Value) -> Setting {
-        let (own, shared): (BTreeMap<_, _>, BTreeMap<_, _>) =
-            flatten(spec).into_iter().partition(|(path, _)| OWN.contains(&path.as_str()));
-        let name = serde_json::to_string(&shared).expect("values are JSON");
-        Setting { shared: Arc::clone(self.known.entry(name).or_insert_with(|| Arc::new(shared))), own }
+        let (own, shared) = flatten(spec).into_iter().partition(|(path, _)| OWN.contains(&path.as_str()));
+        Setting { shared: self.shared.of(shared), own: self.own.of(own) }
     }
 
     /// What trials share, each once.
     pub fn shared(&self) -> impl Iterator<Item = &BTreeMap<String, Value>> {
-        self.known.values().map(Arc::as_ref)
+        self.shared.0.values().map(Arc::as_ref)
     }
 }
 
