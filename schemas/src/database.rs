@@ -34,7 +34,7 @@ pub const VIEWS: &[(&str, &str)] = &[
         "v_cast",
         "error (%) of one brain on one cast of the initial or the optimised body: `nominal` (linear, fitted to the body as \
          designed), `casts` (linear, fitted to other casts), `records` (linear, fitted to so many samples of this cast), \
-         `network`; `nominal_error` is the linear brain's on the body as designed",
+         `network`, `network_casts` (trained on other casts); `nominal_error` is the linear brain's on the body as designed",
     ),
     ("v_network", "a fresh network on the initial or the optimised body, with its errors (%)"),
     (

@@ -134,6 +134,7 @@ pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
     let reading = |reading: &nested::CastReading| {
         let (reader, records) = match reading.by {
             CastBrain::Network => ("network", 0),
+            CastBrain::NetworkCasts => ("network_casts", 0),
             CastBrain::Nominal => ("nominal", 0),
             CastBrain::Casts => ("casts", 0),
             CastBrain::Records(n) => ("records", n),
@@ -154,6 +155,7 @@ fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastReading>, String>
     let reading = |reading: &CastReading| {
         let by = match &*reading.reader {
             "network" => CastBrain::Network,
+            "network_casts" => CastBrain::NetworkCasts,
             "nominal" => CastBrain::Nominal,
             "casts" => CastBrain::Casts,
             "records" => CastBrain::Records(reading.records),

@@ -153,7 +153,7 @@ fn reading(trial: &Trial, body: Body, by: CastBrain) -> Option<&CastReading> {
 
 /// Holdout error (%) of the body as designed: by the trial's networks, or by a linear brain of the memory that casts are read with.
 fn designed(trial: &Trial, body: Body, by: CastBrain) -> Option<f64> {
-    if by == CastBrain::Network || is_linear(trial) {
+    if by <= CastBrain::NetworkCasts || is_linear(trial) {
         return trial.error(body, Set::Holdout);
     }
     let whole = trial.readings.iter().find(|reading| reading.whole)?;

@@ -76,6 +76,8 @@ pub struct Reading {
 pub enum CastBrain {
     /// The trial's network, trained on the body as designed.
     Network,
+    /// A network trained on other casts.
+    NetworkCasts,
     /// A linear one, fitted to the body as designed.
     Nominal,
     /// A linear one, fitted to other casts.
@@ -89,6 +91,7 @@ impl CastBrain {
     pub fn name(self) -> &'static str {
         match self {
             Self::Network => "network",
+            Self::NetworkCasts => "network_casts",
             Self::Nominal => "nominal",
             Self::Casts => "casts",
             Self::Records(_) => "records",
@@ -99,6 +102,7 @@ impl CastBrain {
     pub fn named(name: &str, records: u64) -> Option<Self> {
         Some(match name {
             "network" => Self::Network,
+            "network_casts" => Self::NetworkCasts,
             "nominal" => Self::Nominal,
             "casts" => Self::Casts,
             "records" => Self::Records(records),

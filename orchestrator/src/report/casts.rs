@@ -84,17 +84,21 @@ fn brains(setting: &Setting) -> Vec<CastBrain> {
 fn brain(by: CastBrain) -> String {
     match by {
         CastBrain::Network => "the network of the body as designed".into(),
-        CastBrain::Nominal => "the brain of the body as designed".into(),
-        CastBrain::Casts => "one brain for all casts".into(),
-        CastBrain::Records(records) => format!("a brain fitted anew to {records} records of each cast"),
+        CastBrain::NetworkCasts => "one network for all casts".into(),
+        CastBrain::Nominal => "the linear brain of the body as designed".into(),
+        CastBrain::Casts => "one linear brain for all casts".into(),
+        CastBrain::Records(records) => {
+            format!("a linear brain fitted anew to {records} records of each cast")
+        }
     }
 }
 
 fn tick(by: CastBrain) -> String {
     match by {
         CastBrain::Network => "its network".into(),
-        CastBrain::Nominal => "its brain".into(),
-        CastBrain::Casts => "one for all".into(),
+        CastBrain::NetworkCasts => "network for all".into(),
+        CastBrain::Nominal => "its linear".into(),
+        CastBrain::Casts => "linear for all".into(),
         CastBrain::Records(records) => format!("{records} records"),
     }
 }

@@ -57,6 +57,7 @@ fn a_state_survives_its_checkpoint() {
     let fresh = Fresh { weights: few(weights), adam, losses: vec![0.5], errors: Vec::new() };
     let brains = [
         CastBrain::Network,
+        CastBrain::NetworkCasts,
         CastBrain::Nominal,
         CastBrain::Casts,
         CastBrain::Records(10),

@@ -1,16 +1,16 @@
 //! What is left of a body once it is cast: brains on casts of it that no training has seen.
 //!
 //! A linear brain fitted to the body as designed, one to samples of many other casts, and one anew to the first 30, 100 and to
-//! all training samples of the cast itself; of a trial with networks also the first network of its comparison. Each reads the
-//! holdout on the cast. A cast that cannot be simulated is read entirely wrong.
+//! all training samples of the cast itself; of a trial with networks also the first network of its comparison, and one trained
+//! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
-use super::comparison::save;
+use super::comparison::{read, save};
 use super::observe::{Control, Log};
 use super::state::State;
-use crate::brains::{Fitted, Fresh, reader};
+use crate::brains::{Fitted, Fresh, Reader, reader};
 use crate::dynamics::{Precision, Solver};
 use crate::random::Purpose;
-use crate::trial::{Counters, Samples, Trial, Trouble};
+use crate::trial::{BrainKind, Counters, Samples, Trial, Trouble};
 use crate::variation::{Cast, Casts};
 
 /// How one brain reads one cast.
@@ -31,6 +31,8 @@ pub struct CastReading {
 pub enum CastBrain {
     /// The first network of the comparison, trained on the body as designed.
     Network,
+    /// A network trained on samples of many other casts, as many as the training set has.
+    NetworkCasts,
     /// A linear brain fitted to the body as designed.
     Nominal,
     /// A linear brain fitted to samples of many other casts.
@@ -56,11 +58,13 @@ struct Mould<'a> {
     solver: &'a Solver,
 }
 
+/// Training samples of the body as designed, and samples of many casts; or why not.
+type Known = [Result<Samples, Trouble>; 2];
+
 /// The brains that have been fitted before a cast is seen, or why not.
-struct Brains {
-    /// Weights of the network; empty without.
-    network: Vec<f32>,
-    known: [Result<Samples, Trouble>; 2],
+struct Brains<'a> {
+    /// Of the body as designed and of many casts; none of a trial without.
+    networks: Vec<Result<Box<dyn Reader + 'a>, Trouble>>,
     linear: [Result<Fitted, Trouble>; 2],
 }
 
@@ -80,12 +84,21 @@ pub(super) fn read_casts(
         return Some(());
     }
     let (mould, counted) = (Mould { trial, design, solver }, log.report.counters);
+    // one that goes on makes its brains again, to the same bits
     let known = log.timed(|s| &mut s.simulate, |report| mould.known(&mut report.counters));
+    if done > 0 || state.comparison.training.is_some() {
+        log.report.counters = counted;
+    }
+    let some = known[1].as_ref().map(|casts| thinned(casts, trial.train.samples));
+    let mut brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, &known));
+    if problem.reader != BrainKind::Linear {
+        let known = [known[0].as_ref(), some.as_ref().map_err(|trouble| *trouble)];
+        brains.networks =
+            networks(trial, known.map(|known| known.map_err(|trouble| *trouble)), turn, state, log)?;
+    }
     if done > 0 {
         log.report.counters = counted;
     }
-    let network = state.comparison.bodies[turn].networks.first().map_or(Vec::new(), |n| n.weights.clone());
-    let brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, network, known));
     for number in done..problem.evaluation.casts {
         let cast = trial.cast(Casts::Unseen, number as u64);
         let sets = log.timed(|s| &mut s.simulate, |report| mould.sets(cast.as_ref(), &mut report.counters));
@@ -103,6 +116,49 @@ pub(super) fn read_casts(
     Some(())
 }
 
+/// Every so-many-th sample of the casts, so that as many as there are training samples are left, of all casts alike.
+fn thinned(casts: &Samples, training: usize) -> Samples {
+    let each = training.div_ceil(KNOWN_CASTS).min(KNOWN_SAMPLES);
+    casts.select(&(0..casts.count()).filter(|i| i % KNOWN_SAMPLES < each).collect::<Vec<_>>())
+}
+
+/// The first network of the comparison, and one of the same initial weights and iterations trained on casts; `None` if the
+/// observer said stop.
+fn networks<'a>(
+    trial: &'a Trial<'a>,
+    known: [Result<&'a Samples, Trouble>; 2],
+    turn: usize,
+    state: &mut State,
+    log: &mut Log,
+) -> Option<Vec<Result<Box<dyn Reader + 'a>, Trouble>>> {
+    let (recipe, [nominal, casts]) = (trial.problem.recipe(), known);
+    let trained = casts.and_then(|known| {
+        let scales = [trial.scales.clone(), trial.scales.with_rms_of(&known.signals)];
+        Ok((known, reader(recipe, known, scales, trial.pool)?))
+    });
+    let casts = match trained {
+        Ok((known, mut reader)) => {
+            let (sets, iterations) = ([(); 3].map(|()| known.select(&[])), trial.problem.brain.iterations);
+            let found = read(trial, &mut *reader, &sets, (0, iterations, false), state, log)?;
+            found.trouble.map_or(Ok((known, found.weights)), Err)
+        }
+        Err(trouble) => Err(trouble),
+    };
+    let first = state.comparison.bodies[turn].networks.first();
+    let nominal = nominal.and_then(|known| {
+        let first = first.expect("it is compared first");
+        first.trouble.map_or(Ok((known, first.weights.clone())), Err)
+    });
+    let ready = [nominal, casts].map(|trained| {
+        let (known, weights) = trained?;
+        let scales = [(); 2].map(|()| trial.scales.clone());
+        let mut reader = reader(recipe, known, scales, trial.pool)?;
+        *reader.training().expect("a network has weights") = Some(Fresh::of(weights));
+        Ok(reader)
+    });
+    Some(ready.into())
+}
+
 /// How the first `count` casts of a design are read by linear brains; `progress` is told how many have been.
 pub fn casts_of(
     trial: &Trial,
@@ -112,7 +168,7 @@ pub fn casts_of(
 ) -> Vec<CastReading> {
     let (solver, counters) = (&trial.tuned(design).solver, &mut Counters::default());
     let mould = Mould { trial, design, solver };
-    let brains = Brains::new(trial, Vec::new(), mould.known(counters));
+    let mut brains = Brains::new(trial, &mould.known(counters));
     let mut found = Vec::new();
     for number in 0..count {
         let cast = trial.cast(Casts::Unseen, number as u64);
@@ -124,7 +180,7 @@ pub fn casts_of(
 
 impl Mould<'_> {
     /// Training samples of the body as designed, and samples of many casts.
-    fn known(&self, counters: &mut Counters) -> [Result<Samples, Trouble>; 2] {
+    fn known(&self, counters: &mut Counters) -> Known {
         let &Self { trial, design, solver } = self;
         let [train, _] = trial.problem.known();
         let nominal = trial
@@ -167,27 +223,29 @@ impl Mould<'_> {
     }
 }
 
-impl Brains {
-    fn new(trial: &Trial, network: Vec<f32>, known: [Result<Samples, Trouble>; 2]) -> Self {
+impl Brains<'_> {
+    /// The linear ones.
+    fn new(trial: &Trial, known: &Known) -> Self {
         let linear = known.each_ref().map(|known| match known {
             Ok(known) => fitted(trial, known),
             Err(trouble) => Err(*trouble),
         });
-        Self { network, known, linear }
+        Self { networks: Vec::new(), linear }
     }
 
     /// How they read a cast of these training and holdout samples, and how those do that are fitted to it.
-    fn read(&self, trial: &Trial, cast: u32, sets: Result<[Samples; 2], Trouble>) -> Vec<CastReading> {
+    fn read(&mut self, trial: &Trial, cast: u32, sets: Result<[Samples; 2], Trouble>) -> Vec<CastReading> {
         let all = trial.train.samples;
         let records = RECORDS.into_iter().filter(|&n| n < all).chain([all]);
-        let networks = (!self.network.is_empty()).then_some(CastBrain::Network);
-        let brains = networks.into_iter().chain([CastBrain::Nominal, CastBrain::Casts]);
+        let networks = [CastBrain::Network, CastBrain::NetworkCasts].into_iter().take(self.networks.len());
+        let brains = networks.chain([CastBrain::Nominal, CastBrain::Casts]);
         let brains = brains.chain(records.map(|n| CastBrain::Records(n as u32)));
         brains
             .map(|by| {
                 let found = sets.as_ref().map_err(|trouble| *trouble);
                 let found = found.and_then(|[train, holdout]| match by {
-                    CastBrain::Network => self.by_network(trial, holdout),
+                    CastBrain::Network => by_network(&mut self.networks[0], holdout),
+                    CastBrain::NetworkCasts => by_network(&mut self.networks[1], holdout),
                     CastBrain::Nominal => by_linear(&self.linear[0], holdout),
                     CastBrain::Casts => by_linear(&self.linear[1], holdout),
                     CastBrain::Records(n) => {
@@ -202,21 +260,19 @@ impl Brains {
             })
             .collect()
     }
-
-    fn by_network(&self, trial: &Trial, holdout: &Samples) -> Result<Option<f64>, Trouble> {
-        let known = self.known[0].as_ref().map_err(|trouble| *trouble)?;
-        let scales = [(); 2].map(|()| trial.scales.clone());
-        let mut reader = reader(trial.problem.recipe(), known, scales, trial.pool)?;
-        *reader.training().expect("a brain with weights is a network") =
-            Some(Fresh::of(self.network.clone()));
-        Ok(reader.error(holdout))
-    }
 }
 
 /// A linear brain of the trial's memory, at the trial's scales.
 fn fitted(trial: &Trial, known: &Samples) -> Result<Fitted, Trouble> {
     let problem = &trial.problem;
     problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()))
+}
+
+fn by_network(
+    network: &mut Result<Box<dyn Reader + '_>, Trouble>,
+    holdout: &Samples,
+) -> Result<Option<f64>, Trouble> {
+    Ok(network.as_mut().map_err(|trouble| *trouble)?.error(holdout))
 }
 
 fn by_linear(brain: &Result<Fitted, Trouble>, holdout: &Samples) -> Result<Option<f64>, Trouble> {

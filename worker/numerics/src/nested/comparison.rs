@@ -16,7 +16,8 @@ impl Comparison {
         let each = if linear { problem.linear_iterations() } else { problem.brain.iterations };
         let of = |body: &BodyEvaluation| body.networks.len() * each + body.long.len() * long;
         let casts = (0..self.casts.len()).map(|turn| self.casts_read(turn) * problem.linear_iterations());
-        let done = self.bodies.iter().map(of).chain(casts).sum::<usize>() + iterations;
+        let over_casts = self.casts.len() * problem.network_of_casts();
+        let done = self.bodies.iter().map(of).chain(casts).sum::<usize>() + over_casts + iterations;
         let left = 1.0 - problem.progress(problem.optimise.iterations);
         1.0 - left * (1.0 - done as f64 / (2 * all) as f64)
     }
@@ -127,7 +128,7 @@ pub(super) fn save(state: &mut State, log: &mut Log) {
 }
 
 /// Fits the brain that is lacking, or goes on with the one in training; `None` if the observer said stop.
-fn read(
+pub(super) fn read(
     trial: &Trial,
     reader: &mut dyn Reader,
     sets: &[Samples; 3],

@@ -56,10 +56,17 @@ impl Problem {
     pub(super) fn evaluation_iterations(&self) -> usize {
         let casts = self.evaluation.casts * self.linear_iterations();
         casts
+            + self.network_of_casts()
             + match self.reader {
                 BrainKind::Linear => self.linear_iterations(),
                 _ => self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0)),
             }
+    }
+
+    /// Iterations of the network that is trained on casts of a body.
+    pub(super) fn network_of_casts(&self) -> usize {
+        let any = self.evaluation.casts > 0 && self.reader != BrainKind::Linear;
+        if any { self.brain.iterations } else { 0 }
     }
 
     /// What a linear brain on one body, or on a cast of it, is counted as.
