@@ -135,6 +135,7 @@ fn committed_specs_keep_their_hashes() {
     quickstart 039795c3a7a2ce68
     random 1fc0dbba48090cf1
     reference f69dce36048b28bd
+    robust-two-core 9ce3fa9d9ca2fd6a
     two-forces 434eeb4530862f35
     ");
 }

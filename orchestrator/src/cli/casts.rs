@@ -17,8 +17,8 @@ use crate::look::{Table, row};
 /// Casts a body virtually, and says what brains still read
 ///
 /// Each cast has its own material and its own nodes, as `[variation]` scatters them, and each of its holdout samples is read by linear
-/// brains: one fitted to the body as designed (nominal), one to samples of 24 other casts (casts), and one anew to samples of the cast
-/// itself (records). The first casts are those of the trial's own comparison, `v_cast`. A cast that cannot be simulated counts as 100 %.
+/// brains: one fitted to the body as designed (nominal), one to samples of 24 other casts (casts), and one to samples of the cast itself
+/// beside those (records). The first casts are those of the trial's own comparison, `v_cast`. A cast that cannot be simulated counts as 100 %.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

@@ -31,8 +31,8 @@ const FACTOR_RATE: f64 = 2.5e10;
 /// Factors of the comparison, a body, and of a step, looks for a ridge included.
 const FACTORS: f64 = 8.0;
 const STEP_FACTORS: f64 = 1.5;
-/// And of the brains fitted anew to a cast.
-const CAST_FACTORS: f64 = 24.0;
+/// And of the brains fitted to a cast.
+const CAST_FACTORS: f64 = 70.0;
 
 /// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, of a stacked one both; with biases.
 pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {

@@ -32,8 +32,8 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         "What is left once the body is cast?",
         "Prediction error on the holdout over casts that no training has seen, which scatter as [variation] says. Dots: the \
          median cast; lines: from there up to the 90th percentile; geometric means over trials. First place: the body as \
-         designed. Then the brains that read the casts: one fitted to the body as designed, one to other casts, and one anew \
-         to so many records of each cast. Trained: for the body as designed (nominal), or over casts by objective and by \
+         designed. Then the brains that read the casts: one fitted to the body as designed, one to other casts, and one \
+         to so many records of each cast beside those. Trained: for the body as designed (nominal), or over casts by objective and by \
          whether one brain reads all or each its own.",
         entries.collect(),
         found.iter().take(MOST_SETTINGS).map(|setting| picture(setting, &names)).collect(),
@@ -88,7 +88,7 @@ fn brain(by: CastBrain) -> String {
         CastBrain::Nominal => "the linear brain of the body as designed".into(),
         CastBrain::Casts => "one linear brain for all casts".into(),
         CastBrain::Records(records) => {
-            format!("a linear brain fitted anew to {records} records of each cast")
+            format!("a linear brain fitted to {records} records of each cast")
         }
     }
 }

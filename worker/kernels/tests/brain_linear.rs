@@ -151,7 +151,7 @@ fn one_factor_serves_every_shorter_memory() {
     rest.add(&set.x[..2 * one_x], &set.f[..2 * one_f], &set.w[..2]);
     let lags = Lags { before: 2, after: 1 };
     let fit = |moments: &Moments| Fit::new(moments, lags, ridge, Order::Ascending).unwrap().linear();
-    close(&fit(&all.without(&part)), &fit(&rest));
+    close(&fit(&all.plus(-1.0, &part)), &fit(&rest));
 }
 
 /// ⟨c, W ∗ x⟩ = ⟨vjp(c), x⟩ = ⟨weights_vjp(c), W⟩ but for the bias.

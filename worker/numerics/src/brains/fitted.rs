@@ -4,11 +4,18 @@
 //! x = signals / rms(signals)     f̂ = rms(f) · (b + W ∗ x)
 //! ```
 
-use super::linear::{Plain, solve};
+use super::linear::{FOLDS, Plain, solve};
 use super::{Reader, Recipe};
 use crate::Heartbeat;
-use crate::brain::linear::{Linear, Sizes};
+use crate::brain::linear::{Linear, Moments, Sizes, downhill_ridge};
+use crate::stimuli::folds;
 use crate::trial::{Decoder, Samples, Scales, Trouble};
+use std::ops::RangeInclusive;
+
+/// What a sample of another body counts, beside one of the body itself.
+const TIMES: RangeInclusive<f64> = 1e-8..=1.0;
+/// Of so many samples one part judges, of fewer each in turn.
+const MANY: usize = 60;
 
 /// A linear brain and the scales that it was fitted at.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +43,54 @@ impl Decoder {
         self.fitted(seed, known, scales, &Heartbeat::default())
     }
 
+    /// Fits it to a few samples of one body beside many of others like it, each of which counts κ times one of the few. κ is
+    /// that with which parts of the few are read best from the others: 1 of a body that tells nothing new, less the more there
+    /// are. λ is as given, else that of the few.
+    ///
+    /// # Errors
+    /// If no κ has a solution.
+    pub(crate) fn fit_beside(
+        &self,
+        seed: u64,
+        few: &Samples,
+        others: &Beside,
+        heartbeat: &Heartbeat,
+    ) -> Result<Fitted, Trouble> {
+        let Beside { moments: others, scales } = others;
+        let few = Plain::of(few, scales, heartbeat);
+        let ridge = self.ridge_of(seed, &few, None)?;
+        let beside = |own: &Moments, times: f64| {
+            let linear = solve(&own.clone().plus(times, others), self.lags, ridge)?.linear();
+            Ok::<Linear, Trouble>(linear)
+        };
+        let (all, count) = (few.moments(), few.w.len());
+        // the fewer there are, the more of them have to judge
+        let (parts, judging) = (FOLDS.min(count), if count < MANY { FOLDS } else { 1 });
+        let dealt = folds(seed, count, parts);
+        let judges: Vec<(Plain, Moments)> = (0..parts.min(judging))
+            .map(|fold| {
+                let out = few.select(&(0..count).filter(|&i| dealt[i] == fold).collect::<Vec<_>>());
+                let kept = all.clone().plus(-1.0, &out.moments());
+                (out, kept)
+            })
+            .collect();
+        let error = |times: f64| {
+            let errors =
+                judges.iter().map(|(out, kept)| out.error(&beside(kept, times).ok()?.predict(&out.x)));
+            errors.sum::<Option<f64>>()
+        };
+        let times = downhill_ridge(1.0, TIMES, error).ok_or(Trouble::Singular)?;
+        let linear = beside(&all, times)?;
+        let error = few.error(&linear.predict(&few.x));
+        Ok(Fitted {
+            linear,
+            ridge,
+            force_scale: scales.force(),
+            signal_scale: scales.channels.clone(),
+            error,
+        })
+    }
+
     /// The same at given scales.
     fn fitted(
         &self,
@@ -49,6 +104,20 @@ impl Decoder {
         let linear = solve(&known.moments(), self.lags, ridge)?.linear();
         let error = known.error(&linear.predict(&known.x));
         Ok(Fitted { linear, ridge, force_scale: scales.force(), signal_scale: scales.channels, error })
+    }
+}
+
+/// Samples of many bodies alike, for [`Decoder::fit_beside`].
+#[derive(Debug, Clone)]
+pub(crate) struct Beside {
+    moments: Moments,
+    scales: Scales,
+}
+
+impl Beside {
+    /// Of these samples, at these scales.
+    pub(crate) fn of(samples: &Samples, scales: &Scales, heartbeat: &Heartbeat) -> Self {
+        Self { moments: Plain::of(samples, scales, heartbeat).moments(), scales: scales.clone() }
     }
 }
 

@@ -12,6 +12,7 @@ mod readings;
 mod records;
 mod stacked;
 
+pub(crate) use fitted::Beside;
 pub use fitted::Fitted;
 pub(crate) use linear::Plain;
 #[cfg(test)]

@@ -39,7 +39,7 @@ impl Stack {
         let (moments, dealt) = (known.moments(), folds(seed, known.w.len(), folds_of));
         let part = |fold: usize| {
             let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == fold).collect();
-            let others = moments.clone().without(&known.select(&own).moments());
+            let others = moments.clone().plus(-1.0, &known.select(&own).moments());
             Ok(solve(&others, decoder.lags, ridge)?.linear())
         };
         let parts = (0..folds_of).map(part).collect::<Result<_, Trouble>>()?;

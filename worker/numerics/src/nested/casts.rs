@@ -1,16 +1,16 @@
 //! What is left of a body once it is cast: brains on casts of it that no training has seen.
 //!
-//! A linear brain fitted to the body as designed, one to samples of many other casts, and one anew to the first 30, 100 and to
-//! all training samples of the cast itself; of a trial with networks also the first network of its comparison, and one trained
+//! A linear brain fitted to the body as designed, one to samples of many other casts, and one to the first 10, 30, 100 and to
+//! all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
 //! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
 use super::comparison::{read, save};
 use super::observe::{Control, Log};
 use super::state::State;
-use crate::brains::{Fitted, Fresh, Reader, reader};
+use crate::brains::{Beside, Fitted, Fresh, Reader, reader};
 use crate::dynamics::{Precision, Solver};
 use crate::random::Purpose;
-use crate::trial::{BrainKind, Counters, Samples, Trial, Trouble};
+use crate::trial::{BrainKind, Counters, Decoder, Ridge, Samples, Trial, Trouble};
 use crate::variation::{Cast, Casts};
 
 /// How one brain reads one cast.
@@ -37,7 +37,7 @@ pub enum CastBrain {
     Nominal,
     /// A linear brain fitted to samples of many other casts.
     Casts,
-    /// A linear brain fitted to so many samples of this cast.
+    /// A linear brain fitted to so many samples of this cast, beside those of other casts.
     Records(u32),
 }
 
@@ -46,8 +46,8 @@ const KNOWN_CASTS: usize = 24;
 const KNOWN_SAMPLES: usize = 20;
 /// Its samples are numbered from here, out of the way of the outer steps'.
 const KNOWN_FIRST: u64 = 1 << 40;
-/// Samples of a cast to which a brain is fitted anew, where there are more, and then all.
-const RECORDS: [usize; 2] = [30, 100];
+/// Samples of a cast to which a brain is fitted, where there are more, and then all.
+const RECORDS: [usize; 3] = [10, 30, 100];
 /// Error of what is not read at all (%).
 const NOTHING: f64 = 100.0;
 
@@ -66,6 +66,10 @@ struct Brains<'a> {
     /// Of the body as designed and of many casts; none of a trial without.
     networks: Vec<Result<Box<dyn Reader + 'a>, Trouble>>,
     linear: [Result<Fitted, Trouble>; 2],
+    /// Samples of many casts, for those that are fitted to few of one.
+    casts: Result<Beside, Trouble>,
+    /// Their λ, that of the body as designed.
+    decoder: Decoder,
 }
 
 /// Goes on with the casts of the body number `turn`, simulated with `solver`; `None` if the observer said stop: it has the
@@ -230,7 +234,14 @@ impl Brains<'_> {
             Ok(known) => fitted(trial, known),
             Err(trouble) => Err(*trouble),
         });
-        Self { networks: Vec::new(), linear }
+        let casts = match &known[1] {
+            Ok(casts) => Ok(Beside::of(casts, &trial.scales, trial.pool.heartbeat())),
+            Err(trouble) => Err(*trouble),
+        };
+        let ridge =
+            linear[0].as_ref().map_or(trial.problem.decoder.ridge, |nominal| Ridge::Given(nominal.ridge));
+        let decoder = Decoder { ridge, ..trial.problem.decoder };
+        Self { networks: Vec::new(), linear, casts, decoder }
     }
 
     /// How they read a cast of these training and holdout samples, and how those do that are fitted to it.
@@ -250,7 +261,9 @@ impl Brains<'_> {
                     CastBrain::Casts => by_linear(&self.linear[1], holdout),
                     CastBrain::Records(n) => {
                         let some = train.select(&(0..n as usize).collect::<Vec<_>>());
-                        by_linear(&fitted(trial, &some), holdout)
+                        let casts = self.casts.as_ref().map_err(|trouble| *trouble)?;
+                        let (seed, heartbeat) = (trial.problem.seed, trial.pool.heartbeat());
+                        by_linear(&self.decoder.fit_beside(seed, &some, casts, heartbeat), holdout)
                     }
                 });
                 match found {

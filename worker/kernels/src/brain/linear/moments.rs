@@ -105,20 +105,19 @@ impl Moments {
         matmul(matrix_mut(&mut self.cross, rows, columns), Accum::Add, x, f.transpose(), 1.0, Par::Seq);
     }
 
-    /// Those of the samples that `part` does not hold.
+    /// These and so many times those: −1 takes out samples that both hold.
     ///
     /// # Panics
     /// If the sizes differ.
     #[must_use]
-    pub fn without(mut self, part: &Self) -> Self {
-        assert_eq!(self.sizes, part.sizes);
-        let take = |all: &mut [f64], part: &[f64]| all.iter_mut().zip(part).for_each(|(a, p)| *a -= p);
-        take(&mut self.second, &part.second);
-        take(&mut self.cross, &part.cross);
-        take(&mut self.signals, &part.signals);
-        take(&mut self.forces, &part.forces);
-        self.weight -= part.weight;
-        self.power -= part.power;
+    pub fn plus(mut self, times: f64, others: &Self) -> Self {
+        assert_eq!(self.sizes, others.sizes);
+        accumulate(&mut self.second, &others.second, times);
+        accumulate(&mut self.cross, &others.cross, times);
+        accumulate(&mut self.signals, &others.signals, times);
+        accumulate(&mut self.forces, &others.forces, times);
+        self.weight += times * others.weight;
+        self.power += times * others.power;
         self
     }
 
