@@ -101,6 +101,17 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("columns = 6", "columns = 6\nwidth = 0.0", "s.toml:4: body.width = 0: must be a number above 0"),
     (
         "[sweep]",
+        "[sensors]\nrange = [0.0, 1.0]\n[sweep]",
+        "s.toml:14: sensors.range = [0.0, 1.0]: must be above 0: [mm/s², rad/s]",
+    ),
+    (
+        "[sweep]",
+        "[sensors]\nresolution = [1e6, 0.0]\nchip = \"WT9011DCL\"\n[sweep]",
+        "s.toml:14: sensors.resolution = [1000000.0, 0.0]: must be 0 or above, and less than sensors.range: [mm/s², rad/s]",
+    ),
+    ("[sweep]", "[sensors]\nchip = \"MPU9250\"\n[sweep]", "s.toml:14: sensors.chip"),
+    (
+        "[sweep]",
         "[optimise]\ntie = [0, 2]\n[sweep]",
         "s.toml:14: optimise.tie = [0, 2]: must be two numbers from 1 to 1000",
     ),

@@ -132,10 +132,10 @@ fn committed_specs_keep_their_hashes() {
     gradient c39bace70d622cb2
     long-training aff57803d389341f
     placed-two-core 6a5121d9e7f59190
-    quickstart 039795c3a7a2ce68
+    quickstart e13ec290cbfc850d
     random 1fc0dbba48090cf1
     reference f69dce36048b28bd
-    robust-two-core 9ce3fa9d9ca2fd6a
+    robust-two-core 02caf8486325e98b
     two-forces 434eeb4530862f35
     ");
 }

@@ -36,6 +36,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("views", program::views),
     ("tests", program::tests),
     ("quickstart", results::quickstart),
+    ("quickstart casts", results::quickstart_casts),
     ("findings", results::findings),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),

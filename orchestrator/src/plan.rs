@@ -435,7 +435,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     if let Some(Design::Shifts { .. }) = body.design {
         body.initial_angle = 0.0; // not read
     }
-    let mut read = spec.sensors.clone();
+    let mut read = spec.sensors.clone().resolved();
     read.placements = None;
     read.search = read.search.filter(|search| *search != Search::Random);
     read.from = read.from.filter(|from| *from != SearchFrom::Interior);
@@ -445,6 +445,8 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     read.noise = read.noise.filter(|size| !none(size));
     read.bias = read.bias.filter(|size| !none(size));
     read.delay = read.delay.filter(|delay| *delay != 0.0);
+    read.range = read.range.filter(|range| range.iter().any(|most| most.is_finite()));
+    read.resolution = read.resolution.filter(|step| *step != [0.0; 2]);
     read.mass = read.mass.filter(|mass| *mass != 0.0);
     read.inertia = read.inertia.filter(|moment| *moment != 0.0);
     let mut stimuli = spec.stimuli.clone().resolved();

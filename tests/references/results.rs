@@ -95,6 +95,58 @@ pub fn quickstart() -> String {
     )
 }
 
+/// Median and 90th percentile over casts.
+fn spread(row: &Row) -> String {
+    format!("{} [{}] %", short(&row["median"]), short(&row["percentile_90"]))
+}
+
+/// A line for each body of the settings: how it reads as designed, and how brains of one kind read its casts.
+fn cast_lines(rows: &[Row], setting: &str, own: &str, all: &str, records: &[&str]) -> Vec<Vec<String>> {
+    let mut bodies: Vec<&str> =
+        rows.iter().filter(|row| row["setting"] == setting).map(|row| &*row["body"]).collect();
+    bodies.dedup();
+    let line = |body: &&str| {
+        let by = |read_by, records| {
+            one(rows, &[("setting", setting), ("body", body), ("read_by", read_by), ("records", records)])
+        };
+        let mut cells = vec![words(body), percent(by(own, ""), "designed")];
+        cells.extend([own, all].map(|read_by| spread(by(read_by, ""))));
+        cells.extend(records.iter().map(|n| spread(by("records", n))));
+        cells
+    };
+    bodies.iter().map(line).collect()
+}
+
+/// How a body that is cast was trained.
+fn words(body: &str) -> String {
+    match body {
+        "initial" => "initial body".into(),
+        "nominal" => "trained as designed".into(),
+        other => {
+            let way = other
+                .replace("mean, one", "over casts")
+                .replace("mean, each", "over casts, a brain for each");
+            format!("trained {way}")
+        }
+    }
+}
+
+/// What is left of the quickstart's bodies once they are cast.
+pub fn quickstart_casts() -> String {
+    let rows = rows("quickstart-casts.csv");
+    table(
+        &[
+            "read by a linear decoder",
+            "as designed",
+            "cast: decoder of the design",
+            "one decoder for all casts",
+            "calibrated on 10 records",
+            "on 100",
+        ],
+        cast_lines(&rows, "K = 2, M = 1", "nominal", "casts", &["10", "100"]),
+    )
+}
+
 /// Three findings, with their numbers.
 pub fn findings() -> String {
     let brains = rows("brains-two-core/answer-brains.csv");

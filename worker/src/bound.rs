@@ -22,8 +22,7 @@ pub fn bound(
 ) -> Result<Bound, Failure> {
     let mut problem = with_design(trial, design)?;
     if let Some(part) = noise {
-        let none = Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay: 0.0 };
-        let chips = problem.disturbance.unwrap_or(none);
+        let chips = problem.disturbance.unwrap_or(Disturbance::NONE);
         problem.disturbance = Some(Disturbance { noise: Size::Relative(part), ..chips });
     }
     let pool = pool(threads)?;

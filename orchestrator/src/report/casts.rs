@@ -49,7 +49,8 @@ fn picture(setting: &Setting, names: &[&str]) -> crate::look::Picture {
         let Some(body) = setting.bodies.iter().find(|body| body.name == *name) else { continue };
         let aside = 0.7 * ((n as f64 + 0.5) / names.len() as f64 - 0.5);
         let read: Vec<Option<Left>> = brains.iter().map(|by| body.left(*by)).collect();
-        let designed = read.iter().rev().flatten().find_map(|left| left.designed.as_ref());
+        // by the trial's own kind of brain: networks come first
+        let designed = read.iter().flatten().find_map(|left| left.designed.as_ref());
         let designed = designed.map(|error| {
             (aside, [error.ratio; 2], format!("{name}, as designed: {} %", number(error.ratio)))
         });

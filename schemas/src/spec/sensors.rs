@@ -24,6 +24,15 @@ pub enum Disturbance {
     Physical([f64; 2]),
 }
 
+/// A chip that one can buy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Part {
+    /// The paper's: 9 g in 23.5 × 32.5 mm, ±16 g in steps of 0.5 mg, ±2 000 °/s in steps of 0.061 °/s (WitMotion's data sheet of
+    /// the WT9011DCL-BT5.0; it has no figure of noise).
+    #[serde(rename = "WT9011DCL")]
+    Wt9011dcl,
+}
+
 /// How the units that carry sensors are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -80,10 +89,40 @@ pub struct Sensors {
     /// Delay of the signals. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
+    /// Largest readings of accelerations and angular velocities, either way; beyond, a reading stays there. Unit: mm/s², rad/s.
+    /// Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range: Option<[f64; 2]>,
+    /// Steps in which accelerations and angular velocities are read. Unit: mm/s², rad/s. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resolution: Option<[f64; 2]>,
+    /// A chip that one can buy: its mass, inertia, range and resolution, where these keys are left out. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub chip: Option<Part>,
     /// Mass of each chip, on the centroid of its unit. Of `sensors.search` the candidates carry none. Unit: Mg. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mass: Option<f64>,
     /// Its moment of inertia about the centroid. Unit: Mg mm². Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<f64>,
+}
+
+/// Standard gravity (mm/s²).
+const GRAVITY: f64 = 9806.65;
+/// A degree (rad).
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+impl Sensors {
+    /// The same with the chip's figures in place of its name.
+    #[must_use]
+    pub fn resolved(mut self) -> Self {
+        if let Some(Part::Wt9011dcl) = self.chip.take() {
+            let (mass, [width, height]) = (9e-6, [23.5, 32.5]);
+            self.mass.get_or_insert(mass);
+            self.inertia.get_or_insert(mass * (width * width + height * height) / 12.0);
+            self.range.get_or_insert([16.0 * GRAVITY, 2000.0 * DEGREE]);
+            self.resolution.get_or_insert([16.0 * GRAVITY / 32768.0, 2000.0 * DEGREE / 32768.0]);
+        }
+        self
+    }
 }

@@ -130,9 +130,10 @@ pub(super) fn disturbance(
     sensors: &spec::Sensors,
     time: &spec::Time,
 ) -> Result<Option<Disturbance>, Invalid> {
+    let Disturbance { range: wide, noise: still, .. } = Disturbance::NONE;
     let size = |key: &str, given: Option<spec::Disturbance>| -> Result<Size, Invalid> {
         let (values, size) = match given {
-            None => return Ok(Size::Relative(0.0)),
+            None => return Ok(still),
             Some(spec::Disturbance::Relative(part)) => (vec![part], Size::Relative(part)),
             Some(spec::Disturbance::Physical(sizes)) => (sizes.to_vec(), Size::Physical(sizes)),
         };
@@ -149,9 +150,14 @@ pub(super) fn disturbance(
     let delay = sensors.delay.unwrap_or(0.0);
     let remedy = "must be 0 or above, and less than time.duration (s)";
     require(delay >= 0.0 && delay < time.duration, "sensors.delay", delay, remedy)?;
-    let disturbance = Disturbance { noise, bias, delay };
-    let still = |size| matches!(size, Size::Relative(0.0)) || size == Size::Physical([0.0; 2]);
-    Ok((!(still(noise) && still(bias) && delay == 0.0)).then_some(disturbance))
+    let (range, resolution) = (sensors.range.unwrap_or(wide), sensors.resolution.unwrap_or_default());
+    let remedy = "must be above 0: [mm/s², rad/s]";
+    require(range.iter().all(|most| *most > 0.0), "sensors.range", format!("{range:?}"), remedy)?;
+    let remedy = "must be 0 or above, and less than sensors.range: [mm/s², rad/s]";
+    let fine = resolution.iter().zip(range).all(|(step, most)| (0.0..most).contains(step));
+    require(fine, "sensors.resolution", format!("{resolution:?}"), remedy)?;
+    let disturbance = Disturbance { noise, bias, delay, range, resolution };
+    Ok((disturbance != Disturbance::NONE).then_some(disturbance))
 }
 
 /// What a chip adds to its unit.

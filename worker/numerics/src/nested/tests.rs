@@ -411,7 +411,20 @@ fn the_direct_term_holds_where_shifts_are_tied() {
 #[test]
 fn the_direct_term_holds_through_disturbed_sensors() {
     let (noise, bias) = (Size::Relative(0.05), Size::Physical([10.0, 0.1]));
-    let disturbance = Disturbance { noise, bias, delay: 0.0123 };
+    let disturbance = Disturbance { noise, bias, delay: 0.0123, ..Disturbance::NONE };
+    check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
+}
+
+/// And through sensors whose range ends where their signals are often larger: those readings pull nothing back.
+#[test]
+fn the_direct_term_holds_where_sensors_saturate() {
+    let plain = small(Protocol::Paper(Terms::Direct));
+    let pool = pool(1);
+    let trial = Trial::new(&plain, &pool).unwrap();
+    let range = [trial.scales.channels[0], trial.scales.channels[2]];
+    let beyond = |(i, x): (usize, &f64)| x.abs() > range[usize::from(i % 3 == 2)];
+    assert!(trial.initial.signals.iter().enumerate().filter(|&(i, x)| beyond((i, x))).count() > 10);
+    let disturbance = Disturbance { range, ..Disturbance::NONE };
     check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
 }
 
@@ -419,7 +432,12 @@ fn the_direct_term_holds_through_disturbed_sensors() {
 #[test]
 fn chips_are_as_noisy_on_every_body() {
     let pool = pool(1);
-    let disturbance = Disturbance { noise: Size::Relative(0.2), bias: Size::Relative(0.1), delay: 0.0 };
+    let disturbance = Disturbance {
+        noise: Size::Relative(0.2),
+        bias: Size::Relative(0.1),
+        delay: 0.0,
+        ..Disturbance::NONE
+    };
     let quiet = small(Protocol::Joint(GOING));
     let noisy = Problem { disturbance: Some(disturbance), ..quiet.clone() };
     let forces = quiet.forces(Purpose::Holdout, 0, 3);

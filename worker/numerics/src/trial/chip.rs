@@ -1,7 +1,7 @@
-//! What a real chip adds to the signals that networks see: a delay, a bias, noise.
+//! What a real chip makes of the signals that networks see: a delay, a bias, noise, steps, and an end of its range.
 //!
 //! ```text
-//! a′_c(t_n) = a_c(t_n − delay) + b_c + e_c(t_n)      linear between instants, at rest before the first
+//! a′_c(t_n) = clip(round(a_c(t_n − delay) + b_c + e_c(t_n)))      linear between instants, at rest before the first
 //! ```
 //! b normal a sample and channel, e a reading. Draws are keyed by the sample's own force history, sensor and channel, so
 //! that every body, and every set in which a sample stands, meets the same ones.
@@ -18,6 +18,21 @@ pub struct Disturbance {
     pub bias: Size,
     /// How late signals come (s).
     pub delay: f64,
+    /// Largest readings of accelerations (mm/s²) and angular velocities (rad/s), either way.
+    pub range: [f64; 2],
+    /// Steps in which they are read; 0: all of them.
+    pub resolution: [f64; 2],
+}
+
+impl Disturbance {
+    /// That of a chip that tells all.
+    pub const NONE: Self = Self {
+        noise: Size::Relative(0.0),
+        bias: Size::Relative(0.0),
+        delay: 0.0,
+        range: [f64::INFINITY; 2],
+        resolution: [0.0; 2],
+    };
 }
 
 /// A standard deviation of signals.
@@ -49,6 +64,8 @@ pub(crate) struct Chip {
     pub(crate) bias: Vec<f64>,
     /// In instants.
     delay: f64,
+    range: [f64; 2],
+    resolution: [f64; 2],
 }
 
 impl Chip {
@@ -59,6 +76,8 @@ impl Chip {
             noise: disturbance.noise.of(rms),
             bias: disturbance.bias.of(rms),
             delay: disturbance.delay / delta,
+            range: disturbance.range,
+            resolution: disturbance.resolution,
         }
     }
 
@@ -77,6 +96,22 @@ impl Chip {
                     *reading += bias + self.noise[c] * stream.normal();
                 }
             }
+            self.read(sample);
+        }
+    }
+
+    /// Readings (T, 3M) in whole steps, and none beyond the range.
+    fn read(&self, sample: &mut [f64]) {
+        if (self.range, self.resolution) == (Disturbance::NONE.range, Disturbance::NONE.resolution) {
+            return;
+        }
+        for (i, reading) in sample.iter_mut().enumerate() {
+            let kind = usize::from(i % 3 == 2);
+            let (most, step) = (self.range[kind], self.resolution[kind]);
+            if step > 0.0 {
+                *reading = (*reading / step).round() * step;
+            }
+            *reading = reading.clamp(-most, most);
         }
     }
 
@@ -98,8 +133,16 @@ impl Chip {
         }
     }
 
-    /// Transpose of the delay: a cotangent (N, T, 3M) of `samples` samples on what the chip says as one on the signals.
-    pub(crate) fn disturb_vjp(&self, cotangent: &mut [f64], samples: usize) {
+    /// Of the delay and the range: a cotangent (N, T, 3M) of `samples` samples on what the chip `says` as one on the signals. A
+    /// reading at the end of its range tells nothing. Steps pass it on as if they were none.
+    pub(crate) fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64], samples: usize) {
+        if self.range != Disturbance::NONE.range {
+            for (i, (cotangent, reading)) in cotangent.iter_mut().zip(says).enumerate() {
+                if reading.abs() >= self.range[usize::from(i % 3 == 2)] {
+                    *cotangent = 0.0;
+                }
+            }
+        }
         let (whole, part) = self.parts();
         let channels = self.noise.len();
         if self.delay == 0.0 {

@@ -216,12 +216,12 @@ impl<'a> Trial<'a> {
     /// If it is not finite.
     pub fn vjp(
         &self,
-        Response { simulation, .. }: &Response,
+        Response { simulation, samples }: &Response,
         mut cotangent: Vec<f64>,
         counters: &mut Counters,
     ) -> Result<Vec<f64>, Trouble> {
         if let Some(chip) = &self.chip {
-            chip.disturb_vjp(&mut cotangent, simulation.outcomes.len());
+            chip.disturb_vjp(&mut cotangent, &samples.signals, simulation.outcomes.len());
         }
         let gradient = simulation.vjp(&cotangent, Wrt::Design, self.pool);
         counters.dynamics += gradient.counters;

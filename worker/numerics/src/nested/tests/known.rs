@@ -53,7 +53,12 @@ fn the_nonlinear_part_does_not_depend_on_the_integrator() {
 /// by normal equations over simulated signals and by drawn noise.
 #[test]
 fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
-    let disturbance = Disturbance { noise: Size::Relative(0.2), bias: Size::Relative(0.3), delay: 0.0075 };
+    let disturbance = Disturbance {
+        noise: Size::Relative(0.2),
+        bias: Size::Relative(0.3),
+        delay: 0.0075,
+        ..Disturbance::NONE
+    };
     let problem = Problem { disturbance: Some(disturbance), ..with_amplitude(1e-5) };
     let found = bound(&problem, &problem.initial, 4, &pool(2)).unwrap().unwrap();
 

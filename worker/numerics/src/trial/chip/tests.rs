@@ -1,7 +1,11 @@
 use super::*;
 
-const SIZE: Disturbance =
-    Disturbance { noise: Size::Relative(0.1), bias: Size::Physical([3.0, 0.2]), delay: 0.0 };
+const SIZE: Disturbance = Disturbance {
+    noise: Size::Relative(0.1),
+    bias: Size::Physical([3.0, 0.2]),
+    delay: 0.0,
+    ..Disturbance::NONE
+};
 
 fn forces(samples: usize) -> Forces {
     let values = (0..samples * 5).map(|i| i as f64 * 0.37).collect();
@@ -13,7 +17,12 @@ fn forces(samples: usize) -> Forces {
 fn the_delay_and_its_pull_back_are_transposes() {
     for delay in [0.0, 0.003, 0.01, 0.0275, 0.1] {
         let chip = Chip::new(
-            &Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay },
+            &Disturbance {
+                noise: Size::Relative(0.0),
+                bias: Size::Relative(0.0),
+                delay,
+                ..Disturbance::NONE
+            },
             1,
             0.01,
             &[1.0; 3],
@@ -23,7 +32,7 @@ fn the_delay_and_its_pull_back_are_transposes() {
         let (a, c) = (draw(), draw());
         let (mut late, mut early) = (a.clone(), c.clone());
         chip.disturb(&mut late, &forces(2));
-        chip.disturb_vjp(&mut early, 2);
+        chip.disturb_vjp(&mut early, &late, 2);
         let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
         let (left, right) = (dot(&late, &c), dot(&a, &early));
         assert!((left - right).abs() < 1e-12 * (1.0 + left.abs()), "{delay}: {left} {right}");
@@ -34,7 +43,12 @@ fn the_delay_and_its_pull_back_are_transposes() {
 #[test]
 fn signals_come_late_by_the_delay() {
     let chip = Chip::new(
-        &Disturbance { noise: Size::Relative(0.0), bias: Size::Relative(0.0), delay: 0.015 },
+        &Disturbance {
+            noise: Size::Relative(0.0),
+            bias: Size::Relative(0.0),
+            delay: 0.015,
+            ..Disturbance::NONE
+        },
         1,
         0.01,
         &[1.0; 3],
@@ -69,4 +83,19 @@ fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
     let mut alone = vec![0.0; 500 * 3];
     chip.disturb(&mut alone, &last);
     assert_eq!(alone, signals[39 * 1500..]);
+}
+
+/// Accelerations in steps of 0.5 up to 4, angular velocities in steps of 0.1 up to 1; what is at its end pulls nothing back.
+#[test]
+fn readings_come_in_steps_and_end_with_the_range() {
+    let sizes = Disturbance { range: [4.0, 1.0], resolution: [0.5, 0.1], ..Disturbance::NONE };
+    let chip = Chip::new(&sizes, 1, 0.01, &[1.0; 3]);
+    let mut signals = [0.2, 0.3, 0.04, -5.0, 3.9, 0.96, 0.0, -3.6, -2.0, 1.26, 9.0, 0.5];
+    chip.disturb(&mut signals, &forces(1));
+    let says = [0.0, 0.5, 0.0, -4.0, 4.0, 1.0, 0.0, -3.5, -1.0, 1.5, 4.0, 0.5];
+    assert!(signals.iter().zip(says).all(|(a, b)| (a - b).abs() < 1e-12), "{signals:?}");
+    let mut cotangent = [1.0; 12];
+    chip.disturb_vjp(&mut cotangent, &signals, 1);
+    let passes = says.iter().enumerate().map(|(i, x): (usize, &f64)| x.abs() < [4.0, 4.0, 1.0][i % 3]);
+    assert!(cotangent.iter().zip(passes).all(|(c, passes)| (*c > 0.0) == passes), "{cotangent:?}");
 }
