@@ -277,6 +277,22 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[sensors]\nsearch = \"greedy\"\nplacements = [[14]]\n[sweep]",
         "sensors.search = \"greedy\": cannot be given beside sensors.placements",
     ),
+    (
+        "[sweep]",
+        "[sensors]\noffset = [1.0, nan]\n[sweep]",
+        "s.toml:14: sensors.offset = [1.0, NaN]: must be two finite",
+    ),
+    (
+        "[sweep]",
+        "[sensors]\nmass = 1e-6\noffset = [1.0, 0.0]\n[sweep]",
+        "s.toml:15: sensors.offset = [1.0, 0.0]: cannot be given beside sensors.mass",
+    ),
+    (
+        "[sweep]",
+        "[sensors]\nchip = \"WT9011DCL\"\noffset = [1.0, 0.0]\n[sweep]",
+        "s.toml:15: sensors.offset = [1.0, 0.0]: cannot be given beside sensors.mass",
+    ),
+    ("[sweep]", "[sensors]\ntilt = 361.0\n[sweep]", "s.toml:14: sensors.tilt = 361: must lie between"),
     ("[sweep]", "[sensors]\nspacing = 20.0\n[sweep]", "sensors.spacing = 20: is for sensors.search"),
     ("[sweep]", "[sensors]\nfrom = \"free\"\n[sweep]", "sensors.from = free: is for sensors.search"),
     (

@@ -46,6 +46,11 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     assert_eq!(brain("width = 24\nkernels = [9, 9, 9, 1]\ndilations = [1, 4, 16, 1]"), long);
     assert_ne!(long[1], plain[1]);
     assert_ne!(brain("preset = \"long\"\ncausal = true")[1], long[1]);
+    let sensors = |keys: &str| hashes(&(SPEC.to_owned() + "[sensors]\n" + keys));
+    assert_eq!(sensors("offset = [0, 0]\ntilt = 0"), plain);
+    assert_ne!(sensors("offset = [0, 1]")[1], plain[1]);
+    let figures = "mass = 0\ninertia = 0\nrange = [1e5, 30.0]\nresolution = [1.0, 0.001]";
+    assert_eq!(sensors(&format!("chip = \"WT9011DCL\"\n{figures}")), sensors(figures));
     let optimise = |keys: &str| hashes(&(SPEC.to_owned() + "[optimise]\n" + keys));
     assert_eq!(optimise("tie = [1, 1]\nfrozen = []"), plain);
     assert_eq!(optimise("frozen = [7, 8]"), optimise("frozen = [8, 7]"));

@@ -449,6 +449,8 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     read.resolution = read.resolution.filter(|step| *step != [0.0; 2]);
     read.mass = read.mass.filter(|mass| *mass != 0.0);
     read.inertia = read.inertia.filter(|moment| *moment != 0.0);
+    read.offset = read.offset.filter(|offset| *offset != [0.0; 2]);
+    read.tilt = read.tilt.filter(|tilt| *tilt != 0.0);
     let mut stimuli = spec.stimuli.clone().resolved();
     stimuli.force_samples = stimuli.force_samples.filter(|instants| *instants != spec.time.samples);
     let (brain, mut optimise, evaluation, variation) = brains::resolved(spec);

@@ -25,8 +25,7 @@ pub use metasense_numerics::brains::READINGS_MAX;
 use casts::{casting, casts, variation};
 pub use optimise::design_parameters;
 use optimise::{frozen, protocol, tie};
-use stimuli::inertia;
-use stimuli::{disturbance, stimuli};
+use stimuli::{disturbance, inertia, mount, stimuli};
 
 /// Channels, and weights, of a network beyond which neither time nor memory would do.
 const WIDTH_MAX: usize = 1024;
@@ -441,6 +440,7 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
             .collect(),
         sensors,
         chip: inertia(&trial.sensors)?,
+        mount: mount(&trial.sensors)?,
         frame: match trial.sensors.frame {
             spec::Frame::World => Frame::World,
             spec::Frame::Body => Frame::Body,

@@ -238,10 +238,11 @@ fn text<'a>(trial: &'a Trial, path: &str) -> Option<&'a str> {
     trial.setting.get(path).and_then(Value::as_str)
 }
 
-/// Whether a trial is of the paper's kind: no noise, no random body, all shifts free.
+/// Whether a trial is of the paper's kind: sensors at random units that are perfect, no random body, all shifts free.
 fn plain(trial: &Trial) -> bool {
-    let extras = ["sensors.noise", "sensors.bias", "sensors.delay", "sensors.search", "optimise.frozen"];
-    !trial.starts_random() && !extras.iter().any(|path| trial.setting.contains_key(path))
+    let extra =
+        |path: &str| path == "optimise.frozen" || path.starts_with("sensors.") && path != "sensors.frame";
+    !trial.starts_random() && !trial.setting.leaves().keys().any(|path| extra(path))
 }
 
 fn tied(trial: &Trial) -> bool {

@@ -105,6 +105,13 @@ pub struct Sensors {
     /// Its moment of inertia about the centroid. Unit: Mg mm². Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<f64>,
+    /// Where on its unit each chip reads: `[x, y]` from the centroid, in the unit's frame. Not beside `mass` or `inertia`, which sit
+    /// on the centroid. Unit: mm. Default: `[0, 0]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset: Option<[f64; 2]>,
+    /// Angle by which the axes of each chip are turned in the plane against those of `frame`. Unit: degrees. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tilt: Option<f64>,
 }
 
 /// Standard gravity (mm/s²).

@@ -5,8 +5,9 @@ mod common;
 use common::{norm, pool, relative};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Forces, Frame, Inertia, Method, Outcome, Panel, Plan, Precision, Scene, Simulation,
-    Solver, Stiffness, Tolerance, Wrt, choose, highest_frequency, run, signal_error, simulate, tune,
+    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Plan, Precision, Scene,
+    Simulation, Solver, Stiffness, Tolerance, Wrt, choose, highest_frequency, run, signal_error, simulate,
+    tune,
 };
 use metasense_kernels::simd::Width;
 use metasense_kernels::{Heartbeat, Pool};
@@ -25,6 +26,7 @@ fn small_scene() -> Scene {
         panels: vec![Panel { unit: 6, direction: [0.0, -1.0] }, Panel { unit: 8, direction: [0.6, -0.8] }],
         sensors: vec![4, 7],
         chip: None,
+        mount: None,
         frame: Frame::World,
         duration: 0.1,
         instants: 20,
@@ -609,4 +611,80 @@ fn gradients_hold_where_chips_weigh() {
     let difference = (of_density(1.0 + 1e-5) - of_density(1.0 - 1e-5)) / 2e-5;
     let slope = gradient.parameters.unwrap().density * scene.density;
     assert!((difference / slope - 1.0).abs() < 1e-6, "{difference} {slope}");
+}
+
+/// A chip off the centroid of a free unit that a rigid rotation carries reads α×r − ω²r along its axes: by hand from θ, ω and α,
+/// which a chip on the centroid and the tape tell.
+#[test]
+fn chips_off_the_centroid_read_turning() {
+    let mount = Mount { offset: [1.5, -2.0], tilt: 0.4 };
+    for frame in [Frame::World, Frame::Body] {
+        let base = Scene { frame: Frame::World, ..small_scene() };
+        let (design, forces) = (shaken(&base), pushes(&base, 1, 0.5));
+        let plan = plan(Method::Nystrom6, 24);
+        let plain = run(&base, &design, &forces, &plan, true, &pool(1));
+        let off = |by: [f64; 2], frame| {
+            let scene = Scene { mount: Some(Mount { offset: by, tilt: 0.0 }), frame, ..base.clone() };
+            run(&scene, &design, &forces, &plan, false, &pool(1)).signals
+        };
+        // no offset and no tilt is no mount
+        assert_eq!(off([0.0; 2], Frame::World), plain.signals);
+        let read = run(
+            &Scene { mount: Some(mount), frame, ..base.clone() },
+            &design,
+            &forces,
+            &plan,
+            false,
+            &pool(1),
+        );
+        // α from a chip at (1, 0): a_y + α cos θ − ω² sin θ
+        let east = off([1.0, 0.0], Frame::World);
+        let tape = plain.tape.as_ref().unwrap();
+        let width = 3 * base.sensors.len();
+        let mut turned: f64 = 0.0;
+        for n in 0..base.instants {
+            let (x, v) = tape.state(0, n + 1);
+            for (m, &unit) in base.sensors.iter().enumerate() {
+                let [ax, ay, _] = [0, 1, 2].map(|c| plain.signals[n * width + 3 * m + c]);
+                let (theta, omega) = (x[unit][2], v[unit][2]);
+                let (s, c) = theta.sin_cos();
+                let alpha = (east[n * width + 3 * m + 1] - ay + omega * omega * s) / c;
+                let r =
+                    [c * mount.offset[0] - s * mount.offset[1], s * mount.offset[0] + c * mount.offset[1]];
+                let at = [ax - alpha * r[1] - omega * omega * r[0], ay + alpha * r[0] - omega * omega * r[1]];
+                let (s, c) = (mount.tilt + if frame == Frame::Body { theta } else { 0.0 }).sin_cos();
+                let expected = [c * at[0] + s * at[1], c * at[1] - s * at[0], omega];
+                for (k, expected) in expected.into_iter().enumerate() {
+                    let got = read.signals[n * width + 3 * m + k];
+                    assert!((got - expected).abs() <= 1e-8 * (1.0 + expected.abs()), "{got} {expected}");
+                }
+                turned = turned.max((at[0] - ax).abs() / (1.0 + ax.abs()));
+            }
+        }
+        assert!(turned > 0.1, "nothing turned: {turned}");
+    }
+}
+
+/// Gradients in the design are those of differences, and jvp and vjp transposes, where chips sit off the centroid and tilted.
+#[test]
+fn gradients_hold_where_chips_are_mounted() {
+    let mount = Some(Mount { offset: [1.5, -2.0], tilt: 0.4 });
+    for frame in [Frame::World, Frame::Body] {
+        for method in [Method::Nystrom6, Method::Leapfrog] {
+            let scene = Scene { mount, frame, ..small_scene() };
+            let (design, forces, plan) = (shaken(&scene), pushes(&scene, 2, 0.3), plan(method, 24));
+            let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));
+            let gradient = simulation.vjp(&simulation.signals, Wrt::Design, &pool(1));
+            let energy = |design: &[f64]| {
+                let signals = run(&scene, design, &forces, &plan, false, &pool(1)).signals;
+                0.5 * signals.iter().map(|a| a * a).sum::<f64>()
+            };
+            let direction: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
+            let moved =
+                |by: f64| -> Vec<f64> { design.iter().zip(&direction).map(|(a, d)| a + by * d).collect() };
+            let slope: f64 = gradient.design.iter().zip(&direction).map(|(g, d)| g * d).sum();
+            let difference = (energy(&moved(1e-5)) - energy(&moved(-1e-5))) / 2e-5;
+            assert!((difference / slope - 1.0).abs() < 1e-6, "{frame:?} {method:?}: {difference} {slope}");
+        }
+    }
 }

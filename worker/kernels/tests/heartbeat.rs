@@ -31,6 +31,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
         panels: vec![Panel { unit: 7, direction: [0.0, -1.0] }],
         sensors: vec![4],
         chip: None,
+        mount: None,
         frame: Frame::World,
         duration: 0.1,
         instants,

@@ -26,6 +26,7 @@ fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
         panels: struck.into_iter().map(|unit| Panel { unit, direction: [0.0, -1.0] }).collect(),
         sensors: vec![columns * (rows - 1)],
         chip: None,
+        mount: None,
         frame: Frame::World,
         duration: 0.3,
         instants: 60,

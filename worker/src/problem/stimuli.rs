@@ -1,6 +1,6 @@
 //! Force histories and what the sensors' chips add, from their spec.
 
-use metasense_numerics::dynamics::Inertia;
+use metasense_numerics::dynamics::{Inertia, Mount};
 use metasense_numerics::stimuli::{Bell, Irregular, Source};
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
@@ -166,4 +166,22 @@ pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<Inertia>, Invali
     not_negative("sensors.mass", mass)?;
     not_negative("sensors.inertia", moment)?;
     Ok((mass > 0.0 || moment > 0.0).then_some(Inertia { mass, moment }))
+}
+
+/// How a chip sits on its unit.
+pub(super) fn mount(sensors: &spec::Sensors) -> Result<Option<Mount>, Invalid> {
+    let (offset, tilt) = (sensors.offset.unwrap_or_default(), sensors.tilt.unwrap_or_default());
+    let shown = format!("{offset:?}");
+    require(
+        offset.iter().all(|r| r.is_finite()),
+        "sensors.offset",
+        &shown,
+        "must be two finite numbers (mm)",
+    )?;
+    require((-360.0..=360.0).contains(&tilt), "sensors.tilt", tilt, "must lie between -360 and 360 degrees")?;
+    let weighs = sensors.mass.unwrap_or_default() > 0.0 || sensors.inertia.unwrap_or_default() > 0.0;
+    let off = offset != [0.0; 2];
+    let remedy = "cannot be given beside sensors.mass or sensors.inertia, which sit on the centroid";
+    require(!(off && weighs), "sensors.offset", &shown, remedy)?;
+    Ok((off || tilt != 0.0).then_some(Mount { offset, tilt: tilt.to_radians() }))
 }

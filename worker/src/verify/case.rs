@@ -176,6 +176,7 @@ impl Case {
             panels: units("panels")?.into_iter().map(|unit| Panel { unit, direction }).collect(),
             sensors: units("sensors")?,
             chip: None,
+            mount: None,
             frame: if self.text("scene.frame")? == "body" { Frame::Body } else { Frame::World },
             duration: number("duration")?,
             instants: size("T")?,

@@ -4,8 +4,8 @@ use super::{Row, dot, norm, relative};
 use metasense_numerics::body::Geometry;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Contact, Forces, Frame, Inertia, Method, Panel, Parameters, Plan, Scene, Simulation, Solver,
-    Stiffness, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
+    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Panel, Parameters, Plan, Scene, Simulation,
+    Solver, Stiffness, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
@@ -24,6 +24,7 @@ pub fn reference() -> Scene {
         panels: [31, 34].map(|unit| Panel { unit, direction: [0.0, -1.0] }).to_vec(),
         sensors: vec![21],
         chip: None,
+        mount: None,
         frame: Frame::World,
         duration: 1.0,
         instants: 200,
@@ -229,6 +230,15 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
         ("undamped", Scene { damping_ratio: 0.0, ..base.clone() }, 1),
         ("heavily damped", Scene { damping_ratio: 0.5, ..base.clone() }, 1),
         ("with a chip", Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..base.clone() }, 1),
+        (
+            "chips off the centroid",
+            Scene {
+                mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }),
+                frame: Frame::Body,
+                ..base.clone()
+            },
+            1,
+        ),
     ];
     let mut stream = Stream::new(Purpose::Design, 6, [0, 0]);
     let solver = match solver.method {

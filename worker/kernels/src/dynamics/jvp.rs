@@ -5,7 +5,7 @@
 //! that signals which agree to rounding check those too.
 
 use super::schemes::Drift;
-use super::{Forces, Frame, Inertia, Method, Parameters, Scene, Simulation, Tape, tsit5};
+use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, tsit5};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -256,11 +256,18 @@ impl<'a> Body<'a> {
     /// Adds the sensors' readings at an instant.
     fn read(&self, x: &State, v: &State, a: &State, signals: &mut Vec<Dual>) {
         for &u in &self.scene.sensors {
+            let (theta, omega, Mount { offset: r, tilt }) =
+                (x[u][2], v[u][2], self.scene.mount.unwrap_or_default());
+            // a + α×r − ω²r
+            let (s, c) = theta.sin_cos();
+            let [px, py] = [r[0] * c - r[1] * s, r[0] * s + r[1] * c];
+            let at =
+                [a[u][0] - a[u][2] * py - omega * omega * px, a[u][1] + a[u][2] * px - omega * omega * py];
             let (s, c) = match self.scene.frame {
-                Frame::World => (Dual::default(), Dual(1.0, 0.0)),
-                Frame::Body => x[u][2].sin_cos(),
+                Frame::World => Dual(tilt, 0.0).sin_cos(),
+                Frame::Body => (theta + Dual(tilt, 0.0)).sin_cos(),
             };
-            signals.extend([c * a[u][0] + s * a[u][1], c * a[u][1] - s * a[u][0], v[u][2]]);
+            signals.extend([c * at[0] + s * at[1], c * at[1] - s * at[0], omega]);
         }
     }
 }

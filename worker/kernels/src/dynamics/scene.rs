@@ -93,6 +93,15 @@ impl Inertia {
     }
 }
 
+/// How a chip sits on its unit.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Mount {
+    /// r from the centroid, in the unit's frame (mm): the chip reads the acceleration there.
+    pub offset: [f64; 2],
+    /// By how much its axes are turned against the frame's (rad).
+    pub tilt: f64,
+}
+
 /// The frame in which accelerations are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Frame {
@@ -134,10 +143,19 @@ pub struct Scene {
     pub sensors: Vec<usize>,
     /// What each sensor's chip adds to its unit; a scene without does not pay for it.
     pub chip: Option<Inertia>,
+    /// How they sit; on the centroid and straight in a scene without, which does not pay for it.
+    pub mount: Option<Mount>,
     /// How sensors read.
     pub frame: Frame,
     /// Length of a sample (s).
     pub duration: f64,
     /// T.
     pub instants: usize,
+}
+
+impl Scene {
+    /// Whether readings depend on how units have turned.
+    pub(super) fn reads_turns(&self) -> bool {
+        self.frame == Frame::Body || self.mount.is_some()
+    }
 }

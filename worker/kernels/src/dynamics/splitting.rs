@@ -18,7 +18,7 @@ use super::model::Model;
 use super::schemes::{Drift, Scheme};
 use super::system::{Cotangent, System, Unit, load_lanes, read_lane, store_lane};
 use super::trigonometry::sin_cos1;
-use super::{Counters, Forces, Frame, Outcome, Scene};
+use super::{Counters, Forces, Outcome, Scene};
 use crate::Heartbeat;
 use crate::lanes::{MOST, Scalar, Vector};
 
@@ -414,7 +414,7 @@ pub fn reverse<V: Vector>(
                         b.set_lane(l, sweep.cotangent[interval * width + k]);
                     }
                 }
-                if scene.frame == Frame::Body {
+                if scene.reads_turns() {
                     system.acceleration(&x, &v, &force, &mut g, &mut margin);
                     evaluations += 1;
                     for u in 0..x.len() {
@@ -424,7 +424,7 @@ pub fn reverse<V: Vector>(
                     }
                 }
                 bar_a.fill([zero; 3]);
-                system.read_vjp(&x, &a, &bar, &mut bars.x, &mut bars.v, &mut bar_a);
+                system.read_vjp(&x, &v, &a, &bar, &mut bars.x, &mut bars.v, &mut bar_a);
                 // a = G − γ v
                 for u in moving.clone() {
                     for d in 0..3 {

@@ -2,7 +2,7 @@
 
 use super::ligaments::{ShapeCotangent, Turn, turns};
 use super::model::{Bar, Model, ModelCotangent};
-use super::{Frame, Scene};
+use super::{Frame, Mount, Scene};
 use crate::lanes::{MOST, Scalar, Vector};
 
 /// (u, v, θ), or what belongs to it, of one unit, in lanes.
@@ -277,6 +277,7 @@ impl<'a, V: Vector> System<'a, V> {
     pub fn read_vjp(
         &self,
         x: &[Unit<V>],
+        v: &[Unit<V>],
         a: &[Unit<V>],
         bar: &[V],
         bar_x: &mut [Unit<V>],
@@ -289,6 +290,21 @@ impl<'a, V: Vector> System<'a, V> {
             let (p, q, o) = (bar[3 * m], bar[3 * m + 1], bar[3 * m + 2]);
             bar_v[u][2] = bar_v[u][2] + o;
             let (mut bx, mut by) = (p, q);
+            if let Some(mount) = self.scene.mount {
+                let at = Mounted::new(mount, self.scene.frame, x[u][2]);
+                let (read, [bx, by]) = (at.read(v[u][2], a[u]), at.back([p, q]));
+                if self.scene.frame == Frame::Body {
+                    bar_x[u][2] = bar_x[u][2] + read[1] * p - read[0] * q;
+                }
+                let ([px, py], omega, alpha) = (at.arm, v[u][2], a[u][2]);
+                let (along, across) = (bx * px + by * py, by * px - bx * py);
+                bar_a[u][0] = bar_a[u][0] + bx;
+                bar_a[u][1] = bar_a[u][1] + by;
+                bar_a[u][2] = bar_a[u][2] + across;
+                bar_v[u][2] = bar_v[u][2] - (omega + omega) * along;
+                bar_x[u][2] = bar_x[u][2] - alpha * along - omega * omega * across;
+                continue;
+            }
             if self.scene.frame == Frame::Body {
                 let (c, s) = cos_sin(x[u][2]);
                 let read = [c * a[u][0] + s * a[u][1], c * a[u][1] - s * a[u][0]];
@@ -335,6 +351,42 @@ fn damping_cotangent<V: Vector>(damping: &mut [V; 3], w: &[Unit<V>], v: &[Unit<V
     }
 }
 
+/// A chip off its unit's centroid, or tilted on it, at an instant.
+struct Mounted<V> {
+    /// Its offset in fixed axes.
+    arm: [V; 2],
+    /// Cosine and sine of the angle of its axes.
+    axes: (V, V),
+}
+
+impl<V: Vector> Mounted<V> {
+    #[inline(always)]
+    fn new(Mount { offset: [rx, ry], tilt }: Mount, frame: Frame, theta: V) -> Self {
+        let (c, s) = cos_sin(theta);
+        let [rx, ry] = [V::splat(rx), V::splat(ry)];
+        let axes = match frame {
+            Frame::World => (V::splat(tilt.cos()), V::splat(tilt.sin())),
+            Frame::Body => cos_sin(theta + V::splat(tilt)),
+        };
+        Self { arm: [c * rx - s * ry, s * rx + c * ry], axes }
+    }
+
+    /// a + α×r − ω²r along the chip's axes.
+    #[inline(always)]
+    fn read(&self, omega: V, a: Unit<V>) -> [V; 2] {
+        let ([px, py], (c, s), square) = (self.arm, self.axes, omega * omega);
+        let (x, y) = (a[0] - a[2] * py - square * px, a[1] + a[2] * px - square * py);
+        [c * x + s * y, c * y - s * x]
+    }
+
+    /// From the chip's axes to fixed ones.
+    #[inline(always)]
+    fn back(&self, [p, q]: [V; 2]) -> [V; 2] {
+        let (c, s) = self.axes;
+        [c * p - s * q, s * p + c * q]
+    }
+}
+
 /// (cos, sin) by the standard library: once a sensor and instant.
 #[inline(always)]
 pub fn cos_sin<V: Vector>(theta: V) -> (V, V) {
@@ -358,6 +410,12 @@ pub fn read_lane<V: Vector>(
     out: &mut [f64],
 ) {
     for (&u, out) in scene.sensors.iter().zip(out.chunks_exact_mut(3)) {
+        if let Some(mount) = scene.mount {
+            let at = Mounted::new(mount, scene.frame, x[u][2]);
+            let [ax, ay] = at.read(v[u][2], a[u]).map(|read| read.lane(lane));
+            out.copy_from_slice(&[ax, ay, v[u][2].lane(lane)]);
+            continue;
+        }
         let (ax, ay) = (a[u][0].lane(lane), a[u][1].lane(lane));
         let (s, c) = match scene.frame {
             Frame::World => (0.0, 1.0),

@@ -20,6 +20,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         ],
         sensors: vec![4, top],
         chip: None,
+        mount: None,
         frame: Frame::World,
         duration: 0.1,
         instants: 20,
@@ -62,6 +63,7 @@ fn a_column_of_squares_has_the_modes_of_a_chain() {
         panels: Vec::new(),
         sensors: Vec::new(),
         chip: None,
+        mount: None,
         ..scene(Layout::planar(1, n + 1, 15.0, 2.25), vec![0])
     };
     let design = column.layout.initial_design(0.0);

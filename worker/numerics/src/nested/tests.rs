@@ -34,6 +34,7 @@ fn small(protocol: Protocol) -> Problem {
             panels: vec![Panel { unit: 9, direction }, Panel { unit: 10, direction }],
             sensors: vec![5],
             chip: None,
+            mount: None,
             frame: Frame::World,
             duration: 0.2,
             instants: 40,

@@ -6,7 +6,7 @@
 use super::super::jobs::Backward;
 use super::super::loads::FreeForces;
 use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
-use super::super::{Counters, Forces, Frame, Panel};
+use super::super::{Counters, Forces, Panel};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::steps;
 use crate::Heartbeat;
@@ -238,12 +238,12 @@ fn sensors_vjp<V: Vector>(
     (to_x, to_v): (&mut [Unit<V>], &mut [Unit<V>]),
 ) {
     let zero = [V::splat(0.0); 3];
-    if system.scene.frame == Frame::Body {
+    if system.scene.reads_turns() {
         system.acceleration(x, v, force, a, &mut { zero[0] });
     }
     let (mut direct_x, mut direct_v) = (system.zeros(), system.zeros());
     bar_a.fill(zero);
-    system.read_vjp(x, a, bar, &mut direct_x, &mut direct_v, bar_a);
+    system.read_vjp(x, v, a, bar, &mut direct_x, &mut direct_v, bar_a);
     system.acceleration_vjp(x, v, force, bar_a, to_x, to_v, a);
     add_into(to_x, &direct_x);
     add_into(to_v, &direct_v);

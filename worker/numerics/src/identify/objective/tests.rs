@@ -16,6 +16,7 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
         panels: vec![Panel { unit: 4, direction: [0.0, -1.0] }],
         sensors: vec![3],
         chip: None,
+        mount: None,
         frame: Frame::Body,
         duration: 0.1,
         instants: 20,
