@@ -280,7 +280,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]",
         "[sensors]\noffset = [1.0, nan]\n[sweep]",
-        "s.toml:14: sensors.offset = [1.0, NaN]: must be two finite",
+        "s.toml:14: sensors.offset = [1.0, nan]: nan is no finite number",
     ),
     (
         "[sweep]",
