@@ -166,6 +166,46 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("bend = 1.0", "bend = inf", "s.toml:8: body.stiffness.bend = inf: "),
     ("test = 4", "test = 12", "s.toml:12: stimuli.test = 12: must be less than stimuli.samples"),
     ("test = 4", "test = 0", "s.toml:12: stimuli.test = 0: "),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.4\nkind = \"irregular\"\n",
+        "s.toml:13: stimuli.mix.weight = [0.5, 0.4]: must sum to 1, not to 0.9",
+    ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 1.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = -0.5\nkind = \"irregular\"\n",
+        "s.toml:13: stimuli.mix.weight = [1.5, -0.5]: must be numbers above 0",
+    ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 1.0\nkind = \"bell\"\n",
+        "s.toml:13: stimuli.mix = [bell]: must be two tables [[stimuli.mix]] or more",
+    ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n",
+        "s.toml:9: stimuli.mix = []: must be two tables [[stimuli.mix]] or more",
+    ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
+        "s.toml:13: stimuli.mix.kind: must be given, it has no default",
+    ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"mix\"\n",
+        "s.toml:13: stimuli.mix = [bell, mix]: must not hold a mixture",
+    ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\ndouble = 0.5\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
+        "stimuli.mix.double = 0.5: means nothing to this stimuli.kind",
+    ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\nwidth = [0.1, 0.2]\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
+        "s.toml:13: stimuli.width = [0.1, 0.2]: means nothing to this stimuli.kind",
+    ),
     ("test = 4", "test = 4\nholdout = 0", "s.toml:13: stimuli.holdout = 0: "),
     ("test = 4", "test = 4\namplitude = [0.5, 0.1]", "s.toml:13: stimuli.amplitude = [0.5, 0.1]: "),
     ("test = 4", "test = 4\npeak = [0.0, 1.5]", "s.toml:13: stimuli.peak = "),

@@ -171,11 +171,12 @@ const CUT: f64 = 0.05;
 /// # Errors
 /// Names the record, and how much of its peak is cut.
 pub fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
-    let (Source::Recorded(Recorded { histories, shift, .. }), Protocol::Joint(_)) =
-        (&problem.stimuli.source, problem.optimise.protocol)
-    else {
-        return Ok(());
-    };
+    let Protocol::Joint(_) = problem.optimise.protocol else { return Ok(()) };
+    let records = problem.stimuli.source.parts().into_iter().find_map(|part| match part {
+        Source::Recorded(records) => Some(records),
+        _ => None,
+    });
+    let Some(Recorded { histories, shift, .. }) = records else { return Ok(()) };
     let instants = |time: f64| (time * histories.instants as f64 / problem.scene.duration).round() as usize;
     let [early, late] = [instants(-shift[0]), instants(shift[1])];
     let peak = |values: &[f64]| values.iter().fold(0.0, |peak: f64, f| peak.max(f.abs()));

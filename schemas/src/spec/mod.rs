@@ -26,7 +26,9 @@ pub use optimise::{
 };
 pub use sensors::{Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
-pub use stimuli::{Augment, ForceUnit, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger};
+pub use stimuli::{
+    Augment, ForceUnit, Part, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger,
+};
 pub use trial::{Point, TrialSpec, flatten};
 pub use until::{AtMost, Until};
 pub use variation::{Variation, VariationFile};

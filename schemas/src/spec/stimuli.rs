@@ -15,6 +15,68 @@ pub enum StimuliKind {
     Irregular,
     /// Force histories from files, see `stimuli.recorded`.
     Recorded,
+    /// Each sample of one of the kinds of `stimuli.mix`, drawn by their weights.
+    Mix,
+}
+
+/// A kind of forces in a mixture, with the keys of that kind as in `[stimuli]`; `"recorded"` reads `stimuli.recorded`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Part {
+    /// Probability that a sample is of this kind; those of all parts sum to 1. Unit: 1.
+    pub weight: f64,
+    /// Kind of forces: `"bell"`, `"irregular"` or `"recorded"`.
+    pub kind: StimuliKind,
+    /// As `stimuli.amplitude`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub amplitude: Option<[f64; 2]>,
+    /// As `stimuli.width`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub width: Option<[f64; 2]>,
+    /// As `stimuli.onset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub onset: Option<[f64; 2]>,
+    /// As `stimuli.peak`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub peak: Option<[f64; 2]>,
+    /// As `stimuli.power`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub power: Option<[f64; 2]>,
+    /// As `stimuli.roughness`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub roughness: Option<[f64; 2]>,
+    /// As `stimuli.double`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub double: Option<f64>,
+    /// As `stimuli.gap`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gap: Option<[f64; 2]>,
+    /// As `stimuli.rebound`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rebound: Option<[f64; 2]>,
+}
+
+impl Part {
+    /// The stimuli of this kind alone, with the samples and the records of `whole`.
+    #[must_use]
+    pub fn alone(&self, whole: &Stimuli) -> Stimuli {
+        let Self { weight: _, kind, amplitude, width, onset, peak, power, roughness, double, gap, rebound } =
+            *self;
+        let recorded = whole.recorded.clone().filter(|_| kind == StimuliKind::Recorded);
+        let keys = Stimuli {
+            amplitude,
+            width,
+            onset,
+            peak,
+            power,
+            roughness,
+            double,
+            gap,
+            rebound,
+            ..whole.clone()
+        };
+        Stimuli { kind, mix: None, recorded, ..keys }
+    }
 }
 
 /// The force histories. Intervals are `[least, most]` of a uniform draw per sample and panel; what is left out gets the
@@ -69,6 +131,10 @@ pub struct Stimuli {
     /// Files of force histories, for `kind = "recorded"`. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recorded: Option<Recorded>,
+    /// Kinds of forces that are mixed, for `kind = "mix"`: tables `[[stimuli.mix]]` of `weight`, `kind` and keys of that kind.
+    /// Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mix: Option<Vec<Part>>,
 }
 
 impl Stimuli {
@@ -79,6 +145,29 @@ impl Stimuli {
             StimuliKind::Bell => [[0.15, 0.5], [0.06, 0.25], [0.0, 0.5], [0.35, 0.65], [1.5, 4.0]],
             StimuliKind::Irregular => [[0.3, 1.0], [0.02, 0.08], [0.0, 0.5], [0.2, 0.45], [1.0, 2.0]],
             StimuliKind::Recorded => return self,
+            StimuliKind::Mix => {
+                let whole = self.clone();
+                for part in self.mix.iter_mut().flatten().filter(|part| part.kind != StimuliKind::Mix) {
+                    let Self {
+                        amplitude, width, onset, peak, power, roughness, double, gap, rebound, ..
+                    } = part.alone(&whole).resolved();
+                    let Part { weight, kind, .. } = *part;
+                    *part = Part {
+                        weight,
+                        kind,
+                        amplitude,
+                        width,
+                        onset,
+                        peak,
+                        power,
+                        roughness,
+                        double,
+                        gap,
+                        rebound,
+                    };
+                }
+                return self;
+            }
         };
         self.amplitude.get_or_insert(amplitude);
         self.width.get_or_insert(width);

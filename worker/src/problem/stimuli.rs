@@ -11,7 +11,7 @@ use crate::records;
 /// Where the forces of a trial come from, and how many samples there are.
 pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
     let stimuli = trial.stimuli.clone().resolved();
-    let &spec::Stimuli { kind, samples, test, holdout, .. } = &stimuli;
+    let &spec::Stimuli { samples, test, holdout, .. } = &stimuli;
     at_most("stimuli.samples", samples, 1_000_000)?;
     at_most("stimuli.holdout", holdout, 1_000_000)?;
     at_least("stimuli.test", test, 1)?;
@@ -23,18 +23,67 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
     )?;
     at_least("stimuli.holdout", holdout, 1)?;
     let instants = force_instants(trial)?;
-    refuse_unread(&stimuli)?;
-    let source = match (kind, &stimuli.recorded) {
-        (StimuliKind::Bell, _) => Source::Bell(bell(&stimuli)?),
-        (StimuliKind::Irregular, _) => Source::Irregular(irregular(&stimuli)?),
+    Ok(Stimuli { source: source(trial, &stimuli, instants)?, instants, samples, test, holdout })
+}
+
+/// Where the forces come from.
+fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Source, Invalid> {
+    refuse_unread(stimuli)?;
+    Ok(match (stimuli.kind, &stimuli.recorded) {
+        (StimuliKind::Bell, _) => Source::Bell(bell(stimuli)?),
+        (StimuliKind::Irregular, _) => Source::Irregular(irregular(stimuli)?),
         (StimuliKind::Recorded, Some(recorded)) => {
             Source::Recorded(records::recorded(trial, recorded, instants)?)
         }
         (StimuliKind::Recorded, None) => {
             return Err(invalid("stimuli.recorded", "", "must be given: the files and what stands in them"));
         }
+        (StimuliKind::Mix, _) => Source::Mix(mix(trial, stimuli, instants)?),
+    })
+}
+
+/// The sum of a mixture's weights may be off by so much.
+const ROUNDING: f64 = 1e-6;
+
+/// The parts of a mixture with their weights.
+fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Vec<(f64, Source)>, Invalid> {
+    let (key, parts) = ("stimuli.mix", stimuli.mix.as_deref().unwrap_or_default());
+    let kinds: Vec<StimuliKind> = parts.iter().map(|part| part.kind).collect();
+    let kinds = format!("{kinds:?}").to_lowercase();
+    require(
+        parts.len() > 1,
+        key,
+        &kinds,
+        "must be two tables [[stimuli.mix]] or more, each with weight and kind",
+    )?;
+    require(
+        parts.iter().all(|part| part.kind != StimuliKind::Mix),
+        key,
+        &kinds,
+        "must not hold a mixture: give its parts their weights here",
+    )?;
+    let records = parts.iter().filter(|part| part.kind == StimuliKind::Recorded).count();
+    require(records < 2, key, &kinds, "must name the records once: stimuli.recorded holds them all")?;
+    if stimuli.recorded.is_some() && records == 0 {
+        return Err(invalid(
+            "stimuli.recorded",
+            "{ … }",
+            "means nothing here: no part of stimuli.mix is recorded",
+        ));
+    }
+    let weights: Vec<f64> = parts.iter().map(|part| part.weight).collect();
+    let (shown, sum) = (format!("{weights:?}"), weights.iter().sum::<f64>());
+    require(weights.iter().all(|w| *w > 0.0), "stimuli.mix.weight", &shown, "must be numbers above 0")?;
+    let remedy = format!("must sum to 1, not to {sum}");
+    require((sum - 1.0).abs() < ROUNDING, "stimuli.mix.weight", &shown, &remedy)?;
+    let within = |e: Invalid| match e.key.strip_prefix("stimuli.") {
+        Some(own) if !own.starts_with("recorded") => Invalid { key: format!("{key}.{own}"), ..e },
+        _ => e,
     };
-    Ok(Stimuli { source, instants, samples, test, holdout })
+    parts
+        .iter()
+        .map(|part| Ok((part.weight, source(trial, &part.alone(stimuli), instants).map_err(within)?)))
+        .collect()
 }
 
 /// The forces' own clock.
@@ -69,10 +118,12 @@ fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
         ("rebound", shown(stimuli.rebound)),
     ];
     let files = [("recorded", stimuli.recorded.as_ref().map(|_| "{ … }".to_owned()))];
+    let mix = [("mix", stimuli.mix.as_ref().map(|_| "[{ … }]".to_owned()))];
     let unread: Vec<_> = match stimuli.kind {
-        StimuliKind::Bell => blow.into_iter().chain(files).collect(),
-        StimuliKind::Irregular => files.into_iter().collect(),
-        StimuliKind::Recorded => pulse.into_iter().chain(blow).collect(),
+        StimuliKind::Bell => blow.into_iter().chain(files).chain(mix).collect(),
+        StimuliKind::Irregular => files.into_iter().chain(mix).collect(),
+        StimuliKind::Recorded => pulse.into_iter().chain(blow).chain(mix).collect(),
+        StimuliKind::Mix => pulse.into_iter().chain(blow).collect(),
     };
     for (key, value) in unread {
         if let Some(value) = value {

@@ -1,5 +1,6 @@
 use super::*;
 use metasense_numerics::brain::Policy;
+use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::{Protocol, Terms};
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
 use serde_json::{Value, json};
@@ -212,4 +213,27 @@ fn a_circular_body_is_struck_inward() {
         let inward = -(x * panel.direction[0] + y * panel.direction[1]) / x.hypot(y);
         assert!(inward > 0.9, "unit {}: {inward}", panel.unit);
     }
+}
+
+/// Every sample of a mixture, of every purpose, is that of one kind alone under its number; kinds come as often as their weights
+/// say, and whoever else is drawn with it, a sample stays the same.
+#[test]
+fn a_mixture_takes_each_sample_from_one_of_its_kinds() {
+    let of = |stimuli: Value| problem(&trial(&[("stimuli", stimuli)])).unwrap();
+    let mix = of(json!({ "kind": "mix", "mix": [
+        { "weight": 0.25, "kind": "bell", "width": [0.1, 0.1] }, { "weight": 0.75, "kind": "irregular" },
+    ] }));
+    let [bell, blow] =
+        [json!({ "kind": "bell", "width": [0.1, 0.1] }), json!({ "kind": "irregular" })].map(of);
+    let mut drawn = Vec::new();
+    for purpose in [Purpose::Stimulus, Purpose::Holdout, Purpose::Fresh] {
+        let [mixed, bells, blows] = [&mix, &bell, &blow].map(|p| p.forces(purpose, 0, 200));
+        let bell: Vec<bool> = (0..200).map(|i| mixed.sample(i) == bells.sample(i)).collect();
+        assert!((0..200).all(|i| bell[i] || mixed.sample(i) == blows.sample(i)), "{purpose:?}");
+        let bells = bell.iter().filter(|bell| **bell).count();
+        assert!((32..=68).contains(&bells), "{bells} of 200 pulses at a weight of 0.25, {purpose:?}");
+        assert_eq!(mix.forces(purpose, 7, 3).sample(1), mixed.sample(8));
+        drawn.push(bell);
+    }
+    assert!(drawn[0] != drawn[1] && drawn[1] != drawn[2], "purposes share the draw of the kind");
 }

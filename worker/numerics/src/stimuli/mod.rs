@@ -52,6 +52,34 @@ pub enum Source {
     Irregular(Irregular),
     /// Records.
     Recorded(Recorded),
+    /// Each sample from one of these, drawn by their weights, which sum to 1.
+    Mix(Vec<(f64, Source)>),
+}
+
+impl Source {
+    /// Those that are no mixture: this one, or its parts.
+    pub fn parts(&self) -> Vec<&Self> {
+        match self {
+            Self::Mix(parts) => parts.iter().flat_map(|(_, part)| part.parts()).collect(),
+            one => vec![one],
+        }
+    }
+}
+
+/// The part, from 0, of a mixture with these weights that each of the samples numbered `samples` is drawn from: a function of
+/// (purpose, seed, sample) alone.
+pub fn drawn(weights: &[f64], purpose: Purpose, seed: u64, samples: Range<u64>) -> Vec<usize> {
+    let last = weights.len() - 1;
+    let draw = |sample| {
+        // counters that no kind of forces has
+        let mut left = Stream::new(purpose, seed, [sample, u64::MAX - 1]).uniform();
+        let taken = |w: &f64| {
+            left -= w;
+            left < 0.0
+        };
+        weights.iter().position(taken).unwrap_or(last)
+    };
+    samples.map(draw).collect()
 }
 
 /// One bell pulse.

@@ -9,7 +9,7 @@ use crate::brain::linear::Sizes;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
-use crate::stimuli::{Deal, Source, bells, irregular, select, split, targets};
+use crate::stimuli::{Deal, Source, bells, drawn, irregular, select, split, targets};
 use crate::variation::Variation;
 
 /// Everything that a nested optimisation starts from. Angles in rad.
@@ -121,10 +121,14 @@ impl Problem {
     /// `count` force histories (N, K, R + 1) of the stimuli's clock, from number `first` of `purpose`: `Stimulus`, of which
     /// [`Problem::known`] are the trial's, `Holdout` or `Fresh`.
     pub fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
+        self.forces_of(&self.stimuli.source, purpose, first, count)
+    }
+
+    fn forces_of(&self, source: &Source, purpose: Purpose, first: u64, count: usize) -> Forces {
         let (panels, scene) = (self.scene.panels.len(), &self.scene);
         let (duration, instants) = (scene.duration, self.stimuli.instants);
         let samples = first..first + count as u64;
-        match &self.stimuli.source {
+        match source {
             Source::Bell(bell) => bells(bell, purpose, self.seed, samples, panels, duration, instants),
             Source::Irregular(kind) => {
                 irregular(kind, purpose, self.seed, samples, panels, duration, instants)
@@ -133,6 +137,14 @@ impl Problem {
                 let Stimuli { samples, test, .. } = self.stimuli;
                 let deal = Deal { seed: self.seed, samples, test };
                 records.forces(deal, purpose, first, count, panels, duration)
+            }
+            Source::Mix(parts) => {
+                let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
+                let of: Vec<Forces> =
+                    parts.iter().map(|(_, part)| self.forces_of(part, purpose, first, count)).collect();
+                let drawn = drawn(&weights, purpose, self.seed, samples);
+                let values = drawn.iter().enumerate().flat_map(|(i, &part)| of[part].sample(i)).copied();
+                Forces { samples: count, panels, instants, values: values.collect() }
             }
         }
     }
@@ -147,7 +159,8 @@ impl Problem {
 
     /// What the network is to say of `forces` (N, T, K) in N.
     pub(crate) fn targets(&self, forces: &Forces) -> Vec<f64> {
-        let low_pass = matches!(&self.stimuli.source, Source::Recorded(records) if records.low_pass);
+        let records = |part: &&Source| matches!(part, Source::Recorded(records) if records.low_pass);
+        let low_pass = self.stimuli.source.parts().iter().any(records);
         targets(forces, self.scene.instants, low_pass)
     }
 
