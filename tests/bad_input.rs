@@ -206,6 +206,11 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\nwidth = [0.1, 0.2]\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
         "s.toml:13: stimuli.width = [0.1, 0.2]: means nothing to this stimuli.kind",
     ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\nwdth = 0.5\n",
+        "s.toml:16: stimuli.mix.wdth = 0.5: unknown key; the nearest known one is \"stimuli.mix.width\"",
+    ),
     ("test = 4", "test = 4\nholdout = 0", "s.toml:13: stimuli.holdout = 0: "),
     ("test = 4", "test = 4\namplitude = [0.5, 0.1]", "s.toml:13: stimuli.amplitude = [0.5, 0.1]: "),
     ("test = 4", "test = 4\npeak = [0.0, 1.5]", "s.toml:13: stimuli.peak = "),

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde_json::Value;
 
+use super::MIX;
 use crate::spec::SweepSpec;
 
 /// All keys that a file may have, by path.
@@ -44,6 +45,7 @@ impl KnownKeys {
                 && !p.starts_with("sweep.")
                 && !p.starts_with("run.")
                 && !p.starts_with("until.")
+                && !p.starts_with(MIX)
                 && *p != "sensors.placements"
         })
     }
@@ -94,6 +96,9 @@ fn add_keys(schema: &Value, root: &Value, prefix: &str, allowed: &mut BTreeMap<S
         for part in schema[choice].as_array().into_iter().flatten() {
             add_keys(part, root, prefix, allowed);
         }
+    }
+    if let Some(entry) = schema.get("items") {
+        add_keys(entry, root, prefix, allowed);
     }
     for (name, inner) in schema["properties"].as_object().into_iter().flatten() {
         let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
