@@ -16,6 +16,16 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[variation]\nnodes = { scatter = 0.4, correlation = 15.0 }\n[sweep]",
+        "s.toml:14: variation.nodes.scatter = 0.4: must lie between 0 and 0.375 mm",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nnodes = { scatter = 0.1, correlation = -1.0 }\n[sweep]",
+        "s.toml:14: variation.nodes.correlation = -1: must lie between 0 and 10000 mm",
+    ),
+    (
+        "[sweep]",
         "[variation]\ncontact = 0.1\n[sweep]",
         "s.toml:14: variation.contact = 0.1: means nothing here: the body has no body.contact",
     ),

@@ -26,9 +26,40 @@ pub struct Variation {
     /// Standard deviation of the logarithm of `body.contact.stiffness`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact: Option<f64>,
-    /// Standard deviation of each coordinate of each node shift. Unit: mm. Default: 0.
+    /// Standard deviation of each coordinate of each node shift, and how far such errors reach. Unit: mm. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub nodes: Option<f64>,
+    pub nodes: Option<Nodes>,
+}
+
+/// How nodes scatter.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Nodes {
+    /// a number: each node by itself.
+    Each(f64),
+    /// `{ scatter = s, correlation = c }`: nodes at a distance r alike with the correlation exp(−r²/2c²).
+    Alike(Alike),
+}
+
+/// A scatter that neighbours share.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Alike {
+    /// Standard deviation (mm).
+    pub scatter: f64,
+    /// Correlation length (mm).
+    pub correlation: f64,
+}
+
+impl Nodes {
+    /// What is the same said in one way; `None` if nothing scatters.
+    fn resolved(self) -> Option<Self> {
+        match self {
+            Self::Each(0.0) | Self::Alike(Alike { scatter: 0.0, .. }) => None,
+            Self::Alike(Alike { scatter, correlation: 0.0 }) => Some(Self::Each(scatter)),
+            other => Some(other),
+        }
+    }
 }
 
 /// A file that says how casts scatter, and nothing else.
@@ -51,7 +82,7 @@ impl Variation {
             damping: some(self.damping),
             density: some(self.density),
             contact: some(self.contact),
-            nodes: some(self.nodes),
+            nodes: self.nodes.and_then(Nodes::resolved),
         };
         (found != Self::default()).then_some(found)
     }

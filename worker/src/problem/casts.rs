@@ -12,6 +12,10 @@ use crate::invalid::{Invalid, at_least, at_most, invalid, require};
 const DEVIATION_MAX: f64 = 1.0;
 /// Largest standard deviation of a node, as a part of the ligaments' length: four of the distance of two nodes reach it.
 const NODES_MAX: f64 = 1.0 / 6.0;
+/// Nodes farther apart than this are of no body (mm).
+const CORRELATION_MAX: f64 = 10_000.0;
+/// Units of a body whose nodes scatter alike: the correlation of all of them is a matrix of some 140 MB.
+const ALIKE_MAX: usize = 2000;
 /// More casts than this are taken for a mistake.
 const CASTS_MAX: usize = 10_000;
 
@@ -32,10 +36,24 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
         of_contact,
         "means nothing here: the body has no body.contact",
     )?;
-    let (nodes, most) = (nodes.unwrap_or(0.0), NODES_MAX * trial.body.ligament_length);
+    let (key, nodes, correlation) = match nodes {
+        None => ("variation.nodes", 0.0, 0.0),
+        Some(spec::Nodes::Each(scatter)) => ("variation.nodes", scatter, 0.0),
+        Some(spec::Nodes::Alike(alike)) => ("variation.nodes.scatter", alike.scatter, alike.correlation),
+    };
+    let most = NODES_MAX * trial.body.ligament_length;
     let remedy =
         format!("must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: units would touch");
-    require((0.0..=most).contains(&nodes), "variation.nodes", nodes, &remedy)?;
+    require((0.0..=most).contains(&nodes), key, nodes, &remedy)?;
+    require(
+        (0.0..=CORRELATION_MAX).contains(&correlation),
+        "variation.nodes.correlation",
+        correlation,
+        "must lie between 0 and 10000 mm",
+    )?;
+    let units = trial.body.columns * trial.body.rows.unwrap_or(trial.body.columns);
+    let remedy = format!("the body has {units} units; nodes scatter alike on at most {ALIKE_MAX}");
+    require(correlation == 0.0 || units <= ALIKE_MAX, "variation.nodes.correlation", correlation, &remedy)?;
     let material = Parameters {
         stretch: deviation("stretch", stretch)?,
         shear: deviation("shear", shear)?,
@@ -44,7 +62,7 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
         density: deviation("density", density)?,
         contact: of_contact,
     };
-    Ok(Some(Variation { material, nodes }))
+    Ok(Some(Variation { material, nodes, correlation }))
 }
 
 /// Casts that the body is trained for.

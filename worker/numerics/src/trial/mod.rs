@@ -51,6 +51,8 @@ pub struct Trial<'a> {
     pub(crate) test: Forces,
     pub(crate) scales: Scales,
     pub(crate) chip: Option<Chip>,
+    /// Of its casts' node shifts.
+    likeness: Vec<f64>,
     /// The initial body under the training forces, from which the scales come.
     pub(crate) initial: Samples,
 }
@@ -102,6 +104,7 @@ impl<'a> Trial<'a> {
         if let Some(chip) = &chip {
             chip.disturb(&mut initial.signals, &train);
         }
+        let likeness = problem.variation.map_or(Vec::new(), |v| v.likeness(&problem.scene.layout));
         Ok(Self {
             problem,
             pool,
@@ -113,6 +116,7 @@ impl<'a> Trial<'a> {
             test,
             scales,
             chip,
+            likeness,
             initial,
         })
     }
@@ -161,7 +165,8 @@ impl<'a> Trial<'a> {
     /// A cast of the trial's body; without a variation every cast is as designed.
     pub(crate) fn cast(&self, casts: Casts, number: u64) -> Option<Cast> {
         let problem = &self.problem;
-        problem.variation.map(|variation| variation.cast(problem.seed, casts, number, problem.initial.len()))
+        let (count, likeness) = (problem.initial.len(), &self.likeness);
+        problem.variation.map(|variation| variation.cast(problem.seed, casts, number, count, likeness))
     }
 
     /// The same of a cast of the body; of none as [`Trial::simulate_most`]. dα of the cast is that of its design.

@@ -2,11 +2,13 @@
 //!
 //! ```text
 //! k′ = k e^{σz}     each of k_l, k_s, k_θ, ζ, density, k_c, the same for all ligaments and units of a cast
-//! α′ = α + s z      each coordinate of each shift
+//! α′ = α + s L z    each coordinate of each shift; L = 1, or L Lᵀ = exp(−r²/2c²) for node groups r apart
 //! ```
 //! z standard normal, keyed by seed, purpose and number of the cast: all bodies of a trial, and trials of equal seed, meet the
 //! same casts.
 
+use crate::body::Layout;
+use crate::brain::linear::factor;
 use crate::dynamics::{Parameters, Scene};
 use crate::random::{Purpose, Stream};
 
@@ -17,7 +19,12 @@ pub struct Variation {
     pub material: Parameters,
     /// Standard deviation of each coordinate of each shift (mm).
     pub nodes: f64,
+    /// Correlation length c of the shifts (mm); 0: each by itself.
+    pub correlation: f64,
 }
+
+/// Part of the shifts' variance that is each group's own: without it C is singular in double precision.
+const OWN: f64 = 1e-6;
 
 /// What casts are for; no two purposes share one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,17 +50,46 @@ pub struct Cast {
 }
 
 impl Variation {
-    /// A cast of a body of so many design parameters.
-    pub fn cast(&self, seed: u64, casts: Casts, number: u64, parameters: usize) -> Cast {
+    /// L, column by column, of a body's node groups where their nodes lie without shifts; empty where each scatters by itself.
+    ///
+    /// # Panics
+    /// If two groups of the layout lie on one another.
+    pub fn likeness(&self, layout: &Layout) -> Vec<f64> {
+        if self.nodes == 0.0 || self.correlation == 0.0 {
+            return Vec::new();
+        }
+        let count = layout.group_count;
+        let (vertices, mut at) = (layout.vertices(&vec![0.0; 2 * count]), vec![([0.0; 2], 0.0); count]);
+        for (&group, node) in layout.groups.as_flattened().iter().zip(vertices.as_flattened()) {
+            let (sum, nodes) = &mut at[group];
+            *sum = [sum[0] + node[0], sum[1] + node[1]];
+            *nodes += 1.0;
+        }
+        let at: Vec<_> = at.into_iter().map(|(sum, nodes)| sum.map(|x| x / nodes)).collect();
+        let alike = |i: usize, j: usize| {
+            let r = (at[i][0] - at[j][0]).hypot(at[i][1] - at[j][1]) / self.correlation;
+            if i == j { 1.0 } else { (1.0 - OWN) * (-0.5 * r * r).exp() }
+        };
+        let mut likeness: Vec<f64> = (0..count * count).map(|k| alike(k / count, k % count)).collect();
+        factor(&mut likeness, count).expect("a covariance with a part of each group's own");
+        likeness
+    }
+
+    /// A cast of a body of so many design parameters and its [`Variation::likeness`].
+    pub fn cast(&self, seed: u64, casts: Casts, number: u64, parameters: usize, likeness: &[f64]) -> Cast {
         let stream = |what| Stream::new(Purpose::Cast, seed, [(casts as u64) << 32 | number, what]);
         let mut material = stream(0);
         let factor = |deviation: f64| (deviation * material.normal()).exp();
         let mut nodes = stream(1);
         let shifts = if self.nodes > 0.0 { parameters } else { 0 };
-        Cast {
-            material: Parameters::from_array(self.material.array().map(factor)),
-            shifts: (0..shifts).map(|_| self.nodes * nodes.normal()).collect(),
-        }
+        let own: Vec<f64> = (0..shifts).map(|_| self.nodes * nodes.normal()).collect();
+        let groups = shifts / 2;
+        let shared = |i: usize| {
+            let [group, axis] = [i / 2, i % 2];
+            (0..=group).map(|other| likeness[other * groups + group] * own[2 * other + axis]).sum()
+        };
+        let shifts = if likeness.is_empty() { own } else { (0..shifts).map(shared).collect() };
+        Cast { material: Parameters::from_array(self.material.array().map(factor)), shifts }
     }
 }
 

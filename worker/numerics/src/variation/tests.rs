@@ -1,17 +1,18 @@
 use super::*;
+use crate::body::Layout;
 use crate::dynamics::Parameters;
 
 fn variation() -> Variation {
     let material =
         Parameters { stretch: 0.05, shear: 0.1, bend: 0.0, damping_ratio: 0.2, density: 0.03, contact: 0.4 };
-    Variation { material, nodes: 0.1 }
+    Variation { material, nodes: 0.1, correlation: 0.0 }
 }
 
 /// Logarithms of factors and shifts have the deviations asked for, and nothing else scatters; each is drawn by itself.
 #[test]
 fn casts_scatter_as_asked() {
     let count = 4000;
-    let casts: Vec<Cast> = (0..count).map(|i| variation().cast(7, Casts::Unseen, i, 2)).collect();
+    let casts: Vec<Cast> = (0..count).map(|i| variation().cast(7, Casts::Unseen, i, 2, &[])).collect();
     let deviation = |of: &dyn Fn(&Cast) -> f64| {
         let values: Vec<f64> = casts.iter().map(of).collect();
         (values.iter().map(|x| x * x).sum::<f64>() / count as f64).sqrt()
@@ -29,12 +30,39 @@ fn casts_scatter_as_asked() {
 /// A cast is the same whoever asks, another for another seed, purpose or number, and the material's does not hang on the mould's.
 #[test]
 fn a_cast_is_its_key() {
-    let one = variation().cast(7, Casts::Step, 3, 4);
-    assert_eq!(one, variation().cast(7, Casts::Step, 3, 4));
+    let one = variation().cast(7, Casts::Step, 3, 4, &[]);
+    assert_eq!(one, variation().cast(7, Casts::Step, 3, 4, &[]));
     for other in [(8, Casts::Step, 3), (7, Casts::Look, 3), (7, Casts::Step, 4)] {
-        let other = variation().cast(other.0, other.1, other.2, 4);
+        let other = variation().cast(other.0, other.1, other.2, 4, &[]);
         assert!(other.material.stretch != one.material.stretch && other.shifts[0] != one.shifts[0]);
     }
-    let exact = Variation { nodes: 0.0, ..variation() }.cast(7, Casts::Step, 3, 4);
+    let exact = Variation { nodes: 0.0, ..variation() }.cast(7, Casts::Step, 3, 4, &[]);
     assert_eq!((exact.material, exact.shifts.len()), (one.material, 0));
+}
+
+/// Shifts of groups r apart have the correlation exp(−r²/2c²) on each axis and none across axes, and each the deviation asked for.
+#[test]
+fn near_nodes_scatter_alike() {
+    let layout = Layout::planar(3, 2, 15.0, 2.25);
+    let variation = Variation { correlation: 15.0, ..variation() };
+    let (likeness, count) = (variation.likeness(&layout), 4000);
+    let casts: Vec<Cast> =
+        (0..count).map(|i| variation.cast(7, Casts::Unseen, i, layout.design_len(), &likeness)).collect();
+    let found = |a: usize, b: usize| {
+        casts.iter().map(|cast| cast.shifts[a] * cast.shifts[b]).sum::<f64>() / (0.01 * count as f64)
+    };
+    // groups of the ligaments between units 0, 1 and 1, 2, a pitch apart
+    let [first, second] = [layout.groups[0][0], layout.groups[1][0]];
+    for axis in 0..2 {
+        let [a, b] = [2 * first + axis, 2 * second + axis];
+        for (pair, asked) in [([a, a], 1.0), ([b, b], 1.0), ([a, b], (-0.5f64).exp()), ([a, b ^ 1], 0.0)] {
+            let found = found(pair[0], pair[1]);
+            assert!((found - asked).abs() < 0.07, "{pair:?}: {found} {asked}");
+        }
+    }
+    // a length that no body has moves it as a whole
+    let rigid = Variation { correlation: 1e4, ..variation };
+    let cast = rigid.cast(7, Casts::Step, 0, layout.design_len(), &rigid.likeness(&layout));
+    assert!(cast.shifts.chunks(2).all(|shift| (shift[0] - cast.shifts[0]).abs() < 2e-3), "{cast:?}");
+    assert!(Variation { correlation: 0.0, ..variation }.likeness(&layout).is_empty());
 }

@@ -12,7 +12,7 @@ use crate::variation::{Casts, Variation};
 fn scattered(problem: Problem) -> Problem {
     let [stretch, shear, bend, contact] = [0.05; 4];
     let material = Parameters { stretch, shear, bend, damping_ratio: 0.2, density: 0.03, contact };
-    Problem { variation: Some(Variation { material, nodes: 0.1 }), ..problem }
+    Problem { variation: Some(Variation { material, nodes: 0.1, correlation: 0.0 }), ..problem }
 }
 
 fn cast(casting: Casting) -> Problem {
@@ -134,7 +134,7 @@ fn a_loop_over_casts_goes_on_to_the_same_bits() {
 #[test]
 fn casts_that_do_not_scatter_are_the_body_as_designed() {
     let mut problem = cast(Casting { casts: 1, ..MEAN });
-    problem.variation = Some(Variation { material: Parameters::default(), nodes: 0.0 });
+    problem.variation = Some(Variation { material: Parameters::default(), nodes: 0.0, correlation: 0.0 });
     problem.evaluation.casts = 1;
     let over = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
     let nominal =
