@@ -179,12 +179,12 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.4\nkind = \"irregular\"\n",
-        "s.toml:13: stimuli.mix.weight = [0.5, 0.4]: must sum to 1, not to 0.9",
+        "s.toml:14: stimuli.mix.weight = [0.5, 0.4]: must sum to 1, not to 0.9",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 1.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = -0.5\nkind = \"irregular\"\n",
-        "s.toml:13: stimuli.mix.weight = [1.5, -0.5]: must be numbers above 0",
+        "s.toml:14: stimuli.mix.weight = [1.5, -0.5]: must be numbers above 0",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
