@@ -83,7 +83,7 @@ fn casts_of_finished_bodies_are_read() {
     }
     bench.output(&["report", db, "--out", "r.html"]);
     let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
-    for part in ["<h2 id=\"casts\">", "by one brain for all casts: initial ", "mean, one"] {
+    for part in ["<h2 id=\"casts\">", "by one linear brain for all casts: initial ", "mean, one"] {
         assert!(page.contains(part), "the page lacks {part}");
     }
 

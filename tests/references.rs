@@ -38,6 +38,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("quickstart", results::quickstart),
     ("quickstart casts", results::quickstart_casts),
     ("findings", results::findings),
+    ("casts", results::casts),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),
     ("placed", results::placed),
