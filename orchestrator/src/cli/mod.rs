@@ -49,10 +49,11 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::pin::Pin;
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 
-use crate::engine::Signals;
+use crate::engine::ignores_hangup;
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::Plan;
 use metasense_worker::process;
@@ -201,16 +202,25 @@ pub fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'st
 }
 
 /// From here on a signal ends the program at once, with the exit code of a stop on request: for commands that write their
-/// results at the end, and until then at most their progress.
+/// results at the end, and until then at most their progress. By a handler of our own, which the system puts in place in one
+/// piece: a runtime's would lose what comes while it is being registered.
 fn end_on_signal(kept: Option<&Path>) {
-    let next = kept.map_or("starts again", |_| "goes on from here");
-    std::thread::spawn(move || {
-        let asked = block_on(async { Ok(Signals::new()?.unless(std::future::pending::<()>()).await) });
-        if asked.is_ok() {
-            say!("stopped; the same command {next}");
-            std::process::exit(Exit::Interrupted as i32);
+    static SAID: OnceLock<String> = OnceLock::new();
+    extern "C" fn end(_: libc::c_int) {
+        let said = SAID.get().map_or("", String::as_str);
+        // SAFETY: both may be called in a handler; the text is never changed.
+        unsafe {
+            libc::write(libc::STDERR_FILENO, said.as_ptr().cast(), said.len());
+            libc::_exit(Exit::Interrupted as i32)
         }
-    });
+    }
+    let next = kept.map_or("starts again", |_| "goes on from here");
+    SAID.get_or_init(|| format!("stopped; the same command {next}\n"));
+    let hangup = Some(libc::SIGHUP).filter(|_| !ignores_hangup());
+    for signal in [libc::SIGINT, libc::SIGTERM].into_iter().chain(hangup) {
+        // SAFETY: `end` does nothing that a handler must not.
+        unsafe { libc::signal(signal, end as *const () as libc::sighandler_t) };
+    }
 }
 
 /// Reads and expands a spec file.

@@ -9,6 +9,7 @@ use serde::de::DeserializeOwned;
 
 use super::{Error, make_folder};
 use crate::files::put_in_place;
+use crate::leftovers::remove_abandoned;
 use crate::provenance::code;
 
 /// Its name in the folder.
@@ -39,7 +40,10 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         let path = folder.map(|folder| folder.join(NAME));
         let ours = Self { path, digest, state: PhantomData };
         let Some(path) = &ours.path else { return Ok((ours, None)) };
-        make_folder(path.parent().unwrap_or(path))?;
+        let folder = path.parent().unwrap_or(path);
+        make_folder(folder)?;
+        // of whoever was killed while it wrote its results
+        remove_abandoned(folder, |name| name.starts_with('.') && name.ends_with(".tmp"));
         let bytes = match std::fs::read(path) {
             Ok(bytes) => bytes,
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok((ours, None)),

@@ -25,7 +25,7 @@ use metasense_worker::process;
 use tokio::sync::mpsc;
 
 pub use begin::{Again, begin};
-pub use signals::Signals;
+pub use signals::{Signals, ignores_hangup};
 pub use steer::{Control, Reread};
 pub use watch::{Silent, View, Watch};
 
