@@ -177,6 +177,32 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("test = 4", "test = 12", "s.toml:12: stimuli.test = 12: must be less than stimuli.samples"),
     ("test = 4", "test = 0", "s.toml:12: stimuli.test = 0: "),
     (
+        "[sweep]\n",
+        "[[evaluation.under]]\nkind = \"bell\"\n[[evaluation.under]]\nkind = \"bell\"\n[sweep]\n",
+        "evaluation.under = [bell, bell]: must name kinds other than mix, and each once",
+    ),
+    (
+        "[sweep]\n",
+        "[[evaluation.under]]\nkind = \"bell\"\nweight = 0.5\n[sweep]\n",
+        "evaluation.under.weight = 0.5: means nothing here",
+    ),
+    (
+        "[sweep]\n",
+        "[[evaluation.under]]\nkind = \"irregular\"\ndouble = 2.0\n[sweep]\n",
+        "evaluation.under.double = 2: must lie between 0 and 1",
+    ),
+    ("[sweep]\n", "[[evaluation.under]]\nkind = \"recorded\"\n[sweep]\n", "stimuli.recorded: must be given"),
+    (
+        "[sweep]\n",
+        "[[evaluation.under]]\nkind = \"bell\"\nwdth = [0.1, 0.2]\n[sweep]\n",
+        "evaluation.under.wdth = [0.1, 0.2]: unknown key; the nearest known one is \"evaluation.under.width\"",
+    ),
+    (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.4\nkind = \"irregular\"\n",
+        "stimuli.mix.weight: must be given to each part",
+    ),
+    (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.4\nkind = \"irregular\"\n",
         "s.toml:14: stimuli.mix.weight = [0.5, 0.4]: must sum to 1, not to 0.9",

@@ -34,5 +34,6 @@ mod spec_fuzz;
 mod ssh;
 mod store;
 mod submit;
+mod transfer;
 mod until;
 mod upgrade;

@@ -13,6 +13,7 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0006.sql"),
     include_str!("../migrations/0007.sql"),
     include_str!("../migrations/0008.sql"),
+    include_str!("../migrations/0009.sql"),
 ];
 
 /// The stable views, and what a row of each is.
@@ -35,6 +36,12 @@ pub const VIEWS: &[(&str, &str)] = &[
         "error (%) of one brain on one cast of the initial or the optimised body: `nominal` (linear, fitted to the body as \
          designed), `casts` (linear, fitted to other casts), `records` (linear, fitted to so many samples of this cast), \
          `network`, `network_casts` (trained on other casts); `nominal_error` is the linear brain's on the body as designed",
+    ),
+    (
+        "v_under",
+        "error (%) of a linear brain on the initial or the optimised body under one kind of forces (`evaluation.under`), whatever \
+         the body was trained under: `own`, fitted to samples under these forces, `carried`, to the trial's; a body that cannot \
+         be simulated counts as 100 %",
     ),
     ("v_network", "a fresh network on the initial or the optimised body, with its errors (%)"),
     (

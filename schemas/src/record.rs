@@ -247,6 +247,22 @@ pub struct CastReading {
     pub outcome: String,
 }
 
+/// How a linear brain reads a body under forces of a kind that its trial need not have.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct UnderReading {
+    /// `initial` or `optimised`.
+    pub body: String,
+    /// Kind of forces.
+    pub stimuli: String,
+    /// `own`: fitted to samples under these forces; `carried`: to the trial's.
+    pub reader: String,
+    /// Prediction error on the holdout (%).
+    pub error: Option<f64>,
+    /// `ok`, or the named numerical outcome.
+    pub outcome: String,
+}
+
 /// A finished trial.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -276,4 +292,7 @@ pub struct TrialResult {
     pub nonlinear: [Option<[f64; 2]>; 2],
     /// How casts of the initial and of the best body are read.
     pub casts: [Vec<CastReading>; 2],
+    /// How both bodies are read under forces of other kinds, where asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub under: Vec<UnderReading>,
 }

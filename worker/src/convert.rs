@@ -5,11 +5,13 @@ use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brains::{self, Fresh, Learnt};
 use metasense_numerics::dynamics;
 use metasense_numerics::nested::{self, Best, CastBrain, State, Waypoint};
+use metasense_numerics::questions;
 use metasense_numerics::trial::{self, Problem};
 use metasense_schemas::record::{
     self, BodyEvaluation, CastReading, Checkpoint, Comparison, Counters, ImplicitRecord, Moments,
-    NetworkEvaluation, Placed, Reading, Seconds, StepRecord, Training,
+    NetworkEvaluation, Placed, Reading, Seconds, StepRecord, Training, UnderReading,
 };
+use metasense_schemas::spec::TrialSpec;
 
 /// Not a number becomes absent.
 pub(crate) fn finite(value: Option<f64>) -> Option<f64> {
@@ -148,6 +150,21 @@ pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
         }
     };
     casts.iter().map(reading).collect()
+}
+
+/// How both bodies are read under the kinds of forces that the trial names.
+pub fn under_readings(trial: &TrialSpec, under: &[Vec<questions::UnderReading>; 2]) -> Vec<UnderReading> {
+    let kinds: Vec<_> = trial.evaluation.under.iter().flatten().map(|part| part.kind.name()).collect();
+    let bodies = ["initial", "optimised"].into_iter().zip(under);
+    let all = bodies.flat_map(|(body, readings)| readings.iter().map(move |reading| (body, reading)));
+    all.map(|(body, reading)| UnderReading {
+        body: body.into(),
+        stimuli: kinds[reading.kind].into(),
+        reader: if reading.own { "own" } else { "carried" }.into(),
+        error: reading.error.map_or(Some(questions::NOTHING), finite),
+        outcome: reading.error.map_or_else(|trouble| trouble.name(), |_| "ok").into(),
+    })
+    .collect()
 }
 
 /// The inverse of [`cast_readings`].

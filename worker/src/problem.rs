@@ -25,7 +25,7 @@ pub use metasense_numerics::brains::READINGS_MAX;
 use casts::{casting, casts, variation};
 pub use optimise::design_parameters;
 use optimise::{frozen, protocol, tie};
-use stimuli::{disturbance, inertia, mount, stimuli};
+use stimuli::{disturbance, inertia, mount, stimuli, under};
 
 /// Channels, and weights, of a network beyond which neither time nor memory would do.
 const WIDTH_MAX: usize = 1024;
@@ -82,6 +82,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             long: trial.evaluation.long_iterations,
             casts: casts(trial)?,
         },
+        under: under(trial)?,
         seed: trial.point.seed,
         search: search(trial, &scene)?,
         scene,

@@ -71,7 +71,7 @@ pub fn run_trial(
     let (problem, placed) = place::placed(&problem, pool)?;
     let mut watch = Watch { observer, store: 0.0 };
     let optimised = nested::optimise(&Trial::new(&problem, pool)?, resume, &mut watch)?;
-    optimised.map(|optimised| result(optimised, placed, pool)).ok_or(Failure::Stopped)
+    optimised.map(|optimised| result(trial, optimised, placed, pool)).ok_or(Failure::Stopped)
 }
 
 impl From<trial::Failure> for Failure {
@@ -82,7 +82,7 @@ impl From<trial::Failure> for Failure {
     }
 }
 
-fn result(optimised: Optimised, placed: Option<Placed>, pool: &Pool) -> TrialResult {
+fn result(trial: &TrialSpec, optimised: Optimised, placed: Option<Placed>, pool: &Pool) -> TrialResult {
     TrialResult {
         initial: convert::body_evaluation(optimised.initial),
         optimised: convert::body_evaluation(optimised.optimised),
@@ -96,6 +96,7 @@ fn result(optimised: Optimised, placed: Option<Placed>, pool: &Pool) -> TrialRes
         nonlinear: optimised.nonlinear,
         moves: Vec::new(),
         casts: optimised.casts.map(|casts| convert::cast_readings(&casts)),
+        under: convert::under_readings(trial, &optimised.under),
     }
 }
 

@@ -173,7 +173,7 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
         stimuli: sweep.stimuli.clone().resolved(),
         brain: sweep.brain.clone(),
         optimise: sweep.optimise.clone(),
-        evaluation: sweep.evaluation,
+        evaluation: sweep.evaluation.clone(),
         feasible: sweep.feasible,
         point: metasense_schemas::spec::Point { panels: 1, sensors: 1, placement: order as usize, seed: 1 },
         panel_units: vec![0],

@@ -7,16 +7,14 @@
 //! ```
 //! Sums and not a mean of each trial's share: that has no mean where a trial gains little.
 
-use std::collections::BTreeMap;
-
 use serde_json::Value;
 
+use super::bodies::{Trained, bodies};
 use super::data::{Group, groups};
 use super::kinds::is_linear;
 use super::numbers::distinct;
 use super::paired::Ratio;
 use super::resample::{Interval, Resampling};
-use super::tables::apart;
 use super::trial::{Body, CastBrain, CastReading, Cluster, Set, Trial};
 
 /// Trials of one setting that are cast, by body.
@@ -25,18 +23,7 @@ pub struct Setting<'a> {
     /// What sets it apart.
     pub label: String,
     /// The initial body, those trained as designed, those trained over casts.
-    pub bodies: Vec<Cast<'a>>,
-}
-
-/// A body that is cast.
-#[derive(Debug, Clone)]
-pub struct Cast<'a> {
-    /// `initial`, or how it was trained: `nominal`; the objective and whose errors count: `mean, one`.
-    pub name: String,
-    /// Which body of its trials.
-    pub body: Body,
-    /// One a cluster of the initial body, whatever trains it.
-    pub trials: Vec<&'a Trial>,
+    pub bodies: Vec<Trained<'a>>,
 }
 
 /// How a brain reads a body's casts.
@@ -65,31 +52,15 @@ pub struct Kept {
 /// Trials with casts that differ in training, placement and seed alone.
 pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
     let cast: Vec<&Trial> = trials.iter().filter(|t| !t.casts.is_empty()).copied().collect();
-    let setting = |group: Group<'a>| Setting { label: group.label, bodies: bodies(&group.trials) };
-    groups(&cast, &["optimise."]).into_iter().map(setting).collect()
-}
-
-fn bodies<'a>(trials: &[&'a Trial]) -> Vec<Cast<'a>> {
-    let initial: BTreeMap<Cluster, &Trial> = trials.iter().rev().map(|t| (t.cluster, *t)).collect();
-    let name = "initial".to_owned();
-    let mut found = vec![Cast { name, body: Body::Initial, trials: initial.into_values().collect() }];
-    let mut trained: BTreeMap<(bool, String), Vec<&Trial>> = BTreeMap::new();
-    for trial in trials {
+    let way = |trial: &Trial| {
         let objective = objective(trial);
-        let key = (objective.is_some(), objective.unwrap_or("nominal".into()));
-        trained.entry(key).or_default().push(trial);
-    }
-    for ((_, objective), trials) in trained {
-        // what an objective brings along differs with it: told is what else does
-        let mut ways = groups(&trials, &[]);
-        ways.sort_by(|a, b| a.label.cmp(&b.label));
-        found.extend(ways.into_iter().map(|way| {
-            let rest = apart(&way.label).into_iter().map(|part| part.trim_start_matches("optimise."));
-            let name = std::iter::once(&objective[..]).chain(rest).collect::<Vec<_>>().join(", ");
-            Cast { name, body: Body::Optimised, trials: way.trials }
-        }));
-    }
-    found
+        (objective.is_some(), objective.unwrap_or("nominal".into()))
+    };
+    let setting = |group: Group<'a>| Setting {
+        label: group.label,
+        bodies: bodies(&group.trials, way, |(_, objective)| objective.clone()),
+    };
+    groups(&cast, &["optimise."]).into_iter().map(setting).collect()
 }
 
 /// The objective over casts that a trial's body was trained for, and whether for one brain or for each cast its own.
@@ -100,7 +71,7 @@ fn objective(trial: &Trial) -> Option<String> {
     Some(format!("{objective}, {}", text("optimise.reader").unwrap_or("one")))
 }
 
-impl Cast<'_> {
+impl Trained<'_> {
     /// The brains that read it.
     pub fn brains(&self) -> Vec<CastBrain> {
         distinct(self.trials.iter().flat_map(|t| &t.casts).map(|reading| reading.by))

@@ -5,6 +5,7 @@
 //! of a cluster's trials share sensors and stimuli, so that curves are compared within clusters; what is independent, and
 //! with it every interval and vote, is in [`resample`], and whether intervals cover in its tests.
 
+pub mod bodies;
 pub mod brains;
 pub mod casts;
 pub mod claims;
@@ -24,6 +25,7 @@ pub mod scaling;
 pub mod sensors;
 pub mod setting;
 pub mod tables;
+pub mod transfer;
 pub mod trial;
 pub mod until;
 

@@ -19,6 +19,7 @@ use super::resample::Interval;
 use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
 use super::scaling::{Scaling, scaling};
 use super::sensors::{Spread, fewer, spread};
+use super::transfer;
 use super::trial::{Body, CastBrain, Set, Trial};
 use crate::look::{Table, row};
 
@@ -31,6 +32,8 @@ pub enum Question {
     Brains,
     /// What is left of a body once it is cast: error over virtual casts by body and brain, gain kept ([variation])
     Casts,
+    /// Bodies trained under one kind of forces, read under others (evaluation.under): error, gain kept of the specialist's
+    Transfer,
     /// Training iterations on the initial over those on the optimised body, to equal error and loss
     Iterations,
     /// Initial against optimised body after long training (evaluation.long_iterations)
@@ -78,6 +81,9 @@ impl Question {
             }
             Self::Casts => {
                 "Error (%) on casts that no training has seen, by body and by the brain that reads them (fitted to the body as designed, to other casts, or to records of each cast): median and 90th percentile over casts, geometric means over trials; kept: ln(initial/trained) over casts by that as designed (95 % intervals)"
+            }
+            Self::Transfer => {
+                "Holdout error (%, geometric mean) under a kind of forces, by the body and by the brain: fitted under these forces (own), or under those that trained the body (carried); kept: ln(initial/trained) over that of the body trained under this kind, by brains fitted under it (95 % intervals)"
             }
             Self::Iterations => {
                 "Iterations on the initial over those on the optimised body, to equal holdout error and training loss"
@@ -127,6 +133,7 @@ impl Question {
             Self::Paired => paired_table(&trials),
             Self::Brains => brains_table(&trials),
             Self::Casts => casts_table(&trials),
+            Self::Transfer => transfer_table(&trials),
             Self::Iterations => iterations_table(&trials),
             Self::Long => long_table(&trials),
             Self::Sensors => sensors_table(&trials, terms),
@@ -219,6 +226,24 @@ fn casts_table(trials: &[&Trial]) -> Table {
     }
     let columns = "setting body read_by records trials casts failed designed median median_low median_high \
         percentile_90 percentile_90_low percentile_90_high kept kept_low kept_high kept_90 kept_90_low kept_90_high over";
+    Table::new(columns, rows)
+}
+
+fn transfer_table(trials: &[&Trial]) -> Table {
+    let mut rows = Vec::new();
+    for setting in transfer::settings(trials) {
+        for (body, kind) in
+            setting.bodies.iter().flat_map(|body| setting.kinds.iter().map(move |kind| (body, kind)))
+        {
+            let Some(read) = setting.read(body, kind) else { continue };
+            let kept = row![read.kept; ends(read.interval)];
+            let errors = [interval_cells(Some(&read.own)), interval_cells(read.carried.as_ref())].concat();
+            let names = row![setting.label, body.name, kind, read.own.trials];
+            rows.push([names, errors, kept, row![read.own.over]].concat());
+        }
+    }
+    let columns = "setting body under trials own own_low own_high carried carried_low carried_high kept kept_low \
+        kept_high over";
     Table::new(columns, rows)
 }
 

@@ -126,6 +126,19 @@ pub struct CastReading {
     pub errors: [f64; 2],
 }
 
+/// How a linear brain reads a trial's body under forces of a kind that need not be the trial's.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UnderReading {
+    /// The body.
+    pub body: Body,
+    /// Kind of forces.
+    pub stimuli: String,
+    /// Whether it was fitted under these, and not under the trial's.
+    pub own: bool,
+    /// Holdout error (%), above 0.
+    pub error: f64,
+}
+
 /// The seed of a random initial body.
 pub const RANDOM: &str = "body.design.random";
 
@@ -154,6 +167,8 @@ pub struct Trial {
     pub readings: Vec<Reading>,
     /// How casts of both bodies are read; none in trials without casts.
     pub casts: Vec<CastReading>,
+    /// How both bodies are read under other kinds of forces; none in trials that do not ask.
+    pub under: Vec<UnderReading>,
     /// The part of the accelerations and of the angular velocities (%) that a linear model of the body at rest does not explain,
     /// `[initial, optimised][acceleration, rotation]`; none in trials of versions before 6.
     pub nonlinear: [[Option<f64>; 2]; 2],

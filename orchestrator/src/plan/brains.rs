@@ -29,7 +29,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     let (mut brain, mut optimise, mut evaluation) = (
         spec.brain.clone().resolved(),
         spec.optimise.clone(),
-        spec.evaluation.resolved(spec.variation.is_some()),
+        spec.evaluation.clone().resolved(spec.variation.is_some(), &spec.stimuli),
     );
     if reader == BrainKind::Linear && trainer == BrainKind::Linear {
         brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };

@@ -163,7 +163,8 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     let own_factor = CAST_FACTORS * factor(unknowns(trial, trial.brain.memory));
     let cast = each + own_factor;
     let of_casts = trial.evaluation.casts.map_or(0.0, |casts| casts as f64 * cast + 4.0 * each);
-    let comparison = 2.0 * (each + trainings * train + readings + of_casts);
+    let under = trial.evaluation.under.as_ref().map_or(0, Vec::len) as f64 * cast;
+    let comparison = 2.0 * (each + trainings * train + readings + of_casts + under);
     Seconds { steps: optimise.steps() as f64 * step, comparison }
 }
 

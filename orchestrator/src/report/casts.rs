@@ -1,32 +1,23 @@
 //! Error over casts, by body and brain: a figure, and a sentence a setting.
 
-use crate::analysis::casts::{Cast, Left, Setting, settings};
+use crate::analysis::bodies::Trained;
+use crate::analysis::casts::{Left, Setting, settings};
 use crate::analysis::numbers::distinct;
 use crate::analysis::trial::CastBrain;
 use crate::analysis::{Question, Terms, Trial};
-use crate::look::{Answer, Axis, Figure, Plot, Scale, number};
+use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, number};
 
 /// At most so many settings are drawn; the data hold all.
 const MOST_SETTINGS: usize = 4;
 
 /// Classes of the bodies' marks, the initial one first; the data hold the bodies beyond.
-const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth", "fifth"];
+pub(super) const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth", "fifth"];
 
 /// A place for each brain, and in it one for each body side by side: a dot at the median, a line up to the 90th percentile.
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = settings(&refs);
-    let mut names: Vec<&str> = Vec::new();
-    for body in found.iter().flat_map(|setting| &setting.bodies) {
-        if !names.contains(&&body.name[..]) {
-            names.push(&body.name);
-        }
-    }
-    names.truncate(CLASSES.len());
-    let entries = names.iter().zip(CLASSES).map(|(name, class)| {
-        let text = if *name == "initial" { "initial body".to_owned() } else { format!("trained: {name}") };
-        (class, text)
-    });
+    let names = told_apart(found.iter().flat_map(|setting| &setting.bodies).map(|body| &body.name[..]));
     Figure::some(
         "casts",
         "What is left once the body is cast?",
@@ -35,19 +26,18 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
          designed. Then the brains that read the casts: one fitted to the body as designed, one to other casts, and one \
          to so many records of each cast beside those. Trained: for the body as designed (nominal), or over casts by objective and by \
          whether one brain reads all or each its own.",
-        entries.collect(),
+        legend(&names),
         found.iter().take(MOST_SETTINGS).map(|setting| picture(setting, &names)).collect(),
         || Question::Casts.answer(trials, Terms::default()),
     )
 }
 
-fn picture(setting: &Setting, names: &[&str]) -> crate::look::Picture {
+fn picture(setting: &Setting, names: &[&str]) -> Picture {
     let brains = brains(setting);
-    let mut errors = Vec::new();
     let mut marks = Vec::new();
     for (n, name) in names.iter().enumerate() {
         let Some(body) = setting.bodies.iter().find(|body| body.name == *name) else { continue };
-        let aside = 0.7 * ((n as f64 + 0.5) / names.len() as f64 - 0.5);
+        let aside = aside(n, names.len());
         let read: Vec<Option<Left>> = brains.iter().map(|by| body.left(*by)).collect();
         // by the trial's own kind of brain: networks come first
         let designed = read.iter().flatten().find_map(|left| left.designed.as_ref());
@@ -60,26 +50,61 @@ fn picture(setting: &Setting, names: &[&str]) -> crate::look::Picture {
             Some(((i + 1) as f64 + aside, [median, most], text))
         });
         let all: Vec<_> = designed.into_iter().chain(cast).collect();
-        errors.extend(all.iter().flat_map(|mark| mark.1));
         marks.push((CLASSES[n], all));
     }
     let places = std::iter::once("as designed".to_owned()).chain(brains.iter().map(|by| tick(*by)));
-    let places = places.enumerate().map(|(i, name)| (i as f64, name)).collect();
-    let x = Axis::new("", Scale::Linear, [-0.5, brains.len() as f64 + 0.5]).with_names(places);
+    side_by_side(&setting.label, places.collect(), marks)
+}
+
+/// A dot at the first of two errors (%), and a line to the second: the place on the axis, the errors, what a dot says.
+pub(super) type Mark = (f64, [f64; 2], String);
+
+/// Marks of each class at places with names.
+pub(super) fn side_by_side(label: &str, places: Vec<String>, marks: Vec<(&str, Vec<Mark>)>) -> Picture {
+    let count = places.len() as f64;
+    let places = places.into_iter().enumerate().map(|(i, name)| (i as f64, name)).collect();
+    let x = Axis::new("", Scale::Linear, [-0.5, count - 0.5]).with_names(places);
+    let errors: Vec<f64> = marks.iter().flat_map(|(_, marks)| marks.iter().flat_map(|mark| mark.1)).collect();
     let y = Axis::new("holdout error (%)", Scale::Log, errors);
-    let mut plot = Plot::new(&setting.label, x, y).sized(130.0 + 85.0 * brains.len() as f64, 300.0);
+    let mut plot = Plot::new(label, x, y).sized(45.0 + 85.0 * count, 300.0);
     for (class, marks) in marks {
         for (x, ends, _) in &marks {
             plot.line(class, ends.map(|error| (*x, error)));
         }
-        plot.dots(class, marks.into_iter().map(|(x, [median, _], text)| ((x, median), text)));
+        plot.dots(class, marks.into_iter().map(|(x, [first, _], text)| ((x, first), text)));
     }
     plot.picture()
 }
 
+/// Where in its place the n-th of so many bodies stands.
+pub(super) fn aside(n: usize, bodies: usize) -> f64 {
+    0.7 * ((n as f64 + 0.5) / bodies as f64 - 0.5)
+}
+
+/// Names of bodies, each once, as many as can be told apart.
+pub(super) fn told_apart<'a>(bodies: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let mut names: Vec<&str> = Vec::new();
+    for name in bodies {
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    names.truncate(CLASSES.len());
+    names
+}
+
+/// A legend's entries of these bodies.
+pub(super) fn legend(names: &[&str]) -> Vec<(&'static str, String)> {
+    let entry = |(name, class): (&&str, &'static str)| {
+        let text = if *name == "initial" { "initial body".to_owned() } else { format!("trained: {name}") };
+        (class, text)
+    };
+    names.iter().zip(CLASSES).map(entry).collect()
+}
+
 /// All that read one of a setting's bodies.
 fn brains(setting: &Setting) -> Vec<CastBrain> {
-    distinct(setting.bodies.iter().flat_map(Cast::brains))
+    distinct(setting.bodies.iter().flat_map(Trained::brains))
 }
 
 fn brain(by: CastBrain) -> String {
@@ -112,7 +137,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
         let brains = brains(&setting);
         let most = brains.last().copied().filter(|by| *by > CastBrain::Casts);
         for by in brains.iter().copied().filter(|by| *by == CastBrain::Casts).chain(most) {
-            let told = |body: &Cast| {
+            let told = |body: &Trained| {
                 let left = body.left(by)?;
                 let [median, most] = left.errors.map(|error| number(error.ratio));
                 let kept = left.kept[0]

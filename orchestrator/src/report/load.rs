@@ -9,7 +9,7 @@ use super::{Story, Sweep};
 use crate::analysis::numbers::mean;
 use crate::analysis::paired::{Progress, iteration_ratio};
 use crate::analysis::setting::Settings;
-use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading};
+use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading, UnderReading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::store::{Reader, Row, StoreError, npy_values};
 
@@ -96,6 +96,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     loader.long_errors().await?;
     loader.readings().await?;
     loader.casts().await?;
+    loader.under().await?;
     for trial in &mut trials {
         trial.history.shrink_to_fit();
         trial.readings.shrink_to_fit();
@@ -297,6 +298,20 @@ impl Loader<'_> {
                 let (casts, failed) = (row.count("count"), row.count("failed"));
                 trial.casts.push(CastReading { body, by, casts, failed, errors: [median, most] });
             }
+            Ok(())
+        })
+        .await
+    }
+
+    async fn under(&mut self) -> Result<(), StoreError> {
+        let sql = "SELECT t.id AS trial_id, u.value->>'$.body' AS body, u.value->>'$.stimuli' AS stimuli,
+               u.value->>'$.reader' = 'own' AS own, u.value->>'$.error' AS error
+             FROM trial t, json_each(t.result, '$.under') u WHERE t.state = 'done' ORDER BY t.id, u.key";
+        self.each(sql, |trial, row| {
+            let read = body_named(row.text("body")).zip(row.number("error").filter(|error| *error > 0.0));
+            let Some((body, error)) = read else { return Ok(()) };
+            let (stimuli, own) = (row.text("stimuli").to_owned(), row.count("own") == 1);
+            trial.under.push(UnderReading { body, stimuli, own, error });
             Ok(())
         })
         .await

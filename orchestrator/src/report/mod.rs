@@ -12,6 +12,7 @@ pub mod modes;
 pub mod records;
 pub mod samples;
 pub mod strips;
+mod transfer;
 
 use maud::{Markup, PreEscaped, html};
 
@@ -60,6 +61,7 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
         figures::pairs(trials),
         brains::figure(trials),
         casts::figure(trials),
+        transfer::figure(trials),
         figures::sensors(trials, story.terms),
         figures::placed_sensors(trials),
         figures::random_bodies(trials),

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde_json::Value;
 
-use super::MIX;
+use super::TABLES;
 use crate::spec::SweepSpec;
 
 /// All keys that a file may have, by path.
@@ -45,7 +45,7 @@ impl KnownKeys {
                 && !p.starts_with("sweep.")
                 && !p.starts_with("run.")
                 && !p.starts_with("until.")
-                && !p.starts_with(MIX)
+                && !TABLES.iter().any(|table| p.starts_with(table))
                 && *p != "sensors.placements"
         })
     }

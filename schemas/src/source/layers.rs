@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::{MIX, POINTS, Place, Source, SpecError};
+use super::{POINTS, Place, Source, SpecError, TABLES};
 
 /// The key that names the file below.
 const BASE: &str = "base";
@@ -211,7 +211,7 @@ fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec
         }
         let is_list = matches!(value.get_ref(), DeValue::Array(_));
         if let DeValue::Array(entries) = value.get_ref()
-            && [POINTS, MIX].iter().any(|list| key == list.trim_end_matches('.'))
+            && TABLES.iter().chain([&POINTS]).any(|list| key == list.trim_end_matches('.'))
         {
             let tables = entries.iter().filter_map(|entry| entry.get_ref().as_table());
             tables.for_each(|table| find_places(table, &key, layer, places));

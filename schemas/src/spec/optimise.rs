@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::solver::{Method, Solver};
+use super::stimuli::{Part, Stimuli};
 
 /// Shapes of the network that have a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -415,7 +416,7 @@ pub enum Schedule {
 }
 
 /// The comparison at the end.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Evaluation {
     /// Fresh networks trained for each body; their errors differ by tens of per cent. A linear brain is solved for once.
@@ -432,6 +433,10 @@ pub struct Evaluation {
     /// Default: 24 where there is a `[variation]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
+    /// Kinds of forces under which linear brains read both bodies besides, whatever the body was trained for (`v_under`): tables
+    /// `[[evaluation.under]]` of `kind` and keys of that kind, each kind once. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub under: Option<Vec<Part>>,
 }
 
 /// Fresh networks a body, and casts of it where there is a variation, where the spec does not say.
@@ -441,15 +446,17 @@ const CASTS: usize = 24;
 impl Evaluation {
     /// With the defaults in place, of a body that a network reads, of casts that do or do not vary.
     #[must_use]
-    pub fn resolved(self, varied: bool) -> Self {
+    pub fn resolved(self, varied: bool, stimuli: &Stimuli) -> Self {
         let casts = Some(self.casts.unwrap_or(CASTS)).filter(|casts| varied && *casts > 0);
-        Self { seeds: Some(self.networks()), casts, ..self }
+        let under =
+            self.under.as_ref().map(|kinds| kinds.iter().map(|kind| kind.resolved(stimuli)).collect());
+        Self { seeds: Some(self.networks()), casts, under, ..self }
     }
 
     /// The same of a body that a linear brain reads: it is solved for once.
     #[must_use]
     pub fn of_linear(self) -> Self {
-        Self { seeds: Some(1), casts: self.casts, ..Self::default() }
+        Self { seeds: Some(1), casts: self.casts, under: self.under, ..Self::default() }
     }
 
     /// Fresh networks a body.
@@ -461,6 +468,6 @@ impl Evaluation {
 
 impl Default for Evaluation {
     fn default() -> Self {
-        Self { seeds: None, schedule: Schedule::Cosine, long_iterations: None, casts: None }
+        Self { seeds: None, schedule: Schedule::Cosine, long_iterations: None, casts: None, under: None }
     }
 }

@@ -19,12 +19,27 @@ pub enum StimuliKind {
     Mix,
 }
 
-/// A kind of forces in a mixture, with the keys of that kind as in `[stimuli]`; `"recorded"` reads `stimuli.recorded`.
+impl StimuliKind {
+    /// As a spec has it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Bell => "bell",
+            Self::Irregular => "irregular",
+            Self::Recorded => "recorded",
+            Self::Mix => "mix",
+        }
+    }
+}
+
+/// A kind of forces, in a mixture or to read a finished body under, with the keys of that kind as in `[stimuli]`; `"recorded"`
+/// reads `stimuli.recorded`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Part {
-    /// Probability that a sample is of this kind; those of all parts sum to 1. Unit: 1.
-    pub weight: f64,
+    /// Of a mixture: probability that a sample is of this kind; those of all parts sum to 1. Unit: 1. Default: must be given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weight: Option<f64>,
     /// Kind of forces: `"bell"`, `"irregular"` or `"recorded"`.
     pub kind: StimuliKind,
     /// As `stimuli.amplitude`.
@@ -76,6 +91,15 @@ impl Part {
             ..whole.clone()
         };
         Stimuli { kind, mix: None, recorded, ..keys }
+    }
+
+    /// With the defaults of the kind in place.
+    #[must_use]
+    pub fn resolved(&self, whole: &Stimuli) -> Self {
+        let Stimuli { amplitude, width, onset, peak, power, roughness, double, gap, rebound, .. } =
+            self.alone(whole).resolved();
+        let Self { weight, kind, .. } = *self;
+        Self { weight, kind, amplitude, width, onset, peak, power, roughness, double, gap, rebound }
     }
 }
 
@@ -148,23 +172,7 @@ impl Stimuli {
             StimuliKind::Mix => {
                 let whole = self.clone();
                 for part in self.mix.iter_mut().flatten().filter(|part| part.kind != StimuliKind::Mix) {
-                    let Self {
-                        amplitude, width, onset, peak, power, roughness, double, gap, rebound, ..
-                    } = part.alone(&whole).resolved();
-                    let Part { weight, kind, .. } = *part;
-                    *part = Part {
-                        weight,
-                        kind,
-                        amplitude,
-                        width,
-                        onset,
-                        peak,
-                        power,
-                        roughness,
-                        double,
-                        gap,
-                        rebound,
-                    };
+                    *part = part.resolved(&whole);
                 }
                 return self;
             }

@@ -29,7 +29,7 @@ use observe::Log;
 use protocol::{Sensed, Session};
 use search::GradientFree;
 
-use crate::questions::{Nonlinear, nonlinear};
+use crate::questions::{Nonlinear, UnderReading, nonlinear, under};
 use crate::trial::{Counters, Failure, Trial};
 
 /// What a nested optimisation found.
@@ -45,6 +45,8 @@ pub struct Optimised {
     pub casts: [Vec<CastReading>; 2],
     /// The part of both bodies' signals that their linearisation at rest does not give.
     pub nonlinear: [Option<Nonlinear>; 2],
+    /// How both bodies are read under forces of the kinds that the trial asks about.
+    pub under: [Vec<UnderReading>; 2],
     /// What the solvers came to, and why.
     pub solver: String,
     /// Relative error of the signals of the two evaluations' pilots, initial body and best, where measured.
@@ -112,6 +114,9 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     let nonlinear = bodies.map(|(design, solver)| {
         log.timed(|s| &mut s.simulate, |report| nonlinear(trial, design, solver, &mut report.counters))
     });
+    let under = bodies.map(|(design, solver)| {
+        log.timed(|s| &mut s.simulate, |report| under(trial, design, solver, &mut report.counters))
+    });
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += trial.pilots;
     counters.dynamics += tuned.counters;
@@ -126,6 +131,7 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
         best_step,
         casts,
         nonlinear,
+        under,
         solver,
         signal_errors,
         counters,

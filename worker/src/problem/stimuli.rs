@@ -1,5 +1,6 @@
 //! Force histories and what the sensors' chips add, from their spec.
 
+use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Inertia, Mount};
 use metasense_numerics::stimuli::{Bell, Irregular, Source};
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
@@ -10,7 +11,10 @@ use crate::records;
 
 /// Where the forces of a trial come from, and how many samples there are.
 pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
-    let stimuli = trial.stimuli.clone().resolved();
+    let mut stimuli = trial.stimuli.clone().resolved();
+    if read_under(trial).any(|part| part.kind == StimuliKind::Recorded) && !has_records(&stimuli) {
+        stimuli.recorded = None;
+    }
     let &spec::Stimuli { samples, test, holdout, .. } = &stimuli;
     at_most("stimuli.samples", samples, 1_000_000)?;
     at_most("stimuli.holdout", holdout, 1_000_000)?;
@@ -62,6 +66,10 @@ fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Ve
         &kinds,
         "must not hold a mixture: give its parts their weights here",
     )?;
+    let weights: Option<Vec<f64>> = parts.iter().map(|part| part.weight).collect();
+    let Some(weights) = weights else {
+        return Err(invalid("stimuli.mix.weight", "", "must be given to each part"));
+    };
     let records = parts.iter().filter(|part| part.kind == StimuliKind::Recorded).count();
     require(records < 2, key, &kinds, "must name the records once: stimuli.recorded holds them all")?;
     if stimuli.recorded.is_some() && records == 0 {
@@ -71,19 +79,55 @@ fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Ve
             "means nothing here: no part of stimuli.mix is recorded",
         ));
     }
-    let weights: Vec<f64> = parts.iter().map(|part| part.weight).collect();
     let (shown, sum) = (format!("{weights:?}"), weights.iter().sum::<f64>());
     require(weights.iter().all(|w| *w > 0.0), "stimuli.mix.weight", &shown, "must be numbers above 0")?;
     let remedy = format!("must sum to 1, not to {sum}");
     require((sum - 1.0).abs() < ROUNDING, "stimuli.mix.weight", &shown, &remedy)?;
-    let within = |e: Invalid| match e.key.strip_prefix("stimuli.") {
+    let of = |(weight, part)| Ok((weight, alone(trial, key, part, stimuli, instants)?));
+    weights.into_iter().zip(parts).map(of).collect()
+}
+
+/// The forces of one kind, a table of `key`.
+fn alone(
+    trial: &TrialSpec,
+    key: &str,
+    part: &spec::Part,
+    stimuli: &spec::Stimuli,
+    instants: usize,
+) -> Result<Source, Invalid> {
+    source(trial, &part.alone(stimuli), instants).map_err(|e| match e.key.strip_prefix("stimuli.") {
         Some(own) if !own.starts_with("recorded") => Invalid { key: format!("{key}.{own}"), ..e },
         _ => e,
-    };
-    parts
-        .iter()
-        .map(|part| Ok((part.weight, source(trial, &part.alone(stimuli), instants).map_err(within)?)))
-        .collect()
+    })
+}
+
+/// Whether these forces are records, or some of them.
+fn has_records(stimuli: &spec::Stimuli) -> bool {
+    let parts = stimuli.mix.iter().flatten().map(|part| part.kind);
+    std::iter::once(stimuli.kind).chain(parts).any(|kind| kind == StimuliKind::Recorded)
+}
+
+/// Kinds of forces under which the trial's bodies are read besides.
+fn read_under(trial: &TrialSpec) -> impl Iterator<Item = &spec::Part> {
+    trial.evaluation.under.iter().flatten()
+}
+
+/// The same as forces.
+pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
+    let (key, kinds) = ("evaluation.under", read_under(trial).map(|part| part.kind).collect::<Vec<_>>());
+    let shown = format!("{kinds:?}").to_lowercase();
+    for (n, part) in read_under(trial).enumerate() {
+        let sound = part.kind != StimuliKind::Mix && !kinds[..n].contains(&part.kind);
+        require(sound, key, &shown, "must name kinds other than mix, and each once")?;
+        if let Some(weight) = part.weight {
+            return Err(invalid("evaluation.under.weight", weight, "means nothing here: leave it out"));
+        }
+    }
+    let readable = fits(trial.time.samples, 3 * trial.point.sensors, trial.point.panels);
+    let remedy = "must be left out here: a linear brain of such long samples does not fit into memory";
+    require(kinds.is_empty() || readable, key, &shown, remedy)?;
+    let instants = force_instants(trial)?;
+    read_under(trial).map(|part| alone(trial, key, part, &trial.stimuli, instants)).collect()
 }
 
 /// The forces' own clock.

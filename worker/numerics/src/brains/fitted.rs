@@ -9,7 +9,7 @@ use super::{Reader, Recipe};
 use crate::Heartbeat;
 use crate::brain::linear::{Linear, Moments, Sizes, downhill_ridge};
 use crate::stimuli::folds;
-use crate::trial::{Decoder, Samples, Scales, Trouble};
+use crate::trial::{Decoder, Samples, Scales, Trial, Trouble};
 use std::ops::RangeInclusive;
 
 /// What a sample of another body counts, beside one of the body itself.
@@ -29,6 +29,17 @@ pub struct Fitted {
     pub force_scale: f64,
     /// Mean error on the samples that it was fitted to (%); `None` where none has a force.
     pub error: Option<f64>,
+}
+
+impl Fitted {
+    /// A linear brain of the trial's memory, at the trial's scales.
+    ///
+    /// # Errors
+    /// If no λ has a solution.
+    pub(crate) fn of(trial: &Trial, known: &Samples) -> Result<Self, Trouble> {
+        let problem = &trial.problem;
+        problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()))
+    }
 }
 
 impl Decoder {

@@ -9,6 +9,7 @@ use super::observe::{Control, Log};
 use super::state::State;
 use crate::brains::{Beside, Fitted, Fresh, Reader, reader};
 use crate::dynamics::{Precision, Solver};
+use crate::questions::NOTHING;
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Decoder, Ridge, Samples, Trial, Trouble};
 use crate::variation::{Cast, Casts};
@@ -48,8 +49,6 @@ const KNOWN_SAMPLES: usize = 20;
 const KNOWN_FIRST: u64 = 1 << 40;
 /// Samples of a cast to which a brain is fitted, where there are more, and then all.
 const RECORDS: [usize; 3] = [10, 30, 100];
-/// Error of what is not read at all (%).
-const NOTHING: f64 = 100.0;
 
 /// A body, and what makes casts of it.
 struct Mould<'a> {
@@ -231,7 +230,7 @@ impl Brains<'_> {
     /// The linear ones.
     fn new(trial: &Trial, known: &Known) -> Self {
         let linear = known.each_ref().map(|known| match known {
-            Ok(known) => fitted(trial, known),
+            Ok(known) => Fitted::of(trial, known),
             Err(trouble) => Err(*trouble),
         });
         let casts = match &known[1] {
@@ -273,12 +272,6 @@ impl Brains<'_> {
             })
             .collect()
     }
-}
-
-/// A linear brain of the trial's memory, at the trial's scales.
-fn fitted(trial: &Trial, known: &Samples) -> Result<Fitted, Trouble> {
-    let problem = &trial.problem;
-    problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()))
 }
 
 fn by_network(

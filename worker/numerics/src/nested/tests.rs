@@ -22,6 +22,7 @@ fn small(protocol: Protocol) -> Problem {
     let layout = Layout::planar(4, 3, 15.0, 2.25);
     let direction = [0.0, -1.0];
     Problem {
+        under: Vec::new(),
         initial: layout.initial_design(25f64.to_radians()),
         scene: Scene {
             layout,

@@ -3,8 +3,11 @@
 mod bound;
 mod nonlinear;
 mod replay;
+mod under;
 
 pub use bound::{Bound, bound};
 pub use nonlinear::Nonlinear;
 pub(crate) use nonlinear::nonlinear;
 pub use replay::{LinearReplay, Motion, Replay, motion, replay, sense};
+pub(crate) use under::under;
+pub use under::{NOTHING, UnderReading};

@@ -27,6 +27,7 @@ use crate::dynamics::{
     self, Forces, Outcome, Precision, Scene, Simulation, Solver, Tuned, Wrt, planned, tune,
 };
 use crate::random::Purpose;
+use crate::stimuli::Source;
 use crate::variation::{Cast, Casts};
 use chip::Chip;
 
@@ -74,6 +75,27 @@ impl<'a> Trial<'a> {
     /// # Panics
     /// If the sensors are still to be searched for.
     pub fn new(problem: &Problem, pool: &'a crate::Pool) -> Result<Self, Failure> {
+        Self::with(problem, pool, |rms| problem.chip(rms))
+    }
+
+    /// The same of another body under forces of another kind, with the same chips.
+    ///
+    /// # Errors
+    /// If that body cannot be simulated.
+    pub(crate) fn under(&self, source: &Source, design: &[f64]) -> Result<Self, Failure> {
+        let stimuli = Stimuli { source: source.clone(), ..self.problem.stimuli.clone() };
+        let (initial, solver, under) = (design.to_vec(), self.asked, Vec::new());
+        let mut problem = Problem { stimuli, initial, solver, under, ..self.problem.clone() };
+        problem.optimise.coarse = None;
+        Self::with(&problem, self.pool, |_| self.chip.clone())
+    }
+
+    /// `chip`: from the RMS of each channel of the initial body.
+    fn with(
+        problem: &Problem,
+        pool: &'a crate::Pool,
+        chip: impl FnOnce(&[f64]) -> Option<Chip>,
+    ) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
         let (mut problem, asked) = (problem.clone(), problem.solver);
         let (usual, coarse) = (pilot(&problem, &problem.initial, &asked, pool), problem.optimise.coarse);
@@ -100,7 +122,7 @@ impl<'a> Trial<'a> {
         let failed = silence(&mut train, &simulation.outcomes);
         let mut initial = problem.samples(simulation.signals, &train).with_failed(failed);
         let scales = Scales::of(&initial);
-        let chip = problem.chip(&scales.channels);
+        let chip = chip(&scales.channels);
         if let Some(chip) = &chip {
             chip.disturb(&mut initial.signals, &train);
         }

@@ -47,6 +47,8 @@ pub struct Problem {
     pub optimise: Optimise,
     /// The comparison at the end.
     pub evaluation: Evaluation,
+    /// Kinds of forces under which both bodies are read besides in the comparison at the end.
+    pub under: Vec<Source>,
     /// Seed of stimuli, split, networks and batches.
     pub seed: u64,
 }

@@ -257,3 +257,39 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
         [stack.estimates(&trial.initial.signals), stack.cross_fitted()].map(|y| known.error(&y));
     assert!(unseen > seen, "{unseen:?} {seen:?}");
 }
+
+/// Under the trial's own forces the brain that is carried is the one that the comparison fits, with chips and without; fitted
+/// anew, at the body's own scales, it is that of the initial body. Under forces ten times as fast a body is read from what it does
+/// under those, and one that breaks is not read.
+#[test]
+fn a_body_is_read_under_other_forces() {
+    let own = linear(Protocol::Joint(GOING));
+    let Source::Bell(bell) = own.stimuli.source else { panic!("bells") };
+    let fast = Source::Bell(Bell { width: [0.005, 0.01], ..bell });
+    let noisy = Disturbance { noise: Size::Relative(0.01), delay: 0.001, ..Disturbance::NONE };
+    for disturbance in [None, Some(noisy)] {
+        let mut problem =
+            Problem { under: vec![Source::Bell(bell), fast.clone()], disturbance, ..own.clone() };
+        problem.optimise.iterations = 3;
+        let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+        let again = optimise(&problem, None, &pool(3), &mut Keeper::default()).unwrap().unwrap();
+        assert_eq!(found.under, again.under, "the number of threads");
+        for (body, under) in [&found.initial, &found.optimised].into_iter().zip(&found.under) {
+            let expected = body.networks[0].error_holdout;
+            let asked: Vec<(usize, bool)> = under.iter().map(|reading| (reading.kind, reading.own)).collect();
+            assert_eq!(asked, [(0, true), (0, false), (1, true), (1, false)]);
+            let near = |reading: &UnderReading| {
+                let error = reading.error.unwrap().unwrap();
+                (error / expected.unwrap() - 1.0).abs() < 1e-9
+            };
+            let first = usize::from(body.design != problem.initial);
+            assert!(under[first..2].iter().all(near), "{expected:?}: {under:?}");
+            let [own, carried] = [2, 3].map(|i| under[i].error.unwrap().unwrap());
+            assert!(own != carried && own > 0.0 && Some(own) != expected, "{own} {carried}");
+        }
+    }
+    let hard = Source::Bell(Bell { amplitude: [1e6, 2e6], ..bell });
+    let problem = Problem { under: vec![hard], ..own };
+    let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    assert!(found.under[0].iter().all(|reading| reading.error.is_err()), "{:?}", found.under);
+}

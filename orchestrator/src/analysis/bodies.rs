@@ -1,0 +1,46 @@
+//! The bodies of trials that differ in training alone: the initial one, and those trained, by how they were.
+
+use std::collections::BTreeMap;
+
+use super::data::groups;
+use super::tables::apart;
+use super::trial::{Body, Cluster, Trial};
+
+/// A body of several trials.
+#[derive(Debug, Clone)]
+pub struct Trained<'a> {
+    /// `initial`, or how it was trained.
+    pub name: String,
+    /// Which body of its trials.
+    pub body: Body,
+    /// Of the initial body one a cluster, whatever trains it.
+    pub trials: Vec<&'a Trial>,
+}
+
+/// The initial body, then those trained, by `way` in its order; what else of the training differs within one is told beside
+/// its name.
+pub fn bodies<'a, K: Ord>(
+    trials: &[&'a Trial],
+    way: impl Fn(&Trial) -> K,
+    name: impl Fn(&K) -> String,
+) -> Vec<Trained<'a>> {
+    let initial: BTreeMap<Cluster, &Trial> = trials.iter().rev().map(|t| (t.cluster, *t)).collect();
+    let trials_of = initial.into_values().collect();
+    let mut found = vec![Trained { name: "initial".to_owned(), body: Body::Initial, trials: trials_of }];
+    let mut trained: BTreeMap<K, Vec<&Trial>> = BTreeMap::new();
+    for trial in trials {
+        trained.entry(way(trial)).or_default().push(trial);
+    }
+    for (way, trials) in trained {
+        // what a way brings along differs with it: told is what else does
+        let mut ways = groups(&trials, &[]);
+        ways.sort_by(|a, b| a.label.cmp(&b.label));
+        found.extend(ways.into_iter().map(|group| {
+            let rest = apart(&group.label).into_iter();
+            let rest = rest.map(|part| part.trim_start_matches("optimise.").trim_start_matches("stimuli."));
+            let name = std::iter::once(&name(&way)[..]).chain(rest).collect::<Vec<_>>().join(", ");
+            Trained { name, body: Body::Optimised, trials: group.trials }
+        }));
+    }
+    found
+}

@@ -1,0 +1,68 @@
+//! Bodies trained under one kind of forces and read under others: a figure, and a sentence a setting.
+
+use super::casts::{CLASSES, Mark, aside, legend, side_by_side, told_apart};
+use crate::analysis::bodies::Trained;
+use crate::analysis::transfer::{Setting, settings};
+use crate::analysis::{Question, Terms, Trial};
+use crate::look::{Answer, Figure, Picture, number};
+
+/// At most so many settings are drawn; the data hold all.
+const MOST_SETTINGS: usize = 4;
+
+/// A place for each kind of forces, and in it one for each body side by side: a dot by a brain fitted under these forces, a line
+/// to the error of the one fitted under those that trained the body.
+pub fn figure(trials: &[Trial]) -> Option<Figure> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let found = settings(&refs);
+    let names = told_apart(found.iter().flat_map(|setting| &setting.bodies).map(|body| &body.name[..]));
+    Figure::some(
+        "transfer",
+        "What is a body worth under forces that it was not trained for?",
+        "Prediction error on the holdout under each kind of forces by linear brains, geometric means over trials. Dots: fitted to \
+         samples under these forces; lines: from there to a brain fitted under those that trained the body. Trained: under which \
+         forces.",
+        legend(&names),
+        found.iter().take(MOST_SETTINGS).map(|setting| picture(setting, &names)).collect(),
+        || Question::Transfer.answer(trials, Terms::default()),
+    )
+}
+
+fn picture(setting: &Setting, names: &[&str]) -> Picture {
+    let marks = names.iter().zip(CLASSES).enumerate().filter_map(|(n, (name, class))| {
+        let body = setting.bodies.iter().find(|body| body.name == *name)?;
+        let mark = |(i, kind): (usize, &String)| -> Option<Mark> {
+            let read = setting.read(body, kind)?;
+            let (own, carried) = (read.own.ratio, read.carried.map(|carried| carried.ratio));
+            let carried = carried.unwrap_or(own);
+            let text = format!("{name}, under {kind}: {} % (carried {} %)", number(own), number(carried));
+            Some((i as f64 + aside(n, names.len()), [own, carried], text))
+        };
+        Some((class, setting.kinds.iter().enumerate().filter_map(mark).collect()))
+    });
+    side_by_side(&setting.label, setting.kinds.clone(), marks.collect())
+}
+
+/// Errors of each body under each kind of forces, and where those that were trained keep least.
+pub fn answers(trials: &[Trial]) -> Vec<Answer> {
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let told = |setting: &Setting, body: &Trained| {
+        let errors = setting.kinds.iter().filter_map(|kind| {
+            Some(format!("{} % under {kind}", number(setting.read(body, kind)?.own.ratio)))
+        });
+        let errors = errors.collect::<Vec<_>>().join(", ");
+        let worst = setting.worst(body).map(|(kind, kept)| {
+            format!(", at worst {:.0} % of the specialist's gain, under {kind}", 100.0 * kept)
+        });
+        format!("{} {errors}{}", body.name, worst.unwrap_or_default())
+    };
+    let said = settings(&refs).into_iter().map(|setting| {
+        let bodies: Vec<String> = setting.bodies.iter().map(|body| told(&setting, body)).collect();
+        let text = format!(
+            "{}, error by a linear brain fitted under the forces that it reads, by what trained the body: {}.",
+            setting.label,
+            bodies.join("; ")
+        );
+        Answer::new("transfer", None, text)
+    });
+    said.collect()
+}
