@@ -2,6 +2,9 @@
 
 use crate::common::{Bench, SPEC};
 
+/// Lines that a material stands in place of.
+const MATERIAL: &str = "density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }\n";
+
 /// What is replaced in the spec, by what, and what the message says.
 const EDITS: &[(&str, &str, &str)] = &[
     (
@@ -167,6 +170,37 @@ const EDITS: &[(&str, &str, &str)] = &[
         "s.toml:14: run.prune: gives up trials that [until] would count",
     ),
     ("density = 1e-8", "density = 0.0", "s.toml:7: body.density = 0: "),
+    ("density = 1e-8\n", "", "body.density: must be given, or body.material in its place"),
+    (
+        "density = 1e-8",
+        "density = 1e-8\nmaterial = { rubber = \"Dragon Skin 10\", thickness = 10, ligament_width = 2 }",
+        "s.toml:7: body.density = 0.00000001: cannot be given beside body.material, which gives it",
+    ),
+    (
+        "density = 1e-8",
+        "material = { rubber = \"Dragon Skin 10\", thickness = 10, ligament_width = 2 }",
+        "s.toml:8: body.stiffness = { … }: cannot be given beside body.material, which gives it",
+    ),
+    (
+        MATERIAL,
+        "material = { rubber = \"Dragon Skin 10\", thickness = -10, ligament_width = 2 }\n",
+        "s.toml:7: body.material.thickness = -10: must be a number above 0",
+    ),
+    (
+        MATERIAL,
+        "material = { rubber = \"Dragon Skin 10\", thickness = 10, ligament_width = 0 }\n",
+        "s.toml:7: body.material.ligament_width = 0: must be a number above 0",
+    ),
+    (
+        MATERIAL,
+        "material = { modulus = 0.2, thickness = 10, ligament_width = 2 }\n",
+        "body.material.density: must be given, or body.material.rubber in its place",
+    ),
+    (
+        MATERIAL,
+        "material = { rubber = \"Dragon Skin 1\", thickness = 10, ligament_width = 2 }\n",
+        "s.toml:7: body.material.rubber = \"Dragon Skin 1\": must be \"Dragon Skin 10\"",
+    ),
     ("density = 1e-8", "density = 1e-8\ndamping_ratio = -0.1", "s.toml:8: body.damping_ratio = -0.1: "),
     ("density = 1e-8", "density = 1e-8\ninitial_angle = 60.0", "s.toml:8: body.initial_angle = 60: "),
     ("density = 1e-8", "density = 1e-8\nclamp = [99]", "s.toml:8: body.clamp = 99: "),

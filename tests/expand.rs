@@ -51,6 +51,14 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     assert_ne!(sensors("offset = [0, 1]")[1], plain[1]);
     let figures = "mass = 0\ninertia = 0\nrange = [1e5, 30.0]\nresolution = [1.0, 0.001]";
     assert_eq!(sensors(&format!("chip = \"WT9011DCL\"\n{figures}")), sensors(figures));
+    let numbers = "density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }";
+    let body = |keys: &str| hashes(&SPEC.replace(numbers, keys));
+    let material =
+        |keys: &str| body(&format!("[body.material]\nthickness = 8\nligament_width = 2.25\n{keys}"));
+    let same = "density = 8e-9\nstiffness = { stretch = 4.0, shear = 0.8888888888888888, bend = 1.6875 }";
+    assert_eq!(material("modulus = 0.5\ndensity = 1e-9"), body(same));
+    assert_eq!(material("modulus = 0.5\ndensity = 1e-9\nrubber = \"Dragon Skin 10\""), body(same));
+    assert_ne!(material("rubber = \"Dragon Skin 10\""), body(same));
     let optimise = |keys: &str| hashes(&(SPEC.to_owned() + "[optimise]\n" + keys));
     assert_eq!(optimise("tie = [1, 1]\nfrozen = []"), plain);
     assert_eq!(optimise("frozen = [7, 8]"), optimise("frozen = [8, 7]"));

@@ -15,6 +15,7 @@ use metasense_numerics::trial::{
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
 
 mod casts;
+mod material;
 mod optimise;
 mod stimuli;
 
@@ -23,6 +24,8 @@ use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require
 pub use metasense_numerics::brains::READINGS_MAX;
 
 use casts::{casting, casts, variation};
+use material::material;
+pub use material::sheet;
 pub use optimise::design_parameters;
 use optimise::{frozen, protocol, tie};
 use stimuli::{disturbance, inertia, mount, stimuli, under};
@@ -40,12 +43,12 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         return Err(invalid(key, value, remedy));
     }
     let layout = layout(&trial.body)?;
-    check_material(&trial.body)?;
+    let material = material(&trial.body)?;
     check_clock_and_training(trial)?;
     let limits = limits(&trial.feasible)?;
     let initial = initial_design(&trial.body, &layout, limits)?;
     castable(&trial.body, &layout, limits, &initial)?;
-    let scene = scene(trial, layout)?;
+    let scene = scene(trial, layout, material)?;
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     Ok(Problem {
         kept: kept(&trial.feasible, &trial.panel_units, &scene.clamped),
@@ -134,24 +137,6 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
             Ok(Layout::circular(body.columns, body.spacing, body.ligament_length))
         }
     }
-}
-
-fn check_material(body: &spec::Body) -> Result<(), Invalid> {
-    positive("body.density", body.density)?;
-    not_negative("body.damping_ratio", body.damping_ratio)?;
-    positive("body.stiffness.stretch", body.stiffness.stretch)?;
-    positive("body.stiffness.shear", body.stiffness.shear)?;
-    positive("body.stiffness.bend", body.stiffness.bend)?;
-    let Some(contact) = &body.contact else { return Ok(()) };
-    positive("body.contact.stiffness", contact.stiffness)?;
-    require(
-        contact.min_angle > -180.0
-            && contact.min_angle < contact.cutoff_angle
-            && contact.cutoff_angle < 180.0,
-        "body.contact.min_angle",
-        contact.min_angle,
-        "must be less than body.contact.cutoff_angle, both within ±180 degrees",
-    )
 }
 
 fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
@@ -399,7 +384,11 @@ pub fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
     })
 }
 
-fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
+fn scene(
+    trial: &TrialSpec,
+    layout: Layout,
+    (density, stiffness): (f64, Stiffness),
+) -> Result<Scene, Invalid> {
     let body = &trial.body;
     let clamped = clamped(body, &layout)?;
     let panels = check_units("body.panel_units", &trial.panel_units, &layout, &clamped)?;
@@ -420,12 +409,8 @@ fn scene(trial: &TrialSpec, layout: Layout) -> Result<Scene, Invalid> {
     let directions = directions(body, &trial.panel_units, &layout);
     let angle = f64::to_radians;
     Ok(Scene {
-        density: body.density,
-        stiffness: Stiffness {
-            stretch: body.stiffness.stretch,
-            shear: body.stiffness.shear,
-            bend: body.stiffness.bend,
-        },
+        density,
+        stiffness,
         damping_ratio: body.damping_ratio,
         contact: body.contact.map(|c| Contact {
             stiffness: c.stiffness,

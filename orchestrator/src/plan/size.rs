@@ -5,17 +5,17 @@
 //! ```
 //! A ligament of width w and length l in a sheet of thickness t has k_l ~ E t w/l and k_s ~ E t (w/l)³, which similar ones
 //! share, and k_θ ~ E t w³/l. So the disc keeps its mass and what it opposes to being deformed, and its units alone
-//! become smaller.
+//! become smaller. A material's formulas (`problem::sheet`) meet the lengths as they are written.
 
 use metasense_schemas::spec::{LayoutKind, SweepSpec};
-use metasense_worker::problem::Invalid;
+use metasense_worker::problem::{Invalid, sheet};
 
-/// The spec with the lengths that `body.diameter` or `body.width` asks for, and s.
+/// The spec with the lengths that `body.diameter` or `body.width` asks for and with what `body.material` gives, and s.
 ///
 /// # Errors
-/// Where it is no length, or the other layout's.
+/// Where it is no length, or the other layout's; where there is no material, or it is given twice.
 pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
-    let mut spec = spec.clone();
+    let mut spec = SweepSpec { body: sheet(&spec.body)?, ..spec.clone() };
     let body = &mut spec.body;
     let (own, other, remedy) = match body.layout {
         LayoutKind::Circular => (
@@ -44,7 +44,9 @@ pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
     let scale = size / (body.columns as f64 * body.spacing);
     body.spacing *= scale;
     body.ligament_length *= scale;
-    body.stiffness.bend *= scale * scale;
+    if let Some(stiffness) = &mut body.stiffness {
+        stiffness.bend *= scale * scale;
+    }
     if let Some(contact) = &mut body.contact {
         contact.stiffness *= scale * scale;
     }

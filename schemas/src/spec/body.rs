@@ -90,13 +90,19 @@ pub struct Body {
     /// The design to start from. Default: rotated squares.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub design: Option<Design>,
-    /// Mass per area. Unit: Mg/mm².
-    pub density: f64,
+    /// Mass per area. Unit: Mg/mm². Default: must be given without `material`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub density: Option<f64>,
     /// Damping of each degree of freedom relative to its critical damping (ζ). Unit: 1.
     #[serde(default = "damping_ratio")]
     pub damping_ratio: f64,
-    /// Stiffness of the ligaments.
-    pub stiffness: Stiffness,
+    /// Stiffness of the ligaments. Default: must be given without `material`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stiffness: Option<Stiffness>,
+    /// What the body is cast of and how thick: gives `density` and `stiffness` by the formulas of MODEL.md, in their place.
+    /// Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub material: Option<Material>,
     /// Contact between the edges of neighbouring units. Default: no contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
@@ -122,6 +128,45 @@ pub struct Stiffness {
     pub shear: f64,
     /// Bending of a ligament (k_θ). Unit: N·mm/rad.
     pub bend: f64,
+}
+
+/// A rubber that one can buy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Rubber {
+    /// The paper's silicone: 100 % modulus 22 psi (0.152 MPa), specific gravity 1.07 (Smooth-On's technical bulletin of the Dragon
+    /// Skin series).
+    #[serde(rename = "Dragon Skin 10")]
+    DragonSkin10,
+}
+
+impl Rubber {
+    /// Nominal stress at 100 % strain (MPa) and density (Mg/mm³).
+    #[must_use]
+    pub fn figures(self) -> (f64, f64) {
+        const PSI: f64 = 6.894_757e-3;
+        match self {
+            Self::DragonSkin10 => (22.0 * PSI, 1.07e-9),
+        }
+    }
+}
+
+/// What a body is cast of.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Material {
+    /// A rubber that one can buy: its modulus and density, where these keys are left out. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rubber: Option<Rubber>,
+    /// Young's modulus at small strain. Unit: MPa. Default: the rubber's (0.26 of Dragon Skin 10).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub modulus: Option<f64>,
+    /// Mass per volume. Unit: Mg/mm³. Default: the rubber's (1.07e-9 of Dragon Skin 10).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub density: Option<f64>,
+    /// Thickness of the sheet. Unit: mm.
+    pub thickness: f64,
+    /// Width of a ligament in the plane, across its length. Unit: mm.
+    pub ligament_width: f64,
 }
 
 /// Contact between the edges that face each other across a ligament.

@@ -15,7 +15,7 @@ mod trial;
 mod until;
 mod variation;
 
-pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Stiffness};
+pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Material, Rubber, Stiffness};
 pub use feasible::Feasible;
 pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};

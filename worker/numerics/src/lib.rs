@@ -5,6 +5,7 @@
 pub mod brains;
 pub mod feasible;
 pub mod identify;
+pub mod material;
 pub mod modes;
 pub mod nested;
 pub mod place;

@@ -18,13 +18,14 @@ fn a_disc_keeps_its_size_while_its_units_grow_in_number() {
     let sized = plan(&disc);
     for trial in &sized.trials {
         let (body, limits) = (&trial.spec.body, &trial.spec.feasible);
+        let stiffness = body.stiffness.unwrap();
         let scale = 150.0 / (body.columns as f64 * 15.0);
         let lengths = [body.spacing / 15.0, body.ligament_length / 2.25, limits.min_edge / 3.0];
-        let others = [limits.clearance, limits.ligament_clearance / 0.5, body.stiffness.bend.sqrt()];
+        let others = [limits.clearance, limits.ligament_clearance / 0.5, stiffness.bend.sqrt()];
         let rate = trial.spec.optimise.learning_rate.unwrap() / 0.3;
         let all = [&lengths[..], &others[..], &[rate]].concat();
         assert!(all.iter().all(|part| (part / scale - 1.0).abs() < 1e-12), "{scale}: {all:?}");
-        assert_eq!((body.stiffness.stretch, body.stiffness.shear, body.diameter), (3.0, 0.5, None));
+        assert_eq!((stiffness.stretch, stiffness.shear, body.diameter), (3.0, 0.5, None));
         problem::problem(&trial.spec).unwrap();
     }
     let free = plan(&disc.replace("\ndiameter =", "\n# diameter ="));

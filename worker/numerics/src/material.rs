@@ -1,0 +1,51 @@
+//! A sheet of rubber: what a ligament opposes to being deformed, as a short beam of rectangular section.
+//!
+//! ```text
+//! k_l = E t w/l      k_θ = E I/l      k_s = 12 E I/(l³ (1 + Φ))      I = t w³/12      Φ = 12 E I/(κ G A l²) = (E/κG) (w/l)²
+//! ```
+//! Timoshenko's beam between two rigid ends (Przemieniecki, Theory of Matrix Structural Analysis, 1968, §5.6). Its energy is
+//! ½ k_l Δl² + ½ k_s (l γ)² + ½ k_θ Δθ², term by term that of MODEL.md. Rubber keeps its volume: E/G = 3, and
+//! κ = 10 (1 + ν)/(12 + 11 ν) = 6/7 with ν = ½ (Cowper 1966, doi:10.1115/1.3625046).
+
+use crate::dynamics::Stiffness;
+
+/// κ of a rectangle, ν = ½.
+const SHEAR_CORRECTION: f64 = 6.0 / 7.0;
+/// E/G, ν = ½.
+const YOUNG_TO_SHEAR: f64 = 3.0;
+
+/// A ligament as it is cast.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ligament {
+    /// E (MPa).
+    pub modulus: f64,
+    /// t, out of the plane (mm).
+    pub thickness: f64,
+    /// w, in the plane and across the ligament (mm).
+    pub width: f64,
+    /// l (mm).
+    pub length: f64,
+}
+
+impl Ligament {
+    /// Its stiffnesses.
+    pub fn stiffness(&self) -> Stiffness {
+        let Self { modulus, thickness, width, length } = *self;
+        let bend = modulus * thickness * width.powi(3) / (12.0 * length);
+        let shearing = YOUNG_TO_SHEAR / SHEAR_CORRECTION * (width / length).powi(2);
+        Stiffness {
+            stretch: modulus * thickness * width / length,
+            shear: 12.0 * bend / (length * length * (1.0 + shearing)),
+            bend,
+        }
+    }
+}
+
+/// Young's modulus (MPa) at small strain of rubber that a stress (MPa, of the undeformed section) stretches to twice its length:
+/// incompressible neo-Hookean, σ = E/3 (λ − λ⁻²) at λ = 2.
+pub fn modulus_at_rest(stress_at_100_percent: f64) -> f64 {
+    3.0 * stress_at_100_percent / (2.0 - 0.25)
+}
+
+#[cfg(test)]
+mod tests;

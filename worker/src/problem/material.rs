@@ -1,0 +1,73 @@
+//! What a body weighs and opposes to being deformed, from its spec.
+
+use metasense_numerics::dynamics::Stiffness;
+use metasense_numerics::material::{Ligament, modulus_at_rest};
+use metasense_schemas::spec::{self, Material, Rubber};
+
+use crate::invalid::{Invalid, invalid, not_negative, positive, require};
+
+/// The body with mass per area and stiffnesses in place of the material that gives them.
+///
+/// # Errors
+/// Where it has neither, or both.
+pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
+    let missing = |key| invalid(key, "", "must be given, or body.material in its place");
+    let Some(material) = body.material else {
+        body.density.ok_or_else(|| missing("body.density"))?;
+        body.stiffness.ok_or_else(|| missing("body.stiffness"))?;
+        return Ok(body.clone());
+    };
+    let given = [
+        ("body.density", body.density.map(|density| density.to_string())),
+        ("body.stiffness", body.stiffness.map(|_| "{ … }".to_owned())),
+    ];
+    for (key, value) in given {
+        if let Some(value) = value {
+            return Err(invalid(key, value, "cannot be given beside body.material, which gives it"));
+        }
+    }
+    let Material { rubber, modulus, density, thickness, ligament_width } = material;
+    let (stress, heavy) = rubber.map(Rubber::figures).unzip();
+    let found = |key: &str, own: Option<f64>, rubber: Option<f64>| {
+        let missing = || invalid(key, "", "must be given, or body.material.rubber in its place");
+        let value = own.or(rubber).ok_or_else(missing)?;
+        positive(key, value).map(|()| value)
+    };
+    let modulus = found("body.material.modulus", modulus, stress.map(modulus_at_rest))?;
+    let density = found("body.material.density", density, heavy)?;
+    positive("body.material.thickness", thickness)?;
+    positive("body.material.ligament_width", ligament_width)?;
+    positive("body.ligament_length", body.ligament_length)?;
+    let ligament = Ligament { modulus, thickness, width: ligament_width, length: body.ligament_length };
+    let Stiffness { stretch, shear, bend } = ligament.stiffness();
+    Ok(spec::Body {
+        density: Some(density * thickness),
+        stiffness: Some(spec::Stiffness { stretch, shear, bend }),
+        material: None,
+        ..body.clone()
+    })
+}
+
+/// Mass per area and stiffnesses, checked with what else there is of a material.
+pub(super) fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
+    let sheet = sheet(body)?;
+    let (density, stiffness) = sheet.density.zip(sheet.stiffness).expect("a sheet has both");
+    let spec::Stiffness { stretch, shear, bend } = stiffness;
+    positive("body.density", density)?;
+    not_negative("body.damping_ratio", body.damping_ratio)?;
+    positive("body.stiffness.stretch", stretch)?;
+    positive("body.stiffness.shear", shear)?;
+    positive("body.stiffness.bend", bend)?;
+    if let Some(contact) = &body.contact {
+        positive("body.contact.stiffness", contact.stiffness)?;
+        require(
+            contact.min_angle > -180.0
+                && contact.min_angle < contact.cutoff_angle
+                && contact.cutoff_angle < 180.0,
+            "body.contact.min_angle",
+            contact.min_angle,
+            "must be less than body.contact.cutoff_angle, both within ±180 degrees",
+        )?;
+    }
+    Ok((density, Stiffness { stretch, shear, bend }))
+}
