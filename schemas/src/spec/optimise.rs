@@ -306,11 +306,11 @@ pub struct Optimise {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frozen: Option<Vec<usize>>,
     /// Whose errors move the body: `"nominal"`, the body as designed; over casts that scatter as `[variation]` says, drawn
-    /// anew each step, `"mean"`, `"worst"` or `{ cvar = 0.9 }`, the mean of the worst tenth; for `"joint"` only. Default:
-    /// `"nominal"`.
+    /// anew each step, `"mean"`, `"worst"` or `{ cvar = 0.9 }`, the mean of the worst tenth; without a `[variation]` the same
+    /// over the logarithms of the errors under each part of `stimuli.mix`; for `"joint"` only. Default: `"nominal"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub objective: Option<Objective>,
-    /// Casts a step, `batch` samples each. Default: 4, with `reader = "each"` 3.
+    /// Casts a step, `batch` samples each. Default: 4, with `reader = "each"` 3; over a mixture its parts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
     /// The brain that reads them while the body is trained: `"one"` for all, or `"each"` its own. Default: `"one"`.

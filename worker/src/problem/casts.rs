@@ -2,7 +2,7 @@
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::Parameters;
-use metasense_numerics::trial::{CastReader, Casting};
+use metasense_numerics::trial::{CastReader, Casting, Over};
 use metasense_numerics::variation::Variation;
 use metasense_schemas::spec::{self, TrialSpec};
 
@@ -70,8 +70,10 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     let spec::Optimise { objective, casts, reader, protocol, .. } = trial.optimise.clone().resolved();
     let Some(tail) = objective.and_then(spec::Objective::tail) else { return Ok(None) };
     let shown = serde_json::to_string(&objective).unwrap_or_default();
-    if trial.variation.is_none() {
-        return Err(invalid("optimise.objective", shown, "needs a [variation] that says how casts scatter"));
+    let parts = trial.stimuli.mix.as_ref().filter(|_| trial.variation.is_none()).map(Vec::len);
+    if trial.variation.is_none() && parts.is_none() {
+        let remedy = "needs a [variation] that says how casts scatter, or a mixture of stimuli";
+        return Err(invalid("optimise.objective", shown, remedy));
     }
     let remedy = "means nothing to this optimise.protocol, only to joint";
     require(protocol == spec::Protocol::Joint, "optimise.objective", shown, remedy)?;
@@ -80,11 +82,14 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     let casts = casts.unwrap_or(1);
     at_least("optimise.casts", casts, 1)?;
     at_most("optimise.casts", casts, CASTS_MAX)?;
+    let remedy = "must be left out: without a [variation] the objective is over the parts of stimuli.mix";
+    require(parts.is_none_or(|parts| parts == casts), "optimise.casts", casts, remedy)?;
+    let over = if parts.is_some() { Over::Parts } else { Over::Casts };
     let reader = match reader {
         Some(spec::CastReader::Each) => CastReader::Each,
         _ => CastReader::One,
     };
-    Ok(Some(Casting { casts, tail, reader }))
+    Ok(Some(Casting { over, casts, tail, reader }))
 }
 
 /// Casts that are read in the comparison at the end.

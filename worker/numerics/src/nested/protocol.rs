@@ -16,7 +16,7 @@ use crate::dynamics::{Forces, Precision, Solver};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::select;
 use crate::trial::{
-    BrainKind, CastReader, Casting, Going, Protocol, Response, Samples, Terms, Trial, Trouble,
+    BrainKind, CastReader, Casting, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -39,11 +39,13 @@ pub(super) struct Session<'a> {
     learner: Box<dyn Learner + 'a>,
     /// Fresh samples of the last bodies by outer step, newest last.
     recent: Vec<(u32, Samples)>,
+    /// Error (%) of each part of a mixture at the first step, once an objective has asked.
+    first: Vec<f64>,
 }
 
 impl<'a> Session<'a> {
     pub(super) fn new(trial: &'a Trial<'a>) -> Self {
-        Self { trial, learner: learner(trial), recent: Vec::new() }
+        Self { trial, learner: learner(trial), recent: Vec::new(), first: Vec::new() }
     }
 
     /// Bodies that the brain is trained on at a time, at most.
@@ -124,14 +126,15 @@ impl<'a> Session<'a> {
         let fitted = self.fit(FitOn::Recent(&bodies), state, log);
         self.recent = recent;
         let loss_train = fitted?;
-        let weighted = self.trial.problem.optimise.casting.is_some_and(|casting| casting.tail < 1.0);
+        let plain = |casting: Casting| casting.tail == 1.0 && casting.over == Over::Casts;
+        let weighted = self.trial.problem.optimise.casting.is_some_and(|casting| !plain(casting));
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
             let (_, gradient) = self.gradient(cast, Loss::Training, log)?;
             let error = if weighted { self.learner.error(&cast.samples) } else { Some(loss_train) };
             found.push((error, gradient));
         }
-        let (_, gradient) = self.over_casts(found);
+        let (_, gradient) = self.over_casts(found, going, log)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
@@ -144,24 +147,50 @@ impl<'a> Session<'a> {
             let loss = self.learn(FitOn::Cast(&cast.samples), state, log)?;
             found.push((Some(loss), self.gradient(cast, Loss::Training, log)?.1));
         }
-        let (loss_train, gradient) = self.over_casts(found);
+        let (loss_train, gradient) = self.over_casts(found, going, log)?;
         state.check_trend(loss_train)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
     /// The objective of a step's casts, of the error and its gradient in α of each. One that tells no error counts as the worst.
-    fn over_casts(&self, found: Vec<(Option<f64>, Vec<f64>)>) -> (f64, Vec<f64>) {
+    fn over_casts(
+        &mut self,
+        found: Vec<(Option<f64>, Vec<f64>)>,
+        going: Going,
+        log: &mut Log,
+    ) -> Result<(f64, Vec<f64>), Trouble> {
         let (errors, gradients): (Vec<_>, Vec<_>) = found.into_iter().unzip();
         let errors: Vec<f64> = errors.into_iter().map(|error| error.unwrap_or(f64::INFINITY)).collect();
-        let casting = self.trial.problem.optimise.casting;
-        let weights = casting.map_or(vec![1.0; errors.len()], |casting| casting.weights(&errors));
+        let Some(casting) = self.trial.problem.optimise.casting else {
+            return Ok((errors[0], gradients.into_iter().next().unwrap_or_default()));
+        };
+        let (objective, weights) = casting.objective(&errors, self.first(casting, going, log)?);
         let mut gradient = vec![0.0; gradients[0].len()];
         for (by, of_cast) in weights.iter().zip(&gradients) {
             gradient.iter_mut().zip(of_cast).for_each(|(sum, g)| *sum += by * g);
         }
-        let counted = weights.iter().zip(&errors).filter(|(by, _)| **by > 0.0);
-        (counted.map(|(by, error)| by * error).sum(), gradient)
+        Ok((objective, gradient))
+    }
+
+    /// Error (%) of each part of a mixture on the initial body, by a brain fitted to the first step's samples; the same after a
+    /// resumption. Of no use to the mean of logarithms, whose derivative does not see it.
+    fn first(&mut self, casting: Casting, going: Going, log: &mut Log) -> Result<&[f64], Trouble> {
+        if casting.over == Over::Parts && self.first.is_empty() {
+            self.first = vec![1.0; casting.casts];
+            if casting.tail < 1.0 {
+                let (trial, counted) = (self.trial, log.report.counters);
+                let (mut learner, mut learnt) = (learner(trial), State::new(&trial.problem).learnt);
+                let parts = self.fresh(&trial.problem.initial, 0, going, false, log)?;
+                for (part, first) in parts.iter().zip(&mut self.first) {
+                    let counters = &mut log.report.counters;
+                    learner.fit(FitOn::Cast(&part.samples), 0, &mut learnt, counters)?;
+                    *first = learner.error(&part.samples).unwrap_or(1.0);
+                }
+                log.report.counters = counted;
+            }
+        }
+        Ok(&self.first)
     }
 
     /// A search's candidate is worth its test error, read by a brain that its training set alone has trained: one that went on from
@@ -268,36 +297,39 @@ impl<'a> Session<'a> {
             let test = self.look(None, state, trial.test.clone(), log)?;
             return Ok(self.test_error(&test.samples, log));
         };
-        let casts = LOOKED_AT.min(trial.test.samples);
+        let Protocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
+        let over_parts = casting.over == Over::Parts;
+        let casts = if over_parts { casting.casts } else { LOOKED_AT.min(trial.test.samples) };
+        let parts = problem.parts();
         let mut errors = Vec::with_capacity(casts);
         for number in 0..casts {
-            let dealt = |forces: &Forces, most: usize| {
-                let own: Vec<usize> = (number..forces.samples).step_by(casts).take(most).collect();
-                select(forces, &own)
+            // of a mixture's parts the samples of each, of casts so-many-th
+            let dealt = |set: usize, forces: &Forces, most: usize| {
+                let is_own =
+                    |i: &usize| if over_parts { parts[set][*i] == number } else { i % casts == number };
+                select(forces, &(0..forces.samples).filter(is_own).take(most).collect::<Vec<_>>())
             };
             let cast = trial.cast(Casts::Look, number as u64);
             let mut error = || {
-                if let (CastReader::Each, Protocol::Joint(going)) =
-                    (casting.reader, problem.optimise.protocol)
-                {
-                    let train = dealt(&trial.train, going.batch);
+                if casting.reader == CastReader::Each {
+                    let train = dealt(0, &trial.train, going.batch);
                     let train = self.look(cast.as_ref(), state, train, log)?.samples;
                     // what it learns here is not for the steps to come
                     let (on, mut learnt) = (FitOn::Cast(&train), state.learnt.clone());
                     let counters = &mut log.report.counters;
                     self.learner.fit(on, state.step, &mut learnt, counters)?;
                 }
-                let test = self.look(cast.as_ref(), state, dealt(&trial.test, usize::MAX), log)?;
+                let test = self.look(cast.as_ref(), state, dealt(1, &trial.test, usize::MAX), log)?;
                 Ok::<_, Trouble>(self.learner.error(&test.samples))
             };
             // a cast that fails is read entirely wrong
             errors.extend(error().unwrap_or(Some(100.0)));
         }
-        if errors.is_empty() {
+        if errors.is_empty() || over_parts && errors.len() < casts {
             return Ok(None);
         }
-        let weights = casting.weights(&errors);
-        log.report.error_test = Some(weights.iter().zip(&errors).map(|(by, error)| by * error).sum());
+        let first = self.first(casting, going, log)?;
+        log.report.error_test = Some(casting.objective(&errors, first).0);
         Ok(log.report.error_test)
     }
 
@@ -340,9 +372,16 @@ impl<'a> Session<'a> {
     ) -> Result<Vec<Response>, Trouble> {
         let (trial, solver) = (self.trial, self.solver(step));
         let casts = trial.problem.optimise.casting.map_or(1, |casting| casting.casts as u64);
+        let over_parts = trial.problem.optimise.casting.is_some_and(|casting| casting.over == Over::Parts);
         let mut responses = Vec::with_capacity(casts as usize);
         for number in u64::from(step) * casts..(u64::from(step) + 1) * casts {
-            let forces = trial.problem.forces(Purpose::Fresh, number * going.batch as u64, going.batch);
+            let forces = match over_parts {
+                true => {
+                    let first = u64::from(step) * going.batch as u64;
+                    trial.problem.part((number % casts) as usize, Purpose::Fresh, first, going.batch)
+                }
+                false => trial.problem.forces(Purpose::Fresh, number * going.batch as u64, going.batch),
+            };
             let cast = trial.problem.optimise.casting.and_then(|_| trial.cast(Casts::Step, number));
             let response = log.timed(
                 |s| &mut s.simulate,

@@ -19,8 +19,8 @@ pub use samples::Samples;
 pub(crate) use samples::{error_of_each, mean_error, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
-    BrainKind, CastReader, Casting, Decoder, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Terms,
-    Training,
+    BrainKind, CastReader, Casting, Decoder, Evaluation, Going, Optimise, Over, Protocol, Ridge, Schedule,
+    Terms, Training,
 };
 
 use crate::dynamics::{

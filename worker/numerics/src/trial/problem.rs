@@ -126,6 +126,28 @@ impl Problem {
         self.forces_of(&self.stimuli.source, purpose, first, count)
     }
 
+    /// The same of one part of a mixture, which is that source's own sample of each number.
+    pub(crate) fn part(&self, part: usize, purpose: Purpose, first: u64, count: usize) -> Forces {
+        match &self.stimuli.source {
+            Source::Mix(parts) => self.forces_of(&parts[part].1, purpose, first, count),
+            whole => self.forces_of(whole, purpose, first, count),
+        }
+    }
+
+    /// The part of the mixture that each sample of the training and of the test set is of.
+    pub(crate) fn parts(&self) -> [Vec<usize>; 2] {
+        let Stimuli { samples, test, ref source, .. } = self.stimuli;
+        let of = match source {
+            Source::Mix(parts) => {
+                let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
+                drawn(&weights, Purpose::Stimulus, self.seed, 0..samples as u64)
+            }
+            _ => vec![0; samples],
+        };
+        let (train, test) = split(self.seed, samples, test);
+        [train, test].map(|set| set.into_iter().map(|sample| of[sample]).collect())
+    }
+
     fn forces_of(&self, source: &Source, purpose: Purpose, first: u64, count: usize) -> Forces {
         let (panels, scene) = (self.scene.panels.len(), &self.scene);
         let (duration, instants) = (scene.duration, self.stimuli.instants);

@@ -61,15 +61,27 @@ pub struct Optimise {
     pub casting: Option<Casting>,
 }
 
-/// Casts that a body is trained for, drawn anew each outer step.
+/// Casts, or kinds of forces, that a body is trained for, drawn anew each outer step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Casting {
-    /// How many a step, a batch of samples each.
+    /// Which of the two.
+    pub over: Over,
+    /// How many casts a step, a batch of samples each; or all parts of the mixture.
     pub casts: usize,
     /// The part of them, those read worst, whose mean loss moves the body: 1 all, 0 the worst alone.
     pub tail: f64,
     /// Which brain reads them while the body is trained.
     pub reader: CastReader,
+}
+
+/// What an objective is over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Over {
+    /// Casts that scatter; the objective is of their losses.
+    Casts,
+    /// Parts of a mixture of forces; the objective is of the logarithms of their losses, which may differ tenfold from the
+    /// beginning.
+    Parts,
 }
 
 /// Which brain reads casts.
@@ -82,6 +94,28 @@ pub enum CastReader {
 }
 
 impl Casting {
+    /// The objective of losses, and its derivative by each. Parts of a mixture are ranked by how far they have come from their
+    /// first losses.
+    pub fn objective(&self, losses: &[f64], first: &[f64]) -> (f64, Vec<f64>) {
+        let sum = |weights: &[f64], of: &dyn Fn(f64) -> f64| {
+            let counted = weights.iter().zip(losses).filter(|(by, _)| **by > 0.0);
+            counted.map(|(by, loss)| by * of(*loss)).sum::<f64>()
+        };
+        match self.over {
+            Over::Casts => {
+                let weights = self.weights(losses);
+                (sum(&weights, &|loss| loss), weights)
+            }
+            Over::Parts => {
+                let ratios: Vec<f64> = losses.iter().zip(first).map(|(loss, first)| loss / first).collect();
+                let mut weights = self.weights(&ratios);
+                let mean = sum(&weights, &f64::ln).exp();
+                weights.iter_mut().zip(losses).for_each(|(by, loss)| *by *= mean / loss);
+                (mean, weights)
+            }
+        }
+    }
+
     /// Weight of each cast's loss in the objective; their sum is 1. With a tail of 1 − q the objective is the conditional value at
     /// risk at level q (Rockafellar and Uryasev 2000, doi:10.21314/JOR.2000.038).
     pub fn weights(&self, losses: &[f64]) -> Vec<f64> {

@@ -21,10 +21,28 @@ fn few_samples_may_fail() {
     }
 }
 
+/// Over parts of a mixture: the geometric mean, whose derivative by each loss is its share of it; the worst is the one that has come
+/// least far from its first loss.
+#[test]
+fn an_objective_over_parts_is_of_relative_errors() {
+    let of = |tail| Casting { over: Over::Parts, casts: 2, tail, reader: CastReader::One };
+    let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} for {b}");
+    let (mean, weights) = of(1.0).objective(&[4.0, 1.0], &[1.0, 1.0]);
+    for (a, b) in [(mean, 2.0), (weights[0], 0.25), (weights[1], 1.0)] {
+        near(a, b);
+    }
+    let (worst, weights) = of(0.0).objective(&[4.0, 1.0], &[8.0, 1.5]);
+    for (a, b) in [(worst, 1.0), (weights[0], 0.0), (weights[1], 1.0)] {
+        near(a, b);
+    }
+}
+
 /// The mean of all casts, of the worst half, of a worst part that cuts through one, and the worst alone.
 #[test]
 fn an_objective_weighs_the_worst_casts() {
-    let weights = |tail| Casting { casts: 4, tail, reader: CastReader::One }.weights(&[3.0, 1.0, 4.0, 2.0]);
+    let weights = |tail| {
+        Casting { over: Over::Casts, casts: 4, tail, reader: CastReader::One }.weights(&[3.0, 1.0, 4.0, 2.0])
+    };
     assert_eq!(weights(1.0), [0.25; 4]);
     assert_eq!(weights(0.5), [0.5, 0.0, 0.5, 0.0]);
     let cut = weights(0.4);

@@ -5,7 +5,7 @@ use super::linear::linear;
 use super::*;
 use crate::brains::{Plain, solve};
 use crate::dynamics::{Parameters, Precision};
-use crate::trial::{CastReader, Casting, Samples};
+use crate::trial::{CastReader, Casting, Over, Samples};
 use crate::variation::{Casts, Variation};
 
 /// Every parameter of the scene and every node scatter.
@@ -21,17 +21,30 @@ fn cast(casting: Casting) -> Problem {
     problem
 }
 
-const MEAN: Casting = Casting { casts: 3, tail: 1.0, reader: CastReader::One };
+const MEAN: Casting = Casting { over: Over::Casts, casts: 3, tail: 1.0, reader: CastReader::One };
 const EACH: Casting = Casting { reader: CastReader::Each, ..MEAN };
 const WORST: Casting = Casting { tail: 0.0, ..EACH };
 
+const PARTS: Casting = Casting { over: Over::Parts, casts: 2, ..EACH };
+
+/// Of slow pulses and of loud ones, trained for both parts.
+fn mixed(casting: Casting) -> Problem {
+    let mut problem = linear(Protocol::Joint(GOING));
+    let Source::Bell(bell) = problem.stimuli.source else { panic!("bells") };
+    let loud = Bell { amplitude: [2.0, 4.0], width: [0.02, 0.05], ..bell };
+    problem.stimuli.source = Source::Mix(vec![(0.5, Source::Bell(bell)), (0.5, Source::Bell(loud))]);
+    problem.optimise.casting = Some(casting);
+    problem
+}
+
 /// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts of all that scatters: of one brain for all of them, of a brain a cast, and of the
-/// worst cast.
+/// worst cast; over the parts of a mixture of their logarithms.
 #[test]
 fn the_gradient_over_casts_is_that_of_their_objective() {
-    let ridge = 1e-3;
-    for casting in [MEAN, EACH, WORST, Casting { tail: 0.5, ..EACH }] {
-        let mut problem = cast(casting);
+    for casting in [MEAN, EACH, WORST, Casting { tail: 0.5, ..EACH }, PARTS] {
+        let mut problem = if casting.over == Over::Parts { mixed(casting) } else { cast(casting) };
+        // the logarithm is that of the error alone, and bends more under loud forces
+        let (ridge, near) = if casting.over == Over::Parts { (1e-11, 0.1) } else { (1e-3, 1.0) };
         problem.solver.accuracy = Accuracy(1e-11);
         problem.decoder.ridge = Ridge::Given(ridge);
         problem.optimise.coarse = None;
@@ -40,12 +53,17 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
         let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
         let mut log = Log::new(0, &mut keeper);
         let gradient = Session::new(&trial).sense(&mut state, &mut log).unwrap().gradient;
-        assert_eq!(log.report.fresh_samples, 3 * GOING.batch as u64);
+        assert_eq!(log.report.fresh_samples, (casting.casts * GOING.batch) as u64);
 
         let loss = |design: &[f64]| {
-            let sets: Vec<Samples> = (0..3)
+            let sets: Vec<Samples> = (0..casting.casts as u64)
                 .map(|number| {
-                    let forces = problem.forces(Purpose::Fresh, number * GOING.batch as u64, GOING.batch);
+                    let forces = match casting.over {
+                        Over::Casts => {
+                            problem.forces(Purpose::Fresh, number * GOING.batch as u64, GOING.batch)
+                        }
+                        Over::Parts => problem.part(number as usize, Purpose::Fresh, 0, GOING.batch),
+                    };
                     let cast = trial.cast(Casts::Step, number);
                     let (solver, counters) = (&problem.solver, &mut Counters::default());
                     trial
@@ -72,7 +90,10 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
                 return least(&plain(&Samples::joined(&sets.iter().collect::<Vec<_>>())));
             }
             let each: Vec<f64> = sets.iter().map(|set| least(&plain(set))).collect();
-            casting.weights(&each).iter().zip(&each).map(|(by, loss)| by * loss).sum()
+            match casting.over {
+                Over::Casts => casting.weights(&each).iter().zip(&each).map(|(by, loss)| by * loss).sum(),
+                Over::Parts => (each.iter().map(|loss| loss.ln()).sum::<f64>() / each.len() as f64).exp(),
+            }
         };
         let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
         let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();
@@ -80,7 +101,7 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
         let at = |step: f64| {
             loss(&problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d).collect::<Vec<_>>())
         };
-        let (start, steps) = (at(0.0), [4e-3, 2e-3, 1e-3]);
+        let (start, steps) = (at(0.0), [4e-3, 2e-3, 1e-3].map(|step| near * step));
         let remainders = steps.map(|step| (at(step) - start - step * slope).abs());
         let orders = [0, 1].map(|i| (remainders[i] / remainders[i + 1]).log2());
         let second = orders.iter().all(|order| (1.8..2.2).contains(order));
@@ -98,7 +119,9 @@ fn readings(found: &Optimised) -> Vec<(u32, CastBrain, u64)> {
 fn a_loop_over_casts_goes_on_to_the_same_bits() {
     let network = scattered(small(Protocol::Joint(GOING)));
     let network = Problem { optimise: Optimise { casting: Some(MEAN), ..network.optimise }, ..network };
-    for mut problem in [cast(MEAN), cast(WORST), network] {
+    let parts =
+        [PARTS, Casting { tail: 0.0, reader: CastReader::One, ..PARTS }].map(|of| scattered(mixed(of)));
+    for mut problem in [cast(MEAN), cast(WORST), network].into_iter().chain(parts) {
         (problem.optimise.iterations, problem.evaluation.casts) = (12, 3);
         let mut whole = Keeper::default();
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
