@@ -130,7 +130,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     };
     Ok(Measured {
         signals: readings.iter().flat_map(read).collect(),
-        forces: Forces { samples: forces.len(), panels, instants: own, values },
+        forces: Forces { samples: forces.len(), panels, instants: own, values, strikes: Vec::new() },
         low_pass,
     })
 }

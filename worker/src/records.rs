@@ -142,7 +142,13 @@ pub(crate) fn recorded(
         .collect();
     let held = records[0].values.len();
     Ok(Recorded {
-        histories: Arc::new(Forces { samples: records.len(), panels: held, instants, values }),
+        histories: Arc::new(Forces {
+            samples: records.len(),
+            panels: held,
+            instants,
+            values,
+            strikes: Vec::new(),
+        }),
         struck: recorded.panels.clone(),
         scale: recorded.augment.scale,
         shift: recorded.augment.shift,

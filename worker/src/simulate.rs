@@ -42,7 +42,7 @@ pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces
         [samples, k, clock]
             if samples > 0 && k == panels && clock > 1 && (clock - 1).is_multiple_of(instants) =>
         {
-            Ok(Forces { samples, panels, instants: clock - 1, values })
+            Ok(Forces { samples, panels, instants: clock - 1, values, strikes: Vec::new() })
         }
         _ => Err(Failure::Rejected(format!(
             "the forces have shape {shape:?}; it must be (N, K, T + 1) = (N, {panels}, {}), or a clock finer by a whole factor",

@@ -9,7 +9,6 @@ use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, Tuned, tune};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::random::Purpose;
-use metasense_numerics::stimuli::select;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::replay::drawing;
@@ -105,7 +104,7 @@ impl Body {
                 "first = {first}, count = {count}: the trial has {has} {set} samples"
             )));
         }
-        Ok(select(&all, &(first..first + count).collect::<Vec<usize>>()))
+        Ok(all.select(&(first..first + count).collect::<Vec<usize>>()))
     }
 }
 
@@ -306,7 +305,8 @@ impl Body {
         first: usize,
         count: Option<usize>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let Forces { samples, panels, instants, values } = py.detach(|| self.samples(set, first, count))?;
+        let Forces { samples, panels, instants, values, .. } =
+            py.detach(|| self.samples(set, first, count))?;
         values.into_pyarray(py).reshape([samples, panels, instants + 1])
     }
 

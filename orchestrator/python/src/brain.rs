@@ -113,7 +113,7 @@ impl LinearBrain {
         };
         let seed = slf.seed;
         let fitted = py.detach(|| {
-            let forces = Forces { samples: n, panels, instants: clock - 1, values };
+            let forces = Forces { samples: n, panels, instants: clock - 1, values, strikes: Vec::new() };
             let sizes = Sizes { instants, channels, outputs: panels };
             let known = Samples::new(sizes, signals, targets(&forces, instants, false));
             decoder.fit(seed, &known, signal_scale)

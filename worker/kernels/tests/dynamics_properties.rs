@@ -45,7 +45,16 @@ fn pushes(scene: &Scene, samples: usize, amplitude: f64) -> Forces {
             }
         }
     }
-    Forces { samples, panels, instants, values }
+    Forces { samples, panels, instants, values, strikes: Vec::new() }
+}
+
+/// The same forces off the centroids and their panels' directions, another way for each sample and panel.
+fn struck(scene: &Scene, forces: Forces) -> Forces {
+    let strike = |n: usize| {
+        let (offset, angle) = (3.0 * (1.1 * n as f64).cos(), 0.4 * (2.3 * n as f64).sin());
+        scene.panels[n % forces.panels].struck(offset, angle)
+    };
+    Forces { strikes: (0..forces.samples * forces.panels).map(strike).collect(), ..forces }
 }
 
 /// The initial design, shaken.
@@ -76,7 +85,7 @@ fn every_width_computes_the_same() {
         Scene { linearised: true, ..base.clone() },
         Scene { frame: Frame::Body, contact: Some(contact), ..base },
     ] {
-        let (design, forces) = (shaken(&scene), pushes(&scene, 11, 0.4));
+        let (design, forces) = (shaken(&scene), struck(&scene, pushes(&scene, 11, 0.4)));
         for plan in [Plan::tsit5(Tolerance::both(1e-6)), Plan::equal(Method::Nystrom4, 24)] {
             let at = |width| {
                 let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
@@ -162,7 +171,7 @@ fn samples_begin_with_their_forces() {
             let together = of(&all);
             let mut sum = vec![0.0; together.len()];
             for i in 0..forces.samples {
-                let own = Forces { samples: 1, values: forces.sample(i).to_vec(), ..forces };
+                let own = forces.select(&[i]);
                 let alone = run(&scene, &design, &own, &plan, true, &pool(1));
                 let signals = &all.signals[i * instants * width..][..instants * width];
                 assert_eq!(signals, alone.signals, "sample {i}");
@@ -178,6 +187,40 @@ fn samples_begin_with_their_forces() {
     }
 }
 
+/// A free unit without damping: a = d f/m and ω = (r × d)∫f/J, of each sample its own, whoever had its lane before. A force on
+/// the centroid turns nothing.
+#[test]
+fn a_blow_off_the_centroid_turns_the_unit() {
+    let layout = Layout::planar(1, 1, 15.0, 2.25);
+    let scene = Scene { layout, damping_ratio: 0.0, clamped: Vec::new(), sensors: vec![0], ..small_scene() };
+    let scene = Scene { panels: vec![Panel { unit: 0, direction: [0.6, -0.8] }], ..scene };
+    let design = scene.layout.initial_design(0.4363);
+    let central = pushes(&scene, 21, 0.4);
+    let blows = struck(&scene, central.clone());
+    let Geometry { mass, moment, .. } = Geometry::new(&scene.layout, &design, scene.density);
+    let (m, j, delta) = (mass[0], moment[0], scene.duration / scene.instants as f64);
+    for plan in [plan(Method::Tsit5, 0), plan(Method::Leapfrog, 2), plan(Method::Nystrom6, 2)] {
+        for forces in [&central, &blows] {
+            let run = run(&scene, &design, forces, &plan, false, &pool(1));
+            let mut truth = Vec::new();
+            for (i, f) in forces.values.chunks(scene.instants + 1).enumerate() {
+                let [x, y, arm] = forces.strike(&scene.panels, i, 0);
+                let mut impulse = 0.0;
+                for pair in f.windows(2) {
+                    impulse += 0.5 * delta * (pair[0] + pair[1]);
+                    truth.extend([x * pair[1] / m, y * pair[1] / m, arm * impulse / j]);
+                }
+            }
+            let turns = |s: &[f64]| -> Vec<f64> { s.iter().skip(2).step_by(3).copied().collect() };
+            let (off, omega) = (relative(&run.signals, &truth), turns(&run.signals));
+            assert!(off < 1e-12 && relative(&omega, &turns(&truth)) < 1e-12, "{:?}: {off:e}", plan.method);
+            assert_eq!(norm(&omega) > 0.0, !forces.strikes.is_empty());
+        }
+    }
+    // 2 mm to the left of a blow to the right: above the centroid, so that it turns clockwise
+    assert_eq!(Panel { unit: 0, direction: [1.0, 0.0] }.struck(2.0, 0.0), [1.0, 0.0, -2.0]);
+}
+
 /// |J(f + εδ) − J(f) − ε g·δ| falls with slope 2 in the forces, J half the square of the signals' norm, with two kinks an interval.
 #[test]
 fn gradients_in_the_forces_pass_a_taylor_test() {
@@ -186,8 +229,8 @@ fn gradients_in_the_forces_pass_a_taylor_test() {
     let mut slopes = Vec::new();
     for scene in [base.clone(), Scene { frame: Frame::Body, contact, ..base }] {
         let fine = Scene { instants: 2 * scene.instants, ..scene.clone() };
-        let (design, forces) = (shaken(&scene), pushes(&fine, 9, 0.4));
-        for (method, steps) in [(Method::Tsit5, 0), (Method::Leapfrog, 60), (Method::Nystrom6, 12)] {
+        let (design, forces) = (shaken(&scene), struck(&scene, pushes(&fine, 9, 0.4)));
+        for (method, steps) in [(Method::Tsit5, 0), (Method::Leapfrog, 120), (Method::Nystrom6, 12)] {
             let plan = plan(method, steps);
             let at = |forces: &Forces| run(&scene, &design, forces, &plan, true, &pool(1));
             let here = at(&forces);
@@ -201,7 +244,7 @@ fn gradients_in_the_forces_pass_a_taylor_test() {
             assert!(slope != 0.0);
             let r = [0.01, 0.005, 0.0025].map(|epsilon| {
                 let values = forces.values.iter().zip(&along).map(|(f, a)| f + epsilon * a).collect();
-                let there = norm(&at(&Forces { values, ..forces }).signals).powi(2) / size;
+                let there = norm(&at(&Forces { values, ..forces.clone() }).signals).powi(2) / size;
                 (0.5 * (there - 1.0) - epsilon * slope).abs()
             });
             slopes.push((method, (r[0] / r[1]).log2(), (r[1] / r[2]).log2()));
@@ -235,7 +278,7 @@ fn forces_of_zero_have_a_gradient() {
         let [plain, gradient] = [Wrt::Design, Wrt::Forces].map(|wrt| here.vjp(&cotangent, wrt, &pool(1)));
         let off = relative(&gradient.design, &plain.design);
         assert!(off < 1e-11 && plain.forces.is_none(), "{method:?}: {off:e}");
-        let first = at(&Forces { samples: 1, values: forces.sample(0).to_vec(), ..forces });
+        let first = at(&forces.select(&[0]));
         let [less, more] = [Wrt::Design, Wrt::Forces].map(|wrt| {
             first.vjp(&cotangent[..cotangent.len() / 4], wrt, &pool(1)).counters.force_evaluations
         });
@@ -373,7 +416,8 @@ fn a_pilot_says_what_it_cannot_measure() {
     let law = choose(&scene, &design, &auto).steps.count();
     // So hard that errors fall but not to 1e-3, and so hard that motion is chaotic
     for (factor, refined) in [(300.0, 8), (10_000.0, 1)] {
-        let forces = Forces { values: forces.values.iter().map(|f| factor * f).collect(), ..forces };
+        let values = forces.values.iter().map(|f| factor * f).collect();
+        let forces = Forces { values, ..forces.clone() };
         let wild = tune(&scene, &design, &forces, &auto, &pool(1));
         assert!(wild.error.is_none() && wild.plan.reason.contains("no steps of the pilot"), "{wild:?}");
         assert_eq!(wild.plan.steps.count(), refined * law, "{factor}: {}", wild.plan.reason);

@@ -40,7 +40,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let design = scene.layout.initial_design(0.4363);
     let push = |n: usize| 0.2 * (0.3 * n as f64).sin();
     let values = (0..samples * (instants + 1)).map(push).collect();
-    let forces = Forces { samples, panels: 1, instants, values };
+    let forces = Forces { samples, panels: 1, instants, values, strikes: Vec::new() };
     let mut signals = Vec::new();
     for method in [Method::Tsit5, Method::Nystrom4] {
         let solver = match method {

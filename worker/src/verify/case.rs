@@ -191,7 +191,7 @@ impl Case {
     pub fn forces(&self, scene: &Scene) -> Result<Forces, CaseError> {
         let (samples, panels, instants) = (self.size("N")?, scene.panels.len(), scene.instants);
         let values = self.array_of("forces", samples * panels * (instants + 1))?;
-        Ok(Forces { samples, panels, instants, values })
+        Ok(Forces { samples, panels, instants, values, strikes: Vec::new() })
     }
 }
 

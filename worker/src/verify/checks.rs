@@ -79,7 +79,7 @@ fn short() -> (Scene, Vec<f64>, Forces) {
     (scene.duration, scene.instants) = (0.1, 20);
     let push = |n: usize| 0.4 * (std::f64::consts::PI * n as f64 / 20.0).sin().powi(2);
     let values = (0..2).flat_map(|_| (0..=20).map(push)).collect();
-    (scene, design, Forces { samples: 1, panels: 2, instants: 20, values })
+    (scene, design, Forces { samples: 1, panels: 2, instants: 20, values, strikes: Vec::new() })
 }
 
 /// Order of convergence of each scheme of equal steps, from n and 2n steps an interval against a far finer run, with damping
@@ -120,7 +120,7 @@ fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     // A smooth blow from 0 to 0.2 s on both panels: kinks between instants would cost Simpson's rule its order.
     let blow = |n: usize| 0.4 * (std::f64::consts::PI * (n as f64 / 16_000.0).min(1.0)).sin().powi(4);
     let values = (0..2).flat_map(|_| (0..=20_000).map(blow)).collect();
-    let forces = Forces { samples: 1, panels: 2, instants: 20_000, values };
+    let forces = Forces { samples: 1, panels: 2, instants: 20_000, values, strikes: Vec::new() };
     let run = simulate(&scene, &design, &forces, &solver, true, pool);
     let name = format!("energy balance, {}", solver.method.name());
     let Some(tape) = run.tape else { return Row::failed(name) };
@@ -239,7 +239,9 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
             },
             1,
         ),
+        ("struck off the centroids", base.clone(), 1),
     ];
+    let count = scenes.len();
     let mut stream = Stream::new(Purpose::Design, 6, [0, 0]);
     let solver = match solver.method {
         Method::Tsit5 => Solver::tsit5(Tolerance::both(1e-7)),
@@ -250,7 +252,12 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
         let instants = kinks * blow.instants;
         // Accelerations of slow motion are small differences of large forces, and mostly rounding at 1e-12.
         let values = (0..2 * (instants + 1)).map(|_| 0.4 * stream.normal()).collect();
-        let forces = Forces { instants, values, ..blow };
+        let strike = |panel: &Panel| panel.struck(-2.5, 0.3);
+        let strikes = match name {
+            "struck off the centroids" => scene.panels.iter().map(strike).collect(),
+            _ => Vec::new(),
+        };
+        let forces = Forces { instants, values, strikes, ..blow };
         let simulation = simulate(&scene, &design, &forces, &solver, true, pool);
         let v: Vec<f64> = design.iter().map(|_| stream.normal()).collect();
         let turned = Parameters::of(&scene).array().map(|p| p * stream.normal());
@@ -284,7 +291,7 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     let whats = whats.into_iter().chain(["signals by a plain program".into()]);
     let row = |(what, (scene, apart))| {
         Row::new(format!("{what}, {}", solver.method.name()), apart, 1e-11)
-            .noted(format!("at most, in seven scenes: {scene}"))
+            .noted(format!("at most, in {count} scenes: {scene}"))
     };
     whats.zip(worst).map(row).collect()
 }
@@ -319,7 +326,7 @@ fn threads(solver: Solver) -> Row {
         (run.signals, gradient)
     };
     let (one, three) = (run(&forces, 1), run(&forces, 3));
-    let alone = run(&stimuli::select(&forces, &[7]), 1).0;
+    let alone = run(&forces.select(&[7]), 1).0;
     let per_sample = one.0.len() / 10;
     let same = one == three && alone == one.0[7 * per_sample..8 * per_sample];
     let error = if same { 0.0 } else { relative(&three.0, &one.0).max(f64::MIN_POSITIVE) };

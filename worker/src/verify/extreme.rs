@@ -85,7 +85,7 @@ fn hammer(scale: f64, judged: bool) -> Extreme {
         let (force, source) = blow();
         e.source = source;
         let values = force.iter().map(|f| scale * f).chain(std::iter::repeat_n(0.0, 1281)).collect();
-        e.forces = Forces { samples: 1, panels: 2, instants: 1280, values };
+        e.forces = Forces { samples: 1, panels: 2, instants: 1280, values, strikes: Vec::new() };
     })
 }
 

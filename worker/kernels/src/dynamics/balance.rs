@@ -5,10 +5,9 @@
 //! ```
 //! Steps too long for the highest mode feed energy into it that nobody has put in; signals can then be finite and huge.
 
-use super::Scene;
 use super::energy::contact_energy;
 use super::model::Model;
-use super::system::Unit;
+use super::system::{System, Unit};
 use crate::lanes::Vector;
 
 /// Part of the most work done so far by which the left side may exceed the right: 0.001 by steps that follow the motion, 0.03 where
@@ -16,11 +15,10 @@ use crate::lanes::Vector;
 const LEEWAY: f64 = 0.05;
 
 /// Work done by the panels' forces on up to eight samples.
-pub struct Balance<'a, V> {
-    scene: &'a Scene,
+pub struct Balance<V> {
     /// (m, m, J), zero where clamped.
     mass: Vec<[f64; 3]>,
-    /// Of each panel: its unit's place along the force, and the force.
+    /// Of each panel: how far its unit is along the force, and the force.
     before: Vec<[V; 2]>,
     /// W, its largest value so far, and what has been dissipated.
     work: V,
@@ -30,10 +28,10 @@ pub struct Balance<'a, V> {
     floor: f64,
 }
 
-impl<'a, V: Vector> Balance<'a, V> {
+impl<V: Vector> Balance<V> {
     /// At rest, under the forces at the beginning.
     #[inline(always)]
-    pub fn new(scene: &'a Scene, model: &Model, force: &[V]) -> Self {
+    pub fn new(model: &Model, force: &[V]) -> Self {
         let zero = V::splat(0.0);
         let mass = model.inverse_mass.iter().map(|m| m.map(|m| if m > 0.0 { 1.0 / m } else { 0.0 }));
         let before = force.iter().map(|f| [zero, *f]).collect();
@@ -43,16 +41,15 @@ impl<'a, V: Vector> Balance<'a, V> {
         let length = model.bars.first().map_or(1.0, |bar| bar.length);
         let epsilon = if V::SINGLE { f64::from(f32::EPSILON) } else { f64::EPSILON };
         let floor = epsilon * model.stiffness.stretch * length * length;
-        Self { scene, mass: mass.collect(), before, work, most: work, lost: zero, floor }
+        Self { mass: mass.collect(), before, work, most: work, lost: zero, floor }
     }
 
     /// Adds the work on the way to the places `x`, where `force` acts, and the energy that was `lost` on it.
     #[inline(always)]
-    pub fn add(&mut self, x: &[Unit<V>], force: &[V], lost: V) {
+    pub fn add(&mut self, system: &System<'_, V>, x: &[Unit<V>], force: &[V], lost: V) {
         self.lost = self.lost + lost;
-        for ((panel, before), f) in self.scene.panels.iter().zip(&mut self.before).zip(force) {
-            let [p, q] = panel.direction.map(V::splat);
-            let at = p.mul_add(x[panel.unit][0], q * x[panel.unit][1]);
+        for (k, (before, f)) in self.before.iter_mut().zip(force).enumerate() {
+            let at = system.along(k, x);
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];
         }

@@ -245,6 +245,8 @@ fn check(scene: &Scene, design: &[f64], forces: &Forces) {
         forces.samples * forces.panels * (forces.instants + 1),
         "length of the forces"
     );
+    let strikes = forces.strikes.len();
+    assert!([0, forces.samples * forces.panels].contains(&strikes), "{strikes} strikes");
     let named =
         scene.clamped.iter().chain(&scene.sensors).copied().chain(scene.panels.iter().map(|p| p.unit));
     assert!(named.into_iter().all(|u| u < units), "a unit beyond the body's {units}");

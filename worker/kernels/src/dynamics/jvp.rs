@@ -184,8 +184,9 @@ impl<'a> Body<'a> {
         let (stretch, shearing, bending, touch) = (*stretch, *shearing, *bending, *touch);
         let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
         for (k, panel) in scene.panels.iter().enumerate() {
-            for d in 0..2 {
-                let push = panel.direction[d] * self.force(k, interval, w);
+            let strike = self.forces.strike(&scene.panels, self.sample, k);
+            for d in 0..3 {
+                let push = strike[d] * self.force(k, interval, w);
                 net[panel.unit][d] = net[panel.unit][d] + push;
             }
         }

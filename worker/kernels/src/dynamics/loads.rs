@@ -1,7 +1,7 @@
 //! The panels' forces in lanes: of lanes in lockstep, at equal steps, and of lanes on clocks of their own.
 
-use super::system::Unit;
-use super::{Forces, Panel, Scene};
+use super::system::{System, Unit};
+use super::{Forces, Scene};
 use crate::lanes::{LANES, Vector};
 
 /// Forces of up to eight samples at equal steps, which end at every kink.
@@ -52,11 +52,11 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
 
     /// Adds what the forces given last, whose work on the units has the cotangent `w`, pass on to the histories, where asked.
     #[inline(always)]
-    pub fn add_vjp(&mut self, panels: &[Panel], w: &[Unit<V>]) {
+    pub fn add_vjp(&mut self, system: &System<'_, V>, w: &[Unit<V>]) {
         let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
         let part = V::splat(self.part);
-        for (panel, of) in panels.iter().zip(self.cotangent.chunks_exact_mut(self.forces.instants + 1)) {
-            let bar = panel.push_vjp(&w[panel.unit]);
+        for (k, of) in self.cotangent.chunks_exact_mut(self.forces.instants + 1).enumerate() {
+            let bar = system.along(k, w);
             let late = part * bar;
             of[kink] = of[kink] + (bar - late);
             of[kink + 1] = of[kink + 1] + late;
@@ -125,13 +125,5 @@ impl FreeForces {
         for (f, [start, end]) in force.iter_mut().zip(&self.ends) {
             *f = (V::splat(1.0) - w) * V::gather(start) + w * V::gather(end);
         }
-    }
-}
-
-impl Panel {
-    /// The cotangent of the force by that of what it does to its unit.
-    #[inline(always)]
-    pub(super) fn push_vjp<V: Vector>(&self, w: &Unit<V>) -> V {
-        V::splat(self.direction[0]) * w[0] + V::splat(self.direction[1]) * w[1]
     }
 }

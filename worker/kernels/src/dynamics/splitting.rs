@@ -209,6 +209,7 @@ pub fn forward<V: Vector>(
     let width = 3 * scene.sensors.len();
     let instants = scene.instants;
     let histories: Vec<&[f64]> = jobs.iter().map(|s| forces.sample(s.index)).collect();
+    jobs.iter().enumerate().for_each(|(lane, job)| system.strike(lane, forces, job.index));
     let begin = Begin::new(scene, model, forces, &histories, false);
     let Course { ready, stages, first, last, mut loads, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
@@ -219,7 +220,7 @@ pub fn forward<V: Vector>(
     }
 
     loads.at(begin.first * substeps, 0.0, &mut force);
-    let mut balance = Balance::new(scene, model, &force);
+    let mut balance = Balance::new(model, &force);
     system.prepare(&x, &mut g);
     system.add_forces(&x, &force, &mut g, &mut margin);
     for interval in begin.first..instants {
@@ -232,7 +233,7 @@ pub fn forward<V: Vector>(
                 let kick = awake * V::splat(b);
                 let lost = system.advance(kick, &ready.drifts[j], &ready.losses[j], &mut x, &mut v, &mut g);
                 loads.at(interval * substeps + step, ready.clock[j], &mut force);
-                balance.add(&x, &force, lost);
+                balance.add(system, &x, &force, lost);
                 system.add_forces(&x, &force, &mut g, &mut margin);
                 b = if j + 1 == stages { last + first } else { ready.kicks[j + 1] };
             }
@@ -369,6 +370,7 @@ pub fn reverse<V: Vector>(
     let instants = scene.instants;
     let zero = V::splat(0.0);
     let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
+    sweeps.iter().enumerate().for_each(|(lane, sweep)| system.strike(lane, forces, sweep.at));
     // What moves from its first force on would by others move before.
     let begin = Begin::new(scene, model, forces, &histories, forces_asked);
     let Course { ready, stages, first, last, mut loads, mut force } =
@@ -447,7 +449,7 @@ pub fn reverse<V: Vector>(
             }
             system.prepare(&x, &mut g);
             system.add_forces_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
-            loads.add_vjp(&scene.panels, &bars.w);
+            loads.add_vjp(system, &bars.w);
             evaluations += 1;
 
             let begins = if part == 0 { 0 } else { segment_end(part - 1, parts, substeps) };
@@ -474,7 +476,7 @@ pub fn reverse<V: Vector>(
                     let clock = if j == 0 { 0.0 } else { ready.clock[j - 1] };
                     loads.at(interval * substeps + step, clock, &mut force);
                     system.add_forces_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
-                    loads.add_vjp(&scene.panels, &bars.w);
+                    loads.add_vjp(system, &bars.w);
                     evaluations += 1;
                 }
             }
@@ -491,7 +493,7 @@ pub fn reverse<V: Vector>(
     }
     system.prepare(&x, &mut g);
     system.add_forces_vjp(&x, &force, &bars.w, &mut g, &mut bars.x);
-    loads.add_vjp(&scene.panels, &bars.w);
+    loads.add_vjp(system, &bars.w);
     for u in moving {
         for d in 0..3 {
             let pull = V::of(system.inverse_mass[u][d]) * g[u][d];

@@ -2,7 +2,7 @@
 
 use super::ligaments::{ShapeCotangent, Turn, turns};
 use super::model::{Bar, Model, ModelCotangent};
-use super::{Frame, Mount, Scene};
+use super::{Forces, Frame, Mount, Scene};
 use crate::lanes::{MOST, Scalar, Vector};
 
 /// (u, v, θ), or what belongs to it, of one unit, in lanes.
@@ -71,6 +71,8 @@ pub struct System<'a, V: Vector> {
     /// Whether `damping` is the model's and its cotangent asked for.
     pub damping_asked: bool,
     bars: Vec<Bar<V::Scalar>>,
+    /// How each panel's force acts.
+    strikes: Vec<Unit<V>>,
     pub(super) inverse_mass: Vec<[V::Scalar; 3]>,
     pub(super) turn: Vec<Turn<V>>,
     h: Vec<Unit<V>>,
@@ -91,6 +93,12 @@ impl<'a, V: Vector> System<'a, V> {
     ) -> Self {
         let n = model.units();
         let zero = V::splat(0.0);
+        let mut strikes = vec![[zero; 3]; scene.panels.len()];
+        for (to, panel) in strikes.iter_mut().zip(&scene.panels) {
+            for d in 0..3 {
+                to[d] = V::splat(panel.central()[d]);
+            }
+        }
         Self {
             scene,
             model,
@@ -98,6 +106,7 @@ impl<'a, V: Vector> System<'a, V> {
             damping: if damped { model.damping } else { [0.0; 3] },
             damping_asked: damped && parameters,
             bars: model.bars.iter().map(Bar::rounded).collect(),
+            strikes,
             inverse_mass: model.inverse_mass.iter().map(|m| m.map(Scalar::from_f64)).collect(),
             turn: vec![[zero; 2]; n],
             h: vec![[zero; 3]; n],
@@ -181,9 +190,31 @@ impl<'a, V: Vector> System<'a, V> {
 
     #[inline(always)]
     fn push(&self, force: &[V], g: &mut [Unit<V>]) {
-        for (panel, &f) in self.scene.panels.iter().zip(force) {
-            for d in 0..2 {
-                g[panel.unit][d] = g[panel.unit][d] - V::splat(panel.direction[d]) * f;
+        for ((panel, strike), &f) in self.scene.panels.iter().zip(&self.strikes).zip(force) {
+            for d in 0..3 {
+                g[panel.unit][d] = g[panel.unit][d] - strike[d] * f;
+            }
+        }
+    }
+
+    /// Transpose of what a force does to its unit: the part of `y` along it, such as the way that it went or, of the work on the
+    /// units, the cotangent of the force.
+    #[inline(always)]
+    pub fn along(&self, panel: usize, y: &[Unit<V>]) -> V {
+        let ([p, q, r], y) = (self.strikes[panel], &y[self.scene.panels[panel].unit]);
+        p * y[0] + q * y[1] + r * y[2]
+    }
+
+    /// From now on a lane's forces act as those of a sample.
+    #[inline(always)]
+    pub fn strike(&mut self, lane: usize, forces: &Forces, sample: usize) {
+        if forces.strikes.is_empty() {
+            return;
+        }
+        for (k, strike) in self.strikes.iter_mut().enumerate() {
+            let own = forces.strike(&self.scene.panels, sample, k);
+            for d in 0..3 {
+                strike[d].set_lane(lane, own[d]);
             }
         }
     }

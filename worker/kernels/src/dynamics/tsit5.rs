@@ -87,6 +87,7 @@ pub fn forward<V: Vector>(
                 clear_lane(&mut v, l);
                 lane.h = 0.0;
                 if let Some(job) = take(queue, 1).first_mut() {
+                    system.strike(l, forces, job.index);
                     // Not the push alone: contact may act at rest.
                     let history = forces.sample(job.index);
                     for (f, history) in force.iter_mut().zip(history.chunks(instants + 1)) {

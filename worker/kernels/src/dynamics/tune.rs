@@ -38,8 +38,9 @@ const TRIES: usize = 6;
 /// As `simulate`.
 pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &crate::Pool) -> Tuned {
     let asked = solver.accuracy.0;
+    let first: Vec<usize> = (0..forces.samples.min(LANES)).collect();
     let mut pilot =
-        Pilot { scene, design, forces: first(forces, LANES), pool, counters: Counters::default() };
+        Pilot { scene, design, forces: forces.select(&first), pool, counters: Counters::default() };
     let adaptive = solver.method == Method::Tsit5;
     let as_it_is = |why: Option<String>, counters| {
         let tolerance = adaptive.then(|| Tolerance::from(solver.accuracy));
@@ -113,13 +114,6 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     let plan = candidate.plan(steps, reason);
     let solver = Solver::new(plan.method, candidate.accuracy(exact));
     Tuned { solver, plan, error: Some(error), counters: pilot.counters }
-}
-
-/// The first samples.
-fn first(forces: &Forces, samples: usize) -> Forces {
-    let samples = forces.samples.min(samples);
-    let len = forces.values.len() / forces.samples.max(1);
-    Forces { samples, values: forces.values[..samples * len].to_vec(), ..*forces }
 }
 
 /// The fewest steps that keep an error.

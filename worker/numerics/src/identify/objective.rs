@@ -161,7 +161,8 @@ impl<'a> Objective<'a> {
         let n = self.onsets.iter().map(|o| (o + window).min(all)).max().unwrap_or(all);
         let cut = |k: usize| forces.values[k * (forces.instants + 1)..][..=n * kinks].iter().copied();
         let values = (0..forces.samples * forces.panels).flat_map(cut).collect();
-        self.forces = Forces { instants: n * kinks, values, ..*forces };
+        let strikes = forces.strikes.clone();
+        self.forces = Forces { instants: n * kinks, values, strikes, ..*forces };
         let duration = self.base.duration * n as f64 / all as f64;
         self.scene = Scene { duration, instants: n, ..self.base.clone() };
         self.signals = signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();

@@ -40,6 +40,7 @@ impl Prior {
         let as_forces = |rows: &DMatrix<f64>| Forces {
             samples: rows.nrows(),
             values: rows.transpose().as_slice().to_vec(),
+            strikes: Vec::new(),
             ..*forces
         };
         let seen = targets(&as_forces(&factor));
@@ -95,11 +96,10 @@ pub fn along(
             STEP / prior.directions.sample(k).iter().fold(f64::MIN_POSITIVE, |most, d| most.max(d.abs()))
         })
         .collect();
-    let mut both = Forces { samples: 2 * steps.len(), values: Vec::new(), ..*forces };
-    for (k, step) in steps.iter().enumerate() {
-        for sign in [1.0, -1.0] {
-            both.values.extend(own.iter().zip(prior.directions.sample(k)).map(|(f, d)| f + sign * step * d));
-        }
+    let mut both = forces.select(&vec![sample; 2 * steps.len()]);
+    for (i, f) in both.values.iter_mut().enumerate() {
+        let (k, sign) = (i / (2 * own.len()), if i / own.len() % 2 == 0 { 1.0 } else { -1.0 });
+        *f += sign * steps[k] * prior.directions.sample(k)[i % own.len()];
     }
     let found = run(scene, design, &both, plan, false, pool);
     match found.outcomes.iter().find(|outcome| **outcome != Outcome::Ok) {

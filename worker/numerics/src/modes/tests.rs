@@ -191,7 +191,7 @@ fn small_motions_of_a_simulation_are_those_of_the_modes() {
     let force = |k: usize, n: usize| 1e-5 * (0.4 * n as f64 + k as f64).sin().powi(3) * (n as f64 / 20.0);
     let sides = [1.0, -1.0].into_iter().flat_map(|sign| (0..2).map(move |k| (sign, k)));
     let values = sides.flat_map(|(sign, k)| (0..=20).map(move |n| sign * force(k, n))).collect();
-    let forces = Forces { samples: 2, panels: 2, instants: 20, values };
+    let forces = Forces { samples: 2, panels: 2, instants: 20, values, strikes: Vec::new() };
     let pool = crate::Pool::new(1).unwrap();
     let plan = Plan::equal(Method::Nystrom6, 24);
     let simulated = run(&scene, &design, &forces, &plan, false, &pool).signals;

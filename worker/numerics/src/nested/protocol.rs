@@ -14,7 +14,6 @@ use crate::brain::TrainOutcome;
 use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Precision, Solver};
 use crate::random::{Purpose, Stream};
-use crate::stimuli::select;
 use crate::trial::{
     BrainKind, CastReader, Casting, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
 };
@@ -307,7 +306,7 @@ impl<'a> Session<'a> {
             let dealt = |set: usize, forces: &Forces, most: usize| {
                 let is_own =
                     |i: &usize| if over_parts { parts[set][*i] == number } else { i % casts == number };
-                select(forces, &(0..forces.samples).filter(is_own).take(most).collect::<Vec<_>>())
+                forces.select(&(0..forces.samples).filter(is_own).take(most).collect::<Vec<_>>())
             };
             let cast = trial.cast(Casts::Look, number as u64);
             let mut error = || {
@@ -357,7 +356,7 @@ impl<'a> Session<'a> {
         let mut order = Stream::new(Purpose::Batch, trial.problem.seed, [u64::from(step), 0])
             .permutation(trial.train.samples);
         order.truncate(going.batch);
-        select(&trial.train, &order)
+        trial.train.select(&order)
     }
 
     /// A body under the samples that are drawn for a step of `joint` alone, each of the step's casts under its own; those of

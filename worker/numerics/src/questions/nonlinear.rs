@@ -30,8 +30,10 @@ pub(crate) fn nonlinear(
     let (problem, scene) = (&trial.problem, &trial.problem.scene);
     let solver = solver.at_most(EXACT);
     let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout.min(SAMPLES));
-    let scaled =
-        |by: f64| -> Forces { Forces { values: forces.values.iter().map(|f| by * f).collect(), ..forces } };
+    let scaled = |by: f64| {
+        let values = forces.values.iter().map(|f| by * f).collect();
+        Forces { values, ..forces.clone() }
+    };
     let [full, small] = [1.0, SMALL].map(|by| {
         let solver = Solver { tolerance: solver.tolerance.map(|t| t.of_motion(by)), ..solver };
         simulate(scene, design, &scaled(by), &solver, false, trial.pool)

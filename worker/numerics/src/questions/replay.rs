@@ -144,6 +144,7 @@ fn all_forces(problem: &Problem) -> Forces {
     let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
     forces.samples += holdout.samples;
     forces.values.extend(holdout.values);
+    forces.strikes.extend(holdout.strikes);
     forces
 }
 
@@ -167,7 +168,7 @@ pub fn motion(
     pool: &crate::Pool,
 ) -> Result<Motion, Failure> {
     let solver = pilot(problem, design, &problem.solver, pool).solver;
-    let forces = crate::stimuli::select(&all_forces(problem), &[sample]);
+    let forces = all_forces(problem).select(&[sample]);
     let simulation = simulate(&problem.scene, design, &forces, &solver, true, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     let tape = simulation.tape.expect("asked for");

@@ -85,7 +85,7 @@ pub fn irregular(
             *f = hits.iter().map(|hit| hit.force(t)).sum();
         }
     }
-    Forces { samples: count, panels, instants, values }
+    Forces { samples: count, panels, instants, values, strikes: Vec::new() }
 }
 
 #[cfg(test)]

@@ -135,14 +135,7 @@ pub fn bells(
         let mut stream = Stream::new(purpose, seed, key);
         bell.draw(&mut stream).history_into(duration, history);
     }
-    Forces { samples: count, panels, instants, values }
-}
-
-/// The samples listed, in the order listed.
-pub fn select(forces: &Forces, samples: &[usize]) -> Forces {
-    let size = forces.panels * (forces.instants + 1);
-    let values = samples.iter().flat_map(|&s| &forces.values[s * size..][..size]).copied().collect();
-    Forces { samples: samples.len(), values, ..*forces }
+    Forces { samples: count, panels, instants, values, strikes: Vec::new() }
 }
 
 /// Training targets (N, T, K): f at n = 1…T, T = `instants`, of which the clock of the forces is a multiple. With

@@ -74,7 +74,7 @@ impl Recorded {
                 _ => self.add(order[n], deal, panels, 1.0, 0, &mut values),
             }
         }
-        Forces { samples: count, panels, instants, values }
+        Forces { samples: count, panels, instants, values, strikes: Vec::new() }
     }
 
     /// Appends a record, its histories at their panels.

@@ -76,7 +76,7 @@ fn pulses_agree_with_reference_histories() {
 #[test]
 fn a_sample_depends_on_its_number_and_purpose_alone() {
     let all = draw(Purpose::Stimulus, 0..6);
-    assert_eq!(draw(Purpose::Stimulus, 2..4).values, select(&all, &[2, 3]).values);
+    assert_eq!(draw(Purpose::Stimulus, 2..4).values, all.select(&[2, 3]).values);
     assert_ne!(draw(Purpose::Holdout, 0..6).values, all.values);
     assert_ne!(draw(Purpose::Fresh, 0..6).values, all.values);
 }
@@ -95,7 +95,13 @@ fn a_split_is_a_partition() {
 /// Targets leave out the instant 0 and put the panels last.
 #[test]
 fn targets_are_the_forces_at_the_instants_of_the_signals() {
-    let forces = Forces { samples: 1, panels: 2, instants: 2, values: vec![0.0, 1.0, 2.0, 0.0, 10.0, 20.0] };
+    let forces = Forces {
+        samples: 1,
+        panels: 2,
+        instants: 2,
+        values: vec![0.0, 1.0, 2.0, 0.0, 10.0, 20.0],
+        strikes: Vec::new(),
+    };
     assert_eq!(targets(&forces, 2, false), [1.0, 10.0, 2.0, 20.0]);
     assert_eq!(targets(&forces, 1, false), [2.0, 20.0]);
 }
@@ -108,7 +114,7 @@ fn records_are_dealt_out_once_and_varied_when_drawn_afresh() {
     for (i, history) in values.chunks_exact_mut(instants + 1).enumerate() {
         history[20] = 1.0 + i as f64;
     }
-    let histories = Forces { samples: records, panels: 1, instants, values };
+    let histories = Forces { samples: records, panels: 1, instants, values, strikes: Vec::new() };
     let source = Recorded {
         histories: std::sync::Arc::new(histories),
         struck: None,
@@ -147,7 +153,11 @@ fn targets_of_a_finer_clock_are_read_without_what_they_cannot_say() {
     };
     let size = |v: Vec<f64>| v[40..160].iter().map(|x| x * x).sum::<f64>().sqrt();
     let of = |hertz, low_pass| {
-        size(targets(&Forces { samples: 1, panels: 1, instants: 1600, values: tone(hertz) }, 200, low_pass))
+        size(targets(
+            &Forces { samples: 1, panels: 1, instants: 1600, values: tone(hertz), strikes: Vec::new() },
+            200,
+            low_pass,
+        ))
     };
     let (kept, left, aliased) = (of(20.0, true) / of(20.0, false), of(170.0, true), of(170.0, false));
     assert!((kept - 1.0).abs() < 1e-3 && left < 1e-2 && aliased > 5.0, "{kept} {left} {aliased}");

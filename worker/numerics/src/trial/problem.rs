@@ -9,7 +9,7 @@ use crate::brain::linear::Sizes;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
-use crate::stimuli::{Deal, Source, bells, drawn, irregular, select, split, targets};
+use crate::stimuli::{Deal, Source, bells, drawn, irregular, split, targets};
 use crate::variation::Variation;
 
 /// Everything that a nested optimisation starts from. Angles in rad.
@@ -168,7 +168,7 @@ impl Problem {
                     parts.iter().map(|(_, part)| self.forces_of(part, purpose, first, count)).collect();
                 let drawn = drawn(&weights, purpose, self.seed, samples);
                 let values = drawn.iter().enumerate().flat_map(|(i, &part)| of[part].sample(i)).copied();
-                Forces { samples: count, panels, instants, values: values.collect() }
+                Forces { samples: count, panels, instants, values: values.collect(), strikes: Vec::new() }
             }
         }
     }
@@ -178,7 +178,7 @@ impl Problem {
         let Stimuli { samples, test, .. } = self.stimuli;
         let all = self.forces(Purpose::Stimulus, 0, samples);
         let (train, test) = split(self.seed, samples, test);
-        [select(&all, &train), select(&all, &test)]
+        [all.select(&train), all.select(&test)]
     }
 
     /// What the network is to say of `forces` (N, T, K) in N.
@@ -209,6 +209,6 @@ impl Problem {
                 values.extend(sample[k..].iter().step_by(panels));
             }
         }
-        Forces { samples: forces.samples, panels, instants, values }
+        Forces { samples: forces.samples, panels, instants, values, strikes: Vec::new() }
     }
 }

@@ -3,7 +3,13 @@ use super::*;
 /// One of 32 samples may fail, and is then one without force; of a handful none may, of many no more than in proportion.
 #[test]
 fn few_samples_may_fail() {
-    let forces = |samples: usize| Forces { samples, panels: 2, instants: 3, values: vec![1.0; samples * 8] };
+    let forces = |samples: usize| Forces {
+        samples,
+        panels: 2,
+        instants: 3,
+        values: vec![1.0; samples * 8],
+        strikes: Vec::new(),
+    };
     let failing = |samples: usize, failed: usize| -> Vec<Outcome> {
         (0..samples).map(|i| if i < failed { Outcome::NonFinite } else { Outcome::Ok }).collect()
     };

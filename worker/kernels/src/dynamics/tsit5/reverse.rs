@@ -6,7 +6,7 @@
 use super::super::jobs::Backward;
 use super::super::loads::FreeForces;
 use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
-use super::super::{Counters, Forces, Panel};
+use super::super::{Counters, Forces};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::steps;
 use crate::Heartbeat;
@@ -97,7 +97,10 @@ pub fn reverse<V: Vector>(
             let last = (interval + 1) * kinks - 1;
             for l in 0..V::LANES {
                 match lanes.get(l) {
-                    Some(&s) => loads.load(l, forces, sweeps[s].history, last),
+                    Some(&s) => {
+                        system.strike(l, forces, sweeps[s].at);
+                        loads.load(l, forces, sweeps[s].history, last);
+                    }
                     None => loads.clear(l),
                 }
             }
@@ -107,7 +110,7 @@ pub fn reverse<V: Vector>(
             add_into(&mut bar_x, &curved[0]);
             add_into(&mut bar_v, &weights[0]);
             if forces_asked {
-                push_vjp(&scene.panels, system.weights(), one, &[last; LANES], lanes, (row, &mut pushed));
+                push_vjp(system, system.weights(), one, &[last; LANES], lanes, (row, &mut pushed));
             }
 
             // The interval again, keeping the stages of every step
@@ -182,7 +185,7 @@ pub fn reverse<V: Vector>(
                     system.product(&step.x[i], &weights[i], &mut curved[i]);
                     if forces_asked {
                         let (w, part) = (&weights[i], step.parts[i]);
-                        push_vjp(&scene.panels, w, part, &step.kinks, lanes, (row, &mut pushed));
+                        push_vjp(system, w, part, &step.kinks, lanes, (row, &mut pushed));
                     }
                     if system.damping_asked {
                         if i == 0 {
@@ -207,19 +210,20 @@ pub fn reverse<V: Vector>(
 /// begins at the lane's kink, they had the cotangent `w` of their work on the units.
 #[inline(always)]
 fn push_vjp<V: Vector>(
-    panels: &[Panel],
+    system: &System<'_, V>,
     w: &[Unit<V>],
     part: V,
     kinks: &[usize; LANES],
     lanes: &[usize],
     (row, pushed): (usize, &mut [f64]),
 ) {
-    for (k, panel) in panels.iter().enumerate() {
-        let bar = panel.push_vjp(&w[panel.unit]);
+    let panels = system.scene.panels.len();
+    for k in 0..panels {
+        let bar = system.along(k, w);
         let late = part * bar;
         let early = bar - late;
         for (l, &s) in lanes.iter().enumerate() {
-            let at = (s * panels.len() + k) * row + kinks[l];
+            let at = (s * panels + k) * row + kinks[l];
             pushed[at] += early.lane(l);
             pushed[at + 1] += late.lane(l);
         }

@@ -9,7 +9,7 @@ use crate::trial::{BrainKind, Decoder, Schedule};
 fn a_fold_s_network_has_not_seen_its_records() {
     let (samples, instants) = (12, 16);
     let mut stream = Stream::new(Purpose::Design, 5, [0, 0]);
-    let mut forces = Forces { samples, panels: 1, instants, values: Vec::new() };
+    let mut forces = Forces { samples, panels: 1, instants, values: Vec::new(), strikes: Vec::new() };
     let mut signals = Vec::new();
     for _ in 0..samples {
         let f: Vec<f64> = (0..=instants).map(|_| stream.uniform()).collect();

@@ -24,7 +24,13 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
     };
     let design = scene.layout.initial_design(0.4363);
     let push = |n: usize| 0.3 * (0.3 * n as f64).sin().powi(2);
-    let forces = Forces { samples: 2, panels: 1, instants: 20, values: (0..42).map(push).collect() };
+    let forces = Forces {
+        samples: 2,
+        panels: 1,
+        instants: 20,
+        values: (0..42).map(push).collect(),
+        strikes: Vec::new(),
+    };
     let pool = crate::Pool::new(1).expect("a pool");
     let signals: Vec<f64> = (0..120).map(|i| (0.9 * i as f64).sin()).collect();
     let solver = Solver::new(Method::Nystrom6, Accuracy(1e-4));

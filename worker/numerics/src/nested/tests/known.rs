@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::dynamics::{Forces, simulate, tune};
-use crate::stimuli::{select, split, targets};
+use crate::stimuli::{split, targets};
 use nalgebra::{DMatrix, DVector};
 
 /// The small problem with forces of so many times the usual amplitude.
@@ -63,7 +63,7 @@ fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
     let found = bound(&problem, &problem.initial, 4, &pool(2)).unwrap().unwrap();
 
     let all = problem.forces(Purpose::Stimulus, 0, 16);
-    let train = select(&all, &split(problem.seed, 16, 4).0);
+    let train = all.select(&split(problem.seed, 16, 4).0);
     let f = targets(&train, 40, false);
     let clean = simulate(&problem.scene, &problem.initial, &train, &problem.solver, false, &pool(1)).signals;
     let (n, t) = (train.samples, 40);

@@ -46,7 +46,7 @@ fn the_impulse_of_a_blow_at_either_end_stays() {
             let values = felt(&record, -0.5, dt, 1.0, instants);
             let ends = 0.5 * (values[0] + values[instants]);
             let simulated = (values.iter().sum::<f64>() - ends) / instants as f64;
-            let forces = Forces { samples: 1, panels: 1, instants, values };
+            let forces = Forces { samples: 1, panels: 1, instants, values, strikes: Vec::new() };
             let told = crate::stimuli::targets(&forces, 200, true);
             let told = (told.iter().sum::<f64>() - 0.5 * told[199]) / 200.0;
             for (what, kept) in [("simulated", simulated / impulse), ("told", told / impulse)] {
@@ -67,7 +67,7 @@ fn a_force_that_goes_on_is_left_as_it_is() {
         let off = |(n, f): (usize, &f64)| (f - force(n as f64 / instants as f64)).abs();
         let most = values.iter().enumerate().map(off).fold(0.0, f64::max);
         assert!(most < 0.02, "{most} by {instants}");
-        let forces = Forces { samples: 1, panels: 1, instants, values };
+        let forces = Forces { samples: 1, panels: 1, instants, values, strikes: Vec::new() };
         let told = crate::stimuli::targets(&forces, 200, true);
         let off = |(n, f): (usize, &f64)| (f - force((n + 1) as f64 / 200.0)).abs();
         let most = told.iter().enumerate().map(off).fold(0.0, f64::max);

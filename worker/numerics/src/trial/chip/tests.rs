@@ -9,7 +9,7 @@ const SIZE: Disturbance = Disturbance {
 
 fn forces(samples: usize) -> Forces {
     let values = (0..samples * 5).map(|i| i as f64 * 0.37).collect();
-    Forces { samples, panels: 1, instants: 4, values }
+    Forces { samples, panels: 1, instants: 4, values, strikes: Vec::new() }
 }
 
 /// (D a)·c = a·(Dᵀ c) for delays of a part of an instant, whole ones, and both.
@@ -79,7 +79,7 @@ fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
         let spread = (of_samples.iter().map(|s| s.0 * s.0).sum::<f64>() / 40.0).sqrt() / bias;
         assert!((found - 1.0).abs() < 0.03 && (spread - 1.0).abs() < 0.5, "{c}: {found} {spread}");
     }
-    let last = Forces { samples: 1, values: all.sample(39).to_vec(), ..all };
+    let last = all.select(&[39]);
     let mut alone = vec![0.0; 500 * 3];
     chip.disturb(&mut alone, &last);
     assert_eq!(alone, signals[39 * 1500..]);
