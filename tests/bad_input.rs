@@ -436,6 +436,16 @@ const EDITS: &[(&str, &str, &str)] = &[
         "sensors = [1]\n\"body.columns\" = [5, \"six\"]",
         "s.toml:16: body.columns = \"six\": must be a whole number from 0 up",
     ),
+    (
+        "panels = [2]",
+        "panels = [2]\npoints = [{ \"body.material.rubber\" = \"Dragon Skin 10\", \"body.material.thickness\" = \"thin\" }]",
+        "s.toml:15: body.material.thickness = \"thin\": must be a number",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\npoints = [{ \"body.material.thickness\" = 10.0 }]",
+        "s.toml:15: body.material.thickness = 10.0: missing field `ligament_width`",
+    ),
     // the key's own line, although the sweep has an axis over another key, or over the key itself
     (
         "sensors = [1, 2]",

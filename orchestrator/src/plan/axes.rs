@@ -61,12 +61,24 @@ pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
     base.sweep.axes.clear();
     base.sweep.points.clear();
     let base = serde_json::to_value(&base).expect("a spec is JSON");
-    let linked = points.iter().flatten().map(|(key, value)| (key.as_str(), value));
-    for (key, value) in axes.iter().flat_map(|(path, values)| values.iter().map(|v| (*path, v))).chain(linked)
-    {
-        let mut one = base.clone();
-        set(&mut one, key, value);
-        serde_json::from_value::<SweepSpec>(one).map_err(|e| refused(key, value, &e, source))?;
+    let with = |keys: &[(&str, &Value)]| {
+        let mut spec = base.clone();
+        keys.iter().for_each(|(key, value)| set(&mut spec, key, value));
+        serde_json::from_value::<SweepSpec>(spec)
+    };
+    for (key, value) in axes.iter().flat_map(|(path, values)| values.iter().map(|v| (*path, v))) {
+        with(&[(key, value)]).map_err(|e| refused(key, value, &e, source))?;
+    }
+    for point in points {
+        let keys: Vec<_> = point.iter().map(|(key, value)| (key.as_str(), value)).collect();
+        if with(&keys).is_err() {
+            // a key may need others of its point beside it: one that is wrong by itself is named first
+            let alone = keys.iter().filter_map(|key| Some((*key, with(&[*key]).err()?)));
+            let wrong = alone.min_by_key(|(_, e)| e.to_string().starts_with("missing field"));
+            if let Some(((key, value), e)) = wrong {
+                return Err(refused(key, value, &e, source));
+            }
+        }
     }
     let count: usize = axes.iter().map(|(_, values)| values.len()).product();
     let mut combinations = Vec::with_capacity(points.len() * count);
