@@ -293,6 +293,5 @@ pub struct TrialResult {
     /// How casts of the initial and of the best body are read.
     pub casts: [Vec<CastReading>; 2],
     /// How both bodies are read under forces of other kinds, where asked for.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub under: Vec<UnderReading>,
 }

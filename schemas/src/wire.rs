@@ -496,3 +496,6 @@ pub fn receive<T: serde::de::DeserializeOwned>(receiver: &MessageReceiver) -> Re
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
