@@ -69,37 +69,34 @@ pub struct Part {
     /// As `stimuli.rebound`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rebound: Option<[f64; 2]>,
+    /// As `stimuli.offset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset: Option<f64>,
+    /// As `stimuli.angle`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angle: Option<f64>,
 }
 
 impl Part {
     /// The stimuli of this kind alone, with the samples and the records of `whole`.
     #[must_use]
     pub fn alone(&self, whole: &Stimuli) -> Stimuli {
-        let Self { weight: _, kind, amplitude, width, onset, peak, power, roughness, double, gap, rebound } =
-            *self;
+        let Self { kind, amplitude, width, onset, peak, power, offset, angle, .. } = *self;
+        let Self { roughness, double, gap, rebound, .. } = *self;
         let recorded = whole.recorded.clone().filter(|_| kind == StimuliKind::Recorded);
-        let keys = Stimuli {
-            amplitude,
-            width,
-            onset,
-            peak,
-            power,
-            roughness,
-            double,
-            gap,
-            rebound,
-            ..whole.clone()
-        };
-        Stimuli { kind, mix: None, recorded, ..keys }
+        let pulse = Stimuli { amplitude, width, onset, peak, power, offset, angle, ..whole.clone() };
+        Stimuli { kind, mix: None, recorded, roughness, double, gap, rebound, ..pulse }
     }
 
     /// With the defaults of the kind in place.
     #[must_use]
     pub fn resolved(&self, whole: &Stimuli) -> Self {
-        let Stimuli { amplitude, width, onset, peak, power, roughness, double, gap, rebound, .. } =
-            self.alone(whole).resolved();
+        let own = self.alone(whole).resolved();
+        let Stimuli { amplitude, width, onset, peak, power, offset, angle, .. } = own;
+        let Stimuli { roughness, double, gap, rebound, .. } = own;
         let Self { weight, kind, .. } = *self;
-        Self { weight, kind, amplitude, width, onset, peak, power, roughness, double, gap, rebound }
+        let pulse = Self { weight, kind, amplitude, width, onset, peak, power, offset, angle, ..*self };
+        Self { roughness, double, gap, rebound, ..pulse }
     }
 }
 
@@ -149,6 +146,13 @@ pub struct Stimuli {
     /// Amplitude of the second hit relative to the first, an interval; irregular only. Unit: 1. Default: `[0.2, 0.7]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rebound: Option<[f64; 2]>,
+    /// How far blows miss a panel's centroid, across its direction: the standard deviation of a normal draw per sample and
+    /// panel. Such a blow turns the unit. Unit: mm. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset: Option<f64>,
+    /// How far blows miss a panel's direction, likewise. Unit: degrees. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angle: Option<f64>,
     /// Instants of the forces' own clock in a sample, a multiple of `time.samples`. Default: `time.samples`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_samples: Option<usize>,
@@ -165,6 +169,8 @@ impl Stimuli {
     /// With the defaults of the kind in place.
     #[must_use]
     pub fn resolved(mut self) -> Self {
+        let some = |deviation: &f64| *deviation != 0.0;
+        (self.offset, self.angle) = (self.offset.filter(some), self.angle.filter(some));
         let [amplitude, width, onset, peak, power] = match self.kind {
             StimuliKind::Bell => [[0.15, 0.5], [0.06, 0.25], [0.0, 0.5], [0.35, 0.65], [1.5, 4.0]],
             StimuliKind::Irregular => [[0.3, 1.0], [0.02, 0.08], [0.0, 0.5], [0.2, 0.45], [1.0, 2.0]],

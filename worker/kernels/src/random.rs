@@ -31,6 +31,8 @@ pub enum Purpose {
     Search = 10,
     /// Casts of a body; counters: what for and which, material or mould.
     Cast = 11,
+    /// Where a blow lands; counters: the purpose of the samples and which, panel.
+    Strike = 12,
 }
 
 /// Where a stream has its bits from.

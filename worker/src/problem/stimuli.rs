@@ -2,7 +2,7 @@
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Inertia, Mount};
-use metasense_numerics::stimuli::{Bell, Irregular, Source};
+use metasense_numerics::stimuli::{Bell, Hand, Irregular, Source};
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
@@ -33,7 +33,7 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
 /// Where the forces come from.
 fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Source, Invalid> {
     refuse_unread(stimuli)?;
-    Ok(match (stimuli.kind, &stimuli.recorded) {
+    let source = match (stimuli.kind, &stimuli.recorded) {
         (StimuliKind::Bell, _) => Source::Bell(bell(stimuli)?),
         (StimuliKind::Irregular, _) => Source::Irregular(irregular(stimuli)?),
         (StimuliKind::Recorded, Some(recorded)) => {
@@ -43,7 +43,24 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
             return Err(invalid("stimuli.recorded", "", "must be given: the files and what stands in them"));
         }
         (StimuliKind::Mix, _) => Source::Mix(mix(trial, stimuli, instants)?),
+    };
+    Ok(match hand(trial, stimuli)? {
+        Some(hand) => Source::Struck(hand, Box::new(source)),
+        None => source,
     })
+}
+
+/// How blows miss centroids and directions; none where they do not.
+fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Invalid> {
+    let (offset, angle) = (stimuli.offset.unwrap_or_default(), stimuli.angle.unwrap_or_default());
+    // two deviations reach a corner
+    let most = 0.25 * (trial.body.spacing - trial.body.ligament_length);
+    let remedy =
+        format!("must lie between 0 and a quarter of a unit's diagonal, {most} mm: others miss the unit");
+    require((0.0..=most).contains(&offset), "stimuli.offset", offset, &remedy)?;
+    let remedy = "must lie between 0 and 30 degrees: others pull";
+    require((0.0..=30.0).contains(&angle), "stimuli.angle", angle, remedy)?;
+    Ok((offset > 0.0 || angle > 0.0).then_some(Hand { offset, angle: angle.to_radians() }))
 }
 
 /// The sum of a mixture's weights may be off by so much.
@@ -161,13 +178,15 @@ fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
         ("gap", shown(stimuli.gap)),
         ("rebound", shown(stimuli.rebound)),
     ];
+    let hand = [("offset", stimuli.offset), ("angle", stimuli.angle)];
+    let hand = hand.map(|(key, deviation)| (key, deviation.map(|d| d.to_string())));
     let files = [("recorded", stimuli.recorded.as_ref().map(|_| "{ … }".to_owned()))];
     let mix = [("mix", stimuli.mix.as_ref().map(|_| "[{ … }]".to_owned()))];
     let unread: Vec<_> = match stimuli.kind {
         StimuliKind::Bell => blow.into_iter().chain(files).chain(mix).collect(),
         StimuliKind::Irregular => files.into_iter().chain(mix).collect(),
         StimuliKind::Recorded => pulse.into_iter().chain(blow).chain(mix).collect(),
-        StimuliKind::Mix => pulse.into_iter().chain(blow).collect(),
+        StimuliKind::Mix => pulse.into_iter().chain(blow).chain(hand).collect(),
     };
     for (key, value) in unread {
         if let Some(value) = value {

@@ -1,5 +1,6 @@
 use super::*;
 use metasense_numerics::brain::Policy;
+use metasense_numerics::dynamics::Strike;
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::{Protocol, Terms};
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
@@ -213,6 +214,58 @@ fn a_circular_body_is_struck_inward() {
         let inward = -(x * panel.direction[0] + y * panel.direction[1]) / x.hypot(y);
         assert!(inward > 0.9, "unit {}: {inward}", panel.unit);
     }
+}
+
+/// Blows miss by what is said: the histories are those of the same forces on the centroid, offsets and angles are normal about
+/// zero, of each sample, panel and purpose their own, and neither depends on the other's size or on what strikes. A part of a
+/// mixture has its own.
+#[test]
+fn blows_miss_the_centroid_and_the_direction() {
+    let of = |stimuli: Value| problem(&trial(&[("stimuli", stimuli)])).unwrap();
+    let problems = [
+        json!({ "kind": "bell" }),
+        json!({ "kind": "bell", "offset": 2.0 }),
+        json!({ "kind": "bell", "offset": 2.0, "angle": 5.0 }),
+        json!({ "kind": "mix", "mix": [
+            { "weight": 0.5, "kind": "bell" }, { "weight": 0.5, "kind": "irregular", "offset": 2.0, "angle": 5.0 },
+        ] }),
+    ]
+    .map(of);
+    let panels = &problems[0].scene.panels;
+    let mut misses: Vec<Vec<[f64; 2]>> = Vec::new();
+    for purpose in [Purpose::Stimulus, Purpose::Holdout, Purpose::Fresh] {
+        let [none, off, both, mixed] = problems.each_ref().map(|p| p.forces(purpose, 0, 400));
+        assert!(none.strikes.is_empty() && none.values == off.values && none.values == both.values);
+        let miss = |n: usize, [x, y, arm]: Strike| {
+            let [p, q] = panels[n % panels.len()].direction;
+            let (along, across) = (p * x + q * y, p * y - q * x);
+            assert!((along.hypot(across) - 1.0).abs() < 1e-14);
+            [-arm / along, across.atan2(along).to_degrees()]
+        };
+        let of = |strikes: &[Strike]| -> Vec<[f64; 2]> {
+            strikes.iter().enumerate().map(|(n, strike)| miss(n, *strike)).collect()
+        };
+        let [straight, askew] = [of(&off.strikes), of(&both.strikes)];
+        let same = |(a, b): (&[f64; 2], &[f64; 2])| (a[0] - b[0]).abs() < 1e-12 && a[1].abs() < 1e-12;
+        assert!(straight.iter().zip(&askew).all(same), "offsets depend on the angles");
+        for (d, asked) in [2.0, 5.0].into_iter().enumerate() {
+            let n = askew.len() as f64;
+            let mean = askew.iter().map(|miss| miss[d]).sum::<f64>() / n;
+            let size = (askew.iter().map(|miss| miss[d].powi(2)).sum::<f64>() / n).sqrt();
+            // four standard errors of either
+            assert!(mean.abs() < 4.0 * asked / n.sqrt(), "{purpose:?}: mean {mean}");
+            assert!((size / asked - 1.0).abs() < 4.0 / (2.0 * n).sqrt(), "{purpose:?}: {size} of {asked}");
+        }
+        let product = askew.iter().map(|miss| miss[0] * miss[1]).sum::<f64>() / askew.len() as f64;
+        assert!(product.abs() < 4.0 * 10.0 / (askew.len() as f64).sqrt(), "offset and angle go together");
+        assert_eq!(problems[2].forces(purpose, 7, 1), both.select(&[7]));
+        let blows = (0..400).filter(|&i| mixed.sample(i) != none.sample(i)).count();
+        let struck = (0..400).filter(|&i| mixed.select(&[i]).strikes == both.select(&[i]).strikes).count();
+        let centred = |n: &usize| mixed.strikes[*n] == panels[n % panels.len()].central();
+        assert_eq!((struck, (0..800).filter(centred).count()), (blows, 2 * (400 - blows)));
+        misses.push(askew);
+    }
+    assert!(misses[0] != misses[1] && misses[1] != misses[2], "purposes share their draws");
 }
 
 /// Every sample of a mixture, of every purpose, is that of one kind alone under its number; kinds come as often as their weights

@@ -10,7 +10,7 @@ mod recorded;
 
 use std::ops::Range;
 
-use crate::dynamics::Forces;
+use crate::dynamics::{Forces, Panel, Strike};
 use crate::random::{Purpose, Stream};
 pub use irregular::{Irregular, irregular};
 use recorded::within;
@@ -54,6 +54,8 @@ pub enum Source {
     Recorded(Recorded),
     /// Each sample from one of these, drawn by their weights, which sum to 1.
     Mix(Vec<(f64, Source)>),
+    /// Those of another source, each where a hand strikes.
+    Struck(Hand, Box<Source>),
 }
 
 impl Source {
@@ -61,8 +63,33 @@ impl Source {
     pub fn parts(&self) -> Vec<&Self> {
         match self {
             Self::Mix(parts) => parts.iter().flat_map(|(_, part)| part.parts()).collect(),
+            Self::Struck(_, source) => source.parts(),
             one => vec![one],
         }
+    }
+}
+
+/// By how much blows miss the centroid of a panel and its direction: standard deviations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hand {
+    /// Across the panel's direction (mm).
+    pub offset: f64,
+    /// About it (rad).
+    pub angle: f64,
+}
+
+impl Hand {
+    /// (N, K), each a function of (purpose, seed, sample, panel) alone, whatever strikes.
+    pub fn strikes(&self, panels: &[Panel], purpose: Purpose, seed: u64, samples: Range<u64>) -> Vec<Strike> {
+        let strike = |sample: u64, k: usize| {
+            let mut stream = Stream::new(Purpose::Strike, seed, [(purpose as u64) << 32 | sample, k as u64]);
+            let [offset, angle] = [self.offset, self.angle].map(|deviation| deviation * stream.normal());
+            panels[k].struck(offset, angle)
+        };
+        samples
+            .flat_map(|sample| (0..panels.len()).map(move |k| (sample, k)))
+            .map(|(i, k)| strike(i, k))
+            .collect()
     }
 }
 

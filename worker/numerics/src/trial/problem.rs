@@ -168,7 +168,15 @@ impl Problem {
                     parts.iter().map(|(_, part)| self.forces_of(part, purpose, first, count)).collect();
                 let drawn = drawn(&weights, purpose, self.seed, samples);
                 let values = drawn.iter().enumerate().flat_map(|(i, &part)| of[part].sample(i)).copied();
-                Forces { samples: count, panels, instants, values: values.collect(), strikes: Vec::new() }
+                let central = of.iter().all(|forces| forces.strikes.is_empty());
+                let strike = |n: usize| of[drawn[n / panels]].strike(&scene.panels, n / panels, n % panels);
+                let strikes = if central { 0 } else { count * panels };
+                let strikes = (0..strikes).map(strike).collect();
+                Forces { samples: count, panels, instants, values: values.collect(), strikes }
+            }
+            Source::Struck(hand, source) => {
+                let strikes = hand.strikes(&scene.panels, purpose, self.seed, samples);
+                Forces { strikes, ..self.forces_of(source, purpose, first, count) }
             }
         }
     }
