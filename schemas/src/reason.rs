@@ -86,6 +86,10 @@ impl Reason {
             }
             Self::NoProgress => "raise `no_progress` in [run], then run with --retry-failed",
             Self::TimeLimit => "raise `time_limit` in [run], then run with --retry-failed",
+            Self::Numerical(Cause::Saturated) => {
+                "raise `range` in [sensors] (mm/s², rad/s) or take a chip that reads further, strike more gently, or put the \
+                 sensors elsewhere"
+            }
             Self::Numerical(_) => {
                 "see `metasense trial SPEC --hash HASH`; a smaller `solver.tolerance` or learning rate may help"
             }

@@ -117,6 +117,8 @@ causes! {
     Singular = "singular",
     /// No units are as many and as far apart as the sensors are to be.
     NowhereToSense = "nowhere_to_sense",
+    /// Most readings of the initial body are at the end of the sensors' range.
+    Saturated = "saturated",
 }
 
 /// Why an attempt came to no result, as the worker sees it.

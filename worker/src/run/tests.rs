@@ -8,7 +8,13 @@ use metasense_numerics::trial::Trouble;
 fn every_trouble_is_a_cause_of_its_own() {
     let simulations = Outcome::ALL.into_iter().filter(|o| *o != Outcome::Ok).map(Trouble::Simulation);
     let trainings = [TrainOutcome::NonFinite, TrainOutcome::Diverged, TrainOutcome::DeadLayer(1)];
-    let others = [Trouble::LossJump(2.0), Trouble::GradientNonFinite, Trouble::Singular, Trouble::Nowhere];
+    let others = [
+        Trouble::LossJump(2.0),
+        Trouble::GradientNonFinite,
+        Trouble::Singular,
+        Trouble::Nowhere,
+        Trouble::Saturated,
+    ];
     let all: Vec<Trouble> = simulations.chain(trainings.map(Trouble::Training)).chain(others).collect();
     for trouble in &all {
         let failure = Failure::from(trial::Failure::Stuck(3, *trouble));

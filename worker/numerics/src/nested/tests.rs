@@ -247,7 +247,13 @@ fn a_training_that_goes_wrong_does_so_in_pieces_too() {
 fn troubles_are_known_by_their_names() {
     let outcomes = [TrainOutcome::NonFinite, TrainOutcome::Diverged, TrainOutcome::DeadLayer(2)];
     let trainings = outcomes.map(Trouble::Training);
-    let others = [Trouble::LossJump(3.0), Trouble::GradientNonFinite, Trouble::Singular, Trouble::Nowhere];
+    let others = [
+        Trouble::LossJump(3.0),
+        Trouble::GradientNonFinite,
+        Trouble::Singular,
+        Trouble::Nowhere,
+        Trouble::Saturated,
+    ];
     let simulations = crate::dynamics::Outcome::ALL.map(Trouble::Simulation);
     for trouble in trainings.into_iter().chain(others).chain(simulations) {
         assert_eq!(Trouble::named(trouble.name()).map(Trouble::name), Some(trouble.name()));
@@ -428,6 +434,20 @@ fn the_direct_term_holds_where_sensors_saturate() {
     assert!(trial.initial.signals.iter().enumerate().filter(|&(i, x)| beyond((i, x))).count() > 10);
     let disturbance = Disturbance { range, ..Disturbance::NONE };
     check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
+}
+
+/// A range below the signals, as of one in m/s² for mm/s², is named before anything is trained; one that most readings keep is not.
+#[test]
+fn a_range_below_the_signals_is_named() {
+    let (plain, pool) = (small(Protocol::Paper(Terms::Direct)), pool(1));
+    let with = |part: f64| {
+        let trial = Trial::new(&plain, &pool).unwrap();
+        let range = [0, 2].map(|c: usize| part * trial.scales.channels[c]);
+        let disturbance = Some(Disturbance { range, ..Disturbance::NONE });
+        Trial::new(&Problem { disturbance, ..plain.clone() }, &pool).map(|_| ())
+    };
+    assert_eq!(with(1e-3), Err(Failure::Initial(Trouble::Saturated)));
+    assert_eq!(with(1.0), Ok(()));
 }
 
 /// What a trial's chips add to a body's signals is theirs, not the body's: a part of what the initial body's are, on every body.

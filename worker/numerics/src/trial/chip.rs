@@ -115,6 +115,16 @@ impl Chip {
         }
     }
 
+    /// How many readings (.., 3M) are at the end of the range.
+    pub(crate) fn saturated(&self, says: &[f64]) -> usize {
+        says.iter().enumerate().filter(|&(i, reading)| self.is_at_the_end(i, *reading)).count()
+    }
+
+    /// Of the `i`-th reading.
+    fn is_at_the_end(&self, i: usize, reading: f64) -> bool {
+        reading.abs() >= self.range[usize::from(i % 3 == 2)]
+    }
+
     /// Whole instants of the delay, and the part of one.
     fn parts(&self) -> (usize, f64) {
         (self.delay.floor() as usize, self.delay.fract())
@@ -138,7 +148,7 @@ impl Chip {
     pub(crate) fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64], samples: usize) {
         if self.range != Disturbance::NONE.range {
             for (i, (cotangent, reading)) in cotangent.iter_mut().zip(says).enumerate() {
-                if reading.abs() >= self.range[usize::from(i % 3 == 2)] {
+                if self.is_at_the_end(i, *reading) {
                     *cotangent = 0.0;
                 }
             }

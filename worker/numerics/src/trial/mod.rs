@@ -70,7 +70,7 @@ impl<'a> Trial<'a> {
     /// process that goes on with a trial or looks at its result.
     ///
     /// # Errors
-    /// If the initial body cannot be simulated.
+    /// If the initial body cannot be simulated, or is too much for the sensors' range.
     ///
     /// # Panics
     /// If the sensors are still to be searched for.
@@ -125,6 +125,9 @@ impl<'a> Trial<'a> {
         let chip = chip(&scales.channels);
         if let Some(chip) = &chip {
             chip.disturb(&mut initial.signals, &train);
+            if 2 * chip.saturated(&initial.signals) > initial.signals.len() {
+                return Err(Failure::Initial(Trouble::Saturated));
+            }
         }
         let likeness = problem.variation.map_or(Vec::new(), |v| v.likeness(&problem.scene.layout));
         Ok(Self {

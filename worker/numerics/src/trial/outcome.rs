@@ -19,6 +19,8 @@ pub enum Trouble {
     Singular,
     /// No units are as many and as far apart as the sensors are to be.
     Nowhere,
+    /// More than half of all readings are at the end of the sensors' range.
+    Saturated,
 }
 
 impl Trouble {
@@ -31,6 +33,7 @@ impl Trouble {
             Self::GradientNonFinite => "gradient_non_finite",
             Self::Singular => "singular",
             Self::Nowhere => "nowhere_to_sense",
+            Self::Saturated => "saturated",
         }
     }
 
@@ -39,7 +42,8 @@ impl Trouble {
         use TrainOutcome::{DeadLayer, Diverged, NonFinite};
         let simulations = dynamics::Outcome::ALL.into_iter().map(Self::Simulation);
         let trainings = [NonFinite, Diverged, DeadLayer(0)].into_iter().map(Self::Training);
-        let others = [Self::LossJump(0.0), Self::GradientNonFinite, Self::Singular, Self::Nowhere];
+        let others =
+            [Self::LossJump(0.0), Self::GradientNonFinite, Self::Singular, Self::Nowhere, Self::Saturated];
         simulations.chain(trainings).chain(others).find(|trouble| trouble.name() == name)
     }
 }
