@@ -430,6 +430,7 @@ fn layout(body: &Body) -> Result<Layout, Invalid> {
 fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], sensors: usize) -> TrialSpec {
     let mut body = spec.body.clone();
     body.panel_units = None;
+    body.panel_angle = body.panel_angle.filter(|angle| *angle != 0.0);
     body.rows = body.rows.or(Some(body.columns));
     body.clamp = Some(problem::clamp(&body));
     if let Some(Design::Shifts { .. }) = body.design {

@@ -406,6 +406,9 @@ fn scene(
         trial.point.sensors,
         &format!("the layout has {} free units to carry sensors", sensors.len()),
     )?;
+    let turned = body.panel_angle.unwrap_or_default();
+    let remedy = "must lie between -180 and 180 degrees";
+    require((-180.0..=180.0).contains(&turned), "body.panel_angle", turned, remedy)?;
     let directions = directions(body, &trial.panel_units, &layout);
     let angle = f64::to_radians;
     Ok(Scene {
@@ -469,11 +472,11 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     Ok((!given).then_some(Placing { candidates, sensors, turn: placement, spacing }))
 }
 
-/// Panels are struck along −y where planar, inward where circular: along the direction of the rule that gave them, or
-/// towards the centre.
+/// Panels are struck along −y where planar, inward where circular, along the direction of the rule that gave them or towards the
+/// centre; turned by `body.panel_angle`.
 pub fn directions(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<[f64; 2]> {
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
-    match body.layout {
+    let mut directions = match body.layout {
         LayoutKind::Planar => vec![[0.0, -1.0]; units.len()],
         LayoutKind::Circular if ruled.iter().map(|panel| &panel.0).eq(units.iter()) => {
             ruled.iter().map(|panel| panel.1).collect()
@@ -486,7 +489,12 @@ pub fn directions(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<[f
                 [-x / radius, -y / radius]
             })
             .collect(),
+    };
+    if let Some(angle) = body.panel_angle {
+        let (s, c) = angle.to_radians().sin_cos();
+        directions.iter_mut().for_each(|[x, y]| [*x, *y] = [c * *x - s * *y, s * *x + c * *y]);
     }
+    directions
 }
 
 /// Which units are held, the default in place.

@@ -67,6 +67,10 @@ pub struct Body {
     /// Units that are struck. Default: by the rule in MODEL.md.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_units: Option<Vec<usize>>,
+    /// Angle by which the forces on all panels are turned, anticlockwise, from down on a planar body and from inward on a circular
+    /// one. Unit: degrees. Default: 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panel_angle: Option<f64>,
     /// Units along x; of a circular body across its diameter.
     pub columns: usize,
     /// Units along y; must be left out of a circular body. Default: must be given for a planar body.

@@ -268,6 +268,23 @@ fn blows_miss_the_centroid_and_the_direction() {
     assert!(misses[0] != misses[1] && misses[1] != misses[2], "purposes share their draws");
 }
 
+/// From down by 90° anticlockwise is right; every panel of a circular body is turned by as much from inward.
+#[test]
+fn panels_are_turned_by_their_angle() {
+    let at = |angle: f64| problem(&trial(&[("body.panel_angle", json!(angle))])).unwrap().scene.panels;
+    let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-15;
+    assert!(at(90.0).iter().all(|panel| near(panel.direction, [1.0, 0.0])), "{:?}", at(90.0));
+    let layout = Layout::circular(8, 15.0, 2.25);
+    let units: Vec<usize> = layout.circular_panels(4).unwrap().into_iter().map(|panel| panel.0).collect();
+    let of = |angle: Value| {
+        let body = trial(&[("body.layout", json!("circular")), ("body.panel_angle", angle)]).body;
+        directions(&body, &units, &layout)
+    };
+    for ([x, y], turned) in of(Value::Null).into_iter().zip(of(json!(-90.0))) {
+        assert!(near(turned, [y, -x]), "{x} {y} {turned:?}");
+    }
+}
+
 /// Every sample of a mixture, of every purpose, is that of one kind alone under its number; kinds come as often as their weights
 /// say, and whoever else is drawn with it, a sample stays the same.
 #[test]
