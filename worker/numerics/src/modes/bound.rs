@@ -98,7 +98,7 @@ pub fn along(
         .collect();
     let mut both = forces.select(&vec![sample; 2 * steps.len()]);
     for (i, f) in both.values.iter_mut().enumerate() {
-        let (k, sign) = (i / (2 * own.len()), if i / own.len() % 2 == 0 { 1.0 } else { -1.0 });
+        let (k, sign) = (i / (2 * own.len()), [1.0, -1.0][i / own.len() % 2]);
         *f += sign * steps[k] * prior.directions.sample(k)[i % own.len()];
     }
     let found = run(scene, design, &both, plan, false, pool);
