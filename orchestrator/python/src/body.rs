@@ -296,7 +296,8 @@ impl Body {
     }
 
     /// Force histories (N, K, R + 1) (N) of the trial: "train", "test" and "holdout" are its own samples, "fresh"
-    /// the endless series that its body is trained on.
+    /// the endless series that its body is trained on. They do not say where blows strike (`stimuli.offset`, `angle`):
+    /// `simulate` takes every force on its panel's centroid.
     #[pyo3(signature = (set, first=0, count=None))]
     fn stimuli<'py>(
         &self,
