@@ -216,6 +216,11 @@ const EDITS: &[(&str, &str, &str)] = &[
         "evaluation.under = [bell, bell]: must name kinds other than mix, and each once",
     ),
     (
+        "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
+        "[optimise]\nobjective = \"mean\"\ncasts = 3\n[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
+        "optimise.casts = 3: must be left out: without a [variation]",
+    ),
+    (
         "[sweep]\n",
         "[[evaluation.under]]\nkind = \"bell\"\nweight = 0.5\n[sweep]\n",
         "evaluation.under.weight = 0.5: means nothing here",

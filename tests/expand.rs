@@ -149,7 +149,7 @@ fn committed_specs_keep_their_hashes() {
     random 1fc0dbba48090cf1
     reference f69dce36048b28bd
     robust-two-core 02caf8486325e98b
-    transfer f95eb6cc7f59b898
+    transfer fb5577499f8e180e
     two-forces 434eeb4530862f35
     ");
 }

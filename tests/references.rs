@@ -39,6 +39,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("quickstart casts", results::quickstart_casts),
     ("findings", results::findings),
     ("casts", results::casts),
+    ("transfer", results::transfer),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),
     ("placed", results::placed),

@@ -158,6 +158,46 @@ pub fn casts() -> String {
     )
 }
 
+/// What bodies are worth under forces that did not train them.
+pub fn transfer() -> String {
+    let rows = rows("transfer/answer-transfer.csv");
+    let mut bodies: Vec<&str> = Vec::new();
+    for row in &rows {
+        if !bodies.contains(&&row["body"][..]) {
+            bodies.push(&row["body"]);
+        }
+    }
+    let line = |body: &&str| -> Vec<String> {
+        let read = ["bell", "irregular"].map(|under| one(&rows, &[("body", *body), ("under", under)]));
+        let name = match *body {
+            "initial" => "none: the initial body".into(),
+            "bell" => "pulses".into(),
+            "irregular" => "blows".into(),
+            mix if mix.contains("iterations = 150") => "the same, four times the samples".to_owned(),
+            mix if mix.contains("objective") => "both, the mean of logarithms, a decoder for each".to_owned(),
+            _ => "both, the mean error, one decoder".into(),
+        };
+        let own = read.map(|row| percent(row, "own"));
+        let carried =
+            read.map(|row| if row["carried"].is_empty() { String::new() } else { percent(row, "carried") });
+        let kept = read.map(|row| match &row["kept"][..] {
+            "" | "1.0" => String::new(),
+            _ => ratio(row, "kept", "kept_low", "kept_high"),
+        });
+        [vec![name], own.to_vec(), kept.to_vec(), carried.to_vec()].concat()
+    };
+    let head = [
+        "trained under",
+        "read under pulses",
+        "under blows",
+        "of the pulses' gain",
+        "of the blows' gain",
+        "its own decoder: pulses",
+        "blows",
+    ];
+    table(&head, bodies.iter().map(line))
+}
+
 /// What is left of the quickstart's bodies once they are cast.
 pub fn quickstart_casts() -> String {
     let rows = rows("quickstart-casts.csv");

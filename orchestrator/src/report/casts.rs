@@ -66,7 +66,7 @@ pub(super) fn side_by_side(label: &str, places: Vec<String>, marks: Vec<(&str, V
     let x = Axis::new("", Scale::Linear, [-0.5, count - 0.5]).with_names(places);
     let errors: Vec<f64> = marks.iter().flat_map(|(_, marks)| marks.iter().flat_map(|mark| mark.1)).collect();
     let y = Axis::new("holdout error (%)", Scale::Log, errors);
-    let mut plot = Plot::new(label, x, y).sized(45.0 + 85.0 * count, 300.0);
+    let mut plot = Plot::new(label, x, y).sized((45.0 + 85.0 * count).max(320.0), 300.0);
     for (class, marks) in marks {
         for (x, ends, _) in &marks {
             plot.line(class, ends.map(|error| (*x, error)));
