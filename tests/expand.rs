@@ -147,6 +147,7 @@ fn committed_specs_keep_their_hashes() {
     placed-two-core 6a5121d9e7f59190
     quickstart e13ec290cbfc850d
     random 1fc0dbba48090cf1
+    real-scale a24e0292c7de791c
     reference f69dce36048b28bd
     robust-two-core 02caf8486325e98b
     transfer fb5577499f8e180e

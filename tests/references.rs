@@ -40,6 +40,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("findings", results::findings),
     ("casts", results::casts),
     ("transfer", results::transfer),
+    ("real scale", results::real_scale),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),
     ("placed", results::placed),

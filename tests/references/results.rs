@@ -198,6 +198,30 @@ pub fn transfer() -> String {
     table(&head, bodies.iter().map(line))
 }
 
+/// Errors of a body of the real scale and of the reference body, seed by seed.
+pub fn real_scale() -> String {
+    let all = rows("real-scale/trials.csv");
+    let scenes = [
+        ("reference", "bell", "reference body, smooth pulses"),
+        ("real, chip", "bell", "real scale with the chip, smooth pulses"),
+        ("reference", "irregular", "reference body, hand-hammered blows"),
+        ("real, chip", "irregular", "real scale with the chip, hammer blows of 6 … 15 ms"),
+        ("real", "irregular", "the same without mass, range and steps of a chip"),
+    ];
+    let line = |(body, stimuli, words): (&str, &str, &str)| {
+        let errors = |(panels, sensors): (&str, &str)| {
+            let wanted = [("body", body), ("stimuli", stimuli), ("panels", panels), ("sensors", sensors)];
+            let seeds: Vec<&Row> = of(&all, &wanted).collect();
+            let of_seeds =
+                |name: &str| seeds.iter().map(|row| short(&row[name])).collect::<Vec<_>>().join(", ");
+            format!("{} → {} %", of_seeds("initial"), of_seeds("optimised"))
+        };
+        let cells = [("2", "1"), ("2", "2"), ("4", "1"), ("4", "2")].map(errors);
+        [vec![words.to_owned()], cells.to_vec()].concat()
+    };
+    table(&["", "K = 2, M = 1", "K = 2, M = 2", "K = 4, M = 1", "K = 4, M = 2"], scenes.map(line))
+}
+
 /// What is left of the quickstart's bodies once they are cast.
 pub fn quickstart_casts() -> String {
     let rows = rows("quickstart-casts.csv");
