@@ -204,6 +204,11 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("density = 1e-8", "density = 1e-8\ndamping_ratio = -0.1", "s.toml:8: body.damping_ratio = -0.1: "),
     ("density = 1e-8", "density = 1e-8\ninitial_angle = 60.0", "s.toml:8: body.initial_angle = 60: "),
     ("density = 1e-8", "density = 1e-8\nclamp = [99]", "s.toml:8: body.clamp = 99: "),
+    (
+        "density = 1e-8",
+        "density = 1e-8\npanel_angle = 200",
+        "s.toml:8: body.panel_angle = 200: must lie between -180 and 180 degrees",
+    ),
     ("density = 1e-8", "density = 1e-8\npanel_units = [31]", "sweep.panels = 2: "),
     ("density = 1e-8", "density = 1e-8\npanel_units = [31, 77]", "s.toml:8: body.panel_units = 77: "),
     ("stretch = 3.0", "stretch = -3.0", "s.toml:8: body.stiffness.stretch = -3: "),
