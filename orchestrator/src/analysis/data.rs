@@ -42,6 +42,10 @@ impl Group<'_> {
 const CLUSTER: &[&str] =
     &["point.placement", "point.seed", "sensor_units", "sensors.placements", "evaluation.long_iterations"];
 
+/// What judges finished bodies in further worlds. It tells trials apart only where two that say it disagree: training over casts
+/// has an objective that is told.
+const JUDGING: &[&str] = &["evaluation.casts", "evaluation.under", "variation."];
+
 /// What the number of sensors varies, besides.
 pub const SENSORS: &[&str] = &["point.sensors"];
 
@@ -82,8 +86,10 @@ type Key = Vec<(String, Value)>;
 /// Groups by everything but placement, seed and the paths named (a path that ends in a dot: all below it), in the order
 /// of their first trials.
 pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
+    let disputed = disputed(trials);
     let ignored = |path: &str| {
-        CLUSTER.iter().chain(but).any(|b| path == *b || (b.ends_with('.') && path.starts_with(b)))
+        CLUSTER.iter().chain(but).any(|b| is_of(path, b))
+            || JUDGING.iter().any(|b| is_of(path, b)) && !disputed.contains(path)
     };
     let spacing = |trial: &Trial| trial.setting.get("body.spacing").and_then(Value::as_f64);
     let first = trials.first().and_then(|trial| spacing(trial));
@@ -124,6 +130,27 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     }
     let labels = labels(&found.iter().map(|(k, _)| k).collect::<Vec<_>>());
     labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
+}
+
+/// Whether a path is the one named, or below it where the name ends in a dot.
+fn is_of(path: &str, name: &str) -> bool {
+    path == name || (name.ends_with('.') && path.starts_with(name))
+}
+
+/// Paths of [`JUDGING`] at which two trials have different values; one that has none agrees with all.
+fn disputed(trials: &[&Trial]) -> HashSet<String> {
+    let (mut seen, mut known, mut disputed) = (HashSet::new(), HashMap::new(), HashSet::new());
+    for trial in trials {
+        let shared = trial.setting.shared();
+        let shared = seen.insert(std::sync::Arc::as_ptr(shared)).then(|| shared.iter()).into_iter().flatten();
+        for (path, value) in shared.chain(trial.setting.own()) {
+            let judges = JUDGING.iter().any(|name| is_of(path, name));
+            if judges && known.insert(path, value).is_some_and(|other| other != value) {
+                disputed.insert(path.clone());
+            }
+        }
+    }
+    disputed
 }
 
 /// The value at a path of a key; keys are sorted.

@@ -70,3 +70,20 @@ fn groups_differ_in_what_their_labels_say() {
     let told = |width: &str| format!("{bell}, stimuli.width = [{width}]");
     assert_eq!(labels(&wider), [told("0.1"), irregular, told("0.2")]);
 }
+
+/// Casts that only some trials are judged by do not tell them from the others; scatter that two say differently does.
+#[test]
+fn what_judges_bodies_tells_no_trials_apart_where_none_disagree() {
+    let cast = |scatter: f64| {
+        with(
+            trial(2, 5, 1, 0),
+            &json!({"evaluation": {"casts": 8}, "variation": {"nodes": scatter, "bend": 0.1}}),
+        )
+    };
+    let labels = |trials: &[Trial]| -> Vec<String> {
+        groups(&trials.iter().collect::<Vec<_>>(), &[]).into_iter().map(|g| g.label).collect()
+    };
+    assert_eq!(labels(&[trial(2, 5, 1, 0), cast(0.1)]), ["K = 2, M = 1"]);
+    let told = [0.1, 0.2].map(|scatter| format!("K = 2, M = 1, variation.nodes = {scatter}"));
+    assert_eq!(labels(&[cast(0.1), cast(0.2)]), told);
+}
