@@ -161,7 +161,7 @@ pub fn under_readings(trial: &TrialSpec, under: &[Vec<questions::UnderReading>; 
         body: body.into(),
         stimuli: kinds[reading.kind].into(),
         reader: if reading.own { "own" } else { "carried" }.into(),
-        error: reading.error.map_or(Some(questions::NOTHING), finite),
+        error: reading.error.map_or(Some(trial::FAILED), finite),
         outcome: reading.error.map_or_else(|trouble| trouble.name(), |_| "ok").into(),
     })
     .collect()

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::data::groups;
+use super::resample::{Interval, Resampling};
 use super::tables::apart;
 use super::trial::{Body, Cluster, Trial};
 
@@ -15,6 +16,28 @@ pub struct Trained<'a> {
     pub body: Body,
     /// Of the initial body one a cluster, whatever trains it.
     pub trials: Vec<&'a Trial>,
+}
+
+/// A part of a gain.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Kept {
+    /// 1 is all of it.
+    pub part: f64,
+    /// 95 %, where there are enough placements or seeds.
+    pub interval: Option<Interval>,
+}
+
+impl Kept {
+    /// Σ of the first gains, logarithms, over Σ of the second, with their clusters; `None` without second gain.
+    pub fn of(gains: impl Iterator<Item = (Cluster, [f64; 2])>) -> Option<Self> {
+        let (clusters, gains): (Vec<Cluster>, Vec<[f64; 2]>) = gains.unzip();
+        let part = |weights: &[f64]| {
+            let sum = |which: usize| gains.iter().zip(weights).map(|(g, w)| w * g[which]).sum::<f64>();
+            Some(sum(0) / sum(1)).filter(|part| sum(1) > 0.0 && part.is_finite())
+        };
+        let whole = part(&vec![1.0; gains.len()])?;
+        Some(Self { part: whole, interval: Resampling::new(&clusters).interval(part) })
+    }
 }
 
 /// The initial body, then those trained, by `way` in its order; what else of the training differs within one is told beside

@@ -9,13 +9,12 @@
 
 use serde_json::Value;
 
-use super::bodies::{Trained, bodies};
+use super::bodies::{Kept, Trained, bodies};
 use super::data::{Group, groups};
 use super::kinds::is_linear;
 use super::numbers::distinct;
 use super::paired::Ratio;
-use super::resample::{Interval, Resampling};
-use super::trial::{Body, CastBrain, CastReading, Cluster, Set, Trial};
+use super::trial::{Body, CastBrain, CastReading, Set, Trial};
 
 /// Trials of one setting that are cast, by body.
 #[derive(Debug, Clone)]
@@ -38,15 +37,6 @@ pub struct Left {
     /// The parts of the gain as designed that are kept at the median and at the 90th percentile; `None` of the initial body,
     /// or without gain.
     pub kept: [Option<Kept>; 2],
-}
-
-/// A part of a gain.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Kept {
-    /// 1 is all of it.
-    pub part: f64,
-    /// 95 %, where there are enough placements or seeds.
-    pub interval: Option<Interval>,
 }
 
 /// Trials with casts that differ in training, placement and seed alone.
@@ -108,13 +98,7 @@ impl Trained<'_> {
             let found = [gain(cast)?, gain(Body::ALL.map(|body| designed(trial, body, by)))?];
             Some((trial.cluster, found))
         };
-        let (clusters, gains): (Vec<Cluster>, Vec<[f64; 2]>) = self.trials.iter().filter_map(gains).unzip();
-        let part = |weights: &[f64]| {
-            let sum = |which: usize| gains.iter().zip(weights).map(|(g, w)| w * g[which]).sum::<f64>();
-            Some(sum(0) / sum(1)).filter(|part| sum(1) > 0.0 && part.is_finite())
-        };
-        let whole = part(&vec![1.0; gains.len()])?;
-        Some(Kept { part: whole, interval: Resampling::new(&clusters).interval(part) })
+        Kept::of(self.trials.iter().filter_map(gains))
     }
 }
 

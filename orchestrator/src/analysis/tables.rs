@@ -236,7 +236,7 @@ fn transfer_table(trials: &[&Trial]) -> Table {
             setting.bodies.iter().flat_map(|body| setting.kinds.iter().map(move |kind| (body, kind)))
         {
             let Some(read) = setting.read(body, kind) else { continue };
-            let kept = row![read.kept; ends(read.interval)];
+            let kept = row![read.kept.map(|kept| kept.part); ends(read.kept.and_then(|kept| kept.interval))];
             let errors = [interval_cells(Some(&read.own)), interval_cells(read.carried.as_ref())].concat();
             let names = row![setting.label, body.name, kind, read.own.trials];
             rows.push([names, errors, kept, row![read.own.over]].concat());

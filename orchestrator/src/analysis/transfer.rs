@@ -7,12 +7,11 @@
 
 use serde_json::Value;
 
-use super::bodies::{Trained, bodies};
+use super::bodies::{Kept, Trained, bodies};
 use super::data::{Group, groups};
 use super::numbers::distinct;
 use super::paired::Ratio;
-use super::resample::{Interval, Resampling};
-use super::trial::{Body, Cluster, Trial};
+use super::trial::{Body, Trial};
 
 /// Trials of one setting whose bodies are read under several kinds of forces.
 #[derive(Debug, Clone)]
@@ -34,9 +33,7 @@ pub struct Read {
     pub carried: Option<Ratio>,
     /// The part of the specialist's gain that the body has, by brains fitted under these forces; `None` of the initial body
     /// and without a specialist.
-    pub kept: Option<f64>,
-    /// Its 95 % interval, where there are enough placements or seeds.
-    pub interval: Option<Interval>,
+    pub kept: Option<Kept>,
 }
 
 /// Trials that differ in forces, training, placement and seed alone.
@@ -62,18 +59,16 @@ impl Setting<'_> {
             let of = |trial: &&Trial| Some((trial.cluster, error(trial, body.body, under, own)?));
             Ratio::of(&body.trials.iter().filter_map(of).collect::<Vec<_>>())
         };
-        let kept = (body.body == Body::Optimised).then(|| self.kept(body, under)).flatten();
         Some(Read {
             own: mean(true)?,
             carried: (body.body == Body::Optimised).then(|| mean(false)).flatten(),
-            kept: kept.map(|kept| kept.0),
-            interval: kept.and_then(|kept| kept.1),
+            kept: (body.body == Body::Optimised).then(|| self.kept(body, under)).flatten(),
         })
     }
 
     /// The kind under which a trained body keeps least of the specialist's gain, and how much.
     pub fn worst(&self, body: &Trained) -> Option<(&str, f64)> {
-        let all = self.kinds.iter().filter_map(|kind| Some((&kind[..], self.read(body, kind)?.kept?)));
+        let all = self.kinds.iter().filter_map(|kind| Some((&kind[..], self.read(body, kind)?.kept?.part)));
         all.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
@@ -82,7 +77,7 @@ impl Setting<'_> {
         self.bodies.iter().find(|body| body.body == Body::Optimised && kind(body.trials[0]) == under)
     }
 
-    fn kept(&self, body: &Trained, under: &str) -> Option<(f64, Option<Interval>)> {
+    fn kept(&self, body: &Trained, under: &str) -> Option<Kept> {
         let specialist = self.specialist(under)?;
         // of each cluster ln(initial/trained) of the body and of the specialist
         let gain = |trial: &Trial| {
@@ -93,13 +88,7 @@ impl Setting<'_> {
             let other = specialist.trials.iter().find(|other| other.cluster == trial.cluster)?;
             Some((trial.cluster, [gain(trial)?, gain(other)?]))
         };
-        let (clusters, gains): (Vec<Cluster>, Vec<[f64; 2]>) = body.trials.iter().filter_map(both).unzip();
-        let part = |weights: &[f64]| {
-            let sum = |which: usize| gains.iter().zip(weights).map(|(g, w)| w * g[which]).sum::<f64>();
-            Some(sum(0) / sum(1)).filter(|part| sum(1) > 0.0 && part.is_finite())
-        };
-        let whole = part(&vec![1.0; gains.len()])?;
-        Some((whole, Resampling::new(&clusters).interval(part)))
+        Kept::of(body.trials.iter().filter_map(both))
     }
 }
 

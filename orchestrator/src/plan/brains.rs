@@ -19,9 +19,6 @@ fn has_network(kind: BrainKind) -> bool {
     kind != BrainKind::Linear
 }
 
-/// Samples of a step that a mixture's parts share.
-const PARTS_SAMPLES: usize = 32;
-
 fn has_linear(kind: BrainKind) -> bool {
     kind != BrainKind::Cnn
 }
@@ -62,7 +59,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     // without scatter an objective is over the parts of a mixture, as many samples of all of them as of the body alone
     if let (Some(_), None, Some(parts)) = (optimise.objective, spec.variation, &spec.stimuli.mix) {
         optimise.casts.get_or_insert(parts.len());
-        optimise.batch.get_or_insert(PARTS_SAMPLES.div_ceil(parts.len().max(1)));
+        optimise.batch.get_or_insert(Optimise::BATCH.div_ceil(parts.len().max(1)));
     }
     let optimise = optimise.resolved();
     let (optimise, robust) = match optimise.objective {

@@ -8,7 +8,7 @@ use crate::analysis::{Question, Terms, Trial};
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, number};
 
 /// At most so many settings are drawn; the data hold all.
-const MOST_SETTINGS: usize = 4;
+pub(super) const MOST_SETTINGS: usize = 4;
 
 /// Classes of the bodies' marks, the initial one first; the data hold the bodies beyond.
 pub(super) const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth", "fifth"];

@@ -1,13 +1,10 @@
 //! Bodies trained under one kind of forces and read under others: a figure, and a sentence a setting.
 
-use super::casts::{CLASSES, Mark, aside, legend, side_by_side, told_apart};
+use super::casts::{CLASSES, MOST_SETTINGS, Mark, aside, legend, side_by_side, told_apart};
 use crate::analysis::bodies::Trained;
 use crate::analysis::transfer::{Setting, settings};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::{Answer, Figure, Picture, number};
-
-/// At most so many settings are drawn; the data hold all.
-const MOST_SETTINGS: usize = 4;
 
 /// A place for each kind of forces, and in it one for each body side by side: a dot by a brain fitted under these forces, a line
 /// to the error of the one fitted under those that trained the body.

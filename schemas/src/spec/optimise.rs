@@ -328,6 +328,9 @@ const CASTS_ONE: [usize; 2] = [4, 8];
 const CASTS_EACH: [usize; 2] = [3, 24];
 
 impl Optimise {
+    /// Samples of a step of `joint`, of the body as designed.
+    pub const BATCH: usize = 32;
+
     /// With the defaults of the protocol in place: only what the protocol does not read stays open.
     #[must_use]
     pub fn resolved(mut self) -> Self {
@@ -340,7 +343,7 @@ impl Optimise {
         };
         self.objective = self.objective.and_then(Objective::resolved);
         // one brain learns more from many casts, one a cast from many samples of it
-        let mut batch = 32;
+        let mut batch = Self::BATCH;
         if self.objective.is_some() {
             let reader = *self.reader.get_or_insert(CastReader::One);
             let casts = if reader == CastReader::One { CASTS_ONE } else { CASTS_EACH };

@@ -1,6 +1,7 @@
 //! Tests of `casts`.
 
 use super::*;
+use crate::analysis::Cluster;
 use crate::analysis::setting::flatten;
 use serde_json::json;
 

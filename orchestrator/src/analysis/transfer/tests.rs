@@ -2,6 +2,7 @@
 
 use super::super::trial::UnderReading;
 use super::*;
+use crate::analysis::Cluster;
 use crate::analysis::setting::flatten;
 use serde_json::json;
 
@@ -54,9 +55,9 @@ fn gains_under_other_forces_are_told_against_the_specialists() {
             near(read.own.ratio, errors[i]);
             assert_eq!((read.carried.is_some(), read.kept.is_some()), (kept.is_some(), kept.is_some()));
             if let (Some(kept), Some(carried)) = (kept, &read.carried) {
-                near(read.kept.unwrap(), kept[i]);
+                near(read.kept.unwrap().part, kept[i]);
                 near(carried.ratio, 2.0 * errors[i]);
-                assert!(read.interval.is_some(), "four seeds have an interval");
+                assert!(read.kept.unwrap().interval.is_some(), "four seeds have an interval");
             }
         }
         assert!(setting.read(body, "recorded").is_none());

@@ -40,6 +40,11 @@ impl Fitted {
         let problem = &trial.problem;
         problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()))
     }
+
+    /// Mean error (%) on samples; `None` where none has a force.
+    pub(crate) fn error_on(&self, samples: &Samples) -> Option<f64> {
+        samples.error(&self.predict(&samples.signals))
+    }
 }
 
 impl Decoder {

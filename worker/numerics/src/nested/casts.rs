@@ -9,9 +9,8 @@ use super::observe::{Control, Log};
 use super::state::State;
 use crate::brains::{Beside, Fitted, Fresh, Reader, reader};
 use crate::dynamics::{Precision, Solver};
-use crate::questions::NOTHING;
 use crate::random::Purpose;
-use crate::trial::{BrainKind, Counters, Decoder, Ridge, Samples, Trial, Trouble};
+use crate::trial::{BrainKind, Counters, Decoder, FAILED, Ridge, Samples, Trial, Trouble};
 use crate::variation::{Cast, Casts};
 
 /// How one brain reads one cast.
@@ -267,7 +266,7 @@ impl Brains<'_> {
                 });
                 match found {
                     Ok(error) => CastReading { cast, by, error, trouble: None },
-                    Err(trouble) => CastReading { cast, by, error: Some(NOTHING), trouble: Some(trouble) },
+                    Err(trouble) => CastReading { cast, by, error: Some(FAILED), trouble: Some(trouble) },
                 }
             })
             .collect()
@@ -283,5 +282,5 @@ fn by_network(
 
 fn by_linear(brain: &Result<Fitted, Trouble>, holdout: &Samples) -> Result<Option<f64>, Trouble> {
     let brain = brain.as_ref().map_err(|trouble| *trouble)?;
-    Ok(holdout.error(&brain.predict(&holdout.signals)))
+    Ok(brain.error_on(holdout))
 }

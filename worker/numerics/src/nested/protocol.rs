@@ -15,7 +15,7 @@ use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Precision, Solver};
 use crate::random::{Purpose, Stream};
 use crate::trial::{
-    BrainKind, CastReader, Casting, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
+    BrainKind, CastReader, Casting, FAILED, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -178,7 +178,7 @@ impl<'a> Session<'a> {
         if casting.over == Over::Parts && self.first.is_empty() {
             self.first = vec![1.0; casting.casts];
             if casting.tail < 1.0 {
-                let (trial, counted) = (self.trial, log.report.counters);
+                let (trial, counted) = (self.trial, (log.report.counters, log.report.fresh_samples));
                 let (mut learner, mut learnt) = (learner(trial), State::new(&trial.problem).learnt);
                 let parts = self.fresh(&trial.problem.initial, 0, going, false, log)?;
                 for (part, first) in parts.iter().zip(&mut self.first) {
@@ -186,7 +186,7 @@ impl<'a> Session<'a> {
                     learner.fit(FitOn::Cast(&part.samples), 0, &mut learnt, counters)?;
                     *first = learner.error(&part.samples).unwrap_or(1.0);
                 }
-                log.report.counters = counted;
+                (log.report.counters, log.report.fresh_samples) = counted;
             }
         }
         Ok(&self.first)
@@ -297,15 +297,16 @@ impl<'a> Session<'a> {
             return Ok(self.test_error(&test.samples, log));
         };
         let Protocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
-        let over_parts = casting.over == Over::Parts;
-        let casts = if over_parts { casting.casts } else { LOOKED_AT.min(trial.test.samples) };
-        let parts = problem.parts();
+        let parts = (casting.over == Over::Parts).then(|| problem.parts());
+        let casts = if parts.is_some() { casting.casts } else { LOOKED_AT.min(trial.test.samples) };
         let mut errors = Vec::with_capacity(casts);
         for number in 0..casts {
             // of a mixture's parts the samples of each, of casts so-many-th
             let dealt = |set: usize, forces: &Forces, most: usize| {
-                let is_own =
-                    |i: &usize| if over_parts { parts[set][*i] == number } else { i % casts == number };
+                let is_own = |i: &usize| match &parts {
+                    Some(parts) => parts[set][*i] == number,
+                    None => i % casts == number,
+                };
                 forces.select(&(0..forces.samples).filter(is_own).take(most).collect::<Vec<_>>())
             };
             let cast = trial.cast(Casts::Look, number as u64);
@@ -322,9 +323,9 @@ impl<'a> Session<'a> {
                 Ok::<_, Trouble>(self.learner.error(&test.samples))
             };
             // a cast that fails is read entirely wrong
-            errors.extend(error().unwrap_or(Some(100.0)));
+            errors.extend(error().unwrap_or(Some(FAILED)));
         }
-        if errors.is_empty() || over_parts && errors.len() < casts {
+        if errors.is_empty() || parts.is_some() && errors.len() < casts {
             return Ok(None);
         }
         let first = self.first(casting, going, log)?;

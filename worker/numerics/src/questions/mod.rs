@@ -9,5 +9,5 @@ pub use bound::{Bound, bound};
 pub use nonlinear::Nonlinear;
 pub(crate) use nonlinear::nonlinear;
 pub use replay::{LinearReplay, Motion, Replay, motion, replay, sense};
+pub use under::UnderReading;
 pub(crate) use under::under;
-pub use under::{NOTHING, UnderReading};

@@ -8,9 +8,6 @@ use crate::dynamics::{Precision, Solver};
 use crate::random::Purpose;
 use crate::trial::{Counters, Samples, Trial, Trouble};
 
-/// Error of what is not read at all (%).
-pub const NOTHING: f64 = 100.0;
-
 /// How one linear brain reads a body under forces of one kind.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct UnderReading {
@@ -46,7 +43,7 @@ pub(crate) fn under(
             Ok((there, read.samples))
         });
         let there = there.as_ref().map_err(|trouble| *trouble);
-        let error = |brain: &Fitted, holdout: &Samples| holdout.error(&brain.predict(&holdout.signals));
+        let error = |brain: &Fitted, holdout: &Samples| brain.error_on(holdout);
         let own = there.and_then(|(there, holdout)| Ok(error(&Fitted::of(there, &there.initial)?, holdout)));
         let carried = there.and_then(|(_, holdout)| {
             carried.as_ref().map(|carried| error(carried, holdout)).map_err(|trouble| *trouble)

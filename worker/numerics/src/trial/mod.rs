@@ -15,7 +15,7 @@ mod settings;
 pub use chip::{Disturbance, Size};
 pub use outcome::{Counters, Failure, Trouble};
 pub use problem::{Placing, Problem, Stimuli};
-pub use samples::Samples;
+pub use samples::{FAILED, Samples};
 pub(crate) use samples::{error_of_each, mean_error, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
@@ -75,7 +75,7 @@ impl<'a> Trial<'a> {
     /// # Panics
     /// If the sensors are still to be searched for.
     pub fn new(problem: &Problem, pool: &'a crate::Pool) -> Result<Self, Failure> {
-        Self::with(problem, pool, |rms| problem.chip(rms))
+        Self::with(problem, pool, None)
     }
 
     /// The same of another body under forces of another kind, with the same chips.
@@ -87,15 +87,11 @@ impl<'a> Trial<'a> {
         let (initial, solver, under) = (design.to_vec(), self.asked, Vec::new());
         let mut problem = Problem { stimuli, initial, solver, under, ..self.problem.clone() };
         problem.optimise.coarse = None;
-        Self::with(&problem, self.pool, |_| self.chip.clone())
+        Self::with(&problem, self.pool, self.chip.clone())
     }
 
-    /// `chip`: from the RMS of each channel of the initial body.
-    fn with(
-        problem: &Problem,
-        pool: &'a crate::Pool,
-        chip: impl FnOnce(&[f64]) -> Option<Chip>,
-    ) -> Result<Self, Failure> {
+    /// `chip`: where none is given, that of the initial body.
+    fn with(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
         let (mut problem, asked) = (problem.clone(), problem.solver);
         let (usual, coarse) = (pilot(&problem, &problem.initial, &asked, pool), problem.optimise.coarse);
@@ -122,7 +118,7 @@ impl<'a> Trial<'a> {
         let failed = silence(&mut train, &simulation.outcomes);
         let mut initial = problem.samples(simulation.signals, &train).with_failed(failed);
         let scales = Scales::of(&initial);
-        let chip = chip(&scales.channels);
+        let chip = chip.or_else(|| problem.chip(&scales.channels));
         if let Some(chip) = &chip {
             chip.disturb(&mut initial.signals, &train);
             if 2 * chip.saturated(&initial.signals) > initial.signals.len() {

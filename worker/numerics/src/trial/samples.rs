@@ -86,7 +86,7 @@ pub(crate) fn pick<T: Copy>(values: &[T], count: usize, pieces: &[usize]) -> Vec
 }
 
 /// Error of a sample that failed (%): that of a brain which says nothing.
-const FAILED: f64 = 100.0;
+pub const FAILED: f64 = 100.0;
 
 /// Error of each sample (%), forces and predictions (N, T, K) in the same unit: 100·Σ(f − f̂)²/Σf², 100 of one that failed,
 /// `None` of one that has no force. Every error of this program is a mean of these.

@@ -135,6 +135,8 @@ fn a_loop_over_casts_goes_on_to_the_same_bits() {
                 (0..3).flat_map(|cast| brains.clone().map(move |by| (cast, by))).collect();
             assert_eq!(of, all);
         }
+        let fresh = problem.optimise.casting.unwrap().casts * GOING.batch;
+        assert!(whole.reports.iter().all(|report| report.fresh_samples == fresh as u64));
         assert!(whole.fractions.is_sorted() && whole.fractions.last() == Some(&1.0), "{:?}", whole.fractions);
         assert!(
             whole.saved.iter().any(|state| state.comparison.casts_read(1) == 1),
