@@ -629,7 +629,9 @@ fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
         let [hash, state, file] = serde_json::from_str::<[String; 3]>(&home).unwrap();
         let there =
             format!("SELECT count(*) FROM trial WHERE hash = '{hash}' AND state IN ('{state}', 'running')");
-        assert_eq!(ask(Path::new(&file), &there), ["[1]"], "{home}");
+        // A reader brings a database of an older version up to date, and others read this one meanwhile.
+        std::fs::copy(&file, at("home")).unwrap();
+        assert_eq!(ask(&at("home"), &there), ["[1]"], "{home}");
     }
     // Nothing goes on from facts, and whole trials and facts are not mixed.
     let facts = runtime.block_on(async {

@@ -81,6 +81,9 @@ async fn what_is_recorded_is_read_back() {
     let mut store = Store::open(&db).await.unwrap();
     store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
     assert_eq!(value(&db, "SELECT reason FROM v_attempt").await, "orchestrator_lost");
+    // It ended with its last step, however late it is found.
+    let ended = "SELECT a.ended_at = p.recorded_at FROM attempt a JOIN step p ON p.trial_id = a.trial_id";
+    assert_eq!(value(&db, ended).await, json!(1));
     assert_eq!(store.begin_attempt(hash).await.unwrap(), 2);
     let stale = store.record_step(hash, 1, &step, &checkpoint).await;
     assert!(matches!(stale, Err(StoreError::Stale { attempt: 1, .. })), "{stale:?}");

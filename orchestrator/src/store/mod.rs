@@ -46,6 +46,7 @@ pub use runs::{RunKey, RunPlan};
 pub use stored::Stored;
 pub use sweep::Reopen;
 pub use write::Array;
+pub(crate) use write::RELEASE_ORPHANS;
 
 /// The writer. All methods are cancel-safe only as a whole: drop the store, not a call.
 #[derive(Debug)]

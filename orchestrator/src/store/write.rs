@@ -25,6 +25,14 @@ pub struct Array<'a> {
     pub npy: &'a [u8],
 }
 
+/// Attempts that a dead run has left running: each ended, as far as anybody knows, with the last step that it recorded, whoever
+/// finds it, and whenever.
+pub(crate) const RELEASE_ORPHANS: &str = "
+    UPDATE main.attempt AS a SET state = 'failed', reason = 'orchestrator_lost',
+      ended_at = coalesce(a.ended_at, (SELECT max(p.recorded_at) FROM main.step p
+        WHERE p.trial_id = a.trial_id AND p.attempt = a.number), a.started_at) WHERE state = 'running';
+    UPDATE main.trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running';";
+
 /// A trial's checkpoint out of its bytes.
 pub(super) fn read_checkpoint(hash: &str, bytes: &[u8]) -> Result<Checkpoint, StoreError> {
     Checkpoint::from_bytes(bytes).map_err(|error| StoreError::Unreadable {
@@ -486,13 +494,7 @@ impl Store {
     /// A run that was killed leaves attempts `running`; the lock says that none of them still is.
     pub(super) async fn release_orphans(&mut self) -> Result<(), StoreError> {
         self.together("tidying", async |store| {
-            sqlx::raw_sql(
-                "UPDATE attempt SET state = 'failed', reason = 'orchestrator_lost',
-                   ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ')) WHERE state = 'running';
-                 UPDATE trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running'",
-            )
-            .execute(&mut store.connection)
-            .await
+            sqlx::raw_sql(RELEASE_ORPHANS).execute(&mut store.connection).await
         })
         .await?;
         Ok(())

@@ -242,12 +242,9 @@ pub(super) async fn note(
 
 /// What is left when all is there: attempts that a dead run, or one that goes on elsewhere, has left running.
 pub(super) async fn finish(out: &mut SqliteConnection) -> sqlx::Result<()> {
+    out.execute(store::RELEASE_ORPHANS).await?;
     out.execute(
-        "UPDATE main.attempt AS a SET state = 'failed', reason = 'orchestrator_lost',
-           ended_at = coalesce(a.ended_at, (SELECT max(p.recorded_at) FROM main.step p
-             WHERE p.trial_id = a.trial_id AND p.attempt = a.number), a.started_at) WHERE state = 'running';
-         UPDATE main.trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running';
-         UPDATE main.sweep SET created_at = (SELECT min(s.created_at) FROM temp.sweeps s WHERE s.new = sweep.id);",
+        "UPDATE main.sweep SET created_at = (SELECT min(s.created_at) FROM temp.sweeps s WHERE s.new = sweep.id)",
     )
     .await?;
     Ok(())
