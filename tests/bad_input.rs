@@ -32,6 +32,16 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[variation]\ncontact = 0.1\n[sweep]",
         "s.toml:14: variation.contact = 0.1: means nothing here: the body has no body.contact",
     ),
+    (
+        "[sweep]",
+        "[variation]\ngain = 1.5\n[sweep]",
+        "s.toml:14: variation.gain = 1.5: must be a standard deviation of the logarithm, from 0 to 1",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nmisalignment = -2.0\n[sweep]",
+        "s.toml:14: variation.misalignment = -2: must be a standard deviation from 0 to 45 degrees",
+    ),
     ("[sweep]", "[variation]\nnodes = 0.0\n[sweep]", "s.toml:13: variation: must say what scatters"),
     (
         "[sweep]",

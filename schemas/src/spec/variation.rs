@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How castings scatter about the design: material by a factor common to a cast, nodes each by itself. A deviation of 0.05 is
-/// 5 %.
+/// How castings scatter about the design: material by a factor common to a cast, nodes and chips each by itself. A deviation of
+/// 0.05 is 5 %.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Variation {
@@ -29,6 +29,12 @@ pub struct Variation {
     /// Standard deviation of each coordinate of each node shift, and how far such errors reach. Unit: mm. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nodes: Option<Nodes>,
+    /// Standard deviation of the logarithm of the gain of each channel of each chip. Unit: 1. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain: Option<f64>,
+    /// Standard deviation of the angle by which each chip is turned in the plane. Unit: degrees. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub misalignment: Option<f64>,
 }
 
 /// How nodes scatter.
@@ -83,6 +89,8 @@ impl Variation {
             density: some(self.density),
             contact: some(self.contact),
             nodes: self.nodes.and_then(Nodes::resolved),
+            gain: some(self.gain),
+            misalignment: some(self.misalignment),
         };
         (found != Self::default()).then_some(found)
     }

@@ -12,6 +12,8 @@ use crate::invalid::{Invalid, at_least, at_most, invalid, require};
 const DEVIATION_MAX: f64 = 1.0;
 /// Largest standard deviation of a node, as a part of the ligaments' length: four of the distance of two nodes reach it.
 const NODES_MAX: f64 = 1.0 / 6.0;
+/// Beyond this, chips are not glued but thrown (degrees).
+const MISALIGNMENT_MAX: f64 = 45.0;
 /// Nodes farther apart than this are of no body (mm).
 const CORRELATION_MAX: f64 = 10_000.0;
 /// Units of a body whose nodes scatter alike: the correlation of all of them is a matrix of some 140 MB.
@@ -22,7 +24,8 @@ const CASTS_MAX: usize = 10_000;
 /// How casts scatter.
 pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid> {
     let Some(given) = &trial.variation else { return Ok(None) };
-    let spec::Variation { stretch, shear, bend, damping, density, contact, nodes } = *given;
+    let spec::Variation { stretch, shear, bend, damping, density, contact, nodes, gain, misalignment } =
+        *given;
     let deviation = |key: &str, value: Option<f64>| {
         let value = value.unwrap_or(0.0);
         let remedy = "must be a standard deviation of the logarithm, from 0 to 1";
@@ -62,7 +65,10 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
         density: deviation("density", density)?,
         contact: of_contact,
     };
-    Ok(Some(Variation { material, nodes, correlation }))
+    let (gain, turn) = (deviation("gain", gain)?, misalignment.unwrap_or(0.0));
+    let remedy = "must be a standard deviation from 0 to 45 degrees";
+    require((0.0..=MISALIGNMENT_MAX).contains(&turn), "variation.misalignment", turn, remedy)?;
+    Ok(Some(Variation { material, nodes, correlation, gain, misalignment: turn.to_radians() }))
 }
 
 /// Casts that the body is trained for.

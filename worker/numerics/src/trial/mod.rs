@@ -28,7 +28,7 @@ use crate::dynamics::{
 };
 use crate::random::Purpose;
 use crate::stimuli::Source;
-use crate::variation::{Cast, Casts};
+use crate::variation::{Cast, Casts, Chips};
 use chip::Chip;
 
 /// Samples of a pilot: as many as the lanes take at once.
@@ -63,6 +63,8 @@ pub struct Response {
     /// What its sensors tell of them.
     pub samples: Samples,
     simulation: Simulation,
+    /// Of the cast that was simulated.
+    chips: Chips,
 }
 
 impl<'a> Trial<'a> {
@@ -164,7 +166,7 @@ impl<'a> Trial<'a> {
         let simulation = simulated(scene, design, forces, solver, precision, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
-        Ok(self.response(simulation, forces, vec![false; forces.samples]))
+        Ok(self.response(simulation, Chips::default(), forces, vec![false; forces.samples]))
     }
 
     /// The same where some samples may fail.
@@ -180,14 +182,14 @@ impl<'a> Trial<'a> {
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
-        self.simulate_in(&self.problem.scene, design, forces, solver, precision, keep_tape, counters)
+        self.simulate_cast(None, design, forces, solver, precision, keep_tape, counters)
     }
 
     /// A cast of the trial's body; without a variation every cast is as designed.
     pub(crate) fn cast(&self, casts: Casts, number: u64) -> Option<Cast> {
         let problem = &self.problem;
-        let (count, likeness) = (problem.initial.len(), &self.likeness);
-        problem.variation.map(|variation| variation.cast(problem.seed, casts, number, count, likeness))
+        let (sizes, likeness) = ([problem.initial.len(), problem.scene.sensors.len()], &self.likeness);
+        problem.variation.map(|variation| variation.cast(problem.seed, casts, number, sizes, likeness))
     }
 
     /// The same of a cast of the body; of none as [`Trial::simulate_most`]. dα of the cast is that of its design.
@@ -198,42 +200,34 @@ impl<'a> Trial<'a> {
         &self,
         cast: Option<&Cast>,
         design: &[f64],
-        forces: Forces,
-        solver: &Solver,
-        precision: Precision,
-        keep_tape: bool,
-        counters: &mut Counters,
-    ) -> Result<Response, Trouble> {
-        match cast {
-            None => self.simulate_most(design, forces, solver, precision, keep_tape, counters),
-            Some(cast) => {
-                let (scene, design) = (cast.scene(&self.problem.scene), cast.design(design));
-                self.simulate_in(&scene, &design, forces, solver, precision, keep_tape, counters)
-            }
-        }
-    }
-
-    fn simulate_in(
-        &self,
-        scene: &Scene,
-        design: &[f64],
         mut forces: Forces,
         solver: &Solver,
         precision: Precision,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
+        let scene = &self.problem.scene;
+        let own = cast.map(|cast| (cast.scene(scene), cast.design(design)));
+        let (scene, design) = own.as_ref().map_or((scene, design), |(scene, design)| (scene, design));
         let simulation = simulated(scene, design, &forces, solver, precision, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         few_failed(&simulation.outcomes)?;
         let failed = silence(&mut forces, &simulation.outcomes);
-        Ok(self.response(simulation, &forces, failed))
+        let chips = cast.map_or_else(Chips::default, |cast| cast.chips.clone());
+        Ok(self.response(simulation, chips, &forces, failed))
     }
 
-    fn response(&self, mut simulation: Simulation, forces: &Forces, failed: Vec<bool>) -> Response {
+    fn response(
+        &self,
+        mut simulation: Simulation,
+        chips: Chips,
+        forces: &Forces,
+        failed: Vec<bool>,
+    ) -> Response {
         let mut signals = std::mem::take(&mut simulation.signals);
+        chips.read(&mut signals);
         self.disturb(&mut signals, forces);
-        Response { samples: self.problem.samples(signals, forces).with_failed(failed), simulation }
+        Response { samples: self.problem.samples(signals, forces).with_failed(failed), simulation, chips }
     }
 
     /// dL/dα of a cotangent on the signals (N, T, 3M) of a body that was simulated with its tape.
@@ -242,13 +236,14 @@ impl<'a> Trial<'a> {
     /// If it is not finite.
     pub fn vjp(
         &self,
-        Response { simulation, samples }: &Response,
+        Response { simulation, samples, chips }: &Response,
         mut cotangent: Vec<f64>,
         counters: &mut Counters,
     ) -> Result<Vec<f64>, Trouble> {
         if let Some(chip) = &self.chip {
             chip.disturb_vjp(&mut cotangent, &samples.signals, simulation.outcomes.len());
         }
+        chips.read_vjp(&mut cotangent);
         let gradient = simulation.vjp(&cotangent, Wrt::Design, self.pool);
         counters.dynamics += gradient.counters;
         match gradient.design.iter().all(|g| g.is_finite()) {

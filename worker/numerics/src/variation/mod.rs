@@ -12,6 +12,10 @@ use crate::brain::linear::factor;
 use crate::dynamics::{Parameters, Scene};
 use crate::random::{Purpose, Stream};
 
+mod chips;
+
+pub use chips::Chips;
+
 /// How casts scatter about what was designed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Variation {
@@ -21,6 +25,10 @@ pub struct Variation {
     pub nodes: f64,
     /// Correlation length c of the shifts (mm); 0: each by itself.
     pub correlation: f64,
+    /// Standard deviation of the logarithm of each channel's gain.
+    pub gain: f64,
+    /// Standard deviation of each chip's turn in the plane (rad).
+    pub misalignment: f64,
 }
 
 /// Part of the shifts' variance that is each group's own: without it C is singular in double precision.
@@ -47,6 +55,8 @@ pub struct Cast {
     pub material: Parameters,
     /// What is added to each coordinate of α (mm); empty where moulds are exact.
     pub shifts: Vec<f64>,
+    /// Its sensors' chips.
+    pub chips: Chips,
 }
 
 impl Variation {
@@ -75,21 +85,33 @@ impl Variation {
         likeness
     }
 
-    /// A cast of a body of so many design parameters and its [`Variation::likeness`].
-    pub fn cast(&self, seed: u64, casts: Casts, number: u64, parameters: usize, likeness: &[f64]) -> Cast {
+    /// A cast of a body of so many design parameters and sensors and its [`Variation::likeness`].
+    pub fn cast(
+        &self,
+        seed: u64,
+        casts: Casts,
+        number: u64,
+        [parameters, sensors]: [usize; 2],
+        likeness: &[f64],
+    ) -> Cast {
         let stream = |what| Stream::new(Purpose::Cast, seed, [(casts as u64) << 32 | number, what]);
         let mut material = stream(0);
         let factor = |deviation: f64| (deviation * material.normal()).exp();
-        let mut nodes = stream(1);
-        let shifts = if self.nodes > 0.0 { parameters } else { 0 };
-        let own: Vec<f64> = (0..shifts).map(|_| self.nodes * nodes.normal()).collect();
+        let each = |deviation: f64, count: usize, mut stream: Stream| -> Vec<f64> {
+            let count = if deviation > 0.0 { count } else { 0 };
+            (0..count).map(|_| deviation * stream.normal()).collect()
+        };
+        let own = each(self.nodes, parameters, stream(1));
+        let shifts = own.len();
         let groups = shifts / 2;
         let shared = |i: usize| {
             let [group, axis] = [i / 2, i % 2];
             (0..=group).map(|other| likeness[other * groups + group] * own[2 * other + axis]).sum()
         };
         let shifts = if likeness.is_empty() { own } else { (0..shifts).map(shared).collect() };
-        Cast { material: Parameters::from_array(self.material.array().map(factor)), shifts }
+        let gain = each(self.gain, 3 * sensors, stream(2)).into_iter().map(f64::exp).collect();
+        let chips = Chips { gain, turn: each(self.misalignment, sensors, stream(3)) };
+        Cast { material: Parameters::from_array(self.material.array().map(factor)), shifts, chips }
     }
 }
 

@@ -5,14 +5,14 @@ use crate::dynamics::Parameters;
 fn variation() -> Variation {
     let material =
         Parameters { stretch: 0.05, shear: 0.1, bend: 0.0, damping_ratio: 0.2, density: 0.03, contact: 0.4 };
-    Variation { material, nodes: 0.1, correlation: 0.0 }
+    Variation { material, nodes: 0.1, correlation: 0.0, gain: 0.02, misalignment: 0.03 }
 }
 
 /// Logarithms of factors and shifts have the deviations asked for, and nothing else scatters; each is drawn by itself.
 #[test]
 fn casts_scatter_as_asked() {
     let count = 4000;
-    let casts: Vec<Cast> = (0..count).map(|i| variation().cast(7, Casts::Unseen, i, 2, &[])).collect();
+    let casts: Vec<Cast> = (0..count).map(|i| variation().cast(7, Casts::Unseen, i, [2, 1], &[])).collect();
     let deviation = |of: &dyn Fn(&Cast) -> f64| {
         let values: Vec<f64> = casts.iter().map(of).collect();
         (values.iter().map(|x| x * x).sum::<f64>() / count as f64).sqrt()
@@ -23,6 +23,11 @@ fn casts_scatter_as_asked() {
     }
     let found = [0, 1].map(|i| deviation(&|cast| cast.shifts[i]));
     assert!(found.iter().all(|found| (found / 0.1 - 1.0).abs() < 0.05), "{found:?}");
+    for (c, found) in [0, 1, 2].map(|c| deviation(&|cast| cast.chips.gain[c].ln())).into_iter().enumerate() {
+        assert!((found / 0.02 - 1.0).abs() < 0.05, "channel {c}: {found}");
+    }
+    let found = deviation(&|cast| cast.chips.turn[0]);
+    assert!((found / 0.03 - 1.0).abs() < 0.05, "{found}");
     let correlation = casts.iter().map(|cast| cast.shifts[0] * cast.shifts[1]).sum::<f64>();
     assert!((correlation / (0.01 * count as f64)).abs() < 0.05, "{correlation}");
 }
@@ -30,14 +35,36 @@ fn casts_scatter_as_asked() {
 /// A cast is the same whoever asks, another for another seed, purpose or number, and the material's does not hang on the mould's.
 #[test]
 fn a_cast_is_its_key() {
-    let one = variation().cast(7, Casts::Step, 3, 4, &[]);
-    assert_eq!(one, variation().cast(7, Casts::Step, 3, 4, &[]));
+    let one = variation().cast(7, Casts::Step, 3, [4, 2], &[]);
+    assert_eq!(one, variation().cast(7, Casts::Step, 3, [4, 2], &[]));
     for other in [(8, Casts::Step, 3), (7, Casts::Look, 3), (7, Casts::Step, 4)] {
-        let other = variation().cast(other.0, other.1, other.2, 4, &[]);
+        let other = variation().cast(other.0, other.1, other.2, [4, 2], &[]);
         assert!(other.material.stretch != one.material.stretch && other.shifts[0] != one.shifts[0]);
     }
-    let exact = Variation { nodes: 0.0, ..variation() }.cast(7, Casts::Step, 3, 4, &[]);
-    assert_eq!((exact.material, exact.shifts.len()), (one.material, 0));
+    let exact = Variation { nodes: 0.0, gain: 0.0, ..variation() }.cast(7, Casts::Step, 3, [4, 2], &[]);
+    assert_eq!((exact.material, exact.shifts.len(), exact.chips.gain.len()), (one.material, 0, 0));
+    assert_eq!(exact.chips.turn, one.chips.turn);
+}
+
+/// A chip turned by φ reads a vector turned by −φ, each channel by its gain; (C a)·c = a·(Cᵀ c).
+#[test]
+fn chips_turn_and_amplify_and_their_pull_back_is_the_transpose() {
+    let turn = vec![std::f64::consts::FRAC_PI_2, 0.0];
+    let chips = Chips { gain: vec![2.0, 3.0, 5.0, 1.0, 1.0, 0.5], turn };
+    let mut read = [1.0, 0.0, 1.0, 1.0, 2.0, 4.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
+    chips.read(&mut read);
+    let wanted = [0.0, -3.0, 5.0, 1.0, 2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    assert!(read.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-12), "{read:?}");
+    let chips = variation().cast(3, Casts::Step, 0, [0, 2], &[]).chips;
+    let mut stream = Stream::new(Purpose::Design, 3, [0, 0]);
+    let mut draw = || -> Vec<f64> { (0..4 * 6).map(|_| stream.normal()).collect() };
+    let (a, c) = (draw(), draw());
+    let (mut read, mut back) = (a.clone(), c.clone());
+    chips.read(&mut read);
+    chips.read_vjp(&mut back);
+    let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+    let (left, right) = (dot(&read, &c), dot(&a, &back));
+    assert!((left - right).abs() < 1e-12 * (1.0 + left.abs()) && read != a, "{left} {right}");
 }
 
 /// Shifts of groups r apart have the correlation exp(−r²/2c²) on each axis and none across axes, and each the deviation asked for.
@@ -46,8 +73,9 @@ fn near_nodes_scatter_alike() {
     let layout = Layout::planar(3, 2, 15.0, 2.25);
     let variation = Variation { correlation: 15.0, ..variation() };
     let (likeness, count) = (variation.likeness(&layout), 4000);
-    let casts: Vec<Cast> =
-        (0..count).map(|i| variation.cast(7, Casts::Unseen, i, layout.design_len(), &likeness)).collect();
+    let casts: Vec<Cast> = (0..count)
+        .map(|i| variation.cast(7, Casts::Unseen, i, [layout.design_len(), 0], &likeness))
+        .collect();
     let found = |a: usize, b: usize| {
         casts.iter().map(|cast| cast.shifts[a] * cast.shifts[b]).sum::<f64>() / (0.01 * count as f64)
     };
@@ -62,7 +90,7 @@ fn near_nodes_scatter_alike() {
     }
     // a length that no body has moves it as a whole
     let rigid = Variation { correlation: 1e4, ..variation };
-    let cast = rigid.cast(7, Casts::Step, 0, layout.design_len(), &rigid.likeness(&layout));
+    let cast = rigid.cast(7, Casts::Step, 0, [layout.design_len(), 0], &rigid.likeness(&layout));
     assert!(cast.shifts.chunks(2).all(|shift| (shift[0] - cast.shifts[0]).abs() < 2e-3), "{cast:?}");
     assert!(Variation { correlation: 0.0, ..variation }.likeness(&layout).is_empty());
 }

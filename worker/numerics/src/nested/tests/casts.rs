@@ -8,11 +8,12 @@ use crate::dynamics::{Parameters, Precision};
 use crate::trial::{CastReader, Casting, Over, Samples};
 use crate::variation::{Casts, Variation};
 
-/// Every parameter of the scene and every node scatter.
+/// Every parameter of the scene, every node and every chip scatter.
 fn scattered(problem: Problem) -> Problem {
     let [stretch, shear, bend, contact] = [0.05; 4];
     let material = Parameters { stretch, shear, bend, damping_ratio: 0.2, density: 0.03, contact };
-    Problem { variation: Some(Variation { material, nodes: 0.1, correlation: 0.0 }), ..problem }
+    let variation = Variation { material, nodes: 0.1, correlation: 0.0, gain: 0.05, misalignment: 0.05 };
+    Problem { variation: Some(variation), ..problem }
 }
 
 fn cast(casting: Casting) -> Problem {
@@ -159,7 +160,9 @@ fn a_loop_over_casts_goes_on_to_the_same_bits() {
 #[test]
 fn casts_that_do_not_scatter_are_the_body_as_designed() {
     let mut problem = cast(Casting { casts: 1, ..MEAN });
-    problem.variation = Some(Variation { material: Parameters::default(), nodes: 0.0, correlation: 0.0 });
+    let still = Parameters::default();
+    let exact = Variation { material: still, nodes: 0.0, correlation: 0.0, gain: 0.0, misalignment: 0.0 };
+    problem.variation = Some(exact);
     problem.evaluation.casts = 1;
     let over = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
     let nominal =

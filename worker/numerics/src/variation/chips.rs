@@ -1,0 +1,41 @@
+//! How the chips of a cast differ from the data sheet: each turned in the plane, each channel with a gain of its own.
+//!
+//! ```text
+//! (a_x, a_y)′ = diag(g_x, g_y) R(−φ) (a_x, a_y)      ω′ = g_ω ω      g = e^{σz}
+//! ```
+
+/// The chips of one cast.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Chips {
+    /// g of each channel (3M); empty where gains are exact.
+    pub gain: Vec<f64>,
+    /// φ of each chip (M, rad); empty where all are straight.
+    pub turn: Vec<f64>,
+}
+
+impl Chips {
+    /// Overwrites signals (N, T, 3M) with what the chips make of them.
+    pub(crate) fn read(&self, signals: &mut [f64]) {
+        self.rotate(signals, -1.0);
+        self.amplify(signals);
+    }
+
+    /// Overwrites a cotangent (N, T, 3M) on what [`Chips::read`] left by one on the signals.
+    pub(crate) fn read_vjp(&self, cotangent: &mut [f64]) {
+        self.amplify(cotangent);
+        self.rotate(cotangent, 1.0);
+    }
+
+    fn amplify(&self, values: &mut [f64]) {
+        values.iter_mut().zip(self.gain.iter().cycle()).for_each(|(value, gain)| *value *= gain);
+    }
+
+    /// By φ of each chip, or the other way.
+    fn rotate(&self, values: &mut [f64], way: f64) {
+        let turns: Vec<(f64, f64)> = self.turn.iter().map(|turn| (way * turn).sin_cos()).collect();
+        for (reading, (s, c)) in values.chunks_exact_mut(3).zip(turns.iter().cycle()) {
+            let (x, y) = (reading[0], reading[1]);
+            (reading[0], reading[1]) = (c * x - s * y, s * x + c * y);
+        }
+    }
+}
