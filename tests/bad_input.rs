@@ -14,6 +14,36 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[variation]\nshear = { common = 0.05, ligament = -0.03 }\n[sweep]",
+        "s.toml:14: variation.shear.ligament = -0.03: must be a standard deviation of the logarithm, from 0 to 1",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nbend = { common = nan, ligament = 0.03 }\n[sweep]",
+        "s.toml:14: variation.bend.common = nan: nan is no finite number",
+    ),
+    (
+        "[sweep]",
+        "[variation]\ndensity = { unit = 1.5 }\n[sweep]",
+        "s.toml:14: variation.density.unit = 1.5: must be a standard deviation of the logarithm, from 0 to 1",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nstretch = {}\n[sweep]",
+        "s.toml:14: variation.stretch: must be a number or a table { common, ligament }",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nstretch = { unit = 0.05 }\n[sweep]",
+        "s.toml:14: variation.stretch.unit = 0.05: unknown key",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nstretch = { ligament = 0.0 }\n[sweep]",
+        "s.toml:13: variation: must say what scatters",
+    ),
+    (
+        "[sweep]",
         "[variation]\nnodes = 0.4\n[sweep]",
         "s.toml:14: variation.nodes = 0.4: must lie between 0 and 0.375 mm, a sixth of body.ligament_length",
     ),

@@ -3,8 +3,7 @@
 use crate::common::{Bench, TINY};
 use serde_json::Value;
 
-const SCATTER: &str =
-    "[variation]\nstretch = 0.05\nshear = 0.05\nbend = 0.05\ndamping = 0.2\ndensity = 0.03\nnodes = 0.1\n";
+const SCATTER: &str = "[variation]\nstretch = 0.05\nshear = { common = 0.05, ligament = 0.03 }\nbend = 0.05\ndamping = 0.2\ndensity = { unit = 0.03 }\nnodes = 0.1\n";
 
 fn json(text: &str) -> Vec<Value> {
     serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))

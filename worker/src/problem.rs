@@ -7,7 +7,9 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::fits;
-use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Panel, Scene, Solver, Stiffness};
+use metasense_numerics::dynamics::{
+    Accuracy, Contact, Frame, Method, Panel, Parts, Scene, Solver, Stiffness,
+};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::trial::{
     BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Schedule, Training,
@@ -414,6 +416,7 @@ fn scene(
     Ok(Scene {
         density,
         stiffness,
+        parts: Parts::default(),
         damping_ratio: body.damping_ratio,
         contact: body.contact.map(|c| Contact {
             stiffness: c.stiffness,

@@ -1,6 +1,5 @@
 //! A finished trial computed again from its stored design and weights: geometry, signals, predictions, motion.
 
-use metasense_numerics::body::Geometry;
 use metasense_numerics::brains::fits;
 use metasense_numerics::feasible::{Active, Feasible};
 use metasense_numerics::place::placed;
@@ -43,7 +42,7 @@ pub struct Drawing {
 pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
     let problem = with_design(trial, design)?;
     let scene = &problem.scene;
-    let geometry = Geometry::new(&scene.layout, design, scene.density);
+    let geometry = scene.geometry(design);
     let ligaments = scene.layout.ligaments.iter();
     let instants = 1..=scene.instants;
     Ok(Drawing {

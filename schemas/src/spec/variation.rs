@@ -3,26 +3,26 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How castings scatter about the design: material by a factor common to a cast, nodes and chips each by itself. A deviation of
-/// 0.05 is 5 %.
+/// How castings scatter about the design: material by a factor common to a cast and by others of each ligament and unit, nodes
+/// and chips each by itself. A deviation of 0.05 is 5 %.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Variation {
     /// Standard deviation of the logarithm of `body.stiffness.stretch`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub stretch: Option<f64>,
+    pub stretch: Option<Scatter<OfLigaments>>,
     /// Standard deviation of the logarithm of `body.stiffness.shear`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub shear: Option<f64>,
+    pub shear: Option<Scatter<OfLigaments>>,
     /// Standard deviation of the logarithm of `body.stiffness.bend`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub bend: Option<f64>,
+    pub bend: Option<Scatter<OfLigaments>>,
     /// Standard deviation of the logarithm of `body.damping_ratio`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
     /// Standard deviation of the logarithm of `body.density`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub density: Option<f64>,
+    pub density: Option<Scatter<OfUnits>>,
     /// Standard deviation of the logarithm of `body.contact.stiffness`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact: Option<f64>,
@@ -35,6 +35,75 @@ pub struct Variation {
     /// Standard deviation of the angle by which each chip is turned in the plane. Unit: degrees. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub misalignment: Option<f64>,
+}
+
+/// How a figure of the material scatters.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Scatter<Parts> {
+    /// a number: one factor for the whole cast.
+    Common(f64),
+    /// `{ common = s, ligament = r }`, of the density `{ common = s, unit = r }`: beside that factor one of each, of deviation r.
+    Parts(Parts),
+}
+
+/// Of a stiffness.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OfLigaments {
+    /// Standard deviation of the logarithm of the factor that all ligaments of a cast share. Default: 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub common: f64,
+    /// Of the factor of each ligament.
+    pub ligament: f64,
+}
+
+/// Of the density.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OfUnits {
+    /// Standard deviation of the logarithm of the factor that all units of a cast share. Default: 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub common: f64,
+    /// Of the factor of each unit.
+    pub unit: f64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde wants it")]
+fn is_zero(deviation: &f64) -> bool {
+    *deviation == 0.0
+}
+
+impl From<OfLigaments> for [f64; 2] {
+    fn from(OfLigaments { common, ligament }: OfLigaments) -> Self {
+        [common, ligament]
+    }
+}
+
+impl From<OfUnits> for [f64; 2] {
+    fn from(OfUnits { common, unit }: OfUnits) -> Self {
+        [common, unit]
+    }
+}
+
+impl<Parts: Copy + Into<[f64; 2]>> Scatter<Parts> {
+    /// Deviation of the common factor, and of each part's.
+    #[must_use]
+    pub fn parts(self) -> [f64; 2] {
+        match self {
+            Self::Common(common) => [common, 0.0],
+            Self::Parts(parts) => parts.into(),
+        }
+    }
+
+    /// What is the same said in one way; `None` if nothing scatters.
+    fn resolved(self) -> Option<Self> {
+        match self.parts() {
+            [0.0, 0.0] => None,
+            [common, 0.0] => Some(Self::Common(common)),
+            _ => Some(self),
+        }
+    }
 }
 
 /// How nodes scatter.
@@ -82,11 +151,11 @@ impl Variation {
     pub fn resolved(self) -> Option<Self> {
         let some = |deviation: Option<f64>| deviation.filter(|deviation| *deviation != 0.0);
         let found = Self {
-            stretch: some(self.stretch),
-            shear: some(self.shear),
-            bend: some(self.bend),
+            stretch: self.stretch.and_then(Scatter::resolved),
+            shear: self.shear.and_then(Scatter::resolved),
+            bend: self.bend.and_then(Scatter::resolved),
             damping: some(self.damping),
-            density: some(self.density),
+            density: self.density.and_then(Scatter::resolved),
             contact: some(self.contact),
             nodes: self.nodes.and_then(Nodes::resolved),
             gain: some(self.gain),

@@ -5,9 +5,9 @@ mod common;
 use common::{norm, pool, relative};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Plan, Precision, Scene,
-    Simulation, Solver, Stiffness, Tolerance, Wrt, choose, highest_frequency, run, signal_error, simulate,
-    tune,
+    Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters, Parts,
+    Plan, Precision, Scene, Simulation, Solver, Stiffness, Tolerance, Wrt, choose, energy,
+    energy_design_gradient, energy_gradient, highest_frequency, run, signal_error, simulate, tune,
 };
 use metasense_kernels::simd::Width;
 use metasense_kernels::{Heartbeat, Pool};
@@ -19,6 +19,7 @@ fn small_scene() -> Scene {
         layout: Layout::planar(3, 3, 15.0, 2.25),
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        parts: Parts::default(),
         damping_ratio: 0.02,
         contact: None,
         linearised: false,
@@ -142,6 +143,75 @@ fn coarse_steps_in_single_precision_are_those_in_double() {
         }
     }
     assert!(apart.iter().flatten().all(|off| (1e-9..3e-4).contains(off)), "{apart:?}");
+}
+
+/// Parts that differ from the scene's material all alike are a scene of that material, C held: in energy, its gradients, signals and
+/// their gradient in the design and in the logarithms of the parameters; where they differ by 1, to the bit.
+#[test]
+fn parts_that_are_alike_are_the_material() {
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let base = small_scene();
+    for scene in [base.clone(), Scene { contact, ..base.clone() }, Scene { linearised: true, ..base }] {
+        let (ligaments, units) = (scene.layout.ligaments.len(), scene.layout.units());
+        let with = |by: [f64; 4]| {
+            let [stretch, shear, bend, density] = by;
+            let parts =
+                Parts { ligaments: vec![[stretch, shear, bend]; ligaments], units: vec![density; units] };
+            Scene { parts, ..scene.clone() }
+        };
+        let parts = with([1.3, 1.7, 1.7, 1.2]);
+        let Stiffness { stretch, shear, bend } = scene.stiffness;
+        let material = Scene {
+            stiffness: Stiffness { stretch: 1.3 * stretch, shear: 1.7 * shear, bend: 1.7 * bend },
+            density: 1.2 * scene.density,
+            damping_ratio: scene.damping_ratio / (1.7f64 * 1.2).sqrt(),
+            ..scene.clone()
+        };
+        let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
+        let state: Vec<[f64; 3]> =
+            (0..units).map(|u| [0.0, 0.3, 0.6].map(|d| 0.2 * (1.7 * u as f64 + d).sin())).collect();
+        let still = |scene: &Scene| {
+            let Energy { elastic, contact } = energy(scene, &design, &state);
+            let gradient = energy_gradient(scene, &design, &state).into_flattened();
+            [vec![elastic, contact], gradient, energy_design_gradient(scene, &design, &state)]
+        };
+        let moving = |scene: &Scene| {
+            let run = run(scene, &design, &forces, &plan(Method::Nystrom6, 24), true, &pool(1));
+            let gradient = run.vjp(&run.signals, Wrt::Parameters, &pool(1));
+            let (slopes, at) =
+                (gradient.parameters.expect("asked for").array(), Parameters::of(scene).array());
+            let slopes = slopes.iter().zip(at).map(|(slope, at)| slope * at).collect();
+            ([run.signals, gradient.design, slopes], run.counters)
+        };
+        for (found, truth) in still(&parts).iter().zip(&still(&material)) {
+            let off = relative(found, truth);
+            assert!(off < 1e-12 && norm(truth) > 0.0, "{off:e}");
+        }
+        for (found, truth) in moving(&parts).0.iter().zip(&moving(&material).0) {
+            let off = relative(found, truth);
+            assert!(off < 1e-9 && norm(truth) > 0.0, "{off:e}");
+        }
+        let same = with([1.0; 4]);
+        assert_eq!(still(&same), still(&scene));
+        assert_eq!(moving(&same), moving(&scene));
+        assert_eq!(highest_frequency(&same, &design), highest_frequency(&scene, &design));
+    }
+}
+
+/// One stiff ligament raises the highest frequency, by which steps are chosen, to that of a body all as stiff, and a unit half as
+/// heavy does as much as it can.
+#[test]
+fn the_highest_frequency_is_that_of_the_stiffest_ligament() {
+    let scene = small_scene();
+    let (design, count) = (shaken(&scene), scene.layout.ligaments.len());
+    let with = |parts| highest_frequency(&Scene { parts, ..scene.clone() }, &design);
+    let ligaments =
+        |at: usize| (0..count).map(|q| [if q == at || at == count { 100.0 } else { 1.0 }; 3]).collect();
+    let [plain, one, all] = [Vec::new(), ligaments(4), ligaments(count)]
+        .map(|ligaments| with(Parts { ligaments, units: Vec::new() }));
+    assert!(one > 5.0 * plain && one < all && (all / plain - 10.0).abs() < 1e-6, "{plain} {one} {all}");
+    let light = with(Parts { units: vec![0.5; scene.layout.units()], ..Parts::default() });
+    assert!((light / plain - 2f64.sqrt()).abs() < 1e-6, "{light} {plain}");
 }
 
 /// Before its force a sample says nothing at all, and what it says then, and its gradient, are its own alone: whoever shares

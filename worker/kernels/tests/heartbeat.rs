@@ -5,7 +5,7 @@ use metasense_kernels::body::Layout;
 use metasense_kernels::brain::linear::{Fit, Lags, Moments, Order, Sizes};
 use metasense_kernels::brain::{Adam, Architecture, Data, Shape, Workspace, train};
 use metasense_kernels::dynamics::{
-    Accuracy, Forces, Frame, Method, Panel, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
+    Accuracy, Forces, Frame, Method, Panel, Parts, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
 };
 
 /// How much the count grows.
@@ -24,6 +24,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let scene = Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        parts: Parts::default(),
         damping_ratio: 0.02,
         contact: None,
         linearised: false,

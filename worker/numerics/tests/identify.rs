@@ -2,7 +2,7 @@
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Forces, Frame, Method, Panel, Parameters, Scene, Solver, Stiffness, simulate,
+    Accuracy, Forces, Frame, Method, Panel, Parameters, Parts, Scene, Solver, Stiffness, simulate,
 };
 use metasense_numerics::identify::{BOX, Identified, Parameter, Settings, Turn, Verdict, fit};
 use metasense_numerics::random::{Purpose, Stream};
@@ -19,6 +19,7 @@ fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
     Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        parts: Parts::default(),
         damping_ratio: 0.03,
         contact: None,
         linearised: false,

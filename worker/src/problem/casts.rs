@@ -4,7 +4,7 @@ use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::Parameters;
 use metasense_numerics::trial::{CastReader, Casting, Over};
 use metasense_numerics::variation::Variation;
-use metasense_schemas::spec::{self, TrialSpec};
+use metasense_schemas::spec::{self, Scatter, TrialSpec};
 
 use crate::invalid::{Invalid, at_least, at_most, invalid, require};
 
@@ -26,13 +26,7 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
     let Some(given) = &trial.variation else { return Ok(None) };
     let spec::Variation { stretch, shear, bend, damping, density, contact, nodes, gain, misalignment } =
         *given;
-    let deviation = |key: &str, value: Option<f64>| {
-        let value = value.unwrap_or(0.0);
-        let remedy = "must be a standard deviation of the logarithm, from 0 to 1";
-        require((0.0..=DEVIATION_MAX).contains(&value), &format!("variation.{key}"), value, remedy)
-            .map(|()| value)
-    };
-    let of_contact = deviation("contact", contact)?;
+    let of_contact = deviation("contact", contact.unwrap_or(0.0))?;
     require(
         trial.body.contact.is_some() || contact.is_none(),
         "variation.contact",
@@ -57,18 +51,50 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
     let units = trial.body.columns * trial.body.rows.unwrap_or(trial.body.columns);
     let remedy = format!("the body has {units} units; nodes scatter alike on at most {ALIKE_MAX}");
     require(correlation == 0.0 || units <= ALIKE_MAX, "variation.nodes.correlation", correlation, &remedy)?;
+    let [stretch, shear, bend] = [
+        deviations("stretch", stretch, "ligament")?,
+        deviations("shear", shear, "ligament")?,
+        deviations("bend", bend, "ligament")?,
+    ];
+    let density = deviations("density", density, "unit")?;
     let material = Parameters {
-        stretch: deviation("stretch", stretch)?,
-        shear: deviation("shear", shear)?,
-        bend: deviation("bend", bend)?,
-        damping_ratio: deviation("damping", damping)?,
-        density: deviation("density", density)?,
+        stretch: stretch[0],
+        shear: shear[0],
+        bend: bend[0],
+        damping_ratio: deviation("damping", damping.unwrap_or(0.0))?,
+        density: density[0],
         contact: of_contact,
     };
-    let (gain, turn) = (deviation("gain", gain)?, misalignment.unwrap_or(0.0));
+    let (gain, turn) = (deviation("gain", gain.unwrap_or(0.0))?, misalignment.unwrap_or(0.0));
     let remedy = "must be a standard deviation from 0 to 45 degrees";
     require((0.0..=MISALIGNMENT_MAX).contains(&turn), "variation.misalignment", turn, remedy)?;
-    Ok(Some(Variation { material, nodes, correlation, gain, misalignment: turn.to_radians() }))
+    let (ligaments, units) = ([stretch[1], shear[1], bend[1]], density[1]);
+    let misalignment = turn.to_radians();
+    Ok(Some(Variation { material, ligaments, units, nodes, correlation, gain, misalignment }))
+}
+
+/// Of a key of `[variation]`.
+fn deviation(key: &str, value: f64) -> Result<f64, Invalid> {
+    let remedy = "must be a standard deviation of the logarithm, from 0 to 1";
+    require((0.0..=DEVIATION_MAX).contains(&value), &format!("variation.{key}"), value, remedy)
+        .map(|()| value)
+}
+
+/// Of a cast's common factor, and of those of each `part`.
+fn deviations<Parts: Copy + Into<[f64; 2]>>(
+    key: &str,
+    given: Option<Scatter<Parts>>,
+    part: &str,
+) -> Result<[f64; 2], Invalid> {
+    match given {
+        None => Ok([0.0; 2]),
+        Some(Scatter::Common(common)) => Ok([deviation(key, common)?, 0.0]),
+        Some(Scatter::Parts(parts)) => {
+            let [common, each] = parts.into();
+            let keys = ["common", part].map(|of| format!("{key}.{of}"));
+            Ok([deviation(&keys[0], common)?, deviation(&keys[1], each)?])
+        }
+    }
 }
 
 /// Casts that the body is trained for.

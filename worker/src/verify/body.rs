@@ -2,7 +2,6 @@
 
 use super::case::{Case, CaseError};
 use super::{DEFAULT, Row, relative};
-use metasense_numerics::body::Geometry;
 use metasense_numerics::dynamics::{
     Forces, Outcome, Scene, Simulation, Solver, Tolerance, Wrt, energy, energy_design_gradient,
     energy_gradient, run, signal_error, simulate, tune,
@@ -22,7 +21,7 @@ const TIGHT: Solver = Solver::tsit5(Tolerance::both(1e-11));
 pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let layout = &scene.layout;
-    let g = Geometry::new(layout, &case.design(&scene)?, scene.density);
+    let g = scene.geometry(&case.design(&scene)?);
     let flat = |v: &[[[f64; 2]; 4]]| v.as_flattened().as_flattened().to_vec();
     let arrays = [
         ("alpha_initial", layout.initial_design(case.number("scene.initial_angle")?)),
@@ -51,7 +50,7 @@ pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let design = case.design(&scene)?;
     let (mut elastic, mut contact, mut dx, mut dalpha) = (vec![], vec![], vec![], vec![]);
-    let rest = Geometry::new(&scene.layout, &design, scene.density).void_angles(&scene.layout);
+    let rest = scene.geometry(&design).void_angles(&scene.layout);
     let mut voids = vec![];
     for state in case.states("displacement", scene.layout.units())? {
         let e = energy(&scene, &design, &state);
@@ -154,7 +153,7 @@ struct States {
 fn states(scene: &Scene, design: &[f64], forces: &Forces, run: &Simulation) -> States {
     let (mut states, mut velocities) = (States::default(), vec![]);
     let Some(tape) = &run.tape else { return states };
-    let geometry = Geometry::new(&scene.layout, design, scene.density);
+    let geometry = scene.geometry(design);
     for sample in (0..forces.samples).filter(|&i| run.outcomes[i] == Outcome::Ok) {
         for n in 1..=scene.instants {
             let (x, v) = tape.state(sample, n);

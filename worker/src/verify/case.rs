@@ -3,7 +3,7 @@
 use super::{Row, relative};
 use crate::files;
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Contact, Forces, Frame, Panel, Scene, Stiffness};
+use metasense_numerics::dynamics::{Contact, Forces, Frame, Panel, Parts, Scene, Stiffness};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -169,6 +169,7 @@ impl Case {
                 shear: number("k_shear")?,
                 bend: number("k_rot")?,
             },
+            parts: Parts::default(),
             damping_ratio: number("zeta")?,
             contact,
             linearised: self.flag("scene.linearised")?,

@@ -1,11 +1,10 @@
 //! Checks that need no reference: balance of energy, Taylor test of the gradient, and what several settings must agree on.
 
 use super::{Row, dot, norm, relative};
-use metasense_numerics::body::Geometry;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Panel, Parameters, Plan, Scene, Simulation,
-    Solver, Stiffness, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
+    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Panel, Parameters, Parts, Plan, Scene,
+    Simulation, Solver, Stiffness, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::stimuli::{self, Bell};
@@ -17,6 +16,7 @@ pub fn reference() -> Scene {
     Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        parts: Parts::default(),
         damping_ratio: 0.02,
         contact: None,
         linearised: false,
@@ -124,7 +124,7 @@ fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let run = simulate(&scene, &design, &forces, &solver, true, pool);
     let name = format!("energy balance, {}", solver.method.name());
     let Some(tape) = run.tape else { return Row::failed(name) };
-    let geometry = Geometry::new(&scene.layout, &design, scene.density);
+    let geometry = scene.geometry(&design);
     let c = damping(&scene);
     let dt = scene.duration / scene.instants as f64;
     let (mut powers, mut last) = (vec![0.0], 0.0);
@@ -240,6 +240,7 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
             1,
         ),
         ("struck off the centroids", base.clone(), 1),
+        ("each ligament and unit its own", Scene { parts: scattered(&base.layout), ..base.clone() }, 1),
     ];
     let count = scenes.len();
     let mut stream = Stream::new(Purpose::Design, 6, [0, 0]);
@@ -294,6 +295,16 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
             .noted(format!("at most, in {count} scenes: {scene}"))
     };
     whats.zip(worst).map(row).collect()
+}
+
+/// Factors of 5 % of every ligament's stiffnesses and every unit's density.
+fn scattered(layout: &Layout) -> Parts {
+    let mut stream = Stream::new(Purpose::Design, 7, [0, 0]);
+    let mut factor = || (0.05 * stream.normal()).exp();
+    Parts {
+        ligaments: layout.ligaments.iter().map(|_| [(); 3].map(|()| factor())).collect(),
+        units: (0..layout.units()).map(|_| factor()).collect(),
+    }
 }
 
 /// What 300 samples of the reference scene keep for their gradient, in MB: the states at the instants and, of adaptive steps

@@ -38,9 +38,9 @@ impl<V: Vector> Balance<V> {
         let touching =
             |c| model.bars.iter().flat_map(|bar| bar.voids).map(|psi| contact_energy(c, psi)).sum();
         let work = V::splat(model.contact.map_or(0.0, touching));
-        let length = model.bars.first().map_or(1.0, |bar| bar.length);
         let epsilon = if V::SINGLE { f64::from(f32::EPSILON) } else { f64::EPSILON };
-        let floor = epsilon * model.stiffness.stretch * length * length;
+        let floors = model.bars.iter().map(|bar| epsilon * bar.stiffness[0] * bar.length * bar.length);
+        let floor = floors.fold(0.0, f64::max);
         Self { mass: mass.collect(), before, work, most: work, lost: zero, floor }
     }
 

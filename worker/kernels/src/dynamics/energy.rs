@@ -17,7 +17,6 @@ pub struct Energy {
 /// Energy of a displacement (u, v, θ) of every unit, with the standard library's trigonometry.
 pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energy {
     let model = Model::new(scene, design);
-    let k = scene.stiffness;
     let mut sum = Energy { elastic: 0.0, contact: 0.0 };
     for bar in &model.bars {
         let (xa, xb) = (displacement[bar.a], displacement[bar.b]);
@@ -37,7 +36,8 @@ pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energ
             (d[0].hypot(d[1]) - l, l * (n[0] * d[1] - n[1] * d[0]).atan2(n[0] * d[0] + n[1] * d[1]))
         };
         let bend = xb[2] - xa[2];
-        sum.elastic += 0.5 * (k.stretch * stretch.powi(2) + k.shear * slide.powi(2) + k.bend * bend.powi(2));
+        let [k_l, k_s, k_t] = bar.stiffness;
+        sum.elastic += 0.5 * (k_l * stretch.powi(2) + k_s * slide.powi(2) + k_t * bend.powi(2));
         if let Some(contact) = scene.contact {
             sum.contact +=
                 contact_energy(contact, bar.voids[0] - bend) + contact_energy(contact, bar.voids[1] + bend);
@@ -93,5 +93,5 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
         cotangent.voids[bar.index] = voids.map(first);
     }
     let gradient = g.iter().map(|g| g.map(first)).collect();
-    (gradient, cotangent.design(&model, &scene.layout, scene.density))
+    (gradient, cotangent.design(&model, scene))
 }

@@ -225,7 +225,7 @@ impl Simulation {
             }
         }
         let parameters = (wrt == Wrt::Parameters).then(|| total.parameters(&model, scene));
-        let design = total.design(&model, &scene.layout, scene.density);
+        let design = total.design(&model, scene);
         Gradient { design, parameters, forces: pushed, counters }
     }
 }

@@ -134,7 +134,8 @@ impl<'a> Body<'a> {
             });
             let m = 0.5 * density * doubled;
             arms.push(r);
-            let own = [m, m, 1.0 / 12.0 * density * polar];
+            let by = scene.parts.units.get(u).copied().unwrap_or(1.0);
+            let own = [by * m, by * m, by / 12.0 * density * polar];
             let chip = Inertia::on(scene, u);
             mass.push([0, 1, 2].map(|d| own[d] + Dual(chip[d], 0.0)));
         }
@@ -190,7 +191,9 @@ impl<'a> Body<'a> {
                 net[panel.unit][d] = net[panel.unit][d] + push;
             }
         }
-        for ligament in &scene.layout.ligaments {
+        for (index, ligament) in scene.layout.ligaments.iter().enumerate() {
+            let own = scene.parts.ligaments.get(index).copied().unwrap_or([1.0; 3]);
+            let (stretch, shearing, bending) = (own[0] * stretch, own[1] * shearing, own[2] * bending);
             let (a, b) = (ligament.a.unit, ligament.b.unit);
             let (ra, rb) = (arms[a][ligament.a.node], arms[b][ligament.b.node]);
             let length = ligament.reference[0].hypot(ligament.reference[1]);

@@ -107,19 +107,18 @@ pub fn energy<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     x: &[[V; 3]],
     turn: &[Turn<V>],
 ) -> V {
-    let k = model.stiffness;
     let mut sum = V::splat(0.0);
     for bar in bars {
         let at = kinematics::<V, LINEAR>(bar, x, turn);
         let gamma = shear_angle::<V, LINEAR>(&at);
         let [stretched, slid, turned] = if LINEAR {
-            linear(model, bar, at.d, at.mean, at.relative).2
+            linear(bar, at.d, at.mean, at.relative).2
         } else {
             let length = V::of(bar.length);
             [at.size - length, length * gamma, at.relative]
         };
-        for (k, strain) in [(k.stretch, stretched), (k.shear, slid), (k.bend, turned)] {
-            sum = (V::splat(0.5 * k) * strain).mul_add(strain, sum);
+        for (k, strain) in bar.stiffness.into_iter().zip([stretched, slid, turned]) {
+            sum = (V::splat(0.5) * V::of(k) * strain).mul_add(strain, sum);
         }
         if CONTACT && let Some(contact) = model.contact {
             let psi = [V::of(bar.voids[0]) - turned, V::of(bar.voids[1]) + turned];
@@ -167,7 +166,7 @@ pub fn product<
         if GRADIENT {
             reaction.add_to(g, bar);
         }
-        let tangent = reaction.tangent::<LINEAR, CONTACT>(model, bar, [w[a], w[b]]);
+        let tangent = reaction.tangent::<LINEAR, CONTACT>(bar, [w[a], w[b]]);
         let [fx, fy] = tangent.force;
         let [hx, hy, ht] = h[a];
         h[a] = [hx + fx, hy + fy, ht - tangent.moments[0]];
@@ -196,9 +195,9 @@ pub fn product<
             *to = [to[0] + tangent.voids[0], to[1] + tangent.voids[1]];
         }
         if PARAMETERS {
-            for ((to, strain), along) in shape.stiffness.iter_mut().zip(reaction.strains).zip(tangent.strains)
-            {
-                *to = strain.mul_add(along, *to);
+            for k in 0..3 {
+                let strain = V::of(bar.factors[k]) * reaction.strains[k];
+                shape.stiffness[k] = strain.mul_add(tangent.strains[k], shape.stiffness[k]);
             }
             if CONTACT && let Some(contact) = model.contact {
                 // ∂E_c/∂ψ is k_c times what does not depend on it
@@ -309,7 +308,8 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     gamma: V,
     margin: &mut V,
 ) -> Reaction<V> {
-    let (k, zero, length, relative) = (model.stiffness, V::splat(0.0), bar.length, at.relative);
+    let (zero, length, relative) = (V::splat(0.0), bar.length, at.relative);
+    let [k_l, _, k_t] = bar.stiffness;
     let mut of = Reaction {
         at,
         inverse_square: zero,
@@ -323,13 +323,13 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     // −∂U/∂θ of either unit, as the reference of the shear turns with both; and ∂U/∂θ_b of bending and contact, the
     // negative of that of a
     let shear;
-    let mut bend = V::splat(k.bend) * relative;
+    let mut bend = V::of(k_t) * relative;
     if LINEAR {
-        (of.force, shear, of.strains) = linear(model, bar, at.d, at.mean, relative);
+        (of.force, shear, of.strains) = linear(bar, at.d, at.mean, relative);
     } else {
         let [dx, dy] = at.d;
         of.inverse_square = at.inverse * at.inverse;
-        of.stretch = V::of(bar.tension).mul_sub_from(at.inverse, V::splat(k.stretch));
+        of.stretch = V::of(bar.tension).mul_sub_from(at.inverse, V::of(k_l));
         let twist = V::of(bar.twist) * gamma;
         of.side = twist * of.inverse_square;
         of.force = [of.side.mul_sub_from(dy, of.stretch * dx), of.side.mul_add(dx, of.stretch * dy)];
@@ -353,17 +353,11 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
 
 /// Force, moment and strains of linear measures: linear in displacement, mean and difference of rotations.
 #[inline(always)]
-fn linear<V: Vector>(
-    model: &Model,
-    bar: &Bar<V::Scalar>,
-    du: [V; 2],
-    mean: V,
-    relative: V,
-) -> ([V; 2], V, [V; 3]) {
-    let (k, e, length) = (model.stiffness, pair(bar.e), V::of(bar.length));
+fn linear<V: Vector>(bar: &Bar<V::Scalar>, du: [V; 2], mean: V, relative: V) -> ([V; 2], V, [V; 3]) {
+    let ([k_l, k_s, _], e, length) = (bar.stiffness, pair(bar.e), V::of(bar.length));
     let stretched = du[0].mul_add(e[0], du[1] * e[1]);
     let slid = du[0].mul_sub_from(e[1], du[1] * e[0]) - length * mean;
-    let (stretch, slide) = (V::splat(k.stretch) * stretched, V::splat(k.shear) * slid);
+    let (stretch, slide) = (V::of(k_l) * stretched, V::of(k_s) * slid);
     let force = [slide.mul_sub_from(e[1], stretch * e[0]), slide.mul_add(e[0], stretch * e[1])];
     (force, V::splat(0.5) * length * slide, [stretched, slid, relative])
 }
@@ -387,18 +381,17 @@ impl<V: Vector> Reaction<V> {
     #[inline(always)]
     fn tangent<const LINEAR: bool, const CONTACT: bool>(
         &self,
-        model: &Model,
         bar: &Bar<V::Scalar>,
         [wa, wb]: [[V; 3]; 2],
     ) -> ReactionTangent<V> {
-        let (k, length, zero) = (model.stiffness, bar.length, V::splat(0.0));
+        let (length, zero) = (bar.length, V::splat(0.0));
         let Kinematics { levers: [la, lb], d: [dx, dy], size, inverse, .. } = self.at;
         let p = wa[2].mul_add(la[1], wb[2].mul_sub_from(lb[1], wb[0] - wa[0]));
         let q = wa[2].mul_sub_from(la[0], wb[2].mul_add(lb[0], wb[1] - wa[1]));
         let (mean, relative) = (V::splat(0.5) * (wa[2] + wb[2]), wb[2] - wa[2]);
         let (force, shear, strains);
         if LINEAR {
-            (force, shear, strains) = linear(model, bar, [p, q], mean, relative);
+            (force, shear, strains) = linear(bar, [p, q], mean, relative);
         } else {
             let rho = dx.mul_add(p, dy * q) * self.inverse_square;
             let swing = dy.mul_sub_from(p, dx * q) * self.inverse_square;
@@ -413,9 +406,9 @@ impl<V: Vector> Reaction<V> {
             shear = V::splat(0.5) * twist;
             strains = [rho * size, V::of(length) * gamma, relative];
         }
-        let mut bend = V::splat(k.bend) * relative;
+        let mut bend = V::of(bar.stiffness[2]) * relative;
         let mut voids = [zero; 2];
-        if CONTACT && model.contact.is_some() {
+        if CONTACT {
             for (s, sign) in [(0, -1.0), (1, 1.0)] {
                 voids[s] = V::splat(sign) * self.contact[s].1 * relative;
                 bend = V::splat(sign).mul_add(voids[s], bend);

@@ -36,7 +36,7 @@ pub use integrate::{planned, run, simulate};
 pub use jvp::Tangent;
 pub use model::damping;
 pub use rest::Rest;
-pub use scene::{Contact, Frame, Inertia, Mount, Panel, Parameters, Scene, Stiffness};
+pub use scene::{Contact, Frame, Inertia, Mount, Panel, Parameters, Parts, Scene, Stiffness};
 pub use simulation::{Counters, Gradient, Outcome, Simulation, Tape, Wrt};
 pub use solver::{Accuracy, Method, Plan, Precision, Solver, Steps, Tolerance};
 pub use tune::{Tuned, signal_error, tune};

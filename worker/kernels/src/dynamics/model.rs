@@ -1,7 +1,7 @@
 //! A scene with a design, in the form that the kernels read.
 
 use super::{Contact, Inertia, Parameters, Scene, Stiffness};
-use crate::body::{Geometry, Layout, void_angles_vjp};
+use crate::body::{Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -26,6 +26,10 @@ pub struct Bar<S = f64> {
     pub e: [S; 2],
     /// l₀ (mm).
     pub length: S,
+    /// k_l, k_s, k_θ.
+    pub stiffness: [S; 3],
+    /// By how much they are those of the scene.
+    pub factors: [S; 3],
     /// k_l l₀ (N).
     pub tension: S,
     /// k_s l₀² (N·mm).
@@ -37,7 +41,7 @@ pub struct Bar<S = f64> {
 impl Bar {
     /// Rounded to a kernel's scalar.
     pub fn rounded<S: Scalar>(&self) -> Bar<S> {
-        let Self { index, a, b, node_a, node_b, arm_a, arm_b, e, length, tension, twist, voids } = *self;
+        let Self { index, a, b, node_a, node_b, arm_a, arm_b, e, length, tension, twist, voids, .. } = *self;
         Bar {
             index,
             a,
@@ -48,6 +52,8 @@ impl Bar {
             arm_b: arm_b.map(S::from_f64),
             e: e.map(S::from_f64),
             length: S::from_f64(length),
+            stiffness: self.stiffness.map(S::from_f64),
+            factors: self.factors.map(S::from_f64),
             tension: S::from_f64(tension),
             twist: S::from_f64(twist),
             voids: voids.map(S::from_f64),
@@ -62,8 +68,6 @@ pub struct Model {
     pub bars: Vec<Bar>,
     /// How many the layout has.
     pub ligaments: usize,
-    /// Stiffnesses.
-    pub stiffness: Stiffness,
     /// Contact.
     pub contact: Option<Contact>,
     /// 1/(m, m, J) of each unit; zero where clamped.
@@ -89,11 +93,14 @@ impl Model {
     /// The model of `scene` with `design`.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
         let layout = &scene.layout;
-        let geometry = Geometry::new(layout, design, scene.density);
+        let geometry = scene.geometry(design);
         let voids = geometry.void_angles(layout);
         let branch = |psi: f64| if psi < -FRAC_PI_2 { psi + TAU } else { psi };
         let bar = |(index, (l, voids)): (usize, (&crate::body::Ligament, &[f64; 2]))| {
             let length = l.reference[0].hypot(l.reference[1]);
+            let Stiffness { stretch, shear, bend } = scene.stiffness;
+            let factors = scene.parts.ligaments.get(index).copied().unwrap_or([1.0; 3]);
+            let stiffness = [stretch * factors[0], shear * factors[1], bend * factors[2]];
             Bar {
                 index,
                 a: l.a.unit,
@@ -104,8 +111,10 @@ impl Model {
                 arm_b: geometry.arms[l.b.unit][l.b.node],
                 e: [l.reference[0] / length, l.reference[1] / length],
                 length,
-                tension: scene.stiffness.stretch * length,
-                twist: scene.stiffness.shear * length * length,
+                stiffness,
+                factors,
+                tension: stiffness[0] * length,
+                twist: stiffness[1] * length * length,
                 voids: voids.map(branch),
             }
         };
@@ -122,7 +131,6 @@ impl Model {
         Self {
             bars,
             ligaments: layout.ligaments.len(),
-            stiffness: scene.stiffness,
             contact: scene.contact,
             inverse_mass,
             damping: damping(scene),
@@ -165,7 +173,7 @@ pub struct ModelCotangent {
     pub mass: Vec<[f64; 3]>,
     /// Of the void angles at rest.
     pub voids: Vec<[f64; 2]>,
-    /// Of k_l, k_s, k_θ, k_c, where asked for, C held.
+    /// Of the scene's k_l, k_s, k_θ, k_c, where asked for, C held.
     pub stiffness: [f64; 4],
     /// Of C, where asked for.
     pub damping: [f64; 3],
@@ -212,12 +220,14 @@ impl ModelCotangent {
     }
 
     /// Gradient in the design.
-    pub fn design(mut self, model: &Model, layout: &Layout, density: f64) -> Vec<f64> {
+    pub fn design(mut self, model: &Model, scene: &Scene) -> Vec<f64> {
+        let Scene { layout, density, parts, .. } = scene;
         if model.contact.is_some() {
             void_angles_vjp(&model.geometry, layout, &self.voids, &mut self.arms);
         }
+        self.mass.iter_mut().zip(&parts.units).for_each(|(m, by)| m.iter_mut().for_each(|m| *m *= by));
         let mass: Vec<f64> = self.mass.iter().map(|m| m[0] + m[1]).collect();
         let moment: Vec<f64> = self.mass.iter().map(|m| m[2]).collect();
-        model.geometry.vjp(layout, density, &self.arms, &mass, &moment)
+        model.geometry.vjp(layout, *density, &self.arms, &mass, &moment)
     }
 }

@@ -1,6 +1,6 @@
 //! What is simulated, but for design and forces: body, material, contact, where it is struck and where it is read.
 
-use crate::body::Layout;
+use crate::body::{Geometry, Layout};
 
 /// Stiffnesses of a ligament.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,6 +74,15 @@ impl Parameters {
     }
 }
 
+/// How the parts of one body differ from its material.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Parts {
+    /// By what k_l, k_s, k_θ of each ligament are multiplied; empty where all are alike. C does not depend on it.
+    pub ligaments: Vec<[f64; 3]>,
+    /// By what the density of each unit is multiplied; likewise.
+    pub units: Vec<f64>,
+}
+
 /// Mass on the centroid of a unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Inertia {
@@ -129,6 +138,8 @@ pub struct Scene {
     pub density: f64,
     /// Ligaments.
     pub stiffness: Stiffness,
+    /// How single ligaments and units differ.
+    pub parts: Parts,
     /// ζ.
     pub damping_ratio: f64,
     /// Contact; a scene without does not pay for it.
@@ -154,6 +165,23 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// What a design is in it.
+    ///
+    /// # Panics
+    /// If the design's length is not the layout's, or a part's factor is missing.
+    pub fn geometry(&self, design: &[f64]) -> Geometry {
+        let Parts { ligaments, units } = &self.parts;
+        let counts = [ligaments.len(), units.len()];
+        for (given, parts) in counts.into_iter().zip([self.layout.ligaments.len(), self.layout.units()]) {
+            assert!(given == 0 || given == parts, "{given} factors of {parts} parts");
+        }
+        let mut geometry = Geometry::new(&self.layout, design, self.density);
+        let Geometry { mass, moment, .. } = &mut geometry;
+        mass.iter_mut().zip(units).for_each(|(m, by)| *m *= by);
+        moment.iter_mut().zip(units).for_each(|(j, by)| *j *= by);
+        geometry
+    }
+
     /// Whether readings depend on how units have turned.
     pub(super) fn reads_turns(&self) -> bool {
         self.frame == Frame::Body || self.mount.is_some()

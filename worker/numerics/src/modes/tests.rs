@@ -1,6 +1,6 @@
 use super::*;
 use crate::body::Layout;
-use crate::dynamics::{Forces, Frame, Method, Panel, Plan, Stiffness, highest_frequency, run};
+use crate::dynamics::{Forces, Frame, Method, Panel, Parts, Plan, Stiffness, highest_frequency, run};
 use nalgebra::DMatrix;
 use std::f64::consts::PI;
 
@@ -10,6 +10,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         layout,
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        parts: Parts::default(),
         damping_ratio: 0.02,
         contact: None,
         linearised: false,

@@ -2,7 +2,7 @@ use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
 use crate::brain::{self, Architecture, Data, TrainOutcome, Workspace};
-use crate::dynamics::{Accuracy, Frame, Method, Panel, Precision, Scene, Solver, Stiffness};
+use crate::dynamics::{Accuracy, Frame, Method, Panel, Parts, Precision, Scene, Solver, Stiffness};
 use crate::feasible::{Feasible, Limits};
 use crate::questions::{bound, replay, sense};
 use crate::random::{Purpose, Stream};
@@ -28,6 +28,7 @@ fn small(protocol: Protocol) -> Problem {
             layout,
             density: 1e-8,
             stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+            parts: Parts::default(),
             damping_ratio: 0.02,
             contact: None,
             linearised: false,

@@ -188,8 +188,8 @@ impl<'a> Trial<'a> {
     /// A cast of the trial's body; without a variation every cast is as designed.
     pub(crate) fn cast(&self, casts: Casts, number: u64) -> Option<Cast> {
         let problem = &self.problem;
-        let (sizes, likeness) = ([problem.initial.len(), problem.scene.sensors.len()], &self.likeness);
-        problem.variation.map(|variation| variation.cast(problem.seed, casts, number, sizes, likeness))
+        let (body, likeness) = ((&problem.scene.layout, problem.scene.sensors.len()), &self.likeness);
+        problem.variation.map(|variation| variation.cast(problem.seed, casts, number, body, likeness))
     }
 
     /// The same of a cast of the body; of none as [`Trial::simulate_most`]. dα of the cast is that of its design.

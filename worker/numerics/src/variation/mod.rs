@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! k′ = k e^{σz}     each of k_l, k_s, k_θ, ζ, density, k_c, the same for all ligaments and units of a cast
+//! k″ = k′ e^{ρz}    each of k_l, k_s, k_θ of each ligament, the density of each unit
 //! α′ = α + s L z    each coordinate of each shift; L = 1, or L Lᵀ = exp(−r²/2c²) for node groups r apart
 //! ```
 //! z standard normal, keyed by seed, purpose and number of the cast: all bodies of a trial, and trials of equal seed, meet the
@@ -9,7 +10,7 @@
 
 use crate::body::Layout;
 use crate::brain::linear::factor;
-use crate::dynamics::{Parameters, Scene};
+use crate::dynamics::{Parameters, Parts, Scene};
 use crate::random::{Purpose, Stream};
 
 mod chips;
@@ -17,10 +18,14 @@ mod chips;
 pub use chips::Chips;
 
 /// How casts scatter about what was designed.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Variation {
     /// Standard deviation of the logarithm of each parameter.
     pub material: Parameters,
+    /// Of k_l, k_s, k_θ of each ligament, beside that of all.
+    pub ligaments: [f64; 3],
+    /// Of the density of each unit, likewise.
+    pub units: f64,
     /// Standard deviation of each coordinate of each shift (mm).
     pub nodes: f64,
     /// Correlation length c of the shifts (mm); 0: each by itself.
@@ -53,6 +58,8 @@ pub enum Casts {
 pub struct Cast {
     /// By what each parameter is multiplied.
     pub material: Parameters,
+    /// By what each ligament and unit beside.
+    pub parts: Parts,
     /// What is added to each coordinate of α (mm); empty where moulds are exact.
     pub shifts: Vec<f64>,
     /// Its sensors' chips.
@@ -85,13 +92,13 @@ impl Variation {
         likeness
     }
 
-    /// A cast of a body of so many design parameters and sensors and its [`Variation::likeness`].
+    /// A cast of a body of a layout and so many sensors and its [`Variation::likeness`].
     pub fn cast(
         &self,
         seed: u64,
         casts: Casts,
         number: u64,
-        [parameters, sensors]: [usize; 2],
+        (layout, sensors): (&Layout, usize),
         likeness: &[f64],
     ) -> Cast {
         let stream = |what| Stream::new(Purpose::Cast, seed, [(casts as u64) << 32 | number, what]);
@@ -101,7 +108,7 @@ impl Variation {
             let count = if deviation > 0.0 { count } else { 0 };
             (0..count).map(|_| deviation * stream.normal()).collect()
         };
-        let own = each(self.nodes, parameters, stream(1));
+        let own = each(self.nodes, layout.design_len(), stream(1));
         let shifts = own.len();
         let groups = shifts / 2;
         let shared = |i: usize| {
@@ -111,7 +118,15 @@ impl Variation {
         let shifts = if likeness.is_empty() { own } else { (0..shifts).map(shared).collect() };
         let gain = each(self.gain, 3 * sensors, stream(2)).into_iter().map(f64::exp).collect();
         let chips = Chips { gain, turn: each(self.misalignment, sensors, stream(3)) };
-        Cast { material: Parameters::from_array(self.material.array().map(factor)), shifts, chips }
+        // every ligament draws all its factors, so that what one scatters by moves no other
+        let ligaments = if self.ligaments == [0.0; 3] { 0 } else { layout.ligaments.len() };
+        let mut of_ligaments = stream(4);
+        let mut factors = || self.ligaments.map(|deviation| (deviation * of_ligaments.normal()).exp());
+        let parts = Parts {
+            ligaments: (0..ligaments).map(|_| factors()).collect(),
+            units: each(self.units, layout.units(), stream(5)).into_iter().map(f64::exp).collect(),
+        };
+        Cast { material: Parameters::from_array(self.material.array().map(factor)), parts, shifts, chips }
     }
 }
 
@@ -120,7 +135,7 @@ impl Cast {
     pub fn scene(&self, scene: &Scene) -> Scene {
         let [mut own, by] = [Parameters::of(scene), self.material].map(Parameters::array);
         own.iter_mut().zip(by).for_each(|(own, by)| *own *= by);
-        Parameters::from_array(own).set(scene)
+        Scene { parts: self.parts.clone(), ..Parameters::from_array(own).set(scene) }
     }
 
     /// α of this cast (mm); dα of a function of it is that of the design.

@@ -2,17 +2,23 @@ use super::*;
 use crate::body::Layout;
 use crate::dynamics::Parameters;
 
+/// Of two units, so that there is a ligament.
+fn pair() -> Layout {
+    Layout::planar(2, 1, 15.0, 2.25)
+}
+
 fn variation() -> Variation {
     let material =
         Parameters { stretch: 0.05, shear: 0.1, bend: 0.0, damping_ratio: 0.2, density: 0.03, contact: 0.4 };
-    Variation { material, nodes: 0.1, correlation: 0.0, gain: 0.02, misalignment: 0.03 }
+    Variation { material, nodes: 0.1, gain: 0.02, misalignment: 0.03, ..Variation::default() }
 }
 
 /// Logarithms of factors and shifts have the deviations asked for, and nothing else scatters; each is drawn by itself.
 #[test]
 fn casts_scatter_as_asked() {
     let count = 4000;
-    let casts: Vec<Cast> = (0..count).map(|i| variation().cast(7, Casts::Unseen, i, [2, 1], &[])).collect();
+    let casts: Vec<Cast> =
+        (0..count).map(|i| variation().cast(7, Casts::Unseen, i, (&pair(), 1), &[])).collect();
     let deviation = |of: &dyn Fn(&Cast) -> f64| {
         let values: Vec<f64> = casts.iter().map(of).collect();
         (values.iter().map(|x| x * x).sum::<f64>() / count as f64).sqrt()
@@ -35,13 +41,13 @@ fn casts_scatter_as_asked() {
 /// A cast is the same whoever asks, another for another seed, purpose or number, and the material's does not hang on the mould's.
 #[test]
 fn a_cast_is_its_key() {
-    let one = variation().cast(7, Casts::Step, 3, [4, 2], &[]);
-    assert_eq!(one, variation().cast(7, Casts::Step, 3, [4, 2], &[]));
+    let one = variation().cast(7, Casts::Step, 3, (&pair(), 2), &[]);
+    assert_eq!(one, variation().cast(7, Casts::Step, 3, (&pair(), 2), &[]));
     for other in [(8, Casts::Step, 3), (7, Casts::Look, 3), (7, Casts::Step, 4)] {
-        let other = variation().cast(other.0, other.1, other.2, [4, 2], &[]);
+        let other = variation().cast(other.0, other.1, other.2, (&pair(), 2), &[]);
         assert!(other.material.stretch != one.material.stretch && other.shifts[0] != one.shifts[0]);
     }
-    let exact = Variation { nodes: 0.0, gain: 0.0, ..variation() }.cast(7, Casts::Step, 3, [4, 2], &[]);
+    let exact = Variation { nodes: 0.0, gain: 0.0, ..variation() }.cast(7, Casts::Step, 3, (&pair(), 2), &[]);
     assert_eq!((exact.material, exact.shifts.len(), exact.chips.gain.len()), (one.material, 0, 0));
     assert_eq!(exact.chips.turn, one.chips.turn);
 }
@@ -55,7 +61,7 @@ fn chips_turn_and_amplify_and_their_pull_back_is_the_transpose() {
     chips.read(&mut read);
     let wanted = [0.0, -3.0, 5.0, 1.0, 2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     assert!(read.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-12), "{read:?}");
-    let chips = variation().cast(3, Casts::Step, 0, [0, 2], &[]).chips;
+    let chips = variation().cast(3, Casts::Step, 0, (&pair(), 2), &[]).chips;
     let mut stream = Stream::new(Purpose::Design, 3, [0, 0]);
     let mut draw = || -> Vec<f64> { (0..4 * 6).map(|_| stream.normal()).collect() };
     let (a, c) = (draw(), draw());
@@ -67,15 +73,46 @@ fn chips_turn_and_amplify_and_their_pull_back_is_the_transpose() {
     assert!((left - right).abs() < 1e-12 * (1.0 + left.abs()) && read != a, "{left} {right}");
 }
 
+/// Logarithms of each ligament's and unit's factors have the deviations asked for, each drawn by itself, and what is common to a cast
+/// is what it is without them.
+#[test]
+fn parts_scatter_each_by_itself() {
+    let (layout, count) = (Layout::planar(3, 1, 15.0, 2.25), 4000);
+    let by_parts = Variation { ligaments: [0.05, 0.0, 0.1], units: 0.03, ..variation() };
+    let cast = |i| by_parts.cast(7, Casts::Unseen, i, (&layout, 1), &[]);
+    let casts: Vec<Cast> = (0..count).map(cast).collect();
+    let moment = |of: &dyn Fn(&Cast) -> f64| casts.iter().map(of).sum::<f64>() / count as f64;
+    for (found, asked) in [
+        (moment(&|c| c.parts.ligaments[1][0].ln().powi(2)).sqrt(), 0.05),
+        (moment(&|c| c.parts.ligaments[0][2].ln().powi(2)).sqrt(), 0.1),
+        (moment(&|c| c.parts.units[2].ln().powi(2)).sqrt(), 0.03),
+    ] {
+        assert!((found / asked - 1.0).abs() < 0.05, "{found} {asked}");
+    }
+    for (a, b) in [([0, 0], [1, 0]), ([0, 0], [0, 2]), ([1, 2], [0, 2])] {
+        let deviations = [0.05, 0.0, 0.1];
+        let of = |c: &Cast, at: [usize; 2]| c.parts.ligaments[at[0]][at[1]].ln() / deviations[at[1]];
+        let found = moment(&|c| of(c, a) * of(c, b));
+        assert!(found.abs() < 0.05, "{a:?} {b:?}: {found}");
+    }
+    assert!(casts.iter().all(|c| c.parts.ligaments.iter().all(|by| by[1] == 1.0)));
+    let plain = variation().cast(7, Casts::Unseen, 5, (&layout, 1), &[]);
+    assert_eq!((&plain.material, &plain.shifts), (&casts[5].material, &casts[5].shifts));
+    assert_eq!(plain.parts, crate::dynamics::Parts::default());
+    // what one figure of a ligament scatters by does not move another
+    let alone =
+        Variation { ligaments: [0.0, 0.0, 0.1], ..variation() }.cast(7, Casts::Unseen, 5, (&layout, 1), &[]);
+    assert_eq!(alone.parts.ligaments[1][2], casts[5].parts.ligaments[1][2]);
+}
+
 /// Shifts of groups r apart have the correlation exp(−r²/2c²) on each axis and none across axes, and each the deviation asked for.
 #[test]
 fn near_nodes_scatter_alike() {
     let layout = Layout::planar(3, 2, 15.0, 2.25);
     let variation = Variation { correlation: 15.0, ..variation() };
     let (likeness, count) = (variation.likeness(&layout), 4000);
-    let casts: Vec<Cast> = (0..count)
-        .map(|i| variation.cast(7, Casts::Unseen, i, [layout.design_len(), 0], &likeness))
-        .collect();
+    let casts: Vec<Cast> =
+        (0..count).map(|i| variation.cast(7, Casts::Unseen, i, (&layout, 0), &likeness)).collect();
     let found = |a: usize, b: usize| {
         casts.iter().map(|cast| cast.shifts[a] * cast.shifts[b]).sum::<f64>() / (0.01 * count as f64)
     };
@@ -90,7 +127,7 @@ fn near_nodes_scatter_alike() {
     }
     // a length that no body has moves it as a whole
     let rigid = Variation { correlation: 1e4, ..variation };
-    let cast = rigid.cast(7, Casts::Step, 0, [layout.design_len(), 0], &rigid.likeness(&layout));
+    let cast = rigid.cast(7, Casts::Step, 0, (&layout, 0), &rigid.likeness(&layout));
     assert!(cast.shifts.chunks(2).all(|shift| (shift[0] - cast.shifts[0]).abs() < 2e-3), "{cast:?}");
     assert!(Variation { correlation: 0.0, ..variation }.likeness(&layout).is_empty());
 }

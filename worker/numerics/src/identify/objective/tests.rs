@@ -1,6 +1,6 @@
 use super::*;
 use crate::body::Layout;
-use crate::dynamics::{Accuracy, Frame, Method, Panel, Stiffness, Tangent};
+use crate::dynamics::{Accuracy, Frame, Method, Panel, Parts, Stiffness, Tangent};
 
 /// Each column against dual numbers with the same steps, and Jᵀr against the adjoint.
 #[test]
@@ -9,6 +9,7 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
     let scene = Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        parts: Parts::default(),
         damping_ratio: 0.02,
         contact: None,
         linearised: false,

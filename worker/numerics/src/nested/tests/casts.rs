@@ -8,11 +8,12 @@ use crate::dynamics::{Parameters, Precision};
 use crate::trial::{CastReader, Casting, Over, Samples};
 use crate::variation::{Casts, Variation};
 
-/// Every parameter of the scene, every node and every chip scatter.
+/// Every parameter of the scene, every ligament, unit, node and chip scatter.
 fn scattered(problem: Problem) -> Problem {
     let [stretch, shear, bend, contact] = [0.05; 4];
     let material = Parameters { stretch, shear, bend, damping_ratio: 0.2, density: 0.03, contact };
-    let variation = Variation { material, nodes: 0.1, correlation: 0.0, gain: 0.05, misalignment: 0.05 };
+    let parts = Variation { material, ligaments: [0.05; 3], units: 0.03, ..Variation::default() };
+    let variation = Variation { nodes: 0.1, gain: 0.05, misalignment: 0.05, ..parts };
     Problem { variation: Some(variation), ..problem }
 }
 
@@ -45,7 +46,7 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
     for casting in [MEAN, EACH, WORST, Casting { tail: 0.5, ..EACH }, PARTS] {
         let mut problem = if casting.over == Over::Parts { mixed(casting) } else { cast(casting) };
         // the logarithm is that of the error alone, and bends more under loud forces
-        let (ridge, near) = if casting.over == Over::Parts { (1e-11, 0.1) } else { (1e-3, 1.0) };
+        let (ridge, near) = if casting.over == Over::Parts { (1e-11, 0.1) } else { (1e-3, 0.25) };
         problem.solver.accuracy = Accuracy(1e-11);
         problem.decoder.ridge = Ridge::Given(ridge);
         problem.optimise.coarse = None;
@@ -160,9 +161,7 @@ fn a_loop_over_casts_goes_on_to_the_same_bits() {
 #[test]
 fn casts_that_do_not_scatter_are_the_body_as_designed() {
     let mut problem = cast(Casting { casts: 1, ..MEAN });
-    let still = Parameters::default();
-    let exact = Variation { material: still, nodes: 0.0, correlation: 0.0, gain: 0.0, misalignment: 0.0 };
-    problem.variation = Some(exact);
+    problem.variation = Some(Variation::default());
     problem.evaluation.casts = 1;
     let over = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
     let nominal =
@@ -193,10 +192,13 @@ fn a_cast_that_fails_counts_as_read_entirely_wrong() {
     }
 }
 
-/// A robust body reads casts that it has not seen better than one trained as designed, by the same number of samples.
+/// A robust body reads casts that it has not seen better than one trained as designed, by the same number of samples. (So small a
+/// body has little to move against scatter of single ligaments.)
 #[test]
 fn a_body_trained_over_casts_reads_others_better() {
     let mut problem = cast(MEAN);
+    let variation = problem.variation.as_mut().unwrap();
+    (variation.ligaments, variation.units) = ([0.0; 3], 0.0);
     problem.evaluation.casts = 8;
     (problem.optimise.iterations, problem.optimise.rate) = (40, 0.2);
     problem.stimuli = Stimuli { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
