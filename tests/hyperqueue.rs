@@ -64,17 +64,25 @@ impl Site {
         let began = Instant::now();
         while !ask() {
             let jobs = || String::from_utf8_lossy(&self.hq("job list --all").stdout).into_owned();
-            assert!(began.elapsed() < Duration::from_secs(90), "not within 90 s: {what}\n{}", jobs());
+            let logs = || (1..=2).map(|i| self.log(i)).collect::<String>();
+            assert!(
+                began.elapsed() < Duration::from_secs(90),
+                "not within 90 s: {what}\n{}{}",
+                jobs(),
+                logs()
+            );
             std::thread::sleep(Duration::from_millis(100));
         }
     }
 
     /// How often shards have begun to run, by their logs.
     fn begun(&self) -> usize {
-        let log = |i: u32| {
-            std::fs::read_to_string(self.bench.path(&format!("results/tiny.shards/shard-{i}-of-2.log")))
-        };
-        (1..=2).map(|i| log(i).unwrap_or_default().matches("worker started").count()).sum()
+        (1..=2).map(|i| self.log(i).matches("worker started").count()).sum()
+    }
+
+    fn log(&self, shard: u32) -> String {
+        let log = self.bench.path(&format!("results/tiny.shards/shard-{shard}-of-2.log"));
+        std::fs::read_to_string(log).unwrap_or_default()
     }
 }
 

@@ -259,6 +259,26 @@ fn a_shard_goes_on_on_another_node() {
     assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
 }
 
+/// A scheduler that has lost its own process on a node begins a shard anew there while the first attempt still ends.
+#[test]
+fn an_attempt_waits_for_one_that_ends_on_its_node() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", &four().replace("iterations = 4\n", "iterations = 100\n"));
+    bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+    let log = || std::fs::read_to_string(bench.path("out/shard-1-of-1.log")).unwrap_or_default();
+    let mut first = start(&bench, "node");
+    while !log().contains("worker started") && first.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let mut second = start(&bench, "node");
+    std::thread::sleep(Duration::from_secs(1)); // longer than a lock is tried for
+    assert_eq!(second.try_wait().unwrap(), None, "{}", log());
+    signal(&first, libc::SIGTERM);
+    assert_eq!((wait(&mut first), wait(&mut second)), (Some(4), Some(0)), "{}", log());
+    bench.output(&["merge", "out", "--out", "merged.sqlite"]);
+    assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
+}
+
 /// A shard is killed at random moments, on two nodes in turn, one of which is lost each time; so are merges and `gc` of what it has
 /// handed in (`KILLS=N` for more, `KILL_SEED=N` for the same). What a merge has once given is never less, and what comes
 /// of it all is what an undisturbed run gives.

@@ -114,8 +114,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             plan
         }
     };
-    let home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
-    if let Some(aside) = home.take_in().await? {
+    let mut home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
+    let waits =
+        || say!("an earlier attempt of this shard has not ended on this node yet; this one waits for it");
+    if let Some(aside) = home.take_in(waits).await? {
         say!(
             "the shard's database on this node was damaged: it is now {}; the shard goes on from what was handed in",
             aside.display()

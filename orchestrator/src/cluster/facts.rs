@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use super::home::attempts;
 use super::merge::{MergeError, merge_facts};
 use crate::leftovers;
-use crate::store::{StoreError, ask_unchanging};
+use crate::store::ask_unchanging;
 
 /// Its name in the folder, by which no merge takes it for a shard's.
 const NAME: &str = "facts.db";
@@ -68,7 +68,7 @@ impl Facts {
         let begun = Instant::now();
         let refused = loop {
             match self.add(&files).await {
-                Err(MergeError::Store(StoreError::InUse { .. })) if begun.elapsed() < PATIENCE => {
+                Err(e) if e.is_in_use() && begun.elapsed() < PATIENCE => {
                     tokio::time::sleep(AGAIN).await;
                 }
                 added => break added?,

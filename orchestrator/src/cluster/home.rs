@@ -5,14 +5,14 @@
 //! name, so that none overwrites another's, and one that is there is whole: it is renamed into its place.
 
 use std::collections::BTreeMap;
-use std::fs::{DirBuilder, File};
+use std::fs::{DirBuilder, File, TryLockError};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rustix::process::{Signal, getpid, kill_process};
 
@@ -21,8 +21,10 @@ use super::merge::{self, MergeError};
 use crate::files;
 use crate::store::{self, StoreError};
 
-/// Between two attempts to hand in for the last time.
+/// Between two attempts to hand in for the last time, and two looks at an earlier attempt that ends.
 const AGAIN: Duration = Duration::from_secs(1);
+/// For how long an attempt waits for one on the same node that has been told to end: that one has half of this to hand in.
+const PREDECESSOR: Duration = Duration::from_secs(120);
 
 /// In a folder of shards: the spec that they were submitted with.
 pub const SUBMITTED_SPEC: &str = "spec.toml";
@@ -37,6 +39,8 @@ pub struct Home {
     shard: Shard,
     /// What this attempt hands in.
     handed_in: PathBuf,
+    /// Keeps later attempts out of `scratch` until this one has left it.
+    alone: Option<File>,
 }
 
 /// Why a shard's database cannot be had, or handed in.
@@ -98,14 +102,28 @@ impl Home {
                 let user = rustix::process::getuid().as_raw();
                 let ours =
                     std::env::temp_dir().join(format!("metasense-{user}-{name}-{:016x}", hasher.finish()));
-                DirBuilder::new().recursive(true).mode(0o700).create(&ours).map_err(|e| at(&ours, e))?;
-                if ours.symlink_metadata().map_err(|e| at(&ours, e))?.uid() != user {
-                    return Err(HomeError::Foreign(ours));
-                }
                 (ours.join(format!("{stem}.sqlite")), Some(ours))
             }
         };
-        Ok(Self { live, scratch, folder, shard, handed_in })
+        Ok(Self { live, scratch, folder, shard, handed_in, alone: None })
+    }
+
+    /// Makes the scratch folder, for this attempt alone: one that ends takes the folder away with what is in it.
+    fn claim(&mut self) -> Result<(), HomeError> {
+        let Some(ours) = self.scratch.as_ref().filter(|_| self.alone.is_none()) else { return Ok(()) };
+        let at = |source| HomeError::Folder { path: ours.clone(), source };
+        DirBuilder::new().recursive(true).mode(0o700).create(ours).map_err(at)?;
+        if ours.symlink_metadata().map_err(at)?.uid() != rustix::process::getuid().as_raw() {
+            return Err(HomeError::Foreign(ours.clone()));
+        }
+        let folder = File::open(ours).map_err(at)?;
+        // A disk without locks is no reason not to write there.
+        let taken = matches!(folder.try_lock(), Err(TryLockError::WouldBlock));
+        if taken || !store::is_still(&folder, ours) {
+            return Err(StoreError::InUse { path: self.live.clone() }.into());
+        }
+        self.alone = Some(folder);
+        Ok(())
     }
 
     /// The live database.
@@ -122,10 +140,32 @@ impl Home {
 
     /// Takes in what earlier attempts have handed in. To be called before the database is opened. Returns where the live
     /// database is now, if it was damaged: in the results folder, so that the shard goes on without it and it is not lost.
+    /// A scheduler may begin an attempt while the one before it ends on the same node: it waits for that, and says so by
+    /// `waits`, once.
     ///
     /// # Errors
-    /// If what was handed in cannot be read, or the live database is of a newer version or none of ours.
-    pub async fn take_in(&self) -> Result<Option<PathBuf>, HomeError> {
+    /// If an earlier attempt does not end, what was handed in cannot be read, or the live database is of a newer version or
+    /// none of ours.
+    pub async fn take_in(&mut self, waits: impl FnOnce()) -> Result<Option<PathBuf>, HomeError> {
+        let (end, mut waits) = (Instant::now() + PREDECESSOR, Some(waits));
+        loop {
+            let taken_in = match self.claim() {
+                Ok(()) => self.taken_in().await,
+                Err(e) => Err(e),
+            };
+            match taken_in {
+                Err(HomeError::Store(StoreError::InUse { .. })) if Instant::now() < end => {}
+                Err(HomeError::Merge(e)) if e.is_in_use() && Instant::now() < end => {}
+                taken_in => return taken_in,
+            }
+            if let Some(waits) = waits.take() {
+                waits();
+            }
+            tokio::time::sleep(AGAIN).await;
+        }
+    }
+
+    async fn taken_in(&self) -> Result<Option<PathBuf>, HomeError> {
         let earlier = attempts(&self.folder).remove(&self.shard).unwrap_or_default();
         if earlier.is_empty() && !self.live.exists() {
             return Ok(None);
@@ -250,7 +290,7 @@ impl Home {
                 let _ = std::fs::remove_file(earlier);
             }
         }
-        if let Some(scratch) = self.scratch {
+        if let Some(scratch) = &self.scratch {
             let _ = std::fs::remove_dir_all(scratch);
         }
     }

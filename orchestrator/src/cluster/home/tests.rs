@@ -21,22 +21,22 @@ async fn what_cannot_be_handed_in_stays_where_it_is_said_to_be() {
 async fn a_damaged_live_database_is_set_aside_and_no_other() {
     let bench = tempfile::tempdir().unwrap();
     let (folder, db) = (bench.path().join("out"), bench.path().join("live.sqlite"));
-    let home = Home::new("s", Shard::new(1, 2).unwrap(), &folder, Some(db.clone())).unwrap();
-    assert_eq!(home.take_in().await.unwrap(), None);
+    let mut home = Home::new("s", Shard::new(1, 2).unwrap(), &folder, Some(db.clone())).unwrap();
+    assert_eq!(home.take_in(|| ()).await.unwrap(), None);
     Store::open(&db).await.unwrap().close().await.unwrap();
     let whole = std::fs::read(&db).unwrap();
     let mut newer = whole.clone();
     newer[60..64].copy_from_slice(&99u32.to_be_bytes()); // user_version in the header
     for foreign in [newer, b"notes of mine".repeat(100)] {
         std::fs::write(&db, &foreign).unwrap();
-        assert!(matches!(home.take_in().await, Err(HomeError::Merge(MergeError::Result { .. }))));
+        assert!(matches!(home.take_in(|| ()).await, Err(HomeError::Merge(MergeError::Result { .. }))));
         assert!(std::fs::read(&db).unwrap() == foreign);
     }
     for handed_in in [false, true] {
         let damaged = &whole[..whole.len() / 2];
         std::fs::write(&db, damaged).unwrap();
         std::fs::write(store::beside(&db, "-wal"), "").unwrap();
-        let aside = home.take_in().await.unwrap().unwrap();
+        let aside = home.take_in(|| ()).await.unwrap().unwrap();
         assert!(
             aside.starts_with(folder.canonicalize().unwrap()) && std::fs::read(&aside).unwrap() == damaged
         );

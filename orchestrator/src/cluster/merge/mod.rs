@@ -110,6 +110,13 @@ pub enum MergeError {
     },
 }
 
+impl MergeError {
+    /// Whether a run or another merge has the result.
+    pub(super) fn is_in_use(&self) -> bool {
+        matches!(self, Self::Store(StoreError::InUse { .. }))
+    }
+}
+
 fn first(refused: &[(PathBuf, String)]) -> String {
     refused.first().map_or(String::new(), |(path, why)| format!("; {}: {why}", path.display()))
 }
