@@ -45,8 +45,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(folder) = &args.out_dir {
         let drawn: Vec<_> = figure(&found).into_iter().collect();
         write_figures(folder, &drawn)?;
-        write(&folder.join("claims.csv"), claims.shortened().csv())?;
-        write(&folder.join("evidence.csv"), evidence.shortened().csv())?;
+        write(&folder.join("claims.csv"), claims.csv())?;
+        write(&folder.join("evidence.csv"), evidence.csv())?;
         let content = html! {
             (claims.html(None))
             @for figure in &drawn { (figure.html(&[])) }
@@ -54,7 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             (evidence.html(Some("evidence")))
         };
         let question = "Does what arXiv:2605.23967 claims hold, and with which brain?";
-        write(&folder.join("index.html"), page("The paper's claims", question, &content))?;
+        write(&folder.join("index.html"), page("The paper's claims", question, content))?;
     }
     if let Some(mixed) = provenance::mixed(&made) {
         say!("{mixed}");

@@ -230,7 +230,7 @@ fn write_parts(folder: &Path, comparison: &Comparison) -> Result<(), Error> {
     let figures = comparison.figures();
     write_figures(folder, &figures)?;
     write(&folder.join("index.html"), comparison.html(&figures))?;
-    write(&folder.join("table.csv"), comparison.table().shortened().csv())?;
+    write(&folder.join("table.csv"), comparison.table().csv())?;
     write(&folder.join("records.npz"), archive(comparison))
 }
 

@@ -106,7 +106,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         );
         let drawn = pictures::figures(trial, &measured.signals, &fit);
         write_figures(folder, &drawn)?;
-        write(&folder.join("estimates.csv"), found.shortened().csv())?;
+        write(&folder.join("estimates.csv"), found.csv())?;
         write(&folder.join("index.html"), pictures::html(&title, &shown, &said, &drawn))?;
         if !fit.signals[1].is_empty() {
             let shape = [records, trial.time.samples, 3 * trial.sensor_units.len()];

@@ -38,10 +38,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let story = Reader::asked(Database::at(&args.db).await?, asked).await?;
     let (drawn, missing) = figures(&story, args.threads);
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
-    write(&out, html(&story, &drawn, missing.as_deref()))?;
-    print_line!("{}", out.display())?;
     if let Some(folder) = &args.out_dir {
         write_parts(folder, &story, &drawn)?;
+    }
+    write(&out, html(story, &drawn, missing.as_deref()))?;
+    print_line!("{}", out.display())?;
+    if let Some(folder) = &args.out_dir {
         print_line!("{}", folder.display())?;
     }
     Ok(Exit::Done)
@@ -53,10 +55,10 @@ fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Err
         let table = question.answer(&story.trials, story.terms);
         if !table.rows.is_empty() && question.was_put(&story.trials) {
             let name = question.to_possible_value().expect("none is hidden");
-            write(&folder.join(format!("answer-{}.csv", name.get_name())), table.shortened().csv())?;
+            write(&folder.join(format!("answer-{}.csv", name.get_name())), table.csv())?;
         }
     }
-    write(&folder.join("trials.csv"), story.settled.shortened().csv())?;
+    write(&folder.join("trials.csv"), &story.states.csv)?;
     for (sweep, name) in story.sweeps.iter().zip(file_names(story.sweeps.iter().map(|s| s.name.as_str()))) {
         write(&folder.join(format!("{name}.toml")), &sweep.text)?;
     }
@@ -89,7 +91,7 @@ pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error
             let number = if figure.pictures.len() > 1 { format!("-{}", i + 1) } else { String::new() };
             write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;
         }
-        write(&folder.join(format!("{}.csv", figure.name)), figure.data.shortened().csv())?;
+        write(&folder.join(format!("{}.csv", figure.name)), &figure.data)?;
     }
     Ok(())
 }

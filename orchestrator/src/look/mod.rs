@@ -14,10 +14,10 @@ pub mod wave;
 mod write;
 
 pub use number::{digits, duration, number};
-pub use page::{Answer, Figure, answers, document, encoded, page};
+pub use page::{Answer, Encoded, Figure, MOST_ROWS, answers, document, download, more, page};
 pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
 pub use style::{SERIES, level, of_page};
 pub(crate) use table::row;
 pub use table::{Table, plain, readable};
-pub use write::{Format, RowWriter, print_rows, standard_output};
+pub use write::{Data, Format, RowWriter, print_rows, standard_output};

@@ -1,6 +1,8 @@
 //! Pages: question and answers first, then figures with their data, then tables. No network, no scripts but a wave's.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use std::fmt::{self, Display, Formatter, Write};
+
+use maud::{DOCTYPE, Markup, PreEscaped, Render, html};
 use serde_json::Value;
 
 use super::number::number;
@@ -25,8 +27,8 @@ pub struct Figure {
     pub moving: Option<Markup>,
     /// Whether the pictures are small ones.
     pub small: bool,
-    /// What is drawn, as numbers.
-    pub data: Table,
+    /// What is drawn, as numbers (CSV).
+    pub data: String,
 }
 
 /// An answer in words.
@@ -47,11 +49,12 @@ impl Answer {
     }
 }
 
-/// A page of its own.
-pub fn page(title: &str, question: &str, content: &Markup) -> String {
+/// A page of its own. What it holds may be large: no copy of it is left before the next is made.
+pub fn page(title: &str, question: &str, content: Markup) -> String {
     let style = html! { style { (PreEscaped(of_page())) } };
-    let main = html! { main { h1 { (title) } p class="question" { (question) } (content) } };
-    document(title, &style, &html! { body { (main) } })
+    let body = html! { body { main { h1 { (title) } p class="question" { (question) } (content) } } };
+    drop(content);
+    document(title, &style, &body)
 }
 
 /// A whole document; `head`: its style and scripts.
@@ -97,7 +100,7 @@ impl Figure {
         data: Table,
     ) -> Self {
         let (title, caption) = (title.into(), caption.into());
-        Self { name, title, caption, legend, pictures, moving: None, small: false, data }
+        Self { name, title, caption, legend, pictures, moving: None, small: false, data: data.csv() }
     }
 
     /// The same; `None` without a picture.
@@ -140,20 +143,36 @@ fn prose(text: &str) -> String {
 }
 
 /// A link that holds a table as CSV.
-fn download(name: &str, table: &Table) -> Markup {
-    let data = encoded(&table.shortened().csv());
-    html! { a download=(format!("{name}.csv")) href=(format!("data:text/csv;charset=utf-8,{data}")) { "data (CSV)" } }
+pub fn download(name: &str, csv: &str) -> Markup {
+    html! { a download=(format!("{name}.csv")) href={ "data:text/csv;charset=utf-8," (Encoded(csv)) } { "data (CSV)" } }
 }
 
 /// A text as part of an address.
-pub fn encoded(text: &str) -> String {
-    let kept = |byte: u8| byte.is_ascii_alphanumeric() || b"-._,".contains(&byte);
-    let encoded = |byte: u8| if kept(byte) { (byte as char).to_string() } else { format!("%{byte:02X}") };
-    text.bytes().map(encoded).collect()
+pub struct Encoded<'a>(pub &'a str);
+
+impl Display for Encoded<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let kept = |byte: u8| byte.is_ascii_alphanumeric() || b"-._,".contains(&byte);
+        self.0.bytes().try_for_each(|byte| match kept(byte) {
+            true => f.write_char(byte as char),
+            false => write!(f, "%{byte:02X}"),
+        })
+    }
+}
+
+impl Render for Encoded<'_> {
+    fn render_to(&self, page: &mut String) {
+        write!(page, "{self}").expect("memory takes all");
+    }
+}
+
+/// What stands below the rows that a page shows of so many.
+pub fn more(all: usize) -> Markup {
+    html! { @if all > MOST_ROWS { p class="quiet" { "… and " (all - MOST_ROWS) " more, in the data." } } }
 }
 
 /// Rows that a page shows; the data hold all.
-const MOST_ROWS: usize = 1000;
+pub const MOST_ROWS: usize = 1000;
 
 impl Table {
     /// The table on a page; with a `name`, its data too.
@@ -192,10 +211,8 @@ impl Table {
                     } }
                 }
             }
-            @if self.rows.len() > MOST_ROWS {
-                p class="quiet" { "… and " (self.rows.len() - MOST_ROWS) " more, in the data." }
-            }
-            @if let Some(name) = name { (download(name, self)) }
+            (more(self.rows.len()))
+            @if let Some(name) = name { (download(name, &self.csv())) }
         }
     }
 }

@@ -81,16 +81,6 @@ impl Table {
         }
     }
 
-    /// With numbers to seven significant digits: what the data behind a picture need.
-    pub fn shortened(&self) -> Self {
-        let short = |value: &Value| match value.as_f64().filter(|_| value.is_f64()) {
-            Some(x) => format!("{x:.6e}").parse::<f64>().map_or(Value::Null, Value::from),
-            None => value.clone(),
-        };
-        let rows = self.rows.iter().map(|row| row.iter().map(short).collect()).collect();
-        Self { columns: self.columns.clone(), rows }
-    }
-
     /// The rows as objects.
     pub fn objects(self) -> Value {
         let object = |row: Vec<Value>| Value::Object(self.columns.iter().cloned().zip(row).collect());

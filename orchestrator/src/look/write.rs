@@ -60,9 +60,38 @@ impl Table {
         bytes
     }
 
-    /// The rows as CSV.
+    /// The rows as [`Data`].
     pub fn csv(&self) -> String {
-        String::from_utf8(self.written(Format::Csv)).expect("texts are UTF-8")
+        let mut data = Data::new(&self.columns);
+        self.rows.iter().for_each(|row| data.row(row));
+        data.text()
+    }
+}
+
+/// Rows as CSV, numbers to seven significant digits: what the data behind a picture need, in a tenth of a table's memory.
+pub struct Data(csv::Writer<Vec<u8>>);
+
+impl Data {
+    /// Of these columns.
+    pub fn new(columns: &[String]) -> Self {
+        let mut csv = csv::Writer::from_writer(Vec::new());
+        csv.write_record(columns).expect("memory takes all");
+        Self(csv)
+    }
+
+    /// Adds a row.
+    pub fn row(&mut self, row: &[Value]) {
+        let shortened = |value: &Value| match value.as_f64().filter(|_| value.is_f64()) {
+            Some(x) => plain(&format!("{x:.6e}").parse::<f64>().map_or(Value::Null, Value::from)),
+            None => plain(value),
+        };
+        self.0.write_record(row.iter().map(shortened)).expect("memory takes all");
+    }
+
+    /// All of it.
+    pub fn text(self) -> String {
+        let bytes = self.0.into_inner().expect("memory takes all");
+        String::from_utf8(bytes).expect("texts are UTF-8")
     }
 }
 

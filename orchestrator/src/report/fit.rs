@@ -19,7 +19,7 @@ pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) ->
         @for note in notes { pre { (note) } }
         @for figure in figures { (figure.html(&[])) }
     };
-    page(title, "Which material gave these records?", &content)
+    page(title, "Which material gave these records?", content)
 }
 
 /// The records of least, middle and most misfit: acceleration and rotation rate of the sensor that moves most.

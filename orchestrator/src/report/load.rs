@@ -4,13 +4,14 @@ use std::collections::HashMap;
 
 use serde_json::Value;
 
-use super::{Story, Sweep};
+use super::{States, Story, Sweep};
 
 use crate::analysis::numbers::mean;
 use crate::analysis::paired::{Progress, iteration_ratio};
 use crate::analysis::setting::Settings;
 use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading, UnderReading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
+use crate::look::{Data, MOST_ROWS, Table};
 use crate::store::{Reader, Row, StoreError, npy_values};
 
 /// Parts of an outer step's time, as the columns of `v_step` and in words.
@@ -97,6 +98,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     loader.readings().await?;
     loader.casts().await?;
     loader.under().await?;
+    trials.shrink_to_fit();
     for trial in &mut trials {
         trial.history.shrink_to_fit();
         trial.readings.shrink_to_fit();
@@ -344,13 +346,13 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
             Ok::<_, StoreError>(())
         })
         .await?;
-    let settled = reader
-        .query(
-            "SELECT hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,
+    let states = states(
+        reader,
+        "SELECT hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,
                error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
                holdout_error_optimised, steps, attempts, seconds, simd FROM v_trial ORDER BY state = 'failed' DESC, panels, units, sensors, placement, seed",
-        )
-        .await?;
+    )
+    .await?;
     let chosen = match trial {
         Some(hash) => Some(hash.to_owned()),
         None => typical(&trials).map(|t| t.hash.clone()),
@@ -359,7 +361,29 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
         Some(hash) => reader.stored(&hash).await?,
         None => None,
     };
-    Ok(Story { sweeps, settled, trials, made: reader.made().await?, stored, terms })
+    Ok(Story { sweeps, states, trials, made: reader.made().await?, stored, terms })
+}
+
+/// `sql` has a column `state`.
+async fn states(reader: &mut Reader, sql: &str) -> Result<States, StoreError> {
+    let first = Table { columns: reader.columns(sql).await?, rows: Vec::new() };
+    let state = first.column("state");
+    let mut data = Data::new(&first.columns);
+    let mut states = States { first, ..States::default() };
+    reader
+        .each(sql, |row| {
+            let values = row.values();
+            data.row(&values);
+            states.all += 1;
+            states.done += usize::from(values[state] == "done");
+            states.failed += usize::from(values[state] == "failed");
+            if states.first.rows.len() < MOST_ROWS {
+                states.first.rows.push(values);
+            }
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+    Ok(States { csv: data.text(), ..states })
 }
 
 /// The trial whose ratio of holdout errors is nearest to the mean of all; none that starts from a random body.

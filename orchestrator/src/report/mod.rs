@@ -20,7 +20,7 @@ use crate::analysis::numbers::distinct;
 use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
-use crate::look::{Answer, Figure, Table, answers as listed, page};
+use crate::look::{Answer, Figure, Table, answers as listed, download, more, page};
 use crate::provenance;
 use crate::store::{Made, Stored};
 
@@ -29,8 +29,8 @@ use crate::store::{Made, Stored};
 pub struct Story {
     /// The sweeps, with their specs.
     pub sweeps: Vec<Sweep>,
-    /// All trials with their states.
-    pub settled: Table,
+    /// How far all trials are.
+    pub states: States,
     /// Those that are done.
     pub trials: Vec<Trial>,
     /// By what code.
@@ -39,6 +39,21 @@ pub struct Story {
     pub stored: Option<Stored>,
     /// What a decision on M weighs.
     pub terms: Terms,
+}
+
+/// How far trials are: many, of which few are shown.
+#[derive(Debug, Clone, Default)]
+pub struct States {
+    /// How many there are.
+    pub all: usize,
+    /// Those that are done.
+    pub done: usize,
+    /// Those that have failed.
+    pub failed: usize,
+    /// As many as a page shows.
+    pub first: Table,
+    /// All of them, as CSV.
+    pub csv: String,
 }
 
 /// A sweep as the database knows it.
@@ -87,10 +102,11 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
 }
 
 /// The whole page.
-pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String {
+pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
     let mut names: Vec<&str> = story.sweeps.iter().map(|s| s.name.as_str()).collect();
     names.dedup();
     let title = format!("metasense: {}", if names.is_empty() { "report".into() } else { names.join(", ") });
+    let states = &story.states;
     let said = answers::answers(&story.trials, story.terms);
     let drawn = |answer: &&Answer| figures.iter().any(|figure| figure.name == answer.figure);
     let first = said.iter().filter(|answer| !drawn(answer));
@@ -99,7 +115,7 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
     let told = Question::all().iter().filter(|q| !drawn_alone.contains(q) && q.was_put(&story.trials));
     let tables = told.map(|q| (q, q.answer(&story.trials, story.terms)));
     let content = html! {
-        (listed(first.chain(&state(story))))
+        (listed(first.chain(&state(&story))))
         @for figure in figures { (figure.html(&said)) }
         @if let Some(why) = missing {
             p class="quiet" { "Forces, samples, bodies and waves cannot be drawn: " (why) "." }
@@ -113,20 +129,22 @@ pub fn html(story: &Story, figures: &[Figure], missing: Option<&str>) -> String 
             }
         }
         h2 { "Trials" }
-        (story.settled.html(Some("trials")))
-        (provenance(story))
+        (states.first.html(None))
+        (more(states.all))
+        (download("trials", &states.csv))
+        (provenance(&story))
         @if figures.iter().any(|figure| figure.moving.is_some()) { script { (PreEscaped(SCRIPT)) } }
     };
     let question =
         "Does training the body make sensing better, how many sensors are enough, and what did it cost?";
-    page(&title, question, &content)
+    // Of many trials, what they were is larger than the page.
+    drop(story);
+    page(&title, question, content)
 }
 
 /// How far the trials are, and whether one code made them.
 fn state(story: &Story) -> Vec<Answer> {
-    let column = story.settled.columns.iter().position(|c| c == "state");
-    let count = |name| column.map_or(0, |i| story.settled.rows.iter().filter(|r| r[i] == name).count());
-    let (done, failed, all) = (count("done"), count("failed"), story.settled.rows.len());
+    let States { all, done, failed, .. } = story.states;
     let why = if failed > 0 { " (reasons in the table of trials)" } else { "" };
     let text = format!(
         "{done} of {all} trials are done, {failed} failed{why}. Ratios are geometric means over trials. Intervals are over \

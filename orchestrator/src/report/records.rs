@@ -170,7 +170,7 @@ impl Comparison {
             (self.table().html(Some("table")))
         };
         let question = "How well do fresh networks read forces from measured signals?";
-        page("metasense: bodies judged by measured records", question, &content)
+        page("metasense: bodies judged by measured records", question, content)
     }
 
     fn legend(&self) -> Legend {

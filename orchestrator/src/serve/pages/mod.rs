@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use super::{Refusal, Seen, Served, source};
 use crate::exit::chain;
-use crate::look::{document, encoded};
+use crate::look::{Encoded, document};
 use crate::store::StoreError;
 
 /// Pages of a database, by their addresses and names.
@@ -99,7 +99,7 @@ fn trouble(seen: &Seen) -> Markup {
 
 /// The page of a trial.
 fn to_trial(number: &str, hash: &str) -> String {
-    format!("/{number}/trial/{}", encoded(hash))
+    format!("/{number}/trial/{}", Encoded(hash))
 }
 
 /// Links from the columns that name trials.
@@ -119,6 +119,6 @@ impl From<StoreError> for Refusal {
 /// The last part of an address, with what was asked.
 fn query(pairs: &[(&str, &str)]) -> String {
     let pairs = pairs.iter().filter(|(_, value)| !value.is_empty());
-    let pairs: Vec<String> = pairs.map(|(key, value)| format!("{key}={}", encoded(value))).collect();
+    let pairs: Vec<String> = pairs.map(|(key, value)| format!("{key}={}", Encoded(value))).collect();
     format!("?{}", pairs.join("&"))
 }
