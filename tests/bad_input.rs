@@ -29,6 +29,17 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[variation]\nrelaxation = { share = -0.2, time = 0.01 }\n[sweep]",
+        "s.toml:14: variation.relaxation.share = -0.2: must lie between 0 and 1",
+    ),
+    (
+        "[sweep]",
+        "[variation]\nrelaxation = { share = 0.2, time = 0.0 }\n[sweep]",
+        "s.toml:14: variation.relaxation.time = 0: must lie between 1e-4 and 1000 s",
+    ),
+    ("[sweep]", "[variation]\nrelaxation = { share = 0.2 }\n[sweep]", "variation.relaxation"),
+    (
+        "[sweep]",
         "[variation]\nstretch = {}\n[sweep]",
         "s.toml:14: variation.stretch: must be a number or a table { common, ligament }",
     ),

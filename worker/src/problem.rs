@@ -417,6 +417,7 @@ fn scene(
         density,
         stiffness,
         parts: Parts::default(),
+        relaxation: None,
         damping_ratio: body.damping_ratio,
         contact: body.contact.map(|c| Contact {
             stiffness: c.stiffness,

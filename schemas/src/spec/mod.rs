@@ -31,7 +31,7 @@ pub use stimuli::{
 };
 pub use trial::{Point, TrialSpec, flatten};
 pub use until::{AtMost, Until};
-pub use variation::{Alike, Nodes, OfLigaments, OfUnits, Scatter, Variation, VariationFile};
+pub use variation::{Alike, Nodes, OfLigaments, OfUnits, Relaxation, Scatter, Variation, VariationFile};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -35,6 +35,21 @@ pub struct Variation {
     /// Standard deviation of the angle by which each chip is turned in the plane. Unit: degrees. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub misalignment: Option<f64>,
+    /// How ligaments relax in the casts that judge (`evaluation.casts`, `metasense casts`), which neither training nor any brain
+    /// fitted to other casts knows: a world that the model does not contain. Default: not at all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub relaxation: Option<Relaxation>,
+}
+
+/// Maxwell's branch of every ligament: beside each of its springs another and a dashpot in series.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Relaxation {
+    /// Stiffness g of the other spring, by that of the ligament's. A motion of angular frequency ω loses g ωτ/(1 + ω²τ²) of the stiffness.
+    /// Unit: 1.
+    pub share: f64,
+    /// Time τ in which the force of the other spring falls to 1/e. Unit: s.
+    pub time: f64,
 }
 
 /// How a figure of the material scatters.
@@ -160,6 +175,7 @@ impl Variation {
             nodes: self.nodes.and_then(Nodes::resolved),
             gain: some(self.gain),
             misalignment: some(self.misalignment),
+            relaxation: self.relaxation.filter(|relaxation| relaxation.share != 0.0),
         };
         (found != Self::default()).then_some(found)
     }

@@ -20,6 +20,7 @@ fn small_scene() -> Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
         parts: Parts::default(),
+        relaxation: None,
         damping_ratio: 0.02,
         contact: None,
         linearised: false,

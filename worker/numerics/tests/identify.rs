@@ -20,6 +20,7 @@ fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
         parts: Parts::default(),
+        relaxation: None,
         damping_ratio: 0.03,
         contact: None,
         linearised: false,

@@ -1,7 +1,7 @@
 //! How casts scatter, and who trains for them or asks about them, from their spec.
 
 use metasense_numerics::brains::fits;
-use metasense_numerics::dynamics::Parameters;
+use metasense_numerics::dynamics::{Parameters, Relaxation};
 use metasense_numerics::trial::{CastReader, Casting, Over};
 use metasense_numerics::variation::Variation;
 use metasense_schemas::spec::{self, Scatter, TrialSpec};
@@ -24,8 +24,18 @@ const CASTS_MAX: usize = 10_000;
 /// How casts scatter.
 pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid> {
     let Some(given) = &trial.variation else { return Ok(None) };
-    let spec::Variation { stretch, shear, bend, damping, density, contact, nodes, gain, misalignment } =
-        *given;
+    let spec::Variation {
+        stretch,
+        shear,
+        bend,
+        damping,
+        density,
+        contact,
+        nodes,
+        gain,
+        misalignment,
+        relaxation,
+    } = *given;
     let of_contact = deviation("contact", contact.unwrap_or(0.0))?;
     require(
         trial.body.contact.is_some() || contact.is_none(),
@@ -70,7 +80,17 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
     require((0.0..=MISALIGNMENT_MAX).contains(&turn), "variation.misalignment", turn, remedy)?;
     let (ligaments, units) = ([stretch[1], shear[1], bend[1]], density[1]);
     let misalignment = turn.to_radians();
-    Ok(Some(Variation { material, ligaments, units, nodes, correlation, gain, misalignment }))
+    let relaxation = relaxation.map(relaxing).transpose()?;
+    Ok(Some(Variation { material, ligaments, units, relaxation, nodes, correlation, gain, misalignment }))
+}
+
+/// How ligaments of the casts that judge relax.
+fn relaxing(spec::Relaxation { share, time }: spec::Relaxation) -> Result<Relaxation, Invalid> {
+    let remedy = "must lie between 0 and 1, a part of the ligament's stiffness";
+    require((0.0..=1.0).contains(&share), "variation.relaxation.share", share, remedy)?;
+    let remedy = "must lie between 1e-4 and 1000 s: a quicker branch is no more than damping";
+    require((1e-4..=1e3).contains(&time), "variation.relaxation.time", time, remedy)?;
+    Ok(Relaxation { share, time })
 }
 
 /// Of a key of `[variation]`.

@@ -170,6 +170,7 @@ impl Case {
                 bend: number("k_rot")?,
             },
             parts: Parts::default(),
+            relaxation: None,
             damping_ratio: number("zeta")?,
             contact,
             linearised: self.flag("scene.linearised")?,

@@ -4,7 +4,7 @@ use super::jobs::{Backward, Queue, take};
 use super::ligaments::{self, ShapeCotangent, Turn};
 use super::model::{Bar, Model, ModelCotangent};
 use super::system::{EnergyKernel, GradientKernel, Kernels, ProductKernel, System, Unit};
-use super::{Counters, Forces, Plan, Precision, Scene, Steps, Wrt, splitting, tsit5};
+use super::{Counters, Forces, Plan, Precision, Scene, Steps, Wrt, relaxing, splitting, tsit5};
 use crate::Heartbeat;
 use crate::lanes::{Avx2, Avx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
@@ -22,6 +22,8 @@ pub type Swept = (ModelCotangent, Vec<f64>, Counters);
 pub struct Machine {
     /// Integrates the samples of a queue.
     pub forward: Forward,
+    /// The same where ligaments relax.
+    pub relaxing: Forward,
     /// Sweeps a block of samples backwards.
     pub reverse: Reverse,
     repeat: unsafe fn(&Scene, &Model, usize, bool),
@@ -125,6 +127,25 @@ macro_rules! machine {
             }
 
             $(#[target_feature(enable = $feature)])?
+            unsafe fn relaxing(
+                scene: &Scene,
+                model: &Model,
+                forces: &Forces,
+                plan: &Plan,
+                _parts: usize,
+                queue: &Queue<'_, '_>,
+                heartbeat: &Heartbeat,
+            ) -> Counters {
+                let relaxation = scene.relaxation.expect("a scene whose ligaments relax");
+                let system = System::<$vector>::new(scene, model, kernels(scene, false), false, false);
+                let steps = plan.steps.count();
+                match scene.linearised {
+                    false => relaxing::forward::<$vector, false>(system, relaxation, steps, forces, queue, heartbeat),
+                    true => relaxing::forward::<$vector, true>(system, relaxation, steps, forces, queue, heartbeat),
+                }
+            }
+
+            $(#[target_feature(enable = $feature)])?
             unsafe fn reverse(
                 scene: &Scene,
                 model: &Model,
@@ -168,7 +189,7 @@ macro_rules! machine {
                 std::hint::black_box(&out);
             }
 
-            pub const MACHINE: Machine = Machine { forward, reverse, repeat, lanes: <$vector as Vector>::LANES };
+            pub const MACHINE: Machine = Machine { forward, relaxing, reverse, repeat, lanes: <$vector as Vector>::LANES };
         }
     };
 }

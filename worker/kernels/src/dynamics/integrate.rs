@@ -47,6 +47,7 @@ pub fn run(
     pool: &crate::Pool,
 ) -> Simulation {
     check(scene, design, forces);
+    assert!(!keep_tape || scene.relaxation.is_none(), "a scene whose ligaments relax has no gradient");
     let model = Model::new(scene, design).moving();
     let steps = match plan.steps {
         Steps::Equal(steps) => Steps::Equal(steps.next_multiple_of(forces.kinks(scene))),
@@ -139,15 +140,14 @@ fn integrate(
     jobs: &mut [Job<'_>],
     pool: &crate::Pool,
 ) -> Counters {
+    let forward = if scene.relaxation.is_some() { machine.relaxing } else { machine.forward };
     let tasks = pool.threads().min(jobs.len().div_ceil(machine.lanes));
     let queue = Mutex::new(jobs);
     let counters: Vec<Counters> = pool.install(|| {
         (0..tasks)
             .into_par_iter()
             // SAFETY: `machine` is of a width that this machine has.
-            .map(|_| unsafe {
-                (machine.forward)(scene, model, forces, plan, parts, &queue, pool.heartbeat())
-            })
+            .map(|_| unsafe { forward(scene, model, forces, plan, parts, &queue, pool.heartbeat()) })
             .collect()
     });
     let mut total = Counters::default();

@@ -209,6 +209,55 @@ pub fn product<
     }
 }
 
+/// What Maxwell's branches do where units are held at `x`: adds the gradient of their energies, `reach` times it, to `g` and lets
+/// the strains `past` of their dashpots, one entry a ligament, come to a part 1 − `keep` of the way after the ligaments'.
+#[inline(always)]
+pub fn relax<V: Vector, const LINEAR: bool>(
+    bars: &[Bar<V::Scalar>],
+    x: &[[V; 3]],
+    turn: &[Turn<V>],
+    (reach, keep): (f64, f64),
+    past: &mut [[V; 3]],
+    g: &mut [[V; 3]],
+) {
+    let zero = V::splat(0.0);
+    for (bar, past) in bars.iter().zip(past) {
+        let at = kinematics::<V, LINEAR>(bar, x, turn);
+        let length = V::of(bar.length);
+        let strains = if LINEAR {
+            linear(bar, at.d, at.mean, at.relative).2
+        } else {
+            [at.size - length, length * shear_angle::<V, LINEAR>(&at), at.relative]
+        };
+        let mut pull = [zero; 3];
+        for k in 0..3 {
+            let ahead = strains[k] - past[k];
+            pull[k] = V::splat(reach) * V::of(bar.stiffness[k]) * ahead;
+            past[k] = V::splat(keep).mul_sub_from(ahead, strains[k]);
+        }
+        let [along, across, bend] = pull;
+        let ([dx, dy], e) = (at.d, pair(bar.e));
+        let (along, side) = if LINEAR {
+            (along, across)
+        } else {
+            (along * at.inverse, length * across * at.inverse * at.inverse)
+        };
+        let (dx, dy) = if LINEAR { (e[0], e[1]) } else { (dx, dy) };
+        let shear = V::splat(0.5) * length * across;
+        let reaction = Reaction {
+            at,
+            inverse_square: zero,
+            stretch: along,
+            side,
+            force: [side.mul_sub_from(dy, along * dx), side.mul_add(dx, along * dy)],
+            moments: [-(shear + bend), bend - shear],
+            contact: [(zero, zero); 2],
+            strains,
+        };
+        reaction.add_to(g, bar);
+    }
+}
+
 /// Overwrites `turn`.
 #[inline(always)]
 pub fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {

@@ -83,6 +83,15 @@ pub struct Parts {
     pub units: Vec<f64>,
 }
 
+/// Maxwell's branch of every ligament: beside each of its stiffnesses a spring and a dashpot in series.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Relaxation {
+    /// g: the spring's stiffness by that of the ligament.
+    pub share: f64,
+    /// τ (s) in which its force falls to 1/e.
+    pub time: f64,
+}
+
 /// Mass on the centroid of a unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Inertia {
@@ -140,6 +149,8 @@ pub struct Scene {
     pub stiffness: Stiffness,
     /// How single ligaments and units differ.
     pub parts: Parts,
+    /// How ligaments relax, in worlds that training never sees: such a scene has no gradient.
+    pub relaxation: Option<Relaxation>,
     /// ζ.
     pub damping_ratio: f64,
     /// Contact; a scene without does not pay for it.

@@ -31,6 +31,17 @@ impl Scheme {
         }
     }
 
+    /// Blanes and Moan's S₆: order 4 whatever kicks and drifts are, 6 forces a step.
+    pub fn any_fourth() -> Self {
+        let b = [0.0792036964311957, 0.353172906049774, -0.0420650803577195];
+        let a = [0.209515106613362, -0.143851773179818];
+        let (middle, inner) = (1.0 - 2.0 * b.iter().sum::<f64>(), 0.5 - a.iter().sum::<f64>());
+        Self {
+            kicks: vec![b[0], b[1], b[2], middle, b[2], b[1], b[0]],
+            drifts: vec![a[0], a[1], inner, inner, a[1], a[0]],
+        }
+    }
+
     /// Blanes and Moan's SRKN₁₁ᵇ: order 6, 11 forces a step.
     pub fn sixth() -> Self {
         let b = [

@@ -121,6 +121,12 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
+    /// The model's ligaments, in lanes' scalars.
+    #[inline(always)]
+    pub fn bars(&self) -> &[Bar<V::Scalar>] {
+        &self.bars
+    }
+
     /// A zeroed array of one entry a unit.
     #[inline(always)]
     pub fn zeros(&self) -> Vec<Unit<V>> {

@@ -29,6 +29,7 @@ fn small(protocol: Protocol) -> Problem {
             density: 1e-8,
             stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
             parts: Parts::default(),
+            relaxation: None,
             damping_ratio: 0.02,
             contact: None,
             linearised: false,

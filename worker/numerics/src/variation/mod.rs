@@ -10,7 +10,7 @@
 
 use crate::body::Layout;
 use crate::brain::linear::factor;
-use crate::dynamics::{Parameters, Parts, Scene};
+use crate::dynamics::{Parameters, Parts, Relaxation, Scene};
 use crate::random::{Purpose, Stream};
 
 mod chips;
@@ -26,6 +26,8 @@ pub struct Variation {
     pub ligaments: [f64; 3],
     /// Of the density of each unit, likewise.
     pub units: f64,
+    /// How the ligaments of the casts that judge relax: no other cast knows of it.
+    pub relaxation: Option<Relaxation>,
     /// Standard deviation of each coordinate of each shift (mm).
     pub nodes: f64,
     /// Correlation length c of the shifts (mm); 0: each by itself.
@@ -60,6 +62,8 @@ pub struct Cast {
     pub material: Parameters,
     /// By what each ligament and unit beside.
     pub parts: Parts,
+    /// How its ligaments relax; such a cast has no gradient.
+    pub relaxation: Option<Relaxation>,
     /// What is added to each coordinate of α (mm); empty where moulds are exact.
     pub shifts: Vec<f64>,
     /// Its sensors' chips.
@@ -126,7 +130,9 @@ impl Variation {
             ligaments: (0..ligaments).map(|_| factors()).collect(),
             units: each(self.units, layout.units(), stream(5)).into_iter().map(f64::exp).collect(),
         };
-        Cast { material: Parameters::from_array(self.material.array().map(factor)), parts, shifts, chips }
+        let relaxation = self.relaxation.filter(|_| casts == Casts::Unseen);
+        let material = Parameters::from_array(self.material.array().map(factor));
+        Cast { material, parts, relaxation, shifts, chips }
     }
 }
 
@@ -135,7 +141,8 @@ impl Cast {
     pub fn scene(&self, scene: &Scene) -> Scene {
         let [mut own, by] = [Parameters::of(scene), self.material].map(Parameters::array);
         own.iter_mut().zip(by).for_each(|(own, by)| *own *= by);
-        Scene { parts: self.parts.clone(), ..Parameters::from_array(own).set(scene) }
+        let (parts, relaxation) = (self.parts.clone(), self.relaxation);
+        Scene { parts, relaxation, ..Parameters::from_array(own).set(scene) }
     }
 
     /// α of this cast (mm); dα of a function of it is that of the design.

@@ -10,6 +10,7 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
         parts: Parts::default(),
+        relaxation: None,
         damping_ratio: 0.02,
         contact: None,
         linearised: false,

@@ -4,7 +4,7 @@ use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
 use crate::brains::{Plain, solve};
-use crate::dynamics::{Parameters, Precision};
+use crate::dynamics::{Parameters, Precision, Relaxation};
 use crate::trial::{CastReader, Casting, Over, Samples};
 use crate::variation::{Casts, Variation};
 
@@ -176,6 +176,29 @@ fn casts_that_do_not_scatter_are_the_body_as_designed() {
     // the looks at the test set differ in how it is dealt, which may pick another step; the steps themselves do not
     assert_eq!(over.best_step, alone.best_step);
     assert_eq!(over.optimised.design, alone.optimised.design);
+}
+
+/// Ligaments that relax judge alone: training is the same to the bit, and brains that do not know them read what they make worse than
+/// a brain that is fitted to it.
+#[test]
+fn ligaments_that_relax_judge_and_teach_nothing() {
+    let mut problem = cast(MEAN);
+    problem.variation = Some(Variation { nodes: 1e-3, ..Variation::default() });
+    (problem.optimise.iterations, problem.evaluation.casts) = (2, 1);
+    let plain = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    problem.variation.as_mut().unwrap().relaxation = Some(Relaxation { share: 0.3, time: 0.01 });
+    let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+    assert_eq!(found.optimised.design, plain.optimised.design);
+    let error = |found: &Optimised, by| {
+        let reading = found.casts[1].iter().find(|reading| reading.by == by).unwrap();
+        assert_eq!(reading.trouble, None);
+        reading.error.unwrap()
+    };
+    for by in [CastBrain::Nominal, CastBrain::Casts] {
+        let [known, unknown] = [&plain, &found].map(|found| error(found, by));
+        let fitted = error(&found, CastBrain::Records(12));
+        assert!(unknown > 1.2 * known && fitted < unknown, "{by:?}: {known} {unknown} {fitted}");
+    }
 }
 
 /// A cast whose simulation does not end well is read entirely wrong, and says why.
