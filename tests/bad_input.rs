@@ -75,6 +75,18 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[sensors]\nchannels = []\n[sweep]",
+        "s.toml:14: sensors.channels = []: must name some of \"ax\", \"ay\", \"omega\", each once",
+    ),
+    (
+        "[sweep]",
+        "[sensors]\nchannels = [\"ax\", \"ax\"]\n[sweep]",
+        "s.toml:14: sensors.channels = [\"ax\",\"ax\"]: must name some of",
+    ),
+    ("[sweep]", "[sensors]\nchannels = [\"az\"]\n[sweep]", "s.toml:14: sensors.channels = "),
+    ("[sweep]", "[sweep]\n\"sensors.channels\" = [[\"az\"]]", "s.toml:14: sensors.channels = "),
+    (
+        "[sweep]",
         "[variation]\ngain = 1.5\n[sweep]",
         "s.toml:14: variation.gain = 1.5: must be a standard deviation of the logarithm, from 0 to 1",
     ),

@@ -49,6 +49,13 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     let sensors = |keys: &str| hashes(&(SPEC.to_owned() + "[sensors]\n" + keys));
     assert_eq!(sensors("offset = [0, 0]\ntilt = 0"), plain);
     assert_ne!(sensors("offset = [0, 1]")[1], plain[1]);
+    assert_eq!(sensors("channels = [\"omega\", \"ay\", \"ax\"]"), plain);
+    let swept =
+        SPEC.to_owned() + "\"sensors.channels\" = [[\"ax\", \"ay\", \"omega\"], [\"omega\", \"ax\"]]\n";
+    let [all, some] =
+        ["channels = [\"ax\", \"ay\", \"omega\"]", "channels = [\"ax\", \"omega\"]"].map(sensors);
+    let both = hashes(&swept);
+    assert!(all.iter().chain(&some).all(|hash| both.contains(hash)) && some[1] != plain[1], "{both:?}");
     let figures = "mass = 0\ninertia = 0\nrange = [1e5, 30.0]\nresolution = [1.0, 0.001]";
     assert_eq!(sensors(&format!("chip = \"WT9011DCL\"\n{figures}")), sensors(figures));
     let numbers = "density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }";

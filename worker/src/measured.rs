@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::{anti_aliased, resample};
 use metasense_schemas::source::{Source, SpecError};
-use metasense_schemas::spec::{self, Augment, Resample, TrialSpec};
+use metasense_schemas::spec::{self, Augment, Channel, Resample, TrialSpec};
 
 use crate::invalid::{Invalid, invalid, positive};
 use crate::records::{self, Pick, Record};
@@ -18,7 +18,7 @@ use crate::records::{self, Pick, Record};
 pub struct Measured {
     /// (N, K, R + 1) (N), on the clock of the trial's forces.
     pub forces: Forces,
-    /// (N, T, 3M) (mm/s², rad/s).
+    /// (N, T, channels) (mm/s², rad/s).
     pub signals: Vec<f64>,
     /// Whether targets of a finer clock of the forces are read through a low-pass.
     pub low_pass: bool,
@@ -61,7 +61,7 @@ pub fn read(file: &Path, trial: &TrialSpec) -> Result<Measured, MeasuredError> {
 fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invalid> {
     let spec::Measured { recorded, signals } = spec;
     check(recorded, signals, trial)?;
-    let (panels, channels) = (trial.panel_units.len(), 3 * trial.sensor_units.len());
+    let (panels, channels) = (trial.panel_units.len(), trial.signals());
     let (duration, instants) = (trial.time.duration, trial.time.samples);
     let pick = pick(recorded, signals, channels);
     let (mut forces, mut readings) = (Vec::new(), Vec::new());
@@ -78,16 +78,11 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
             return Err(faulty(beside, what));
         }
         for (mut force, mut signal) in of_file.into_iter().zip(read) {
-            fit(signals, &force, &signal, channels).map_err(|what| faulty(beside, what))?;
+            fit(signals, &force, &signal, trial).map_err(|what| faulty(beside, what))?;
             let later = records::align(recorded, &mut force, 0.0).map_err(|what| records::at(file, what))?;
             signal.start += later;
-            records::in_units(
-                "signal",
-                &mut signal.values,
-                &factors(signals, channels),
-                recorded.remove_offset,
-            )
-            .map_err(|what| faulty(beside, what))?;
+            records::in_units("signal", &mut signal.values, &factors(signals, trial), recorded.remove_offset)
+                .map_err(|what| faulty(beside, what))?;
             lasts(&signal, duration, instants).map_err(|what| faulty(beside, what))?;
             forces.push(force);
             readings.push(signal);
@@ -163,7 +158,7 @@ fn check(
     if let Some(start) = signals.start.filter(|start| !start.is_finite()) {
         return wrong("start", start.to_string(), "must be a finite number (s)".into());
     }
-    let channels = 3 * trial.sensor_units.len();
+    let channels = trial.signals();
     match &signals.factors {
         Some(factors) if factors.len() != channels || factors.iter().any(|f| !f.is_finite() || *f == 0.0) => {
             let remedy = format!("must be {channels} numbers other than 0, one a channel");
@@ -195,11 +190,13 @@ fn fit(
     signals: &spec::MeasuredSignals,
     force: &Record,
     signal: &Record,
-    channels: usize,
+    trial: &TrialSpec,
 ) -> Result<(), String> {
-    if signal.values.len() != channels {
-        let held = signal.values.len();
-        return Err(format!("holds {held} signals a record; must be {channels}: a_x, a_y, ω of each sensor"));
+    if signal.values.len() != trial.signals() {
+        let (held, channels) = (signal.values.len(), trial.signals());
+        let read: Vec<&str> = trial.sensors.read().iter().map(|channel| channel.name()).collect();
+        let read = read.join(", ");
+        return Err(format!("holds {held} signals a record; must be {channels}: {read} of each sensor"));
     }
     let shared = signals.time.is_none() && signals.rate.is_none() && signals.start.is_none();
     let (found, expected) = (signal.values[0].len(), force.values[0].len());
@@ -212,10 +209,11 @@ fn fit(
 }
 
 /// Of each channel, to mm/s² and rad/s.
-fn factors(signals: &spec::MeasuredSignals, channels: usize) -> Vec<f64> {
+fn factors(signals: &spec::MeasuredSignals, trial: &TrialSpec) -> Vec<f64> {
     let units = [signals.acceleration_unit.factor(), signals.angular_velocity_unit.factor()];
     let own = |c: usize| signals.factors.as_ref().map_or(1.0, |factors| factors[c]);
-    (0..channels).map(|c| units[usize::from(c % 3 == 2)] * own(c)).collect()
+    let read = trial.sensors.read().iter().cycle().take(trial.signals()).enumerate();
+    read.map(|(c, channel)| units[usize::from(*channel == Channel::Omega)] * own(c)).collect()
 }
 
 /// Signals that end before the sample does would be made up: refused, but for an instant.

@@ -30,7 +30,7 @@ use material::material;
 pub use material::sheet;
 pub use optimise::design_parameters;
 use optimise::{frozen, protocol, tie};
-use stimuli::{disturbance, inertia, mount, stimuli, under};
+use stimuli::{channels, disturbance, inertia, mount, stimuli, under};
 
 /// Channels, and weights, of a network beyond which neither time nor memory would do.
 const WIDTH_MAX: usize = 1024;
@@ -60,6 +60,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         solver: solver("solver.method", &trial.solver)?,
         limits,
         stimuli: stimuli(trial)?,
+        channels: channels(&trial.sensors)?,
         disturbance: disturbance(&trial.sensors, &trial.time)?,
         variation: variation(trial)?,
         reader: kind(trial.brain.kind),
@@ -192,8 +193,8 @@ fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
         of(reach < instants, &remedy)?;
     }
     let architecture = Architecture::new(width, &kernels, &dilations, causal);
-    let Point { panels, sensors, .. } = trial.point;
-    let weights = Shape { instants, inputs: 3 * sensors, outputs: panels, architecture }.weights();
+    let (inputs, outputs) = (trial.signals(), trial.point.panels);
+    let weights = Shape { instants, inputs, outputs, architecture }.weights();
     let remedy = format!("makes {weights} weights with these kernels: must be at most {WEIGHTS_MAX}");
     require(weights <= WEIGHTS_MAX, "brain.width", width, &remedy)?;
     Ok(architecture)
@@ -266,10 +267,10 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
 
 /// Whether there is memory for a linear brain of these lags.
 pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
-    let (instants, channels) = (trial.time.samples, 3 * trial.point.sensors);
+    let (instants, channels) = (trial.time.samples, trial.signals());
     let readings = channels * instants;
     let remedy = format!(
-        "gives a linear brain {readings} readings a sample, time.samples × 3 × sensors; at most {READINGS_MAX}, and \
+        "gives a linear brain {readings} readings a sample, time.samples × sensors.channels × sensors; at most {READINGS_MAX}, and \
          10^8 of them times time.samples × panels"
     );
     require(

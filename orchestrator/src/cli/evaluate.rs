@@ -202,8 +202,7 @@ fn compare(
         };
         bodies.push(Body { name, signals: measured.signals, measured: by_measured, simulated: model });
     }
-    let shape = [trial.panel_units.len(), trial.time.samples, 3 * trial.sensor_units.len()];
-    Ok((Comparison::new(bodies, paired, shape, trial.time.duration), unfinished))
+    Ok((Comparison::new(bodies, paired, trial), unfinished))
 }
 
 /// Whether two bodies met the same blows.

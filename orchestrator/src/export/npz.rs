@@ -45,7 +45,7 @@ pub fn archive(
     linear: &[Option<LinearReplay>; 2],
 ) -> Vec<u8> {
     let (panels, instants) = (stored.spec().panel_units.len(), stored.spec().time.samples);
-    let inputs = 3 * stored.spec().point.sensors;
+    let inputs = stored.spec().signals();
     let samples = replays[0].forces.samples;
     let mut zip = Zip::default();
     for body in Body::ALL {

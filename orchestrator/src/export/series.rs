@@ -11,11 +11,12 @@ use crate::store::Stored;
 pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
     let (panels, sensors, instants) =
         (stored.spec().panel_units.len(), stored.spec().point.sensors, stored.spec().time.samples);
+    let (read, signals) = (stored.spec().sensors.read(), stored.spec().signals());
     let mut columns: Vec<String> = ["sample", "set", "time"].map(String::from).to_vec();
     columns.extend((0..panels).map(|k| format!("force_{k}")));
     for body in Body::ALL {
         for m in 0..sensors {
-            columns.extend(["ax", "ay", "omega"].map(|c| format!("{c}_{m}_{}", body.name())));
+            columns.extend(read.iter().map(|c| format!("{}_{m}_{}", c.name(), body.name())));
         }
         if !replays[body as usize].predictions.is_empty() {
             columns.extend((0..panels).map(|k| format!("prediction_{k}_{}", body.name())));
@@ -31,7 +32,7 @@ pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
             row.extend((0..panels).map(|k| json!(forces[(sample * panels + k) * (instants + 1) + n])));
             let at = sample * instants + n - 1;
             for replay in replays {
-                row.extend(replay.signals[at * 3 * sensors..][..3 * sensors].iter().map(|v| json!(v)));
+                row.extend(replay.signals[at * signals..][..signals].iter().map(|v| json!(v)));
                 if !replay.predictions.is_empty() {
                     row.extend(replay.predictions[at * panels..][..panels].iter().map(|v| json!(v)));
                 }

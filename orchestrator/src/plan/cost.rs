@@ -47,7 +47,7 @@ pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
 fn network_weights(trial: &TrialSpec) -> usize {
     let (Network { width, kernels, .. }, last) = (trial.brain.network(), trial.point.panels);
     let estimates = if trial.brain.kind == BrainKind::Stacked { last } else { 0 };
-    let mut from = 3 * trial.point.sensors + estimates;
+    let mut from = trial.signals() + estimates;
     let layers = kernels.iter().enumerate().map(|(i, kernel)| {
         let to = if i + 1 == kernels.len() { last } else { width };
         (kernel * std::mem::replace(&mut from, to) + 1) * to
@@ -57,7 +57,7 @@ fn network_weights(trial: &TrialSpec) -> usize {
 
 /// Unknowns of a linear brain with this memory, a force.
 fn unknowns(trial: &TrialSpec, memory: Option<[f64; 2]>) -> usize {
-    3 * trial.point.sensors * lags(&trial.time, memory).groups().len()
+    trial.signals() * lags(&trial.time, memory).groups().len()
 }
 
 fn factor(unknowns: usize) -> f64 {
@@ -155,7 +155,7 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
     let trainings = if network { trial.evaluation.networks() as f64 * (1.0 + long) } else { 0.0 };
     // as much as fits
-    let readings = match 3 * trial.point.sensors * trial.time.samples <= READINGS_MAX {
+    let readings = match trial.signals() * trial.time.samples <= READINGS_MAX {
         true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)),
         false => 0.0,
     };

@@ -1,6 +1,7 @@
 //! Bodies judged by measured records: the table in words, figures, and a page of them.
 
 use maud::html;
+use metasense_schemas::spec::{Channel, TrialSpec};
 use metasense_worker::evaluate::Evaluated;
 
 use super::strips::{Errors, Strip, dots, histories, representative, strips};
@@ -30,8 +31,10 @@ pub struct Comparison {
     pub bodies: Vec<Body>,
     /// Whether all were struck by the same blows.
     pub paired: bool,
-    /// K, T, 3M.
+    /// K, T, channels.
     pub shape: [usize; 3],
+    /// Their names.
+    pub channels: Vec<String>,
     /// Length of a record (s).
     pub duration: f64,
     /// An entry a body and kind of signals: those of measured signals first.
@@ -80,8 +83,11 @@ fn judged(body: &str, simulated: bool, evaluated: &Evaluated, agreement: Option<
 
 impl Comparison {
     /// Judges each body by its measured signals, and by its model's where it has one.
-    pub fn new(bodies: Vec<Body>, paired: bool, shape: [usize; 3], duration: f64) -> Self {
-        let [_, instants, channels] = shape;
+    pub fn new(bodies: Vec<Body>, paired: bool, trial: &TrialSpec) -> Self {
+        let (instants, channels) = (trial.time.samples, trial.signals());
+        let shape = [trial.panel_units.len(), instants, channels];
+        let name = |m: usize, read: &Channel| format!("{}{m}", ["ax", "ay", "ω"][*read as usize]);
+        let of_sensor = |m| trial.sensors.read().iter().map(move |read| name(m, read));
         let measured = bodies.iter().map(|body| judged(&body.name, false, &body.measured, None));
         let simulated = bodies.iter().filter_map(|body| {
             let (signals, evaluated) = body.simulated.as_ref()?;
@@ -89,7 +95,8 @@ impl Comparison {
             Some(judged(&body.name, true, evaluated, Some(agreement)))
         });
         let judged = measured.chain(simulated).collect();
-        Self { bodies, paired, shape, duration, judged }
+        let channels = (0..trial.point.sensors).flat_map(of_sensor).collect();
+        Self { bodies, paired, shape, channels, duration: trial.time.duration, judged }
     }
 
     /// The comparison as a table.
@@ -291,9 +298,7 @@ impl Comparison {
 
     /// One record of each body whose design is known, beside the model's signals.
     fn signals(&self) -> Option<Figure> {
-        let (judged, channels) = (&self.judged, self.shape[2]);
-        let names: Vec<String> =
-            (0..channels).map(|c| format!("{}{}", ["ax", "ay", "ω"][c % 3], c / 3)).collect();
+        let (judged, channels, names) = (&self.judged, self.shape[2], &self.channels);
         let (mut pictures, mut rows) = (Vec::new(), Vec::new());
         for (b, body) in self.bodies.iter().enumerate() {
             let Some((simulated, _)) = &body.simulated else { continue };
@@ -314,7 +319,7 @@ impl Comparison {
             }
             let sources = vec![("truth".to_owned(), measured), ("front".to_owned(), model)];
             let strip = Strip { title: format!("{}, record {record}", body.name), sources };
-            pictures.extend(strips(&[strip], &names, " RMS", self.duration).0);
+            pictures.extend(strips(&[strip], names, " RMS", self.duration).0);
         }
         Figure::some(
             "signals",

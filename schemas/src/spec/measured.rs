@@ -25,7 +25,7 @@ pub struct MeasuredSignals {
     /// Files, one for each of `recorded.files`. Default: the same files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub files: Option<Vec<PathBuf>>,
-    /// Columns or arrays: a_x, a_y, ω of each sensor in turn, 3M in all; or one array of shape (samples, entries, 3M) or
+    /// Columns or arrays: a_x, a_y, ω of each sensor in turn (of them those in `sensors.channels`), 3M in all; or one array of shape (samples, entries, 3M) or
     /// (samples, 3M, entries), of one record without samples. Default: all that an NPY holds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Signal>>,

@@ -24,7 +24,7 @@ pub use optimise::{
     Auto, Brain, BrainKind, CastReader, Curvature, Evaluation, GradientTerms, Network, Objective,
     ObjectiveName, Optimise, Preset, Protocol, Ridge, Schedule, Tail,
 };
-pub use sensors::{Disturbance, Frame, From as SearchFrom, Search, Sensors};
+pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{
     Augment, ForceUnit, Part, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger,

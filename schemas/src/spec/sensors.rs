@@ -14,6 +14,29 @@ pub enum Frame {
     Body,
 }
 
+/// What a sensor reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Channel {
+    /// Acceleration along x.
+    Ax,
+    /// Acceleration along y.
+    Ay,
+    /// Angular velocity.
+    Omega,
+}
+
+impl Channel {
+    /// All of them, in the order of the signals.
+    pub const ALL: [Self; 3] = [Self::Ax, Self::Ay, Self::Omega];
+
+    /// Its name in a spec.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        ["ax", "ay", "omega"][self as usize]
+    }
+}
+
 /// Size of what a chip adds to its signals: standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
@@ -66,6 +89,9 @@ pub enum From {
 pub struct Sensors {
     /// Axes of the accelerations.
     pub frame: Frame,
+    /// Signals that are read of each sensor. Default: `["ax", "ay", "omega"]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub channels: Option<Vec<Channel>>,
     /// Placements as lists of units, instead of `sweep.placements`; trials with M sensors take the lists of M units.
     /// Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -120,7 +146,13 @@ const GRAVITY: f64 = 9806.65;
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 impl Sensors {
-    /// The same with the chip's figures in place of its name.
+    /// Signals that are read of each sensor.
+    #[must_use]
+    pub fn read(&self) -> &[Channel] {
+        self.channels.as_deref().unwrap_or(&Channel::ALL)
+    }
+
+    /// The same with the chip's figures in place of its name, and the channels in order, named only if some are left out.
     #[must_use]
     pub fn resolved(mut self) -> Self {
         if let Some(Part::Wt9011dcl) = self.chip.take() {
@@ -130,6 +162,8 @@ impl Sensors {
             self.range.get_or_insert([16.0 * GRAVITY, 2000.0 * DEGREE]);
             self.resolution.get_or_insert([16.0 * GRAVITY / 32768.0, 2000.0 * DEGREE / 32768.0]);
         }
+        self.channels.iter_mut().for_each(|channels| channels.sort_unstable());
+        self.channels = self.channels.filter(|channels| *channels != Channel::ALL);
         self
     }
 }

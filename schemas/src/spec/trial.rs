@@ -55,6 +55,12 @@ pub struct TrialSpec {
 }
 
 impl TrialSpec {
+    /// Signals that a brain sees.
+    #[must_use]
+    pub fn signals(&self) -> usize {
+        self.sensors.read().len() * self.point.sensors
+    }
+
     /// Names the trial: 32 hex digits of BLAKE3 over its JSON with sorted keys and no blanks.
     ///
     /// A key added to the spec later must be left out of the JSON at its default (`skip_serializing_if`), so that the

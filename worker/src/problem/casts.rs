@@ -148,7 +148,7 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
 pub(super) fn casts(trial: &TrialSpec) -> Result<usize, Invalid> {
     let casts = trial.evaluation.casts.unwrap_or(0);
     at_most("evaluation.casts", casts, CASTS_MAX)?;
-    let readable = fits(trial.time.samples, 3 * trial.point.sensors, trial.point.panels);
+    let readable = fits(trial.time.samples, trial.signals(), trial.point.panels);
     let remedy = "must be 0 here: a linear brain of such long samples does not fit into memory";
     require(casts == 0 || readable, "evaluation.casts", casts, remedy)?;
     Ok(casts)

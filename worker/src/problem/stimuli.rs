@@ -140,7 +140,7 @@ pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
             return Err(invalid("evaluation.under.weight", weight, "means nothing here: leave it out"));
         }
     }
-    let readable = fits(trial.time.samples, 3 * trial.point.sensors, trial.point.panels);
+    let readable = fits(trial.time.samples, trial.signals(), trial.point.panels);
     let remedy = "must be left out here: a linear brain of such long samples does not fit into memory";
     require(kinds.is_empty() || readable, key, &shown, remedy)?;
     let instants = force_instants(trial)?;
@@ -237,6 +237,16 @@ fn irregular(stimuli: &spec::Stimuli) -> Result<Irregular, Invalid> {
         gap: not_negative("gap", stimuli.gap)?,
         rebound: not_negative("rebound", stimuli.rebound)?,
     })
+}
+
+/// Which signals of each sensor are read.
+pub(super) fn channels(sensors: &spec::Sensors) -> Result<Vec<usize>, Invalid> {
+    let read = sensors.read();
+    let shown = || serde_json::to_string(read).unwrap_or_default();
+    let remedy = "must name some of \"ax\", \"ay\", \"omega\", each once";
+    let once = read.windows(2).all(|pair| pair[0] < pair[1]);
+    require(once && !read.is_empty(), "sensors.channels", shown(), remedy)?;
+    Ok(read.iter().map(|&channel| channel as usize).collect())
 }
 
 /// What the sensors' chips add; none where nothing is asked for.

@@ -114,7 +114,7 @@ pub fn along(
     }
 }
 
-/// tr(D Q Dᵀ) over targets (N²) where signals change by `along`, (r, T · 3M), along the prior's directions.
+/// tr(D Q Dᵀ) over targets (N²) where signals change by `along`, (r, T · channels), along the prior's directions.
 ///
 /// # Panics
 /// If lengths do not fit.

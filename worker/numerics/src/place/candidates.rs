@@ -103,7 +103,8 @@ impl Candidates {
     #[must_use]
     pub fn of(&self, units: &[usize]) -> Self {
         let position = |unit: &usize| self.units.iter().position(|u| u == unit).expect("a candidate");
-        let from: Vec<usize> = units.iter().map(position).flat_map(|i| 3 * i..3 * i + 3).collect();
+        let each = self.samples.sizes.channels / self.units.len();
+        let from: Vec<usize> = units.iter().map(position).flat_map(|i| each * i..each * (i + 1)).collect();
         let rows = self.samples.x.chunks_exact(self.samples.sizes.channels);
         let x = rows.flat_map(|row| from.iter().map(|&c| row[c])).collect();
         let sizes = Sizes { channels: from.len(), ..self.samples.sizes };

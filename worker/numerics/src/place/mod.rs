@@ -51,18 +51,20 @@ pub struct Scores<'a> {
     layout: &'a Layout,
     /// Units by their channels' order.
     units: Vec<usize>,
-    /// Whether each has its energy as a fourth channel.
+    /// Channels of each, its energy among them where that is one.
+    each: usize,
+    /// Whether it is.
     energies: bool,
     pool: &'a crate::Pool,
 }
 
 impl<'a> Scores<'a> {
-    /// Of signals x (N, T, 3 units) and forces f (N, T, K); sample i has weight w_i and is judged in fold `dealt[i]`. With
+    /// Of signals x (N, T, units · channels of each) and forces f (N, T, K); sample i has weight w_i and is judged in fold `dealt[i]`. With
     /// `energies` |x|² of each unit, less its mean and in units of its standard deviation, is a signal, too: what blows leave that
     /// no linear part of the motion tells.
     ///
     /// # Panics
-    /// If lengths do not belong to one N.
+    /// If lengths do not belong to one N, or units have not equally many channels.
     pub fn new(
         layout: &'a Layout,
         units: Vec<usize>,
@@ -72,15 +74,16 @@ impl<'a> Scores<'a> {
         energies: bool,
         pool: &'a crate::Pool,
     ) -> Self {
-        assert_eq!(sizes.channels, 3 * units.len(), "three channels a unit");
+        assert!(sizes.channels.is_multiple_of(units.len()), "as many channels a unit");
+        let each = sizes.channels / units.len();
         let folds = dealt.iter().max().map_or(0, |most| most + 1);
         let spectra = if energies {
-            let sizes = Sizes { channels: 4 * units.len(), ..sizes };
-            Spectra::new(sizes, [&with_energies(x, units.len()), f, w], dealt, folds, pool.heartbeat())
+            let sizes = Sizes { channels: (each + 1) * units.len(), ..sizes };
+            Spectra::new(sizes, [&with_energies(x, each, units.len()), f, w], dealt, folds, pool.heartbeat())
         } else {
             Spectra::new(sizes, [x, f, w], dealt, folds, pool.heartbeat())
         };
-        Self { spectra, layout, units, energies, pool }
+        Self { spectra, layout, units, each: each + usize::from(energies), energies, pool }
     }
 
     /// Error (%) of a linear brain of these units on samples that it has not seen; infinite where λ gives none.
@@ -102,9 +105,8 @@ impl<'a> Scores<'a> {
 
     /// Those of a candidate.
     fn channels(&self, unit: usize) -> Range<usize> {
-        let width = 3 + usize::from(self.energies);
-        let at = width * self.units.iter().position(|&u| u == unit).expect("a candidate");
-        at..at + width
+        let at = self.each * self.units.iter().position(|&u| u == unit).expect("a candidate");
+        at..at + self.each
     }
 
     /// Sets and their errors (%), best first; equal ones as they came.
@@ -234,17 +236,18 @@ impl<'a> Scores<'a> {
     }
 }
 
-/// Signals (N, T, 3 units), each unit's three followed by |x|², its mean 0 and its variance 1 (unless it is constant).
-fn with_energies(x: &[f64], units: usize) -> Vec<f64> {
-    let mut out: Vec<f64> =
-        x.chunks_exact(3).flat_map(|x| [x[0], x[1], x[2], x.iter().map(|x| x * x).sum::<f64>()]).collect();
+/// Signals (N, T, units · each), those of each unit followed by |x|², its mean 0 and its variance 1 (unless it is constant).
+fn with_energies(x: &[f64], each: usize, units: usize) -> Vec<f64> {
+    let energy = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+    let mut out: Vec<f64> = x.chunks_exact(each).flat_map(|x| x.iter().copied().chain([energy(x)])).collect();
+    let width = each + 1;
     for unit in 0..units {
-        let energy = || (4 * unit + 3..out.len()).step_by(4 * units);
+        let energy = || (width * unit + each..out.len()).step_by(width * units);
         let count = energy().len() as f64;
         let mean = energy().map(|i| out[i]).sum::<f64>() / count;
         let variance = energy().map(|i| (out[i] - mean).powi(2)).sum::<f64>() / count;
         let scale = if variance > 0.0 { variance.sqrt().recip() } else { 1.0 };
-        for i in (4 * unit + 3..out.len()).step_by(4 * units) {
+        for i in (width * unit + each..out.len()).step_by(width * units) {
             out[i] = scale * (out[i] - mean);
         }
     }

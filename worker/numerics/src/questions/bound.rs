@@ -61,7 +61,8 @@ pub fn bound(
     let trouble = |outcome| Failure::Initial(Trouble::Simulation(outcome));
     let mut left = Vec::new();
     for sample in 0..unseen.samples {
-        let mut along = along(scene, design, &unseen, sample, &prior, &plan, pool).map_err(trouble)?;
+        let along = along(scene, design, &unseen, sample, &prior, &plan, pool).map_err(trouble)?;
+        let mut along = problem.read(along);
         let one = along.len() / prior.directions.samples.max(1);
         along.chunks_exact_mut(one.max(1)).for_each(|signals| chip.late(signals));
         left.push(posterior_variance(&prior, &along, &noise));

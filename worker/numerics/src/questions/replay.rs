@@ -19,7 +19,7 @@ pub struct Replay {
     pub forces: Forces,
     /// 0 training, 1 test, 2 holdout (N).
     pub split: Vec<u8>,
-    /// Sensor signals (N, T, 3M) in mm/s² and rad/s.
+    /// Sensor signals (N, T, channels) in mm/s² and rad/s.
     pub signals: Vec<f64>,
     /// Predicted forces (N, T, K) in N; empty without weights.
     pub predictions: Vec<f64>,
@@ -27,7 +27,7 @@ pub struct Replay {
     pub errors: Vec<Option<f64>>,
     /// Whether a sample's simulation failed (N): it then has no signals, its forces stand as zero, its error is 100 %.
     pub failed: Vec<bool>,
-    /// What each signal channel is divided by (3M).
+    /// What each signal channel is divided by (channels).
     pub signal_scale: Vec<f64>,
     /// Mean of each panel's training forces (N).
     pub force_mean: Vec<f64>,
@@ -55,14 +55,14 @@ pub fn replay(
     let mut kinds = vec![0; problem.stimuli.samples];
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);
-    let mut simulation = simulated(&problem.scene, design, &forces, &solver, Precision::Double, false, pool);
+    let simulation = simulated(&problem.scene, design, &forces, &solver, Precision::Double, false, pool);
     for set in 0..3 {
         let own = simulation.outcomes.iter().zip(&kinds).filter(|(_, kind)| **kind == set);
         few_failed(&own.map(|(outcome, _)| *outcome).collect::<Vec<_>>()).map_err(Failure::Initial)?;
     }
     let failed = silence(&mut forces, &simulation.outcomes);
-    trial.disturb(&mut simulation.signals, &forces);
-    let all = problem.samples(simulation.signals, &forces).with_failed(failed);
+    let signals = trial.heard(simulation.signals, &forces);
+    let all = problem.samples(signals, &forces).with_failed(failed);
     let (mut predictions, mut errors) = (Vec::new(), Vec::new());
     if !weights.is_empty() {
         predictions = predicted(&trial, &all, weights, &kinds)?;
@@ -109,7 +109,7 @@ pub struct LinearReplay {
     pub lags: Lags,
     /// λ.
     pub ridge: f64,
-    /// W (K, lags, 3M) in N: f̂ = b + Σ W · signal / `signal_scale`.
+    /// W (K, lags, channels) in N: f̂ = b + Σ W · signal / `signal_scale`.
     pub w: Vec<f64>,
     /// b (K) in N.
     pub b: Vec<f64>,
@@ -177,7 +177,7 @@ pub fn motion(
     Ok(Motion { displacements, velocities })
 }
 
-/// Signals (N, T, 3M) of a body under given forces, as its chips give them: those of the trial, which are the same on every body.
+/// Signals (N, T, channels) of a body under given forces, as its chips give them: those of the trial, which are the same on every body.
 ///
 /// # Errors
 /// If a sample does not reach its end, or, where chips are relative to it, the trial's initial body does not.
@@ -191,9 +191,8 @@ pub fn sense(
     let solver = tune(scene, design, forces, &problem.solver, pool).solver;
     let simulation = simulated(&problem.scene, design, forces, &solver, Precision::Double, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
-    let mut signals = simulation.signals;
-    if problem.disturbance.is_some() {
-        Trial::new(problem, pool)?.disturb(&mut signals, forces);
+    match problem.disturbance {
+        Some(_) => Ok(Trial::new(problem, pool)?.heard(simulation.signals, forces)),
+        None => Ok(problem.read(simulation.signals)),
     }
-    Ok(signals)
 }

@@ -46,12 +46,12 @@ pub enum Size {
 
 impl Size {
     /// Of each channel of the given RMS.
-    fn of(self, rms: &[f64]) -> Vec<f64> {
-        let size = |(c, rms): (usize, &f64)| match self {
+    fn of(self, rms: &[f64], channels: &[usize]) -> Vec<f64> {
+        let size = |(rms, &channel): (&f64, &usize)| match self {
             Self::Relative(part) => part * rms,
-            Self::Physical(size) => size[usize::from(c % 3 == 2)],
+            Self::Physical(size) => size[usize::from(channel == 2)],
         };
-        rms.iter().enumerate().map(size).collect()
+        rms.iter().zip(channels.iter().cycle()).map(size).collect()
     }
 }
 
@@ -59,7 +59,9 @@ impl Size {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Chip {
     seed: u64,
-    /// A channel (3M).
+    /// Which of a_x (0), a_y (1) and ω (2) are read of each sensor.
+    channels: Vec<usize>,
+    /// A channel that is read.
     pub(crate) noise: Vec<f64>,
     pub(crate) bias: Vec<f64>,
     /// In instants.
@@ -69,28 +71,37 @@ pub(crate) struct Chip {
 }
 
 impl Chip {
-    /// `delta` is the time between two instants (s), `rms` that of each channel.
-    pub(crate) fn new(disturbance: &Disturbance, seed: u64, delta: f64, rms: &[f64]) -> Self {
+    /// `delta` is the time between two instants (s), `rms` that of each channel that is read.
+    pub(crate) fn new(
+        disturbance: &Disturbance,
+        seed: u64,
+        delta: f64,
+        rms: &[f64],
+        channels: &[usize],
+    ) -> Self {
         Self {
             seed,
-            noise: disturbance.noise.of(rms),
-            bias: disturbance.bias.of(rms),
+            channels: channels.to_vec(),
+            noise: disturbance.noise.of(rms, channels),
+            bias: disturbance.bias.of(rms, channels),
             delay: disturbance.delay / delta,
             range: disturbance.range,
             resolution: disturbance.resolution,
         }
     }
 
-    /// Overwrites signals (N, T, 3M) of `forces` with what the chip says.
+    /// Overwrites signals (N, T, channels) of `forces` with what the chip says.
     pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
-        let channels = self.noise.len();
+        let (channels, read) = (self.noise.len(), self.channels.len());
         for (i, sample) in signals.chunks_exact_mut(signals.len() / forces.samples.max(1)).enumerate() {
             self.late(sample);
             let key = forces.sample(i).iter().fold(0, |key: u64, f| {
                 (key.rotate_left(5) ^ f.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95)
             });
             for c in (0..channels).filter(|&c| self.noise[c] > 0.0 || self.bias[c] > 0.0) {
-                let mut stream = Stream::new(Purpose::Chip, self.seed, [key, c as u64]);
+                // what is read of a channel does not hang on the others
+                let channel = 3 * (c / read) + self.channels[c % read];
+                let mut stream = Stream::new(Purpose::Chip, self.seed, [key, channel as u64]);
                 let bias = self.bias[c] * stream.normal();
                 for reading in sample[c..].iter_mut().step_by(channels) {
                     *reading += bias + self.noise[c] * stream.normal();
@@ -100,13 +111,13 @@ impl Chip {
         }
     }
 
-    /// Readings (T, 3M) in whole steps, and none beyond the range.
+    /// Readings (T, channels) in whole steps, and none beyond the range.
     fn read(&self, sample: &mut [f64]) {
         if (self.range, self.resolution) == (Disturbance::NONE.range, Disturbance::NONE.resolution) {
             return;
         }
         for (i, reading) in sample.iter_mut().enumerate() {
-            let kind = usize::from(i % 3 == 2);
+            let kind = self.kind(i);
             let (most, step) = (self.range[kind], self.resolution[kind]);
             if step > 0.0 {
                 *reading = (*reading / step).round() * step;
@@ -115,14 +126,19 @@ impl Chip {
         }
     }
 
-    /// How many readings (.., 3M) are at the end of the range.
+    /// 0 of an acceleration, 1 of an angular velocity, of the `i`-th reading.
+    fn kind(&self, i: usize) -> usize {
+        usize::from(self.channels[i % self.channels.len()] == 2)
+    }
+
+    /// How many readings (.., channels) are at the end of the range.
     pub(crate) fn saturated(&self, says: &[f64]) -> usize {
         says.iter().enumerate().filter(|&(i, reading)| self.is_at_the_end(i, *reading)).count()
     }
 
     /// Of the `i`-th reading.
     fn is_at_the_end(&self, i: usize, reading: f64) -> bool {
-        reading.abs() >= self.range[usize::from(i % 3 == 2)]
+        reading.abs() >= self.range[self.kind(i)]
     }
 
     /// Whole instants of the delay, and the part of one.
@@ -130,7 +146,7 @@ impl Chip {
         (self.delay.floor() as usize, self.delay.fract())
     }
 
-    /// a(t_n − delay) of a sample's signals (T, 3M).
+    /// a(t_n − delay) of a sample's signals (T, channels).
     pub(crate) fn late(&self, sample: &mut [f64]) {
         let (whole, part) = self.parts();
         let channels = self.noise.len();
@@ -143,7 +159,7 @@ impl Chip {
         }
     }
 
-    /// Of the delay and the range: a cotangent (N, T, 3M) of `samples` samples on what the chip `says` as one on the signals. A
+    /// Of the delay and the range: a cotangent (N, T, channels) of `samples` samples on what the chip `says` as one on the signals. A
     /// reading at the end of its range tells nothing. Steps pass it on as if they were none.
     pub(crate) fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64], samples: usize) {
         if self.range != Disturbance::NONE.range {

@@ -118,7 +118,7 @@ impl<'a> Trial<'a> {
         );
         few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
         let failed = silence(&mut train, &simulation.outcomes);
-        let mut initial = problem.samples(simulation.signals, &train).with_failed(failed);
+        let mut initial = problem.samples(problem.read(simulation.signals), &train).with_failed(failed);
         let scales = Scales::of(&initial);
         let chip = chip.or_else(|| problem.chip(&scales.channels));
         if let Some(chip) = &chip {
@@ -226,11 +226,11 @@ impl<'a> Trial<'a> {
     ) -> Response {
         let mut signals = std::mem::take(&mut simulation.signals);
         chips.read(&mut signals);
-        self.disturb(&mut signals, forces);
+        let signals = self.heard(signals, forces);
         Response { samples: self.problem.samples(signals, forces).with_failed(failed), simulation, chips }
     }
 
-    /// dL/dα of a cotangent on the signals (N, T, 3M) of a body that was simulated with its tape.
+    /// dL/dα of a cotangent on the signals (N, T, channels) of a body that was simulated with its tape.
     ///
     /// # Errors
     /// If it is not finite.
@@ -243,6 +243,7 @@ impl<'a> Trial<'a> {
         if let Some(chip) = &self.chip {
             chip.disturb_vjp(&mut cotangent, &samples.signals, simulation.outcomes.len());
         }
+        let mut cotangent = self.problem.read_vjp(cotangent);
         chips.read_vjp(&mut cotangent);
         let gradient = simulation.vjp(&cotangent, Wrt::Design, self.pool);
         counters.dynamics += gradient.counters;
@@ -252,11 +253,13 @@ impl<'a> Trial<'a> {
         }
     }
 
-    /// Simulated signals (N, T, 3M) as the sensors' chips give them.
-    pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
+    /// Of simulated signals (N, T, 3M) the channels that are read, as the sensors' chips give them.
+    pub(crate) fn heard(&self, signals: Vec<f64>, forces: &Forces) -> Vec<f64> {
+        let mut signals = self.problem.read(signals);
         if let Some(chip) = &self.chip {
-            chip.disturb(signals, forces);
+            chip.disturb(&mut signals, forces);
         }
+        signals
     }
 }
 

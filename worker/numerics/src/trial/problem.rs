@@ -33,6 +33,8 @@ pub struct Problem {
     pub tie: [usize; 2],
     /// Where the forces come from.
     pub stimuli: Stimuli,
+    /// Which of a_x (0), a_y (1) and ω (2) are read of each sensor, ascending.
+    pub channels: Vec<usize>,
     /// What the sensors' chips add to the signals, where they do.
     pub disturbance: Option<Disturbance>,
     /// How casts of a body scatter, where they are asked about.
@@ -101,7 +103,7 @@ impl Problem {
         let sensors = self.search.as_ref().map_or(self.scene.sensors.len(), |search| search.sensors);
         Shape {
             instants: self.scene.instants,
-            inputs: 3 * sensors,
+            inputs: self.channels.len() * sensors,
             architecture: self.brain.architecture,
             outputs: self.scene.panels.len(),
         }
@@ -117,7 +119,28 @@ impl Problem {
     /// The sensors' chips, what is relative in them so to `rms` of each channel.
     pub(super) fn chip(&self, rms: &[f64]) -> Option<Chip> {
         let delta = self.scene.duration / self.scene.instants as f64;
-        self.disturbance.map(|d| Chip::new(&d, self.seed, delta, rms))
+        self.disturbance.map(|d| Chip::new(&d, self.seed, delta, rms, &self.channels))
+    }
+
+    /// Of what all sensors could tell (.., 3M) the channels that are read.
+    pub(crate) fn read(&self, signals: Vec<f64>) -> Vec<f64> {
+        if self.channels.len() == 3 {
+            return signals;
+        }
+        signals.chunks_exact(3).flat_map(|all| self.channels.iter().map(|&c| all[c])).collect()
+    }
+
+    /// Transpose of [`Problem::read`].
+    pub(super) fn read_vjp(&self, cotangent: Vec<f64>) -> Vec<f64> {
+        if self.channels.len() == 3 {
+            return cotangent;
+        }
+        let all = |read: &[f64]| {
+            let mut all = [0.0; 3];
+            self.channels.iter().zip(read).for_each(|(&c, x)| all[c] = *x);
+            all
+        };
+        cotangent.chunks_exact(self.channels.len()).flat_map(all).collect()
     }
 
     /// `count` force histories (N, K, R + 1) of the stimuli's clock, from number `first` of `purpose`: `Stimulus`, of which
@@ -196,7 +219,7 @@ impl Problem {
         targets(forces, self.scene.instants, low_pass)
     }
 
-    /// Signals (N, T, 3M) under `forces` as brains take them.
+    /// Signals (N, T, channels) under `forces` as brains take them.
     pub(crate) fn samples(&self, signals: Vec<f64>, forces: &Forces) -> Samples {
         let Shape { instants, inputs, outputs, .. } = self.shape();
         let sizes = Sizes { instants, channels: inputs, outputs };

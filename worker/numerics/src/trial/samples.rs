@@ -6,9 +6,9 @@ use crate::brain::prediction_error;
 /// Signals and forces of N samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Samples {
-    /// T, 3M, K.
+    /// T; 3M channels, or fewer where not all are read; K.
     pub sizes: Sizes,
-    /// (N, T, 3M) in mm/s² and rad/s.
+    /// (N, T, channels) in mm/s² and rad/s.
     pub signals: Vec<f64>,
     /// Forces (N, T, K) in N.
     pub targets: Vec<f64>,
@@ -17,7 +17,7 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Signals (N, T, 3M) under forces (N, T, K), none of which failed.
+    /// Signals (N, T, channels) under forces (N, T, K), none of which failed.
     pub fn new(sizes: Sizes, signals: Vec<f64>, targets: Vec<f64>) -> Self {
         let failed = vec![false; targets.len() / (sizes.instants * sizes.outputs)];
         Self { sizes, signals, targets, failed }

@@ -2,7 +2,7 @@
 
 use super::super::protocol::Session;
 use super::*;
-use crate::brain::linear::Lags;
+use crate::brain::linear::{Lags, Sizes};
 use crate::brains::{Plain, Stack, own_reading, readings, solve};
 use crate::dynamics::{planned, run};
 use crate::place::placed;
@@ -292,4 +292,28 @@ fn a_body_is_read_under_other_forces() {
     let problem = Problem { under: vec![hard], ..own };
     let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
     assert!(found.under[0].iter().all(|reading| reading.error.is_err()), "{:?}", found.under);
+}
+
+/// What a linear brain makes of accelerations alone is what it makes of all signals without the columns of ω.
+#[test]
+fn channels_that_are_not_read_are_columns_that_are_not_there() {
+    let mut problem = linear(Protocol::Joint(GOING));
+    (problem.scene.sensors, problem.optimise.iterations) = (vec![6, 7], 0);
+    problem.stimuli.holdout = 6;
+    let pool = pool(1);
+    let some = Problem { channels: vec![0, 1], ..problem.clone() };
+    let found = optimise(&some, None, &pool, &mut Keeper::default()).unwrap().unwrap();
+    let deleted = |all: &Samples| {
+        let columns = all.signals.chunks_exact(6).flat_map(|s| [s[0], s[1], s[3], s[4]]).collect();
+        let sizes = Sizes { channels: 4, ..all.sizes };
+        Samples::new(sizes, columns, all.targets.clone())
+    };
+    let trial = Trial::new(&problem, &pool).unwrap();
+    let (solver, double) = (trial.problem.solver, Precision::Double);
+    let unseen = trial.problem.forces(Purpose::Holdout, 0, 6);
+    let counters = &mut Counters::default();
+    let unseen = trial.simulate(&problem.initial, &unseen, &solver, double, false, counters).unwrap().samples;
+    let brain = problem.decoder.fit(problem.seed, &deleted(&trial.initial), None).unwrap();
+    let (own, wanted) = (found.initial.networks[0].error_holdout.unwrap(), brain.error_on(&deleted(&unseen)));
+    assert!((own / wanted.unwrap() - 1.0).abs() < 1e-9, "{own} {wanted:?}");
 }
