@@ -75,6 +75,21 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[sensors]\nbandwidth = 0.0\n[sweep]",
+        "s.toml:14: sensors.bandwidth = 0: must be above 0, and at most 400 Hz, twice the rate of the readings",
+    ),
+    (
+        "[sweep]",
+        "[sensors]\nbandwidth = 500.0\n[sweep]",
+        "s.toml:14: sensors.bandwidth = 500: must be above 0, and at most 400 Hz",
+    ),
+    (
+        "[sweep]",
+        "[sensors]\ndelay = 0.01\n[time]\nsamples = 20000\n[sweep]",
+        "s.toml:14: sensors.delay = 0.01: takes the motion 8 times a reading: at most for time.samples = 12500",
+    ),
+    (
+        "[sweep]",
         "[sensors]\nchannels = []\n[sweep]",
         "s.toml:14: sensors.channels = []: must name some of \"ax\", \"ay\", \"omega\", each once",
     ),

@@ -446,6 +446,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     read.noise = read.noise.filter(|size| !none(size));
     read.bias = read.bias.filter(|size| !none(size));
     read.delay = read.delay.filter(|delay| *delay != 0.0);
+    read.bandwidth = read.bandwidth.filter(|bandwidth| *bandwidth != f64::INFINITY);
     read.range = read.range.filter(|range| range.iter().any(|most| most.is_finite()));
     read.resolution = read.resolution.filter(|step| *step != [0.0; 2]);
     read.mass = read.mass.filter(|mass| *mass != 0.0);

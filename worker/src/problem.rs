@@ -32,6 +32,8 @@ pub use optimise::design_parameters;
 use optimise::{frozen, protocol, tie};
 use stimuli::{channels, disturbance, inertia, mount, stimuli, under};
 
+/// Instants of a sample at most.
+const INSTANTS_MAX: usize = 100_000;
 /// Channels, and weights, of a network beyond which neither time nor memory would do.
 const WIDTH_MAX: usize = 1024;
 const WEIGHTS_MAX: usize = 10_000_000;
@@ -145,7 +147,7 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
 fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     positive("time.duration", trial.time.duration)?;
     at_least("time.samples", trial.time.samples, 3)?;
-    at_most("time.samples", trial.time.samples, 100_000)?;
+    at_most("time.samples", trial.time.samples, INSTANTS_MAX)?;
     check_tolerance("solver.tolerance", trial.solver.tolerance)?;
     if let Some(coarse) = &trial.optimise.coarse {
         check_tolerance("optimise.coarse.tolerance", coarse.tolerance)?;
@@ -263,6 +265,14 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
         }
     };
     Ok(Decoder { lags, ridge })
+}
+
+/// Instants at which a sample's motion is taken: those of its readings, or more where chips filter.
+#[must_use]
+pub fn instants(trial: &TrialSpec) -> usize {
+    let readings = trial.time.samples;
+    let interval = trial.time.duration / readings as f64;
+    disturbance(&trial.sensors, &trial.time).ok().flatten().map_or(1, |d| d.clock(interval)) * readings
 }
 
 /// Whether there is memory for a linear brain of these lags.

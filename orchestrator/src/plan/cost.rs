@@ -4,7 +4,7 @@
 
 use super::Trial;
 use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
-use metasense_worker::problem::{READINGS_MAX, lags};
+use metasense_worker::problem::{READINGS_MAX, instants, lags};
 use metasense_worker::simd;
 
 /// Seconds a unit and force evaluation of equal steps, with all else of a step.
@@ -99,8 +99,8 @@ fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
         Method::Tsit5 | Method::Implicit => (28_000.0, 6, 1.0),
     };
     let steps = trial.time.duration * at / stages / root(solver.tolerance / 1e-3, power);
-    // A step ends at every instant, and wherever the forces' own clock has a kink.
-    let kinks = trial.stimuli.force_samples.unwrap_or(trial.time.samples) as f64;
+    // A step ends at every instant of the motion, and wherever the forces' own clock has a kink.
+    let kinks = trial.stimuli.force_samples.unwrap_or(trial.time.samples).max(instants(trial)) as f64;
     (steps / kinks).ceil() * kinks * stages
 }
 

@@ -115,6 +115,9 @@ pub struct Sensors {
     /// Delay of the signals. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
+    /// Cut-off of a Butterworth low-pass of order 2 through which the chip reads. Unit: Hz. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bandwidth: Option<f64>,
     /// Largest readings of accelerations and angular velocities, either way; beyond, a reading stays there. Unit: mm/s², rad/s.
     /// Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]

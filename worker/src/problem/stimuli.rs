@@ -6,6 +6,7 @@ use metasense_numerics::stimuli::{Bell, Hand, Irregular, Source};
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
+use super::INSTANTS_MAX;
 use crate::invalid::{Invalid, at_least, at_most, invalid, not_negative, require};
 use crate::records;
 
@@ -249,6 +250,9 @@ pub(super) fn channels(sensors: &spec::Sensors) -> Result<Vec<usize>, Invalid> {
     Ok(read.iter().map(|&channel| channel as usize).collect())
 }
 
+/// Largest cut-off of a chip's low-pass, in readings a second: its clock is then 64 times as fast as they are.
+const BANDWIDTH_MAX: f64 = 2.0;
+
 /// What the sensors' chips add; none where nothing is asked for.
 pub(super) fn disturbance(
     sensors: &spec::Sensors,
@@ -274,13 +278,24 @@ pub(super) fn disturbance(
     let delay = sensors.delay.unwrap_or(0.0);
     let remedy = "must be 0 or above, and less than time.duration (s)";
     require(delay >= 0.0 && delay < time.duration, "sensors.delay", delay, remedy)?;
+    let bandwidth = sensors.bandwidth.unwrap_or(f64::INFINITY);
+    let interval = time.duration / time.samples as f64;
+    let most = BANDWIDTH_MAX / interval;
+    let remedy = format!("must be above 0, and at most {most} Hz, twice the rate of the readings");
+    let held = bandwidth > 0.0 && bandwidth <= most * (1.0 + 1e-9) || bandwidth == f64::INFINITY;
+    require(held, "sensors.bandwidth", bandwidth, &remedy)?;
     let (range, resolution) = (sensors.range.unwrap_or(wide), sensors.resolution.unwrap_or_default());
     let remedy = "must be above 0: [mm/s², rad/s]";
     require(range.iter().all(|most| *most > 0.0), "sensors.range", format!("{range:?}"), remedy)?;
     let remedy = "must be 0 or above, and less than sensors.range: [mm/s², rad/s]";
     let fine = resolution.iter().zip(range).all(|(step, most)| (0.0..most).contains(step));
     require(fine, "sensors.resolution", format!("{resolution:?}"), remedy)?;
-    let disturbance = Disturbance { noise, bias, delay, range, resolution };
+    let disturbance = Disturbance { noise, bias, delay, bandwidth, range, resolution };
+    let clock = disturbance.clock(interval);
+    let (key, value) = if delay > 0.0 { ("sensors.delay", delay) } else { ("sensors.bandwidth", bandwidth) };
+    let most = INSTANTS_MAX / clock;
+    let remedy = format!("takes the motion {clock} times a reading: at most for time.samples = {most}");
+    require(time.samples * clock <= INSTANTS_MAX, key, value, &remedy)?;
     Ok((disturbance != Disturbance::NONE).then_some(disturbance))
 }
 

@@ -1,6 +1,7 @@
 //! Force histories on the panels.
 
 use super::scene::{Panel, Scene};
+use std::borrow::Cow;
 
 /// Force histories (N, K, R+1), f_k at t_n = n·duration/R, n = 0…R, linear in between.
 ///
@@ -52,6 +53,25 @@ impl Forces {
     /// How the force on a panel acts in sample i.
     pub fn strike(&self, panels: &[Panel], i: usize, panel: usize) -> Strike {
         self.strikes.get(i * self.panels + panel).copied().unwrap_or_else(|| panels[panel].central())
+    }
+
+    /// The same histories on a clock that suits the scene's: as they are where theirs does.
+    pub fn on(&self, scene: &Scene) -> Cow<'_, Self> {
+        let (mut by, own) = (1, self.instants);
+        while !(by * own).is_multiple_of(scene.instants) {
+            by += 1;
+        }
+        if by == 1 {
+            return Cow::Borrowed(self);
+        }
+        let mut values = Vec::with_capacity(self.samples * self.panels * (by * own + 1));
+        for history in self.values.chunks_exact(own + 1) {
+            for ends in history.windows(2) {
+                values.extend((0..by).map(|j| ends[0] + (ends[1] - ends[0]) * (j as f64 / by as f64)));
+            }
+            values.push(history[own]);
+        }
+        Cow::Owned(Self { instants: by * own, values, strikes: self.strikes.clone(), ..*self })
     }
 
     /// The samples listed, in the order listed.

@@ -426,6 +426,15 @@ fn the_direct_term_holds_through_disturbed_sensors() {
     check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
 }
 
+/// And behind a low-pass, on a finer clock than that of the forces.
+#[test]
+fn the_direct_term_holds_behind_a_low_pass() {
+    for (bandwidth, delay) in [(60.0, 0.0), (90.0, 0.0041)] {
+        let disturbance = Disturbance { bandwidth, delay, ..Disturbance::NONE };
+        check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
+    }
+}
+
 /// And through sensors of which not all is read.
 #[test]
 fn the_direct_term_holds_through_some_channels() {

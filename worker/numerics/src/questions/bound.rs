@@ -42,7 +42,7 @@ pub fn bound(
     };
     let trial =
         Trial::new(&Problem { solver: Solver { method, ..problem.solver }, ..problem.clone() }, pool)?;
-    let (problem, scene) = (&trial.problem, &trial.problem.scene);
+    let problem = &trial.problem;
     let Some(chip) = trial.chip.as_ref().filter(|chip| chip.noise.iter().all(|white| *white > 0.0)) else {
         return Ok(None);
     };
@@ -57,14 +57,13 @@ pub fn bound(
     let prior = Prior::new(&trial.train, &known, |forces| problem.targets(forces));
 
     let unseen = problem.forces(Purpose::Holdout, 0, samples.min(problem.stimuli.holdout));
-    let plan = choose(scene, design, &trial.tuned(design).solver.at_most(EXACT));
+    let (scene, _) = problem.in_motion(&problem.scene, &unseen);
+    let plan = choose(&scene, design, &trial.tuned(design).solver.at_most(EXACT));
     let trouble = |outcome| Failure::Initial(Trouble::Simulation(outcome));
     let mut left = Vec::new();
     for sample in 0..unseen.samples {
-        let along = along(scene, design, &unseen, sample, &prior, &plan, pool).map_err(trouble)?;
-        let mut along = problem.read(along);
-        let one = along.len() / prior.directions.samples.max(1);
-        along.chunks_exact_mut(one.max(1)).for_each(|signals| chip.late(signals));
+        let along = along(&scene, design, &unseen, sample, &prior, &plan, pool).map_err(trouble)?;
+        let along = problem.read(along, prior.directions.samples);
         left.push(posterior_variance(&prior, &along, &noise));
     }
     let own = weights(&problem.targets(&unseen), unseen.samples);

@@ -4,12 +4,12 @@
 
 use crate::brain::linear::{Lags, Sizes};
 use crate::brains::{Fresh, reader};
-use crate::dynamics::{Forces, Precision, simulate, tune};
+use crate::dynamics::{Forces, Precision, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
 use crate::trial::{
     BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, few_failed, pilot, silence,
-    simulated,
+    simulated, tuned,
 };
 
 /// What a body and a network do with every sample of a trial.
@@ -55,7 +55,8 @@ pub fn replay(
     let mut kinds = vec![0; problem.stimuli.samples];
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);
-    let simulation = simulated(&problem.scene, design, &forces, &solver, Precision::Double, false, pool);
+    let simulation =
+        simulated(problem, &problem.scene, design, &forces, &solver, Precision::Double, false, pool);
     for set in 0..3 {
         let own = simulation.outcomes.iter().zip(&kinds).filter(|(_, kind)| **kind == set);
         few_failed(&own.map(|(outcome, _)| *outcome).collect::<Vec<_>>()).map_err(Failure::Initial)?;
@@ -187,12 +188,12 @@ pub fn sense(
     forces: &Forces,
     pool: &crate::Pool,
 ) -> Result<Vec<f64>, Failure> {
-    let scene = &problem.scene;
-    let solver = tune(scene, design, forces, &problem.solver, pool).solver;
-    let simulation = simulated(&problem.scene, design, forces, &solver, Precision::Double, false, pool);
+    let solver = tuned(problem, design, forces, &problem.solver, pool).solver;
+    let simulation =
+        simulated(problem, &problem.scene, design, forces, &solver, Precision::Double, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     match problem.disturbance {
         Some(_) => Ok(Trial::new(problem, pool)?.heard(simulation.signals, forces)),
-        None => Ok(problem.read(simulation.signals)),
+        None => Ok(problem.read(simulation.signals, forces.samples)),
     }
 }

@@ -1,7 +1,7 @@
-//! What a real chip makes of the signals that networks see: a delay, a bias, noise, steps, and an end of its range.
+//! What a real chip adds to the signals that it reads: a bias, noise, steps, and an end of its range.
 //!
 //! ```text
-//! a′_c(t_n) = clip(round(a_c(t_n − delay) + b_c + e_c(t_n)))      linear between instants, at rest before the first
+//! a′_c(t_n) = clip(round(y_c(t_n) + b_c + e_c(t_n)))      y: behind low-pass and delay (`filter`)
 //! ```
 //! b normal a sample and channel, e a reading. Draws are keyed by the sample's own force history, sensor and channel, so
 //! that every body, and every set in which a sample stands, meets the same ones.
@@ -18,6 +18,8 @@ pub struct Disturbance {
     pub bias: Size,
     /// How late signals come (s).
     pub delay: f64,
+    /// Cut-off of the low-pass (Hz); infinite: none.
+    pub bandwidth: f64,
     /// Largest readings of accelerations (mm/s²) and angular velocities (rad/s), either way.
     pub range: [f64; 2],
     /// Steps in which they are read; 0: all of them.
@@ -30,6 +32,7 @@ impl Disturbance {
         noise: Size::Relative(0.0),
         bias: Size::Relative(0.0),
         delay: 0.0,
+        bandwidth: f64::INFINITY,
         range: [f64::INFINITY; 2],
         resolution: [0.0; 2],
     };
@@ -64,27 +67,18 @@ pub(crate) struct Chip {
     /// A channel that is read.
     pub(crate) noise: Vec<f64>,
     pub(crate) bias: Vec<f64>,
-    /// In instants.
-    delay: f64,
     range: [f64; 2],
     resolution: [f64; 2],
 }
 
 impl Chip {
-    /// `delta` is the time between two instants (s), `rms` that of each channel that is read.
-    pub(crate) fn new(
-        disturbance: &Disturbance,
-        seed: u64,
-        delta: f64,
-        rms: &[f64],
-        channels: &[usize],
-    ) -> Self {
+    /// `rms` is that of each channel that is read.
+    pub(crate) fn new(disturbance: &Disturbance, seed: u64, rms: &[f64], channels: &[usize]) -> Self {
         Self {
             seed,
             channels: channels.to_vec(),
             noise: disturbance.noise.of(rms, channels),
             bias: disturbance.bias.of(rms, channels),
-            delay: disturbance.delay / delta,
             range: disturbance.range,
             resolution: disturbance.resolution,
         }
@@ -94,7 +88,6 @@ impl Chip {
     pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
         let (channels, read) = (self.noise.len(), self.channels.len());
         for (i, sample) in signals.chunks_exact_mut(signals.len() / forces.samples.max(1)).enumerate() {
-            self.late(sample);
             let key = forces.sample(i).iter().fold(0, |key: u64, f| {
                 (key.rotate_left(5) ^ f.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95)
             });
@@ -141,43 +134,14 @@ impl Chip {
         reading.abs() >= self.range[self.kind(i)]
     }
 
-    /// Whole instants of the delay, and the part of one.
-    fn parts(&self) -> (usize, f64) {
-        (self.delay.floor() as usize, self.delay.fract())
-    }
-
-    /// a(t_n − delay) of a sample's signals (T, channels).
-    pub(crate) fn late(&self, sample: &mut [f64]) {
-        let (whole, part) = self.parts();
-        let channels = self.noise.len();
-        if self.delay == 0.0 {
-            return;
-        }
-        for i in (0..sample.len()).rev() {
-            let at = |back: usize| i.checked_sub(back * channels).map_or(0.0, |j| sample[j]);
-            sample[i] = (1.0 - part) * at(whole) + part * at(whole + 1);
-        }
-    }
-
-    /// Of the delay and the range: a cotangent (N, T, channels) of `samples` samples on what the chip `says` as one on the signals. A
-    /// reading at the end of its range tells nothing. Steps pass it on as if they were none.
-    pub(crate) fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64], samples: usize) {
+    /// A cotangent (N, T, channels) on what the chip `says` as one on what it read: a reading at the end of its range tells nothing.
+    /// Steps pass it on as if they were none.
+    pub(crate) fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64]) {
         if self.range != Disturbance::NONE.range {
             for (i, (cotangent, reading)) in cotangent.iter_mut().zip(says).enumerate() {
                 if self.is_at_the_end(i, *reading) {
                     *cotangent = 0.0;
                 }
-            }
-        }
-        let (whole, part) = self.parts();
-        let channels = self.noise.len();
-        if self.delay == 0.0 {
-            return;
-        }
-        for sample in cotangent.chunks_exact_mut(cotangent.len() / samples.max(1)) {
-            for i in 0..sample.len() {
-                let at = |on: usize| sample.get(i + on * channels).copied().unwrap_or(0.0);
-                sample[i] = (1.0 - part) * at(whole) + part * at(whole + 1);
             }
         }
     }

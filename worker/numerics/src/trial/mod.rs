@@ -6,6 +6,7 @@
 //! Everything that knows a trial is given this one context: the nested optimisation, and questions to its bodies.
 
 mod chip;
+mod filter;
 mod outcome;
 mod problem;
 mod samples;
@@ -108,6 +109,7 @@ impl<'a> Trial<'a> {
 
         let [mut train, test] = problem.known();
         let simulation = simulated(
+            &problem,
             &problem.scene,
             &problem.initial,
             &train,
@@ -118,7 +120,8 @@ impl<'a> Trial<'a> {
         );
         few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
         let failed = silence(&mut train, &simulation.outcomes);
-        let mut initial = problem.samples(problem.read(simulation.signals), &train).with_failed(failed);
+        let mut initial =
+            problem.samples(problem.read(simulation.signals, train.samples), &train).with_failed(failed);
         let scales = Scales::of(&initial);
         let chip = chip.or_else(|| problem.chip(&scales.channels));
         if let Some(chip) = &chip {
@@ -163,7 +166,8 @@ impl<'a> Trial<'a> {
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
         let scene = &self.problem.scene;
-        let simulation = simulated(scene, design, forces, solver, precision, keep_tape, self.pool);
+        let simulation =
+            simulated(&self.problem, scene, design, forces, solver, precision, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
         Ok(self.response(simulation, Chips::default(), forces, vec![false; forces.samples]))
@@ -209,7 +213,8 @@ impl<'a> Trial<'a> {
         let scene = &self.problem.scene;
         let own = cast.map(|cast| (cast.scene(scene), cast.design(design)));
         let (scene, design) = own.as_ref().map_or((scene, design), |(scene, design)| (scene, design));
-        let simulation = simulated(scene, design, &forces, solver, precision, keep_tape, self.pool);
+        let simulation =
+            simulated(&self.problem, scene, design, &forces, solver, precision, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         few_failed(&simulation.outcomes)?;
         let failed = silence(&mut forces, &simulation.outcomes);
@@ -241,9 +246,9 @@ impl<'a> Trial<'a> {
         counters: &mut Counters,
     ) -> Result<Vec<f64>, Trouble> {
         if let Some(chip) = &self.chip {
-            chip.disturb_vjp(&mut cotangent, &samples.signals, simulation.outcomes.len());
+            chip.disturb_vjp(&mut cotangent, &samples.signals);
         }
-        let mut cotangent = self.problem.read_vjp(cotangent);
+        let mut cotangent = self.problem.read_vjp(cotangent, simulation.outcomes.len());
         chips.read_vjp(&mut cotangent);
         let gradient = simulation.vjp(&cotangent, Wrt::Design, self.pool);
         counters.dynamics += gradient.counters;
@@ -255,7 +260,7 @@ impl<'a> Trial<'a> {
 
     /// Of simulated signals (N, T, 3M) the channels that are read, as the sensors' chips give them.
     pub(crate) fn heard(&self, signals: Vec<f64>, forces: &Forces) -> Vec<f64> {
-        let mut signals = self.problem.read(signals);
+        let mut signals = self.problem.read(signals, forces.samples);
         if let Some(chip) = &self.chip {
             chip.disturb(&mut signals, forces);
         }
@@ -266,12 +271,25 @@ impl<'a> Trial<'a> {
 /// An integrator tuned on a body, by its first training samples.
 pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Tuned {
     let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(PILOT));
-    tune(&problem.scene, design, &forces, solver, pool)
+    tuned(problem, design, &forces, solver, pool)
 }
 
-/// Simulates; `Single` is for the steps that train a network alone. A linear brain takes f32's rounding for noise of the sensors,
+/// The same under given forces.
+pub(crate) fn tuned(
+    problem: &Problem,
+    design: &[f64],
+    forces: &Forces,
+    solver: &Solver,
+    pool: &crate::Pool,
+) -> Tuned {
+    let (scene, forces) = problem.in_motion(&problem.scene, forces);
+    tune(&scene, design, &forces, solver, pool)
+}
+
+/// Simulates on the clock of the motion; `Single` is for the steps that train a network alone. A linear brain takes f32's rounding for noise of the sensors,
 /// and bodies end at half as much error again (K = 2, M = 1, four seeds).
 pub(crate) fn simulated(
+    problem: &Problem,
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
@@ -280,9 +298,10 @@ pub(crate) fn simulated(
     keep_tape: bool,
     pool: &crate::Pool,
 ) -> Simulation {
-    let plan = planned(scene, design, forces, solver);
+    let (scene, forces) = problem.in_motion(scene, forces);
+    let plan = planned(&scene, design, &forces, solver);
     let plan = if precision == Precision::Double { plan.double() } else { plan };
-    dynamics::run(scene, design, forces, &plan, keep_tape, pool)
+    dynamics::run(&scene, design, &forces, &plan, keep_tape, pool)
 }
 
 /// The first sample that did not end well gives its name.

@@ -1,6 +1,7 @@
 //! What a spec says of a trial: scene, forces, limits, and how body and brains are trained.
 
 use super::chip::{Chip, Disturbance};
+use super::filter::Filter;
 use super::samples::Samples;
 use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
 use crate::body::Freedom;
@@ -11,6 +12,7 @@ use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
 use crate::stimuli::{Deal, Source, bells, drawn, irregular, split, targets};
 use crate::variation::Variation;
+use std::borrow::Cow;
 
 /// Everything that a nested optimisation starts from. Angles in rad.
 #[derive(Debug, Clone)]
@@ -118,20 +120,53 @@ impl Problem {
 
     /// The sensors' chips, what is relative in them so to `rms` of each channel.
     pub(super) fn chip(&self, rms: &[f64]) -> Option<Chip> {
-        let delta = self.scene.duration / self.scene.instants as f64;
-        self.disturbance.map(|d| Chip::new(&d, self.seed, delta, rms, &self.channels))
+        self.disturbance.map(|d| Chip::new(&d, self.seed, rms, &self.channels))
     }
 
-    /// Of what all sensors could tell (.., 3M) the channels that are read.
-    pub(crate) fn read(&self, signals: Vec<f64>) -> Vec<f64> {
-        if self.channels.len() == 3 {
-            return signals;
+    /// Time between two readings (s).
+    fn interval(&self) -> f64 {
+        self.scene.duration / self.scene.instants as f64
+    }
+
+    /// Scene and forces on the clock on which motion is taken: that of the readings, or a finer one where chips filter.
+    pub(crate) fn in_motion<'a>(
+        &self,
+        scene: &'a Scene,
+        forces: &'a Forces,
+    ) -> (Cow<'a, Scene>, Cow<'a, Forces>) {
+        let clock = self.disturbance.map_or(1, |d| d.clock(self.interval()));
+        if clock == 1 {
+            return (Cow::Borrowed(scene), Cow::Borrowed(forces));
         }
-        signals.chunks_exact(3).flat_map(|all| self.channels.iter().map(|&c| all[c])).collect()
+        let scene = Scene { instants: clock * scene.instants, ..scene.clone() };
+        let forces = forces.on(&scene).into_owned();
+        (Cow::Owned(scene), Cow::Owned(forces))
+    }
+
+    fn filter(&self) -> Option<Filter> {
+        let some = |d: &Disturbance| d.clock(self.interval()) > 1;
+        self.disturbance.filter(some).map(|d| Filter::new(&d, self.interval()))
+    }
+
+    /// Of what all sensors could tell (N, ·, 3M) of `samples` samples, on the clock of the motion, what is read (N, T, channels): the
+    /// channels that are, behind low-pass and delay.
+    pub(crate) fn read(&self, signals: Vec<f64>, samples: usize) -> Vec<f64> {
+        let some = match self.channels.len() {
+            3 => signals,
+            _ => signals.chunks_exact(3).flat_map(|all| self.channels.iter().map(|&c| all[c])).collect(),
+        };
+        match self.filter() {
+            Some(filter) => filter.run(some, samples, self.shape().inputs),
+            None => some,
+        }
     }
 
     /// Transpose of [`Problem::read`].
-    pub(super) fn read_vjp(&self, cotangent: Vec<f64>) -> Vec<f64> {
+    pub(super) fn read_vjp(&self, cotangent: Vec<f64>, samples: usize) -> Vec<f64> {
+        let cotangent = match self.filter() {
+            Some(filter) => filter.run_vjp(&cotangent, samples, self.shape().inputs),
+            None => cotangent,
+        };
         if self.channels.len() == 3 {
             return cotangent;
         }

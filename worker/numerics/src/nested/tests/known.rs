@@ -65,16 +65,17 @@ fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
     let all = problem.forces(Purpose::Stimulus, 0, 16);
     let train = all.select(&split(problem.seed, 16, 4).0);
     let f = targets(&train, 40, false);
-    let clean = simulate(&problem.scene, &problem.initial, &train, &problem.solver, false, &pool(1)).signals;
-    let (n, t) = (train.samples, 40);
-    let rms: Vec<f64> = (0..3)
-        .map(|c| (clean[c..].iter().step_by(3).map(|s| s * s).sum::<f64>() / (n * t) as f64).sqrt())
-        .collect();
-    // an instant and a half late
+    let (n, t, fine) = (train.samples, 40, 8);
+    let scene = Scene { instants: fine * t, ..problem.scene.clone() };
+    let solver = &problem.solver;
+    let clean = simulate(&scene, &problem.initial, &train.on(&scene), solver, false, &pool(1)).signals;
+    // a reading and a half late: twelve instants of the motion, of which the first is number 1
     let late = DMatrix::from_fn(n, 3 * t, |i, at| {
-        let read = |back: usize| at.checked_sub(3 * back).map_or(0.0, |at| clean[i * 3 * t + at]);
-        0.5 * (read(1) + read(2))
+        let instant = (fine * (at / 3 + 1)).checked_sub(13);
+        instant.map_or(0.0, |m| clean[(i * fine * t + m) * 3 + at % 3])
     });
+    let squares = |c: usize| (0..t).map(|k| late.column(3 * k + c).norm_squared()).sum::<f64>();
+    let rms: Vec<f64> = (0..3).map(|c| (squares(c) / (n * t) as f64).sqrt()).collect();
     let f = DMatrix::from_row_slice(n, 2 * t, &f);
     let w: Vec<f64> = (0..n).map(|i| f.row(i).norm_squared().recip()).collect();
     let total: f64 = w.iter().sum();

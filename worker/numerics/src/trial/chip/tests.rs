@@ -1,11 +1,7 @@
 use super::*;
 
-const SIZE: Disturbance = Disturbance {
-    noise: Size::Relative(0.1),
-    bias: Size::Physical([3.0, 0.2]),
-    delay: 0.0,
-    ..Disturbance::NONE
-};
+const SIZE: Disturbance =
+    Disturbance { noise: Size::Relative(0.1), bias: Size::Physical([3.0, 0.2]), ..Disturbance::NONE };
 
 const ALL: [usize; 3] = [0, 1, 2];
 
@@ -14,59 +10,10 @@ fn forces(samples: usize) -> Forces {
     Forces { samples, panels: 1, instants: 4, values, strikes: Vec::new() }
 }
 
-/// (D a)·c = a·(Dᵀ c) for delays of a part of an instant, whole ones, and both.
-#[test]
-fn the_delay_and_its_pull_back_are_transposes() {
-    for delay in [0.0, 0.003, 0.01, 0.0275, 0.1] {
-        let chip = Chip::new(
-            &Disturbance {
-                noise: Size::Relative(0.0),
-                bias: Size::Relative(0.0),
-                delay,
-                ..Disturbance::NONE
-            },
-            1,
-            0.01,
-            &[1.0; 3],
-            &ALL,
-        );
-        let mut stream = Stream::new(Purpose::Design, 3, [0, 0]);
-        let mut draw = || -> Vec<f64> { (0..2 * 4 * 3).map(|_| stream.normal()).collect() };
-        let (a, c) = (draw(), draw());
-        let (mut late, mut early) = (a.clone(), c.clone());
-        chip.disturb(&mut late, &forces(2));
-        chip.disturb_vjp(&mut early, &late, 2);
-        let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
-        let (left, right) = (dot(&late, &c), dot(&a, &early));
-        assert!((left - right).abs() < 1e-12 * (1.0 + left.abs()), "{delay}: {left} {right}");
-    }
-}
-
-/// A ramp that starts at rest comes late by the delay.
-#[test]
-fn signals_come_late_by_the_delay() {
-    let chip = Chip::new(
-        &Disturbance {
-            noise: Size::Relative(0.0),
-            bias: Size::Relative(0.0),
-            delay: 0.015,
-            ..Disturbance::NONE
-        },
-        1,
-        0.01,
-        &[1.0; 3],
-        &ALL,
-    );
-    let mut ramp: Vec<f64> = (1..=4).flat_map(|n| [f64::from(n), 0.0, 0.0]).collect();
-    chip.disturb(&mut ramp, &forces(1));
-    let late: Vec<f64> = ramp.iter().step_by(3).copied().collect();
-    assert!(late.iter().zip([0.0, 0.5, 1.5, 2.5]).all(|(a, b)| (a - b).abs() < 1e-12), "{late:?}");
-}
-
 /// Sizes are those asked for; a sample's draw is the same wherever it stands.
 #[test]
 fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
-    let chip = Chip::new(&SIZE, 7, 0.01, &[10.0, 20.0, 1.0], &ALL);
+    let chip = Chip::new(&SIZE, 7, &[10.0, 20.0, 1.0], &ALL);
     let all = forces(40);
     let mut signals = vec![0.0; 40 * 500 * 3];
     chip.disturb(&mut signals, &all);
@@ -93,13 +40,13 @@ fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
 #[test]
 fn readings_come_in_steps_and_end_with_the_range() {
     let sizes = Disturbance { range: [4.0, 1.0], resolution: [0.5, 0.1], ..Disturbance::NONE };
-    let chip = Chip::new(&sizes, 1, 0.01, &[1.0; 3], &ALL);
+    let chip = Chip::new(&sizes, 1, &[1.0; 3], &ALL);
     let mut signals = [0.2, 0.3, 0.04, -5.0, 3.9, 0.96, 0.0, -3.6, -2.0, 1.26, 9.0, 0.5];
     chip.disturb(&mut signals, &forces(1));
     let says = [0.0, 0.5, 0.0, -4.0, 4.0, 1.0, 0.0, -3.5, -1.0, 1.5, 4.0, 0.5];
     assert!(signals.iter().zip(says).all(|(a, b)| (a - b).abs() < 1e-12), "{signals:?}");
     let mut cotangent = [1.0; 12];
-    chip.disturb_vjp(&mut cotangent, &signals, 1);
+    chip.disturb_vjp(&mut cotangent, &signals);
     let passes = says.iter().enumerate().map(|(i, x): (usize, &f64)| x.abs() < [4.0, 4.0, 1.0][i % 3]);
     assert!(cotangent.iter().zip(passes).all(|(c, passes)| (*c > 0.0) == passes), "{cotangent:?}");
 }
@@ -107,18 +54,18 @@ fn readings_come_in_steps_and_end_with_the_range() {
 /// A channel is disturbed by itself: what is read of it is the same whether the others are read or not.
 #[test]
 fn a_channel_that_is_read_alone_is_disturbed_alike() {
-    let sizes = Disturbance { range: [5.0, 0.3], resolution: [0.5, 0.1], delay: 0.0123, ..SIZE };
+    let sizes = Disturbance { range: [5.0, 0.3], resolution: [0.5, 0.1], ..SIZE };
     let mut stream = Stream::new(Purpose::Design, 3, [0, 0]);
     let signals: Vec<f64> = (0..2 * 4 * 6).map(|_| stream.normal()).collect();
     let rms = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
     let mut all = signals.clone();
-    Chip::new(&sizes, 7, 0.01, &rms, &ALL).disturb(&mut all, &forces(2));
+    Chip::new(&sizes, 7, &rms, &ALL).disturb(&mut all, &forces(2));
     for read in [&[0, 1][..], &[2], &[0, 2]] {
         let of = |all: &[f64]| -> Vec<f64> {
             all.chunks_exact(3).flat_map(|all| read.iter().map(|&c| all[c])).collect()
         };
         let mut some = of(&signals);
-        Chip::new(&sizes, 7, 0.01, &of(&rms), read).disturb(&mut some, &forces(2));
+        Chip::new(&sizes, 7, &of(&rms), read).disturb(&mut some, &forces(2));
         assert_eq!(some, of(&all), "{read:?}");
     }
 }

@@ -1,0 +1,156 @@
+//! What a chip does to a signal before it is read: a low-pass and a delay, on a clock finer than that of the readings.
+//!
+//! ```text
+//! y″ + √2 ω y′ + ω² y = ω² a      ω = 2π·bandwidth (Butterworth, order 2)      reading_n = y(t_n − delay)
+//! ```
+//! Exact for signals that are linear between two instants of that clock; at rest before the first. Between them the delay is a
+//! cubic through the last four. Both are causal.
+
+use super::Disturbance;
+
+/// Instants of the clock for each reading, at least: the cubic is then good to 4e-4 at 0.8 of the readings' Nyquist frequency.
+const CLOCK: usize = 8;
+/// And by how much its rate exceeds the bandwidth: lines between its instants lower the gain there by 0.3 %.
+const BESIDE_BANDWIDTH: f64 = 32.0;
+
+/// A low-pass and a delay.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Filter {
+    /// Instants for each reading.
+    clock: usize,
+    low_pass: Option<LowPass>,
+    /// Whole instants by which the first of four taps is late, and their weights.
+    back: usize,
+    taps: [f64; 4],
+}
+
+/// A step of the low-pass's state z = (y, y′/ω): z₁ = E z₀ + g₀ a₀ + g₁ a₁.
+#[derive(Debug, Clone, PartialEq)]
+struct LowPass {
+    e: [[f64; 2]; 2],
+    g: [[f64; 2]; 2],
+}
+
+impl Disturbance {
+    /// Instants at which a body's motion is taken for each reading; `interval` is the time between two readings (s).
+    pub fn clock(&self, interval: f64) -> usize {
+        if self.delay == 0.0 && self.bandwidth.is_infinite() {
+            return 1;
+        }
+        let low_pass = if self.bandwidth.is_finite() { self.bandwidth } else { 0.0 };
+        // a rate that is met but for rounding is met
+        CLOCK.max((BESIDE_BANDWIDTH * low_pass * interval - 1e-9).ceil() as usize)
+    }
+}
+
+impl LowPass {
+    /// With the cut-off `angle` ω h a step.
+    fn new(angle: f64) -> Self {
+        let a = [[0.0, 1.0], [-1.0, -2f64.sqrt()]];
+        let half = angle / 2f64.sqrt();
+        let (s, c) = half.sin_cos();
+        let e = |i: usize, j: usize| {
+            let unit = f64::from(u8::from(i == j));
+            (-half).exp() * (c * unit + s * (2f64.sqrt() * a[i][j] + unit))
+        };
+        let e = [[e(0, 0), e(0, 1)], [e(1, 0), e(1, 1)]];
+        // ∫ e^{A s} b ds = A⁻¹(E − 1) b and ∫ e^{A(h − s)} b s/h ds = A⁻¹(A⁻¹(E − 1) b − h b)/h, with b = (0, 1)
+        let solved = |x: [f64; 2]| [-2f64.sqrt() * x[0] - x[1], x[0]];
+        let whole = solved([e[0][1], e[1][1] - 1.0]);
+        let late = solved([whole[0], whole[1] - angle]).map(|x| x / angle);
+        Self { e, g: [[whole[0] - late[0], whole[1] - late[1]], late] }
+    }
+
+    /// Overwrites every `width`-th of the values by its low-pass.
+    fn run(&self, values: &mut [f64], width: usize) {
+        let Self { e, g } = self;
+        let (mut z, mut before) = ([0.0; 2], 0.0);
+        for value in values.iter_mut().step_by(width) {
+            let now = *value;
+            let step = |i: usize| e[i][0] * z[0] + e[i][1] * z[1] + g[0][i] * before + g[1][i] * now;
+            (z, before) = ([step(0), step(1)], now);
+            *value = z[0];
+        }
+    }
+
+    /// Its transpose: a cotangent on y as one on the values.
+    fn run_vjp(&self, cotangent: &mut [f64], width: usize) {
+        let Self { e, g } = self;
+        let mut later = [0.0; 2];
+        for value in cotangent.iter_mut().step_by(width).rev() {
+            let back = |i: usize| e[0][i] * later[0] + e[1][i] * later[1];
+            let here = [*value + back(0), back(1)];
+            *value = g[1][0] * here[0] + g[1][1] * here[1] + g[0][0] * later[0] + g[0][1] * later[1];
+            later = here;
+        }
+    }
+}
+
+impl Filter {
+    /// `interval` is the time between two readings (s).
+    pub(crate) fn new(disturbance: &Disturbance, interval: f64) -> Self {
+        let clock = disturbance.clock(interval);
+        let step = interval / clock as f64;
+        let late = disturbance.delay / step;
+        let back = (late.floor() as usize).saturating_sub(1);
+        let p = late - back as f64;
+        let taps = [
+            -(p - 1.0) * (p - 2.0) * (p - 3.0) / 6.0,
+            p * (p - 2.0) * (p - 3.0) / 2.0,
+            -p * (p - 1.0) * (p - 3.0) / 2.0,
+            p * (p - 1.0) * (p - 2.0) / 6.0,
+        ];
+        let angle = std::f64::consts::TAU * disturbance.bandwidth * step;
+        let low_pass = disturbance.bandwidth.is_finite().then(|| LowPass::new(angle));
+        Self { clock, low_pass, back, taps }
+    }
+
+    /// What is read (N, readings, width) of signals (N, clock · readings, width) of `samples` samples.
+    pub(crate) fn run(&self, mut signals: Vec<f64>, samples: usize, width: usize) -> Vec<f64> {
+        let one = signals.len() / samples.max(1);
+        let mut read = Vec::with_capacity(signals.len() / self.clock);
+        for sample in signals.chunks_exact_mut(one.max(1)) {
+            if let Some(low_pass) = &self.low_pass {
+                (0..width).for_each(|c| low_pass.run(&mut sample[c..], width));
+            }
+            for (at, c) in self.readings(one, width) {
+                let tapped = self.tapped(at).map(|(tap, at)| tap * sample[at * width + c]);
+                read.push(tapped.sum());
+            }
+        }
+        read
+    }
+
+    /// Its transpose: a cotangent on what is read as one on the signals.
+    pub(crate) fn run_vjp(&self, cotangent: &[f64], samples: usize, width: usize) -> Vec<f64> {
+        let one = self.clock * cotangent.len() / samples.max(1);
+        let mut signals = vec![0.0; one * samples];
+        let mut read = cotangent.iter();
+        for sample in signals.chunks_exact_mut(one.max(1)) {
+            for ((at, c), bar) in self.readings(one, width).zip(&mut read) {
+                self.tapped(at).for_each(|(tap, at)| sample[at * width + c] += tap * bar);
+            }
+            if let Some(low_pass) = &self.low_pass {
+                (0..width).for_each(|c| low_pass.run_vjp(&mut sample[c..], width));
+            }
+        }
+        signals
+    }
+
+    /// Instant of the clock, from 0, and channel of each reading of a sample of so many values.
+    fn readings(&self, values: usize, width: usize) -> impl Iterator<Item = (usize, usize)> {
+        let clock = self.clock;
+        let instants = (1..=values / (width * clock).max(1)).map(move |n| n * clock - 1);
+        instants.flat_map(move |at| (0..width).map(move |c| (at, c)))
+    }
+
+    /// Taps of a reading at an instant, and where they are, from the first instant on.
+    fn tapped(&self, at: usize) -> impl Iterator<Item = (f64, usize)> {
+        let newest = at.checked_sub(self.back);
+        let tap = move |(j, tap): (usize, f64)| Some((tap, newest?.checked_sub(j)?));
+        self.taps.into_iter().enumerate().filter_map(tap)
+    }
+}
+
+#[cfg(test)]
+mod tests;
