@@ -116,6 +116,21 @@ fn a_chip_s_record_comes_in_the_trial_s_units_and_where_the_trigger_wants_it() {
     assert!(found.signals[1].abs() < 2e3, "{}", found.signals[1]);
 }
 
+/// Of a trial whose brain reads some channels records hold these, in their units.
+#[test]
+fn records_hold_the_channels_that_are_read() {
+    let folder = Folder::new(&[("a.csv", csv().as_bytes())]);
+    let mut some = trial(&[6, 8], &[4]);
+    some.sensors.channels = Some(vec![Channel::Ay, Channel::Omega]);
+    let text = CSV.replace("[\"x\", \"y\", \"w\"]", "[\"y\", \"w\"]").replace("[1, -1, 1]", "[-1, 1]");
+    let [found, all] = [(&text[..], &some), (CSV, &trial(&[6, 8], &[4]))]
+        .map(|(text, trial)| folder.read(text, trial).unwrap().signals);
+    let wanted: Vec<f64> = all.chunks_exact(3).flat_map(|all| [all[1], all[2]]).collect();
+    assert_eq!(found, wanted);
+    let refused = folder.read(CSV, &some).unwrap_err().to_string();
+    assert!(refused.contains("must be 2 numbers other than 0"), "{refused}");
+}
+
 /// A tone of the chip's own clock, 5 kHz, begins 12 ms after the hammer's; what 200 Hz cannot say is gone.
 #[test]
 fn signals_have_a_clock_of_their_own_and_pass_the_low_pass() {
@@ -161,7 +176,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
         ),
         ("\"w\"]", "\"o\"]", "records.toml:10: signals.files = "),
         ("\"w\"]", "\"o\"]", "has no signal Name(\"o\"), but ms, F, x, y, w"),
-        (", \"w\"]", "]", "holds 2 signals a record; must be 3: a_x, a_y, ω of each sensor"),
+        (", \"w\"]", "]", "holds 2 signals a record; must be 3: ax, ay, omega of each sensor"),
         ("\"g\"", "\"G\"", "records.toml:12: signals.acceleration_unit = \"G\": must be "),
         (
             "[1, -1, 1]",
