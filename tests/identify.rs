@@ -160,7 +160,12 @@ fn records_tell_the_material() {
     }
     let bytes = std::fs::read(bench.path("fit/signals.npy")).unwrap();
     assert_eq!(npyz::NpyFile::new(&bytes[..]).unwrap().shape(), [3, 40, 3]);
+    // a fit that may not move what is wrong leaves what the motion tells; one that may leaves noise
     let table = fit(&["--fit", "density,bend"]);
+    assert!(
+        table.contains("discrepancy: the motion explains ") && !fit(&[]).contains("discrepancy"),
+        "{table}"
+    );
     assert!(table.contains("converged") && table.contains("stretch = 3.0, shear = 0.5, bend = "), "{table}");
 }
 

@@ -183,6 +183,10 @@ fn correlations(fit: &Identified) -> Table {
     Table::new(&columns, fit.estimates.iter().zip(&fit.correlation).map(row))
 }
 
+/// Part of the residual that must follow from the motion for it to be called a discrepancy, and the misfit (%) from which it counts.
+const DISCREPANCY: f64 = 0.1;
+const LEFT: f64 = 1.0;
+
 /// What there is to say beside the estimates, and the lines for a spec.
 fn said(fit: &Identified, records: usize) -> Vec<String> {
     let [start, end] = fit.misfit;
@@ -193,6 +197,13 @@ fn said(fit: &Identified, records: usize) -> Vec<String> {
             start[0], end[0], fit.noise[0], start[1], end[1], fit.noise[1]
         ),
     ];
+    if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY && end[0].max(end[1]) >= LEFT) {
+        said.push(format!(
+            "discrepancy: the motion explains {:.0} % of what is left, on records that were not asked; the body does what the model does \
+             not contain, and the intervals do not know of it",
+            100.0 * part
+        ));
+    }
     for e in fit.estimates.iter().filter(|e| e.at_the_bound) {
         said.push(format!(
             "at the bound: {} is {} times what the spec says, the farthest that a fit may lead; begin from a spec with a value \

@@ -2,7 +2,7 @@
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Forces, Frame, Method, Panel, Parameters, Parts, Scene, Solver, Stiffness, simulate,
+    Accuracy, Forces, Frame, Method, Panel, Parameters, Parts, Relaxation, Scene, Solver, Stiffness, simulate,
 };
 use metasense_numerics::identify::{BOX, Identified, Parameter, Settings, Turn, Verdict, fit};
 use metasense_numerics::random::{Purpose, Stream};
@@ -115,6 +115,25 @@ fn starts_off_by_a_factor_of_two_come_back() {
         );
         assert!(found.misfit[1].iter().all(|m| (2.0..4.0).contains(m)), "{what}");
     }
+}
+
+/// Where ligaments relax a fit leaves more than noise, and says so: the motion explains much of it on records that were not asked.
+/// Of noise, white or with a memory, it explains nothing.
+#[test]
+fn what_the_model_lacks_is_told_from_noise() {
+    let scene = scene(3, 2, 2);
+    let design = scene.layout.initial_design(0.4363);
+    let forces = blows(&scene, 8);
+    let relaxing = Scene { relaxation: Some(Relaxation { share: 0.3, time: 3e-3 }), ..scene.clone() };
+    let of = |truth: &Scene, memory: f64| {
+        let signals = records(truth, &design, &forces, 0.02, memory, 5);
+        let settings = settings(&Parameter::ALL[..5]);
+        let found = fit(&scene, &design, &forces, &signals, &settings, &pool(2), &[], &mut |_| ());
+        (found.unmodelled.expect("eight records"), found.misfit[1])
+    };
+    let [known, remembered, lacking] = [of(&scene, 0.0), of(&scene, 0.7), of(&relaxing, 0.0)];
+    let said = format!("{known:?} {remembered:?} {lacking:?}");
+    assert!(known.0 < 0.05 && remembered.0 < 0.05 && lacking.0 > 0.3, "{said}");
 }
 
 /// Of twenty seeded draws of noise at least sixteen intervals hold each true value, of white noise and of noise that

@@ -7,6 +7,7 @@
 //! tangents. A wave's phase makes F hilly far from its minimum, so the fit begins with the first part of each record
 //! and lengthens it, from another start where it loses it. The last term decides only where records do not.
 
+mod discrepancy;
 mod interval;
 mod objective;
 
@@ -129,6 +130,8 @@ pub struct Identified {
     pub misfit: [[f64; 2]; 2],
     /// RMS of the residual at the end (mm/s², rad/s).
     pub noise: [f64; 2],
+    /// Share of the residual that the motion explains on records that were not asked, where several were fitted: what the model lacks.
+    pub unmodelled: Option<f64>,
     /// Simulated signals (N, T, 3M) at the start and at the end.
     pub signals: [Vec<f64>; 2],
     /// All iterations.
@@ -181,6 +184,7 @@ pub fn fit(
 ) -> Identified {
     let len = forces.samples * scene.instants * 3 * scene.sensors.len();
     assert_eq!(signals.len(), len, "length of the signals");
+    let recorded = signals;
     let start = Parameters::of(scene).array();
     let free = &settings.free;
     assert!(!free.is_empty() && free.iter().all(|&k| start[k as usize] > 0.0), "{free:?} of {start:?}");
@@ -201,6 +205,7 @@ pub fn fit(
         condition: f64::INFINITY,
         misfit: [[100.0; 2]; 2],
         noise: [0.0; 2],
+        unmodelled: None,
         signals,
         iterations,
         solver,
@@ -221,6 +226,9 @@ pub fn fit(
     fit.misfit = [objective.misfit(&fit.signals[0]), objective.misfit(point.signals())];
     fit.noise = objective.residual_rms(point.signals());
     fit.signals[1] = point.signals().to_vec();
+    let residual: Vec<f64> = recorded.iter().zip(&fit.signals[1]).map(|(y, a)| y - a).collect();
+    fit.unmodelled =
+        discrepancy::explained(&fit.signals[1], &residual, forces.samples, 3 * scene.sensors.len());
     fit.counters = objective.counters;
     fit
 }
