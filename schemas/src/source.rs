@@ -115,8 +115,8 @@ impl Source {
             return Err(self.wrong(place, remedy));
         }
         if let Some(linked) = key.strip_prefix(POINTS) {
-            let linked = linked.trim_matches('"');
-            if !known.is_axis(linked) && !COUNTS.contains(&linked) {
+            let linked = &linked.replace('"', "");
+            if !known.is_axis(linked) && !COUNTS.contains(&linked.as_str()) {
                 return Err(
                     self.at(place, format!("{key} = {}: {}", self.value(place), no_axis(linked, known)))
                 );

@@ -190,6 +190,17 @@ fn changes_are_as_if_written() {
     assert_eq!(changed(&[]).unwrap().1.text, GOOD, "without changes it stays as it is");
 }
 
+/// A key of a point may hold a table, whose keys are checked as they are where the table stands by itself.
+#[test]
+fn points_may_hold_tables() {
+    let point = |value: &str| GOOD.replace("panels = [2]", &format!("points = [{{ panels = 2, {value} }}]"));
+    let spec = parse(&point("\"variation.nodes\" = { scatter = 0.1, correlation = 15.0 }")).unwrap();
+    assert_eq!(spec.sweep.points[0]["variation.nodes"]["scatter"], 0.1);
+    let refused =
+        parse(&point("\"variation.nodes\" = { scatter = 0.1, reach = 15.0 }")).unwrap_err().to_string();
+    assert!(refused.contains("\"variation.nodes\".reach = 15.0: unknown key"), "{refused}");
+}
+
 #[test]
 fn errors_of_changes_name_them() {
     for (changes, expected) in [
