@@ -137,20 +137,29 @@ fn is_of(path: &str, name: &str) -> bool {
     path == name || (name.ends_with('.') && path.starts_with(name))
 }
 
-/// Paths of [`JUDGING`] at which two trials have different values; one that has none agrees with all.
+/// Paths of [`JUDGING`] at which two trials differ that say anything of its kind; one that says nothing agrees with all.
 fn disputed(trials: &[&Trial]) -> HashSet<String> {
-    let (mut seen, mut known, mut disputed) = (HashSet::new(), HashMap::new(), HashSet::new());
+    let (mut shared, mut first, mut disputed) = (HashMap::new(), HashMap::new(), HashSet::new());
     for trial in trials {
-        let shared = trial.setting.shared();
-        let shared = seen.insert(std::sync::Arc::as_ptr(shared)).then(|| shared.iter()).into_iter().flatten();
-        for (path, value) in shared.chain(trial.setting.own()) {
-            let judges = JUDGING.iter().any(|name| is_of(path, name));
-            if judges && known.insert(path, value).is_some_and(|other| other != value) {
-                disputed.insert(path.clone());
+        let common = trial.setting.shared();
+        let common = shared.entry(std::sync::Arc::as_ptr(common)).or_insert_with(|| judging(common));
+        let said: Vec<_> = common.iter().copied().chain(judging(trial.setting.own())).collect();
+        for name in JUDGING {
+            let own: BTreeMap<_, _> = said.iter().copied().filter(|(path, _)| is_of(path, name)).collect();
+            if own.is_empty() {
+                continue;
             }
+            let first = first.entry(name).or_insert_with(|| own.clone());
+            let differs = |path: &&&String| first.get(**path) != own.get(**path);
+            disputed.extend(own.keys().chain(first.keys()).filter(differs).map(|path| (*path).clone()));
         }
     }
     disputed
+}
+
+/// The leaves that judge.
+fn judging(leaves: &BTreeMap<String, Value>) -> Vec<(&String, &Value)> {
+    leaves.iter().filter(|(path, _)| JUDGING.iter().any(|name| is_of(path, name))).collect()
 }
 
 /// The value at a path of a key; keys are sorted.

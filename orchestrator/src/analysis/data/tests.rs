@@ -86,4 +86,9 @@ fn what_judges_bodies_tells_no_trials_apart_where_none_disagree() {
     assert_eq!(labels(&[trial(2, 5, 1, 0), cast(0.1)]), ["K = 2, M = 1"]);
     let told = [0.1, 0.2].map(|scatter| format!("K = 2, M = 1, variation.nodes = {scatter}"));
     assert_eq!(labels(&[cast(0.1), cast(0.2)]), told);
+    // so do those that scatter something else, and that by parts
+    let by_parts =
+        json!({"evaluation": {"casts": 8}, "variation": {"nodes": 0.1, "bend": {"ligament": 0.1}}});
+    let told = ["K = 2, M = 1, variation.bend = 0.1", "K = 2, M = 1, variation.bend.ligament = 0.1"];
+    assert_eq!(labels(&[cast(0.1), with(trial(2, 5, 1, 0), &by_parts), trial(2, 5, 1, 1)])[..2], told);
 }
