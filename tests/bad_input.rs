@@ -98,8 +98,16 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[sensors]\nchannels = [\"ax\", \"ax\"]\n[sweep]",
         "s.toml:14: sensors.channels = [\"ax\",\"ax\"]: must name some of",
     ),
-    ("[sweep]", "[sensors]\nchannels = [\"az\"]\n[sweep]", "s.toml:14: sensors.channels = "),
-    ("[sweep]", "[sweep]\n\"sensors.channels\" = [[\"az\"]]", "s.toml:14: sensors.channels = "),
+    (
+        "[sweep]",
+        "[sensors]\nchannels = [\"az\"]\n[sweep]",
+        "s.toml:14: sensors.channels = [\"az\"]: must be a list of \"ax\", \"ay\" or \"omega\"",
+    ),
+    (
+        "[sweep]",
+        "[sweep]\n\"sensors.channels\" = [[\"az\"]]",
+        "s.toml:14: sensors.channels = [\"az\"]: must be a list of \"ax\", \"ay\" or \"omega\"",
+    ),
     (
         "[sweep]",
         "[variation]\ngain = 1.5\n[sweep]",

@@ -158,8 +158,11 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
             let count = schema["minItems"].as_u64().filter(|n| schema["maxItems"].as_u64() == Some(*n));
             let count = count.map_or(String::new(), |n| format!("{n} "));
             let items = values(&schema["items"], root);
-            // "a whole number from 0 up" → "whole numbers from 0 up"
+            // "a whole number from 0 up" → "whole numbers from 0 up"; a word stays
             let many = |one: &String| {
+                if one.starts_with('"') {
+                    return Some(one.clone());
+                }
                 let one = one.strip_prefix("a ")?;
                 let noun = ["number", "text", "list", "table"].into_iter().find(|noun| one.contains(noun))?;
                 Some(one.replacen(noun, &format!("{noun}s"), 1))
