@@ -29,6 +29,11 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[variation]\nligament_length = 0.4\n[sweep]",
+        "s.toml:14: variation.ligament_length = 0.4: must be a standard deviation of the logarithm, from 0 to 0.316",
+    ),
+    (
+        "[sweep]",
         "[variation]\nrelaxation = { share = -0.2, time = 0.01 }\n[sweep]",
         "s.toml:14: variation.relaxation.share = -0.2: must lie between 0 and 1",
     ),

@@ -35,6 +35,10 @@ pub struct Variation {
     /// Standard deviation of the angle by which each chip is turned in the plane. Unit: degrees. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub misalignment: Option<f64>,
+    /// Standard deviation of the logarithm of `body.ligament_length`, of all ligaments of a cast: units shrink by what they are longer, the
+    /// stiffnesses stay. Unit: 1. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ligament_length: Option<f64>,
     /// How ligaments relax in the casts that judge (`evaluation.casts`, `metasense casts`), which neither training nor any brain
     /// fitted to other casts knows: a world that the model does not contain. Default: not at all.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -175,6 +179,7 @@ impl Variation {
             nodes: self.nodes.and_then(Nodes::resolved),
             gain: some(self.gain),
             misalignment: some(self.misalignment),
+            ligament_length: some(self.ligament_length),
             relaxation: self.relaxation.filter(|relaxation| relaxation.share != 0.0),
         };
         (found != Self::default()).then_some(found)

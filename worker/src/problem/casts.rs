@@ -16,6 +16,8 @@ const NODES_MAX: f64 = 1.0 / 6.0;
 const MISALIGNMENT_MAX: f64 = 45.0;
 /// Nodes farther apart than this are of no body (mm).
 const CORRELATION_MAX: f64 = 10_000.0;
+/// Deviations of the ligaments' length that the pitch still holds.
+const LENGTHS: f64 = 6.0;
 /// Units of a body whose nodes scatter alike: the correlation of all of them is a matrix of some 140 MB.
 const ALIKE_MAX: usize = 2000;
 /// More casts than this are taken for a mistake.
@@ -24,18 +26,8 @@ const CASTS_MAX: usize = 10_000;
 /// How casts scatter.
 pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid> {
     let Some(given) = &trial.variation else { return Ok(None) };
-    let spec::Variation {
-        stretch,
-        shear,
-        bend,
-        damping,
-        density,
-        contact,
-        nodes,
-        gain,
-        misalignment,
-        relaxation,
-    } = *given;
+    let spec::Variation { stretch, shear, bend, damping, density, contact, .. } = *given;
+    let spec::Variation { nodes, gain, misalignment, ligament_length, relaxation, .. } = *given;
     let of_contact = deviation("contact", contact.unwrap_or(0.0))?;
     require(
         trial.body.contact.is_some() || contact.is_none(),
@@ -80,8 +72,14 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
     require((0.0..=MISALIGNMENT_MAX).contains(&turn), "variation.misalignment", turn, remedy)?;
     let (ligaments, units) = ([stretch[1], shear[1], bend[1]], density[1]);
     let misalignment = turn.to_radians();
+    let ligament_length = ligament_length.unwrap_or(0.0);
+    let most = ((trial.body.spacing / trial.body.ligament_length).ln() / LENGTHS).min(DEVIATION_MAX);
+    let remedy =
+        format!("must be a standard deviation of the logarithm, from 0 to {most:.3}: units would vanish");
+    require((0.0..=most).contains(&ligament_length), "variation.ligament_length", ligament_length, &remedy)?;
     let relaxation = relaxation.map(relaxing).transpose()?;
-    Ok(Some(Variation { material, ligaments, units, relaxation, nodes, correlation, gain, misalignment }))
+    let parts = Variation { material, ligaments, units, ligament_length, ..Variation::default() };
+    Ok(Some(Variation { relaxation, nodes, correlation, gain, misalignment, ..parts }))
 }
 
 /// How ligaments of the casts that judge relax.

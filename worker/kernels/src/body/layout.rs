@@ -132,6 +132,15 @@ impl Layout {
         }
     }
 
+    /// The same grid with ligaments of another length: its units are smaller by what they are longer.
+    #[must_use]
+    pub fn with_ligament_length(&self, ligament_length: f64) -> Self {
+        let mut own = Self { half: 0.5 * (self.spacing - ligament_length), ligament_length, ..self.clone() };
+        let lengthened = |d: f64| if d == 0.0 { 0.0 } else { ligament_length };
+        own.ligaments.iter_mut().for_each(|ligament| ligament.reference = ligament.reference.map(lengthened));
+        own
+    }
+
     /// Number of units.
     pub fn units(&self) -> usize {
         self.centres.len()

@@ -3,6 +3,7 @@
 //! ```text
 //! k′ = k e^{σz}     each of k_l, k_s, k_θ, ζ, density, k_c, the same for all ligaments and units of a cast
 //! k″ = k′ e^{ρz}    each of k_l, k_s, k_θ of each ligament, the density of each unit
+//! l₀′ = l₀ e^{σz}   of all ligaments; the grid stays, units shrink
 //! α′ = α + s L z    each coordinate of each shift; L = 1, or L Lᵀ = exp(−r²/2c²) for node groups r apart
 //! ```
 //! z standard normal, keyed by seed, purpose and number of the cast: all bodies of a trial, and trials of equal seed, meet the
@@ -26,6 +27,8 @@ pub struct Variation {
     pub ligaments: [f64; 3],
     /// Of the density of each unit, likewise.
     pub units: f64,
+    /// Of the length of the ligaments, by which units shrink; the stiffnesses scatter by themselves.
+    pub ligament_length: f64,
     /// How the ligaments of the casts that judge relax: no other cast knows of it.
     pub relaxation: Option<Relaxation>,
     /// Standard deviation of each coordinate of each shift (mm).
@@ -62,6 +65,8 @@ pub struct Cast {
     pub material: Parameters,
     /// By what each ligament and unit beside.
     pub parts: Parts,
+    /// By what the ligaments' length.
+    pub ligament_length: f64,
     /// How its ligaments relax; such a cast has no gradient.
     pub relaxation: Option<Relaxation>,
     /// What is added to each coordinate of α (mm); empty where moulds are exact.
@@ -130,9 +135,10 @@ impl Variation {
             ligaments: (0..ligaments).map(|_| factors()).collect(),
             units: each(self.units, layout.units(), stream(5)).into_iter().map(f64::exp).collect(),
         };
+        let ligament_length = (self.ligament_length * stream(6).normal()).exp();
         let relaxation = self.relaxation.filter(|_| casts == Casts::Unseen);
         let material = Parameters::from_array(self.material.array().map(factor));
-        Cast { material, parts, relaxation, shifts, chips }
+        Cast { material, parts, ligament_length, relaxation, shifts, chips }
     }
 }
 
@@ -142,7 +148,12 @@ impl Cast {
         let [mut own, by] = [Parameters::of(scene), self.material].map(Parameters::array);
         own.iter_mut().zip(by).for_each(|(own, by)| *own *= by);
         let (parts, relaxation) = (self.parts.clone(), self.relaxation);
-        Scene { parts, relaxation, ..Parameters::from_array(own).set(scene) }
+        let mut scene = Scene { parts, relaxation, ..Parameters::from_array(own).set(scene) };
+        if self.ligament_length != 1.0 {
+            scene.layout =
+                scene.layout.with_ligament_length(self.ligament_length * scene.layout.ligament_length);
+        }
+        scene
     }
 
     /// α of this cast (mm); dα of a function of it is that of the design.

@@ -105,6 +105,20 @@ fn parts_scatter_each_by_itself() {
     assert_eq!(alone.parts.ligaments[1][2], casts[5].parts.ligaments[1][2]);
 }
 
+/// The ligaments' length scatters by one factor a cast, about a grid that stays.
+#[test]
+fn lengths_scatter_on_the_grid() {
+    let (layout, count) = (pair(), 4000);
+    let by = Variation { ligament_length: 0.04, ..variation() };
+    let cast = |i| by.cast(7, Casts::Unseen, i, (&layout, 1), &[]);
+    let squares: f64 = (0..count).map(|i| cast(i).ligament_length.ln().powi(2)).sum();
+    let found = (squares / count as f64).sqrt();
+    assert!((found / 0.04 - 1.0).abs() < 0.05, "{found}");
+    assert_eq!(variation().cast(7, Casts::Unseen, 0, (&layout, 1), &[]).ligament_length, 1.0);
+    let longer = layout.with_ligament_length(2.5);
+    assert_eq!(longer, Layout::planar(2, 1, 15.0, 2.5));
+}
+
 /// Shifts of groups r apart have the correlation exp(−r²/2c²) on each axis and none across axes, and each the deviation asked for.
 #[test]
 fn near_nodes_scatter_alike() {

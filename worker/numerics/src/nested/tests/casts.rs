@@ -12,7 +12,8 @@ use crate::variation::{Casts, Variation};
 fn scattered(problem: Problem) -> Problem {
     let [stretch, shear, bend, contact] = [0.05; 4];
     let material = Parameters { stretch, shear, bend, damping_ratio: 0.2, density: 0.03, contact };
-    let parts = Variation { material, ligaments: [0.05; 3], units: 0.03, ..Variation::default() };
+    let lengths = Variation { ligament_length: 0.02, ..Variation::default() };
+    let parts = Variation { material, ligaments: [0.05; 3], units: 0.03, ..lengths };
     let variation = Variation { nodes: 0.1, gain: 0.05, misalignment: 0.05, ..parts };
     Problem { variation: Some(variation), ..problem }
 }
@@ -221,7 +222,7 @@ fn a_cast_that_fails_counts_as_read_entirely_wrong() {
 fn a_body_trained_over_casts_reads_others_better() {
     let mut problem = cast(MEAN);
     let variation = problem.variation.as_mut().unwrap();
-    (variation.ligaments, variation.units) = ([0.0; 3], 0.0);
+    (variation.ligaments, variation.units, variation.ligament_length) = ([0.0; 3], 0.0, 0.0);
     problem.evaluation.casts = 8;
     (problem.optimise.iterations, problem.optimise.rate) = (40, 0.2);
     problem.stimuli = Stimuli { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
