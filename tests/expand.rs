@@ -148,6 +148,7 @@ fn committed_specs_keep_their_hashes() {
     fig4b-until 323a329cfecf88a1
     fig4c cdb6e7edaff7021e
     fig5 a3ec099760be45bd
+    filtered e6c6ff4b8645bf70
     four-forces b88aef61917cde6e
     gradient c39bace70d622cb2
     long-training aff57803d389341f

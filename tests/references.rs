@@ -41,6 +41,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("casts", results::casts),
     ("transfer", results::transfer),
     ("real scale", results::real_scale),
+    ("filtered", results::filtered),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),
     ("placed", results::placed),

@@ -222,6 +222,31 @@ pub fn real_scale() -> String {
     table(&["", "K = 2, M = 1", "K = 2, M = 2", "K = 4, M = 1", "K = 4, M = 2"], scenes.map(line))
 }
 
+/// Bodies whose chip reads through a low-pass.
+pub fn filtered() -> String {
+    let all = rows("filtered/trials.csv");
+    let line = |(bandwidth, words): (&str, &str)| {
+        let errors = |noise: &str| {
+            let wanted = [("bandwidth", bandwidth), ("noise", noise)];
+            let seeds: Vec<&Row> = of(&all, &wanted).collect();
+            let number = |row: &Row, name: &str| row[name].parse::<f64>().unwrap();
+            let of_seeds = |value: &dyn Fn(&Row) -> f64| {
+                let logs: Vec<f64> = seeds.iter().map(|row| value(row).ln()).collect();
+                let mean = (logs.iter().sum::<f64>() / logs.len() as f64).exp();
+                let ends = [f64::min, f64::max].map(|end| logs.iter().copied().reduce(end).unwrap().exp());
+                [mean, ends[0], ends[1]].map(|x| short(&x.to_string()))
+            };
+            let [initial, ..] = of_seeds(&|row| number(row, "initial"));
+            let [optimised, ..] = of_seeds(&|row| number(row, "optimised"));
+            let [gain, least, most] = of_seeds(&|row| number(row, "initial") / number(row, "optimised"));
+            [format!("{initial} → {optimised} %"), format!("{gain} ({least} … {most})")]
+        };
+        [vec![words.to_owned()], errors("0").to_vec(), errors("1").to_vec()].concat()
+    };
+    let lines = [("", "none"), ("50.0", "50 Hz"), ("20.0", "20 Hz")].map(line);
+    table(&["low-pass", "without noise", "gain", "with noise", "gain"], lines)
+}
+
 /// What is left of the quickstart's bodies once they are cast.
 pub fn quickstart_casts() -> String {
     let rows = rows("quickstart-casts.csv");
