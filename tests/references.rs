@@ -39,6 +39,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("quickstart casts", results::quickstart_casts),
     ("findings", results::findings),
     ("casts", results::casts),
+    ("relaxing", results::relaxing),
     ("transfer", results::transfer),
     ("real scale", results::real_scale),
     ("filtered", results::filtered),

@@ -247,6 +247,33 @@ pub fn filtered() -> String {
     table(&["low-pass", "without noise", "gain", "with noise", "gain"], lines)
 }
 
+/// Robust bodies in a world that the model does not contain.
+pub fn relaxing() -> String {
+    let all = rows("robust-two-core/relaxing.csv");
+    let line = |body: &str| {
+        let errors = |(reader, records): (&str, &str)| {
+            let wanted = [("body", body), ("reader", reader), ("records", records)];
+            let seeds: Vec<&Row> = of(&all, &wanted).collect();
+            let mean = |name: &str| {
+                let logs = seeds.iter().map(|row| row[name].parse::<f64>().unwrap().ln());
+                short(&(logs.sum::<f64>() / seeds.len() as f64).exp().to_string())
+            };
+            format!("{} [{}] %", mean("median"), mean("percentile_90"))
+        };
+        let cells = [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")].map(errors);
+        [vec![body.to_owned()], cells.to_vec()].concat()
+    };
+    let bodies = [
+        "initial body",
+        "trained as designed",
+        "trained over casts",
+        "trained over casts, three times the steps",
+    ];
+    let head =
+        ["body", "decoder of the design", "one decoder for all casts", "calibrated on 10 records", "on 100"];
+    table(&head, bodies.map(line))
+}
+
 /// What is left of the quickstart's bodies once they are cast.
 pub fn quickstart_casts() -> String {
     let rows = rows("quickstart-casts.csv");
