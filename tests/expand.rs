@@ -157,7 +157,7 @@ fn committed_specs_keep_their_hashes() {
     random 1fc0dbba48090cf1
     real-scale a24e0292c7de791c
     reference f69dce36048b28bd
-    robust-two-core 02caf8486325e98b
+    robust-two-core 9ce3fa9d9ca2fd6a
     transfer fb5577499f8e180e
     two-forces 434eeb4530862f35
     ");
