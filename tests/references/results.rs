@@ -222,6 +222,16 @@ pub fn real_scale() -> String {
     table(&["", "K = 2, M = 1", "K = 2, M = 2", "K = 4, M = 1", "K = 4, M = 2"], scenes.map(line))
 }
 
+fn number(row: &Row, name: &str) -> f64 {
+    row[name].parse().unwrap_or_else(|_| panic!("{:?} is no number", row[name]))
+}
+
+/// The geometric mean.
+fn geometric(values: impl Iterator<Item = f64> + Clone) -> String {
+    let logs = values.clone().map(f64::ln).sum::<f64>();
+    short(&(logs / values.count() as f64).exp().to_string())
+}
+
 /// Bodies whose chip reads through a low-pass.
 pub fn filtered() -> String {
     let all = rows("filtered/trials.csv");
@@ -229,16 +239,13 @@ pub fn filtered() -> String {
         let errors = |noise: &str| {
             let wanted = [("bandwidth", bandwidth), ("noise", noise)];
             let seeds: Vec<&Row> = of(&all, &wanted).collect();
-            let number = |row: &Row, name: &str| row[name].parse::<f64>().unwrap();
-            let of_seeds = |value: &dyn Fn(&Row) -> f64| {
-                let logs: Vec<f64> = seeds.iter().map(|row| value(row).ln()).collect();
-                let mean = (logs.iter().sum::<f64>() / logs.len() as f64).exp();
-                let ends = [f64::min, f64::max].map(|end| logs.iter().copied().reduce(end).unwrap().exp());
-                [mean, ends[0], ends[1]].map(|x| short(&x.to_string()))
-            };
-            let [initial, ..] = of_seeds(&|row| number(row, "initial"));
-            let [optimised, ..] = of_seeds(&|row| number(row, "optimised"));
-            let [gain, least, most] = of_seeds(&|row| number(row, "initial") / number(row, "optimised"));
+            let gains: Vec<f64> =
+                seeds.iter().map(|row| number(row, "initial") / number(row, "optimised")).collect();
+            let [least, most] = [f64::min, f64::max].map(|end| gains.iter().copied().reduce(end).unwrap());
+            let [initial, optimised] =
+                ["initial", "optimised"].map(|name| geometric(seeds.iter().map(|row| number(row, name))));
+            let [gain, least, most] =
+                [geometric(gains.iter().copied()), short(&least.to_string()), short(&most.to_string())];
             [format!("{initial} → {optimised} %"), format!("{gain} ({least} … {most})")]
         };
         [vec![words.to_owned()], errors("0").to_vec(), errors("1").to_vec()].concat()
@@ -254,10 +261,7 @@ pub fn relaxing() -> String {
         let errors = |(reader, records): (&str, &str)| {
             let wanted = [("body", body), ("reader", reader), ("records", records)];
             let seeds: Vec<&Row> = of(&all, &wanted).collect();
-            let mean = |name: &str| {
-                let logs = seeds.iter().map(|row| row[name].parse::<f64>().unwrap().ln());
-                short(&(logs.sum::<f64>() / seeds.len() as f64).exp().to_string())
-            };
+            let mean = |name: &str| geometric(seeds.iter().map(|row| number(row, name)));
             format!("{} [{}] %", mean("median"), mean("percentile_90"))
         };
         let cells = [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")].map(errors);

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{norm, pool, relative};
+use common::{norm, pool, relative, scene};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
     Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters, Parts,
@@ -16,22 +16,9 @@ use std::f64::consts::TAU;
 /// A 3 × 3 lattice read for 0.1 s at 20 instants.
 fn small_scene() -> Scene {
     Scene {
-        layout: Layout::planar(3, 3, 15.0, 2.25),
-        density: 1e-8,
-        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: Parts::default(),
-        relaxation: None,
-        damping_ratio: 0.02,
-        contact: None,
-        linearised: false,
-        clamped: vec![0, 1, 2],
         panels: vec![Panel { unit: 6, direction: [0.0, -1.0] }, Panel { unit: 8, direction: [0.6, -0.8] }],
         sensors: vec![4, 7],
-        chip: None,
-        mount: None,
-        frame: Frame::World,
-        duration: 0.1,
-        instants: 20,
+        ..scene(3, 3, 20)
     }
 }
 

@@ -2,33 +2,11 @@
 
 mod common;
 
-use common::{pool, relative};
-use metasense_kernels::body::Layout;
+use common::{pool, relative, scene};
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Outcome, Panel, Parts, Plan, Relaxation, Scene, Stiffness, run,
+    Contact, Forces, Method, Outcome, Panel, Plan, Relaxation, Scene, Stiffness, run,
 };
 use std::f64::consts::TAU;
-
-fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
-    Scene {
-        layout: Layout::planar(columns, rows, 15.0, 2.25),
-        density: 1e-8,
-        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: Parts::default(),
-        relaxation: None,
-        damping_ratio: 0.02,
-        contact: None,
-        linearised: false,
-        clamped: (0..columns).collect(),
-        panels: vec![Panel { unit: columns * rows - 1, direction: [0.6, -0.8] }],
-        sensors: vec![columns * rows - 1],
-        chip: None,
-        mount: None,
-        frame: Frame::World,
-        duration: 0.1,
-        instants,
-    }
-}
 
 fn pulses(scene: &Scene, samples: usize) -> Forces {
     let value = |n: usize| {

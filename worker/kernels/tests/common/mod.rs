@@ -1,5 +1,30 @@
 //! What the property tests share.
 
+use metasense_kernels::body::Layout;
+use metasense_kernels::dynamics::{Frame, Panel, Parts, Scene, Stiffness};
+
+/// A lattice of the reference material, clamped below, struck and read at its last unit, for 0.1 s.
+pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
+    Scene {
+        layout: Layout::planar(columns, rows, 15.0, 2.25),
+        density: 1e-8,
+        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        parts: Parts::default(),
+        relaxation: None,
+        damping_ratio: 0.02,
+        contact: None,
+        linearised: false,
+        clamped: (0..columns).collect(),
+        panels: vec![Panel { unit: columns * rows - 1, direction: [0.6, -0.8] }],
+        sensors: vec![columns * rows - 1],
+        chip: None,
+        mount: None,
+        frame: Frame::World,
+        duration: 0.1,
+        instants,
+    }
+}
+
 pub fn norm(a: &[f64]) -> f64 {
     a.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
