@@ -186,6 +186,43 @@ fn parts_that_are_alike_are_the_material() {
     }
 }
 
+/// E(e^{εd} f) − E(e^{−εd} f) = 2ε Σ d f ∂E/∂f + O(ε³) in the factors f of every ligament and unit; along all alike it is that of the
+/// material, C held.
+#[test]
+fn gradients_in_parts_are_those_of_differences() {
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let base = Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
+    for scene in [base.clone(), Scene { contact, ..base.clone() }, Scene { linearised: true, ..base }] {
+        let (ligaments, units) = (scene.layout.ligaments.len(), scene.layout.units());
+        let direction = |i: usize| (2.3 * i as f64 + 0.7).cos();
+        let with = |by: f64| {
+            let of = |i: usize| (0.1 * (1.3 * i as f64).sin() + by * direction(i)).exp();
+            let parts = Parts {
+                ligaments: (0..ligaments).map(|q| [0, 1, 2].map(|k| of(3 * q + k))).collect(),
+                units: (0..units).map(|u| of(3 * ligaments + u)).collect(),
+            };
+            Scene { parts, ..scene.clone() }
+        };
+        let (design, forces, plan) = (shaken(&scene), pushes(&scene, 2, 0.3), plan(Method::Nystrom6, 24));
+        let here = with(0.0);
+        let simulation = run(&here, &design, &forces, &plan, true, &pool(1));
+        let found = simulation.vjp(&simulation.signals, Wrt::Parameters, &pool(1));
+        let own = found.parts.expect("asked for");
+        let flat = |of: &Parts| [of.ligaments.as_flattened(), &of.units[..]].concat();
+        let slopes = flat(&own).into_iter().zip(flat(&here.parts)).map(|(slope, by)| slope * by);
+        let slope: f64 = slopes.enumerate().map(|(i, slope)| slope * direction(i)).sum();
+        let energy = |by: f64| {
+            let signals = run(&with(by), &design, &forces, &plan, false, &pool(1)).signals;
+            0.5 * signals.iter().map(|a| a * a).sum::<f64>()
+        };
+        let difference = (energy(1e-5) - energy(-1e-5)) / 2e-5;
+        assert!((difference / slope - 1.0).abs() < 1e-6 && slope != 0.0, "{difference} {slope}");
+        let stretch: f64 = own.ligaments.iter().zip(&here.parts.ligaments).map(|(g, by)| g[0] * by[0]).sum();
+        let material = found.parameters.expect("asked for").stretch * scene.stiffness.stretch;
+        assert!((stretch / material - 1.0).abs() < 1e-12, "{stretch} {material}");
+    }
+}
+
 /// One stiff ligament raises the highest frequency, by which steps are chosen, to that of a body all as stiff, and a unit half as
 /// heavy does as much as it can.
 #[test]

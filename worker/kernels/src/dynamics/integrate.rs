@@ -225,8 +225,9 @@ impl Simulation {
             }
         }
         let parameters = (wrt == Wrt::Parameters).then(|| total.parameters(&model, scene));
+        let parts = (wrt == Wrt::Parameters).then(|| total.parts(&model, scene));
         let design = total.design(&model, scene);
-        Gradient { design, parameters, forces: pushed, counters }
+        Gradient { design, parameters, parts, forces: pushed, counters }
     }
 }
 

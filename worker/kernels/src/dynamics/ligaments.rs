@@ -20,8 +20,10 @@ pub struct ShapeCotangent<'a, V> {
     pub arms: &'a mut [[[V; 2]; 4]],
     /// One entry a ligament.
     pub voids: &'a mut [[V; 2]],
-    /// Of k_l, k_s, k_θ and k_c; touched with `PARAMETERS` alone.
-    pub stiffness: &'a mut [V; 4],
+    /// Of k_l, k_s, k_θ, one entry a ligament; touched with `PARAMETERS` alone, as is the next.
+    pub stiffness: &'a mut [[V; 3]],
+    /// Of k_c.
+    pub contact: &'a mut V,
 }
 
 /// Where the ends of a ligament are.
@@ -195,15 +197,15 @@ pub fn product<
             *to = [to[0] + tangent.voids[0], to[1] + tangent.voids[1]];
         }
         if PARAMETERS {
+            let to = &mut shape.stiffness[bar.index];
             for k in 0..3 {
-                let strain = V::of(bar.factors[k]) * reaction.strains[k];
-                shape.stiffness[k] = strain.mul_add(tangent.strains[k], shape.stiffness[k]);
+                to[k] = reaction.strains[k].mul_add(tangent.strains[k], to[k]);
             }
             if CONTACT && let Some(contact) = model.contact {
                 // ∂E_c/∂ψ is k_c times what does not depend on it
                 let turned = tangent.strains[2] * V::splat(1.0 / contact.stiffness);
                 let moment = reaction.contact[1].0 - reaction.contact[0].0;
-                shape.stiffness[3] = moment.mul_add(turned, shape.stiffness[3]);
+                *shape.contact = moment.mul_add(turned, *shape.contact);
             }
         }
     }

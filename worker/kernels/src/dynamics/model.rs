@@ -1,6 +1,6 @@
 //! A scene with a design, in the form that the kernels read.
 
-use super::{Contact, Inertia, Parameters, Scene, Stiffness};
+use super::{Contact, Inertia, Parameters, Parts, Scene, Stiffness};
 use crate::body::{Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -173,8 +173,10 @@ pub struct ModelCotangent {
     pub mass: Vec<[f64; 3]>,
     /// Of the void angles at rest.
     pub voids: Vec<[f64; 2]>,
-    /// Of the scene's k_l, k_s, k_θ, k_c, where asked for, C held.
-    pub stiffness: [f64; 4],
+    /// Of k_l, k_s, k_θ of each ligament, where asked for, C held.
+    pub stiffness: Vec<[f64; 3]>,
+    /// Of k_c, likewise.
+    pub contact: f64,
     /// Of C, where asked for.
     pub damping: [f64; 3],
 }
@@ -187,7 +189,8 @@ impl ModelCotangent {
             arms: vec![[[0.0; 2]; 4]; n],
             mass: vec![[0.0; 3]; n],
             voids: vec![[0.0; 2]; model.ligaments],
-            stiffness: [0.0; 4],
+            stiffness: vec![[0.0; 3]; model.ligaments],
+            contact: 0.0,
             damping: [0.0; 3],
         }
     }
@@ -198,7 +201,8 @@ impl ModelCotangent {
         add(self.arms.as_flattened_mut().as_flattened_mut(), other.arms.as_flattened().as_flattened());
         add(self.mass.as_flattened_mut(), other.mass.as_flattened());
         add(self.voids.as_flattened_mut(), other.voids.as_flattened());
-        add(&mut self.stiffness, &other.stiffness);
+        add(self.stiffness.as_flattened_mut(), other.stiffness.as_flattened());
+        self.contact += other.contact;
         add(&mut self.damping, &other.damping);
     }
 
@@ -206,7 +210,9 @@ impl ModelCotangent {
     pub fn parameters(&self, model: &Model, scene: &Scene) -> Parameters {
         let c: [f64; 3] = std::array::from_fn(|d| self.damping[d] * model.damping[d]);
         let per_ratio = damping(&Scene { damping_ratio: 1.0, ..scene.clone() });
-        let [stretch, shear, bend, contact] = self.stiffness;
+        let own = |bar: &Bar| std::array::from_fn(|k| bar.factors[k] * self.stiffness[bar.index][k]);
+        let add = |sum: [f64; 3], own: [f64; 3]| std::array::from_fn(|k| sum[k] + own[k]);
+        let [stretch, shear, bend] = model.bars.iter().map(own).fold([0.0; 3], add);
         let mass = self.mass.iter().zip(&model.geometry.mass).map(|(bar, m)| (bar[0] + bar[1]) * m);
         let moment = self.mass.iter().zip(&model.geometry.moment).map(|(bar, j)| bar[2] * j);
         Parameters {
@@ -215,7 +221,22 @@ impl ModelCotangent {
             bend: bend + 0.5 * c[2] / scene.stiffness.bend,
             damping_ratio: (0..3).map(|d| self.damping[d] * per_ratio[d]).sum(),
             density: (mass.chain(moment).sum::<f64>() + 0.5 * c.iter().sum::<f64>()) / scene.density,
-            contact,
+            contact: self.contact,
+        }
+    }
+
+    /// Gradient in the factors of parts, likewise.
+    pub fn parts(&self, model: &Model, scene: &Scene) -> Parts {
+        let Stiffness { stretch, shear, bend } = scene.stiffness;
+        let by = |own: &[f64; 3]| [stretch * own[0], shear * own[1], bend * own[2]];
+        let Geometry { mass, moment, .. } = &model.geometry;
+        let unit = |u: usize| {
+            let [x, y, turn] = self.mass[u];
+            ((x + y) * mass[u] + turn * moment[u]) / scene.parts.units.get(u).unwrap_or(&1.0)
+        };
+        Parts {
+            ligaments: self.stiffness.iter().map(by).collect(),
+            units: (0..model.units()).map(unit).collect(),
         }
     }
 

@@ -70,7 +70,8 @@ pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [
         (false, true) => product::<Sse2, false, true, false, false>,
         (true, _) => product::<Sse2, true, true, false, false>,
     };
-    let shape = ShapeCotangent { arms: &mut arms, voids: &mut voids, stiffness: &mut [zero; 4] };
+    let (arms, voids) = (&mut arms[..], &mut voids[..]);
+    let shape = ShapeCotangent { arms, voids, stiffness: &mut [], contact: &mut { zero } };
     kernel(model, &model.bars, &x, &direction, &turn, &mut [], &mut h, shape);
     std::array::from_fn(|lane| h.as_flattened().iter().map(|h| -h.lane(lane)).collect())
 }

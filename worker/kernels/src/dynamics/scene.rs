@@ -74,7 +74,7 @@ impl Parameters {
     }
 }
 
-/// How the parts of one body differ from its material.
+/// How the parts of one body differ from its material, or a gradient in that.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Parts {
     /// By what k_l, k_s, k_θ of each ligament are multiplied; empty where all are alike. C does not depend on it.

@@ -1,7 +1,7 @@
 //! What a simulation and a reverse sweep give, and what the sweep starts from.
 
 use super::forces::Forces;
-use super::scene::{Parameters, Scene};
+use super::scene::{Parameters, Parts, Scene};
 use super::solver::Plan;
 use crate::simd::Width;
 
@@ -135,6 +135,8 @@ pub struct Gradient {
     pub design: Vec<f64>,
     /// Likewise in the parameters, where asked for.
     pub parameters: Option<Parameters>,
+    /// With them, in the factors of all ligaments and units.
+    pub parts: Option<Parts>,
     /// Likewise in the histories, (N, K, R+1), where asked for.
     pub forces: Option<Vec<f64>>,
     /// Work done.
@@ -146,7 +148,7 @@ pub struct Gradient {
 pub enum Wrt {
     /// The design alone.
     Design,
-    /// The design and the scene's parameters, those on which damping depends through its formula too.
+    /// The design, the scene's parameters, those on which damping depends through its formula too, and the factors of its parts.
     Parameters,
     /// The design and the forces at their instants. As these would move a sample before its first force, it is swept back to its
     /// beginning: the gradient in the design is the same but for rounding. Steps are held: where nothing moves, Tsit5's are as

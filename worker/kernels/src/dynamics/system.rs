@@ -45,7 +45,8 @@ pub struct Cotangent<V> {
     arms: Vec<[[V; 2]; 4]>,
     voids: Vec<[V; 2]>,
     pub(super) mass: Vec<Unit<V>>,
-    stiffness: [V; 4],
+    stiffness: Vec<[V; 3]>,
+    contact: V,
     pub(super) damping: [V; 3],
 }
 
@@ -115,7 +116,8 @@ impl<'a, V: Vector> System<'a, V> {
                 arms: vec![[[zero; 2]; 4]; n],
                 voids: vec![[zero; 2]; model.ligaments],
                 mass: vec![[zero; 3]; n],
-                stiffness: [zero; 4],
+                stiffness: vec![[zero; 3]; model.ligaments],
+                contact: zero,
                 damping: [zero; 3],
             },
         }
@@ -187,8 +189,8 @@ impl<'a, V: Vector> System<'a, V> {
         g: &mut [Unit<V>],
         bar_x: &mut [Unit<V>],
     ) {
-        let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
-        let shape = ShapeCotangent { arms, voids, stiffness };
+        let Cotangent { arms, voids, stiffness, contact, .. } = &mut self.cotangent;
+        let shape = ShapeCotangent { arms, voids, stiffness, contact };
         // SAFETY: as in `add_forces`.
         unsafe { (self.kernels.second)(self.model, &self.bars, x, w, &self.turn, g, bar_x, shape) };
         self.push(force, g);
@@ -296,8 +298,8 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn product(&mut self, x: &[Unit<V>], w: &[Unit<V>], curved: &mut [Unit<V>]) {
         self.prepare(x, curved);
-        let Cotangent { arms, voids, stiffness, .. } = &mut self.cotangent;
-        let shape = ShapeCotangent { arms, voids, stiffness };
+        let Cotangent { arms, voids, stiffness, contact, .. } = &mut self.cotangent;
+        let shape = ShapeCotangent { arms, voids, stiffness, contact };
         let unread = &mut self.h;
         // SAFETY: as in `add_forces`.
         unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, unread, curved, shape) };
@@ -366,8 +368,11 @@ impl<'a, V: Vector> System<'a, V> {
         for (to, from) in sum.mass.iter_mut().zip(&mut self.cotangent.mass) {
             *to = std::array::from_fn(|d| total(&mut from[d]));
         }
-        let Cotangent { stiffness, damping, .. } = &mut self.cotangent;
-        sum.stiffness = std::array::from_fn(|k| -total(&mut stiffness[k]));
+        for (to, from) in sum.stiffness.iter_mut().zip(&mut self.cotangent.stiffness) {
+            *to = std::array::from_fn(|k| -total(&mut from[k]));
+        }
+        let Cotangent { contact, damping, .. } = &mut self.cotangent;
+        sum.contact = -total(contact);
         sum.damping = std::array::from_fn(|d| total(&mut damping[d]));
         sum
     }

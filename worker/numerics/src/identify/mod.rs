@@ -10,6 +10,7 @@
 mod discrepancy;
 mod interval;
 mod objective;
+pub mod twin;
 
 use crate::dynamics::{Counters, Forces, Parameters, Scene, Solver};
 pub use interval::{Direction, Estimate};

@@ -68,16 +68,6 @@ impl<'a> Objective<'a> {
         free: &'a [Parameter],
         pool: &'a crate::Pool,
     ) -> Self {
-        let kinks = forces.kinks(scene);
-        let onset = |i: usize| {
-            let history = forces.sample(i);
-            let largest = history.iter().fold(0.0f64, |m, f| m.max(f.abs()));
-            let begun = |n: &usize| {
-                let f = (0..forces.panels).map(|k| history[k * (forces.instants + 1) + n].abs());
-                f.fold(0.0, f64::max) > BEGUN * largest
-            };
-            (0..=forces.instants).find(begun).unwrap_or(0) / kinks
-        };
         let mut objective = Self {
             base: scene,
             design,
@@ -85,7 +75,7 @@ impl<'a> Objective<'a> {
             solver,
             free,
             pool,
-            onsets: (0..forces.samples).map(onset).collect(),
+            onsets: onsets(scene, forces),
             window: 0,
             scene: scene.clone(),
             forces: forces.clone(),
@@ -156,15 +146,10 @@ impl<'a> Objective<'a> {
     /// Looks at so many instants of each record, from its onset.
     pub fn look_at(&mut self, window: usize) {
         let (forces, signals) = self.whole;
-        let (all, kinks, width) = (self.instants(), forces.kinks(self.base), self.width());
+        let (all, width) = (self.instants(), self.width());
         self.window = window;
         let n = self.onsets.iter().map(|o| (o + window).min(all)).max().unwrap_or(all);
-        let cut = |k: usize| forces.values[k * (forces.instants + 1)..][..=n * kinks].iter().copied();
-        let values = (0..forces.samples * forces.panels).flat_map(cut).collect();
-        let strikes = forces.strikes.clone();
-        self.forces = Forces { instants: n * kinks, values, strikes, ..*forces };
-        let duration = self.base.duration * n as f64 / all as f64;
-        self.scene = Scene { duration, instants: n, ..self.base.clone() };
+        (self.scene, self.forces) = beginning(self.base, forces, n);
         self.signals = signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
     }
 
@@ -313,6 +298,30 @@ impl<'a> Objective<'a> {
         self.noise = noise;
         changed[0].max(changed[1])
     }
+}
+
+/// The instant at which each record's force begins.
+pub fn onsets(scene: &Scene, forces: &Forces) -> Vec<usize> {
+    let onset = |i: usize| {
+        let history = forces.sample(i);
+        let largest = history.iter().fold(0.0f64, |m, f| m.max(f.abs()));
+        let begun = |n: &usize| {
+            let f = (0..forces.panels).map(|k| history[k * (forces.instants + 1) + n].abs());
+            f.fold(0.0, f64::max) > BEGUN * largest
+        };
+        (0..=forces.instants).find(begun).unwrap_or(0) / forces.kinks(scene)
+    };
+    (0..forces.samples).map(onset).collect()
+}
+
+/// The first `n` instants of scene and forces.
+pub fn beginning(scene: &Scene, forces: &Forces, n: usize) -> (Scene, Forces) {
+    let kinks = forces.kinks(scene);
+    let cut = |k: usize| forces.values[k * (forces.instants + 1)..][..=n * kinks].iter().copied();
+    let values = (0..forces.samples * forces.panels).flat_map(cut).collect();
+    let cut = Forces { instants: n * kinks, values, strikes: forces.strikes.clone(), ..*forces };
+    let duration = scene.duration * n as f64 / scene.instants as f64;
+    (Scene { duration, instants: n, ..scene.clone() }, cut)
 }
 
 /// 0 of accelerations, 1 of rotation rates.

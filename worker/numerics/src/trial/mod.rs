@@ -30,7 +30,7 @@ use crate::dynamics::{
 use crate::random::Purpose;
 use crate::stimuli::Source;
 use crate::variation::{Cast, Casts, Chips};
-use chip::Chip;
+pub(crate) use chip::Chip;
 
 /// Samples of a pilot: as many as the lanes take at once.
 const PILOT: usize = 8;

@@ -162,7 +162,7 @@ impl Problem {
     }
 
     /// Transpose of [`Problem::read`].
-    pub(super) fn read_vjp(&self, cotangent: Vec<f64>, samples: usize) -> Vec<f64> {
+    pub(crate) fn read_vjp(&self, cotangent: Vec<f64>, samples: usize) -> Vec<f64> {
         let cotangent = match self.filter() {
             Some(filter) => filter.run_vjp(&cotangent, samples, self.shape().inputs),
             None => cotangent,

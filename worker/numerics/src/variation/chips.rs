@@ -26,6 +26,22 @@ impl Chips {
         self.rotate(cotangent, 1.0);
     }
 
+    /// Gradient in the logarithms of the gains and in the turns, for a cotangent (N, T, 3M) on what [`Chips::read`] left.
+    pub(crate) fn own_vjp(&self, read: &[f64], cotangent: &[f64]) -> Self {
+        let mut gain = vec![0.0; self.gain.len()];
+        let mut turn = vec![0.0; self.turn.len()];
+        let channels = gain.len().max(3 * turn.len()).max(1);
+        let by = |channel: usize| self.gain.get(channel).copied().unwrap_or(1.0);
+        for (read, bar) in read.chunks_exact(channels).zip(cotangent.chunks_exact(channels)) {
+            gain.iter_mut().zip(read).zip(bar).for_each(|((sum, a), bar)| *sum += a * bar);
+            for (chip, sum) in turn.iter_mut().enumerate() {
+                let (x, y) = (3 * chip, 3 * chip + 1);
+                *sum += bar[x] * by(x) * read[y] / by(y) - bar[y] * by(y) * read[x] / by(x);
+            }
+        }
+        Self { gain, turn }
+    }
+
     fn amplify(&self, values: &mut [f64]) {
         values.iter_mut().zip(self.gain.iter().cycle()).for_each(|(value, gain)| *value *= gain);
     }

@@ -1,0 +1,251 @@
+//! A twin: of all casts that a body may be, the one that best explains records of it.
+//!
+//! ```text
+//! min over z:  F = ½ ‖R^{-½} (y − a(z))‖² + ½ ‖z‖²      z standard normal, of what a [`Variation`] scatters; R noise and bias
+//! ```
+//! The maximum a posteriori estimate. L-BFGS (Nocedal, Math. Comput. 35, 1980) from the adjoint's gradients, in the metric of
+//! Gauss and Newton's curvature of a few records, damped as by Marquardt. A wave's phase makes F hilly, so the fit begins
+//! with the first part of each record and lengthens it.
+
+mod objective;
+mod unknowns;
+
+use crate::dynamics::{Counters, Forces, Solver};
+use crate::trial::{Chip, Problem, Trial};
+use crate::variation::{Cast, Variation};
+use nalgebra::{DMatrix, DVector};
+use objective::{Columns, Objective, Point};
+pub use unknowns::Unknown;
+use unknowns::Unknowns;
+
+/// How a fit ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ending {
+    /// What is left of a step is a part of a standard error.
+    Converged,
+    /// No step lowers F any more, though the gradient asks for one.
+    NoProgress,
+    /// All steps are spent.
+    StepsSpent,
+    /// The body as designed cannot be simulated under any record.
+    StartFailed,
+}
+
+impl Ending {
+    /// The name by which people know it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::NoProgress => "no progress",
+            Self::StepsSpent => "steps spent",
+            Self::StartFailed => "the start cannot be simulated",
+        }
+    }
+}
+
+/// What a twin says of one unknown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// Which.
+    pub unknown: Unknown,
+    /// Its standard deviation before any record: of a logarithm, in rad, in mm.
+    pub scatter: f64,
+    /// z: where it was found, in those.
+    pub found: f64,
+    /// Its standard deviation after the records, in those; 1: they tell nothing.
+    pub left: f64,
+}
+
+/// A twin.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Twin {
+    /// The cast that explains the records best; as designed where none was found.
+    pub cast: Cast,
+    /// Of each unknown.
+    pub estimates: Vec<Estimate>,
+    /// How the fit ended.
+    pub ending: Ending,
+    /// Root mean square over the channels of what is left of the signals by the noise of the chips; of chips without noise by what steps
+    /// leave.
+    pub misfit: f64,
+    /// What stands for the noise of each channel that is read (mm/s², rad/s): what is left, but no less than the chips'.
+    pub noise: Vec<f64>,
+    /// Steps taken.
+    pub steps: usize,
+    /// Work done.
+    pub counters: Counters,
+}
+
+/// Parts of the records that are looked at, one after the other.
+const WINDOWS: [f64; 3] = [0.125, 0.25, 1.0];
+/// Records of which a metric is made: as many as lanes take at once.
+const LANES: usize = 8;
+/// Steps in one metric, at most.
+const STEPS: usize = 20;
+/// Metrics of the whole records, at most.
+const ROUNDS: usize = 4;
+/// Newton decrement, in standard errors, below which a step is nothing.
+const CLOSE: f64 = 0.3;
+/// Change of the noise below which it stays.
+const STAYS: f64 = 0.02;
+/// Longest step of any unknown.
+const STRIDE: f64 = 2.0;
+/// Shortest part of a step.
+const SHORTEST: f64 = 1e-4;
+
+impl Twin {
+    /// Of a trial's body of this design, simulated with `solver`, from signals (N, T, channels) as its chips give them under `forces`. What
+    /// scatters is the trial's variation, or [`Variation::USUAL`]. Samples that failed must be left out.
+    ///
+    /// # Panics
+    /// If lengths do not fit together.
+    pub fn of(trial: &Trial, design: &[f64], solver: &Solver, forces: &Forces, signals: &[f64]) -> Self {
+        let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
+        let chip = trial.chip.as_ref();
+        fit(&trial.problem, chip, design, solver, (forces, signals), &variation, trial.pool)
+    }
+}
+
+fn fit(
+    problem: &Problem,
+    chip: Option<&Chip>,
+    design: &[f64],
+    solver: &Solver,
+    records: (&Forces, &[f64]),
+    variation: &Variation,
+    pool: &crate::Pool,
+) -> Twin {
+    let unknowns = Unknowns::new(&problem.scene, variation);
+    let mut objective = Objective::new(problem, chip, design, records, unknowns, solver, pool);
+    let start = DVector::zeros(objective.unknowns.all().len());
+    let mut twin = Twin {
+        cast: objective.unknowns.cast(start.as_slice()),
+        estimates: Vec::new(),
+        ending: Ending::StartFailed,
+        misfit: f64::INFINITY,
+        noise: Vec::new(),
+        steps: 0,
+        counters: Counters::default(),
+    };
+    if objective.leave_out() > 0 {
+        twin.ending = Ending::NoProgress;
+        let mut z = start;
+        for part in WINDOWS {
+            objective.look_at((part * problem.scene.instants as f64).ceil() as usize);
+            let Some(point) = objective.at(z.clone()) else { break };
+            let (point, columns) = twin.settle(&mut objective, point, if part < 1.0 { 1 } else { ROUNDS });
+            z.copy_from(&point.z);
+            if part == 1.0 {
+                twin.tell(&objective, &point, &columns);
+            }
+        }
+    }
+    twin.counters = objective.counters;
+    twin
+}
+
+impl Twin {
+    /// Noise and fit in turns, in the window that is looked at, until both stay; where that led, and columns near there.
+    fn settle(&mut self, objective: &mut Objective, mut point: Point, rounds: usize) -> (Point, Columns) {
+        objective.weigh(&point);
+        let mut columns = objective.columns(&point, LANES);
+        for round in 0..rounds {
+            if round > 0 && self.ending != Ending::Converged {
+                columns = objective.columns(&point, LANES);
+            }
+            let curvature = objective.curvature(&columns);
+            let (ending, steps, found) = descend(objective, objective.again(point), &curvature);
+            (self.ending, self.steps, point) = (ending, self.steps + steps, found);
+            if objective.weigh(&point) < STAYS && ending == Ending::Converged {
+                break;
+            }
+        }
+        (point, columns)
+    }
+
+    /// What was found, and how well it is known.
+    fn tell(&mut self, objective: &Objective, point: &Point, columns: &Columns) {
+        let (unknowns, [left, least]) = (&objective.unknowns, objective.noises(point));
+        let squares: f64 = left.iter().zip(&least).map(|(left, least)| (left / least).powi(2)).sum();
+        self.misfit = (squares / left.len() as f64).sqrt();
+        self.noise.clone_from(&objective.noise);
+        self.cast = unknowns.cast(point.z.as_slice());
+        let covariance =
+            objective.curvature(columns).cholesky().expect("a curvature of 1 and more").inverse();
+        let of = |(k, &unknown): (usize, &Unknown)| {
+            let scatter = unknowns.deviation(unknown);
+            Estimate { unknown, scatter, found: point.z[k], left: covariance[(k, k)].sqrt() }
+        };
+        self.estimates = unknowns.all().iter().enumerate().map(of).collect();
+    }
+}
+
+/// L-BFGS in the metric of a curvature: how it ended, after how many steps and where.
+fn descend(objective: &mut Objective, mut point: Point, curvature: &DMatrix<f64>) -> (Ending, usize, Point) {
+    let (mut memory, mut damping): (Vec<[DVector<f64>; 2]>, f64) = (Vec::new(), 0.0);
+    let mut gradient = objective.gradient(&point);
+    for steps in 0..STEPS {
+        if gradient.iter().any(|slope| !slope.is_finite()) {
+            return (Ending::NoProgress, steps, point);
+        }
+        // too long a step: first as Gauss and Newton have it, then damped
+        let step = loop {
+            let mut damped = curvature.clone();
+            (0..damped.nrows()).for_each(|k| damped[(k, k)] += damping);
+            let metric = damped.cholesky().expect("a curvature of 1 and more");
+            let step = -along(&memory, &gradient, |q| metric.solve(q));
+            if step.amax() <= STRIDE {
+                break step;
+            }
+            damping = if memory.is_empty() { (4.0 * damping).max(1.0) } else { damping };
+            memory.clear();
+        };
+        let slope = gradient.dot(&step);
+        if -slope < CLOSE * CLOSE {
+            return (Ending::Converged, steps, point);
+        }
+        let mut by = 1.0;
+        let found = loop {
+            let there = objective.at(&point.z + by * &step);
+            if let Some(there) = there.filter(|there| there.cost <= point.cost + 1e-4 * by * slope) {
+                break there;
+            }
+            by *= 0.3;
+            if by < SHORTEST {
+                return (Ending::NoProgress, steps, point);
+            }
+        };
+        let next = objective.gradient(&found);
+        let (s, y) = (&found.z - &point.z, &next - &gradient);
+        if s.dot(&y) > 1e-10 * s.norm() * y.norm() {
+            memory.push([s, y]);
+        }
+        (point, gradient) = (found, next);
+        damping = if damping > 1.0 { damping / 4.0 } else { 0.0 };
+    }
+    (Ending::StepsSpent, STEPS, point)
+}
+
+/// H⁻¹ g by the two loops of L-BFGS, H at first that of the metric.
+fn along(
+    memory: &[[DVector<f64>; 2]],
+    gradient: &DVector<f64>,
+    metric: impl Fn(&DVector<f64>) -> DVector<f64>,
+) -> DVector<f64> {
+    let mut q = gradient.clone();
+    let mut taken = Vec::with_capacity(memory.len());
+    for [s, y] in memory.iter().rev() {
+        let part = s.dot(&q) / s.dot(y);
+        q.axpy(-part, y, 1.0);
+        taken.push(part);
+    }
+    let mut step = metric(&q);
+    for ([s, y], part) in memory.iter().zip(taken.into_iter().rev()) {
+        let back = y.dot(&step) / s.dot(y);
+        step.axpy(part - back, s, 1.0);
+    }
+    step
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,310 @@
+//! What is minimised, its gradient by the adjoint, and columns of its Jacobian by differences.
+
+use super::unknowns::{Unknown, Unknowns};
+use crate::dynamics::{
+    Accuracy, Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, Wrt, planned, run,
+};
+use crate::identify::objective::{beginning, onsets};
+use crate::trial::{Chip, Problem};
+use crate::variation::Cast;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+/// Of z, for differences: 10⁻⁴ standard deviations with the steps held.
+const NUDGE: f64 = 1e-4;
+/// Error of the signals by the steps that columns are taken with.
+const COARSE: Accuracy = Accuracy(3e-2);
+
+/// z with what it gives.
+pub struct Point {
+    pub z: DVector<f64>,
+    pub cost: f64,
+    cast: Cast,
+    scene: Scene,
+    simulation: Simulation,
+    /// What the chips of the cast make of all signals, on the clock of the motion.
+    felt: Vec<f64>,
+    /// What is read of them (n, window, channels).
+    read: Vec<f64>,
+}
+
+/// Columns of da/dz, an unknown each, of some records.
+pub struct Columns {
+    records: Vec<usize>,
+    /// (records, window, channels).
+    of: Vec<Vec<f64>>,
+}
+
+/// Body, records, window and weights.
+pub struct Objective<'a> {
+    problem: &'a Problem,
+    design: &'a [f64],
+    whole: (&'a Forces, &'a [f64]),
+    chip: Option<&'a Chip>,
+    pool: &'a crate::Pool,
+    pub unknowns: Unknowns,
+    plan: Plan,
+    /// For columns, of which a metric is made.
+    coarse: Plan,
+    /// What steps leave of the signals.
+    least: f64,
+    /// First instant of each record's force.
+    onsets: Vec<usize>,
+    /// Records that count: those that the body as designed can be simulated under.
+    counts: Vec<bool>,
+    window: usize,
+    /// The records as far as that.
+    scene: Scene,
+    forces: Forces,
+    recorded: Vec<f64>,
+    /// Standard deviation of each channel's noise, and of its bias.
+    pub noise: Vec<f64>,
+    bias: Vec<f64>,
+    pub counters: Counters,
+}
+
+impl<'a> Objective<'a> {
+    pub fn new(
+        problem: &'a Problem,
+        chip: Option<&'a Chip>,
+        design: &'a [f64],
+        (forces, signals): (&'a Forces, &'a [f64]),
+        unknowns: Unknowns,
+        solver: &Solver,
+        pool: &'a crate::Pool,
+    ) -> Self {
+        let width = problem.shape().inputs;
+        let (scene, moved) = problem.in_motion(&problem.scene, forces);
+        let plan = planned(&scene, design, &moved, solver).double();
+        let coarse = planned(&scene, design, &moved, &Solver::new(Method::Nystrom6, COARSE)).double();
+        let mut objective = Self {
+            problem,
+            design,
+            whole: (forces, signals),
+            chip,
+            pool,
+            unknowns,
+            least: solver.accuracy.0.clamp(1e-6, 1e-2),
+            plan,
+            coarse,
+            onsets: onsets(&problem.scene, forces),
+            counts: vec![true; forces.samples],
+            window: 0,
+            scene: problem.scene.clone(),
+            forces: forces.clone(),
+            recorded: Vec::new(),
+            noise: vec![1.0; width],
+            bias: chip.map_or_else(|| vec![0.0; width], |chip| chip.bias.clone()),
+            counters: Counters::default(),
+        };
+        objective.look_at(problem.scene.instants);
+        objective
+    }
+
+    /// Leaves out records that the body as designed cannot be simulated under; how many are left.
+    pub fn leave_out(&mut self) -> usize {
+        let cast = self.unknowns.cast(&vec![0.0; self.unknowns.all().len()]);
+        let found = self.simulate(&self.plan, &cast, &self.forces, false);
+        self.counters += found.counters;
+        self.counts = found.outcomes.iter().map(|outcome| *outcome == Outcome::Ok).collect();
+        self.counts.iter().filter(|counts| **counts).count()
+    }
+
+    /// Channels of a reading.
+    fn width(&self) -> usize {
+        self.noise.len()
+    }
+
+    /// Looks at so many instants of each record, from its onset.
+    pub fn look_at(&mut self, window: usize) {
+        let ((forces, signals), all) = (self.whole, self.problem.scene.instants);
+        self.window = window;
+        let n = self.onsets.iter().map(|o| (o + window).min(all)).max().unwrap_or(all);
+        (self.scene, self.forces) = beginning(&self.problem.scene, forces, n);
+        let width = self.width();
+        self.recorded =
+            signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
+    }
+
+    fn simulate(&self, plan: &Plan, cast: &Cast, forces: &Forces, keep_tape: bool) -> Simulation {
+        let own = cast.scene(&self.scene);
+        let (scene, forces) = self.problem.in_motion(&own, forces);
+        run(&scene, &cast.design(self.design), &forces, plan, keep_tape, self.pool)
+    }
+
+    /// Simulates; none where a record that counts does not reach its end.
+    pub fn at(&mut self, z: DVector<f64>) -> Option<Point> {
+        let cast = self.unknowns.cast(z.as_slice());
+        let mut simulation = self.simulate(&self.plan, &cast, &self.forces, true);
+        self.counters += simulation.counters;
+        let well = |(outcome, counts): (&Outcome, &bool)| !counts || *outcome == Outcome::Ok;
+        if !simulation.outcomes.iter().zip(&self.counts).all(well) {
+            return None;
+        }
+        let mut felt = std::mem::take(&mut simulation.signals);
+        cast.chips.read(&mut felt);
+        let read = self.problem.read(felt.clone(), self.forces.samples);
+        let scene = cast.scene(&self.scene);
+        let mut point = Point { z, cost: 0.0, cast, scene, simulation, felt, read };
+        point.cost = self.cost(&point);
+        Some(point)
+    }
+
+    fn cost(&self, point: &Point) -> f64 {
+        let misfit: f64 = self.residual(&point.read).iter().map(|r| r * r).sum();
+        0.5 * (misfit + point.z.norm_squared())
+    }
+
+    /// The same under the weights that are now.
+    pub fn again(&self, point: Point) -> Point {
+        Point { cost: self.cost(&point), ..point }
+    }
+
+    /// R^{-½}(y − a), zero of what is not seen.
+    pub fn residual(&self, read: &[f64]) -> Vec<f64> {
+        let mut left: Vec<f64> = self.recorded.iter().zip(read).map(|(y, a)| y - a).collect();
+        self.see(&mut left);
+        self.whiten(&mut left);
+        left
+    }
+
+    /// Sets to zero what is outside the window, of a record that does not count, or at the end of its range.
+    fn see(&self, of: &mut [f64]) {
+        let (width, record) = (self.width(), self.scene.instants * self.width());
+        for (i, own) in of.chunks_exact_mut(record).enumerate() {
+            let end = if self.counts[i] { self.onsets[i] + self.window } else { 0 };
+            own.iter_mut().skip(end * width).for_each(|x| *x = 0.0);
+        }
+        if let Some(chip) = self.chip {
+            chip.disturb_vjp(of, &self.recorded);
+        }
+    }
+
+    /// Instants of a record that are seen.
+    fn seen_of(&self, record: usize) -> usize {
+        (self.onsets[record] + self.window).min(self.scene.instants)
+    }
+
+    /// R^{-½} x = (x − s x̄)/σ for R = σ² + b² 1 1ᵀ of a record's channel, (1 − s)² = σ²/(σ² + n b²); symmetric.
+    fn whiten(&self, of: &mut [f64]) {
+        let (width, instants) = (self.width(), self.scene.instants);
+        for (i, record) in of.chunks_exact_mut(instants * width).enumerate() {
+            let n = self.seen_of(i);
+            for c in 0..width {
+                let (noise, bias) = (self.noise[c], self.bias[c]);
+                let mean = record[c..].iter().step_by(width).sum::<f64>() / n as f64;
+                let part = 1.0 - noise / noise.hypot((n as f64).sqrt() * bias);
+                record[c..].iter_mut().step_by(width).take(n).for_each(|x| *x -= part * mean);
+                record[c..].iter_mut().step_by(width).for_each(|x| *x /= noise);
+            }
+        }
+    }
+
+    /// dF/dz.
+    pub fn gradient(&mut self, point: &Point) -> DVector<f64> {
+        let mut cotangent = self.residual(&point.read);
+        self.whiten(&mut cotangent);
+        cotangent.iter_mut().for_each(|bar| *bar = -*bar);
+        let length = self.unknowns.all().iter().position(|of| *of == Unknown::LigamentLength);
+        let of_length = length.map(|k| {
+            let nudged = self.nudged(&self.plan, point, k, NUDGE, &self.forces);
+            self.counters += nudged.1;
+            let moved = nudged.0.iter().zip(&point.read).zip(&cotangent);
+            moved.map(|((there, here), bar)| (there - here) / NUDGE * bar).sum::<f64>()
+        });
+        let mut cotangent = self.problem.read_vjp(cotangent, self.forces.samples);
+        let chips = point.cast.chips.own_vjp(&point.felt, &cotangent);
+        point.cast.chips.read_vjp(&mut cotangent);
+        let gradient = point.simulation.vjp(&cotangent, Wrt::Parameters, self.pool);
+        self.counters += gradient.counters;
+        let mut slope = DVector::from(self.unknowns.pull(&point.scene, &point.cast, &gradient, &chips));
+        if let (Some(k), Some(of_length)) = (length, of_length) {
+            slope[k] = of_length;
+        }
+        slope + &point.z
+    }
+
+    /// What is read with the `k`-th unknown nudged.
+    fn nudged(&self, plan: &Plan, point: &Point, k: usize, by: f64, forces: &Forces) -> (Vec<f64>, Counters) {
+        let mut z = point.z.clone();
+        z[k] += by;
+        let cast = self.unknowns.cast(z.as_slice());
+        let simulation = self.simulate(plan, &cast, forces, false);
+        let mut felt = simulation.signals;
+        cast.chips.read(&mut felt);
+        (self.problem.read(felt, forces.samples), simulation.counters)
+    }
+
+    /// da/dz of some records, at most, one after the other.
+    pub fn columns(&mut self, point: &Point, most: usize) -> Columns {
+        let counting: Vec<usize> = (0..self.counts.len()).filter(|i| self.counts[*i]).collect();
+        let some = most.min(counting.len());
+        let records: Vec<usize> = (0..some).map(|i| counting[i * counting.len() / some]).collect();
+        let forces = self.forces.select(&records);
+        let unknowns = self.unknowns.all().len();
+        let of = |k: usize| match k {
+            0 => self.nudged(&self.coarse, point, 0, 0.0, &forces),
+            k => self.nudged(&self.coarse, point, k - 1, NUDGE, &forces),
+        };
+        let mut read: Vec<(Vec<f64>, Counters)> =
+            self.pool.install(|| (0..=unknowns).into_par_iter().map(of).collect());
+        read.iter().for_each(|(_, counters)| self.counters += *counters);
+        let here = read.remove(0).0;
+        let column = |there: Vec<f64>| there.iter().zip(&here).map(|(a, b)| (a - b) / NUDGE).collect();
+        Columns { records, of: read.into_iter().map(|(there, _)| column(there)).collect() }
+    }
+
+    /// R^{-½} da/dz, record by record.
+    pub fn jacobian(&self, Columns { records, of }: &Columns) -> DMatrix<f64> {
+        let record = self.scene.instants * self.width();
+        let mut jacobian = DMatrix::zeros(records.len() * record, of.len());
+        let mut whole = vec![0.0; self.recorded.len()];
+        for (k, column) in of.iter().enumerate() {
+            for (i, own) in records.iter().zip(column.chunks(record)) {
+                whole[i * record..][..record].copy_from_slice(own);
+            }
+            self.see(&mut whole);
+            self.whiten(&mut whole);
+            let own = records.iter().flat_map(|i| &whole[i * record..][..record]);
+            jacobian.column_mut(k).iter_mut().zip(own).for_each(|(to, x)| *to = *x);
+        }
+        jacobian
+    }
+
+    /// JᵀJ + 1, some records in the place of all.
+    pub fn curvature(&self, columns: &Columns) -> DMatrix<f64> {
+        let jacobian = self.jacobian(columns);
+        let all = self.counts.iter().filter(|counts| **counts).count();
+        let mut curvature = jacobian.tr_mul(&jacobian) * (all as f64 / columns.records.len() as f64);
+        (0..curvature.nrows()).for_each(|k| curvature[(k, k)] += 1.0);
+        curvature
+    }
+
+    /// Standard deviation of each channel's noise by what is left, and by what the chips have, where they have any, and steps leave.
+    pub fn noises(&self, point: &Point) -> [Vec<f64>; 2] {
+        let width = self.width();
+        let mut left = self.residual(&point.read);
+        left.iter_mut().enumerate().for_each(|(i, r)| *r *= self.noise[i % width]);
+        let seen = |i: usize| if self.counts[i] { self.seen_of(i) } else { 0 };
+        let seen: usize = (0..self.counts.len()).map(seen).sum();
+        let rms = |of: &[f64], c: usize, n: usize| {
+            (of[c..].iter().step_by(width).map(|x| x * x).sum::<f64>() / n.max(1) as f64).sqrt()
+        };
+        let instants = self.recorded.len() / width;
+        let chip = self.chip.map_or_else(|| vec![0.0; width], Chip::deviation);
+        let least = |c: usize| chip[c].max(self.least * rms(&self.recorded, c, instants));
+        [(0..width).map(|c| rms(&left, c, seen)).collect(), (0..width).map(least).collect()]
+    }
+
+    /// Takes what is left for the noise of each channel, but no less than what chips have and steps leave; by how much that changes
+    /// it, relative.
+    pub fn weigh(&mut self, point: &Point) -> f64 {
+        let [left, least] = self.noises(point);
+        let noise = left.iter().zip(&least).map(|(left, least)| left.max(*least));
+        let noise: Vec<f64> = noise.map(|noise| if noise > 0.0 { noise } else { 1.0 }).collect();
+        let changed = noise.iter().zip(&self.noise).map(|(now, before)| (now / before - 1.0).abs());
+        let changed = changed.fold(0.0, f64::max);
+        self.noise = noise;
+        changed
+    }
+}

@@ -1,0 +1,227 @@
+//! Twins of casts that are known.
+
+use super::*;
+use crate::body::Layout;
+use crate::brain::Architecture;
+use crate::brain::linear::Lags;
+use crate::dynamics::{
+    Accuracy, Contact, Frame, Method, Panel, Parameters, Parts, Precision, Scene, Solver, Stiffness,
+};
+use crate::feasible::Limits;
+use crate::random::{Purpose, Stream};
+use crate::stimuli::{Bell, Source};
+use crate::trial::{
+    BrainKind, Decoder, Disturbance, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Size, Stimuli,
+    Training,
+};
+use crate::variation::Casts;
+
+/// So many columns and rows of units, two panels, one sensor, `instants` of 5 ms.
+fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Problem {
+    let layout = Layout::planar(columns, rows, 15.0, 2.25);
+    let struck = Layout::planar_panels(columns, rows, 2).expect("panels");
+    let going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
+    Problem {
+        under: Vec::new(),
+        initial: layout.initial_design(25f64.to_radians()),
+        scene: Scene {
+            density: 1e-8,
+            stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+            parts: Parts::default(),
+            relaxation: None,
+            damping_ratio: 0.02,
+            contact: None,
+            linearised: false,
+            clamped: layout.bottom(),
+            panels: struck.into_iter().map(|unit| Panel { unit, direction: [0.0, -1.0] }).collect(),
+            sensors: vec![columns * (rows / 2) + columns / 2],
+            chip: None,
+            mount: None,
+            frame: Frame::World,
+            duration: 5e-3 * instants as f64,
+            instants,
+            layout,
+        },
+        search: None,
+        solver: Solver::new(Method::Auto, Accuracy(1e-3)),
+        limits: Limits::default(),
+        kept: vec![],
+        frozen: vec![],
+        tie: [1, 1],
+        stimuli: Stimuli {
+            source: Source::Bell(Bell {
+                amplitude: [0.15, 0.5],
+                width: [0.05, 0.1],
+                onset: [0.0, 0.1],
+                peak: [0.35, 0.65],
+                power: [1.5, 4.0],
+            }),
+            instants,
+            samples,
+            test: 4,
+            holdout: 4,
+        },
+        channels: vec![0, 1, 2],
+        disturbance: Some(Disturbance { noise: Size::Relative(0.03), ..Disturbance::NONE }),
+        variation: Some(Variation::USUAL),
+        reader: BrainKind::Linear,
+        decoder: Decoder { lags: Lags::whole(instants), ridge: Ridge::Auto },
+        brain: Training { iterations: 30, rate: 1e-2, architecture: Architecture::paper(8) },
+        optimise: Optimise {
+            brain: BrainKind::Linear,
+            protocol: Protocol::Joint(going),
+            iterations: 4,
+            rate: 0.1,
+            coarse: None,
+            casting: None,
+        },
+        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None, casts: 0 },
+        seed: 51,
+    }
+}
+
+/// Records of a cast under the first training forces, as the trial's chips give them.
+fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
+    let forces = trial.problem.known()[0].select(&(0..count).collect::<Vec<_>>());
+    let (solver, counters) = (&trial.problem.solver, &mut crate::trial::Counters::default());
+    let design = &trial.problem.initial;
+    let found =
+        trial.simulate_cast(Some(cast), design, forces.clone(), solver, Precision::Double, false, counters);
+    let signals = found.expect("a cast that moves").samples.signals;
+    (forces, signals)
+}
+
+fn twin(trial: &Trial, forces: &Forces, signals: &[f64]) -> Twin {
+    Twin::of(trial, &trial.problem.initial, &trial.problem.solver, forces, signals)
+}
+
+/// z of a cast whose nodes scatter each by itself.
+fn truth(cast: &Cast, estimate: &Estimate) -> f64 {
+    let moved = match estimate.unknown {
+        Unknown::Material(parameter) => cast.material.array()[parameter as usize].ln(),
+        Unknown::LigamentLength => cast.ligament_length.ln(),
+        Unknown::Gain(channel) => cast.chips.gain[channel].ln(),
+        Unknown::Turn(chip) => cast.chips.turn[chip],
+        Unknown::Shift(i) => cast.shifts[i],
+        Unknown::Ligament(ligament, k) => cast.parts.ligaments[ligament][k].ln(),
+        Unknown::Unit(unit) => cast.parts.units[unit].ln(),
+    };
+    moved / estimate.scatter
+}
+
+/// Records of a drawn cast with 3 % noise: what is left is that noise, the material lies within three standard errors, nodes are known
+/// better than before, and errors of all unknowns are as large as they are said to be.
+#[test]
+fn a_twin_is_the_cast_that_was_recorded() {
+    let mut problem = problem(4, 4, 60, 34);
+    let usual = Variation::USUAL;
+    problem.variation = Some(Variation { gain: 0.02, misalignment: 0.02, ..usual });
+    let pool = crate::Pool::new(2).expect("threads");
+    let trial = Trial::new(&problem, &pool).expect("a body");
+    let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
+    let (forces, signals) = records(&trial, &cast, 30);
+    let twin = twin(&trial, &forces, &signals);
+    assert_eq!(twin.ending, Ending::Converged, "{} steps", twin.steps);
+    assert!((twin.misfit - 1.0).abs() < 0.03, "{}", twin.misfit);
+    let off: Vec<f64> = twin.estimates.iter().map(|e| (e.found - truth(&cast, e)) / e.left).collect();
+    for (e, off) in twin.estimates.iter().zip(&off).filter(|(e, _)| matches!(e.unknown, Unknown::Material(_)))
+    {
+        assert!(off.abs() < 3.0 && e.left < 0.3, "{e:?}: {off}");
+    }
+    let rms = |of: &[f64]| (of.iter().map(|x| x * x).sum::<f64>() / of.len() as f64).sqrt();
+    let scaled = rms(&off);
+    assert!((0.8..1.25).contains(&scaled), "{scaled}");
+    let apart: Vec<f64> = twin.cast.shifts.iter().zip(&cast.shifts).map(|(a, b)| a - b).collect();
+    assert!(rms(&apart) < 0.8 * rms(&cast.shifts), "{} of {}", rms(&apart), rms(&cast.shifts));
+}
+
+/// F(z + εd) − F(z − εd) = 2ε ∇F·d + O(ε³) along each kind of unknown, with chips that filter, have a bias and leave channels out,
+/// contact, and nodes that scatter alike.
+#[test]
+fn the_gradient_of_a_twin_holds_in_every_unknown() {
+    let mut problem = problem(3, 3, 24, 8);
+    problem.scene.contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    problem.solver.accuracy = Accuracy(1e-6);
+    problem.channels = vec![0, 2];
+    problem.disturbance = Some(Disturbance {
+        noise: Size::Relative(0.03),
+        bias: Size::Relative(0.1),
+        bandwidth: 60.0,
+        delay: 2e-3,
+        ..Disturbance::NONE
+    });
+    let usual = Variation::USUAL;
+    let variation = Variation {
+        material: Parameters { contact: 0.1, ..usual.material },
+        ligaments: [0.05; 3],
+        units: 0.03,
+        ligament_length: 0.02,
+        correlation: 20.0,
+        gain: 0.02,
+        misalignment: 0.03,
+        ..usual
+    };
+    problem.variation = Some(variation);
+    let pool = crate::Pool::new(2).expect("threads");
+    let trial = Trial::new(&problem, &pool).expect("a body");
+    let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
+    let (forces, signals) = records(&trial, &cast, 3);
+    let unknowns = Unknowns::new(&problem.scene, &variation);
+    let (chip, solver) = (trial.chip.as_ref(), &trial.problem.solver);
+    let all = (&forces, &signals[..]);
+    let mut objective = Objective::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
+    objective.look_at(20);
+    let mut draw = Stream::new(Purpose::Design, 1, [0, 0]);
+    let count = objective.unknowns.all().len();
+    let z = DVector::from_fn(count, |_, _| 0.5 * draw.normal());
+    let point = objective.at(z.clone()).expect("a cast that moves");
+    objective.weigh(&point);
+    let gradient = objective.gradient(&point);
+    let kinds: Vec<_> = objective.unknowns.all().iter().map(std::mem::discriminant).collect();
+    let mut seen = Vec::new();
+    for kind in kinds
+        .iter()
+        .filter(|kind| {
+            let new = !seen.contains(*kind);
+            seen.push(**kind);
+            new
+        })
+        .copied()
+        .collect::<Vec<_>>()
+    {
+        let along = DVector::from_fn(count, |k, _| if kinds[k] == kind { draw.normal() } else { 0.0 });
+        let mut at = |by: f64| objective.at(&z + by * &along).expect("a cast that moves").cost;
+        let (slope, difference) = (gradient.dot(&along), (at(1e-3) - at(-1e-3)) / 2e-3);
+        assert!(slope != 0.0 && (difference / slope - 1.0).abs() < 1e-3, "{kind:?}: {difference} {slope}");
+    }
+}
+
+/// What records do not tell stays as it was; the same on any number of threads; and a body that cannot be simulated has no twin.
+#[test]
+fn what_records_do_not_tell_is_left_as_it_was() {
+    let mut problem = problem(3, 3, 24, 12);
+    problem.channels = vec![0, 1];
+    problem.variation = Some(Variation { nodes: 0.0, gain: 0.02, ..Variation::USUAL });
+    let of = |threads: usize| {
+        let pool = crate::Pool::new(threads).expect("threads");
+        let trial = Trial::new(&problem, &pool).expect("a body");
+        let cast = trial.cast(Casts::Unseen, 1).expect("a variation");
+        let (forces, signals) = records(&trial, &cast, 6);
+        twin(&trial, &forces, &signals)
+    };
+    let one = of(1);
+    assert_eq!(one, of(3));
+    let unread = one.estimates.iter().find(|e| e.unknown == Unknown::Gain(2)).expect("a gain of ω");
+    assert!(unread.left > 0.999 && unread.found.abs() < 1e-6, "{unread:?}");
+    let told = one.estimates.iter().filter(|e| matches!(e.unknown, Unknown::Material(_)) && e.left < 0.5);
+    assert!(told.count() > 0, "{:?}", one.estimates);
+
+    let forbidden = Contact { stiffness: 1.0, min_angle: 3.0, cutoff_angle: 3.1 };
+    let scene = Scene { contact: Some(forbidden), ..problem.scene.clone() };
+    let pool = crate::Pool::new(1).expect("threads");
+    let (forces, signals) = (problem.known()[0].select(&[0]), vec![0.0; 2 * 24]);
+    let problem = Problem { scene, ..problem };
+    let all = (&forces, &signals[..]);
+    let twin = fit(&problem, None, &problem.initial, &problem.solver, all, &Variation::USUAL, &pool);
+    assert_eq!((twin.ending, twin.steps), (Ending::StartFailed, 0));
+}
