@@ -116,9 +116,13 @@ fn an_exported_linear_brain_says_what_is_exported() {
         let start = at.unwrap_or_else(|| panic!("{name}")) + file.len();
         let array = npyz::NpyFile::new(&npz[start..]).unwrap();
         let shape = array.shape().iter().map(|n| *n as usize).collect();
-        let values = match array.dtype().descr().contains('i') {
-            true => array.into_vec::<i64>().unwrap().into_iter().map(|x| x as f64).collect(),
-            false => array.into_vec().unwrap(),
+        let kind = array.dtype().descr();
+        let values = match kind {
+            _ if kind.contains('i') => {
+                array.into_vec::<i64>().unwrap().into_iter().map(|x| x as f64).collect()
+            }
+            _ if kind.contains('u') => array.into_vec::<u8>().unwrap().into_iter().map(f64::from).collect(),
+            _ => array.into_vec().unwrap(),
         };
         (shape, values)
     };
@@ -144,6 +148,32 @@ fn an_exported_linear_brain_says_what_is_exported() {
     }
     // the trial's own brain is this one
     assert_eq!(array("predictions_optimised").1, predicted);
+
+    // what of the holdout lies in its bands is what the trial has counted, but for signals that are simulated again
+    let (forces, split) = (array("forces").1, array("split").1);
+    for (kind, of) in [("instant", "forces"), ("sample", "sample")] {
+        let sql = format!(
+            "SELECT coverage, width, samples FROM v_band WHERE hash = '{hash}' AND body = 'optimised' AND kind = '{kind}'"
+        );
+        let told: Vec<f64> = rows(&bench, &sql)[0].iter().map(|x| x.parse().unwrap()).collect();
+        let [low, high] = ["low", "high"].map(|end| array(&format!("{of}_{end}_optimised")).1);
+        let at = |i: usize, n: usize, k: usize| (i * instants + n) * panels + k;
+        let within = |i: usize| {
+            let all = (0..instants).flat_map(|n| (0..panels).map(move |k| (n, k)));
+            let inside = all.filter(|&(n, k)| {
+                let f = forces[(i * panels + k) * (instants + 1) + n + 1];
+                low[at(i, n, k)] <= f && f <= high[at(i, n, k)]
+            });
+            let part = inside.count() as f64 / (instants * panels) as f64;
+            if kind == "sample" { part.floor() } else { part }
+        };
+        let holdout: Vec<usize> = (0..samples).filter(|&i| split[i] == 2.0).collect();
+        let coverage = holdout.iter().map(|&i| within(i)).sum::<f64>() / holdout.len() as f64;
+        let width = low.iter().zip(&high).map(|(low, high)| high - low).sum::<f64>() / low.len() as f64;
+        assert!((coverage - told[0]).abs() < 0.05, "{kind}: {coverage} in the arrays, {} stored", told[0]);
+        assert!(width > 0.0 && (width / told[1] - 1.0).abs() < 1e-9, "{kind}: {width}, {}", told[1]);
+        assert_eq!(told[2], 99.0);
+    }
 }
 
 /// What a brain does not read does not make trials differ, and is refused where no brain of the sweep reads it.

@@ -247,6 +247,32 @@ pub struct CastReading {
     pub outcome: String,
 }
 
+/// A band about what a brain says of the forces: how much of the holdout lies in it, and how wide it is.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Band {
+    /// `own`: the body's first brain; of casts as in [`CastReading`].
+    pub reader: String,
+    /// Of which cast, as in [`CastReading`], with the widths of the body as designed; `None`: the body as designed.
+    pub cast: Option<u32>,
+    /// `conformal`: calibrated on samples that neither brain nor body was fitted to.
+    pub method: String,
+    /// What lies in it at its level: `instant`, each instant and panel by itself; `sample`, a whole sample.
+    pub kind: String,
+    /// How often, as a part of 1.
+    pub level: f64,
+    /// How many samples calibrated it.
+    pub samples: u32,
+    /// The part of the holdout's instants and panels, or samples, that lies in it.
+    pub coverage: Option<f64>,
+    /// Mean width (N).
+    pub width: Option<f64>,
+    /// What lies to each side of a prediction (N), (T, K), where that is the same for all samples; else empty.
+    pub half_width: Vec<f64>,
+    /// `ok`; `too_few`: too few samples to calibrate at this level.
+    pub outcome: String,
+}
+
 /// How a linear brain reads a body under forces of a kind that its trial need not have.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -292,6 +318,8 @@ pub struct TrialResult {
     pub nonlinear: [Option<[f64; 2]>; 2],
     /// How casts of the initial and of the best body are read.
     pub casts: [Vec<CastReading>; 2],
+    /// Bands about what is read of both bodies, and of their casts.
+    pub bands: [Vec<Band>; 2],
     /// How both bodies are read under forces of other kinds, where asked for.
     pub under: Vec<UnderReading>,
 }

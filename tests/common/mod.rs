@@ -160,6 +160,7 @@ const RESULTS: &[&str] = &[
        nonlinear_acceleration_initial, nonlinear_rotation_optimised FROM v_trial ORDER BY hash",
     "SELECT hash, step, loss_test, loss_train, gradient_norm, step_length, outcome FROM v_step ORDER BY hash, step",
     "SELECT hash, name, shape, hex(bytes) FROM v_artifact ORDER BY hash, name",
+    "SELECT hash, body, casting, reader, kind, coverage, width FROM v_band ORDER BY hash, body, casting, reader, kind",
 ];
 
 pub fn results(bench: &Bench, db: &str) -> Vec<String> {

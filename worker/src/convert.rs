@@ -2,7 +2,7 @@
 
 use metasense_numerics::brain::Adam;
 use metasense_numerics::brain::linear::Lags;
-use metasense_numerics::brains::{self, Fresh, Learnt};
+use metasense_numerics::brains::{self, Band, BandKind, Fresh, Learnt};
 use metasense_numerics::dynamics;
 use metasense_numerics::nested::{self, Best, CastBrain, State, Waypoint};
 use metasense_numerics::questions;
@@ -128,19 +128,75 @@ pub fn checkpoint(state: &State) -> Checkpoint {
         moves: Vec::new(),
         found: state.found.clone(),
         casts: state.comparison.casts.iter().map(|casts| cast_readings(casts)).collect(),
+        bands: state.comparison.bands.iter().map(|bands| self::bands(bands)).collect(),
     }
+}
+
+/// By what a cast is read, and fitted to how many samples of it.
+fn cast_brain(by: CastBrain) -> (&'static str, u32) {
+    match by {
+        CastBrain::Network => ("network", 0),
+        CastBrain::NetworkCasts => ("network_casts", 0),
+        CastBrain::Nominal => ("nominal", 0),
+        CastBrain::Casts => ("casts", 0),
+        CastBrain::Records(n) => ("records", n),
+    }
+}
+
+/// The inverse of [`cast_brain`].
+fn brain_of_cast(reader: &str, records: u32) -> Result<CastBrain, String> {
+    match reader {
+        "network" => Ok(CastBrain::Network),
+        "network_casts" => Ok(CastBrain::NetworkCasts),
+        "nominal" => Ok(CastBrain::Nominal),
+        "casts" => Ok(CastBrain::Casts),
+        "records" => Ok(CastBrain::Records(records)),
+        name => Err(format!("a cast that is read by {name:?}")),
+    }
+}
+
+/// Bands of a body and its casts.
+pub fn bands(bands: &[nested::BandReading]) -> Vec<record::Band> {
+    let band = |nested::BandReading { cast, band, width, coverage }: &nested::BandReading| record::Band {
+        reader: cast.map_or("own", |(_, by)| cast_brain(by).0).into(),
+        cast: cast.map(|(cast, _)| cast),
+        method: "conformal".into(),
+        kind: match band.kind {
+            BandKind::Instant => "instant",
+            BandKind::Sample => "sample",
+        }
+        .into(),
+        level: brains::LEVEL,
+        samples: band.samples as u32,
+        coverage: finite(*coverage),
+        width: finite(*width),
+        half_width: band.half_width.clone(),
+        outcome: if width.is_some() { "ok" } else { "too_few" }.into(),
+    };
+    bands.iter().map(band).collect()
+}
+
+/// The inverse of [`bands`].
+fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandReading>, String> {
+    let reading = |band: &record::Band| {
+        let cast =
+            band.cast.map(|cast| Ok::<_, String>((cast, brain_of_cast(&band.reader, 0)?))).transpose()?;
+        let kind = match &*band.kind {
+            "instant" => BandKind::Instant,
+            "sample" => BandKind::Sample,
+            name => return Err(format!("a band of kind {name:?}")),
+        };
+        let (samples, half_width) = (band.samples as usize, band.half_width.clone());
+        let (width, coverage) = (band.width, band.coverage);
+        Ok(nested::BandReading { cast, band: Band { kind, samples, half_width }, width, coverage })
+    };
+    bands.iter().map(reading).collect()
 }
 
 /// How casts of a body are read.
 pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
     let reading = |reading: &nested::CastReading| {
-        let (reader, records) = match reading.by {
-            CastBrain::Network => ("network", 0),
-            CastBrain::NetworkCasts => ("network_casts", 0),
-            CastBrain::Nominal => ("nominal", 0),
-            CastBrain::Casts => ("casts", 0),
-            CastBrain::Records(n) => ("records", n),
-        };
+        let (reader, records) = cast_brain(reading.by);
         CastReading {
             cast: reading.cast,
             reader: reader.into(),
@@ -170,14 +226,7 @@ pub fn under_readings(trial: &TrialSpec, under: &[Vec<questions::UnderReading>; 
 /// The inverse of [`cast_readings`].
 fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastReading>, String> {
     let reading = |reading: &CastReading| {
-        let by = match &*reading.reader {
-            "network" => CastBrain::Network,
-            "network_casts" => CastBrain::NetworkCasts,
-            "nominal" => CastBrain::Nominal,
-            "casts" => CastBrain::Casts,
-            "records" => CastBrain::Records(reading.records),
-            name => return Err(format!("a cast that is read by {name:?}")),
-        };
+        let by = brain_of_cast(&reading.reader, reading.records)?;
         let trouble = trouble(&reading.outcome)?;
         Ok(nested::CastReading { cast: reading.cast, by, error: reading.error, trouble })
     };
@@ -222,7 +271,7 @@ fn comparison(comparison: &nested::Comparison) -> Comparison {
 pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String> {
     let parameters = problem.initial.len();
     let Checkpoint { step, design, design_moments, weights, weight_moments, best, trail, .. } = checkpoint;
-    let Checkpoint { caution, setbacks, trend, ridge, comparison, found, casts, .. } = checkpoint;
+    let Checkpoint { caution, setbacks, trend, ridge, comparison, found, casts, bands, .. } = checkpoint;
     let lengths = [design.len(), design_moments.first.len(), design_moments.second.len()];
     if lengths != [parameters; 3] || trail.iter().any(|waypoint| waypoint.design.len() != parameters) {
         return Err(format!(
@@ -234,6 +283,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
     }
     let waypoint = |w: record::Waypoint| Waypoint { step: w.step, design: w.design };
     let casts = casts.iter().map(|casts| casts_read(casts)).collect::<Result<_, _>>()?;
+    let bands = bands.iter().map(|bands| banded(bands)).collect::<Result<_, _>>()?;
     let comparison = comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default();
     Ok(State {
         step,
@@ -245,7 +295,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         setbacks,
         trend,
         trail: trail.into_iter().map(waypoint).collect(),
-        comparison: nested::Comparison { casts, ..comparison },
+        comparison: nested::Comparison { casts, bands, ..comparison },
         found,
     })
 }
@@ -270,6 +320,7 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
     Ok(nested::Comparison {
         bodies: bodies.into_iter().map(evaluated).collect::<Result<_, _>>()?,
         casts: Vec::new(),
+        bands: Vec::new(),
         training: training.map(fresh),
         counters: trial::Counters {
             dynamics: dynamics::Counters {

@@ -96,6 +96,7 @@ fn result(trial: &TrialSpec, optimised: Optimised, placed: Option<Placed>, pool:
         nonlinear: optimised.nonlinear,
         moves: Vec::new(),
         casts: optimised.casts.map(|casts| convert::cast_readings(&casts)),
+        bands: optimised.bands.map(|bands| convert::bands(&bands)),
         under: convert::under_readings(trial, &optimised.under),
     }
 }

@@ -58,6 +58,16 @@ pub fn archive(
         let forces = [samples, instants, panels];
         if !replay.predictions.is_empty() {
             zip.array(&format!("predictions_{name}"), &forces, &replay.predictions);
+            for (of, half_width) in ["forces", "sample"].into_iter().zip(&stored.bands[b]) {
+                for (end, sign) in [("low", -1.0), ("high", 1.0)] {
+                    let half_width = half_width.iter().cycle().map(|h| sign * h);
+                    let values: Vec<f64> =
+                        replay.predictions.iter().zip(half_width).map(|(f, h)| f + h).collect();
+                    if !values.is_empty() {
+                        zip.array(&format!("{of}_{end}_{name}"), &forces, &values);
+                    }
+                }
+            }
         }
         if let Some(brain) = &linear[b] {
             zip.array(&format!("linear_predictions_{name}"), &forces, &brain.predictions);

@@ -208,7 +208,11 @@ impl Comparison {
             }
             let whose =
                 if self.paired { String::new() } else { format!("{}, ", self.bodies[bodies[0]].name) };
-            Strip { title: format!("{whose}record {record}: {} %", errors.join(" → ")), sources }
+            Strip {
+                title: format!("{whose}record {record}: {} %", errors.join(" → ")),
+                sources,
+                bands: vec![],
+            }
         };
         let all: Vec<usize> = (0..self.bodies.len()).collect();
         let chosen = |b: usize| representative(&judged[b].errors, 0..judged[b].errors.len());
@@ -318,7 +322,7 @@ impl Comparison {
                 }));
             }
             let sources = vec![("truth".to_owned(), measured), ("front".to_owned(), model)];
-            let strip = Strip { title: format!("{}, record {record}", body.name), sources };
+            let strip = Strip { title: format!("{}, record {record}", body.name), sources, bands: vec![] };
             pictures.extend(strips(&[strip], names, " RMS", self.duration).0);
         }
         Figure::some(

@@ -95,13 +95,23 @@ impl Replayed {
                 (0..panels).map(|k| (0..=instants).map(|n| force(k, n)).collect()).collect();
             let [initial, optimised] = [0, 1]
                 .map(|b| histories(&replays[b].predictions, sample, [instants, panels], duration, |_| 1.0));
+            let half_width =
+                |b: usize, k: usize, n: usize| self.stored.bands[b][0].get(n * panels + k).copied();
             for (k, truth) in truth.iter().enumerate() {
-                let told = truth[1..].iter().zip(&initial[k]).zip(&optimised[k]);
-                rows.extend(told.map(|(((t, f), (_, a)), (_, b))| row![sample, k, t, f, a, b]));
+                let told = truth[1..].iter().zip(&initial[k]).zip(&optimised[k]).enumerate();
+                rows.extend(told.map(|(n, (((t, f), (_, a)), (_, b)))| {
+                    row![sample, k, t, f, a, b, half_width(0, k, n), half_width(1, k, n)]
+                }));
             }
+            let band = |b: usize| -> Vec<Vec<f64>> {
+                let of = |k: usize| (0..instants).filter_map(|n| half_width(b, k, n)).collect();
+                (0..panels).map(of).collect()
+            };
+            let bands = Body::ALL.map(|body| (body.name().to_owned(), band(body as usize)));
             let names = ["truth", "initial", "optimised"].map(str::to_owned).into_iter();
             let sources = names.zip([truth, initial, optimised]).collect();
-            Strip { title: format!("sample {sample}: {} → {} %", errors[0], errors[1]), sources }
+            let title = format!("sample {sample}: {} → {} %", errors[0], errors[1]);
+            Strip { title, sources, bands: bands.into() }
         };
         let samples: Vec<Strip> = chosen.iter().map(strip).collect();
         let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
@@ -117,13 +127,17 @@ impl Replayed {
             format!(
                 "Force histories of {which} of {}, and the predictions by each body's brain (the first network, or the \
                  linear one). Each panel's line is drawn {} N above the next. The titles give the sample's error on \
-                 the initial and on the optimised body, over all panels.",
+                 the initial and on the optimised body, over all panels.{}",
                 self.who(),
-                number(step)
+                number(step),
+                match self.stored.bands[1][0].is_empty() {
+                    true => "",
+                    false => " At every instant the true force lies in the shaded band of a body with 95 %.",
+                }
             ),
             legend(&[("truth", "true force"), BODIES[0], BODIES[1]]),
             pictures,
-            Table::new("sample panel seconds force initial optimised", rows),
+            Table::new("sample panel seconds force initial optimised band_initial band_optimised", rows),
         )
     }
 

@@ -27,6 +27,18 @@ pub struct Strip {
     pub title: String,
     /// By source: the style of its lines, and a curve (s, value) a history. The first source is the truth.
     pub sources: Vec<(String, Vec<Curve>)>,
+    /// Half-widths of the shaded bands about sources of the same style, by history; of those that have some.
+    pub bands: Vec<(String, Vec<Vec<f64>>)>,
+}
+
+impl Strip {
+    /// A history of a band, (s, low, high); none without.
+    fn band(&self, class: &str, k: usize) -> Vec<(f64, f64, f64)> {
+        let half_width = self.bands.iter().find(|(of, _)| of == class).map(|(_, bands)| &bands[k]);
+        let curve = self.sources.iter().find(|(of, _)| of == class).map(|(_, curves)| &curves[k]);
+        let both = curve.into_iter().flatten().zip(half_width.into_iter().flatten());
+        both.map(|((t, value), h)| (*t, value - h, value + h)).collect()
+    }
 }
 
 /// A plot a sample. Histories stand one above the other, the first on top, each by the step that is returned above the
@@ -40,7 +52,12 @@ pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) ->
     let ends = |pick: fn(f64, f64) -> f64, start: f64| {
         let curves = samples.iter().flat_map(|s| &s.sources).flat_map(|source| source.1.iter().enumerate());
         let values = curves.flat_map(|(k, curve)| curve.iter().map(move |point| zero(k) + point.1));
-        values.fold(start, pick)
+        let bands = samples.iter().flat_map(|s| s.bands.iter().map(move |(class, _)| (s, class)));
+        let bands = bands.flat_map(|(s, class)| {
+            (0..count).flat_map(move |k| s.band(class, k).into_iter().map(move |p| (k, p)))
+        });
+        let banded = bands.flat_map(|(k, (_, low, high))| [zero(k) + low, zero(k) + high]);
+        values.chain(banded).fold(start, pick)
     };
     let range = [ends(f64::min, -0.1 * step), ends(f64::max, count as f64 * step)];
     let height = 80.0 + (200.0 / count as f64).max(45.0) * count as f64;
@@ -57,6 +74,11 @@ pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) ->
         )
         .sized(400.0, height);
         for k in 0..count {
+            for (class, _) in &sample.bands {
+                let lifted = |(t, low, high)| (t, zero(k) + low, zero(k) + high);
+                let band: Vec<_> = sample.band(class, k).into_iter().map(lifted).collect();
+                plot.band(class, &band);
+            }
             for (class, curves) in sample.sources.iter().rev() {
                 plot.line(class, curves[k].iter().map(|(t, value)| (*t, zero(k) + value)));
             }

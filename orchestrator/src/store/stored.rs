@@ -17,6 +17,8 @@ pub struct Stored {
     pub weights: [Vec<f32>; 2],
     /// Training loss of the first network after every iteration.
     pub losses: [Vec<f32>; 2],
+    /// Half-widths (T, K) (N) of the bands about what the body's brain says, at each instant and over a sample; empty without.
+    pub bands: [[Vec<f64>; 2]; 2],
 }
 
 impl Stored {
@@ -60,16 +62,19 @@ impl Reader {
         let specs = [heard(&units)?, heard(&units_optimised)?];
         let (mut designs, mut weights, mut losses) =
             <([Vec<f64>; 2], [Vec<f32>; 2], [Vec<f32>; 2])>::default();
+        let mut bands = <[[Vec<f64>; 2]; 2]>::default();
         for array in self.arrays_of(&hash).await? {
             for (b, body) in ["initial", "optimised"].into_iter().enumerate() {
                 match array.name.split_once('_') {
                     Some(("alpha", of)) if of == body => designs[b] = array.values()?,
                     Some(("weights", of)) if of == format!("{body}_0") => weights[b] = array.values()?,
                     Some(("losses", of)) if of == format!("{body}_0") => losses[b] = array.values()?,
+                    Some(("band", of)) if of == format!("instant_{body}") => bands[b][0] = array.values()?,
+                    Some(("band", of)) if of == format!("sample_{body}") => bands[b][1] = array.values()?,
                     _ => {}
                 }
             }
         }
-        Ok(Some(Stored { hash, specs, designs, weights, losses }))
+        Ok(Some(Stored { hash, specs, designs, weights, losses, bands }))
     }
 }

@@ -3,8 +3,8 @@
 use std::borrow::Cow;
 
 use metasense_schemas::record::{
-    BodyEvaluation, CastReading, Checkpoint, Counters, NetworkEvaluation, Seconds, StepRecord, TrialResult,
-    mean,
+    Band, BodyEvaluation, CastReading, Checkpoint, Counters, NetworkEvaluation, Seconds, StepRecord,
+    TrialResult, mean,
 };
 use metasense_worker::milestones;
 use sqlx::Executor;
@@ -301,6 +301,9 @@ impl Store {
         for (body, casts) in ["initial", "optimised"].into_iter().zip(&result.casts) {
             self.insert_casts(id, body, casts).await?;
         }
+        for (body, bands) in ["initial", "optimised"].into_iter().zip(&result.bands) {
+            self.insert_bands(id, body, bands).await?;
+        }
         for array in arrays {
             self.insert_artifact(id, array.name, array.shape, array.npy.to_vec()).await?;
         }
@@ -378,6 +381,30 @@ impl Store {
         if !design.is_empty() {
             let bytes = npy_bytes(&shape, design);
             self.insert_artifact(id, &format!("alpha_{body}"), &shape, bytes).await?;
+        }
+        Ok(())
+    }
+
+    async fn insert_bands(&mut self, id: i64, body: &str, bands: &[Band]) -> sqlx::Result<()> {
+        for band in bands {
+            sqlx::query("INSERT OR REPLACE INTO band VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")
+                .bind(id)
+                .bind(body)
+                .bind(band.cast.map_or(-1, i64::from))
+                .bind(&band.reader)
+                .bind(&band.method)
+                .bind(&band.kind)
+                .bind(band.level)
+                .bind(band.samples)
+                .bind(finite(band.coverage))
+                .bind(finite(band.width))
+                .bind(&band.outcome)
+                .execute(&mut self.connection)
+                .await?;
+            if !band.half_width.is_empty() {
+                let (name, shape) = (format!("band_{}_{body}", band.kind), [band.half_width.len()]);
+                self.insert_artifact(id, &name, &shape, npy_bytes(&shape, &band.half_width)).await?;
+            }
         }
         Ok(())
     }
@@ -558,6 +585,7 @@ fn finite(value: Option<f64>) -> Option<f64> {
 fn without_bulk(result: &TrialResult) -> String {
     let mut small = result.clone();
     small.casts = Default::default();
+    small.bands = Default::default();
     for body in [&mut small.initial, &mut small.optimised] {
         body.design.clear();
         body.readings.clear();

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{BodyEvaluation, CastReading, Counters, Seconds};
+use super::{Band, BodyEvaluation, CastReading, Counters, Seconds};
 
 /// Adam on some parameters.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -95,6 +95,8 @@ pub struct Checkpoint {
     pub found: Vec<f64>,
     /// How casts of the bodies of the comparison are read so far.
     pub casts: Vec<Vec<CastReading>>,
+    /// Bands about what is read of these bodies and casts.
+    pub bands: Vec<Vec<Band>>,
 }
 
 /// Version 3, and the beginnings of it that were versions 1 (up to `protocol`) and 2 (up to `moves`).
@@ -139,6 +141,7 @@ impl From<Former> for Checkpoint {
             moves,
             found,
             casts: Vec::new(),
+            bands: Vec::new(),
         }
     }
 }
@@ -156,7 +159,7 @@ pub enum CheckpointError {
 
 impl Checkpoint {
     /// Of what [`Checkpoint::to_bytes`] writes.
-    pub const VERSION: u8 = 5;
+    pub const VERSION: u8 = 6;
 
     /// As it is stored.
     ///
@@ -176,7 +179,8 @@ impl Checkpoint {
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
             // It ends before what came later, of which there is nothing; so do the others.
-            Some((4, rest)) => read(&[rest, &[0]].concat()),
+            Some((5, rest)) => read(&[rest, &[0]].concat()),
+            Some((4, rest)) => read(&[rest, &[0, 0]].concat()),
             Some((3, rest)) => former(rest),
             Some((2, rest)) => former(&[rest, &[0]].concat()),
             Some((1, rest)) => former(&[rest, &[0, 0, 0]].concat()),

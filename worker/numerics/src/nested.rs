@@ -18,7 +18,7 @@ mod search;
 mod state;
 
 pub use casts::{CastBrain, CastReading, casts_of};
-pub use evaluation::{BodyEvaluation, Comparison, NetworkEvaluation};
+pub use evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
 pub use observe::{Control, Observe};
 pub use report::{Report, Seconds};
 pub use state::{Best, State, Waypoint};
@@ -43,6 +43,8 @@ pub struct Optimised {
     pub best_step: u32,
     /// How casts of both bodies are read, where the trial asks about them.
     pub casts: [Vec<CastReading>; 2],
+    /// Bands about what is read of both bodies, and of their casts.
+    pub bands: [Vec<BandReading>; 2],
     /// The part of both bodies' signals that their linearisation at rest does not give.
     pub nonlinear: [Option<Nonlinear>; 2],
     /// How both bodies are read under forces of the kinds that the trial asks about.
@@ -122,14 +124,16 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     counters.dynamics += tuned.counters;
     let solver = format!("{}. Best body: {}", trial.reason, tuned.plan.reason);
     let [initial, optimised] = <[_; 2]>::try_from(state.comparison.bodies).expect("two turns");
-    let mut casts = state.comparison.casts.into_iter();
+    let (mut casts, mut bands) = (state.comparison.casts.into_iter(), state.comparison.bands.into_iter());
     let casts = [(); 2].map(|()| casts.next().unwrap_or_default());
+    let bands = [(); 2].map(|()| bands.next().unwrap_or_default());
     let signal_errors = [trial.error, tuned.error];
     Some(Optimised {
         initial,
         optimised,
         best_step,
         casts,
+        bands,
         nonlinear,
         under,
         solver,

@@ -70,10 +70,22 @@ fn a_state_survives_its_checkpoint() {
         trouble: trial::Trouble::named("diverged").filter(|_| by == CastBrain::Casts),
     };
     let casts = brains.map(reading).to_vec();
+    let band = |kind, cast: Option<(u32, CastBrain)>, half_width: &[f64]| nested::BandReading {
+        cast,
+        band: Band { kind, samples: 99, half_width: half_width.to_vec() },
+        width: Some(0.25).filter(|_| cast.is_some() || !half_width.is_empty()),
+        coverage: Some(0.9),
+    };
+    let bands = vec![
+        band(BandKind::Instant, None, &[0.125; 4]),
+        band(BandKind::Sample, None, &[]),
+        band(BandKind::Sample, Some((7, CastBrain::NetworkCasts)), &[]),
+    ];
     let compared = |training| State {
         comparison: nested::Comparison {
             bodies: vec![body.clone(), nested::BodyEvaluation { long: Vec::new(), ..body.clone() }],
             casts: vec![casts.clone(), casts[..2].to_vec()],
+            bands: vec![bands.clone(), Vec::new()],
             training,
             counters: trial::Counters { brain_iterations: 5, ..Default::default() },
             seconds: nested::Seconds { train: 2.0, ..Default::default() },

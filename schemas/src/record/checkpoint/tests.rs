@@ -1,5 +1,5 @@
 use super::*;
-use crate::record::{NetworkEvaluation, Reading};
+use crate::record::{Band, NetworkEvaluation, Reading};
 
 /// Versions up to the best design; what protocols carried until version 3, and the same by name.
 const HEAD: &str = "ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
@@ -19,6 +19,11 @@ const FOUND: &str = "02 0000000000002940 000000000000f07f";
 
 /// Of two bodies: two readings, a cast, a name, records, 2.0 % and ok; none.
 const CASTS: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 01077265636f726473ac02 010000000000000040 026f6b 00";
+
+/// Of two bodies: a band of no cast and one of cast 3; none.
+const BANDS: &str = "02 02 036f776e 00 09636f6e666f726d616c 07696e7374616e74 666666666666ee3f 63 01000000000000f03f 00 \
+    01000000000000c03f 026f6b 056361737473 0103 09636f6e666f726d616c 0673616d706c65 666666666666ee3f 63 00 \
+    01000000000000d03f 00 026f6b 00";
 
 fn bytes(digits: &str) -> Vec<u8> {
     let digits: Vec<u8> = digits.bytes().filter(u8::is_ascii_hexdigit).collect();
@@ -101,6 +106,26 @@ fn checkpoints_of_all_versions_go_on() {
     };
     let casts = vec![vec![reading(0, "nominal", 0), reading(1, "records", 300)], Vec::new()];
     let fifth = Checkpoint { casts, ..third.clone() };
+    let band = |reader: &str, cast, kind: &str, numbers: [Option<f64>; 2], half_width| Band {
+        reader: reader.into(),
+        cast,
+        method: "conformal".into(),
+        kind: kind.into(),
+        level: 0.95,
+        samples: 99,
+        coverage: numbers[0],
+        width: numbers[1],
+        half_width,
+        outcome: "ok".into(),
+    };
+    let bands = vec![
+        vec![
+            band("own", None, "instant", [Some(1.0), None], vec![0.125]),
+            band("casts", Some(3), "sample", [None, Some(0.25)], Vec::new()),
+        ],
+        Vec::new(),
+    ];
+    let sixth = Checkpoint { bands, ..fifth.clone() };
     let version_1 = bytes(&["01", HEAD, CAUTION].concat());
     let version_2 = bytes(&["02", HEAD, CAUTION, COMPARISON, MOVES].concat());
     let version_3 = bytes(&["03", HEAD, PROTOCOL, COMPARISON, MOVES, FOUND].concat());
@@ -110,10 +135,12 @@ fn checkpoints_of_all_versions_go_on() {
     assert_eq!(Checkpoint::from_bytes(&version_2), Ok(second));
     assert_eq!(Checkpoint::from_bytes(&version_3), Ok(third.clone()));
     assert_eq!(Checkpoint::from_bytes(&version_4), Ok(third.clone()));
-    assert_eq!(Checkpoint::from_bytes(&version_5), Ok(fifth.clone()));
-    assert_eq!(fifth.to_bytes(), version_5);
+    let version_6 = bytes(&["06", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS, BANDS].concat());
+    assert_eq!(Checkpoint::from_bytes(&version_5), Ok(fifth));
+    assert_eq!(Checkpoint::from_bytes(&version_6), Ok(sixth.clone()));
+    assert_eq!(sixth.to_bytes(), version_6);
     assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
-    for stored in [version_1, version_2, version_3, version_4, version_5] {
+    for stored in [version_1, version_2, version_3, version_4, version_5, version_6] {
         for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {
             assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
         }

@@ -4,6 +4,7 @@
 //! records, in replays. A [`Learner`] goes from body to body and says how the signals should change. A new brain is a file
 //! here with either or both, and a line in the tables `reader` and `learner`.
 
+mod bands;
 mod fitted;
 mod implicit;
 mod linear;
@@ -12,6 +13,7 @@ mod readings;
 mod records;
 mod stacked;
 
+pub use bands::{Band, BandKind, LEVEL};
 pub(crate) use fitted::Beside;
 pub use fitted::Fitted;
 pub(crate) use linear::Plain;

@@ -4,10 +4,11 @@
 //! all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
 //! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
-use super::comparison::{read, save};
+use super::comparison::{first_judge, read, save};
+use super::evaluation::BandReading;
 use super::observe::{Control, Log};
 use super::state::State;
-use crate::brains::{Beside, Fitted, Fresh, Reader, reader};
+use crate::brains::{Band, Beside, Fitted, Fresh, Reader, reader};
 use crate::dynamics::{Precision, Solver};
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Decoder, FAILED, Ridge, Samples, Trial, Trouble};
@@ -104,8 +105,10 @@ pub(super) fn read_casts(
     for number in done..problem.evaluation.casts {
         let cast = trial.cast(Casts::Unseen, number as u64);
         let sets = log.timed(|s| &mut s.simulate, |report| mould.sets(cast.as_ref(), &mut report.counters));
-        let found = log.timed(|s| &mut s.train, |_| brains.read(trial, number as u32, sets));
         state.comparison.casts.resize_with(turn + 1, Vec::new);
+        state.comparison.bands.resize_with(state.comparison.bodies.len(), Vec::new);
+        let bands = &mut state.comparison.bands[turn];
+        let found = log.timed(|s| &mut s.train, |_| brains.read(trial, number as u32, sets, bands));
         state.comparison.casts[turn].extend(found);
         let wanted = log.progress(state.comparison.part(0, problem));
         if wanted == Control::Stop || log.save_is_due() {
@@ -141,7 +144,7 @@ fn networks<'a>(
     let casts = match trained {
         Ok((known, mut reader)) => {
             let (sets, iterations) = ([(); 3].map(|()| known.select(&[])), trial.problem.brain.iterations);
-            let found = read(trial, &mut *reader, &sets, (0, iterations, false), state, log)?;
+            let found = read(trial, &mut *reader, &sets, None, (0, iterations, false), state, log)?;
             found.trouble.map_or(Ok((known, found.weights)), Err)
         }
         Err(trouble) => Err(trouble),
@@ -174,7 +177,8 @@ pub fn casts_of(
     let mut found = Vec::new();
     for number in 0..count {
         let cast = trial.cast(Casts::Unseen, number as u64);
-        found.extend(brains.read(trial, number as u32, mould.sets(cast.as_ref(), counters)));
+        let sets = mould.sets(cast.as_ref(), counters);
+        found.extend(brains.read(trial, number as u32, sets, &mut Vec::new()));
         progress(number + 1);
     }
     found
@@ -242,45 +246,76 @@ impl Brains<'_> {
         Self { networks: Vec::new(), linear, casts, decoder }
     }
 
-    /// How they read a cast of these training and holdout samples, and how those do that are fitted to it.
-    fn read(&mut self, trial: &Trial, cast: u32, sets: Result<[Samples; 2], Trouble>) -> Vec<CastReading> {
+    /// How they read a cast of these training and holdout samples, and how those do that are fitted to it. To the bands of the body
+    /// as designed come what lies in them where its own brain, or that of the same kind for all casts, reads the cast.
+    fn read(
+        &mut self,
+        trial: &Trial,
+        cast: u32,
+        sets: Result<[Samples; 2], Trouble>,
+        bands: &mut Vec<BandReading>,
+    ) -> Vec<CastReading> {
         let all = trial.train.samples;
         let records = RECORDS.into_iter().filter(|&n| n < all).chain([all]);
         let networks = [CastBrain::Network, CastBrain::NetworkCasts].into_iter().take(self.networks.len());
         let brains = networks.chain([CastBrain::Nominal, CastBrain::Casts]);
         let brains = brains.chain(records.map(|n| CastBrain::Records(n as u32)));
+        let own = match trial.problem.reader {
+            BrainKind::Linear => [CastBrain::Nominal, CastBrain::Casts],
+            BrainKind::Network | BrainKind::Stacked => [CastBrain::Network, CastBrain::NetworkCasts],
+        };
+        let designed: Vec<BandReading> = bands.iter().filter(|band| band.cast.is_none()).cloned().collect();
         brains
             .map(|by| {
                 let found = sets.as_ref().map_err(|trouble| *trouble);
-                let found = found.and_then(|[train, holdout]| match by {
-                    CastBrain::Network => by_network(&mut self.networks[0], holdout),
-                    CastBrain::NetworkCasts => by_network(&mut self.networks[1], holdout),
-                    CastBrain::Nominal => by_linear(&self.linear[0], holdout),
-                    CastBrain::Casts => by_linear(&self.linear[1], holdout),
-                    CastBrain::Records(n) => {
-                        let some = train.select(&(0..n as usize).collect::<Vec<_>>());
-                        let casts = self.casts.as_ref().map_err(|trouble| *trouble)?;
-                        let (seed, heartbeat) = (trial.problem.seed, trial.pool.heartbeat());
-                        by_linear(&self.decoder.fit_beside(seed, &some, casts, heartbeat), holdout)
-                    }
+                let found = found.and_then(|[train, holdout]| {
+                    let said = self.predict(trial, by, train, &holdout.signals)?;
+                    Ok((holdout, said))
                 });
+                for reading in designed.iter().filter(|_| own.contains(&by)) {
+                    let within = |(holdout, said): &(&Samples, Vec<f64>)| {
+                        reading.band.coverage(holdout, said, first_judge(trial, holdout))
+                    };
+                    // what cannot be read lies in no band
+                    let coverage = found.as_ref().map_or(reading.coverage.map(|_| 0.0), within);
+                    let band = Band { half_width: Vec::new(), ..reading.band };
+                    bands.push(BandReading { cast: Some((cast, by)), band, width: reading.width, coverage });
+                }
                 match found {
-                    Ok(error) => CastReading { cast, by, error, trouble: None },
+                    Ok((holdout, said)) => {
+                        CastReading { cast, by, error: holdout.error(&said), trouble: None }
+                    }
                     Err(trouble) => CastReading { cast, by, error: Some(FAILED), trouble: Some(trouble) },
                 }
             })
             .collect()
     }
-}
 
-fn by_network(
-    network: &mut Result<Box<dyn Reader + '_>, Trouble>,
-    holdout: &Samples,
-) -> Result<Option<f64>, Trouble> {
-    Ok(network.as_mut().map_err(|trouble| *trouble)?.error(holdout))
-}
-
-fn by_linear(brain: &Result<Fitted, Trouble>, holdout: &Samples) -> Result<Option<f64>, Trouble> {
-    let brain = brain.as_ref().map_err(|trouble| *trouble)?;
-    Ok(brain.error_on(holdout))
+    /// Forces (N, T, K) (N) of signals (N, T, 3M) of a cast with these training samples.
+    fn predict(
+        &mut self,
+        trial: &Trial,
+        by: CastBrain,
+        train: &Samples,
+        signals: &[f64],
+    ) -> Result<Vec<f64>, Trouble> {
+        let linear = |brain: &Result<Fitted, Trouble>| {
+            brain.as_ref().map(|brain| brain.predict(signals)).map_err(|trouble| *trouble)
+        };
+        let network = |network: &mut Result<Box<dyn Reader + '_>, Trouble>| {
+            network.as_mut().map(|network| network.predict(signals)).map_err(|trouble| *trouble)
+        };
+        match by {
+            CastBrain::Network => network(&mut self.networks[0]),
+            CastBrain::NetworkCasts => network(&mut self.networks[1]),
+            CastBrain::Nominal => linear(&self.linear[0]),
+            CastBrain::Casts => linear(&self.linear[1]),
+            CastBrain::Records(n) => {
+                let some = train.select(&(0..n as usize).collect::<Vec<_>>());
+                let casts = self.casts.as_ref().map_err(|trouble| *trouble)?;
+                let (seed, heartbeat) = (trial.problem.seed, trial.pool.heartbeat());
+                linear(&self.decoder.fit_beside(seed, &some, casts, heartbeat))
+            }
+        }
+    }
 }

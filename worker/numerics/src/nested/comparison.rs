@@ -1,9 +1,10 @@
 //! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
 
-use super::evaluation::{BodyEvaluation, Comparison, NetworkEvaluation};
+use super::evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
 use super::observe::{Control, Log};
+use super::report::Report;
 use super::state::State;
-use crate::brains::{Reader, own_reading, reader, readings};
+use crate::brains::{Band, Reader, own_reading, reader, readings};
 use crate::dynamics::{Precision, Solver};
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Problem, Ridge, Samples, Trial, Trouble};
@@ -57,6 +58,11 @@ pub(super) fn evaluate(
     }
     let (begun, counted, mut recipe) = (begun.is_some(), log.report.counters, problem.recipe());
     let sets = log.timed(|s| &mut s.simulate, |report| sets(trial, design, solver, &mut report.counters));
+    let first = state.comparison.bodies.get(turn).is_none_or(|body| body.networks.is_empty());
+    let calibration = sets.as_ref().ok().filter(|_| first).and_then(|sets| {
+        let of = |report: &mut Report| calibrating(trial, design, solver, &sets[2], &mut report.counters);
+        log.timed(|s| &mut s.simulate, of).ok()
+    });
     if begun {
         log.report.counters = counted;
     } else {
@@ -88,7 +94,9 @@ pub(super) fn evaluate(
 
     while let Some(lacking) = state.comparison.bodies[turn].lacks(problem) {
         let found = match (&sets, &mut reader) {
-            (Ok(sets), Ok(reader)) => read(trial, &mut **reader, sets, lacking, state, log)?,
+            (Ok(sets), Ok(reader)) => {
+                read(trial, &mut **reader, sets, calibration.as_ref(), lacking, state, log)?
+            }
             (Err(trouble), _) => NetworkEvaluation::nothing(*trouble),
             (_, Err(trouble)) => NetworkEvaluation::nothing(*trouble),
         };
@@ -121,17 +129,48 @@ fn sets(
     Ok([train, of(test)?, of(problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout))?])
 }
 
+/// Samples that calibrate bands are numbered from here, out of the way of the outer steps' and of the casts'; of so many the 95th
+/// largest score covers the next with 95 %.
+const BANDING_FIRST: u64 = 1 << 41;
+const BANDING: usize = 99;
+
+/// Samples that calibrate bands: fresh ones, which neither body nor brain was fitted to. Of records, which have none, half of
+/// the holdout, which was dealt to it by a shuffle.
+fn calibrating(
+    trial: &Trial,
+    design: &[f64],
+    solver: &Solver,
+    holdout: &Samples,
+    counters: &mut Counters,
+) -> Result<Samples, Trouble> {
+    match first_judge(trial, holdout) {
+        0 => {
+            let forces = trial.problem.forces(Purpose::Fresh, BANDING_FIRST, BANDING);
+            let double = Precision::Double;
+            Ok(trial.simulate_most(design, forces, solver, double, false, counters)?.samples)
+        }
+        first => Ok(holdout.select(&(0..first).collect::<Vec<_>>())),
+    }
+}
+
+/// The samples of a holdout from this one on judge bands.
+pub(super) fn first_judge(trial: &Trial, holdout: &Samples) -> usize {
+    if trial.problem.stimuli.source.is_recorded() { holdout.count().div_ceil(2) } else { 0 }
+}
+
 /// Hands the observer the state, with what the report says of the comparison.
 pub(super) fn save(state: &mut State, log: &mut Log) {
     (state.comparison.counters, state.comparison.seconds) = (log.report.counters, log.report.seconds);
     log.save(state);
 }
 
-/// Fits the brain that is lacking, or goes on with the one in training; `None` if the observer said stop.
+/// Fits the brain that is lacking, or goes on with the one in training; `None` if the observer said stop. With samples that
+/// calibrate them the first brain of the last body has bands.
 pub(super) fn read(
     trial: &Trial,
     reader: &mut dyn Reader,
     sets: &[Samples; 3],
+    calibration: Option<&Samples>,
     (number, iterations, is_long): Lacking,
     state: &mut State,
     log: &mut Log,
@@ -163,6 +202,19 @@ pub(super) fn read(
         [reader.error_known(), reader.error(&sets[1]), reader.error(&sets[2])];
     let keeps = number == 0 && !is_long;
     let weights = if keeps { reader.weights_at(&trial.scales) } else { Vec::new() };
+    if keeps && let Some(calibration) = calibration {
+        let (known, said) = (reader.predict_known(), reader.predict(&calibration.signals));
+        let bands = Band::conformal((&sets[0], &known), (calibration, &said));
+        let (said, first) = (reader.predict(&sets[2].signals), first_judge(trial, &sets[2]));
+        let reading = |band: Band| BandReading {
+            cast: None,
+            width: band.width(),
+            coverage: band.coverage(&sets[2], &said, first),
+            band,
+        };
+        state.comparison.bands.resize_with(state.comparison.bodies.len() - 1, Vec::new);
+        state.comparison.bands.push(bands.map(reading).into());
+    }
     let training = reader.training().and_then(Option::take);
     let (losses, errors) = training.map(|fresh| (fresh.losses, fresh.errors)).unwrap_or_default();
     log.report.counters.brain_iterations += losses.len() as u64;

@@ -1,8 +1,8 @@
 //! What a comparison finds: fresh brains on the initial and on the best body.
 
-use super::casts::CastReading;
+use super::casts::{CastBrain, CastReading};
 use super::report::Seconds;
-use crate::brains::{Fresh, Reading};
+use crate::brains::{Band, Fresh, Reading};
 use crate::trial::{Counters, Trouble};
 
 /// A fresh network on a body.
@@ -47,6 +47,19 @@ pub struct BodyEvaluation {
     pub zero_samples: [u32; 3],
 }
 
+/// A band about what a brain says, and how much of the holdout lies in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BandReading {
+    /// Of which cast, and by which brain; none: the body as designed, by its first brain.
+    pub cast: Option<(u32, CastBrain)>,
+    /// It; of a cast that of the body as designed, without its half-widths.
+    pub band: Band,
+    /// Mean width (N); `None` where it has none.
+    pub width: Option<f64>,
+    /// The part of the holdout's instants and panels, or samples, within; `None` where there is no band.
+    pub coverage: Option<f64>,
+}
+
 /// How far a comparison has come.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Comparison {
@@ -54,6 +67,8 @@ pub struct Comparison {
     pub bodies: Vec<BodyEvaluation>,
     /// How casts of each body are read.
     pub casts: Vec<Vec<CastReading>>,
+    /// Bands about what is read of each body, and of its casts.
+    pub bands: Vec<Vec<BandReading>>,
     /// The network that is being trained on it.
     pub training: Option<Fresh>,
     /// Counts of work.

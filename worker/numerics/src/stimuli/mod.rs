@@ -32,14 +32,23 @@ pub struct Bell {
 }
 
 impl Bell {
-    fn draw(&self, stream: &mut Stream) -> Pulse {
+    /// How many there are of a pulse.
+    pub const PARAMETERS: usize = 5;
+
+    /// The pulse whose parameters lie at these parts of their intervals, in the order above.
+    pub fn pulse(&self, [a, w, o, p, q]: [f64; Self::PARAMETERS]) -> Pulse {
+        let between = |[least, most]: [f64; 2], part: f64| least + (most - least) * part;
         Pulse {
-            amplitude: stream.between(self.amplitude),
-            width: stream.between(self.width),
-            onset: stream.between(self.onset),
-            peak: stream.between(self.peak),
-            power: stream.between(self.power),
+            amplitude: between(self.amplitude, a),
+            width: between(self.width, w),
+            onset: between(self.onset, o),
+            peak: between(self.peak, p),
+            power: between(self.power, q),
         }
+    }
+
+    fn draw(&self, stream: &mut Stream) -> Pulse {
+        self.pulse(std::array::from_fn(|_| stream.uniform()))
     }
 }
 
@@ -66,6 +75,11 @@ impl Source {
             Self::Struck(_, source) => source.parts(),
             one => vec![one],
         }
+    }
+
+    /// Whether some of them are records, of which there are no more than there are.
+    pub fn is_recorded(&self) -> bool {
+        self.parts().iter().any(|part| matches!(part, Self::Recorded(_)))
     }
 }
 
