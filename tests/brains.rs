@@ -42,6 +42,55 @@ fn sensors_are_searched_for() {
     assert_eq!(rows(&bench, all), rows(&one, all));
 }
 
+/// A body's own model inverted, on a linear brain's body: errors below a linear brain's, a posterior's band of either body; casts are
+/// read by the model of the design and by twins; the same bits on any number of threads.
+#[test]
+fn a_body_is_read_by_its_own_model() {
+    let spec = TINY
+        .replace("sensors = [1, 2]", "sensors = [1]")
+        .replace("[brain]\niterations = 10", "[brain]\nkind = \"inverse\"")
+        .replace("samples = 8\n", "samples = 16\n")
+        .replace(
+            "[sweep]",
+            "[sensors]\nnoise = 0.03\n[variation]\nstretch = 0.05\n[evaluation]\ncasts = 1\n[sweep]",
+        );
+    let bench = Bench::new();
+    bench.file("s.toml", &spec);
+    bench.output(&["run", "s.toml", "--workers", "2"]);
+    let errors =
+        "SELECT trained_with, holdout_error_initial, linear_holdout_error_initial, holdout_error_optimised,
+        linear_holdout_error_optimised FROM v_trial ORDER BY hash";
+    for row in rows(&bench, errors) {
+        let errors: Vec<f64> = row[1..].iter().map(|cell| cell.parse().expect("an error")).collect();
+        assert!(row[0] == "linear" && errors[0] < errors[1] && errors[2] < errors[3], "{row:?}");
+    }
+    let read = "SELECT reader, records, count(*), min(error) > 0, min(outcome) FROM v_cast
+        WHERE reader IN ('inverse', 'twin', 'twin_linear') GROUP BY 1, 2 ORDER BY 1, 2";
+    let read = rows(&bench, read);
+    let expected = [["inverse", "0"], ["twin", "10"], ["twin_linear", "10"]];
+    assert_eq!(read.iter().map(|row| [row[0].as_str(), &row[1]]).collect::<Vec<_>>(), expected);
+    assert!(read.iter().all(|row| row[2..] == ["2", "1", "ok"]), "{read:?}");
+    let bands = "SELECT body, reader, samples, coverage BETWEEN 0 AND 1, width > 0 FROM v_band
+        WHERE method = 'posterior' AND kind = 'instant' AND casting IS NULL ORDER BY hash, body";
+    let bands = rows(&bench, bands);
+    let own = |body: &str| vec![body.to_owned(), "own".into(), "2".into(), "1".into(), "1".into()];
+    assert_eq!(bands, [own("initial"), own("optimised")]);
+    let one = Bench::new();
+    one.file("s.toml", &spec);
+    one.output(&["run", "s.toml", "--workers", "1", "--threads", "2"]);
+    for all in [
+        "SELECT * FROM v_cast ORDER BY 1, body, reader, records",
+        "SELECT * FROM v_band ORDER BY 1, body, reader, kind",
+    ] {
+        assert_eq!(rows(&bench, all), rows(&one, all));
+    }
+    assert_eq!(rows(&bench, errors), rows(&one, errors));
+    // what it says has no array of weights, and is not computed again
+    let hash = &rows(&bench, "SELECT hash FROM v_trial")[0][0];
+    bench.output(&["export", "results/tiny.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
+    bench.output(&["report", "results/tiny.sqlite", "--out", "r.html"]);
+}
+
 /// Rows of a query by their cells.
 fn rows(bench: &Bench, sql: &str) -> Vec<Vec<String>> {
     let csv = bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"]);
@@ -230,6 +279,12 @@ fn keys_of_another_brain_make_no_difference_or_are_refused() {
             "batch = 4",
             "batch = 4\nbrain_iterations = 3",
             "optimise.brain_iterations = 3: means nothing here",
+        ),
+        (
+            &linear,
+            "batch = 4",
+            "batch = 4\nbrain = \"inverse\"",
+            "optimise.brain = \"inverse\": stacked and inverse brains only read",
         ),
         (
             &linear,

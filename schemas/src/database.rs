@@ -36,14 +36,16 @@ pub const VIEWS: &[(&str, &str)] = &[
         "v_cast",
         "error (%) of one brain on one cast of the initial or the optimised body: `nominal` (linear, fitted to the body as \
          designed), `casts` (linear, fitted to other casts), `records` (linear, fitted to so many samples of this cast), \
-         `network`, `network_casts` (trained on other casts); `nominal_error` is the linear brain's on the body as designed; \
+         `network`, `network_casts` (trained on other casts), `inverse` (by the model of the design), `twin` (inverse, by a twin \
+         calibrated on so many samples of this cast), `twin_linear` (linear, fitted to that twin); `nominal_error` is the linear brain's on the body as designed; \
          instants_covered and samples_covered: what of the holdout lies in the bands of the body as designed",
     ),
     (
         "v_band",
         "a band about what a brain says of the forces of the initial or the optimised body, or of a cast of it (with the widths of \
          the body as designed): the part of the holdout's instants and panels (`instant`) or samples (`sample`) that lies in it, \
-         against its level, and its mean width (N)",
+         against its level, and its mean width (N). `conformal`: calibrated on so many samples; `posterior`: an inverse brain's own, \
+         of so many samples that its model explains",
     ),
     (
         "v_under",

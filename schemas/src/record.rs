@@ -237,9 +237,10 @@ pub struct CastReading {
     /// Which cast, from 0; those of equal number are cast alike, whatever the body.
     pub cast: u32,
     /// `network`: the first network of the comparison; of linear brains `nominal`: fitted to the body as designed, `casts`: to
-    /// other casts, `records`: to samples of this one.
+    /// other casts, `records`: to samples of this one; `inverse`: the model of the design, `twin`: a twin of this cast, inverted,
+    /// `twin_linear`: a linear brain fitted to that twin.
     pub reader: String,
-    /// How many samples of this cast it was fitted to.
+    /// How many samples of this cast it, or its twin, was fitted to.
     pub records: u32,
     /// Prediction error on the holdout (%).
     pub error: Option<f64>,
@@ -255,13 +256,13 @@ pub struct Band {
     pub reader: String,
     /// Of which cast, as in [`CastReading`], with the widths of the body as designed; `None`: the body as designed.
     pub cast: Option<u32>,
-    /// `conformal`: calibrated on samples that neither brain nor body was fitted to.
+    /// `conformal`: calibrated on samples that neither brain nor body was fitted to; `posterior`: an inverse brain's own.
     pub method: String,
     /// What lies in it at its level: `instant`, each instant and panel by itself; `sample`, a whole sample.
     pub kind: String,
     /// How often, as a part of 1.
     pub level: f64,
-    /// How many samples calibrated it.
+    /// How many samples calibrated it; of a posterior's, how many of those read the model explains.
     pub samples: u32,
     /// The part of the holdout's instants and panels, or samples, that lies in it.
     pub coverage: Option<f64>,

@@ -140,6 +140,9 @@ fn cast_brain(by: CastBrain) -> (&'static str, u32) {
         CastBrain::Nominal => ("nominal", 0),
         CastBrain::Casts => ("casts", 0),
         CastBrain::Records(n) => ("records", n),
+        CastBrain::Inverse => ("inverse", 0),
+        CastBrain::TwinLinear(n) => ("twin_linear", n),
+        CastBrain::Twin(n) => ("twin", n),
     }
 }
 
@@ -151,6 +154,9 @@ fn brain_of_cast(reader: &str, records: u32) -> Result<CastBrain, String> {
         "nominal" => Ok(CastBrain::Nominal),
         "casts" => Ok(CastBrain::Casts),
         "records" => Ok(CastBrain::Records(records)),
+        "inverse" => Ok(CastBrain::Inverse),
+        "twin_linear" => Ok(CastBrain::TwinLinear(records)),
+        "twin" => Ok(CastBrain::Twin(records)),
         name => Err(format!("a cast that is read by {name:?}")),
     }
 }
@@ -160,9 +166,9 @@ pub fn bands(bands: &[nested::BandReading]) -> Vec<record::Band> {
     let band = |nested::BandReading { cast, band, width, coverage }: &nested::BandReading| record::Band {
         reader: cast.map_or("own", |(_, by)| cast_brain(by).0).into(),
         cast: cast.map(|(cast, _)| cast),
-        method: "conformal".into(),
+        method: if band.kind == BandKind::Posterior { "posterior" } else { "conformal" }.into(),
         kind: match band.kind {
-            BandKind::Instant => "instant",
+            BandKind::Instant | BandKind::Posterior => "instant",
             BandKind::Sample => "sample",
         }
         .into(),
@@ -181,10 +187,11 @@ fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandReading>, String> {
     let reading = |band: &record::Band| {
         let cast =
             band.cast.map(|cast| Ok::<_, String>((cast, brain_of_cast(&band.reader, 0)?))).transpose()?;
-        let kind = match &*band.kind {
-            "instant" => BandKind::Instant,
-            "sample" => BandKind::Sample,
-            name => return Err(format!("a band of kind {name:?}")),
+        let kind = match (&*band.method, &*band.kind) {
+            ("posterior", _) => BandKind::Posterior,
+            (_, "instant") => BandKind::Instant,
+            (_, "sample") => BandKind::Sample,
+            (_, name) => return Err(format!("a band of kind {name:?}")),
         };
         let (samples, half_width) = (band.samples as usize, band.half_width.clone());
         let (width, coverage) = (band.width, band.coverage);

@@ -234,6 +234,7 @@ pub fn kind(kind: spec::BrainKind) -> BrainKind {
         spec::BrainKind::Cnn => BrainKind::Network,
         spec::BrainKind::Linear => BrainKind::Linear,
         spec::BrainKind::Stacked => BrainKind::Stacked,
+        spec::BrainKind::Inverse => BrainKind::Inverse,
     }
 }
 

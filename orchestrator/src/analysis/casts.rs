@@ -108,7 +108,8 @@ fn reading(trial: &Trial, body: Body, by: CastBrain) -> Option<&CastReading> {
 
 /// Holdout error (%) of the body as designed: by the trial's networks, or by a linear brain of the memory that casts are read with.
 fn designed(trial: &Trial, body: Body, by: CastBrain) -> Option<f64> {
-    if by <= CastBrain::NetworkCasts || is_linear(trial) {
+    let inverts = matches!(by, CastBrain::Inverse | CastBrain::Twin(_));
+    if by <= CastBrain::NetworkCasts || inverts || is_linear(trial) {
         return trial.error(body, Set::Holdout);
     }
     let whole = trial.readings.iter().find(|reading| reading.whole)?;

@@ -84,6 +84,12 @@ pub enum CastBrain {
     Casts,
     /// A linear one, fitted anew to so many samples of each cast.
     Records(u64),
+    /// An inverse one, by the model of the design.
+    Inverse,
+    /// A linear one, fitted to a twin calibrated on so many samples of each cast.
+    TwinLinear(u64),
+    /// An inverse one, by that twin.
+    Twin(u64),
 }
 
 impl CastBrain {
@@ -95,6 +101,9 @@ impl CastBrain {
             Self::Nominal => "nominal",
             Self::Casts => "casts",
             Self::Records(_) => "records",
+            Self::Inverse => "inverse",
+            Self::TwinLinear(_) => "twin_linear",
+            Self::Twin(_) => "twin",
         }
     }
 
@@ -106,6 +115,9 @@ impl CastBrain {
             "nominal" => Self::Nominal,
             "casts" => Self::Casts,
             "records" => Self::Records(records),
+            "inverse" => Self::Inverse,
+            "twin_linear" => Self::TwinLinear(records),
+            "twin" => Self::Twin(records),
             _ => return None,
         })
     }

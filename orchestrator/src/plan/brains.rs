@@ -9,14 +9,14 @@ use metasense_worker::problem::lags;
 /// The brain that reads the bodies, and the one that trains them. A stacked one does not train.
 fn kinds(spec: &SweepSpec) -> [BrainKind; 2] {
     let own = match spec.brain.kind {
-        BrainKind::Stacked => BrainKind::Linear,
+        BrainKind::Stacked | BrainKind::Inverse => BrainKind::Linear,
         kind => kind,
     };
     [spec.brain.kind, spec.optimise.brain.unwrap_or(own)]
 }
 
 fn has_network(kind: BrainKind) -> bool {
-    kind != BrainKind::Linear
+    matches!(kind, BrainKind::Cnn | BrainKind::Stacked)
 }
 
 fn has_linear(kind: BrainKind) -> bool {
@@ -31,10 +31,10 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         spec.optimise.clone(),
         spec.evaluation.clone().resolved(spec.variation.is_some(), &spec.stimuli),
     );
-    if reader == BrainKind::Linear && trainer == BrainKind::Linear {
+    if !has_network(reader) && !has_network(trainer) {
         brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };
     }
-    if reader == BrainKind::Linear {
+    if !has_network(reader) {
         evaluation = evaluation.of_linear();
     }
     if !has_linear(reader) && !has_linear(trainer) {
@@ -84,8 +84,8 @@ pub(super) fn refuse_unread<'a>(
 ) -> Result<(), SpecError> {
     let none = Brain::default();
     let any = |what: &dyn Fn(&SweepSpec) -> bool| specs.clone().any(what);
-    if any(&|spec| spec.optimise.brain == Some(BrainKind::Stacked)) {
-        let remedy = "a stacked brain only reads: must be \"cnn\" or \"linear\"";
+    if any(&|spec| matches!(spec.optimise.brain, Some(BrainKind::Stacked | BrainKind::Inverse))) {
+        let remedy = "stacked and inverse brains only read: must be \"cnn\" or \"linear\"";
         return Err(source.error("optimise.brain", remedy));
     }
     let robust = any(&|spec| spec.optimise.objective.and_then(Objective::tail).is_some());

@@ -31,6 +31,8 @@ const FACTOR_RATE: f64 = 2.5e10;
 /// Factors of the comparison, a body, and of a step, looks for a ridge included.
 const FACTORS: f64 = 8.0;
 const STEP_FACTORS: f64 = 1.5;
+/// Simulations of an inverse brain's descent, a sample and panel.
+const INVERSION: f64 = 100.0;
 /// And of the brains fitted to a cast.
 const CAST_FACTORS: f64 = 70.0;
 
@@ -39,7 +41,8 @@ pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
     let linear = || trial.point.panels * (unknowns(trial, trial.brain.memory) + 1);
     match trial.brain.kind {
         BrainKind::Cnn => network_weights(trial),
-        BrainKind::Linear => linear(),
+        // an inverse one has those that it begins with
+        BrainKind::Linear | BrainKind::Inverse => linear(),
         BrainKind::Stacked => network_weights(trial) + linear(),
     }
 }
@@ -126,7 +129,7 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     };
     let one_sample = sample_by(trial.solver);
     let simulate = stimuli.samples as f64 * one_sample;
-    let network = trial.brain.kind != BrainKind::Linear;
+    let network = matches!(trial.brain.kind, BrainKind::Cnn | BrainKind::Stacked);
     let weights = network_weights(trial) as f64;
     let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;
     let forward = weights * train_samples * trial.time.samples as f64 / BRAIN_RATE;
@@ -164,7 +167,12 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     let cast = each + own_factor;
     let of_casts = trial.evaluation.casts.map_or(0.0, |casts| casts as f64 * cast + 4.0 * each);
     let under = trial.evaluation.under.as_ref().map_or(0, Vec::len) as f64 * cast;
-    let comparison = 2.0 * (each + trainings * train + readings + of_casts + under);
+    let inverted = if trial.brain.kind == BrainKind::Inverse {
+        (stimuli.test + stimuli.holdout) as f64 * INVERSION * trial.point.panels as f64 * one_sample
+    } else {
+        0.0
+    };
+    let comparison = 2.0 * (each + trainings * train + readings + of_casts + under + inverted);
     Seconds { steps: optimise.steps() as f64 * step, comparison }
 }
 

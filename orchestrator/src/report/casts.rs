@@ -116,6 +116,11 @@ fn brain(by: CastBrain) -> String {
         CastBrain::Records(records) => {
             format!("a linear brain fitted to {records} records of each cast")
         }
+        CastBrain::Inverse => "the model of the design, inverted".into(),
+        CastBrain::TwinLinear(records) => {
+            format!("a linear brain fitted to a twin, calibrated on {records} records of each cast")
+        }
+        CastBrain::Twin(records) => format!("a twin calibrated on {records} records of each cast, inverted"),
     }
 }
 
@@ -126,6 +131,9 @@ fn tick(by: CastBrain) -> String {
         CastBrain::Nominal => "its linear".into(),
         CastBrain::Casts => "linear for all".into(),
         CastBrain::Records(records) => format!("{records} records"),
+        CastBrain::Inverse => "model".into(),
+        CastBrain::TwinLinear(records) => format!("linear, twin of {records}"),
+        CastBrain::Twin(records) => format!("twin of {records}"),
     }
 }
 

@@ -27,6 +27,8 @@ pub enum BrainKind {
     Linear,
     /// A network on the signals and on a linear brain's estimate; the body is trained with the linear brain or the network.
     Stacked,
+    /// The forces under which the body's own model gives the signals; the body is trained with the linear brain or the network.
+    Inverse,
 }
 
 impl BrainKind {
@@ -258,7 +260,7 @@ pub enum CastReader {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Optimise {
-    /// The brain that the body is trained with: `"cnn"` or `"linear"`. Default: `brain.kind`, for `"stacked"` `"linear"`.
+    /// The brain that the body is trained with: `"cnn"` or `"linear"`. Default: `brain.kind`, for `"stacked"` and `"inverse"` `"linear"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain: Option<BrainKind>,
     /// How body and brain are trained together; details in MODEL.md.

@@ -10,6 +10,7 @@
 mod casts;
 mod comparison;
 mod evaluation;
+mod inversion;
 mod observe;
 mod protocol;
 mod report;
@@ -161,4 +162,4 @@ pub fn evaluate_designs(
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

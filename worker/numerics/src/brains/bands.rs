@@ -23,6 +23,9 @@ pub enum BandKind {
     Instant,
     /// All instants and panels of a sample together.
     Sample,
+    /// Each instant of each panel by itself, by the posterior of an inverse brain: of each sample another, so that half-widths are
+    /// not kept, and `samples` are those that its model explains.
+    Posterior,
 }
 
 /// A band of f̂ ± half-width.
@@ -95,7 +98,7 @@ impl Band {
         let within = |residual: &Vec<f64>| {
             let inside = residual.iter().zip(&self.half_width).filter(|(r, h)| r <= h).count();
             match self.kind {
-                BandKind::Instant => inside as f64 / residual.len() as f64,
+                BandKind::Instant | BandKind::Posterior => inside as f64 / residual.len() as f64,
                 BandKind::Sample => f64::from(inside == residual.len()),
             }
         };

@@ -7,6 +7,7 @@
 mod bands;
 mod fitted;
 mod implicit;
+mod inverse;
 mod linear;
 mod network;
 mod readings;
@@ -16,6 +17,7 @@ mod stacked;
 pub use bands::{Band, BandKind, LEVEL};
 pub(crate) use fitted::Beside;
 pub use fitted::Fitted;
+pub use inverse::{Ending, Estimate, Inverse};
 pub(crate) use linear::Plain;
 #[cfg(test)]
 pub(crate) use linear::solve;
@@ -112,6 +114,7 @@ pub(crate) fn reader<'a>(
             Box::new(network::NetworkReader::new(recipe, known, scales, pool)?)
         }
         BrainKind::Linear => Box::new(fitted::LinearReader::new(recipe, known, scales, pool.heartbeat())),
+        BrainKind::Inverse => unreachable!("it reads a body, by the body's model: `Inverse`"),
     })
 }
 
@@ -221,6 +224,7 @@ pub(crate) trait Learner {
 pub(crate) fn learner<'a>(trial: &'a Trial<'a>) -> Box<dyn Learner + 'a> {
     match trial.problem.optimise.brain {
         BrainKind::Linear => Box::new(linear::LinearLearner::new(trial)),
-        BrainKind::Network | BrainKind::Stacked => Box::new(network::NetworkLearner::new(trial)),
+        BrainKind::Network => Box::new(network::NetworkLearner::new(trial)),
+        BrainKind::Stacked | BrainKind::Inverse => unreachable!("it only reads"),
     }
 }

@@ -4,9 +4,10 @@
 //! all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
 //! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
-use super::comparison::{first_judge, read, save};
+use super::comparison::{first_judge, paused, read};
 use super::evaluation::BandReading;
-use super::observe::{Control, Log};
+use super::inversion::invert_cast;
+use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, Beside, Fitted, Fresh, Reader, reader};
 use crate::dynamics::{Precision, Solver};
@@ -40,6 +41,12 @@ pub enum CastBrain {
     Casts,
     /// A linear brain fitted to so many samples of this cast, beside those of other casts.
     Records(u32),
+    /// An inverse brain by the model of the design.
+    Inverse,
+    /// A linear brain fitted to a twin, calibrated on so many samples of this cast.
+    TwinLinear(u32),
+    /// An inverse brain by that twin.
+    Twin(u32),
 }
 
 /// Casts to which the brain for all casts is fitted, and samples of each.
@@ -94,7 +101,7 @@ pub(super) fn read_casts(
     }
     let some = known[1].as_ref().map(|casts| thinned(casts, trial.train.samples));
     let mut brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, &known));
-    if problem.reader != BrainKind::Linear {
+    if problem.reader.is_network() {
         let known = [known[0].as_ref(), some.as_ref().map_err(|trouble| *trouble)];
         brains.networks =
             networks(trial, known.map(|known| known.map_err(|trouble| *trouble)), turn, state, log)?;
@@ -108,15 +115,21 @@ pub(super) fn read_casts(
         state.comparison.casts.resize_with(turn + 1, Vec::new);
         state.comparison.bands.resize_with(state.comparison.bodies.len(), Vec::new);
         let bands = &mut state.comparison.bands[turn];
-        let found = log.timed(|s| &mut s.train, |_| brains.read(trial, number as u32, sets, bands));
+        let found = log.timed(
+            |s| &mut s.train,
+            |report| {
+                let mut found = brains.read(trial, number as u32, &sets, bands);
+                if problem.reader == BrainKind::Inverse {
+                    let (body, counters) = ((design, solver), &mut report.counters);
+                    let (readings, own) = invert_cast(trial, body, &known[0], number as u32, &sets, counters);
+                    found.extend(readings);
+                    bands.extend(own);
+                }
+                found
+            },
+        );
         state.comparison.casts[turn].extend(found);
-        let wanted = log.progress(state.comparison.part(0, problem));
-        if wanted == Control::Stop || log.save_is_due() {
-            save(state, log);
-        }
-        if wanted == Control::Stop {
-            return None;
-        }
+        paused(trial, state, log)?;
     }
     Some(())
 }
@@ -178,7 +191,7 @@ pub fn casts_of(
     for number in 0..count {
         let cast = trial.cast(Casts::Unseen, number as u64);
         let sets = mould.sets(cast.as_ref(), counters);
-        found.extend(brains.read(trial, number as u32, sets, &mut Vec::new()));
+        found.extend(brains.read(trial, number as u32, &sets, &mut Vec::new()));
         progress(number + 1);
     }
     found
@@ -252,7 +265,7 @@ impl Brains<'_> {
         &mut self,
         trial: &Trial,
         cast: u32,
-        sets: Result<[Samples; 2], Trouble>,
+        sets: &Result<[Samples; 2], Trouble>,
         bands: &mut Vec<BandReading>,
     ) -> Vec<CastReading> {
         let all = trial.train.samples;
@@ -260,9 +273,10 @@ impl Brains<'_> {
         let networks = [CastBrain::Network, CastBrain::NetworkCasts].into_iter().take(self.networks.len());
         let brains = networks.chain([CastBrain::Nominal, CastBrain::Casts]);
         let brains = brains.chain(records.map(|n| CastBrain::Records(n as u32)));
-        let own = match trial.problem.reader {
-            BrainKind::Linear => [CastBrain::Nominal, CastBrain::Casts],
-            BrainKind::Network | BrainKind::Stacked => [CastBrain::Network, CastBrain::NetworkCasts],
+        let own: &[CastBrain] = match trial.problem.reader {
+            BrainKind::Linear => &[CastBrain::Nominal, CastBrain::Casts],
+            BrainKind::Network | BrainKind::Stacked => &[CastBrain::Network, CastBrain::NetworkCasts],
+            BrainKind::Inverse => &[],
         };
         let designed: Vec<BandReading> = bands.iter().filter(|band| band.cast.is_none()).cloned().collect();
         brains
@@ -315,6 +329,9 @@ impl Brains<'_> {
                 let casts = self.casts.as_ref().map_err(|trouble| *trouble)?;
                 let (seed, heartbeat) = (trial.problem.seed, trial.pool.heartbeat());
                 linear(&self.decoder.fit_beside(seed, &some, casts, heartbeat))
+            }
+            CastBrain::Inverse | CastBrain::TwinLinear(_) | CastBrain::Twin(_) => {
+                unreachable!("read by `invert_cast`")
             }
         }
     }

@@ -1,6 +1,7 @@
 //! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
 
 use super::evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
+use super::inversion::invert;
 use super::observe::{Control, Log};
 use super::report::Report;
 use super::state::State;
@@ -13,7 +14,7 @@ impl Comparison {
     /// The part of the whole trial that is done, with so many iterations of the network in training.
     pub(super) fn part(&self, iterations: usize, problem: &Problem) -> f64 {
         let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
-        let linear = problem.reader == BrainKind::Linear;
+        let linear = !problem.reader.is_network();
         let each = if linear { problem.linear_iterations() } else { problem.brain.iterations };
         let of = |body: &BodyEvaluation| body.networks.len() * each + body.long.len() * long;
         let casts = (0..self.casts.len()).map(|turn| self.casts_read(turn) * problem.linear_iterations());
@@ -30,7 +31,7 @@ type Lacking = (usize, usize, bool);
 impl BodyEvaluation {
     /// The first brain that it lacks; a linear one is one, and not trained long.
     fn lacks(&self, problem: &Problem) -> Option<Lacking> {
-        let linear = problem.reader == BrainKind::Linear;
+        let linear = !problem.reader.is_network();
         let seeds = if linear { 1 } else { problem.evaluation.seeds };
         let long = problem.evaluation.long.filter(|_| !linear);
         let short =
@@ -59,7 +60,8 @@ pub(super) fn evaluate(
     let (begun, counted, mut recipe) = (begun.is_some(), log.report.counters, problem.recipe());
     let sets = log.timed(|s| &mut s.simulate, |report| sets(trial, design, solver, &mut report.counters));
     let first = state.comparison.bodies.get(turn).is_none_or(|body| body.networks.is_empty());
-    let calibration = sets.as_ref().ok().filter(|_| first).and_then(|sets| {
+    let inverts = problem.reader == BrainKind::Inverse;
+    let calibration = sets.as_ref().ok().filter(|_| first && !inverts).and_then(|sets| {
         let of = |report: &mut Report| calibrating(trial, design, solver, &sets[2], &mut report.counters);
         log.timed(|s| &mut s.simulate, of).ok()
     });
@@ -83,6 +85,9 @@ pub(super) fn evaluate(
         }
         state.comparison.bodies.push(body);
     }
+    if inverts {
+        return invert(trial, design, solver, sets, state, log);
+    }
     let mut reader = match &sets {
         Ok(sets) => {
             // a network learns on its body's own scale: on the initial body's the louder body's would learn faster
@@ -102,15 +107,18 @@ pub(super) fn evaluate(
         };
         let body = &mut state.comparison.bodies[turn];
         if lacking.2 { &mut body.long } else { &mut body.networks }.push(found);
-        let wanted = log.progress(state.comparison.part(0, problem));
-        if wanted == Control::Stop || log.save_is_due() {
-            save(state, log);
-        }
-        if wanted == Control::Stop {
-            return None;
-        }
+        paused(trial, state, log)?;
     }
     Some(())
+}
+
+/// Tells the observer how far the comparison has come; `None` if it says stop: it has the state by then.
+pub(super) fn paused(trial: &Trial, state: &mut State, log: &mut Log) -> Option<()> {
+    let wanted = log.progress(state.comparison.part(0, &trial.problem));
+    if wanted == Control::Stop || log.save_is_due() {
+        save(state, log);
+    }
+    (wanted != Control::Stop).then_some(())
 }
 
 /// Training set, test set and holdout of a body.

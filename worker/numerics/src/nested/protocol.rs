@@ -15,7 +15,7 @@ use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Precision, Solver};
 use crate::random::{Purpose, Stream};
 use crate::trial::{
-    BrainKind, CastReader, Casting, FAILED, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
+    CastReader, Casting, FAILED, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -235,8 +235,8 @@ impl<'a> Session<'a> {
     /// Rounding is noise to a linear brain.
     fn precision(&self) -> Precision {
         match self.trial.problem.optimise.brain {
-            BrainKind::Linear => Precision::Double,
-            BrainKind::Network | BrainKind::Stacked => Precision::Single,
+            brain if brain.is_network() => Precision::Single,
+            _ => Precision::Double,
         }
     }
 

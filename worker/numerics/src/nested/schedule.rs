@@ -1,7 +1,7 @@
 //! How an outer loop goes over its steps: rates, integrators, looks at the test set, and the part that is done.
 
 use crate::dynamics::Solver;
-use crate::trial::{BrainKind, CastReader, Optimise, Problem, Protocol};
+use crate::trial::{CastReader, Optimise, Problem, Protocol};
 
 /// Looks at the test set in a loop, where a protocol does not need it anyway: so many, at least ten steps apart.
 const LOOKS: u32 = 20;
@@ -58,14 +58,16 @@ impl Problem {
         casts
             + self.network_of_casts()
             + match self.reader {
-                BrainKind::Linear => self.linear_iterations(),
-                _ => self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0)),
+                reader if reader.is_network() => {
+                    self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0))
+                }
+                _ => self.linear_iterations(),
             }
     }
 
     /// Iterations of the network that is trained on casts of a body.
     pub(super) fn network_of_casts(&self) -> usize {
-        let any = self.evaluation.casts > 0 && self.reader != BrainKind::Linear;
+        let any = self.evaluation.casts > 0 && self.reader.is_network();
         if any { self.brain.iterations } else { 0 }
     }
 

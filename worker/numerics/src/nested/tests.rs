@@ -18,7 +18,7 @@ mod known;
 mod linear;
 
 /// 4 × 3 units, two panels, one sensor, 0.2 s, 16 samples, a network of width 8.
-fn small(protocol: Protocol) -> Problem {
+pub(crate) fn small(protocol: Protocol) -> Problem {
     let layout = Layout::planar(4, 3, 15.0, 2.25);
     let direction = [0.0, -1.0];
     Problem {
@@ -80,7 +80,7 @@ fn small(protocol: Protocol) -> Problem {
     }
 }
 
-const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
+pub(crate) const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
 const PROTOCOLS: [Protocol; 5] = [
     Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)),
     Protocol::Envelope(GOING),

@@ -84,6 +84,12 @@ impl Chip {
         }
     }
 
+    /// Standard deviation of what a reading of each channel is off by: its noise, and a step's rounding.
+    pub(crate) fn deviations(&self) -> Vec<f64> {
+        let of = |(i, noise): (usize, &f64)| noise.hypot(self.resolution[self.kind(i)] / 12f64.sqrt());
+        self.noise.iter().enumerate().map(of).collect()
+    }
+
     /// Overwrites signals (N, T, channels) of `forces` with what the chip says.
     pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
         let (channels, read) = (self.noise.len(), self.channels.len());

@@ -16,8 +16,9 @@ mod settings;
 pub use chip::{Disturbance, Size};
 pub use outcome::{Counters, Failure, Trouble};
 pub use problem::{Placing, Problem, Stimuli};
+pub use samples::mean_error;
 pub use samples::{FAILED, Samples};
-pub(crate) use samples::{error_of_each, mean_error, pick};
+pub(crate) use samples::{error_of_each, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
     BrainKind, CastReader, Casting, Decoder, Evaluation, Going, Optimise, Over, Protocol, Ridge, Schedule,

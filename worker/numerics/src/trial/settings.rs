@@ -13,6 +13,15 @@ pub enum BrainKind {
     Linear,
     /// The network on the signals and on a linear brain's estimates of the forces; it only reads.
     Stacked,
+    /// The body's own model, inverted; it only reads.
+    Inverse,
+}
+
+impl BrainKind {
+    /// Whether it has weights that are trained by steps.
+    pub fn is_network(self) -> bool {
+        matches!(self, Self::Network | Self::Stacked)
+    }
 }
 
 /// A linear brain before it is fitted.

@@ -1,0 +1,179 @@
+//! A brain that knows the body: the forces under which its model gives the signals that were read.
+//!
+//! ```text
+//! ẑ = argmin Φ(z),  Φ = ½ Σ (y − A(μ + D z) − b)²/σ² + ½ |z|² + ½ |b|²/s²
+//! ```
+//! The maximum a posteriori of a normal prior (`prior`), by quasi-Newton steps from a linear brain's estimate on (`descent`). Its
+//! posterior is taken for normal, with the curvature of Φ at ẑ (Laplace).
+
+mod descent;
+mod model;
+mod prior;
+
+use super::Fitted;
+use crate::dynamics::Solver;
+use crate::identify::twin::Twin;
+use crate::random::Purpose;
+use crate::trial::{Counters, Samples, Trial, Trouble};
+use descent::{Descent, Noise};
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
+use model::Model;
+use prior::Prior;
+
+pub use descent::Ending;
+
+/// Histories that the prior is made of, where there are as many, and the number of their first, out of the way of the outer
+/// steps' and of those of casts.
+const KNOWN: usize = 1000;
+const KNOWN_FIRST: u64 = 1 << 42;
+/// Mean square of the residual (σ²) from which a sample counts as not explained: it has another start, from the prior's mean.
+const EXPLAINED: f64 = 1.5;
+/// The parts of a sample that are looked at before the whole, where it is to be begun anew.
+const WINDOWS: [f64; 6] = [0.1, 0.16, 0.24, 0.35, 0.5, 0.7];
+
+/// What an inverse brain says of one sample.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// Forces (T, K) (N).
+    pub forces: Vec<f64>,
+    /// Their standard deviations a posteriori (T, K) (N).
+    pub deviations: Vec<f64>,
+    /// Mean square of the residual, in units of the noise: about 1 or less of a model that explains the readings.
+    pub misfit: f64,
+    /// Steps of the descent.
+    pub steps: usize,
+    /// How it ended.
+    pub ending: Ending,
+}
+
+impl Estimate {
+    /// Whether the model explains the readings.
+    pub fn is_explained(&self) -> bool {
+        self.misfit <= EXPLAINED
+    }
+}
+
+/// An inverse brain.
+pub struct Inverse<'a> {
+    trial: &'a Trial<'a>,
+    model: Model<'a>,
+    prior: Prior,
+    noise: Noise,
+    /// Where descents begin, and how far that is off (N), root mean square.
+    linear: Fitted,
+    off: f64,
+    /// D of a panel as what brains are to say (T, r) (N).
+    seen: Mat<f64>,
+    /// Work done.
+    pub counters: Counters,
+}
+
+impl<'a> Inverse<'a> {
+    /// Of a body of this design, simulated with the solver that was tuned on it, or of what its cast was found to be. Descents begin
+    /// with a linear brain fitted to `known`, samples of that model. The prior is that of fresh samples of the trial's forces, of
+    /// recorded ones of the training samples.
+    ///
+    /// # Errors
+    /// If the linear brain has no solution, or all force histories are alike.
+    pub fn new(
+        trial: &'a Trial<'a>,
+        design: &[f64],
+        solver: &Solver,
+        twin: Option<&Twin>,
+        known: &Samples,
+    ) -> Result<Self, Trouble> {
+        let problem = &trial.problem;
+        let linear = Fitted::of(trial, known)?;
+        let said = linear.predict(&known.signals);
+        let square = said.iter().zip(&known.targets).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
+        let off = (square / said.len() as f64).sqrt().max(f64::MIN_POSITIVE);
+        let recorded = problem.stimuli.source.is_recorded();
+        let histories = match recorded {
+            true => trial.train.clone(),
+            false => problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN),
+        };
+        let prior = Prior::new(&histories).ok_or(Trouble::Singular)?;
+        let (directions, instants) = (prior.directions(), problem.scene.instants);
+        let told = problem.targets(&directions);
+        let seen = Mat::from_fn(instants, directions.samples, |n, k| told[k * instants + n]);
+        let model = Model::new(trial, design, solver, twin.map(|twin| &twin.cast));
+        Ok(Self {
+            trial,
+            model,
+            prior,
+            noise: Noise::of(trial, twin.map_or(&[], |twin| &twin.noise)),
+            linear,
+            off,
+            seen,
+            counters: Counters::default(),
+        })
+    }
+
+    /// What it says of samples of signals (N, T, channels).
+    ///
+    /// # Panics
+    /// If the length is not that of whole samples.
+    pub fn read(&mut self, signals: &[f64]) -> Vec<Estimate> {
+        let one = self.trial.problem.scene.instants * self.noise.channels();
+        let readings: Vec<&[f64]> = signals.chunks_exact(one).collect();
+        let said = self.linear.predict(signals);
+        let outset = said.chunks_exact(said.len() / readings.len().max(1));
+        let mut starts: Vec<Vec<f64>> = outset.map(|forces| self.prior.near(forces, self.off)).collect();
+        starts.iter_mut().for_each(|z| z.extend(self.noise.no_bias()));
+        let instants = self.trial.problem.scene.instants;
+        let mut found = self.descend(&readings, instants, starts);
+        let lost: Vec<usize> = (0..found.len()).filter(|&i| found[i].misfit() > EXPLAINED).collect();
+        if !lost.is_empty() {
+            let readings: Vec<&[f64]> = lost.iter().map(|&i| readings[i]).collect();
+            let again = self.by_windows(&readings);
+            for (i, again) in lost.into_iter().zip(again) {
+                if again.phi() < found[i].phi() {
+                    found[i] = again;
+                }
+            }
+        }
+        found.iter().map(|descent| self.estimate(descent)).collect()
+    }
+
+    fn descend(&mut self, readings: &[&[f64]], n: usize, starts: Vec<Vec<f64>>) -> Vec<Descent> {
+        descent::descend(&self.model, &self.prior, &self.noise, readings, n, starts, &mut self.counters)
+    }
+
+    /// From the prior's mean, by the beginnings of the readings: what comes early is hardly nonlinear yet, and what comes late is
+    /// then nearly known.
+    fn by_windows(&mut self, readings: &[&[f64]]) -> Vec<Descent> {
+        let all = self.trial.problem.scene.instants;
+        let start = vec![0.0; self.prior.unknowns() + self.noise.no_bias().len()];
+        let mut starts = vec![start; readings.len()];
+        for part in WINDOWS {
+            let n = ((part * all as f64) as usize).max(1);
+            starts = self.descend(readings, n, starts).iter().map(|descent| descent.z().to_vec()).collect();
+        }
+        self.descend(readings, all, starts)
+    }
+
+    fn estimate(&self, descent: &Descent) -> Estimate {
+        let panels = self.trial.problem.scene.panels.len();
+        let (instants, directions) = (self.seen.nrows(), self.seen.ncols());
+        let forces = self.trial.problem.targets(&self.prior.forces([descent.z()].into_iter()));
+        let mut deviations = vec![0.0; instants * panels];
+        if let Some(factor) = descent.curvature().and_then(|curvature| curvature.llt(Side::Lower).ok()) {
+            let all = descent.z().len();
+            for panel in 0..panels {
+                let mut right = Mat::<f64>::zeros(all, instants);
+                right.as_mut().subrows_mut(panel * directions, directions).copy_from(self.seen.transpose());
+                let solved = factor.solve(&right);
+                for n in 0..instants {
+                    let variance = right.col(n).transpose() * solved.col(n);
+                    deviations[n * panels + panel] = variance.max(0.0).sqrt();
+                }
+            }
+        }
+        let (misfit, steps, ending) = (descent.misfit(), descent.steps(), descent.ending());
+        Estimate { forces, deviations, misfit, steps, ending }
+    }
+}
+
+#[cfg(test)]
+mod tests;

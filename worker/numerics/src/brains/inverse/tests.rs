@@ -1,0 +1,140 @@
+//! Inversions whose answers are known.
+
+use super::descent::Looks;
+use super::*;
+use crate::dynamics::Precision;
+use crate::nested::tests::{GOING, small};
+use crate::random::Draw;
+use crate::trial::{Disturbance, Problem, Protocol, Size};
+
+fn problem() -> Problem {
+    let noise = Size::Relative(0.03);
+    let disturbance = Some(Disturbance { noise, ..Disturbance::NONE });
+    Problem { disturbance, ..small(Protocol::Joint(GOING)) }
+}
+
+/// The brain of the initial body, and that body's training samples.
+fn brain<'a>(trial: &'a Trial<'a>, histories: usize) -> Inverse<'a> {
+    let problem = &trial.problem;
+    let brain =
+        Inverse::new(trial, &problem.initial, &problem.solver, None, &trial.initial).expect("a brain");
+    let prior = Prior::new(&problem.forces(Purpose::Fresh, 0, histories)).expect("forces that differ");
+    let (directions, instants) = (prior.directions(), problem.scene.instants);
+    let told = problem.targets(&directions);
+    let seen = Mat::from_fn(instants, directions.samples, |n, k| told[k * instants + n]);
+    Inverse { prior, seen, ..brain }
+}
+
+fn normal(draw: &mut Draw, count: usize) -> Vec<f64> {
+    (0..count).map(|_| draw.normal()).collect()
+}
+
+/// Φ(z + h d) = Φ(z) − h s·d + O(h²), through a low-pass, a delay, constants and channels that are not read, and of a part of a
+/// sample, too.
+#[test]
+fn slopes_are_those_of_phi() {
+    let plain = problem();
+    let chips = Disturbance {
+        bias: Size::Relative(0.1),
+        bandwidth: 60.0,
+        delay: 0.007,
+        ..plain.disturbance.expect("noise")
+    };
+    let filtered = Problem { disturbance: Some(chips), channels: vec![0, 2], ..plain.clone() };
+    let pool = crate::Pool::new(2).expect("threads");
+    for (problem, n) in [(plain, 40), (filtered.clone(), 40), (filtered, 13)] {
+        let trial = Trial::new(&problem, &pool).expect("a trial");
+        let brain = brain(&trial, 20);
+        let readings =
+            trial.initial.signals.chunks_exact(40 * brain.noise.channels()).next().expect("a sample");
+        let mut draw = Draw::numbered(5, n as u64);
+        let all = brain.prior.unknowns() + brain.noise.no_bias().len();
+        let (z, along) = (normal(&mut draw, all), normal(&mut draw, all));
+        let steps = [0.0, 1e-3, 5e-4, 2.5e-4];
+        let at = steps.map(|h| (0, z.iter().zip(&along).map(|(z, d)| z + h * d).collect()));
+        let counters = &mut Counters::default();
+        let mut looks = Looks {
+            model: &brain.model,
+            prior: &brain.prior,
+            noise: &brain.noise,
+            readings: &[readings],
+            n,
+            counters,
+        };
+        let found = looks.at(at.into());
+        let slope: f64 = found[0].slope.iter().zip(&along).map(|(s, d)| s * d).sum();
+        assert!(slope.abs() > 1.0, "{slope}");
+        let left: Vec<f64> = (1..4).map(|i| (found[i].phi - found[0].phi + steps[i] * slope).abs()).collect();
+        let orders: Vec<f64> = left.windows(2).map(|pair| (pair[0] / pair[1]).log2()).collect();
+        assert!(orders.iter().all(|order| (1.9..2.1).contains(order)), "n = {n}: {orders:?} of {left:?}");
+    }
+}
+
+/// Forces drawn from the prior itself: bands of 95 % cover as much, Φ explains the readings, and errors are those that the posterior
+/// says.
+#[test]
+fn bands_cover_what_is_drawn_from_the_prior() {
+    let pool = crate::Pool::new(2).expect("threads");
+    let trial = Trial::new(&problem(), &pool).expect("a trial");
+    let problem = &trial.problem;
+    let mut brain = brain(&trial, 40);
+    let mut draw = Draw::numbered(5, 1);
+    let drawn: Vec<Vec<f64>> = (0..24).map(|_| normal(&mut draw, brain.prior.unknowns())).collect();
+    let forces = brain.prior.forces(drawn.iter().map(Vec::as_slice));
+    let (solver, double, counters) = (&problem.solver, Precision::Double, &mut Counters::default());
+    let samples =
+        trial.simulate(&problem.initial, &forces, solver, double, false, counters).expect("samples");
+    let (samples, found) = (&samples.samples, brain.read(&samples.samples.signals));
+    let off = |i: usize, estimate: &Estimate| -> Vec<f64> {
+        let truth = samples.targets.chunks_exact(80).nth(i).expect("one a sample");
+        let all = estimate.forces.iter().zip(truth).zip(&estimate.deviations);
+        all.map(|((said, f), deviation)| (said - f) / deviation.max(1e-9)).collect()
+    };
+    let off: Vec<f64> = found.iter().enumerate().flat_map(|(i, estimate)| off(i, estimate)).collect();
+    let covered = off.iter().filter(|off| off.abs() <= 1.96).count() as f64 / off.len() as f64;
+    let square = off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64;
+    assert!((0.92..0.98).contains(&covered) && (0.75..1.3).contains(&square), "{covered}, {square}");
+    for estimate in &found {
+        assert!(estimate.ending == Ending::Converged && estimate.is_explained(), "{estimate:?}");
+    }
+}
+
+/// Of the trial's own pulses it leaves a part of the linear brain's error, by the same bits on any number of threads.
+#[test]
+fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
+    let found = [1, 3].map(|threads| {
+        let pool = crate::Pool::new(threads).expect("threads");
+        let trial = Trial::new(&problem(), &pool).expect("a trial");
+        let problem = &trial.problem;
+        let mut brain =
+            Inverse::new(&trial, &problem.initial, &problem.solver, None, &trial.initial).expect("a brain");
+        let forces = problem.forces(Purpose::Holdout, 0, 4);
+        let (solver, double, counters) = (&problem.solver, Precision::Double, &mut Counters::default());
+        let unseen =
+            trial.simulate(&problem.initial, &forces, solver, double, false, counters).expect("some");
+        let unseen = unseen.samples;
+        let found = brain.read(&unseen.signals);
+        let said: Vec<f64> = found.iter().flat_map(|estimate| &estimate.forces).copied().collect();
+        let errors =
+            [unseen.error(&said), brain.linear.error_on(&unseen)].map(|error| error.expect("forces"));
+        assert!(errors[0] < 0.2 * errors[1], "{errors:?}");
+        found
+    });
+    assert!(found[0] == found[1]);
+}
+
+/// A body that cannot be simulated under what a sample begins with is an outcome, and forces that never differ have no prior.
+#[test]
+fn what_cannot_be_inverted_is_named() {
+    let pool = crate::Pool::new(1).expect("a thread");
+    let trial = Trial::new(&problem(), &pool).expect("a trial");
+    let mut brain = brain(&trial, 20);
+    let forces = trial.problem.forces(Purpose::Fresh, 0, 1);
+    assert!(Prior::new(&forces.select(&[0, 0])).is_some_and(|prior| prior.unknowns() > 0));
+    let still = crate::dynamics::Forces { values: vec![0.0; forces.values.len()], ..forces };
+    assert!(Prior::new(&still).is_none());
+    let wild = vec![f64::NAN; 40 * brain.noise.channels()];
+    let found = brain.read(&wild);
+    assert_eq!(found[0].ending, Ending::StartFailed);
+    assert!(!found[0].is_explained());
+}
