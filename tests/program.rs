@@ -35,5 +35,6 @@ mod ssh;
 mod store;
 mod submit;
 mod transfer;
+mod twin;
 mod until;
 mod upgrade;

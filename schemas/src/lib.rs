@@ -5,4 +5,5 @@ pub mod reason;
 pub mod record;
 pub mod source;
 pub mod spec;
+pub mod twin;
 pub mod wire;

@@ -13,6 +13,7 @@ use crate::convert::finite;
 use crate::measured::Measured;
 use crate::problem::{self, solvable};
 use crate::run::{Failure, check_design, placed, pool, prepared};
+use crate::twin::Cast;
 
 /// How many networks, and how long they train.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -166,6 +167,40 @@ pub fn evaluate(
 
 fn each<T>(by_seed: &[Vec<Network>], what: impl Fn(&Network) -> T) -> Vec<Vec<T>> {
     by_seed.iter().map(|networks| networks.iter().map(&what).collect()).collect()
+}
+
+/// The same of brains that are trained on a twin of the body, on its simulated training samples, and read all of the records; and the
+/// signals (N, T, channels) that the twin gives under the same forces. `folds` are those of [`evaluate`].
+///
+/// # Errors
+/// If the spec stands for no trial, or the twin cannot be simulated.
+pub fn by_twin(
+    trial: &TrialSpec,
+    (design, twin): (&[f64], &Cast),
+    measured: &Measured,
+    effort: Effort,
+    folds: &[usize],
+    threads: usize,
+) -> Result<(Vec<f64>, Evaluated), Failure> {
+    let pool = pool(threads)?;
+    let problem = placed(trial, &pool)?;
+    check_design(&problem, design)?;
+    let Measured { forces, signals, low_pass } = measured;
+    let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
+    let recipe = Recipe { kind: problem::kind(effort.brain), ..problem.recipe() };
+    let (known, sensed) = questions::rehearse(&problem, design, twin, forces, &pool)?;
+    let of = |number| records.taught(&known, recipe, number as u64, effort.iterations, &pool);
+    let found: Vec<Network> = (0..effort.seeds).map(|number| Network::new(of(number), number == 0)).collect();
+    let evaluated = Evaluated {
+        errors: found.iter().map(|network| network.errors.iter().map(|e| finite(*e)).collect()).collect(),
+        errors_train: found.iter().map(|network| vec![network.error_train]).collect(),
+        progress: found.iter().map(|network| vec![network.progress.clone()]).collect(),
+        outcomes: found.iter().map(|network| vec![network.outcome.clone()]).collect(),
+        targets: records.targets().to_vec(),
+        folds: folds.to_vec(),
+        predictions: found[0].predictions.clone(),
+    };
+    Ok((sensed, evaluated))
 }
 
 /// Signals (N, T, 3M) that the trial's model of `design` gives under the same forces, its chips' noise included.

@@ -20,6 +20,7 @@ pub mod replay;
 pub mod run;
 pub mod simd;
 pub mod simulate;
+pub mod twin;
 pub mod verify;
 
 pub use metasense_numerics::brain::milestones;

@@ -14,8 +14,8 @@ use crate::look::{Table, row};
 pub struct Judged {
     /// The body.
     pub body: String,
-    /// Whether the signals are those of the trial's model instead of measured ones.
-    pub simulated: bool,
+    /// Whose signals train and are read.
+    pub by: By,
     /// Error of each record (%), a mean over seeds; `None` where there is none.
     pub errors: Vec<Option<f64>>,
     /// Mean error on training records (%).
@@ -26,8 +26,26 @@ pub struct Judged {
     pub by_fold: Vec<f64>,
     /// Mean error on unseen records at some iterations.
     pub progress: Vec<CurvePoint>,
-    /// Of simulated signals: how they agree with the measured ones.
+    /// Of the model's or the twin's signals: how they agree with the measured ones.
     pub agreement: Option<Agreement>,
+}
+
+/// Whose signals train the networks, and are read by them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum By {
+    /// Measured ones.
+    Measured,
+    /// Those of the trial's model.
+    Simulated,
+    /// Those of a twin train, measured ones are read.
+    Twin,
+}
+
+impl By {
+    /// The name by which people know it.
+    pub fn name(self) -> &'static str {
+        ["measured", "simulated", "twin"][self as usize]
+    }
 }
 
 /// How two bodies' signals agree, channels at equal weight.
@@ -144,13 +162,13 @@ pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
     let columns = "body signals records error_train error_test test_low test_high spread_folds \
         spread_seeds ratio ratio_low ratio_high iterations_ratio correlation difference lag";
     let row = |body: &Judged| {
-        let first = judged.iter().find(|other| other.simulated == body.simulated);
+        let first = judged.iter().find(|other| other.by == body.by);
         let first = first.filter(|first| first.body != body.body);
         let ratio = first.and_then(|first| mean_ratio(first, body, paired));
         let test = mean_interval(&body.known());
         row![
             body.body,
-            if body.simulated { "simulated" } else { "measured" },
+            body.by.name(),
             body.errors.len(),
             body.error_train,
             body.error(),

@@ -155,7 +155,7 @@ fn random_bodies() {
 fn means_over_records() {
     let judged = |errors: Vec<f64>| Judged {
         body: String::new(),
-        simulated: false,
+        by: super::records::By::Measured,
         errors: errors.into_iter().map(Some).collect(),
         error_train: None,
         by_seed: vec![],

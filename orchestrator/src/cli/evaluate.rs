@@ -6,9 +6,10 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use metasense_schemas::spec::{BrainKind, TrialSpec};
-use metasense_worker::evaluate::{Effort, Evaluated, Kept, Network, evaluate, simulated};
+use metasense_worker::evaluate::{Effort, Evaluated, Kept, Network, by_twin, evaluate, simulated};
 use metasense_worker::measured::{self, Measured};
 use metasense_worker::run::Failure;
+use metasense_worker::twin::{self, Cast};
 
 use super::named::Named;
 use super::report::write_figures;
@@ -34,6 +35,10 @@ pub(super) struct Args {
     /// The design (.npy or .csv) of a body that is not the trial's own
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     design: Vec<(String, PathBuf)>,
+    /// A twin (TOML, of `metasense twin`) of a body whose design is known: networks trained on its simulated signals read the body's
+    /// records, too
+    #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
+    twin: Vec<(String, PathBuf)>,
     /// Parts of the records; each is predicted by networks trained on all others [default: 10, at most as many as records]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     folds: Option<u32>,
@@ -104,10 +109,20 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         designs.insert(name.clone(), metasense_worker::design::read(file, &layout)?);
     }
+    let mut twins = BTreeMap::new();
+    for (name, file) in &args.twin {
+        let known = designs.get(name).filter(|_| args.records.iter().any(|(other, _)| other == name));
+        let Some(design) = known else {
+            return Err(Error::Usage(format!(
+                "--twin {name}: there are no --records {name}=FILE of a body whose design is known"
+            )));
+        };
+        twins.insert(name.clone(), twin::read(file, of_body(&specs, name), design)?);
+    }
     let read =
         |(name, file): &(String, PathBuf)| Ok((name.clone(), measured::read(file, of_body(&specs, name))?));
     let records = args.records.iter().map(read).collect::<Result<Vec<_>, Error>>()?;
-    let (comparison, unfinished) = compare(&args, &specs, records, &designs)?;
+    let (comparison, unfinished) = compare(&args, &specs, records, &designs, &twins)?;
     if let Some(folder) = &args.out_dir {
         write_parts(folder, &comparison)?;
     }
@@ -138,6 +153,7 @@ fn compare(
     specs: &[TrialSpec; 2],
     records: Vec<(String, Measured)>,
     designs: &BTreeMap<String, Vec<f64>>,
+    twins: &BTreeMap<String, Cast>,
 ) -> Result<(Comparison, Unfinished<Networks>), Error> {
     let trial = &specs[0];
     let fewest = records.iter().map(|(_, measured)| measured.forces.samples).min().unwrap_or(0);
@@ -200,7 +216,13 @@ fn compare(
                 Err(e) => return Err(Error::Usage(format!("--design {name}: {e}"))),
             },
         };
-        bodies.push(Body { name, signals: measured.signals, measured: by_measured, simulated: model });
+        let of_twin = |cast: &Cast| {
+            let own = (&designs[&name][..], cast);
+            by_twin(of_body(specs, &name), own, &measured, effort, &by_measured.folds, threads)
+                .map_err(|e| Error::Usage(format!("--twin {name}: {e}")))
+        };
+        let twin = twins.get(&name).map(of_twin).transpose()?;
+        bodies.push(Body { name, signals: measured.signals, measured: by_measured, simulated: model, twin });
     }
     Ok((Comparison::new(bodies, paired, trial), unfinished))
 }
@@ -213,7 +235,14 @@ fn alike(a: &[f64], b: &[f64]) -> bool {
 
 /// Whether all networks trained as planned; says so of those that did not.
 fn well(body: &Body) -> bool {
-    let kinds = [("measured", Some(&body.measured)), ("simulated", body.simulated.as_ref().map(|s| &s.1))];
+    fn own(of: &Option<(Vec<f64>, Evaluated)>) -> Option<&Evaluated> {
+        of.as_ref().map(|(_, evaluated)| evaluated)
+    }
+    let kinds = [
+        ("measured", Some(&body.measured)),
+        ("simulated", own(&body.simulated)),
+        ("the twin's", own(&body.twin)),
+    ];
     let mut well = true;
     for (kind, evaluated) in kinds {
         let outcomes = evaluated.iter().flat_map(|evaluated| evaluated.outcomes.iter().flatten());

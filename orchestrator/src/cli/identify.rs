@@ -60,8 +60,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
     let (_, trial, design) = &args.one.read().await?;
     if trial.sensors.channels.is_some() {
-        let remedy = "must be left out here: a fit compares all three signals of each sensor";
-        return Err(Error::Usage(format!("sensors.channels: {remedy}")));
+        let remedy = "must be left out here: a fit compares all three signals of each sensor; `metasense twin` takes what is read";
+        return Err(args.one.trial.refused_key("sensors.channels", remedy));
     }
     let measured = measured::read(&args.records, trial)?;
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();

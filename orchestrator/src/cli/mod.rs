@@ -38,6 +38,7 @@ mod simulate;
 mod status;
 mod submit;
 mod trial;
+mod twin;
 mod unfinished;
 mod verify;
 mod watch;
@@ -107,7 +108,7 @@ commands! {
     "A cluster": Submit submit, Merge merge, Gc gc;
     "Results": Query query, Analyse analyse, Report report, Claims claims, Export export, Remove remove;
     "Bodies": Simulate simulate, Modes modes, Bound bound, Casts casts, Place place, Project project, Draw draw;
-    "Measured data": Identify identify, Evaluate evaluate;
+    "Measured data": Identify identify, Twin twin, Evaluate evaluate;
     "Checks": Verify verify, Schema schema;
 }
 

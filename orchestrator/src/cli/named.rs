@@ -212,6 +212,16 @@ impl Named {
         })
     }
 
+    /// What a key of it rules out: with file and line, where it is a spec.
+    pub fn refused_key(&self, key: &str, remedy: &str) -> Error {
+        match self.is_database() {
+            true => self.refused(format!("{key}: {remedy}")),
+            false => {
+                self.spec().source().map_or_else(|e| e, |spec| spec.error_with(key, None, remedy).into())
+            }
+        }
+    }
+
     /// What cannot be done with it.
     pub fn refused(&self, why: impl Display) -> Error {
         Error::Usage(format!("{}: {why}", self.source.display()))

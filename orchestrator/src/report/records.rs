@@ -7,7 +7,7 @@ use metasense_worker::evaluate::Evaluated;
 use super::strips::{Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::Interval;
 use crate::analysis::numbers::mean;
-use crate::analysis::records::{Agreement, Judged, mean_ratio, table};
+use crate::analysis::records::{Agreement, By, Judged, mean_ratio, table};
 use crate::analysis::trial::CurvePoint;
 use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
@@ -22,6 +22,8 @@ pub struct Body {
     pub measured: Evaluated,
     /// Where the design is known: the model's signals, and what networks predict from those.
     pub simulated: Option<(Vec<f64>, Evaluated)>,
+    /// Where there is a twin of it: its signals, and what networks trained on it predict from the measured ones.
+    pub twin: Option<(Vec<f64>, Evaluated)>,
 }
 
 /// All bodies under the same clock, panels and sensors.
@@ -49,7 +51,7 @@ fn class(body: usize) -> &'static str {
 }
 
 /// A body's errors by networks that have not seen the records.
-fn judged(body: &str, simulated: bool, evaluated: &Evaluated, agreement: Option<Agreement>) -> Judged {
+fn judged(body: &str, by: By, evaluated: &Evaluated, agreement: Option<Agreement>) -> Judged {
     let Evaluated { folds, errors: by_seed, errors_train, progress, .. } = evaluated;
     let of_record = |i: usize| -> Option<f64> {
         let errors: Option<Vec<f64>> = by_seed.iter().map(|errors| errors[i]).collect();
@@ -71,7 +73,7 @@ fn judged(body: &str, simulated: bool, evaluated: &Evaluated, agreement: Option<
     let known = |errors: &Vec<Option<f64>>| errors.iter().flatten().copied().collect::<Vec<f64>>();
     Judged {
         body: body.to_owned(),
-        simulated,
+        by,
         error_train: mean(&errors_train.iter().flat_map(known).collect::<Vec<f64>>()),
         by_seed: by_seed.iter().filter_map(|errors| mean(&known(errors))).collect(),
         by_fold: (0..count).filter_map(|fold| mean(&of_fold(fold))).collect(),
@@ -88,13 +90,15 @@ impl Comparison {
         let shape = [trial.panel_units.len(), instants, channels];
         let name = |m: usize, read: &Channel| format!("{}{m}", ["ax", "ay", "ω"][*read as usize]);
         let of_sensor = |m| trial.sensors.read().iter().map(move |read| name(m, read));
-        let measured = bodies.iter().map(|body| judged(&body.name, false, &body.measured, None));
-        let simulated = bodies.iter().filter_map(|body| {
-            let (signals, evaluated) = body.simulated.as_ref()?;
+        let measured = bodies.iter().map(|body| judged(&body.name, By::Measured, &body.measured, None));
+        let modelled = |body: &Body, by: By, model: &Option<(Vec<f64>, Evaluated)>| {
+            let (signals, evaluated) = model.as_ref()?;
             let agreement = Agreement::of(&body.signals, signals, [instants, channels]);
-            Some(judged(&body.name, true, evaluated, Some(agreement)))
-        });
-        let judged = measured.chain(simulated).collect();
+            Some(judged(&body.name, by, evaluated, Some(agreement)))
+        };
+        let simulated = bodies.iter().filter_map(|body| modelled(body, By::Simulated, &body.simulated));
+        let twins = bodies.iter().filter_map(|body| modelled(body, By::Twin, &body.twin));
+        let judged = measured.chain(simulated).chain(twins).collect();
         let channels = (0..trial.point.sensors).flat_map(of_sensor).collect();
         Self { bodies, paired, shape, channels, duration: trial.time.duration, judged }
     }
@@ -104,8 +108,8 @@ impl Comparison {
         table(&self.judged, self.paired, self.duration / self.shape[1] as f64)
     }
 
-    fn of(&self, body: &Body, simulated: bool) -> Option<&Judged> {
-        self.judged.iter().find(|j| j.body == body.name && j.simulated == simulated)
+    fn of(&self, body: &Body, by: By) -> Option<&Judged> {
+        self.judged.iter().find(|j| j.body == body.name && j.by == by)
     }
 
     /// The table in words.
@@ -120,21 +124,22 @@ impl Comparison {
                 judged.errors.len(),
                 shown(judged.error_train)
             );
-            if let Some(promised) = self.of(body, true) {
+            if let Some(promised) = self.of(body, By::Simulated) {
                 text += &format!("; {} % with signals simulated by the model", shown(promised.error()));
+            }
+            if let Some(taught) = self.of(body, By::Twin) {
+                text += &format!("; {} % by networks trained on its twin", shown(taught.error()));
             }
             said.push(Answer::new("", None, text + "."));
         }
         for body in self.bodies.iter().skip(1) {
-            let ratio = |simulated| {
-                mean_ratio(self.of(&self.bodies[0], simulated)?, self.of(body, simulated)?, self.paired)
-            };
-            let Some(found) = ratio(false) else { continue };
+            let ratio = |by| mean_ratio(self.of(&self.bodies[0], by)?, self.of(body, by)?, self.paired);
+            let Some(found) = ratio(By::Measured) else { continue };
             let verdict = found.interval.and_then(Interval::is_above_one);
             let interval = found.interval.map_or(String::new(), |i| {
                 format!(" (95 % over records: {} to {})", number(i.low), number(i.high))
             });
-            let promised = ratio(true)
+            let promised = ratio(By::Simulated)
                 .map_or(String::new(), |r| format!("; {} times with simulated signals", number(r.ratio)));
             let text = format!(
                 "On unseen records the {} body's error is {} times the {} body's{interval}{promised}.",
@@ -152,7 +157,7 @@ impl Comparison {
         let columns = "body record fold error error_simulated";
         let mut rows = Vec::new();
         for (body, measured) in self.bodies.iter().zip(&self.judged) {
-            let promised = self.of(body, true);
+            let promised = self.of(body, By::Simulated);
             rows.extend(measured.errors.iter().enumerate().map(|(i, error)| {
                 let simulated = promised.and_then(|promised| promised.errors[i]);
                 row![body.name, i, body.measured.folds[i], error, simulated]
@@ -275,7 +280,8 @@ impl Comparison {
 
     fn progress(&self) -> Option<Figure> {
         let judged = &self.judged;
-        let curves = || judged.iter().filter(|judged| !judged.simulated).map(|judged| &judged.progress);
+        let curves =
+            || judged.iter().filter(|judged| judged.by == By::Measured).map(|judged| &judged.progress);
         let points = || curves().flatten();
         let x = Axis::new("iterations of the brain", Scale::Log, points().map(|p| f64::from(p.0)));
         let y = Axis::new("error on unseen records (%)", Scale::Log, points().map(|p| p.1));
@@ -283,10 +289,7 @@ impl Comparison {
         for (b, curve) in curves().enumerate() {
             plot.line(class(b), curve.iter().map(|p| (f64::from(p.0), p.1)));
         }
-        let row = |judged: &Judged, p: &(u32, f64)| {
-            let signals = if judged.simulated { "simulated" } else { "measured" };
-            row![judged.body, signals, p.0, p.1]
-        };
+        let row = |judged: &Judged, p: &(u32, f64)| row![judged.body, judged.by.name(), p.0, p.1];
         let rows = judged.iter().flat_map(|judged| judged.progress.iter().map(move |p| row(judged, p)));
         // a linear brain is solved for at once
         points().next()?;

@@ -76,6 +76,15 @@ impl TrialSpec {
         write_canonical(&value, &mut text);
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
     }
+
+    /// Names a body of the trial, of this design, with its sensors: 32 hex digits likewise.
+    #[must_use]
+    pub fn body_digest(&self, design: &[f64]) -> String {
+        let mut text = String::with_capacity(2048);
+        let value = serde_json::json!([self.body, self.sensor_units, design]);
+        write_canonical(&value, &mut text);
+        blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
+    }
 }
 
 /// JSON with sorted keys, whatever order the map type keeps.

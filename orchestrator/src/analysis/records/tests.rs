@@ -5,7 +5,7 @@ use super::*;
 fn judged(body: &str, errors: &[f64]) -> Judged {
     Judged {
         body: body.into(),
-        simulated: false,
+        by: By::Measured,
         errors: errors.iter().map(|e| Some(*e)).collect(),
         error_train: None,
         by_seed: vec![],

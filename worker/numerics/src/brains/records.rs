@@ -64,26 +64,49 @@ impl Records {
         let (inside, outside): (Vec<usize>, Vec<usize>) =
             (0..self.0.count()).partition(|&i| folds[i] == fold);
         let [unseen, known] = [inside, outside].map(|records| self.0.select(&records));
-        let scales = Scales::of(&known);
-        let mut reader = match reader(recipe, &known, [scales.clone(), scales], pool) {
+        Unseen::by(&known, &unseen, recipe, number, iterations, pool)
+    }
+
+    /// The same of all of them by a brain fitted to samples of another body, such as the records' twin.
+    pub fn taught(
+        &self,
+        known: &Samples,
+        recipe: Recipe,
+        number: u64,
+        iterations: usize,
+        pool: &crate::Pool,
+    ) -> Unseen {
+        Unseen::by(known, &self.0, recipe, number, iterations, pool)
+    }
+}
+
+impl Unseen {
+    fn by(
+        known: &Samples,
+        unseen: &Samples,
+        recipe: Recipe,
+        number: u64,
+        iterations: usize,
+        pool: &crate::Pool,
+    ) -> Self {
+        let scales = Scales::of(known);
+        let mut reader = match reader(recipe, known, [scales.clone(), scales], pool) {
             Ok(reader) => reader,
-            Err(trouble) => return Unseen::nothing(&unseen, trouble),
+            Err(trouble) => return Self::nothing(unseen, trouble),
         };
-        let outcome = reader.fit(number, iterations, &unseen, &mut |_| false).expect("it does not pause");
+        let outcome = reader.fit(number, iterations, unseen, &mut |_| false).expect("it does not pause");
         let trains = reader.training().is_some();
         if let (Err(trouble), false) = (outcome, trains) {
-            return Unseen::nothing(&unseen, trouble);
+            return Self::nothing(unseen, trouble);
         }
         let predictions = reader.predict(&unseen.signals);
         let errors = unseen.errors(&predictions);
         let error_train = reader.error_known();
         let training = reader.training().and_then(Option::take);
         let (losses, progress) = training.map(|fresh| (fresh.losses, fresh.errors)).unwrap_or_default();
-        Unseen { predictions, errors, error_train, losses, progress, trouble: outcome.err() }
+        Self { predictions, errors, error_train, losses, progress, trouble: outcome.err() }
     }
-}
 
-impl Unseen {
     /// Of a brain that could not be fitted: it says nothing, so its records have 100 % error.
     fn nothing(unseen: &Samples, trouble: Trouble) -> Self {
         let predictions = vec![0.0; unseen.targets.len()];

@@ -122,7 +122,11 @@ pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>)
 
 /// The group of every entry of the signals, and how many groups there are.
 fn groups(objective: &Objective<'_>) -> (Vec<usize>, usize) {
-    let (records, length, width) = (objective.records(), objective.length(), objective.width());
+    grouped([objective.records(), objective.length(), objective.width()])
+}
+
+/// The same of signals (records, length, width).
+pub fn grouped([records, length, width]: [usize; 3]) -> (Vec<usize>, usize) {
     let parts = if records >= ENOUGH { 1 } else { PARTS.div_ceil(records).min(length) };
     let of = |entry: usize| {
         let (record, n) = (entry / (length * width), entry / width % length);

@@ -119,7 +119,7 @@ impl Problem {
     }
 
     /// The sensors' chips, what is relative in them so to `rms` of each channel.
-    pub(super) fn chip(&self, rms: &[f64]) -> Option<Chip> {
+    pub(crate) fn chip(&self, rms: &[f64]) -> Option<Chip> {
         self.disturbance.map(|d| Chip::new(&d, self.seed, rms, &self.channels))
     }
 

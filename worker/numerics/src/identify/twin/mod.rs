@@ -11,7 +11,10 @@ mod objective;
 mod unknowns;
 
 use crate::dynamics::{Counters, Forces, Solver};
-use crate::trial::{Chip, Problem, Trial};
+use crate::identify::discrepancy::explained;
+use crate::identify::interval::grouped;
+use crate::student::student;
+use crate::trial::{Chip, Problem, Trial, tuned};
 use crate::variation::{Cast, Variation};
 use nalgebra::{DMatrix, DVector};
 use objective::{Columns, Objective, Point};
@@ -54,6 +57,8 @@ pub struct Estimate {
     pub found: f64,
     /// Its standard deviation after the records, in those; 1: they tell nothing.
     pub left: f64,
+    /// Half its 95 % interval, in those, which knows of what the model lacks; of a fit that was asked for it.
+    pub half: Option<f64>,
 }
 
 /// A twin.
@@ -70,6 +75,9 @@ pub struct Twin {
     pub misfit: f64,
     /// What stands for the noise of each channel that is read (mm/s², rad/s): what is left, but no less than the chips'.
     pub noise: Vec<f64>,
+    /// Share of what is left that the motion explains on records that were not asked, where several were fitted and intervals asked for:
+    /// what the model lacks.
+    pub unmodelled: Option<f64>,
     /// Steps taken.
     pub steps: usize,
     /// Work done.
@@ -102,7 +110,28 @@ impl Twin {
     pub fn of(trial: &Trial, design: &[f64], solver: &Solver, forces: &Forces, signals: &[f64]) -> Self {
         let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
         let chip = trial.chip.as_ref();
-        fit(&trial.problem, chip, design, solver, (forces, signals), &variation, trial.pool)
+        fit(&trial.problem, chip, design, solver, (forces, signals), &variation, false, trial.pool)
+    }
+
+    /// The same of a problem's body, from measured records, with intervals. Noise that the spec has relative is so to the records.
+    ///
+    /// # Panics
+    /// Likewise.
+    pub fn of_records(
+        problem: &Problem,
+        design: &[f64],
+        records: (&Forces, &[f64]),
+        pool: &crate::Pool,
+    ) -> Self {
+        let width = problem.shape().inputs;
+        let rms = |c: usize| {
+            let of = records.1[c..].iter().step_by(width);
+            (of.map(|y| y * y).sum::<f64>() * width as f64 / records.1.len() as f64).sqrt()
+        };
+        let chip = problem.chip(&(0..width).map(rms).collect::<Vec<_>>());
+        let solver = tuned(problem, design, records.0, &problem.solver, pool).solver;
+        let variation = problem.variation.unwrap_or(Variation::USUAL);
+        fit(problem, chip.as_ref(), design, &solver, records, &variation, true, pool)
     }
 }
 
@@ -113,6 +142,7 @@ fn fit(
     solver: &Solver,
     records: (&Forces, &[f64]),
     variation: &Variation,
+    intervals: bool,
     pool: &crate::Pool,
 ) -> Twin {
     let unknowns = Unknowns::new(&problem.scene, variation);
@@ -124,6 +154,7 @@ fn fit(
         ending: Ending::StartFailed,
         misfit: f64::INFINITY,
         noise: Vec::new(),
+        unmodelled: None,
         steps: 0,
         counters: Counters::default(),
     };
@@ -137,6 +168,10 @@ fn fit(
             z.copy_from(&point.z);
             if part == 1.0 {
                 twin.tell(&objective, &point, &columns);
+                if intervals {
+                    let columns = objective.columns(&point, usize::MAX);
+                    twin.bound(&objective, &point, &columns);
+                }
             }
         }
     }
@@ -174,9 +209,36 @@ impl Twin {
             objective.curvature(columns).cholesky().expect("a curvature of 1 and more").inverse();
         let of = |(k, &unknown): (usize, &Unknown)| {
             let scatter = unknowns.deviation(unknown);
-            Estimate { unknown, scatter, found: point.z[k], left: covariance[(k, k)].sqrt() }
+            Estimate { unknown, scatter, found: point.z[k], left: covariance[(k, k)].sqrt(), half: None }
         };
         self.estimates = unknowns.all().iter().enumerate().map(of).collect();
+    }
+}
+
+impl Twin {
+    /// Intervals: the covariance H⁻¹ ((1 + u (G − 1)) Σ s sᵀ + 1) H⁻¹ of the estimate, s = Jᵀr of each of G groups, so that what is left
+    /// may be correlated within a group, and its share u that follows from the motion alike in all of them does not average out.
+    fn bound(&mut self, objective: &Objective, point: &Point, columns: &Columns) {
+        let (records, jacobian) = (columns.records.len(), objective.jacobian(columns));
+        let [read, residual] = objective.parts(point, &columns.records);
+        let width = self.noise.len();
+        self.unmodelled = explained(&read, &residual, records, width);
+        let (group, count) = grouped([records, residual.len() / (records * width), width]);
+        let mut scores = DMatrix::zeros(count, jacobian.ncols());
+        for (k, column) in jacobian.column_iter().enumerate() {
+            for ((&group, r), j) in group.iter().zip(&residual).zip(column.iter()) {
+                scores[(group, k)] += r * j;
+            }
+        }
+        let curvature = jacobian.tr_mul(&jacobian) + DMatrix::identity(scores.ncols(), scores.ncols());
+        let inverse = curvature.cholesky().expect("a curvature of 1 and more").inverse();
+        let alike = 1.0 + self.unmodelled.unwrap_or(0.0) * (count - 1) as f64;
+        let moved = scores * &inverse;
+        for (k, estimate) in self.estimates.iter_mut().enumerate() {
+            let variance = alike * moved.column(k).norm_squared() + inverse.column(k).norm_squared();
+            estimate.left = inverse[(k, k)].sqrt();
+            estimate.half = Some(student(count - 1) * variance.sqrt());
+        }
     }
 }
 

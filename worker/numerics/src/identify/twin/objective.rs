@@ -30,7 +30,7 @@ pub struct Point {
 
 /// Columns of da/dz, an unknown each, of some records.
 pub struct Columns {
-    records: Vec<usize>,
+    pub records: Vec<usize>,
     /// (records, window, channels).
     of: Vec<Vec<f64>>,
 }
@@ -158,6 +158,13 @@ impl<'a> Objective<'a> {
     /// The same under the weights that are now.
     pub fn again(&self, point: Point) -> Point {
         Point { cost: self.cost(&point), ..point }
+    }
+
+    /// What is read (n, window, channels), and R^{-½}(y − a), of the records listed.
+    pub fn parts(&self, point: &Point, records: &[usize]) -> [Vec<f64>; 2] {
+        let record = self.scene.instants * self.width();
+        let of = |all: &[f64]| records.iter().flat_map(|i| &all[i * record..][..record]).copied().collect();
+        [of(&point.read), of(&self.residual(&point.read))]
     }
 
     /// R^{-½}(y − a), zero of what is not seen.

@@ -222,6 +222,6 @@ fn what_records_do_not_tell_is_left_as_it_was() {
     let (forces, signals) = (problem.known()[0].select(&[0]), vec![0.0; 2 * 24]);
     let problem = Problem { scene, ..problem };
     let all = (&forces, &signals[..]);
-    let twin = fit(&problem, None, &problem.initial, &problem.solver, all, &Variation::USUAL, &pool);
+    let twin = fit(&problem, None, &problem.initial, &problem.solver, all, &Variation::USUAL, false, &pool);
     assert_eq!((twin.ending, twin.steps), (Ending::StartFailed, 0));
 }

@@ -1,0 +1,131 @@
+//! `twin`: the cast of a body that best explains measured records of it.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::identify::Parameters;
+use metasense_worker::measured;
+use metasense_worker::run::{Failure, prepared};
+use metasense_worker::twin::{self, Ending, Estimate, Twin, Unknown};
+use serde_json::Value;
+
+use super::named::Designed;
+use super::{Error, Format, duration, print_rows, write};
+use crate::exit::Exit;
+use crate::look::{Table, digits, row};
+
+/// Fits a twin to measured records: material, chips and node positions of one cast of a body
+///
+/// The unknowns are what the spec's [variation] scatters, each with that scatter before any record; without one stretch, shear and
+/// bend 5 %, damping 20 %, density 3 %, nodes 0.1 mm. Intervals (95 %) know of what the model lacks. Exit code 1 if the fit does not converge.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(flatten)]
+    one: Designed,
+    /// The records (TOML; keys in schemas/README.md)
+    #[arg(long, value_name = "TOML")]
+    records: PathBuf,
+    /// Writes the twin into this file (TOML), for `metasense evaluate --twin`
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
+    /// The form of the estimates
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let (_, trial, design) = &args.one.read().await?;
+    let measured = measured::read(&args.records, trial)?;
+    let begun = Instant::now();
+    let found = twin::twin(trial, design, &measured, args.threads.into());
+    let found = found.map_err(|e| args.one.trial.refused(e))?;
+    print_rows(&estimates(trial, &found).map_err(|e| args.one.trial.refused(e))?, args.format)?;
+    if args.format == Format::Table {
+        said(&found, measured.forces.samples).iter().try_for_each(|line| print_line!("{line}"))?;
+    }
+    say!("{}", duration(begun.elapsed().as_secs_f64()));
+    if let Some(file) = &args.out {
+        let text = toml::to_string(&twin::store(trial, design, &found)).expect("a twin is TOML");
+        write(file, text.into_bytes())?;
+    }
+    Ok(if found.ending == Ending::Converged { Exit::Done } else { Exit::Failed })
+}
+
+/// Digits of an estimate: material is found to a few thousandths.
+const DIGITS: usize = 5;
+/// Part of its scatter from which an unknown counts as not told: half of the variance is left.
+const UNTOLD: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+fn is_of_parts(estimate: &Estimate) -> bool {
+    matches!(estimate.unknown, Unknown::Shift(_) | Unknown::Ligament(..) | Unknown::Unit(_))
+}
+
+/// A row for each unknown but those of nodes, ligaments and units.
+fn estimates(trial: &TrialSpec, twin: &Twin) -> Result<Table, Failure> {
+    let columns = "unknown unit start fitted lower upper scatter_left_percent outcome";
+    let start = Parameters::of(&prepared(trial)?.scene).array();
+    let row = |e: &Estimate| {
+        let (name, unit, begun) = match e.unknown {
+            Unknown::Material(p) => (p.name().to_owned(), p.unit(), start[p as usize]),
+            Unknown::LigamentLength => ("ligament length".to_owned(), "mm", trial.body.ligament_length),
+            Unknown::Gain(c) => (format!("gain of {}{}", ["ax", "ay", "ω"][c % 3], c / 3), "", 1.0),
+            Unknown::Turn(chip) => (format!("turn of sensor {chip}"), "°", 0.0),
+            Unknown::Shift(_) | Unknown::Ligament(..) | Unknown::Unit(_) => unreachable!("left out"),
+        };
+        let value = |z: f64| match e.unknown {
+            Unknown::Turn(_) => (e.scatter * z).to_degrees(),
+            _ => begun * (e.scatter * z).exp(),
+        };
+        let shown = |z: f64| Value::from(digits(value(z), DIGITS));
+        let ends = [-1.0, 1.0].map(|way| e.half.map(|half| shown(e.found + way * half)));
+        let outcome = if e.left > UNTOLD { "not identifiable" } else { twin.ending.name() };
+        row![name, unit, begun, shown(e.found), ends[0], ends[1], 100.0 * e.left, outcome]
+    };
+    Ok(Table::new(columns, twin.estimates.iter().filter(|e| !is_of_parts(e)).map(row)))
+}
+
+/// What there is to say beside.
+fn said(twin: &Twin, records: usize) -> Vec<String> {
+    let mut said = vec![format!(
+        "{} after {} steps on {records} records; what is left of the signals is {:.2} times the chips' noise",
+        twin.ending.name(),
+        twin.steps,
+        twin.misfit
+    )];
+    if let Some(part) = twin.unmodelled.filter(|part| *part >= DISCREPANCY) {
+        said.push(format!(
+            "discrepancy: the motion explains {:.0} % of what is left, on records that were not asked; the intervals are wider for it",
+            100.0 * part
+        ));
+    }
+    let parts: [(&str, &str, &dyn Fn(&Unknown) -> bool); 3] = [
+        ("node shifts", "mm", &|unknown| matches!(unknown, Unknown::Shift(_))),
+        ("stiffnesses of single ligaments", "of the logarithm", &|unknown| {
+            matches!(unknown, Unknown::Ligament(..))
+        }),
+        ("densities of single units", "of the logarithm", &|unknown| matches!(unknown, Unknown::Unit(_))),
+    ];
+    for (name, unit, is) in parts {
+        let of: Vec<&Estimate> = twin.estimates.iter().filter(|e| is(&e.unknown)).collect();
+        let Some(first) = of.first() else { continue };
+        let rms = |value: &dyn Fn(&Estimate) -> f64| {
+            (of.iter().map(|e| value(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()
+        };
+        let untold = of.iter().filter(|e| e.left > UNTOLD).count();
+        said.push(format!(
+            "{name}: RMS {:.3} {unit}, of {:.3} before; not told by the records: {untold} of {}; what is left unknown of all: {:.3}",
+            first.scatter * rms(&|e| e.found),
+            first.scatter,
+            of.len(),
+            first.scatter * rms(&|e| e.left)
+        ));
+    }
+    said
+}
+
+/// Part of the residual that must follow from the motion for it to be called a discrepancy.
+const DISCREPANCY: f64 = 0.1;

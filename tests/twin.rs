@@ -1,0 +1,166 @@
+//! `twin`: records of a cast in, the cast out, and brains that are trained on it.
+
+use crate::common::Bench;
+use metasense_worker::design::{self, Layout};
+
+const SPEC: &str = r#"name = "t"
+[body]
+columns = 3
+rows = 3
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
+damping_ratio = 0.03
+[time]
+duration = 0.2
+samples = 40
+[stimuli]
+kind = "bell"
+samples = 20
+test = 4
+[brain]
+kind = "linear"
+[sweep]
+panels = [2]
+sensors = [1]
+"#;
+
+/// Of the cast that was recorded, in the order of the rows: stretch, shear, bend, damping, density.
+const TRUE: [f64; 5] = [3.12, 0.48, 1.05, 0.035, 1.02e-8];
+const RECORDS: usize = 10;
+const INSTANTS: usize = 40;
+
+fn hash(bench: &Bench, spec: &str) -> String {
+    let csv = bench.output(&["expand", spec, "--format", "csv"]);
+    csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
+}
+
+/// Ten records of a cast whose nodes are off by 0.1 mm, 2 % of noise added.
+fn bench() -> Bench {
+    let bench = Bench::new();
+    bench.file("s.toml", SPEC);
+    let [stretch, shear, bend, damping, density] = TRUE;
+    let material = format!("stretch = {stretch}, shear = {shear}, bend = {bend}");
+    let made = SPEC.replace("stretch = 3.0, shear = 0.5, bend = 1.0", &material);
+    bench
+        .file("cast.toml", &made.replace("1e-8", &density.to_string()).replace("0.03", &damping.to_string()));
+    let layout = Layout::planar(3, 3, 15.0, 2.25);
+    let mut shifted = layout.initial_design(25f64.to_radians());
+    shifted.iter_mut().enumerate().for_each(|(i, a)| *a += 0.14 * (2.3 * i as f64).sin());
+    let path = bench.path("cast.npy");
+    std::fs::write(&path, design::bytes(&path, &layout, &shifted).unwrap()).unwrap();
+    let force = |record: usize, panel: usize, n: usize| {
+        let (onset, width) = (0.004 * record as f64, 0.03 + 0.004 * record as f64 + 0.02 * panel as f64);
+        let z = ((0.2 * n as f64 / INSTANTS as f64 - onset) / width).clamp(0.0, 1.0);
+        (0.2 + 0.1 * ((record + panel) % 3) as f64) * (std::f64::consts::PI * z).sin().powi(2)
+    };
+    let histories = (0..RECORDS).flat_map(|i| [(i, 0), (i, 1)]);
+    let forces: Vec<f64> = histories.flat_map(|(i, k)| (0..=INSTANTS).map(move |n| force(i, k, n))).collect();
+    bench.write_array("f.npy", &[RECORDS as u64, 2, INSTANTS as u64 + 1], &forces);
+    let cast = hash(&bench, "cast.toml");
+    let run = ["simulate", "cast.toml", "--hash", &cast, "--forces", "f.npy", "--design", "cast.npy"];
+    bench.output(&[&run[..], &["--out-dir", "a"]].concat());
+    let signals = bench.array("a/signals.npy").1;
+    // equidistributed, hence the same on every machine: the sum of twelve such numbers is close to normal
+    let noise =
+        |i: usize| -> f64 { (1..=12).map(|k| ((i * 12 + k) as f64 * 0.754_877_666).fract() - 0.5).sum() };
+    let rms = |c: usize| {
+        let of = signals[c..].iter().step_by(3);
+        (of.map(|s| s * s).sum::<f64>() / (RECORDS * INSTANTS) as f64).sqrt()
+    };
+    let size = [0, 1, 2].map(rms);
+    let noisy: Vec<f64> =
+        signals.iter().enumerate().map(|(i, s)| s + 0.02 * size[i % 3] * noise(i)).collect();
+    bench.write_array("y.npy", &[RECORDS as u64, INSTANTS as u64, 3], &noisy);
+    let accelerations: Vec<f64> = noisy.chunks_exact(3).flat_map(|y| &y[..2]).copied().collect();
+    bench.write_array("two.npy", &[RECORDS as u64, INSTANTS as u64, 2], &accelerations);
+    for (name, signals) in [("r.toml", "y.npy"), ("two.toml", "two.npy")] {
+        let recorded = "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n";
+        bench.file(name, &format!("{recorded}[signals]\nfiles = [\"{signals}\"]\nstart = 0.005\n"));
+    }
+    bench
+}
+
+/// Fitted, lower and upper of each row tell the cast's material, to `within`.
+fn assert_true(csv: &str, within: f64) {
+    let number = |text: &str| text.parse::<f64>().unwrap();
+    let rows: Vec<Vec<&str>> = csv.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), TRUE.len(), "{csv}");
+    for (row, truth) in rows.iter().zip(TRUE) {
+        let [value, low, high] = [3, 4, 5].map(|i| number(row[i]));
+        assert!((low..=high).contains(&truth) && (value / truth - 1.0).abs() < within, "{truth}\n{csv}");
+    }
+}
+
+/// Records tell the cast, also where not all signals are read, with the same digits on two threads; signals of the twin are those of
+/// the records; and a brain that is trained on the twin reads them.
+#[test]
+fn a_twin_tells_the_cast_and_teaches_brains() {
+    let bench = bench();
+    let of = |spec: &str, records: &str, more: &[&str]| {
+        let call = ["twin", spec, "--hash", &hash(&bench, spec), "--records", records];
+        bench.output(&[&call[..], more].concat())
+    };
+    let one = of("s.toml", "r.toml", &["--format", "csv", "--out", "t.toml"]);
+    assert_eq!(one, of("s.toml", "r.toml", &["--format", "csv", "--threads", "2"]));
+    assert_true(&one, 0.05);
+    let table = of("s.toml", "r.toml", &[]);
+    assert!(table.contains("converged after") && table.contains("node shifts: RMS 0."), "{table}");
+    let two = SPEC.replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
+    bench.file("two_channels.toml", &two);
+    assert_true(&of("two_channels.toml", "two.toml", &["--format", "csv"]), 0.1);
+
+    let hash = hash(&bench, "s.toml");
+    let call = ["evaluate", "s.toml", "--hash", &hash, "--records", "initial=r.toml", "--folds", "2"];
+    let csv = bench.output(&[&call[..], &["--twin", "initial=t.toml", "--format", "csv"]].concat());
+    let value = |row: &str, column: &str| -> f64 {
+        let at = csv.lines().next().unwrap().split(',').position(|name| name == column).unwrap();
+        let line = csv.lines().find(|line| line.starts_with(row)).unwrap_or_else(|| panic!("{csv}"));
+        line.split(',').nth(at).unwrap().parse().unwrap()
+    };
+    assert!(value("initial,twin", "difference") < 0.3 * value("initial,simulated", "difference"), "{csv}");
+    assert!(value("initial,twin", "error_test") < value("initial,measured", "error_test"), "{csv}");
+}
+
+/// With file, line, key and remedy.
+#[test]
+fn what_is_no_twin_is_refused() {
+    let bench = bench();
+    let twin = |stretch: &str, more: &str| {
+        format!(
+            "body = \"0\"\nmisfit = 1.0\nligament_length = 1.0\n{more}\n[material]\nstretch = {stretch}\nshear = 1.0\n\
+             bend = 1.0\ndamping = 1.0\ndensity = 1.0\ncontact = 1.0\n"
+        )
+    };
+    let refused = |call: &[&str], says: &[&str]| {
+        let run = bench.metasense(call);
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.code() == Some(2) && says.iter().all(|s| said.contains(s)), "{said}");
+    };
+    let spec = hash(&bench, "s.toml");
+    let with = |file: &str, says: &[&str]| {
+        let call = ["evaluate", "s.toml", "--hash", &spec, "--records", "initial=r.toml", "--twin"];
+        refused(&[&call[..], &[&format!("initial={file}")]].concat(), says);
+    };
+    bench.file("other.toml", &twin("1.0", ""));
+    with("other.toml", &["other.toml:1", "body = 0", "is another body"]);
+    bench.file("odd.toml", &twin("1.0", "mass = 3.0"));
+    with("odd.toml", &["odd.toml:4", "mass"]);
+    with("nowhere.toml", &["nowhere.toml"]);
+    // of this body, and then broken
+    bench.output(&["twin", "s.toml", "--hash", &spec, "--records", "r.toml", "--out", "t.toml"]);
+    let text = std::fs::read_to_string(bench.path("t.toml")).unwrap();
+    let at = text.find("stretch = ").unwrap();
+    let end = at + text[at..].find('\n').unwrap();
+    bench.file("broken.toml", &format!("{}stretch = -1.0{}", &text[..at], &text[end..]));
+    with("broken.toml", &["broken.toml:", "material.stretch = -1", "above 0"]);
+    let call = ["evaluate", "s.toml", "--hash", &spec, "--records", "initial=r.toml", "--twin", "who=t.toml"];
+    refused(&call, &["--twin who", "--records who=FILE"]);
+    let two = SPEC.replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
+    bench.file("two_channels.toml", &two);
+    let read = hash(&bench, "two_channels.toml");
+    let call = ["identify", "two_channels.toml", "--hash", &read, "--records", "two.toml"];
+    refused(&call, &["two_channels.toml:17", "sensors.channels", "metasense twin"]);
+    refused(&["twin", "s.toml", "--hash", &spec, "--records", "two.toml"], &["two.toml", "must be 3"]);
+}

@@ -1,0 +1,95 @@
+//! Twins: fitted to measured records of a trial's body, and the casts that files of them stand for.
+
+use std::path::Path;
+
+use metasense_numerics::dynamics::{Parameters, Parts};
+pub use metasense_numerics::identify::twin::{Ending, Estimate, Twin, Unknown};
+pub use metasense_numerics::variation::Cast;
+use metasense_numerics::variation::Chips;
+use metasense_schemas::source::Source;
+use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::twin::{self as stored, Factors};
+
+use crate::invalid::{Invalid, invalid, positive, require};
+use crate::measured::{Measured, MeasuredError};
+use crate::run::{Failure, check_design, placed, pool};
+use crate::simulate::body;
+
+/// Fits a twin to records of the trial's body of this design.
+///
+/// # Errors
+/// If the spec stands for no trial, or the design is of another body.
+pub fn twin(trial: &TrialSpec, design: &[f64], measured: &Measured, threads: usize) -> Result<Twin, Failure> {
+    let pool = pool(threads)?;
+    let problem = placed(trial, &pool)?;
+    check_design(&problem, design)?;
+    Ok(Twin::of_records(&problem, design, (&measured.forces, &measured.signals), &pool))
+}
+
+/// As it is stored.
+pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {
+    let Cast { material, parts, ligament_length, shifts, chips, .. } = &twin.cast;
+    let [stretch, shear, bend, damping, density, contact] = material.array();
+    stored::Twin {
+        body: trial.body_digest(design),
+        misfit: twin.misfit,
+        ligament_length: *ligament_length,
+        gain: chips.gain.clone(),
+        turn: chips.turn.iter().map(|turn| turn.to_degrees()).collect(),
+        shifts: shifts.clone(),
+        ligaments: parts.ligaments.clone(),
+        units: parts.units.clone(),
+        material: Factors { stretch, shear, bend, damping, density, contact },
+    }
+}
+
+/// The cast that a file stands for.
+///
+/// # Errors
+/// Names file, key and value of what is no twin of this body.
+pub fn read(file: &Path, trial: &TrialSpec, design: &[f64]) -> Result<Cast, MeasuredError> {
+    let text = std::fs::read_to_string(file)
+        .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
+    let source = Source::new(file, text)?;
+    let stored: stored::Twin = source.parse_as()?;
+    cast(stored, trial, design).map_err(|Invalid { key, value, remedy }| {
+        MeasuredError::Spec(source.error_with(&key, Some(&value), &remedy))
+    })
+}
+
+fn cast(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Cast, Invalid> {
+    let stored::Twin {
+        body: digest, ligament_length, gain, turn, shifts, ligaments, units, material, ..
+    } = twin;
+    let remedy = "is another body: its spec, its sensors' units or its design differ from those that the twin was fitted with";
+    require(digest == trial.body_digest(design), "body", &digest, remedy)?;
+    let (layout, _) = body(trial).map_err(|e| invalid("body", &digest, e.to_string()))?;
+    let sensors = trial.sensor_units.len();
+    for (key, given, own) in [
+        ("gain", gain.len(), 3 * sensors),
+        ("turn", turn.len(), sensors),
+        ("shifts", shifts.len(), layout.design_len()),
+        ("ligaments", ligaments.len(), layout.ligaments.len()),
+        ("units", units.len(), layout.units()),
+    ] {
+        let remedy = format!("must be {own} entries, or left out");
+        require(given == 0 || given == own, key, format!("{given} entries"), &remedy)?;
+    }
+    let Factors { stretch, shear, bend, damping, density, contact } = material;
+    let factors = [stretch, shear, bend, damping, density, contact];
+    let names = ["stretch", "shear", "bend", "damping", "density", "contact"];
+    for (name, factor) in names.into_iter().zip(factors) {
+        positive(&format!("material.{name}"), factor)?;
+    }
+    positive("ligament_length", ligament_length)?;
+    for (key, all) in [("gain", &gain[..]), ("ligaments", ligaments.as_flattened()), ("units", &units)] {
+        all.iter().try_for_each(|factor| positive(key, *factor))?;
+    }
+    for (key, all) in [("turn", &turn), ("shifts", &shifts)] {
+        all.iter().try_for_each(|x| require(x.is_finite(), key, x, "must be a number"))?;
+    }
+    let turn = turn.into_iter().map(f64::to_radians).collect();
+    let (material, relaxation) = (Parameters::from_array(factors), None);
+    let parts = Parts { ligaments, units };
+    Ok(Cast { material, parts, ligament_length, relaxation, shifts, chips: Chips { gain, turn } })
+}
