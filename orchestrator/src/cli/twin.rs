@@ -102,15 +102,14 @@ fn said(twin: &Twin, records: usize) -> Vec<String> {
             100.0 * part
         ));
     }
-    let parts: [(&str, &str, &dyn Fn(&Unknown) -> bool); 3] = [
-        ("node shifts", "mm", &|unknown| matches!(unknown, Unknown::Shift(_))),
-        ("stiffnesses of single ligaments", "of the logarithm", &|unknown| {
-            matches!(unknown, Unknown::Ligament(..))
-        }),
-        ("densities of single units", "of the logarithm", &|unknown| matches!(unknown, Unknown::Unit(_))),
+    let parts = [
+        ("node shifts", "mm", Unknown::Shift(0)),
+        ("stiffnesses of single ligaments", "of the logarithm", Unknown::Ligament(0, 0)),
+        ("densities of single units", "of the logarithm", Unknown::Unit(0)),
     ];
-    for (name, unit, is) in parts {
-        let of: Vec<&Estimate> = twin.estimates.iter().filter(|e| is(&e.unknown)).collect();
+    for (name, unit, kind) in parts {
+        let alike = |e: &&Estimate| std::mem::discriminant(&e.unknown) == std::mem::discriminant(&kind);
+        let of: Vec<&Estimate> = twin.estimates.iter().filter(alike).collect();
         let Some(first) = of.first() else { continue };
         let rms = |value: &dyn Fn(&Estimate) -> f64| {
             (of.iter().map(|e| value(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()

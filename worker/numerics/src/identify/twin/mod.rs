@@ -10,7 +10,7 @@
 mod objective;
 mod unknowns;
 
-use crate::dynamics::{Counters, Forces, Solver};
+use crate::dynamics::{Accuracy, Counters, Forces, Solver};
 use crate::identify::discrepancy::explained;
 use crate::identify::interval::grouped;
 use crate::student::student;
@@ -96,6 +96,8 @@ const ROUNDS: usize = 4;
 const CLOSE: f64 = 0.3;
 /// Change of the noise below which it stays.
 const STAYS: f64 = 0.02;
+/// Error of the signals by steps under measured records, in which it does not average out.
+const FINE: Accuracy = Accuracy(1e-4);
 /// Longest step of any unknown.
 const STRIDE: f64 = 2.0;
 /// Shortest part of a step.
@@ -129,7 +131,8 @@ impl Twin {
             (of.map(|y| y * y).sum::<f64>() * width as f64 / records.1.len() as f64).sqrt()
         };
         let chip = problem.chip(&(0..width).map(rms).collect::<Vec<_>>());
-        let solver = tuned(problem, design, records.0, &problem.solver, pool).solver;
+        let asked = problem.solver.at_most(FINE);
+        let solver = tuned(problem, design, records.0, &asked, pool).solver;
         let variation = problem.variation.unwrap_or(Variation::USUAL);
         fit(problem, chip.as_ref(), design, &solver, records, &variation, true, pool)
     }
