@@ -68,13 +68,21 @@ fn a_finished_trial_stands_beside_its_bounds() {
         });
         row.unwrap_or_else(|| panic!("{body} by {by}: {rows:?}"))["error"].as_f64().unwrap()
     };
-    assert_eq!(find(&alone, "initial", "bound"), find(&beside, "initial", "bound"));
-    for body in ["initial", "optimised"] {
-        let [bound, linear, deaf] = ["bound", "linear", "no signal"].map(|by| find(&beside, body, by));
-        assert!(0.0 < bound && bound < linear && bound < deaf && deaf < 120.0, "{beside:?}");
+    let bounds = ["best linear", "any decoder"];
+    for by in bounds {
+        assert_eq!(find(&alone, "initial", by), find(&beside, "initial", by));
+        for body in ["initial", "optimised"] {
+            let [bound, linear, deaf] = [by, "linear", "no signal"].map(|by| find(&beside, body, by));
+            assert!(0.0 < bound && bound < linear && bound < deaf && deaf < 120.0, "{by}: {beside:?}");
+        }
     }
+    let informed = alone.iter().find(|row| row["sample"] == "mean information").unwrap();
+    assert!(informed["error"].as_f64().unwrap() <= find(&alone, "initial", "best linear"), "{alone:?}");
     let quieter = json(&bench.output(&[&own[..], &["--noise", "0.01"]].concat()));
-    assert!(find(&quieter, "initial", "bound") < find(&alone, "initial", "bound"));
+    assert!(
+        bounds.iter().all(|by| find(&quieter, "initial", by) < find(&alone, "initial", by)),
+        "{quieter:?}"
+    );
 
     bench.file("silent.toml", TINY);
     refused(&bench, &["bound", "silent.toml"], "sensors.noise");

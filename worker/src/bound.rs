@@ -1,4 +1,4 @@
-//! The least error that any decoder of a body's signals can have.
+//! What can be known of forces from a body's signals: by the best linear decoder around each motion, and at most.
 
 use metasense_numerics::place::placed;
 use metasense_numerics::questions;

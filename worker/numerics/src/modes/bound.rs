@@ -1,4 +1,5 @@
-//! What signals can tell of the forces at most, to first order: the posterior of a sample's forces given its signals.
+//! What the best linear decoder around a sample's motion can tell of its forces, of which it knows mean and covariance: the
+//! posterior given its signals, to first order and with a Gaussian prior.
 //!
 //! ```text
 //! f = μ + D z, z ~ N(0, 1)      s(f + D δz) = s(f) + J D δz + noise, N(0, R)
@@ -74,6 +75,23 @@ pub struct Noise {
     pub bias: Vec<f64>,
 }
 
+impl Noise {
+    /// R^(−½) of some samples of so many readings each, (N, T, channels): what is constant has the variance σ² + T b², the rest σ².
+    pub fn whitened(&self, mut signals: Vec<f64>, readings: usize) -> Vec<f64> {
+        let channels = self.white.len();
+        let instants = (readings / channels) as f64;
+        for sample in signals.chunks_exact_mut(readings.max(1)) {
+            for (c, (white, bias)) in self.white.iter().zip(&self.bias).enumerate() {
+                let mean = sample.iter().skip(c).step_by(channels).sum::<f64>() / instants;
+                let constant = mean / white.hypot(bias * instants.sqrt());
+                let whiten = |x: &mut f64| *x = (*x - mean) / white + constant;
+                sample.iter_mut().skip(c).step_by(channels).for_each(whiten);
+            }
+        }
+        signals
+    }
+}
+
 /// The largest force of a difference along a direction (N), beside stimuli of some tenths.
 const STEP: f64 = 1e-4;
 
@@ -114,26 +132,23 @@ pub fn along(
     }
 }
 
-/// tr(D Q Dᵀ) over targets (N²) where signals change by `along`, (r, T · channels), along the prior's directions.
+/// 1 + (J D)ᵀ R⁻¹ J D where signals change by `along`, (r, T · channels), along the prior's directions.
 ///
 /// # Panics
 /// If lengths do not fit.
-pub fn posterior_variance(prior: &Prior, along: &[f64], noise: &Noise) -> f64 {
-    let (r, channels) = (prior.variance.len(), noise.white.len());
-    if r == 0 {
-        return 0.0;
-    }
-    let readings = along.len() / r;
-    let instants = readings / channels;
-    let rows = DMatrix::from_row_slice(r, readings, along);
-    let white = DMatrix::from_fn(r, readings, |k, i| rows[(k, i)] / noise.white[i % channels]);
-    let mut information = DMatrix::identity(r, r) + &white * white.transpose();
-    for c in 0..channels {
-        // R⁻¹ = (1 − b² 11ᵀ/(σ² + T b²))/σ²
-        let (square, bias) = (noise.white[c].powi(2), noise.bias[c].powi(2));
-        let sums = DMatrix::from_fn(r, 1, |k, _| (0..instants).map(|n| white[(k, n * channels + c)]).sum());
-        information -= (bias / (square + instants as f64 * bias)) * &sums * sums.transpose();
-    }
+pub fn information(prior: &Prior, along: &[f64], noise: &Noise) -> DMatrix<f64> {
+    let r = prior.variance.len();
+    let readings = along.len() / r.max(1);
+    let white = noise.whitened(along.to_vec(), readings);
+    let rows = DMatrix::from_row_slice(r, readings, &white);
+    DMatrix::identity(r, r) + &rows * rows.transpose()
+}
+
+/// tr(D Q Dᵀ) over targets (N²), Q the inverse of this information.
+///
+/// # Panics
+/// If it is not positive definite.
+pub fn posterior_variance(prior: &Prior, information: DMatrix<f64>) -> f64 {
     let known = information.cholesky().expect("positive definite").inverse();
     prior.variance.iter().enumerate().map(|(k, variance)| variance * known[(k, k)]).sum()
 }

@@ -1,29 +1,42 @@
-//! What a body's sensors can tell of a trial's forces at most, to first order, in the trial's own errors.
+//! What can be known of a trial's forces, in the trial's own errors: by the best linear decoder around each motion, and, of pulses, at
+//! most by any decoder.
 //!
 //! ```text
 //! error_i = 100 tr(D Q_i Dᵀ)/Σ f_i²      mean = 100 · mean over training samples of 1/Σ f² · mean of tr(D Q_i Dᵀ)
 //! ```
 //! The prior weighs training samples by 1/Σ f², as the mean error does: of a linear body the mean is then the least that any
-//! decoder linear in the signals has on these samples.
+//! decoder linear in the signals has on these samples. Inverting the mean of Q⁻¹ instead gives less (Jensen), and of forces that
+//! are Gaussian in truth the bound of Van Trees.
 
+use super::chain::{Seen, walks};
 use super::nonlinear::EXACT;
-use crate::dynamics::{Method, Solver, choose};
-use crate::modes::bound::{Noise, Prior, along, posterior_variance};
-use crate::random::Purpose;
+use crate::dynamics::{Forces, Method, Outcome, Plan, Scene, Solver, choose, run};
+use crate::modes::bound::{Noise, Prior, along, information, posterior_variance};
+use crate::random::{Purpose, Stream};
+use crate::stimuli::{Bell, Source};
 use crate::trial::{Failure, Problem, Trial, Trouble};
+use nalgebra::DMatrix;
 
-/// What could be known at most.
+/// What can be known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bound {
-    /// Error (%) of the first samples of the holdout; none without force.
+    /// Error (%) of the best linear decoder around each of the first samples of the holdout; none without force.
     pub samples: Vec<Option<f64>>,
-    /// In the mean.
+    /// In the mean: of the mean posterior covariance.
     pub mean: f64,
+    /// Of the inverse of the mean information.
+    pub informed: f64,
     /// Of one that knows the stimuli's mean and covariance and hears no signal.
     pub deaf: f64,
     /// Directions of the stimuli that were followed.
     pub directions: usize,
+    /// What the mean error (%) of no decoder of pulses goes below, and the standard error of that; none of other stimuli.
+    pub least: Option<[f64; 2]>,
 }
+
+/// Pulses whose walks bound the error of all decoders, and how many walk at a time.
+const WALKS: usize = 64;
+const TOGETHER: usize = 16;
 
 /// Of a body under the first `samples` of the holdout; none where the trial's chips have no noise, which tell all.
 ///
@@ -60,17 +73,82 @@ pub fn bound(
     let (scene, _) = problem.in_motion(&problem.scene, &unseen);
     let plan = choose(&scene, design, &trial.tuned(design).solver.at_most(EXACT));
     let trouble = |outcome| Failure::Initial(Trouble::Simulation(outcome));
-    let mut left = Vec::new();
+    let (mut left, mut total) = (Vec::new(), DMatrix::zeros(prior.variance.len(), prior.variance.len()));
     for sample in 0..unseen.samples {
         let along = along(&scene, design, &unseen, sample, &prior, &plan, pool).map_err(trouble)?;
         let along = problem.read(along, prior.directions.samples);
-        left.push(posterior_variance(&prior, &along, &noise));
+        let known = information(&prior, &along, &noise);
+        total += &known;
+        left.push(posterior_variance(&prior, known));
     }
+    let least = match &problem.stimuli.source {
+        Source::Bell(bell) => Some(least(problem, (&scene, design, &plan), bell, &noise, pool)),
+        _ => None,
+    };
     let own = weights(&problem.targets(&unseen), unseen.samples);
     Ok(Some(Bound {
         samples: own.iter().zip(&left).map(|(w, left)| Some(100.0 * (*w)? * left)).collect(),
         mean: 100.0 * weight * left.iter().sum::<f64>() / left.len() as f64,
+        informed: 100.0 * weight * posterior_variance(&prior, total / left.len() as f64),
         deaf: 100.0 * weight * (prior.variance.iter().sum::<f64>() + prior.rest),
         directions: prior.variance.len(),
+        least,
     }))
+}
+
+/// (Mean, standard error) (%) of the error that no decoder goes below, knowing the family of the pulses, the body and its noise.
+fn least(
+    problem: &Problem,
+    (scene, design, plan): (&Scene, &[f64], &Plan),
+    bell: &Bell,
+    noise: &Noise,
+    pool: &crate::Pool,
+) -> [f64; 2] {
+    let (panels, instants) = (problem.scene.panels.len(), problem.stimuli.instants);
+    let forces = |at: &[Vec<f64>]| {
+        let mut values = vec![0.0; at.len() * panels * (instants + 1)];
+        let pulses = at.iter().flat_map(|u| u.chunks_exact(Bell::PARAMETERS));
+        for (history, u) in values.chunks_exact_mut(instants + 1).zip(pulses) {
+            let part = |k: usize| (1.0 + (-u[k]).exp()).recip();
+            bell.pulse(std::array::from_fn(part)).history_into(problem.scene.duration, history);
+        }
+        Forces { samples: at.len(), panels, instants, values, strikes: Vec::new() }
+    };
+    let mut model = |at: &[Vec<f64>]| -> Vec<Option<Seen>> {
+        let forces = forces(at);
+        let found = run(scene, design, &forces.on(scene), plan, false, pool);
+        let read = problem.read(found.signals, forces.samples);
+        let (readings, targets) = (read.len() / at.len().max(1), problem.targets(&forces));
+        let one = targets.len() / at.len().max(1);
+        let seen = |((readings, asked), outcome): ((&[f64], &[f64]), &Outcome)| {
+            let weight = -asked.iter().map(|f| f * f).sum::<f64>().ln();
+            let (readings, asked) = (readings.to_vec(), asked.to_vec());
+            (*outcome == Outcome::Ok).then_some(Seen { readings, asked, weight })
+        };
+        let read = noise.whitened(read, readings);
+        read.chunks_exact(readings).zip(targets.chunks_exact(one)).zip(&found.outcomes).map(seen).collect()
+    };
+    let mut errors = Vec::with_capacity(WALKS);
+    for first in (0..WALKS as u64).step_by(TOGETHER) {
+        // the holdout's own pulses, as `bells` draws them
+        let truth = |sample: u64| -> Vec<f64> {
+            let drawn = |k: usize| Stream::new(Purpose::Holdout, problem.seed, [sample, k as u64]);
+            let parts = (0..panels).flat_map(|k| {
+                let mut stream = drawn(k);
+                (0..Bell::PARAMETERS).map(move |_| stream.uniform().max(f64::EPSILON))
+            });
+            parts.map(|p| (p / (1.0 - p)).ln()).collect()
+        };
+        let truths: Vec<Vec<f64>> = (first..first + TOGETHER as u64).map(truth).collect();
+        let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
+        let targets = problem.targets(&forces(&truths));
+        let powers = targets.chunks_exact(targets.len() / truths.len()).map(power).collect::<Vec<_>>();
+        let mut stream = Stream::new(Purpose::Chip, problem.seed, [u64::MAX, first]);
+        let found = walks(truths, &mut model, &mut stream);
+        errors.extend(found.into_iter().zip(powers).filter_map(|(e, power)| Some(100.0 * e? / power)));
+    }
+    let count = errors.len() as f64;
+    let mean = errors.iter().sum::<f64>() / count;
+    let square: f64 = errors.iter().map(|e| (e - mean).powi(2)).sum();
+    [mean, square.sqrt() / count]
 }

@@ -1,6 +1,7 @@
 //! Questions to a body that train none: what its sensors could tell, how linear it is, what it does under each sample.
 
 mod bound;
+mod chain;
 mod nonlinear;
 mod replay;
 mod under;

@@ -1,0 +1,129 @@
+//! A lower bound on the error of every decoder that knows how stimuli are drawn: walks on the posterior, begun at the truth.
+//!
+//! ```text
+//! x = s(u) + noise     least E w |ĝ(x) − g(u)|² = E w(u₀) ½ |g(u₀) − g(u′)|²,  u′ ~ π ∝ w(u) p(u|x)
+//! the truth u₀ is a draw from p(u|x); for an even number n of steps of a kernel K that is reversible by π
+//!     E_π ½ |g(u₀) − g(uₙ)|² = Var g − |K^(n/2) (g − ḡ)|² ≤ Var g
+//! ```
+//! So no walk is too short: it bounds from further below (on even lags Geyer 1992, doi:10.1214/ss/1177011137, §3.3). Steps are
+//! Metropolis and Hastings' with Newton's proposals (Martin et al. 2012, doi:10.1137/110845598). u = ln(p/(1 − p)), p uniform in (0, 1).
+
+use crate::random::Stream;
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+/// What a model gives at some parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Seen {
+    /// s, each reading in units of its noise, which is white.
+    pub(crate) readings: Vec<f64>,
+    /// g.
+    pub(crate) asked: Vec<f64>,
+    /// ln w.
+    pub(crate) weight: f64,
+}
+
+/// Curvature of −ln of the prior of a parameter, as of a Gaussian of the same variance, π²/3.
+const PRIOR: f64 = 0.304;
+/// Difference of a parameter, one-sided: proposals need no better.
+const STEP: f64 = 1e-3;
+/// What a proposal keeps of where it comes from.
+const KEPT: f64 = 0.5;
+/// Steps of a walk; even.
+const STEPS: usize = 4;
+
+/// Where a walk stands, and the Gaussian from which it proposes.
+struct Stand {
+    u: DVector<f64>,
+    seen: Seen,
+    mean: DVector<f64>,
+    factor: Cholesky<f64, Dyn>,
+    /// ln of w p(u|x), but for a constant.
+    density: f64,
+}
+
+impl Stand {
+    /// From the model at u and at u with each parameter moved; none where it is not to be had there.
+    fn new(u: DVector<f64>, mut seen: Vec<Option<Seen>>, x: &DVector<f64>) -> Option<Self> {
+        let moved: Option<Vec<Seen>> = seen.split_off(1).into_iter().collect();
+        let (moved, seen) = (moved?, seen.pop()??);
+        let s = DVector::from_column_slice(&seen.readings);
+        let columns: Vec<DVector<f64>> =
+            moved.iter().map(|m| (DVector::from_column_slice(&m.readings) - &s) / STEP).collect();
+        let j = DMatrix::from_columns(&columns);
+        let factor = (j.tr_mul(&j) + PRIOR * DMatrix::identity(u.len(), u.len())).cholesky()?;
+        let left = x - &s;
+        let slope = j.tr_mul(&left) - u.map(|u| (0.5 * u).tanh());
+        let mean = &u + (1.0 - KEPT) * factor.solve(&slope);
+        let prior: f64 = u.iter().map(|u| -u - 2.0 * (-u).exp().ln_1p()).sum();
+        let density = seen.weight + prior - 0.5 * left.norm_squared();
+        density.is_finite().then_some(Self { u, seen, mean, factor, density })
+    }
+
+    fn proposed(&self, stream: &mut Stream) -> DVector<f64> {
+        let z = DVector::from_fn(self.u.len(), |_, _| stream.normal());
+        let spread = self.factor.l().tr_solve_lower_triangular(&z).expect("a factor");
+        &self.mean + (1.0 - KEPT * KEPT).sqrt() * spread
+    }
+
+    /// ln of the density of proposing u, but for a constant.
+    fn proposes(&self, u: &DVector<f64>) -> f64 {
+        let l = self.factor.l_dirty();
+        let determinant: f64 = (0..u.len()).map(|i| l[(i, i)].ln()).sum();
+        let off = self.factor.l().tr_mul(&(u - &self.mean));
+        determinant - 0.5 * off.norm_squared() / (1.0 - KEPT * KEPT)
+    }
+}
+
+/// ½ |g(u₀) − g(uₙ)|² of walks that begin at each of the truths `u`, their readings with noise that is drawn from `stream`; none where
+/// the model has no truth. `model` is asked for many parameters at a time.
+pub(crate) fn walks(
+    truths: Vec<Vec<f64>>,
+    model: &mut dyn FnMut(&[Vec<f64>]) -> Vec<Option<Seen>>,
+    stream: &mut Stream,
+) -> Vec<Option<f64>> {
+    let mut stands = |at: &[DVector<f64>]| -> Vec<Vec<Option<Seen>>> {
+        let around = |u: &DVector<f64>| {
+            let moved = (0..u.len()).map(|k| {
+                let mut u = u.clone();
+                u[k] += STEP;
+                u
+            });
+            std::iter::once(u.clone()).chain(moved).map(|u| u.as_slice().to_vec()).collect::<Vec<_>>()
+        };
+        let all: Vec<Vec<f64>> = at.iter().flat_map(around).collect();
+        let each = all.len() / at.len().max(1);
+        let mut seen = model(&all).into_iter();
+        at.iter().map(|_| seen.by_ref().take(each).collect()).collect()
+    };
+    let truths: Vec<DVector<f64>> = truths.into_iter().map(DVector::from_vec).collect();
+    let begun = stands(&truths).into_iter().zip(&truths).map(|(seen, u)| {
+        let readings = seen[0].as_ref()?.readings.iter().map(|s| s + stream.normal());
+        let x = DVector::from_iterator(seen[0].as_ref()?.readings.len(), readings);
+        Some((Stand::new(u.clone(), seen, &x)?, x))
+    });
+    let begun: Vec<Option<(Stand, DVector<f64>)>> = begun.collect();
+    let first: Vec<Option<Vec<f64>>> =
+        begun.iter().map(|walk| walk.as_ref().map(|(stand, _)| stand.seen.asked.clone())).collect();
+    let mut walking = begun;
+    for _ in 0..STEPS {
+        let proposed: Vec<DVector<f64>> =
+            walking.iter().flatten().map(|(stand, _)| stand.proposed(stream)).collect();
+        let found = stands(&proposed);
+        for (((stand, x), u), seen) in walking.iter_mut().flatten().zip(proposed).zip(found) {
+            let chance = stream.uniform().ln();
+            let Some(next) = Stand::new(u, seen, x) else { continue };
+            let ratio = next.density + next.proposes(&stand.u) - stand.density - stand.proposes(&next.u);
+            if chance < ratio {
+                *stand = next;
+            }
+        }
+    }
+    let half = |(first, walk): (Option<Vec<f64>>, &Option<(Stand, DVector<f64>)>)| {
+        let (first, (stand, _)) = (first?, walk.as_ref()?);
+        Some(0.5 * first.iter().zip(&stand.seen.asked).map(|(a, b)| (a - b).powi(2)).sum::<f64>())
+    };
+    first.into_iter().zip(&walking).map(half).collect()
+}
+
+#[cfg(test)]
+mod tests;
