@@ -71,7 +71,7 @@ fn measured(args: &Args, sensors: u8, memory: u16) -> Vec<Value> {
     moments.add(&x, &f, &vec![1.0; samples]);
     let first = passed();
     let lags = Lags { before: reach, after: reach };
-    let linear = Fit::new(&moments, lags, 1e-6, Order::Ascending).expect("white noise").linear();
+    let linear = Fit::new(moments.normal(lags), 1e-6, Order::Ascending).expect("white noise").linear();
     let second = passed();
     let answers = linear.predict(&x);
     let third = passed();

@@ -89,7 +89,7 @@ fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
     let ridge = 0.05;
     for (sizes, before, after) in MEMORIES {
         let (set, lags) = (set(sizes, 1), Lags { before, after });
-        let linear = Fit::new(&moments(&set), lags, ridge, Order::Ascending).unwrap().linear();
+        let linear = Fit::new(moments(&set).normal(lags), ridge, Order::Ascending).unwrap().linear();
         let least = objective(&set, &linear, ridge);
         let rises = |change: &dyn Fn(&mut Linear, f64)| {
             for step in [1e-4, -1e-4] {
@@ -138,8 +138,8 @@ fn one_factor_serves_every_shorter_memory() {
         (LONG, Order::Outward, 12, 12),
     ] {
         let (all, lags) = (moments(&set(sizes, 2)), Lags { before, after });
-        let alone = Fit::new(&all, lags, ridge, Order::Ascending).unwrap().linear();
-        let whole = Fit::new(&all, Lags::whole(sizes.instants), ridge, order).unwrap();
+        let alone = Fit::new(all.normal(lags), ridge, Order::Ascending).unwrap().linear();
+        let whole = Fit::new(all.normal(Lags::whole(sizes.instants)), ridge, order).unwrap();
         close(&whole.shorter(lags), &alone);
     }
     let set = set(SIZES, 2);
@@ -150,8 +150,10 @@ fn one_factor_serves_every_shorter_memory() {
     let mut rest = Moments::new(SIZES, &Heartbeat::default());
     rest.add(&set.x[..2 * one_x], &set.f[..2 * one_f], &set.w[..2]);
     let lags = Lags { before: 2, after: 1 };
-    let fit = |moments: &Moments| Fit::new(moments, lags, ridge, Order::Ascending).unwrap().linear();
-    close(&fit(&all.plus(-1.0, &part)), &fit(&rest));
+    let fit = |normal| Fit::new(normal, ridge, Order::Ascending).unwrap().linear();
+    let [all_normal, part_normal] = [&all, &part].map(|moments| moments.normal(lags));
+    close(&fit(all_normal.plus(-1.0, &part_normal)), &fit(rest.normal(lags)));
+    close(&fit(all.plus(-1.0, &part).normal(lags)), &fit(rest.normal(lags)));
 }
 
 /// ⟨c, W ∗ x⟩ = ⟨vjp(c), x⟩ = ⟨weights_vjp(c), W⟩ but for the bias.
@@ -160,7 +162,7 @@ fn predictions_and_pull_backs_are_transposes() {
     for (sizes, before, after) in MEMORIES {
         let (set, other) = (set(sizes, 3), set(sizes, 4));
         let mut linear =
-            Fit::new(&moments(&set), Lags { before, after }, 0.1, Order::Ascending).unwrap().linear();
+            Fit::new(moments(&set).normal(Lags { before, after }), 0.1, Order::Ascending).unwrap().linear();
         linear.b.fill(0.0);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let left = dot(&other.f, &linear.predict(&set.x));
@@ -184,7 +186,7 @@ fn the_sensitivity_solves_the_second_derivative() {
         (LONG, Order::Outward, 42, 49),
     ] {
         let (set, other, lags) = (set(sizes, 5), set(sizes, 6), Lags { before, after });
-        let fit = Fit::new(&moments(&set), lags, ridge, order).unwrap();
+        let fit = Fit::new(moments(&set).normal(lags), ridge, order).unwrap();
         let linear = fit.linear();
         let force = linear.weights_vjp(&other.x, &other.f);
         let z = fit.sensitivity(&force);
@@ -221,7 +223,7 @@ fn a_singular_matrix_is_named() {
     let mut set = set(SIZES, 7);
     set.x.chunks_exact_mut(3).for_each(|row| row[2] = row[1]);
     let lags = Lags { before: 1, after: 1 };
-    let fit = |ridge| Fit::new(&moments(&set), lags, ridge, Order::Ascending);
+    let fit = |ridge| Fit::new(moments(&set).normal(lags), ridge, Order::Ascending);
     assert_eq!(fit(0.0).err(), Some(Singular));
     assert!(fit(1e-6).is_ok());
 }

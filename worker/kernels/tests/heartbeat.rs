@@ -74,6 +74,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let mut moments = Moments::new(sizes, pool.heartbeat());
     let y: Vec<f64> = y.iter().map(|y| f64::from(*y)).collect();
     let (_, taken_in) = beats(&pool, || moments.add(&signals, &y, &vec![1.0; samples]));
-    let (fit, factored) = beats(&pool, || Fit::new(&moments, Lags::whole(instants), 1e-3, Order::Ascending));
+    let (fit, factored) =
+        beats(&pool, || Fit::new(moments.normal(Lags::whole(instants)), 1e-3, Order::Ascending));
     assert!(fit.is_ok() && taken_in > 0 && factored > 0, "{taken_in}, {factored}");
 }

@@ -7,7 +7,7 @@
 use super::linear::{FOLDS, Plain, solve};
 use super::{Reader, Recipe};
 use crate::Heartbeat;
-use crate::brain::linear::{Linear, Moments, Sizes, downhill_ridge};
+use crate::brain::linear::{Lags, Linear, Normal, Sizes, downhill_ridge};
 use crate::stimuli::folds;
 use crate::trial::{Decoder, Samples, Scales, Trial, Trouble};
 use std::ops::RangeInclusive;
@@ -72,21 +72,21 @@ impl Decoder {
         others: &Beside,
         heartbeat: &Heartbeat,
     ) -> Result<Fitted, Trouble> {
-        let Beside { moments: others, scales } = others;
+        let Beside { normal: others, scales } = others;
         let few = Plain::of(few, scales, heartbeat);
         let ridge = self.ridge_of(seed, &few, None)?;
-        let beside = |own: &Moments, times: f64| {
-            let linear = solve(&own.clone().plus(times, others), self.lags, ridge)?.linear();
+        let beside = |own: &Normal, times: f64| {
+            let linear = solve(own.clone().plus(times, others), ridge)?.linear();
             Ok::<Linear, Trouble>(linear)
         };
-        let (all, count) = (few.moments(), few.w.len());
+        let (all, count) = (few.moments().normal(self.lags), few.w.len());
         // the fewer there are, the more of them have to judge
         let (parts, judging) = (FOLDS.min(count), if count < MANY { FOLDS } else { 1 });
         let dealt = folds(seed, count, parts);
-        let judges: Vec<(Plain, Moments)> = (0..parts.min(judging))
+        let judges: Vec<(Plain, Normal)> = (0..parts.min(judging))
             .map(|fold| {
                 let out = few.select(&(0..count).filter(|&i| dealt[i] == fold).collect::<Vec<_>>());
-                let kept = all.clone().plus(-1.0, &out.moments());
+                let kept = all.clone().plus(-1.0, &out.moments().normal(self.lags));
                 (out, kept)
             })
             .collect();
@@ -117,7 +117,7 @@ impl Decoder {
     ) -> Result<Fitted, Trouble> {
         let known = Plain::of(known, &scales, heartbeat);
         let ridge = self.ridge_of(seed, &known, None)?;
-        let linear = solve(&known.moments(), self.lags, ridge)?.linear();
+        let linear = solve(known.moments().normal(self.lags), ridge)?.linear();
         let error = known.error(&linear.predict(&known.x));
         Ok(Fitted { linear, ridge, force_scale: scales.force(), signal_scale: scales.channels, error })
     }
@@ -126,14 +126,15 @@ impl Decoder {
 /// Samples of many bodies alike, for [`Decoder::fit_beside`].
 #[derive(Debug, Clone)]
 pub(crate) struct Beside {
-    moments: Moments,
+    normal: Normal,
     scales: Scales,
 }
 
 impl Beside {
-    /// Of these samples, at these scales.
-    pub(crate) fn of(samples: &Samples, scales: &Scales, heartbeat: &Heartbeat) -> Self {
-        Self { moments: Plain::of(samples, scales, heartbeat).moments(), scales: scales.clone() }
+    /// Of these samples, at these scales, for a memory.
+    pub(crate) fn of(samples: &Samples, scales: &Scales, lags: Lags, heartbeat: &Heartbeat) -> Self {
+        let normal = Plain::of(samples, scales, heartbeat).moments().normal(lags);
+        Self { normal, scales: scales.clone() }
     }
 }
 

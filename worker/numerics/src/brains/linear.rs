@@ -7,7 +7,7 @@
 use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss};
 use crate::Heartbeat;
 use crate::brain::Policy;
-use crate::brain::linear::{self, Lags, Linear, Moments, Order, Sizes, downhill_ridge};
+use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes, downhill_ridge};
 use crate::stimuli::folds;
 use crate::trial::{
     Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, error_of_each, mean_error, pick,
@@ -98,8 +98,8 @@ impl Plain {
 }
 
 /// The weights of a fit, or its trouble.
-pub(crate) fn solve(moments: &Moments, lags: Lags, ridge: f64) -> Result<linear::Fit, Trouble> {
-    linear::Fit::new(moments, lags, ridge, Order::Ascending).map_err(|_| Trouble::Singular)
+pub(crate) fn solve(normal: Normal, ridge: f64) -> Result<linear::Fit, Trouble> {
+    linear::Fit::new(normal, ridge, Order::Ascending).map_err(|_| Trouble::Singular)
 }
 
 impl Decoder {
@@ -116,13 +116,13 @@ impl Decoder {
         let dealt = folds(seed, train.w.len(), FOLDS.min(train.w.len()));
         let kept: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] != 0).collect();
         let judges: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == 0).collect();
-        let (moments, judges) = (train.select(&kept).moments(), train.select(&judges));
+        let (normal, judges) = (train.select(&kept).moments().normal(lags), train.select(&judges));
         // too few samples to judge by
         if kept.is_empty() || judges.w.iter().all(|w| *w == 0.0) {
             return Ok(last.unwrap_or(FIRST_RIDGE));
         }
         let error = |ridge| {
-            let linear = solve(&moments, lags, ridge).ok()?.linear();
+            let linear = solve(normal.clone(), ridge).ok()?.linear();
             judges.error(&linear.predict(&judges.x))
         };
         downhill_ridge(last.unwrap_or(FIRST_RIDGE), RIDGES, error).ok_or(Trouble::Singular)
@@ -183,18 +183,19 @@ impl<'a> LinearLearner<'a> {
         match learnt.ridge {
             None => drop(self.first_ridge(learnt)?),
             Some(last) if step.is_multiple_of(RIDGE_EVERY) && bodies.len() > 1 => {
-                let error = |ridge| {
-                    let linear = solve(&moments, lags, ridge).ok()?.linear();
-                    newest.error(&linear.predict(&newest.x))
-                };
                 if trial.problem.decoder.ridge == Ridge::Auto {
+                    let normal = moments.normal(lags);
+                    let error = |ridge| {
+                        let linear = solve(normal.clone(), ridge).ok()?.linear();
+                        newest.error(&linear.predict(&newest.x))
+                    };
                     learnt.ridge = downhill_ridge(last, RIDGES, error).or(learnt.ridge);
                 }
             }
             Some(_) => {}
         }
         moments.add(&newest.x, &newest.y, &newest.w);
-        Ok(solve(&moments, lags, learnt.ridge.unwrap_or_default())?.linear())
+        Ok(solve(moments.normal(lags), learnt.ridge.unwrap_or_default())?.linear())
     }
 }
 
@@ -226,7 +227,7 @@ impl Learner for LinearLearner<'_> {
                     FitOn::Cast(_) => self.first_ridge(learnt)?,
                     _ => self.ridge_at(step, &train, learnt)?,
                 };
-                let fit = solve(&train.moments(), self.trial.problem.decoder.lags, ridge)?;
+                let fit = solve(train.moments().normal(self.trial.problem.decoder.lags), ridge)?;
                 self.linear = Some((fit.linear(), matches!(on, FitOn::Optimum(_)).then_some(fit)));
                 train
             }

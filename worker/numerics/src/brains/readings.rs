@@ -53,9 +53,9 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
     let decoder = Decoder::whole(instants, channels);
     let (whole, reach) = (decoder.lags, decoder.lags.before);
     let ridge = decoder.ridge_of(trial.problem.seed, train, None)?;
-    let moments = train.moments();
+    let normal = train.moments().normal(whole);
     let read = |linear: &Linear| reading(sets, linear, ridge);
-    let factor = |order| Fit::new(&moments, whole, ridge, order).map_err(|_| Trouble::Singular);
+    let factor = |order| Fit::new(normal.clone(), ridge, order).map_err(|_| Trouble::Singular);
     let delta = trial.problem.scene.duration / instants as f64;
     let instants = |seconds: f64| Lags::whole_groups((seconds / delta).round() as usize);
     let shorter = |seconds: f64| Some(instants(seconds)).filter(|n| *n < reach);
@@ -91,7 +91,7 @@ pub(crate) fn own_reading(
         _ => {
             let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool.heartbeat()));
             let ridge = decoder.ridge_of(trial.problem.seed, &sets[0], None)?;
-            reading(sets, &solve(&sets[0].moments(), decoder.lags, ridge)?.linear(), ridge)
+            reading(sets, &solve(sets[0].moments().normal(decoder.lags), ridge)?.linear(), ridge)
         }
     };
     if readings.iter().all(|reading| reading.lags != own.lags) {

@@ -40,10 +40,10 @@ impl Stack {
         let part = |fold: usize| {
             let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == fold).collect();
             let others = moments.clone().plus(-1.0, &known.select(&own).moments());
-            Ok(solve(&others, decoder.lags, ridge)?.linear())
+            Ok(solve(others.normal(decoder.lags), ridge)?.linear())
         };
         let parts = (0..folds_of).map(part).collect::<Result<_, Trouble>>()?;
-        Ok(Self { all: solve(&moments, decoder.lags, ridge)?.linear(), dealt, parts, known, scales })
+        Ok(Self { all: solve(moments.normal(decoder.lags), ridge)?.linear(), dealt, parts, known, scales })
     }
 
     /// Signals (N, T, 3M) that are not the training samples' as the network takes them.

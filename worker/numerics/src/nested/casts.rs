@@ -250,7 +250,9 @@ impl Brains<'_> {
             Err(trouble) => Err(*trouble),
         });
         let casts = match &known[1] {
-            Ok(casts) => Ok(Beside::of(casts, &trial.scales, trial.pool.heartbeat())),
+            Ok(casts) => {
+                Ok(Beside::of(casts, &trial.scales, trial.problem.decoder.lags, trial.pool.heartbeat()))
+            }
             Err(trouble) => Err(*trouble),
         };
         let ridge =

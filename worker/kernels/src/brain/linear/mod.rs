@@ -11,7 +11,7 @@
 mod moments;
 mod solve;
 
-pub use moments::Moments;
+pub use moments::{Moments, Normal};
 pub use solve::factor;
 pub use solve::{Fit, Order, Singular, downhill_ridge};
 

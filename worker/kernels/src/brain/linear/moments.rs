@@ -1,4 +1,4 @@
-//! Weighted second moments of samples, from which the normal matrix of every memory follows.
+//! Weighted second moments of samples, from which the normal equations of every memory follow.
 //!
 //! ```text
 //! R[(s,c), (t,d)] = Σ_i w_i x_ic(s) x_id(t)      P[(t,c), (n,k)] = Σ_i w_i x_ic(t) f_ik(n)
@@ -34,22 +34,28 @@ pub struct Moments {
     power: f64,
 }
 
-/// The normal equations of one memory, the bias eliminated.
-pub(super) struct Normal {
+/// The normal equations of one memory; those of two sets of samples add up.
+#[derive(Debug, Clone)]
+pub struct Normal {
+    pub(super) sizes: Sizes,
+    pub(super) lags: Lags,
+    pub(super) heartbeat: Heartbeat,
     /// Lags of one weight.
-    pub groups: Vec<Range<usize>>,
+    pub(super) groups: Vec<Range<usize>>,
     /// D = groups of lags · C.
-    pub unknowns: usize,
-    /// G − g gᵀ/s (D, D), column-major; its lower triangle.
-    pub g: Vec<f64>,
-    /// Q − g hᵀ/s (D, K), column-major.
-    pub q: Vec<f64>,
-    /// g/s: the mean of each lagged channel (D).
-    pub mean: Vec<f64>,
-    /// h/s: the mean of each force (K).
-    pub mean_force: Vec<f64>,
+    pub(super) unknowns: usize,
+    /// G (D, D), column-major; its lower triangle.
+    pub(super) g: Vec<f64>,
+    /// Q (D, K), column-major.
+    pub(super) q: Vec<f64>,
+    /// Sum of each lagged channel (D).
+    pub(super) mean: Vec<f64>,
+    /// Sum of each force (K).
+    pub(super) mean_force: Vec<f64>,
     /// s, the second derivative in b but for its factor of 2.
-    pub weight: f64,
+    pub(super) weight: f64,
+    /// Σ w Σ f².
+    power: f64,
 }
 
 impl Moments {
@@ -121,8 +127,8 @@ impl Moments {
         self
     }
 
-    /// The normal equations of this memory, divided by the samples' weighted power.
-    pub(super) fn normal(&self, lags: Lags) -> Normal {
+    /// The normal equations of this memory.
+    pub fn normal(&self, lags: Lags) -> Normal {
         let Sizes { instants, channels, outputs } = self.sizes;
         let (rows, all) = (instants * channels, lags.count() * channels);
         let first = instants - lags.before;
@@ -163,22 +169,48 @@ impl Moments {
             }
         }
         let q = lagged(self.sizes, lags, outputs, |j| &self.cross[j * rows..(j + 1) * rows]);
-        let mut q = by_group(&groups, channels, &q);
-        let mut mean = by_group(&groups, channels, &lagged(self.sizes, lags, 1, |_| &self.signals));
+        let q = by_group(&groups, channels, &q);
+        let mean = by_group(&groups, channels, &lagged(self.sizes, lags, 1, |_| &self.signals));
         let force = |k: usize| self.forces[k..].iter().step_by(outputs).sum();
-        let mut mean_force: Vec<f64> = (0..outputs).map(force).collect();
+        let mean_force = (0..outputs).map(force).collect();
+        let (sizes, heartbeat) = (self.sizes, self.heartbeat.clone());
+        let (weight, power) = (self.weight * instants as f64, self.power);
+        Normal { sizes, lags, heartbeat, groups, unknowns, g, q, mean, mean_force, weight, power }
+    }
+}
 
-        let s = self.weight * instants as f64;
-        mean.iter_mut().chain(&mut mean_force).for_each(|x| *x /= s);
-        for (j, column) in g.chunks_exact_mut(unknowns).enumerate() {
+impl Normal {
+    /// These and so many times those: −1 takes out samples that both hold.
+    ///
+    /// # Panics
+    /// If sizes or memories differ.
+    #[must_use]
+    pub fn plus(mut self, times: f64, others: &Self) -> Self {
+        assert_eq!((self.sizes, self.lags), (others.sizes, others.lags));
+        accumulate(&mut self.g, &others.g, times);
+        accumulate(&mut self.q, &others.q, times);
+        accumulate(&mut self.mean, &others.mean, times);
+        accumulate(&mut self.mean_force, &others.mean_force, times);
+        self.weight += times * others.weight;
+        self.power += times * others.power;
+        self
+    }
+
+    /// With the bias eliminated and divided by the samples' weighted power: G − g gᵀ/s, Q − g hᵀ/s, means g/s and h/s.
+    pub(super) fn eliminated(mut self) -> Self {
+        let Self { unknowns, g, q, mean, mean_force, weight, power, .. } = &mut self;
+        let s = *weight;
+        mean.iter_mut().chain(mean_force.iter_mut()).for_each(|x| *x /= s);
+        for (j, column) in g.chunks_exact_mut(*unknowns).enumerate() {
             accumulate(&mut column[j..], &mean[j..], -s * mean[j]);
         }
-        for (column, force) in q.chunks_exact_mut(unknowns).zip(&mean_force) {
-            accumulate(column, &mean, -s * force);
+        for (column, force) in q.chunks_exact_mut(*unknowns).zip(mean_force) {
+            accumulate(column, mean, -s * *force);
         }
-        let scale = self.power.recip();
-        g.iter_mut().chain(&mut q).for_each(|x| *x *= scale);
-        Normal { unknowns, groups, g, q, mean, mean_force, weight: s * scale }
+        let scale = power.recip();
+        g.iter_mut().chain(q).for_each(|x| *x *= scale);
+        *weight = s * scale;
+        self
     }
 }
 

@@ -4,7 +4,7 @@
 //! them all.
 
 use super::moments::{Normal, by_group, lagged};
-use super::{Lags, Linear, Moments, Sizes, matrix, matrix_mut};
+use super::{Lags, Linear, Sizes, matrix, matrix_mut};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::matmul::matmul;
@@ -44,13 +44,25 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// Factors G + λI of this memory.
+    /// Factors G + λI.
     ///
     /// # Errors
     /// If it is not positive definite.
-    pub fn new(moments: &Moments, lags: Lags, ridge: f64, order: Order) -> Result<Self, Singular> {
-        let sizes = moments.sizes;
-        let Normal { unknowns, mut groups, g, mut q, mut mean, mean_force, weight } = moments.normal(lags);
+    pub fn new(normal: Normal, ridge: f64, order: Order) -> Result<Self, Singular> {
+        let normal = normal.eliminated();
+        let Normal {
+            sizes,
+            lags,
+            heartbeat,
+            unknowns,
+            mut groups,
+            g,
+            mut q,
+            mut mean,
+            mean_force,
+            weight,
+            ..
+        } = normal;
         let channels = sizes.channels;
         let mut lower = match order {
             Order::Ascending => g,
@@ -77,7 +89,7 @@ impl Fit {
             *d += ridge * groups[u / channels].len() as f64;
         }
         factor(&mut lower, unknowns)?;
-        moments.heartbeat.beat();
+        heartbeat.beat();
         let outputs = sizes.outputs;
         solve_lower_triangular_in_place(
             matrix(&lower, unknowns, unknowns),
