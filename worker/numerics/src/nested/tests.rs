@@ -43,7 +43,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             instants: 40,
         },
         search: None,
-        solver: Solver::new(Method::Auto, Accuracy(1e-4)),
+        solver: Solver::new(Method::Auto, Accuracy(1e-3)),
         limits: Limits::default(),
         kept: vec![],
         frozen: vec![],
@@ -72,7 +72,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             protocol,
             iterations: 4,
             rate: 0.1,
-            coarse: Some(Solver::new(Method::Auto, Accuracy(1e-3))),
+            coarse: Some(Solver::new(Method::Auto, Accuracy(1e-2))),
             casting: None,
         },
         evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None, casts: 0 },
@@ -166,8 +166,9 @@ fn errors_on_the_way_are_those_of_a_training_that_ends_there() {
 fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
     let tied = |problem: Problem| Problem { tie: [2, 2], frozen: vec![6], ..problem };
     let problems = PROTOCOLS.map(|protocol| [small(protocol), tied(small(protocol))]);
-    for problem in problems.into_iter().flatten() {
+    for mut problem in problems.into_iter().flatten() {
         let protocol = problem.optimise.protocol;
+        problem.solver.accuracy = Accuracy(3e-2);
         let mut whole = Keeper::default();
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
         assert_eq!(whole.reports.len(), 4, "{protocol:?}");
@@ -201,6 +202,7 @@ fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
     for reader in [BrainKind::Network, BrainKind::Linear, BrainKind::Stacked] {
         let mut problem = Problem { reader, ..small(PROTOCOLS[3]) };
         (problem.optimise.iterations, problem.brain.iterations, problem.evaluation.long) = (2, 6, Some(9));
+        problem.solver.accuracy = Accuracy(3e-2);
         let run = |state, threads, clock_stands| {
             let mut keeper = Keeper { clock_stands, ..Keeper::default() };
             let found = optimise(&problem, state, &pool(threads), &mut keeper).unwrap().unwrap();
