@@ -23,7 +23,7 @@ fn ratio(assignment: &Assignment, trials: &[Trial]) -> f64 {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Costs over a factor of twenty, as over the sensors of a sweep: from 10 trials a shard on, no shard has more
     /// than 1.15 times the mean, also when half as many are added; what was assigned stays; the order of trials is nothing.
