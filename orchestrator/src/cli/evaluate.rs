@@ -158,6 +158,10 @@ fn compare(
     let trial = &specs[0];
     let fewest = records.iter().map(|(_, measured)| measured.forces.samples).min().unwrap_or(0);
     let brain = match args.brain {
+        None if trial.brain.kind == BrainKind::Inverse => {
+            let remedy = "reads by a body's model, not by records: give --brain cnn, linear or stacked";
+            return Err(Error::Usage(format!("--brain: the trial's brain.kind = \"inverse\" {remedy}")));
+        }
         None => trial.brain.kind,
         Some(Brain::Cnn) => BrainKind::Cnn,
         Some(Brain::Linear) => BrainKind::Linear,

@@ -186,12 +186,16 @@ pub fn casts_of(
 ) -> Vec<CastReading> {
     let (solver, counters) = (&trial.tuned(design).solver, &mut Counters::default());
     let mould = Mould { trial, design, solver };
-    let mut brains = Brains::new(trial, &mould.known(counters));
+    let known = mould.known(counters);
+    let mut brains = Brains::new(trial, &known);
     let mut found = Vec::new();
     for number in 0..count {
         let cast = trial.cast(Casts::Unseen, number as u64);
         let sets = mould.sets(cast.as_ref(), counters);
         found.extend(brains.read(trial, number as u32, &sets, &mut Vec::new()));
+        if trial.problem.reader == BrainKind::Inverse {
+            found.extend(invert_cast(trial, (design, solver), &known[0], number as u32, &sets, counters).0);
+        }
         progress(number + 1);
     }
     found

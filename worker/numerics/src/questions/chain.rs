@@ -74,13 +74,14 @@ impl Stand {
     }
 }
 
+/// What is seen of many parameters; none of those that the model has not.
+type Model<'a> = &'a mut dyn FnMut(&[Vec<f64>]) -> Vec<Option<Seen>>;
+/// Where a walk is, and the readings that it is given.
+type Walk = (Stand, DVector<f64>);
+
 /// ½ |g(u₀) − g(uₙ)|² of walks that begin at each of the truths `u`, their readings with noise that is drawn from `stream`; none where
 /// the model has no truth. `model` is asked for many parameters at a time.
-pub(crate) fn walks(
-    truths: Vec<Vec<f64>>,
-    model: &mut dyn FnMut(&[Vec<f64>]) -> Vec<Option<Seen>>,
-    stream: &mut Stream,
-) -> Vec<Option<f64>> {
+pub(crate) fn walks(truths: Vec<Vec<f64>>, model: Model, stream: &mut Stream) -> Vec<Option<f64>> {
     let mut stands = |at: &[DVector<f64>]| -> Vec<Vec<Option<Seen>>> {
         let around = |u: &DVector<f64>| {
             let moved = (0..u.len()).map(|k| {
@@ -101,7 +102,7 @@ pub(crate) fn walks(
         let x = DVector::from_iterator(seen[0].as_ref()?.readings.len(), readings);
         Some((Stand::new(u.clone(), seen, &x)?, x))
     });
-    let begun: Vec<Option<(Stand, DVector<f64>)>> = begun.collect();
+    let begun: Vec<Option<Walk>> = begun.collect();
     let first: Vec<Option<Vec<f64>>> =
         begun.iter().map(|walk| walk.as_ref().map(|(stand, _)| stand.seen.asked.clone())).collect();
     let mut walking = begun;
@@ -118,7 +119,7 @@ pub(crate) fn walks(
             }
         }
     }
-    let half = |(first, walk): (Option<Vec<f64>>, &Option<(Stand, DVector<f64>)>)| {
+    let half = |(first, walk): (Option<Vec<f64>>, &Option<Walk>)| {
         let (first, (stand, _)) = (first?, walk.as_ref()?);
         Some(0.5 * first.iter().zip(&stand.seen.asked).map(|(a, b)| (a - b).powi(2)).sum::<f64>())
     };
