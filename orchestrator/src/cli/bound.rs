@@ -19,7 +19,7 @@ use crate::store::Reader;
 /// known, the forces as normal with the mean and covariance of the training samples; the error is that of the posterior given the signals,
 /// in the mean over samples ("mean") and for the mean information ("mean information"), which is less. Of pulses (bell) the error that no
 /// decoder goes below in the mean, whatever it knows of body, noise and pulses, stands beside it with its standard error ("any decoder"):
-/// walks on the true posterior of 64 samples, nonlinear motion and uniform parameters included. Error above that may be removed by a
+/// walks on the true posterior, eight for each sample, nonlinear motion and uniform parameters included. Error above that may be removed by a
 /// better brain; the bound itself only by another body, other places of sensors or less noise.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {

@@ -34,8 +34,8 @@ pub struct Bound {
     pub least: Option<[f64; 2]>,
 }
 
-/// Pulses whose walks bound the error of all decoders, and how many walk at a time.
-const WALKS: usize = 64;
+/// Walks that bound the error of all decoders, for each sample of the holdout, and how many there are at a time.
+const WALKS: usize = 8;
 const TOGETHER: usize = 16;
 
 /// Of a body under the first `samples` of the holdout; none where the trial's chips have no noise, which tell all.
@@ -82,7 +82,9 @@ pub fn bound(
         left.push(posterior_variance(&prior, known));
     }
     let least = match &problem.stimuli.source {
-        Source::Bell(bell) => Some(least(problem, (&scene, design, &plan), bell, &noise, pool)),
+        Source::Bell(bell) => {
+            Some(least(problem, (&scene, design, &plan), bell, &noise, WALKS * unseen.samples, pool))
+        }
         _ => None,
     };
     let own = weights(&problem.targets(&unseen), unseen.samples);
@@ -96,12 +98,14 @@ pub fn bound(
     }))
 }
 
-/// (Mean, standard error) (%) of the error that no decoder goes below, knowing the family of the pulses, the body and its noise.
+/// (Mean, standard error) (%) of the error that no decoder goes below, knowing the family of the pulses, the body and its noise, by
+/// so many walks.
 fn least(
     problem: &Problem,
     (scene, design, plan): (&Scene, &[f64], &Plan),
     bell: &Bell,
     noise: &Noise,
+    count: usize,
     pool: &crate::Pool,
 ) -> [f64; 2] {
     let (panels, instants) = (problem.scene.panels.len(), problem.stimuli.instants);
@@ -128,8 +132,8 @@ fn least(
         let read = noise.whitened(read, readings);
         read.chunks_exact(readings).zip(targets.chunks_exact(one)).zip(&found.outcomes).map(seen).collect()
     };
-    let mut errors = Vec::with_capacity(WALKS);
-    for first in (0..WALKS as u64).step_by(TOGETHER) {
+    let mut errors = Vec::with_capacity(count);
+    for first in (0..count).step_by(TOGETHER) {
         // the holdout's own pulses, as `bells` draws them
         let truth = |sample: u64| -> Vec<f64> {
             let drawn = |k: usize| Stream::new(Purpose::Holdout, problem.seed, [sample, k as u64]);
@@ -139,15 +143,15 @@ fn least(
             });
             parts.map(|p| (p / (1.0 - p)).ln()).collect()
         };
-        let truths: Vec<Vec<f64>> = (first..first + TOGETHER as u64).map(truth).collect();
+        let truths: Vec<Vec<f64>> = (first..count.min(first + TOGETHER)).map(|i| truth(i as u64)).collect();
         let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
         let targets = problem.targets(&forces(&truths));
         let powers = targets.chunks_exact(targets.len() / truths.len()).map(power).collect::<Vec<_>>();
-        let mut stream = Stream::new(Purpose::Chip, problem.seed, [u64::MAX, first]);
+        let mut stream = Stream::new(Purpose::Chip, problem.seed, [u64::MAX, first as u64]);
         let found = walks(truths, &mut model, &mut stream);
         errors.extend(found.into_iter().zip(powers).filter_map(|(e, power)| Some(100.0 * e? / power)));
     }
-    let count = errors.len() as f64;
+    let count = errors.len().max(1) as f64;
     let mean = errors.iter().sum::<f64>() / count;
     let square: f64 = errors.iter().map(|e| (e - mean).powi(2)).sum();
     [mean, square.sqrt() / count]

@@ -24,12 +24,22 @@ pub(crate) struct Seen {
 
 /// Curvature of −ln of the prior of a parameter, as of a Gaussian of the same variance, π²/3.
 const PRIOR: f64 = 0.304;
+/// What there is to see at many parameters at a time; `None` where that cannot be had.
+pub(crate) type Model<'a> = dyn FnMut(&[Vec<f64>]) -> Vec<Option<Seen>> + 'a;
+
 /// Difference of a parameter, one-sided: proposals need no better.
 const STEP: f64 = 1e-3;
 /// What a proposal keeps of where it comes from.
 const KEPT: f64 = 0.5;
 /// Steps of a walk; even.
 const STEPS: usize = 4;
+
+/// A walk: g of the truth, the readings of the truth with noise, where it has come to.
+struct Walk {
+    first: Vec<f64>,
+    x: DVector<f64>,
+    stand: Stand,
+}
 
 /// Where a walk stands, and the Gaussian from which it proposes.
 struct Stand {
@@ -74,14 +84,9 @@ impl Stand {
     }
 }
 
-/// What is seen of many parameters; none of those that the model has not.
-type Model<'a> = &'a mut dyn FnMut(&[Vec<f64>]) -> Vec<Option<Seen>>;
-/// Where a walk is, and the readings that it is given.
-type Walk = (Stand, DVector<f64>);
-
 /// ½ |g(u₀) − g(uₙ)|² of walks that begin at each of the truths `u`, their readings with noise that is drawn from `stream`; none where
-/// the model has no truth. `model` is asked for many parameters at a time.
-pub(crate) fn walks(truths: Vec<Vec<f64>>, model: Model, stream: &mut Stream) -> Vec<Option<f64>> {
+/// the model has no truth.
+pub(crate) fn walks(truths: Vec<Vec<f64>>, model: &mut Model, stream: &mut Stream) -> Vec<Option<f64>> {
     let mut stands = |at: &[DVector<f64>]| -> Vec<Vec<Option<Seen>>> {
         let around = |u: &DVector<f64>| {
             let moved = (0..u.len()).map(|k| {
@@ -98,19 +103,17 @@ pub(crate) fn walks(truths: Vec<Vec<f64>>, model: Model, stream: &mut Stream) ->
     };
     let truths: Vec<DVector<f64>> = truths.into_iter().map(DVector::from_vec).collect();
     let begun = stands(&truths).into_iter().zip(&truths).map(|(seen, u)| {
-        let readings = seen[0].as_ref()?.readings.iter().map(|s| s + stream.normal());
-        let x = DVector::from_iterator(seen[0].as_ref()?.readings.len(), readings);
-        Some((Stand::new(u.clone(), seen, &x)?, x))
+        let truth = seen[0].as_ref()?;
+        let readings = truth.readings.iter().map(|s| s + stream.normal()).collect();
+        let (first, x) = (truth.asked.clone(), DVector::from_vec(readings));
+        Some(Walk { first, stand: Stand::new(u.clone(), seen, &x)?, x })
     });
-    let begun: Vec<Option<Walk>> = begun.collect();
-    let first: Vec<Option<Vec<f64>>> =
-        begun.iter().map(|walk| walk.as_ref().map(|(stand, _)| stand.seen.asked.clone())).collect();
-    let mut walking = begun;
+    let mut all: Vec<Option<Walk>> = begun.collect();
     for _ in 0..STEPS {
         let proposed: Vec<DVector<f64>> =
-            walking.iter().flatten().map(|(stand, _)| stand.proposed(stream)).collect();
+            all.iter().flatten().map(|walk| walk.stand.proposed(stream)).collect();
         let found = stands(&proposed);
-        for (((stand, x), u), seen) in walking.iter_mut().flatten().zip(proposed).zip(found) {
+        for ((Walk { stand, x, .. }, u), seen) in all.iter_mut().flatten().zip(proposed).zip(found) {
             let chance = stream.uniform().ln();
             let Some(next) = Stand::new(u, seen, x) else { continue };
             let ratio = next.density + next.proposes(&stand.u) - stand.density - stand.proposes(&next.u);
@@ -119,11 +122,10 @@ pub(crate) fn walks(truths: Vec<Vec<f64>>, model: Model, stream: &mut Stream) ->
             }
         }
     }
-    let half = |(first, walk): (Option<Vec<f64>>, &Option<Walk>)| {
-        let (first, (stand, _)) = (first?, walk.as_ref()?);
-        Some(0.5 * first.iter().zip(&stand.seen.asked).map(|(a, b)| (a - b).powi(2)).sum::<f64>())
+    let square = |Walk { first, stand, .. }: &Walk| {
+        first.iter().zip(&stand.seen.asked).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
     };
-    first.into_iter().zip(&walking).map(half).collect()
+    all.iter().map(|walk| walk.as_ref().map(|walk| 0.5 * square(walk))).collect()
 }
 
 #[cfg(test)]
