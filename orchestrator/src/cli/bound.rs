@@ -13,7 +13,7 @@ use crate::exit::Exit;
 use crate::look::Table;
 use crate::store::Reader;
 
-/// Computes the error of the best linear decoder around each motion, and what no decoder of pulses goes below
+/// Computes the error of the best linear decoder, and what no decoder can go below
 ///
 /// The first is no bound on all decoders. To first order, around each of the first holdout samples: the body is taken as linear there and
 /// known, the forces as normal with the mean and covariance of the training samples; the error is that of the posterior given the signals,
