@@ -15,7 +15,7 @@ use super::{Error, Format, duration, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, digits, row};
 
-/// Fits a twin to measured records: material, chips and node positions of one cast of a body
+/// Fits a twin to measured records: material, chips and node positions of a cast
 ///
 /// The unknowns are what the spec's [variation] scatters, each with that scatter before any record; without one stretch, shear and
 /// bend 5 %, damping 20 %, density 3 %, nodes 0.1 mm. Intervals (95 %) know of what the model lacks. Exit code 1 if the fit does not converge.
