@@ -91,7 +91,7 @@ fn estimates(trial: &TrialSpec, twin: &Twin) -> Result<Table, Failure> {
 /// What there is to say beside.
 fn said(twin: &Twin, records: usize) -> Vec<String> {
     let mut said = vec![format!(
-        "{} after {} steps on {records} records; what is left of the signals is {:.2} times the chips' noise",
+        "{} after {} steps on {records} records; what is left of the signals is {:.2} times the chips' noise, where the spec has some",
         twin.ending.name(),
         twin.steps,
         twin.misfit

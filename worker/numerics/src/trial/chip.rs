@@ -125,12 +125,6 @@ impl Chip {
         }
     }
 
-    /// Standard deviation of what is drawn for each reading of a channel, its step's included.
-    pub(crate) fn deviation(&self) -> Vec<f64> {
-        let of = |(i, noise): (usize, &f64)| noise.hypot(self.resolution[self.kind(i)] / 12f64.sqrt());
-        self.noise.iter().enumerate().map(of).collect()
-    }
-
     /// 0 of an acceleration, 1 of an angular velocity, of the `i`-th reading.
     fn kind(&self, i: usize) -> usize {
         usize::from(self.channels[i % self.channels.len()] == 2)

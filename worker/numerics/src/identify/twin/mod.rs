@@ -70,8 +70,8 @@ pub struct Twin {
     pub estimates: Vec<Estimate>,
     /// How the fit ended.
     pub ending: Ending,
-    /// Root mean square over the channels of what is left of the signals by the noise of the chips; of chips without noise by what steps
-    /// leave.
+    /// Root mean square over the channels of what is left of the signals by the noise of the chips; 1 where that is not known, and what is
+    /// left stands for it.
     pub misfit: f64,
     /// What stands for the noise of each channel that is read (mm/s², rad/s): what is left, but no less than the chips'.
     pub noise: Vec<f64>,
@@ -203,8 +203,9 @@ impl Twin {
 
     /// What was found, and how well it is known.
     fn tell(&mut self, objective: &Objective, point: &Point, columns: &Columns) {
-        let (unknowns, [left, least]) = (&objective.unknowns, objective.noises(point));
-        let squares: f64 = left.iter().zip(&least).map(|(left, least)| (left / least).powi(2)).sum();
+        let (unknowns, [left, _]) = (&objective.unknowns, objective.noises(point));
+        let known = objective.known_noise().unwrap_or_else(|| left.clone());
+        let squares: f64 = left.iter().zip(&known).map(|(left, known)| (left / known).powi(2)).sum();
         self.misfit = (squares / left.len() as f64).sqrt();
         self.noise.clone_from(&objective.noise);
         self.cast = unknowns.cast(point.z.as_slice());
@@ -220,7 +221,7 @@ impl Twin {
 
 impl Twin {
     /// Intervals: the covariance H⁻¹ ((1 + u (G − 1)) Σ s sᵀ + 1) H⁻¹ of the estimate, s = Jᵀr of each of G groups, so that what is left
-    /// may be correlated within a group, and its share u that follows from the motion alike in all of them does not average out.
+    /// may be correlated within a group, and its share u that is not noise, or follows from the motion alike in all of them, does not average out.
     fn bound(&mut self, objective: &Objective, point: &Point, columns: &Columns) {
         let (records, jacobian) = (columns.records.len(), objective.jacobian(columns));
         let [read, residual] = objective.parts(point, &columns.records);
@@ -235,7 +236,8 @@ impl Twin {
         }
         let curvature = jacobian.tr_mul(&jacobian) + DMatrix::identity(scores.ncols(), scores.ncols());
         let inverse = curvature.cholesky().expect("a curvature of 1 and more").inverse();
-        let alike = 1.0 + self.unmodelled.unwrap_or(0.0) * (count - 1) as f64;
+        let beyond = 1.0 - self.misfit.max(1.0).powi(-2);
+        let alike = 1.0 + self.unmodelled.unwrap_or(0.0).max(beyond) * (count - 1) as f64;
         let moved = scores * &inverse;
         for (k, estimate) in self.estimates.iter_mut().enumerate() {
             let variance = alike * moved.column(k).norm_squared() + inverse.column(k).norm_squared();

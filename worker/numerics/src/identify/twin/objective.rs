@@ -287,6 +287,11 @@ impl<'a> Objective<'a> {
         curvature
     }
 
+    /// That of the chips, where each channel that is read has some.
+    pub fn known_noise(&self) -> Option<Vec<f64>> {
+        self.chip.map(Chip::deviations).filter(|all| all.iter().all(|noise| *noise > 0.0))
+    }
+
     /// Standard deviation of each channel's noise by what is left, and by what the chips have, where they have any, and steps leave.
     pub fn noises(&self, point: &Point) -> [Vec<f64>; 2] {
         let width = self.width();
@@ -298,7 +303,7 @@ impl<'a> Objective<'a> {
             (of[c..].iter().step_by(width).map(|x| x * x).sum::<f64>() / n.max(1) as f64).sqrt()
         };
         let instants = self.recorded.len() / width;
-        let chip = self.chip.map_or_else(|| vec![0.0; width], Chip::deviation);
+        let chip = self.chip.map_or_else(|| vec![0.0; width], Chip::deviations);
         let least = |c: usize| chip[c].max(self.least * rms(&self.recorded, c, instants));
         [(0..width).map(|c| rms(&left, c, seen)).collect(), (0..width).map(least).collect()]
     }
