@@ -35,8 +35,9 @@ fn a_sweep_runs_once_and_only_what_is_new_is_added() {
     assert_eq!(
         bench.output(&["query", "results/tiny.sqlite", names, "--format", "csv"]).lines().nth(1),
         Some(
-            "\"alpha_initial,alpha_optimised,design_step_1,design_step_2,design_step_3,design_step_4,losses_initial_0,losses_initial_1,losses_initial_2,losses_optimised_0,\
-             losses_optimised_1,losses_optimised_2,weights_initial_0,weights_optimised_0\",28,120"
+            "\"alpha_initial,alpha_optimised,band_instant_initial,band_instant_optimised,band_sample_initial,\
+             band_sample_optimised,design_step_1,design_step_2,design_step_3,design_step_4,losses_initial_0,losses_initial_1,losses_initial_2,losses_optimised_0,\
+             losses_optimised_1,losses_optimised_2,weights_initial_0,weights_optimised_0\",36,120"
         )
     );
 
