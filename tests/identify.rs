@@ -3,7 +3,8 @@
 use crate::common::Bench;
 use npyz::WriterBuilder;
 
-const SPEC: &str = r#"name = "i"
+/// A small body whose records are made.
+pub const SPEC: &str = r#"name = "i"
 [body]
 columns = 3
 rows = 3
@@ -43,19 +44,22 @@ fn hash(bench: &Bench, spec: &str) -> String {
     lines.next().and_then(|mut row| row.nth(at)).unwrap().to_owned()
 }
 
+/// The spec of a body of another stretch, shear, bend, damping and density.
+pub fn made_of(spec: &str, [stretch, shear, bend, damping, density]: [f64; 5]) -> String {
+    spec.replace(
+        "stretch = 3.0, shear = 0.5, bend = 1.0",
+        &format!("stretch = {stretch}, shear = {shear}, bend = {bend}"),
+    )
+    .replace("1e-8", &density.to_string())
+    .replace("0.03", &damping.to_string())
+}
+
 /// Three blows on both panels, and what the body of `TRUE` gives under them, 2 % of noise added; told by two files: the arrays
 /// as `simulate` writes them, and a CSV of one record whose signals have a clock ten times as fine, and other units.
 fn bench() -> Bench {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
-    let [stretch, shear, bend, damping, density] = TRUE;
-    let made = SPEC
-        .replace(
-            "stretch = 3.0, shear = 0.5, bend = 1.0",
-            &format!("stretch = {stretch}, shear = {shear}, bend = {bend}"),
-        )
-        .replace("1e-8", &density.to_string())
-        .replace("0.03", &damping.to_string());
+    let made = made_of(SPEC, TRUE);
     bench.file("true.toml", &made);
     let blow = |record: usize, panel: usize, t: f64| {
         let (onset, width) = (0.01 + 0.01 * record as f64, 0.05 + 0.02 * panel as f64);

@@ -1,30 +1,13 @@
 //! `twin`: records of a cast in, the cast out, and brains that are trained on it.
 
 use crate::common::Bench;
+use crate::identify::{SPEC, made_of};
 use metasense_worker::design::{self, Layout};
 
-const SPEC: &str = r#"name = "t"
-[body]
-columns = 3
-rows = 3
-spacing = 15.0
-ligament_length = 2.25
-density = 1e-8
-stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
-damping_ratio = 0.03
-[time]
-duration = 0.2
-samples = 40
-[stimuli]
-kind = "bell"
-samples = 20
-test = 4
-[brain]
-kind = "linear"
-[sweep]
-panels = [2]
-sensors = [1]
-"#;
+/// The body of `identify`'s tests, with a linear brain and the samples to train it.
+fn trainable() -> String {
+    SPEC.replace("samples = 4\ntest = 1\n", "samples = 20\ntest = 4\n[brain]\nkind = \"linear\"\n")
+}
 
 /// Of the cast that was recorded, in the order of the rows: stretch, shear, bend, damping, density.
 const TRUE: [f64; 5] = [3.12, 0.48, 1.05, 0.035, 1.02e-8];
@@ -39,12 +22,8 @@ fn hash(bench: &Bench, spec: &str) -> String {
 /// Ten records of a cast whose nodes are off by 0.1 mm, 2 % of noise added.
 fn bench() -> Bench {
     let bench = Bench::new();
-    bench.file("s.toml", SPEC);
-    let [stretch, shear, bend, damping, density] = TRUE;
-    let material = format!("stretch = {stretch}, shear = {shear}, bend = {bend}");
-    let made = SPEC.replace("stretch = 3.0, shear = 0.5, bend = 1.0", &material);
-    bench
-        .file("cast.toml", &made.replace("1e-8", &density.to_string()).replace("0.03", &damping.to_string()));
+    bench.file("s.toml", &trainable());
+    bench.file("cast.toml", &made_of(&trainable(), TRUE));
     let layout = Layout::planar(3, 3, 15.0, 2.25);
     let mut shifted = layout.initial_design(25f64.to_radians());
     shifted.iter_mut().enumerate().for_each(|(i, a)| *a += 0.14 * (2.3 * i as f64).sin());
@@ -106,7 +85,7 @@ fn a_twin_tells_the_cast_and_teaches_brains() {
     };
     let one = of("s.toml", "r.toml", &["--format", "csv", "--out", "t.toml"]);
     assert_true(&one);
-    let two = SPEC.replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
+    let two = trainable().replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
     bench.file("two_channels.toml", &two);
     let table = of("two_channels.toml", "two.toml", &["--threads", "2"]);
     assert!(table.contains("converged after") && table.contains("node shifts: RMS 0."), "{table}");
@@ -161,7 +140,7 @@ fn what_is_no_twin_is_refused() {
     with("broken.toml", &["broken.toml:", "material.stretch = -1", "above 0"]);
     let call = ["evaluate", "s.toml", "--hash", &spec, "--records", "initial=r.toml", "--twin", "who=t.toml"];
     refused(&call, &["--twin who", "--records who=FILE"]);
-    let two = SPEC.replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
+    let two = trainable().replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
     bench.file("two_channels.toml", &two);
     let read = hash(&bench, "two_channels.toml");
     let call = ["identify", "two_channels.toml", "--hash", &read, "--records", "two.toml"];

@@ -74,6 +74,15 @@ impl Forces {
         Cow::Owned(Self { instants: by * own, values, strikes: self.strikes.clone(), ..*self })
     }
 
+    /// The first `n` instants of a scene and of its forces.
+    pub fn beginning(&self, scene: &Scene, n: usize) -> (Scene, Self) {
+        let instants = n * self.kinks(scene);
+        let values = self.values.chunks_exact(self.instants + 1).flat_map(|f| &f[..=instants]).copied();
+        let forces = Self { instants, values: values.collect(), strikes: self.strikes.clone(), ..*self };
+        let duration = scene.duration * n as f64 / scene.instants as f64;
+        (Scene { duration, instants: n, ..scene.clone() }, forces)
+    }
+
     /// The samples listed, in the order listed.
     #[must_use]
     pub fn select(&self, samples: &[usize]) -> Self {

@@ -17,7 +17,7 @@ mod stacked;
 pub use bands::{Band, BandKind, LEVEL};
 pub(crate) use fitted::Beside;
 pub use fitted::Fitted;
-pub use inverse::{Ending, Estimate, Inverse};
+pub use inverse::{Estimate, Inverse};
 pub(crate) use linear::Plain;
 #[cfg(test)]
 pub(crate) use linear::solve;

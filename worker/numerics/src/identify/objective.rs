@@ -149,7 +149,7 @@ impl<'a> Objective<'a> {
         let (all, width) = (self.instants(), self.width());
         self.window = window;
         let n = self.onsets.iter().map(|o| (o + window).min(all)).max().unwrap_or(all);
-        (self.scene, self.forces) = beginning(self.base, forces, n);
+        (self.scene, self.forces) = forces.beginning(self.base, n);
         self.signals = signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
     }
 
@@ -312,16 +312,6 @@ pub fn onsets(scene: &Scene, forces: &Forces) -> Vec<usize> {
         (0..=forces.instants).find(begun).unwrap_or(0) / forces.kinks(scene)
     };
     (0..forces.samples).map(onset).collect()
-}
-
-/// The first `n` instants of scene and forces.
-pub fn beginning(scene: &Scene, forces: &Forces, n: usize) -> (Scene, Forces) {
-    let kinks = forces.kinks(scene);
-    let cut = |k: usize| forces.values[k * (forces.instants + 1)..][..=n * kinks].iter().copied();
-    let values = (0..forces.samples * forces.panels).flat_map(cut).collect();
-    let cut = Forces { instants: n * kinks, values, strikes: forces.strikes.clone(), ..*forces };
-    let duration = scene.duration * n as f64 / scene.instants as f64;
-    (Scene { duration, instants: n, ..scene.clone() }, cut)
 }
 
 /// 0 of accelerations, 1 of rotation rates.

@@ -9,6 +9,7 @@
 use super::model::Model;
 use super::prior::Prior;
 use crate::dynamics::Outcome;
+use crate::identify::twin::Ending;
 use crate::trial::{Counters, Trial};
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat, Scale, Side};
@@ -28,19 +29,6 @@ const OLD: usize = 10;
 const DAMPING: f64 = 10.0;
 const DAMPED: f64 = 1.0;
 const HELD: f64 = 1e9;
-
-/// How the descent of a sample ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ending {
-    /// A step promises hardly anything.
-    Converged,
-    /// No step lowers Φ any more, though its slope promises one.
-    NoProgress,
-    /// All looks are spent.
-    LooksSpent,
-    /// The body cannot be simulated under the forces that it began with.
-    StartFailed,
-}
 
 /// What a channel's readings are off by.
 #[derive(Debug, Clone)]
@@ -235,7 +223,7 @@ impl Descent {
     }
 
     pub(super) fn ending(&self) -> Ending {
-        self.ending.unwrap_or(Ending::LooksSpent)
+        self.ending.unwrap_or(Ending::StepsSpent)
     }
 
     /// Mean square of the residual.

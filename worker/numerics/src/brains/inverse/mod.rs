@@ -12,16 +12,14 @@ mod prior;
 
 use super::Fitted;
 use crate::dynamics::Solver;
-use crate::identify::twin::Twin;
+use crate::identify::twin::{Ending, Twin};
 use crate::random::Purpose;
-use crate::trial::{Counters, Samples, Trial, Trouble};
+use crate::trial::{Counters, Problem, Samples, Trial, Trouble};
 use descent::{Descent, Noise};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use model::Model;
 use prior::Prior;
-
-pub use descent::Ending;
 
 /// Histories that the prior is made of, where there are as many, and the number of their first, out of the way of the outer
 /// steps' and of those of casts.
@@ -94,9 +92,7 @@ impl<'a> Inverse<'a> {
             false => problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN),
         };
         let prior = Prior::new(&histories).ok_or(Trouble::Singular)?;
-        let (directions, instants) = (prior.directions(), problem.scene.instants);
-        let told = problem.targets(&directions);
-        let seen = Mat::from_fn(instants, directions.samples, |n, k| told[k * instants + n]);
+        let seen = seen(problem, &prior);
         let model = Model::new(trial, design, solver, twin.map(|twin| &twin.cast));
         Ok(Self {
             trial,
@@ -173,6 +169,13 @@ impl<'a> Inverse<'a> {
         let (misfit, steps, ending) = (descent.misfit(), descent.steps(), descent.ending());
         Estimate { forces, deviations, misfit, steps, ending }
     }
+}
+
+/// D of a panel as what brains are to say (T, r) (N).
+fn seen(problem: &Problem, prior: &Prior) -> Mat<f64> {
+    let (directions, instants) = (prior.directions(), problem.scene.instants);
+    let told = problem.targets(&directions);
+    Mat::from_fn(instants, directions.samples, |n, k| told[k * instants + n])
 }
 
 #[cfg(test)]

@@ -43,7 +43,7 @@ impl<'a> Model<'a> {
 
     /// Of the first n instants, on the clock of the forces.
     pub(super) fn instants_of(&self, forces: &Forces, n: usize) -> usize {
-        forces.instants / self.scene.instants * n
+        n * forces.kinks(&self.scene)
     }
 
     /// Threads.
@@ -74,11 +74,7 @@ impl<'a> Model<'a> {
         keep_tape: bool,
         counters: &mut Counters,
     ) -> (Simulation, Vec<f64>) {
-        let duration = self.scene.duration * n as f64 / self.scene.instants as f64;
-        let scene = Scene { duration, instants: n, ..self.scene.clone() };
-        let instants = self.instants_of(forces, n);
-        let values = forces.values.chunks_exact(forces.instants + 1).flat_map(|f| &f[..=instants]).copied();
-        let forces = Forces { instants, values: values.collect(), strikes: Vec::new(), ..*forces };
+        let (scene, forces) = forces.beginning(&self.scene, n);
         let (scene, forces) = self.problem.in_motion(&scene, &forces);
         let mut found = run(&scene, &self.design, &forces, plan, keep_tape, self.pool);
         counters.dynamics += found.counters;

@@ -5,7 +5,7 @@ use super::*;
 use crate::dynamics::Precision;
 use crate::nested::tests::{GOING, small};
 use crate::random::Draw;
-use crate::trial::{Disturbance, Problem, Protocol, Size};
+use crate::trial::{Disturbance, Protocol, Size};
 
 fn problem() -> Problem {
     let noise = Size::Relative(0.03);
@@ -19,10 +19,7 @@ fn brain<'a>(trial: &'a Trial<'a>, histories: usize) -> Inverse<'a> {
     let brain =
         Inverse::new(trial, &problem.initial, &problem.solver, None, &trial.initial).expect("a brain");
     let prior = Prior::new(&problem.forces(Purpose::Fresh, 0, histories)).expect("forces that differ");
-    let (directions, instants) = (prior.directions(), problem.scene.instants);
-    let told = problem.targets(&directions);
-    let seen = Mat::from_fn(instants, directions.samples, |n, k| told[k * instants + n]);
-    Inverse { prior, seen, ..brain }
+    Inverse { seen: seen(problem, &prior), prior, ..brain }
 }
 
 fn normal(draw: &mut Draw, count: usize) -> Vec<f64> {

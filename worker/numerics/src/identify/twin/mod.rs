@@ -26,11 +26,11 @@ use unknowns::Unknowns;
 pub enum Ending {
     /// What is left of a step is a part of a standard error.
     Converged,
-    /// No step lowers F any more, though the gradient asks for one.
+    /// No step lowers what is minimised any more, though its gradient asks for one.
     NoProgress,
     /// All steps are spent.
     StepsSpent,
-    /// The body as designed cannot be simulated under any record.
+    /// Where it was to begin, the body cannot be simulated.
     StartFailed,
 }
 

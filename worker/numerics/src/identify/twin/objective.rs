@@ -4,7 +4,7 @@ use super::unknowns::{Unknown, Unknowns};
 use crate::dynamics::{
     Accuracy, Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, Wrt, planned, run,
 };
-use crate::identify::objective::{beginning, onsets};
+use crate::identify::objective::onsets;
 use crate::trial::{Chip, Problem};
 use crate::variation::Cast;
 use nalgebra::{DMatrix, DVector};
@@ -120,7 +120,7 @@ impl<'a> Objective<'a> {
         let ((forces, signals), all) = (self.whole, self.problem.scene.instants);
         self.window = window;
         let n = self.onsets.iter().map(|o| (o + window).min(all)).max().unwrap_or(all);
-        (self.scene, self.forces) = beginning(&self.problem.scene, forces, n);
+        (self.scene, self.forces) = forces.beginning(&self.problem.scene, n);
         let width = self.width();
         self.recorded =
             signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();

@@ -2,81 +2,38 @@
 
 use super::*;
 use crate::body::Layout;
-use crate::brain::Architecture;
 use crate::brain::linear::Lags;
-use crate::dynamics::{
-    Accuracy, Contact, Frame, Method, Panel, Parameters, Parts, Precision, Scene, Solver, Stiffness,
-};
-use crate::feasible::Limits;
+use crate::dynamics::{Accuracy, Contact, Method, Panel, Parameters, Precision, Scene, Solver};
+use crate::nested::tests::{GOING, small};
 use crate::random::{Purpose, Stream};
-use crate::stimuli::{Bell, Source};
-use crate::trial::{
-    BrainKind, Decoder, Disturbance, Evaluation, Going, Optimise, Protocol, Ridge, Schedule, Size, Stimuli,
-    Training,
-};
+use crate::trial::{BrainKind, Decoder, Disturbance, Optimise, Protocol, Ridge, Size, Stimuli};
 use crate::variation::Casts;
 
 /// So many columns and rows of units, two panels, one sensor, `instants` of 5 ms.
 fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Problem {
     let layout = Layout::planar(columns, rows, 15.0, 2.25);
     let struck = Layout::planar_panels(columns, rows, 2).expect("panels");
-    let going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
+    let small = small(Protocol::Joint(GOING));
     Problem {
-        under: Vec::new(),
         initial: layout.initial_design(25f64.to_radians()),
         scene: Scene {
-            density: 1e-8,
-            stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-            parts: Parts::default(),
-            relaxation: None,
-            damping_ratio: 0.02,
-            contact: None,
-            linearised: false,
             clamped: layout.bottom(),
             panels: struck.into_iter().map(|unit| Panel { unit, direction: [0.0, -1.0] }).collect(),
             sensors: vec![columns * (rows / 2) + columns / 2],
-            chip: None,
-            mount: None,
-            frame: Frame::World,
             duration: 5e-3 * instants as f64,
             instants,
             layout,
+            ..small.scene
         },
-        search: None,
         solver: Solver::new(Method::Auto, Accuracy(1e-3)),
-        limits: Limits::default(),
-        kept: vec![],
-        frozen: vec![],
-        tie: [1, 1],
-        stimuli: Stimuli {
-            source: Source::Bell(Bell {
-                amplitude: [0.15, 0.5],
-                width: [0.05, 0.1],
-                onset: [0.0, 0.1],
-                peak: [0.35, 0.65],
-                power: [1.5, 4.0],
-            }),
-            instants,
-            samples,
-            test: 4,
-            holdout: 4,
-        },
-        channels: vec![0, 1, 2],
+        stimuli: Stimuli { instants, samples, ..small.stimuli },
         disturbance: Some(Disturbance { noise: Size::Relative(0.03), ..Disturbance::NONE }),
         variation: Some(Variation::USUAL),
         reader: BrainKind::Linear,
         decoder: Decoder { lags: Lags::whole(instants), ridge: Ridge::Auto },
-        brain: Training { iterations: 30, rate: 1e-2, architecture: Architecture::paper(8) },
-        optimise: Optimise {
-            brain: BrainKind::Linear,
-            protocol: Protocol::Joint(going),
-            iterations: 4,
-            rate: 0.1,
-            coarse: None,
-            casting: None,
-        },
-        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None, casts: 0 },
+        optimise: Optimise { brain: BrainKind::Linear, coarse: None, ..small.optimise },
         seed: 51,
+        ..small
     }
 }
 
