@@ -126,6 +126,8 @@ pub(super) fn descend(
             let which: Vec<usize> = ahead.iter().map(|(i, _)| *i).collect();
             which.into_iter().zip(looks.at(ahead)).for_each(|(i, point)| descents[i].go(point));
         }
+        // one that has spent its looks may just have let go of its B
+        descents.iter_mut().for_each(|descent| looks.curve(descent));
         all.extend(descents);
     }
     all
@@ -214,8 +216,10 @@ impl Descent {
         self.at.phi
     }
 
-    pub(super) fn curvature(&self) -> Option<&Mat<f64>> {
-        self.curvature.as_ref()
+    /// B; where no reading could be compared the prior's, 1.
+    pub(super) fn curvature(&self) -> Mat<f64> {
+        let all = self.at.z.len();
+        self.curvature.clone().unwrap_or_else(|| Mat::identity(all, all))
     }
 
     pub(super) fn steps(&self) -> usize {

@@ -154,16 +154,14 @@ impl<'a> Inverse<'a> {
         let (instants, directions) = (self.seen.nrows(), self.seen.ncols());
         let forces = self.trial.problem.targets(&self.prior.forces([descent.z()].into_iter()));
         let mut deviations = vec![0.0; instants * panels];
-        if let Some(factor) = descent.curvature().and_then(|curvature| curvature.llt(Side::Lower).ok()) {
-            let all = descent.z().len();
-            for panel in 0..panels {
-                let mut right = Mat::<f64>::zeros(all, instants);
-                right.as_mut().subrows_mut(panel * directions, directions).copy_from(self.seen.transpose());
-                let solved = factor.solve(&right);
-                for n in 0..instants {
-                    let variance = right.col(n).transpose() * solved.col(n);
-                    deviations[n * panels + panel] = variance.max(0.0).sqrt();
-                }
+        let factor = descent.curvature().llt(Side::Lower).expect("positive definite");
+        for panel in 0..panels {
+            let mut right = Mat::<f64>::zeros(descent.z().len(), instants);
+            right.as_mut().subrows_mut(panel * directions, directions).copy_from(self.seen.transpose());
+            let solved = factor.solve(&right);
+            for n in 0..instants {
+                let variance = right.col(n).transpose() * solved.col(n);
+                deviations[n * panels + panel] = variance.max(0.0).sqrt();
             }
         }
         let (misfit, steps, ending) = (descent.misfit(), descent.steps(), descent.ending());

@@ -134,4 +134,8 @@ fn what_cannot_be_inverted_is_named() {
     let found = brain.read(&wild);
     assert_eq!(found[0].ending, Ending::StartFailed);
     assert!(!found[0].is_explained());
+    // no more is known than before
+    let prior = (0..40).map(|n| brain.seen.row(n).iter().map(|d| d * d).sum::<f64>().sqrt());
+    let own = found[0].deviations.iter().step_by(2);
+    assert!(prior.zip(own).all(|(prior, own)| (prior - own).abs() <= 1e-12), "{:?}", found[0].deviations);
 }
