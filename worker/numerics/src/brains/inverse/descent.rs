@@ -19,8 +19,11 @@ use rayon::prelude::*;
 const EXACT: f64 = 1e-4;
 /// Samples that step together, in lanes.
 const TOGETHER: usize = 32;
-/// A descent is over where a step promises to lower Φ by less.
+/// A descent is over where a step promises to lower Φ by less, times the misfit where the model does not explain the readings: Φ is
+/// then that much steeper along directions that tell nothing.
 const ENOUGH: f64 = 0.1;
+/// Mean square of the residual (σ²) above which readings count as not explained.
+pub(super) const EXPLAINED: f64 = 1.5;
 /// Most looks at Φ.
 const LOOKS: usize = 150;
 /// Steps after which B is made anew.
@@ -235,6 +238,10 @@ impl Descent {
         self.at.residual.iter().map(|r| r * r).sum::<f64>() / self.at.residual.len() as f64
     }
 
+    pub(super) fn is_explained(&self) -> bool {
+        self.misfit() <= EXPLAINED
+    }
+
     /// Where to look next; `None` if it is over.
     fn ahead(&mut self) -> Option<Vec<f64>> {
         if self.ending.is_some() {
@@ -243,7 +250,8 @@ impl Descent {
         let (mut curvature, slope) = (self.curvature.clone()?, &self.at.slope);
         (0..curvature.nrows()).for_each(|k| curvature[(k, k)] += self.damping);
         let step = curvature.llt(Side::Lower).expect("positive definite").solve(slope);
-        if 0.5 * (slope.transpose() * &step) < ENOUGH && self.damping == 0.0 {
+        let enough = ENOUGH * self.misfit().max(1.0);
+        if 0.5 * (slope.transpose() * &step) < enough && self.damping == 0.0 {
             self.ending = Some(Ending::Converged);
             return None;
         }

@@ -25,10 +25,8 @@ use prior::Prior;
 /// steps' and of those of casts.
 const KNOWN: usize = 1000;
 const KNOWN_FIRST: u64 = 1 << 42;
-/// Mean square of the residual (σ²) from which a sample counts as not explained: it has another start, from the prior's mean.
-const EXPLAINED: f64 = 1.5;
-/// The parts of a sample that are looked at before the whole, where it is to be begun anew.
-const WINDOWS: [f64; 6] = [0.1, 0.16, 0.24, 0.35, 0.5, 0.7];
+/// The parts of a sample that are looked at in turn where it is begun anew.
+const WINDOWS: [f64; 7] = [0.1, 0.16, 0.24, 0.35, 0.5, 0.7, 1.0];
 
 /// What an inverse brain says of one sample.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,7 +46,7 @@ pub struct Estimate {
 impl Estimate {
     /// Whether the model explains the readings.
     pub fn is_explained(&self) -> bool {
-        self.misfit <= EXPLAINED
+        self.misfit <= descent::EXPLAINED
     }
 }
 
@@ -119,14 +117,10 @@ impl<'a> Inverse<'a> {
         starts.iter_mut().for_each(|z| z.extend(self.noise.no_bias()));
         let instants = self.trial.problem.scene.instants;
         let mut found = self.descend(&readings, instants, starts);
-        let lost: Vec<usize> = (0..found.len()).filter(|&i| found[i].misfit() > EXPLAINED).collect();
-        if !lost.is_empty() {
-            let readings: Vec<&[f64]> = lost.iter().map(|&i| readings[i]).collect();
-            let again = self.by_windows(&readings);
-            for (i, again) in lost.into_iter().zip(again) {
-                if again.phi() < found[i].phi() {
-                    found[i] = again;
-                }
+        let lost = (0..found.len()).filter(|&i| !found[i].is_explained()).collect();
+        for (i, again) in self.by_windows(&readings, lost) {
+            if again.phi() < found[i].phi() {
+                found[i] = again;
             }
         }
         found.iter().map(|descent| self.estimate(descent)).collect()
@@ -136,17 +130,22 @@ impl<'a> Inverse<'a> {
         descent::descend(&self.model, &self.prior, &self.noise, readings, n, starts, &mut self.counters)
     }
 
-    /// From the prior's mean, by the beginnings of the readings: what comes early is hardly nonlinear yet, and what comes late is
-    /// then nearly known.
-    fn by_windows(&mut self, readings: &[&[f64]]) -> Vec<Descent> {
+    /// Samples, by number, from the prior's mean on by the beginnings of their readings: what comes early is hardly nonlinear yet,
+    /// and what comes late is then nearly known. One whose beginning the model does not explain is given up: no more of it will.
+    fn by_windows(&mut self, readings: &[&[f64]], samples: Vec<usize>) -> Vec<(usize, Descent)> {
         let all = self.trial.problem.scene.instants;
         let start = vec![0.0; self.prior.unknowns() + self.noise.no_bias().len()];
-        let mut starts = vec![start; readings.len()];
+        let mut left: Vec<(usize, Vec<f64>)> = samples.into_iter().map(|i| (i, start.clone())).collect();
+        let mut found = Vec::new();
         for part in WINDOWS {
             let n = ((part * all as f64) as usize).max(1);
-            starts = self.descend(readings, n, starts).iter().map(|descent| descent.z().to_vec()).collect();
+            let (which, starts): (Vec<usize>, Vec<Vec<f64>>) = left.into_iter().unzip();
+            let readings: Vec<&[f64]> = which.iter().map(|&i| readings[i]).collect();
+            found = which.into_iter().zip(self.descend(&readings, n, starts)).collect();
+            found.retain(|(_, descent): &(usize, Descent)| n == all || descent.is_explained());
+            left = found.iter().map(|(i, descent)| (*i, descent.z().to_vec())).collect();
         }
-        self.descend(readings, all, starts)
+        found
     }
 
     fn estimate(&self, descent: &Descent) -> Estimate {
