@@ -46,6 +46,19 @@ async fn rows_come_in_every_form() {
     }
 }
 
+/// Geometric means, medians and quantiles need no other program.
+#[tokio::test]
+async fn errors_are_averaged_and_ranked_in_sql() {
+    let bench = Bench::new();
+    database(&bench).await;
+    let sql = "WITH errors(e) AS (VALUES (1.0), (2.0), (4.0), (8.0)) SELECT round(exp(avg(ln(e))), 6) AS geomean, \
+               median(e) AS median, round(percentile(e, 90), 6) AS p90, sqrt(pow(2, 4)) AS four FROM errors";
+    insta::assert_snapshot!(bench.output(&["query", "s.sqlite", sql, "--format", "csv"]), @r"
+    geomean,median,p90,four
+    2.828427,3.0,6.8,4.0
+    ");
+}
+
 /// Neither the database, by whatever name, nor another one; nor the former rows, by a statement that fails; nor a spec.
 #[tokio::test]
 async fn what_is_read_and_what_was_there_stay() {
