@@ -3,6 +3,7 @@
 //! A block stands between `<!-- generated: NAME -->` and `<!-- end -->`. To write all blocks anew:
 //! `METASENSE_UPDATE=1 cargo test -p metasense --test program -- references::`.
 
+mod deviations;
 mod program;
 mod results;
 mod spec;
@@ -19,6 +20,7 @@ const DOCUMENTS: &[&str] = &[
     "worker/README.md",
     "worker/numerics/MODEL.md",
     "results/README.md",
+    "results/DEVIATIONS.md",
     "tests/README.md",
 ];
 
@@ -51,6 +53,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("evaluate", results::evaluate),
     ("protocols", results::protocols),
     ("downhill", results::downhill),
+    ("deviations", deviations::deviations),
 ];
 
 const BEGIN: &str = "<!-- generated: ";

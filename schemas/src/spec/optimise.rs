@@ -180,6 +180,8 @@ pub enum GradientTerms {
     Implicit,
     /// The direct term only.
     Direct,
+    /// The term through the brain's optimum only, which alone the Methods of the paper print.
+    ImplicitOnly,
 }
 
 /// What stands for the inverse of the brain's Hessian in the implicit term, which a stopped training leaves indefinite.

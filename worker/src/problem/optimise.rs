@@ -41,13 +41,16 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
             "envelope, joint, random and cmaes",
         )?;
     } else {
-        let name =
-            gradient.map(|terms| if terms == spec::GradientTerms::Direct { "direct" } else { "implicit" });
-        unread("optimise.gradient", name.map(String::from), "paper")?;
+        let name = |terms| match terms {
+            spec::GradientTerms::Implicit => "implicit".into(),
+            spec::GradientTerms::Direct => "direct".into(),
+            spec::GradientTerms::ImplicitOnly => "implicit_only".into(),
+        };
+        unread("optimise.gradient", gradient.map(name), "paper")?;
     }
     let implicit = paper && gradient != Some(spec::GradientTerms::Direct);
     if !implicit {
-        let reader = "paper with optimise.gradient = \"implicit\"";
+        let reader = "paper with optimise.gradient = \"implicit\" or \"implicit_only\"";
         unread("optimise.curvature", curvature.map(|c| format!("{c:?}").to_lowercase()), reader)?;
         unread("optimise.damping", damping.map(|d| d.to_string()), reader)?;
     }
@@ -69,6 +72,7 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         spec::Protocol::Paper => Protocol::Paper(match gradient {
             None | Some(spec::GradientTerms::Implicit) => Terms::Implicit(policy(curvature, damping)?),
             Some(spec::GradientTerms::Direct) => Terms::Direct,
+            Some(spec::GradientTerms::ImplicitOnly) => Terms::ImplicitOnly(policy(curvature, damping)?),
         }),
         spec::Protocol::Warm | spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),

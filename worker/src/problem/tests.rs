@@ -155,6 +155,8 @@ fn the_curvature_policy_is_as_the_spec_says() {
     assert_eq!(terms(&[(curvature, json!("damped")), damping.clone()]), implicit(Policy::Damped(0.25)));
     assert_eq!(terms(&[(curvature, json!("gauss_newton"))]), implicit(Policy::GaussNewton(0.0)));
     assert_eq!(terms(&[(curvature, json!("gauss_newton")), damping]), implicit(Policy::GaussNewton(0.25)));
+    let only = terms(&[("optimise.gradient", json!("implicit_only")), (curvature, json!("gauss_newton"))]);
+    assert_eq!(only, Ok(Protocol::Paper(Terms::ImplicitOnly(Policy::GaussNewton(0.0)))));
     let direct = terms(&[("optimise.gradient", json!("direct")), (curvature, json!("truncate"))]);
     assert_eq!(direct.unwrap_err().key, curvature);
 }

@@ -67,8 +67,13 @@ impl<'a> Session<'a> {
 
     fn paper(&mut self, state: &mut State, terms: Terms, log: &mut Log) -> Result<Sensed, Trouble> {
         let trial = self.trial;
-        // A(α), of the training samples with a tape only where their gradient is asked for
-        let tapes = [matches!(terms, Terms::Implicit(_)), true];
+        let (direct, through_brain) = match terms {
+            Terms::Implicit(policy) => (true, Some(policy)),
+            Terms::Direct => (true, None),
+            Terms::ImplicitOnly(policy) => (false, Some(policy)),
+        };
+        // A(α), with a tape only where a gradient is asked for
+        let tapes = [through_brain.is_some(), direct];
         let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
         let [train, test] = self.simulate(state, sets, tapes, solver, log)?;
 
@@ -76,19 +81,25 @@ impl<'a> Session<'a> {
         let loss_train = self.fit(FitOn::Optimum(&train.samples), state, log)?;
 
         // dL_test/dα, directly
-        let (loss_test, mut gradient) = self.gradient(&test, Loss::Test, log)?;
+        let (loss_test, cotangent) =
+            log.timed(|s| &mut s.differentiate, |_| self.learner.loss_vjp(&test.samples, Loss::Test));
         log.report.loss_test = loss_test;
+        let mut found = Vec::new();
+        if direct {
+            found.push(self.vjp(&test, cotangent, log)?);
+        }
 
         // and through β*
-        if let Terms::Implicit(policy) = terms {
-            let (cotangent, found) = log.timed(
+        if let Some(policy) = through_brain {
+            let (cotangent, solved) = log.timed(
                 |s| &mut s.implicit,
                 |report| self.learner.implicit(&train.samples, &test.samples, policy, &mut report.counters),
             );
-            log.report.implicit = found;
-            let through_brain = self.vjp(&train, cotangent, log)?;
-            gradient.iter_mut().zip(&through_brain).for_each(|(g, more)| *g += more);
+            log.report.implicit = solved;
+            found.push(self.vjp(&train, cotangent, log)?);
         }
+        let sum = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a + b).collect();
+        let gradient = found.into_iter().reduce(sum).expect("a term at least");
         let error_test = self.test_error(&test.samples, log);
         Ok(Sensed { gradient, loss_train, error_test })
     }

@@ -408,6 +408,24 @@ fn a_search_keeps_the_best_of_its_candidates() {
     }
 }
 
+/// Both terms are the direct one and the one through the brain.
+#[test]
+fn the_terms_of_the_gradient_add_up() {
+    let policy = brain::Policy::Truncate;
+    let found = [Terms::Implicit(policy), Terms::Direct, Terms::ImplicitOnly(policy)].map(|terms| {
+        let (problem, pool) = (small(Protocol::Paper(terms)), pool(1));
+        let trial = Trial::new(&problem, &pool).unwrap();
+        let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
+        let mut log = observe::Log::new(0, &mut keeper);
+        let gradient =
+            protocol::Session::new(&trial).sense(&mut state, &mut log).expect("a gradient").gradient;
+        assert!(log.report.loss_test.is_some() && gradient.iter().any(|g| g.abs() > 0.0), "{terms:?}");
+        gradient
+    });
+    let [both, direct, implicit] = &found;
+    assert!(direct.iter().zip(implicit).zip(both).all(|((d, i), both)| d + i == *both));
+}
+
 #[test]
 fn the_direct_term_is_the_derivative_of_the_test_loss_at_fixed_weights() {
     check_the_direct_term(None, small(Protocol::Paper(Terms::Direct)));

@@ -174,6 +174,8 @@ pub enum Terms {
     Implicit(Policy),
     /// Through the test signals alone.
     Direct,
+    /// Through the trained weights alone.
+    ImplicitOnly(Policy),
 }
 
 /// The comparison of the initial and the best body.

@@ -1,0 +1,166 @@
+//! Where we stand beside the paper: what it says, what the specs of its figures have. The supplement with its sizes, material and pulses is not
+//! released.
+
+use std::path::PathBuf;
+
+use metasense::plan::Plan;
+use metasense_schemas::source::Source;
+use serde_json::Value;
+
+use super::{root, table};
+
+/// Words, what the paper says (empty: nothing), the keys of `fig2`, and what there is to say besides.
+const ROWS: &[(&str, &str, &[&str], &str)] = &[
+    (
+        "units (columns, rows)",
+        "",
+        &["body.columns", "body.rows"],
+        "the pictures show lattices of some such size",
+    ),
+    ("pitch (mm)", "", &["body.spacing"], "its chip, 23.5 × 32.5 mm, asks for more: `real-scale`"),
+    ("ligament length (mm)", "", &["body.ligament_length"], ""),
+    ("initial angle (°)", "", &["body.initial_angle"], ""),
+    (
+        "stiffness: stretch, shear (N/mm), bend (N mm)",
+        "identified, not printed",
+        &["body.stiffness.stretch", "body.stiffness.shear", "body.stiffness.bend"],
+        "",
+    ),
+    (
+        "density (Mg/mm²)",
+        "Dragon Skin 10 Fast, cast",
+        &["body.density"],
+        "its sheet: `body.material`, `real-scale`",
+    ),
+    (
+        "damping",
+        "viscous",
+        &["body.damping_ratio"],
+        "of the critical, by the square of angle 0, whatever the design",
+    ),
+    ("contact energy", "optional", &["body.contact"], "off; `body.contact` turns it on"),
+    ("where the body is held", "", &["body.clamp"], ""),
+    ("panels", "two on the top boundary", &["panel_units"], "which units and direction: ours"),
+    (
+        "sensor",
+        "one, near the centre",
+        &["sensor_units"],
+        "which unit: ours; several are at random, five placements",
+    ),
+    ("frame of the accelerations", "", &["sensors.frame"], "`\"body\"` turns with the unit"),
+    (
+        "the chip's mass, range, noise",
+        "WT9011DCL",
+        &["sensors.chip"],
+        "an ideal chip; `sensors.chip` has that one's figures",
+    ),
+    ("time (s), samples of it", "1, 200", &["time.duration", "time.samples"], ""),
+    (
+        "integrator",
+        "Tsit5 (Diffrax), tolerance not printed",
+        &["solver.method", "solver.tolerance"],
+        "`auto` may choose splittings of less cost at equal error",
+    ),
+    ("training samples", "300", &["stimuli.samples"], ""),
+    ("test samples", "30", &["stimuli.test"], ""),
+    (
+        "further samples, that no loop sees",
+        "none",
+        &["stimuli.holdout"],
+        "the paper's errors are those of the set that steers its bodies",
+    ),
+    ("virtual pulses: amplitude (N)", "", &["stimuli.amplitude"], ""),
+    ("duration (s)", "", &["stimuli.width"], ""),
+    ("onset (s)", "\"time delays\"", &["stimuli.onset"], ""),
+    ("peak, as a part of the pulse", "\"shapes\"", &["stimuli.peak"], ""),
+    ("power of its flanks", "\"shapes\"", &["stimuli.power"], ""),
+    (
+        "blows",
+        "measured, 150 on each panel",
+        &[],
+        "not released: `stimuli.kind = \"irregular\"` is a model of them, `\"recorded\"` reads one's own",
+    ),
+    (
+        "network",
+        "convolutions of 64, 64 and K filters, kernels 3, 3, 1, ReLU, SAME",
+        &["brain.preset"],
+        "the same, the default",
+    ),
+    (
+        "its training",
+        "1000 steps of Adam, rate 0.01",
+        &["brain.iterations", "brain.learning_rate"],
+        "the whole set in each",
+    ),
+    (
+        "inputs of the network",
+        "",
+        &[],
+        "each over the RMS of its kind on the initial body's training signals",
+    ),
+    ("training loss", "of normalised forces", &[], "each panel by mean and deviation of its training forces"),
+    ("loss of the body", "mean square on the test set (N²)", &[], "the same"),
+    (
+        "gradient",
+        "main text: through the signals; Methods: through the trained weights",
+        &["optimise.gradient"],
+        "the sum, which is the derivative; `\"direct\"` and `\"implicit_only\"` take what is printed there",
+    ),
+    (
+        "implicit systems",
+        "conjugate gradients, 10⁻⁷, 20 iterations",
+        &["optimise.curvature"],
+        "the same, stopped at negative curvature: training has not ended at a minimum",
+    ),
+    (
+        "steps of the body",
+        "100 of Adam, rate 0.1",
+        &["optimise.iterations", "optimise.learning_rate"],
+        "a rate in mm",
+    ),
+    ("which body counts", "", &[], "the best by the test set"),
+    (
+        "angles of corners (°), of voids, of ligaments",
+        "",
+        &[
+            "feasible.min_block_angle",
+            "feasible.max_block_angle",
+            "feasible.min_void_angle",
+            "feasible.min_ligament_angle",
+        ],
+        "no overlap in the paper; limits are ours",
+    ),
+    (
+        "least edge, clearances (mm)",
+        "",
+        &["feasible.min_edge", "feasible.clearance", "feasible.ligament_clearance"],
+        "",
+    ),
+    ("prediction error", "mean over samples of Σ(f − f̂)²/Σf²", &[], "the same, on test set and holdout"),
+    (
+        "fewer iterations",
+        "to the same accuracy, of one training",
+        &[],
+        "to the worse of the two best values, by training loss and by holdout error",
+    ),
+];
+
+/// Of a trial's spec: what stands at a path.
+fn at(spec: &Value, path: &str) -> String {
+    let value = path.split('.').fold(spec, |value, key| &value[key]);
+    if value.is_null() { "–".into() } else { value.to_string().replace(',', ", ").replace('"', "") }
+}
+
+pub fn deviations() -> String {
+    let file: PathBuf = root().join("schemas/sweeps/fig2.toml");
+    let text = std::fs::read_to_string(&file).expect("fig2");
+    let plan = Plan::of(Source::spec(&file, text, &[]).expect("a spec")).expect("a plan");
+    let spec = serde_json::to_value(&plan.trials[0].spec).expect("JSON");
+    let row = |(what, paper, keys, note): &(&str, &str, &[&str], &str)| {
+        let or = |text: &str| if text.is_empty() { "*unknown*".to_owned() } else { text.to_owned() };
+        let ours: Vec<String> = keys.iter().map(|key| at(&spec, key)).collect();
+        let keys: Vec<String> = keys.iter().map(|key| format!("`{key}`")).collect();
+        vec![(*what).to_owned(), or(paper), ours.join("; "), keys.join(", "), (*note).to_owned()]
+    };
+    table(&["what", "the paper", "ours", "key", "besides"], ROWS.iter().map(row))
+}
