@@ -36,8 +36,14 @@ fn analyse_finds_what_was_put_into_the_database() {
 
     // The optimised body's error falls to M = 2 and no further; the initial one's falls evenly.
     let elbows = |body| rows(&answers, "elbow", &[("setting", "K = 4"), ("body", body), ("set", "holdout")]);
-    assert_eq!(elbows("optimised")[0]["verdict"], "elbow at M = 2", "{:#?}", answers["elbow"]);
-    assert_eq!(elbows("initial")[0]["verdict"], "no elbow", "{:#?}", answers["elbow"]);
+    for (height, verdicts) in
+        [("in %", ["elbow at M = 2", "no elbow"]), ("in logarithms", ["elbow at M = 2", "no elbow"])]
+    {
+        for (body, verdict) in ["optimised", "initial"].into_iter().zip(verdicts) {
+            let found: Vec<&Value> = elbows(body).into_iter().filter(|row| row["height"] == height).collect();
+            assert_eq!(found[0]["verdict"], verdict, "{height}: {:#?}", answers["elbow"]);
+        }
+    }
 
     // 28·0.93⁶ = 18.1 % with six sensors; 28·e^−0.74 = 13.4 % with one.
     let fewer = rows(&answers, "fewer", &[("setting", "K = 4"), ("set", "test")]);
@@ -131,7 +137,7 @@ fn csv_holds_one_table_and_says_so() {
     let (ok, _, err) = metasense(&db, &["analyse", "--format", "csv"]);
     assert!(!ok && err.contains("--question"), "{err}");
     let (ok, out, err) = metasense(&db, &["analyse", "--format", "csv", "--question", "elbow"]);
-    assert!(ok && out.starts_with("setting,body,set,verdict,"), "{out}{err}");
+    assert!(ok && out.starts_with("setting,body,set,height,verdict,"), "{out}{err}");
 }
 
 /// What a browser would fetch, and what the page must say.
@@ -298,7 +304,10 @@ fn claims_are_rated_by_what_was_put_into_the_database() {
     let (ok, evidence, err) =
         metasense(&db, &["claims", "--evidence", "--format", "csv", "--out-dir", out.to_str().unwrap()]);
     assert!(ok, "{err}");
-    assert_eq!(evidence.lines().next(), Some("claim,with,set,rating,stated,found,low,high,note,trials,over"));
+    assert_eq!(
+        evidence.lines().next(),
+        Some("claim,with,set,rating,stated,found,low,high,chance,note,trials,over")
+    );
     for (file, part) in [
         ("claims.csv", "elbow at M = 2"),
         ("evidence.csv", "holdout"),

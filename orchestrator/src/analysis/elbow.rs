@@ -1,10 +1,11 @@
 //! The elbow of error against the number of sensors: where more of them stop to pay.
 //!
 //! ```text
-//! ln e = A_cluster + b·min(M, m) + c·max(M − m, 0)       broken stick, m one of the inner M
+//! y = A_cluster + b·min(M, m) + c·max(M − m, 0)       broken stick, m one of the inner M; y = e or ln e
+//! y = A_cluster + b·ρᴹ                                its rival, a decay without a bend
 //! ```
 //! by least squares; the cluster's own level A takes out that one placement is better than another at every M. There is
-//! an elbow where the stick beats the straight line by BIC, falls before m and falls at most half as fast after it.
+//! an elbow where the stick beats straight line and decay by BIC, falls before m and falls at most half as fast after it.
 //! Kneedle (Satopää et al. 2011) and the chord's farthest point stand beside it. Votes by bootstrap.
 
 use super::data::{Grid, Level, Observation, clusters, levels};
@@ -19,6 +20,39 @@ const FALL_KEPT: f64 = 0.5;
 
 /// The share of votes that decides.
 const MAJORITY: f64 = 0.5;
+
+/// What remains of the rest by a further sensor, of a decay.
+const DECAYS: [f64; 13] = [0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95];
+
+/// The height over M of which an elbow is sought: a fall of many factors bends early in per cent, and late in logarithms.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Height {
+    /// The error (%), as it is mostly drawn.
+    Percent,
+    /// Its logarithm: equal factors are equal steps.
+    Logarithm,
+}
+
+impl Height {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Percent, Self::Logarithm];
+
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Percent => "in %",
+            Self::Logarithm => "in logarithms",
+        }
+    }
+
+    /// Of an error whose logarithm this is.
+    pub(super) fn of(self, log: f64) -> f64 {
+        match self {
+            Self::Percent => log.exp(),
+            Self::Logarithm => log,
+        }
+    }
+}
 
 /// What the votes come to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,7 +78,7 @@ pub struct Elbow {
     pub without_largest: Option<Option<f64>>,
     /// Kneedle's, on the mean error.
     pub kneedle: Option<f64>,
-    /// The point farthest below the chord, on the logarithm of the mean error.
+    /// The point farthest below the chord, on the height of the mean error.
     pub chord: Option<f64>,
     /// Share of the replicates' votes for each M; the rest found no elbow.
     pub votes: Vec<(f64, f64)>,
@@ -78,7 +112,7 @@ pub struct TooFew(pub usize);
 ///
 /// # Errors
 /// Where there are fewer than four values of M.
-pub fn elbow(observations: &[Observation]) -> Result<Elbow, TooFew> {
+pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooFew> {
     let clusters = clusters(observations);
     let grid = Grid::new(observations, &clusters);
     let at = &grid.places;
@@ -87,7 +121,7 @@ pub fn elbow(observations: &[Observation]) -> Result<Elbow, TooFew> {
     }
     let levels = levels(observations);
     let resampling = Resampling::new(&clusters);
-    let curve = Curve::new(&grid, clusters.len());
+    let curve = Curve::new(&grid, clusters.len(), height);
     let even = vec![1.0; clusters.len()];
     let broken_stick = curve.broken_stick(&even);
     let replicates = resampling.replicates(|weights| Some(curve.broken_stick(&weights)));
@@ -106,13 +140,13 @@ pub fn elbow(observations: &[Observation]) -> Result<Elbow, TooFew> {
     let largest = at[at.len() - 1];
     let without_largest = (at.len() > LEAST_VALUES).then(|| {
         let rest: Vec<Observation> = observations.iter().filter(|o| o.at < largest).copied().collect();
-        Curve::new(&Grid::new(&rest, &clusters), clusters.len()).broken_stick(&even)
+        Curve::new(&Grid::new(&rest, &clusters), clusters.len(), height).broken_stick(&even)
     });
     Ok(Elbow {
         broken_stick,
         without_largest,
         kneedle: kneedle(&levels),
-        chord: chord(&levels),
+        chord: chord(&levels, height),
         votes,
         gains: gains(observations),
         verdict,
@@ -166,17 +200,22 @@ struct ByCluster {
     observations: f64,
     /// Which places it has.
     has: Vec<bool>,
-    /// Of ln e on M.
+    /// Of y on M.
     line: Normal,
+    /// On ρᴹ, by the number of ρ.
+    decays: Vec<Normal>,
     /// On min(M, m) and max(M − m, 0), by the number of m.
     sticks: Vec<Normal>,
 }
 
 impl Curve {
-    fn new(grid: &Grid, clusters: usize) -> Self {
+    fn new(grid: &Grid, clusters: usize, height: Height) -> Self {
         let mut points = vec![Vec::new(); clusters];
-        grid.points.iter().for_each(|&(cluster, place, y)| points[cluster].push((place, y)));
+        grid.points.iter().for_each(|&(cluster, place, log)| points[cluster].push((place, height.of(log))));
         let places = &grid.places;
+        let column = |points: &[(usize, f64)], x: &dyn Fn(f64) -> f64| {
+            Normal::centred(points.iter().map(|&(place, y)| [x(places[place]), 0.0, y]))
+        };
         let stick = |points: &[(usize, f64)], m: f64| {
             let row = |&(place, y): &(usize, f64)| [places[place].min(m), (places[place] - m).max(0.0), y];
             Normal::centred(points.iter().map(row))
@@ -184,7 +223,8 @@ impl Curve {
         let of = |points: &Vec<(usize, f64)>| ByCluster {
             observations: points.len() as f64,
             has: (0..places.len()).map(|place| points.iter().any(|p| p.0 == place)).collect(),
-            line: Normal::centred(points.iter().map(|&(place, y)| [places[place], 0.0, y])),
+            line: column(points, &|m| m),
+            decays: DECAYS.iter().map(|rho| column(points, &|m| rho.powf(m))).collect(),
             sticks: places.iter().map(|m| stick(points, *m)).collect(),
         };
         Self { places: places.clone(), clusters: points.iter().map(of).collect() }
@@ -217,7 +257,9 @@ impl Curve {
         let floor = 1e-12 * line.0[5] + f64::MIN_POSITIVE;
         let information =
             |residual: f64, parameters: f64| n * (residual.max(floor) / n).ln() + parameters * n.ln();
-        let bends = information(residual, 3.0) < information(line_residual, 1.0);
+        let decays = (0..DECAYS.len()).map(|rho| self.sum(weights, |cluster| &cluster.decays[rho]).solve().1);
+        let smooth = information(decays.fold(f64::INFINITY, f64::min), 2.0);
+        let bends = information(residual, 3.0) < smooth.min(information(line_residual, 1.0));
         (bends && before < 0.0 && after >= FALL_KEPT * before).then_some(place)
     }
 }
@@ -252,13 +294,14 @@ fn kneedle(levels: &[Level]) -> Option<f64> {
     None
 }
 
-/// The inner point farthest below the straight line from the first point to the last, in ln e.
-fn chord(levels: &[Level]) -> Option<f64> {
+/// The inner point farthest below the straight line from the first point to the last.
+fn chord(levels: &[Level], height: Height) -> Option<f64> {
     let (first, last) = (levels.first()?, levels.last()?);
-    let slope = (last.mean.ln() - first.mean.ln()) / (last.at - first.at);
+    let y = |level: &Level| height.of(level.mean.ln());
+    let slope = (y(last) - y(first)) / (last.at - first.at);
     let mut best = (None, 1e-9);
     for level in &levels[1..levels.len() - 1] {
-        let below = first.mean.ln() + slope * (level.at - first.at) - level.mean.ln();
+        let below = y(first) + slope * (level.at - first.at) - y(level);
         if below > best.1 {
             best = (Some(level.at), below);
         }

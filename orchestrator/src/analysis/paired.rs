@@ -22,6 +22,8 @@ pub struct Ratio {
     pub ratio: f64,
     /// Its 95 % interval; `None` where there are too few units to tell.
     pub interval: Option<Interval>,
+    /// The chance of a ratio that far from 1, either way, if the true one is 1.
+    pub chance: Option<f64>,
     /// The units that the interval is over, or that are too few.
     pub over: String,
 }
@@ -52,11 +54,13 @@ impl Ratio {
                 weights.iter().zip(sums).fold([0.0; 2], |[n, sum], (w, s)| [n + w * s[0], sum + w * s[1]]);
             Some(both[1] / both[0]).filter(|mean| mean.is_finite())
         };
+        let (interval, chance) = units.judged(mean).unzip();
         Some(Self {
             trials: sums.iter().map(|s| s[0]).sum::<f64>() as usize,
             above_one,
             ratio: mean(&vec![1.0; sums.len()])?.exp(),
-            interval: units.interval(mean).map(|i| i.map(f64::exp)),
+            interval: interval.map(|i| i.map(f64::exp)),
+            chance,
             over: units.over(),
         })
     }

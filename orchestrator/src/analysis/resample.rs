@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 
 use super::numbers::distinct;
 use super::trial::Cluster;
-use metasense_worker::{Draw, student};
+use metasense_worker::{Draw, chance_above, student};
 
 /// Units of a kind below which it is not drawn anew: of three, leaving one out says next to nothing about the spread.
 pub const LEAST_UNITS: usize = 4;
@@ -165,7 +165,12 @@ impl Resampling {
 
     /// The 95 % interval of a statistic of weighted trials.
     pub fn interval(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Interval> {
-        self.jackknife(statistic)?.interval(|x| *x)
+        self.judged(statistic).map(|(interval, _)| interval)
+    }
+
+    /// The same with the chance that a statistic which is 0 in truth comes out as far from it, on either side.
+    pub fn judged(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<(Interval, f64)> {
+        self.jackknife(statistic)?.judged(|x| *x)
     }
 }
 
@@ -181,6 +186,10 @@ pub struct Jackknife<T> {
 impl<T> Jackknife<T> {
     /// The 95 % interval of a number had from the statistic.
     pub fn interval(&self, number: impl Fn(&T) -> f64) -> Option<Interval> {
+        self.judged(number).map(|(interval, _)| interval)
+    }
+
+    fn judged(&self, number: impl Fn(&T) -> f64) -> Option<(Interval, f64)> {
         let (mut variance, mut most, mut squares) = (0.0, 0.0f64, 0.0);
         for (kinds, left_out) in &self.parts {
             let values: Vec<f64> = left_out.iter().map(&number).collect();
@@ -196,10 +205,29 @@ impl<T> Jackknife<T> {
         let (whole, variance) = (number(&self.whole), variance.max(most));
         let freedom = if squares > 0.0 { variance * variance / squares } else { 0.0 };
         let freedom = freedom.max((self.fewest - 1) as f64);
-        let [below, above] = [freedom.floor(), freedom.ceil()].map(|f| student(f as usize));
-        let half = (below + (freedom - freedom.floor()) * (above - below)) * variance.sqrt();
-        (whole.is_finite() && half.is_finite()).then_some(Interval { low: whole - half, high: whole + half })
+        let between = |of: &dyn Fn(usize) -> f64| {
+            let [below, above] = [freedom.floor(), freedom.ceil()].map(|f| of(f as usize));
+            below + (freedom - freedom.floor()) * (above - below)
+        };
+        let half = between(&student) * variance.sqrt();
+        let t = if whole == 0.0 { 0.0 } else { whole.abs() / variance.sqrt() };
+        let chance = 2.0 * between(&|freedom| chance_above(freedom, t));
+        let interval = Interval { low: whole - half, high: whole + half };
+        (whole.is_finite() && half.is_finite()).then_some((interval, chance))
     }
+}
+
+/// What chances of several findings come to together (Holm, Scand. J. Stat. 6, 1979): where the greatest is at most x, all of them
+/// are but chance with probability x at most.
+pub fn holm(chances: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..chances.len()).collect();
+    order.sort_by(|a, b| chances[*a].total_cmp(&chances[*b]));
+    let (mut corrected, mut most) = (vec![0.0; chances.len()], 0.0f64);
+    for (rank, i) in order.into_iter().enumerate() {
+        most = most.max((chances.len() - rank) as f64 * chances[i]).min(1.0);
+        corrected[i] = most;
+    }
+    corrected
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use super::data::{
     observations,
 };
 use super::decision::{Decision, Terms, decide};
-use super::elbow::{Elbow, Verdict, elbow};
+use super::elbow::{Elbow, Height, Verdict, elbow};
 use super::numbers::{distinct, geometric_mean, mean};
 use super::paired::{self, Ratio};
 use super::placed::placed;
@@ -331,7 +331,7 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
     let columns = "M trials error least most elbow_votes within_votes price_votes gain_to_next gain_low \
         gain_high over";
     by_curve(columns, by_sensors(trials), |points| {
-        let (found, decided) = (elbow(points).ok(), decide(points, terms));
+        let (found, decided) = (elbow(points, Height::Logarithm).ok(), decide(points, terms));
         let (found, decided) = (found.as_ref(), decided.as_ref());
         let row = |level: Level| {
             let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
@@ -368,26 +368,31 @@ pub fn verdict_text(verdict: Verdict) -> String {
 }
 
 fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
-    let columns = "verdict broken_stick votes_for_none without_largest kneedle chord within within_votes \
+    let columns = "height verdict broken_stick votes_for_none without_largest kneedle chord within within_votes \
         within_without_largest price price_votes price_without_largest over";
     let whole = |m: f64| m as u64;
     by_curve(columns, by_sensors(trials), |points| {
-        let found = elbow(points);
-        let e = found.as_ref().ok();
         let none = |e: &Elbow| has_votes(e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>());
         let without = |m: Option<f64>| m.map_or(json!("none"), |m| json!(whole(m)));
-        let by_elbow = row![
-            found.as_ref().map_or_else(ToString::to_string, |e| verdict_text(e.verdict)),
-            e.and_then(|e| e.broken_stick).map(whole),
-            e.and_then(none),
-            e.and_then(|e| e.without_largest).map(without),
-            e.and_then(|e| e.kneedle).map(whole),
-            e.and_then(|e| e.chord).map(whole)
-        ];
         let decided = decide(points, terms);
         let within = decision_cells(decided.as_ref().map(|d| &d.within));
         let price = decision_cells(decided.as_ref().and_then(|d| d.priced.as_ref()));
-        vec![[by_elbow, within, price, row![decided.map(|d| d.over)]].concat()]
+        let over = row![decided.map(|d| d.over)];
+        let row = |height: Height| {
+            let found = elbow(points, height);
+            let e = found.as_ref().ok();
+            let by_elbow = row![
+                height.name(),
+                found.as_ref().map_or_else(ToString::to_string, |e| verdict_text(e.verdict)),
+                e.and_then(|e| e.broken_stick).map(whole),
+                e.and_then(none),
+                e.and_then(|e| e.without_largest).map(without),
+                e.and_then(|e| e.kneedle).map(whole),
+                e.and_then(|e| e.chord).map(whole)
+            ];
+            [by_elbow, within.clone(), price.clone(), over.clone()].concat()
+        };
+        Height::ALL.map(row).into()
     })
 }
 

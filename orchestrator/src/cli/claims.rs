@@ -16,8 +16,8 @@ use crate::store::Reader;
 
 /// Rates the claims of arXiv:2605.23967 by finished trials
 ///
-/// A claim holds, holds in part, fails, is open, or depends on the brain. First run the specs in schemas/claims into one
-/// database (run SPEC --db FILE).
+/// A claim holds, is compatible with the paper's number, holds in part, makes no difference, fails, is open, or depends on the brain.
+/// First run the specs in schemas/claims into one database (run SPEC --db FILE).
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; of a folder of shards, their facts

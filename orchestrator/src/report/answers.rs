@@ -9,7 +9,7 @@ use crate::analysis::placed::{Placed, placed};
 use crate::analysis::random::random;
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::{nonlinear, verdict_text};
-use crate::analysis::{Body, Interval, Set, Terms, Trial, Verdict, elbow, paired};
+use crate::analysis::{Body, Height, Interval, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::look::{Answer, number};
 use crate::plan::counted;
 
@@ -157,7 +157,7 @@ fn placing(found: &Placed) -> Option<Answer> {
 /// Where more sensors stop to pay, and how few suffice on the optimised body.
 fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
     let curve = |body| observations(&group.trials, body, Set::Holdout, |t| t.sensors);
-    let [initial, optimised] = Body::ALL.map(|b| match elbow(&curve(b)) {
+    let told = |body, height| match elbow(&curve(body), height) {
         Err(why) => why.to_string(),
         Ok(found) => {
             let share = |m: f64| {
@@ -175,10 +175,17 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             let verdict = verdict_text(found.verdict);
             if told.is_empty() { verdict } else { format!("{verdict} ({})", told.join("; ")) }
         }
+    };
+    let [initial, optimised] = Body::ALL.map(|body| {
+        let [percent, logarithm] = Height::ALL.map(|height| told(body, height));
+        match percent == logarithm {
+            true => percent,
+            false => format!("of the error in %: {percent}; in logarithms: {logarithm}"),
+        }
     });
     let text = match initial == optimised {
         true => format!("{}: both bodies: {initial}.", group.label),
-        false => format!("{}: optimised body: {optimised}; initial body: {initial}.", group.label),
+        false => format!("{}: optimised body: {optimised}. Initial body: {initial}.", group.label),
     };
     let mut said = vec![Answer::new("sensors", None, text)];
     let [initial, optimised] = Body::ALL.map(|body| decide(&curve(body), terms));

@@ -1,6 +1,6 @@
 //! The paper's claims: a table of ratings, a table of the evidence, and its figure.
 
-use crate::analysis::claims::{CLAIMS, Evidence, Rating, summary};
+use crate::analysis::claims::{CLAIMS, Evidence, Rating, corrected, summary};
 use crate::analysis::paired::Progress;
 use crate::analysis::tables::ends;
 use crate::analysis::{Set, Trial};
@@ -8,7 +8,7 @@ use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// What a database's trials say of every claim, in the paper's order.
 pub fn tried(trials: &[Trial]) -> Vec<Vec<Evidence>> {
-    CLAIMS.iter().map(|claim| claim.evidence(trials)).collect()
+    corrected(CLAIMS.iter().map(|claim| claim.evidence(trials)).collect())
 }
 
 /// A row a claim: what it comes to, and the spec that shows it.
@@ -32,20 +32,21 @@ pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
         for e in evidence {
             let [low, high] = ends(e.interval);
             let note = (!e.note.is_empty()).then_some(&e.note);
-            let ratio = row![e.rating.name(), claim.stated, e.found, low, high, note, e.trials, e.over];
+            let ratio =
+                row![e.rating.name(), claim.stated, e.found, low, high, e.chance, note, e.trials, e.over];
             rows.push([row![i + 1, e.who, e.set], ratio].concat());
         }
     }
-    Table::new("claim with set rating stated found low high note trials over", rows)
+    Table::new("claim with set rating stated found low high chance note trials over", rows)
 }
 
 /// The class of a rating's marks.
 fn class(rating: Rating) -> &'static str {
     match rating {
-        Rating::Holds => "fifth",
+        Rating::Holds | Rating::Compatible => "fifth",
         Rating::InPart => "fourth",
         Rating::Fails => "optimised",
-        Rating::Open => "truth",
+        Rating::Alike | Rating::Open => "truth",
     }
 }
 
@@ -87,10 +88,10 @@ pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
         plot.note((high.max(CLAIMS[*i].stated), at(row)), note);
     }
     let keys = [
-        (class(Rating::Holds), "holds"),
+        (class(Rating::Holds), "holds, or compatible"),
         (class(Rating::InPart), "in part"),
         (class(Rating::Fails), "fails"),
-        (class(Rating::Open), "open"),
+        (class(Rating::Open), "open, or no difference"),
         ("ring", "the paper's number"),
     ];
     (!rows.is_empty()).then(|| {

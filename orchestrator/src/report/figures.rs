@@ -11,7 +11,7 @@ use crate::analysis::random::random;
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
 use crate::analysis::trial::CurvePoint;
-use crate::analysis::{Body, Interval, Question, Set, Terms, Trial, Verdict, elbow, paired};
+use crate::analysis::{Body, Height, Interval, Question, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// The usual legend.
@@ -109,7 +109,7 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
                 ((l.at, l.mean), text)
             });
             plot.dots(name, dots);
-            if let Ok(found) = elbow(points)
+            if let Ok(found) = elbow(points, Height::Logarithm)
                 && let Verdict::At(m) | Verdict::WithoutVote(Some(m)) = found.verdict
             {
                 let vote = found.votes.iter().find(|v| v.0 == m && v.1 > 0.0);

@@ -22,7 +22,8 @@ fn curve(error: impl Fn(f64) -> f64, noise: f64) -> Vec<Observation> {
 
 #[test]
 fn a_curve_that_bends_at_two_has_its_elbow_there() {
-    let found = elbow(&curve(|m| 20.0 * (-1.2 * m.min(2.0) - 0.05 * m).exp(), 0.05)).unwrap();
+    let found =
+        elbow(&curve(|m| 20.0 * (-1.2 * m.min(2.0) - 0.05 * m).exp(), 0.05), Height::Logarithm).unwrap();
     assert_eq!(found.verdict, Verdict::At(2.0), "{found:?}");
     assert_eq!((found.broken_stick, found.kneedle, found.chord), (Some(2.0), Some(2.0), Some(2.0)));
     assert_eq!(found.without_largest, Some(Some(2.0)));
@@ -32,22 +33,37 @@ fn a_curve_that_bends_at_two_has_its_elbow_there() {
 
 #[test]
 fn a_curve_that_bends_at_four_has_its_elbow_there() {
-    let found = elbow(&curve(|m| 30.0 * (-0.6 * m.min(4.0)).exp(), 0.08)).unwrap();
+    let found = elbow(&curve(|m| 30.0 * (-0.6 * m.min(4.0)).exp(), 0.08), Height::Logarithm).unwrap();
     assert_eq!(found.verdict, Verdict::At(4.0), "{found:?}");
 }
 
 #[test]
 fn a_straight_fall_and_a_flat_curve_have_no_elbow() {
     for (slope, noise) in [(0.3, 0.05), (0.0, 0.05), (0.3, 0.0)] {
-        let found = elbow(&curve(|m| 20.0 * (-slope * m).exp(), noise)).unwrap();
+        let found = elbow(&curve(|m| 20.0 * (-slope * m).exp(), noise), Height::Logarithm).unwrap();
         assert_eq!(found.verdict, Verdict::NoElbow, "slope {slope}, noise {noise}: {found:?}");
     }
+}
+
+/// A fall of equal factors is straight in logarithms and decays in per cent; one that ends bends in both, and one of many factors that
+/// bends late in logarithms has come down in per cent long before.
+#[test]
+fn a_curve_has_two_heights() {
+    let verdicts = |error: &dyn Fn(f64) -> f64| {
+        Height::ALL.map(|height| elbow(&curve(error, 0.03), height).unwrap().verdict)
+    };
+    assert_eq!(verdicts(&|m| 20.0 * (-0.5 * m).exp()), [Verdict::NoElbow; 2]);
+    assert_eq!(verdicts(&|m| 20.0 - 8.0 * m.min(2.0)), [Verdict::At(2.0); 2]);
+    let fall = verdicts(&|m| 40.0 * (-2.0 * m.min(4.0)).exp());
+    assert!(fall[0] != Verdict::At(4.0) && fall[1] == Verdict::At(4.0), "{fall:?}");
+    // towards a floor without a bend
+    assert_eq!(verdicts(&|m| 5.0 + 30.0 * 0.6f64.powf(m))[0], Verdict::NoElbow);
 }
 
 /// The true gain is e^0.5 before the elbow and 1 after it.
 #[test]
 fn gains_are_paired_within_clusters() {
-    let found = elbow(&curve(|m| 20.0 * (-0.5 * m.min(3.0)).exp(), 0.02)).unwrap();
+    let found = elbow(&curve(|m| 20.0 * (-0.5 * m.min(3.0)).exp(), 0.02), Height::Logarithm).unwrap();
     for gain in &found.gains {
         let truth = if gain.from < 3.0 { 0.5f64.exp() } else { 1.0 };
         let interval = gain.interval.unwrap();
@@ -59,7 +75,7 @@ fn gains_are_paired_within_clusters() {
 #[test]
 fn three_values_of_m_are_too_few() {
     let few: Vec<Observation> = curve(|m| 20.0 / m, 0.0).into_iter().filter(|o| o.at < 3.5).collect();
-    assert_eq!(elbow(&few), Err(TooFew(3)));
+    assert_eq!(elbow(&few, Height::Percent), Err(TooFew(3)));
 }
 
 #[test]
@@ -68,7 +84,7 @@ fn one_placement_and_seed_gives_a_fit_without_votes() {
         .into_iter()
         .filter(|o| o.cluster == Cluster::default())
         .collect();
-    let found = elbow(&one).unwrap();
+    let found = elbow(&one, Height::Logarithm).unwrap();
     assert_eq!(found.verdict, Verdict::WithoutVote(Some(2.0)), "{found:?}");
     assert!(found.gains.iter().all(|g| g.interval.is_none()));
 }

@@ -59,7 +59,9 @@ fn the_interval_of_a_mean_is_student_s_over_units() {
         let mean = |w: &[f64]| {
             Some(w.iter().zip(&trials).map(|(w, t)| w * t.1).sum::<f64>() / w.iter().sum::<f64>())
         };
-        let found = resampling.interval(mean).unwrap();
+        let (found, chance) = resampling.judged(mean).unwrap();
+        // t = 3.75/1.548 = 2.42 at three degrees of freedom
+        assert!((chance - 0.0939).abs() < 1e-3, "{chance}");
         let half = 3.182 * (28.75f64 / 3.0 / 4.0).sqrt();
         assert!((found.low - (3.75 - half)).abs() < 1e-9, "{found:?}");
         assert!((found.high - (3.75 + half)).abs() < 1e-9, "{found:?}");
