@@ -5,6 +5,7 @@ use crate::dynamics::{
     Accuracy, Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, Wrt, planned, run,
 };
 use crate::identify::objective::onsets;
+use crate::random::Draw;
 use crate::trial::{Chip, Problem};
 use crate::variation::Cast;
 use nalgebra::{DMatrix, DVector};
@@ -31,6 +32,8 @@ pub struct Point {
 /// Columns of da/dz, an unknown each, of some records.
 pub struct Columns {
     pub records: Vec<usize>,
+    /// For how many records each stands.
+    stands: Vec<f64>,
     /// (records, window, channels).
     of: Vec<Vec<f64>>,
 }
@@ -214,7 +217,7 @@ impl<'a> Objective<'a> {
         cotangent.iter_mut().for_each(|bar| *bar = -*bar);
         let length = self.unknowns.all().iter().position(|of| *of == Unknown::LigamentLength);
         let of_length = length.map(|k| {
-            let nudged = self.nudged(&self.plan, point, k, NUDGE, &self.forces);
+            let nudged = self.nudged(&self.plan, point, |z| z[k] += NUDGE, &self.forces);
             self.counters += nudged.1;
             let moved = nudged.0.iter().zip(&point.read).zip(&cotangent);
             moved.map(|((there, here), bar)| (there - here) / NUDGE * bar).sum::<f64>()
@@ -231,10 +234,16 @@ impl<'a> Objective<'a> {
         slope + &point.z
     }
 
-    /// What is read with the `k`-th unknown nudged.
-    fn nudged(&self, plan: &Plan, point: &Point, k: usize, by: f64, forces: &Forces) -> (Vec<f64>, Counters) {
+    /// What is read with z nudged.
+    fn nudged(
+        &self,
+        plan: &Plan,
+        point: &Point,
+        nudge: impl Fn(&mut DVector<f64>),
+        forces: &Forces,
+    ) -> (Vec<f64>, Counters) {
         let mut z = point.z.clone();
-        z[k] += by;
+        nudge(&mut z);
         let cast = self.unknowns.cast(z.as_slice());
         let simulation = self.simulate(plan, &cast, forces, false);
         let mut felt = simulation.signals;
@@ -242,27 +251,52 @@ impl<'a> Objective<'a> {
         (self.problem.read(felt, forces.samples), simulation.counters)
     }
 
-    /// da/dz of some records, at most, one after the other.
+    /// How far a nudge of all unknowns together moves each record, Σ R^{-½} da of it squared.
+    fn moved(&mut self, point: &Point) -> Vec<f64> {
+        let mut draw = Draw::numbered(0, 0);
+        let along = DVector::from_fn(point.z.len(), |_, _| NUDGE * draw.normal());
+        let [here, there] =
+            [0.0, 1.0].map(|by| self.nudged(&self.coarse, point, |z| *z += by * &along, &self.forces));
+        self.counters += here.1;
+        self.counters += there.1;
+        let mut moved: Vec<f64> = there.0.iter().zip(&here.0).map(|(there, here)| there - here).collect();
+        self.see(&mut moved);
+        self.whiten(&mut moved);
+        let record = self.scene.instants * self.width();
+        moved.chunks_exact(record).map(|own| own.iter().map(|x| x * x).sum()).collect()
+    }
+
+    /// da/dz of some records, at most, one after the other: half of them those that move most, of which a few may outweigh all the others,
+    /// half of them in the place of the rest.
     pub fn columns(&mut self, point: &Point, most: usize) -> Columns {
-        let counting: Vec<usize> = (0..self.counts.len()).filter(|i| self.counts[*i]).collect();
-        let some = most.min(counting.len());
-        let records: Vec<usize> = (0..some).map(|i| counting[i * counting.len() / some]).collect();
+        let mut records: Vec<usize> = (0..self.counts.len()).filter(|i| self.counts[*i]).collect();
+        let mut stands = vec![1.0; records.len()];
+        if most < records.len() {
+            let moved = self.moved(point);
+            records.sort_by(|a, b| moved[*b].total_cmp(&moved[*a]).then(a.cmp(b)));
+            let mut rest = records.split_off(most / 2);
+            rest.sort_unstable();
+            let some = most - records.len();
+            records.extend((0..some).map(|i| rest[i * rest.len() / some]));
+            stands = vec![1.0; most - some];
+            stands.resize(most, rest.len() as f64 / some as f64);
+        }
         let forces = self.forces.select(&records);
         let unknowns = self.unknowns.all().len();
         let of = |k: usize| match k {
-            0 => self.nudged(&self.coarse, point, 0, 0.0, &forces),
-            k => self.nudged(&self.coarse, point, k - 1, NUDGE, &forces),
+            0 => self.nudged(&self.coarse, point, |_| (), &forces),
+            k => self.nudged(&self.coarse, point, |z| z[k - 1] += NUDGE, &forces),
         };
         let mut read: Vec<(Vec<f64>, Counters)> =
             self.pool.install(|| (0..=unknowns).into_par_iter().map(of).collect());
         read.iter().for_each(|(_, counters)| self.counters += *counters);
         let here = read.remove(0).0;
         let column = |there: Vec<f64>| there.iter().zip(&here).map(|(a, b)| (a - b) / NUDGE).collect();
-        Columns { records, of: read.into_iter().map(|(there, _)| column(there)).collect() }
+        Columns { records, stands, of: read.into_iter().map(|(there, _)| column(there)).collect() }
     }
 
     /// R^{-½} da/dz, record by record.
-    pub fn jacobian(&self, Columns { records, of }: &Columns) -> DMatrix<f64> {
+    pub fn jacobian(&self, Columns { records, of, .. }: &Columns) -> DMatrix<f64> {
         let record = self.scene.instants * self.width();
         let mut jacobian = DMatrix::zeros(records.len() * record, of.len());
         let mut whole = vec![0.0; self.recorded.len()];
@@ -280,9 +314,12 @@ impl<'a> Objective<'a> {
 
     /// JᵀJ + 1, some records in the place of all.
     pub fn curvature(&self, columns: &Columns) -> DMatrix<f64> {
-        let jacobian = self.jacobian(columns);
-        let all = self.counts.iter().filter(|counts| **counts).count();
-        let mut curvature = jacobian.tr_mul(&jacobian) * (all as f64 / columns.records.len() as f64);
+        let mut jacobian = self.jacobian(columns);
+        let record = self.scene.instants * self.width();
+        for (i, stands) in columns.stands.iter().enumerate() {
+            jacobian.rows_mut(i * record, record).scale_mut(stands.sqrt());
+        }
+        let mut curvature = jacobian.tr_mul(&jacobian);
         (0..curvature.nrows()).for_each(|k| curvature[(k, k)] += 1.0);
         curvature
     }

@@ -182,3 +182,31 @@ fn what_records_do_not_tell_is_left_as_it_was() {
     let twin = fit(&problem, None, &problem.initial, &problem.solver, all, &Variation::USUAL, false, &pool);
     assert_eq!((twin.ending, twin.steps), (Ending::StartFailed, 0));
 }
+
+/// One record of twelve is struck ten times as hard: the curvature of four records is about that of all, wherever it stands.
+#[test]
+fn a_metric_of_few_records_has_those_that_outweigh_the_others() {
+    let problem = problem(3, 3, 24, 16);
+    let pool = crate::Pool::new(2).expect("threads");
+    let trial = Trial::new(&problem, &pool).expect("a body");
+    let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
+    let (mut forces, signals) = records(&trial, &cast, 12);
+    for hard in [1, 6, 11] {
+        let record = forces.values.len() / 12;
+        let own = hard * record..(hard + 1) * record;
+        forces.values[own.clone()].iter_mut().for_each(|f| *f *= 10.0);
+        let unknowns = Unknowns::new(&problem.scene, &Variation::USUAL);
+        let (chip, solver) = (trial.chip.as_ref(), &trial.problem.solver);
+        let all = (&forces, &signals[..]);
+        let mut objective =
+            Objective::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
+        let point = objective.at(DVector::zeros(objective.unknowns.all().len())).expect("a body that moves");
+        let traces = [4, usize::MAX].map(|most| {
+            let columns = objective.columns(&point, most);
+            assert!(columns.records.contains(&hard), "{:?}", columns.records);
+            objective.curvature(&columns).trace()
+        });
+        assert!((0.8..1.25).contains(&(traces[0] / traces[1])), "{hard}: {traces:?}");
+        forces.values[own].iter_mut().for_each(|f| *f /= 10.0);
+    }
+}
