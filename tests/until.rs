@@ -38,6 +38,10 @@ fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
         "{again}"
     );
     assert_eq!(trials(&bench), four);
+    for asks in ["analyse", "claims"] {
+        let told = said(&[asks, "results/tiny.sqlite"]);
+        assert!(told.contains("[until]") && told.contains("less often than they say"), "{told}");
+    }
 
     bench.file("s.toml", &spec("paired = 1e-9\n"));
     let all = said(&["run", "s.toml", "--workers", "1"]);

@@ -7,7 +7,7 @@ use serde_json::{Map, Value};
 use super::named::Database;
 use super::{Error, Format, print_rows};
 use crate::analysis::compare::Comparison;
-use crate::analysis::{Question, Terms};
+use crate::analysis::{EARLY, Question, Terms};
 use crate::exit::Exit;
 use crate::provenance;
 use crate::report::load::finished_trials;
@@ -44,8 +44,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
-    let (trials, made) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?))
+    let (trials, made, early) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?, reader.may_stop_early().await?))
     })
     .await?;
     let mut objects = Map::new();
@@ -81,6 +81,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     if let Some(mixed) = provenance::mixed(&made) {
         say!("{mixed}");
+    }
+    if early {
+        say!("{EARLY}");
     }
     if trials.is_empty() {
         say!("no trial of {} is done yet", args.db.display());

@@ -7,6 +7,7 @@ use maud::html;
 use super::named::Database;
 use super::report::write_figures;
 use super::{Error, Format, print_rows, write};
+use crate::analysis::EARLY;
 use crate::exit::Exit;
 use crate::look::page;
 use crate::provenance;
@@ -35,8 +36,8 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let (trials, made) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?))
+    let (trials, made, early) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?, reader.may_stop_early().await?))
     })
     .await?;
     let found = tried(&trials);
@@ -58,6 +59,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     if let Some(mixed) = provenance::mixed(&made) {
         say!("{mixed}");
+    }
+    if early {
+        say!("{EARLY}");
     }
     Ok(Exit::Done)
 }

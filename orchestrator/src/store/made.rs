@@ -60,6 +60,17 @@ impl Reader {
         Ok(rows.into_iter().map(made).collect())
     }
 
+    /// Whether a sweep of the database may end as soon as it knows enough (`[until]`).
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn may_stop_early(&mut self) -> Result<bool, StoreError> {
+        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sweep WHERE spec->'$.until' IS NOT NULL)")
+            .fetch_one(&mut self.connection)
+            .await
+            .map_err(|e| StoreError::sql(&self.path, "reading", e))
+    }
+
     /// The trial that differs by the fewest keys from this one; of several the first by hash. `None` of no trials.
     ///
     /// # Errors
