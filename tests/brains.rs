@@ -85,8 +85,26 @@ fn a_body_is_read_by_its_own_model() {
         assert_eq!(rows(&bench, all), rows(&one, all));
     }
     assert_eq!(rows(&bench, errors), rows(&one, errors));
-    // what it says has no array of weights, and is not computed again
     let hash = &rows(&bench, "SELECT hash FROM v_trial")[0][0];
+    // `evaluate` reads the same holdout by the same brain
+    let call = ["evaluate", "results/tiny.sqlite", hash, "--records", "initial=holdout", "--records"];
+    let csv = bench.output(&[&call[..], &["optimised=holdout", "--format", "csv"]].concat());
+    let stored =
+        "SELECT v.holdout_error_initial, v.holdout_error_optimised, a.coverage, b.coverage FROM v_trial v
+        JOIN v_band a ON a.hash = v.hash AND a.body = 'initial' AND a.casting IS NULL
+        JOIN v_band b ON b.hash = v.hash AND b.body = 'optimised' AND b.casting IS NULL";
+    let stored: Vec<f64> = rows(&bench, stored)[0].iter().map(|cell| cell.parse().unwrap()).collect();
+    let columns: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
+    for (b, line) in csv.lines().skip(1).enumerate() {
+        let cell =
+            |name: &str| line.split(',').nth(columns.iter().position(|c| *c == name).unwrap()).unwrap();
+        let number = |name: &str| cell(name).parse::<f64>().unwrap();
+        assert_eq!((cell("signals"), cell("records"), cell("unexplained")), ("holdout", "2", "0"), "{csv}");
+        assert!((number("error_test") / stored[b] - 1.0).abs() < 1e-9, "{csv}\n{stored:?}");
+        assert!((number("coverage") - 100.0 * stored[2 + b]).abs() < 1e-9, "{csv}\n{stored:?}");
+        assert!(number("cpu_seconds") > 0.0 && number("not_converged") <= 2.0, "{csv}");
+    }
+    // what it says has no array of weights, and is not computed again
     bench.output(&["export", "results/tiny.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
     bench.output(&["report", "results/tiny.sqlite", "--out", "r.html"]);
 }

@@ -258,6 +258,19 @@ fn bad_calls_are_refused() {
             "--records initial: --folds 13: must lie between 2 and the 12 records",
         ),
         (vec![initial, "--brain", "linear", "--seeds", "2"], "--seeds means nothing to a linear brain"),
+        (
+            vec![initial, "--brain", "inverse", "--folds", "2"],
+            "--folds means nothing to an inverse brain, which is trained on no record",
+        ),
+        (
+            vec!["--records=o=bad.toml", "--brain", "inverse"],
+            "--records o=bad.toml: an inverse brain reads by the body's model: give --design BODY=FILE",
+        ),
+        (
+            vec![initial, "--brain", "inverse"],
+            "s.toml:1: sensors.noise: an inverse brain must know the noise",
+        ),
+        (vec!["--records=initial=holdout"], "--records initial=holdout: is for --brain inverse"),
         (vec![initial, "--folds", "1"], "invalid value '1' for '--folds <N>'"),
         (vec!["--records", "initial=typo.toml"], "typo.toml:2: recorded.file = "),
     ] {
@@ -284,7 +297,7 @@ fn an_evaluation_goes_on_where_it_was_killed() {
     let (whole, again) = (bench.output(&call("whole")), call("again"));
     let (kills, last) = bench.killed_until_done(&again, "again/unfinished.bin");
     let said = String::from_utf8_lossy(&last.stderr);
-    assert!(kills >= 3 && said.contains("of 24 networks were trained before"), "{kills} kills: {said}");
+    assert!(kills >= 3 && said.contains("of 24 networks trained before"), "{kills} kills: {said}");
     assert!(last.status.success() && String::from_utf8_lossy(&last.stdout) == whole, "{said}");
     assert!(bench.files("again") == bench.files("whole"), "the files differ");
 

@@ -74,6 +74,13 @@ fn assert_true(csv: &str) {
     }
 }
 
+/// A number of a CSV by its column's name, in the row that begins so.
+fn value_of(csv: &str, row: &str, column: &str) -> f64 {
+    let at = csv.lines().next().unwrap().split(',').position(|name| name == column).unwrap();
+    let line = csv.lines().find(|line| line.starts_with(row)).unwrap_or_else(|| panic!("{csv}"));
+    line.split(',').nth(at).unwrap().parse().unwrap()
+}
+
 /// Records tell the cast, also where not all signals are read; signals of the twin are those of the records; and a brain is
 /// trained on the twin and reads them.
 #[test]
@@ -93,17 +100,41 @@ fn a_twin_tells_the_cast_and_teaches_brains() {
     let hash = hash(&bench, "s.toml");
     let call = ["evaluate", "s.toml", "--hash", &hash, "--records", "initial=r.toml", "--folds", "2"];
     let csv = bench.output(&[&call[..], &["--twin", "initial=t.toml", "--format", "csv"]].concat());
-    let value = |row: &str, column: &str| -> f64 {
-        let at = csv.lines().next().unwrap().split(',').position(|name| name == column).unwrap();
-        let line = csv.lines().find(|line| line.starts_with(row)).unwrap_or_else(|| panic!("{csv}"));
-        line.split(',').nth(at).unwrap().parse().unwrap()
-    };
+    let value = |row: &str, column: &str| value_of(&csv, row, column);
     assert!(value("initial,twin", "difference") < 0.3 * value("initial,simulated", "difference"), "{csv}");
     // it is trained under the trial's own forces, and not under those of the records
     assert!(
         value("initial,twin", "error_train") < 100.0 && value("initial,twin", "records") == 10.0,
         "{csv}"
     );
+
+    // the body's model reads them, too, and better where it is the twin's
+    // blows as those of the records
+    let bells = "amplitude = [0.2, 0.4]\nwidth = [0.03, 0.1]\nonset = [0.0, 0.04]\nholdout = 6\n[sensors]\nnoise = 0.02\n[brain]";
+    let noisy = trainable().replace("[brain]", bells);
+    bench.file("noisy.toml", &noisy);
+    let call = ["evaluate", "noisy.toml", "--twin", "initial=t.toml", "--brain", "inverse"];
+    let read = |records: &str, out: &str| {
+        bench.output(&[&call[..], &["--records", records, "--format", "csv", "--out-dir", out]].concat())
+    };
+    for (csv, begins) in [
+        (read("initial=r.toml", "measured"), "initial,measured"),
+        (read("initial=holdout", "holdout"), "initial,holdout"),
+    ] {
+        let cell = |row: &str, column: &str| value_of(&csv, row, column);
+        let both = |column: &str| [begins, "initial,twin"].map(|row| cell(row, column));
+        let ([error, by_twin], [covered, more]) = (both("error_test"), both("coverage"));
+        let [lost, none] = both("unexplained");
+        assert!(by_twin < 0.2 * error && covered < more && lost > 0.0 && none == 0.0, "{csv}");
+        assert!(cell("initial,twin", "cpu_seconds") > 0.0, "{csv}");
+    }
+    let npz = std::fs::read(bench.path("measured/records.npz")).unwrap();
+    let text = String::from_utf8_lossy(&npz);
+    for held in ["forces_low_initial.npy", "twin_forces_high_initial.npy", "twin_predictions_initial.npy"] {
+        assert!(text.contains(held), "{held}");
+    }
+    let page = std::fs::read_to_string(bench.path("measured/index.html")).unwrap();
+    assert!(page.contains("by its twin, ") && page.contains("class=\"band fine initial\""), "{page}");
 }
 
 /// With file, line, key and remedy.
@@ -112,7 +143,7 @@ fn what_is_no_twin_is_refused() {
     let bench = bench();
     let twin = |stretch: &str, more: &str| {
         format!(
-            "body = \"0\"\nmisfit = 1.0\nligament_length = 1.0\n{more}\n[material]\nstretch = {stretch}\nshear = 1.0\n\
+            "body = \"0\"\nmisfit = 1.0\nnoise = [1.0, 1.0]\nligament_length = 1.0\n{more}\n[material]\nstretch = {stretch}\nshear = 1.0\n\
              bend = 1.0\ndamping = 1.0\ndensity = 1.0\ncontact = 1.0\n"
         )
     };
@@ -129,7 +160,7 @@ fn what_is_no_twin_is_refused() {
     bench.file("other.toml", &twin("1.0", ""));
     with("other.toml", &["other.toml:1", "body = 0", "is another body"]);
     bench.file("odd.toml", &twin("1.0", "mass = 3.0"));
-    with("odd.toml", &["odd.toml:4", "mass"]);
+    with("odd.toml", &["odd.toml:5", "mass"]);
     with("nowhere.toml", &["nowhere.toml"]);
     // of this body, and then broken
     bench.output(&["twin", "s.toml", "--hash", &spec, "--records", "r.toml", "--out", "t.toml"]);
@@ -138,6 +169,10 @@ fn what_is_no_twin_is_refused() {
     let end = at + text[at..].find('\n').unwrap();
     bench.file("broken.toml", &format!("{}stretch = -1.0{}", &text[..at], &text[end..]));
     with("broken.toml", &["broken.toml:", "material.stretch = -1", "above 0"]);
+    let noise = text.find("noise = ").unwrap();
+    let end = noise + text[noise..].find('\n').unwrap();
+    bench.file("quiet.toml", &format!("{}noise = [1.0]{}", &text[..noise], &text[end..]));
+    with("quiet.toml", &["quiet.toml:", "noise = 1 entries", "must be 3 entries"]);
     let call = ["evaluate", "s.toml", "--hash", &spec, "--records", "initial=r.toml", "--twin", "who=t.toml"];
     refused(&call, &["--twin who", "--records who=FILE"]);
     let two = trainable().replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");

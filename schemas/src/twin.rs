@@ -11,6 +11,8 @@ pub struct Twin {
     pub body: String,
     /// Root mean square of what it leaves of the records' signals, by the noise of the chips.
     pub misfit: f64,
+    /// What stands for the noise of each signal that is read: what it leaves, but no less than the chips'. Unit: mm/s², rad/s.
+    pub noise: Vec<f64>,
     /// By what the ligaments' length is multiplied.
     pub ligament_length: f64,
     /// By what each channel of the sensors (a_x, a_y, ω of each).

@@ -1,4 +1,4 @@
-//! A body compared by given records: fresh networks predict each record without having seen it.
+//! A body compared by given records: fresh networks predict each record without having seen it, or the inverse brain reads it.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -6,19 +6,23 @@ use metasense_numerics::brains::{Recipe, Records, Unseen};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::questions;
 use metasense_numerics::stimuli;
+use metasense_numerics::trial::Trial;
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 use serde::{Deserialize, Serialize};
 
+use crate::clock::cpu_seconds;
 use crate::convert::finite;
+use crate::inverse::{Posterior, with_brain};
 use crate::measured::Measured;
 use crate::problem::{self, solvable};
 use crate::run::{Failure, check_design, placed, pool, prepared};
-use crate::twin::Cast;
+use crate::twin::Twin;
 
 /// How many networks, and how long they train.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Effort {
-    /// Parts into which the records are divided, each predicted by networks trained on the others; at least 2.
+    /// Parts into which the records are divided, each predicted by networks trained on the others; at least 2, without meaning to an
+    /// inverse brain.
     pub folds: usize,
     /// Networks a fold.
     pub seeds: usize,
@@ -28,7 +32,7 @@ pub struct Effort {
     pub brain: BrainKind,
 }
 
-/// How well fresh networks read the forces of records.
+/// How well fresh networks, or the inverse brain, read the forces of records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluated {
     /// The fold of each record (N).
@@ -45,10 +49,12 @@ pub struct Evaluated {
     pub progress: Vec<Vec<Vec<(u32, f64)>>>,
     /// How each training ended, likewise.
     pub outcomes: Vec<Vec<String>>,
+    /// Of the inverse brain: what it says besides.
+    pub posterior: Option<Posterior>,
 }
 
-/// Predictions and errors of a fold's network.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Predictions and errors of a fold's network; of a part of the records by the inverse brain its posterior alone.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Network {
     /// Predicted forces (n, T, K) (N) of the fold's n records; of the first seed's networks alone.
     predictions: Vec<f64>,
@@ -56,6 +62,7 @@ pub struct Network {
     error_train: Option<f64>,
     progress: Vec<(u32, f64)>,
     outcome: String,
+    posterior: Option<Posterior>,
 }
 
 impl Network {
@@ -68,6 +75,7 @@ impl Network {
             error_train,
             progress,
             outcome,
+            posterior: None,
         }
     }
 }
@@ -162,6 +170,7 @@ pub fn evaluate(
         targets: records.targets().to_vec(),
         folds: dealt,
         predictions,
+        posterior: None,
     })
 }
 
@@ -169,26 +178,86 @@ fn each<T>(by_seed: &[Vec<Network>], what: impl Fn(&Network) -> T) -> Vec<Vec<T>
     by_seed.iter().map(|networks| networks.iter().map(&what).collect()).collect()
 }
 
-/// The same of brains that are trained on a twin of the body, on its simulated training samples, and read all of the records; and the
-/// signals (N, T, channels) that the twin gives under the same forces. `folds` are those of [`evaluate`].
+/// Records that the inverse brain reads together: as many as its lanes take.
+const TOGETHER: usize = 32;
+
+/// How many parts the inverse brain reads records in.
+pub fn parts(records: usize) -> usize {
+    records.div_ceil(TOGETHER)
+}
+
+/// Reads records by the inverse brain of a design, or of its twin, in [`parts`], but those that are `kept`.
+///
+/// # Errors
+/// If the spec stands for no trial, the design is another body's, or its model cannot be simulated.
+pub fn by_model(
+    trial: &TrialSpec,
+    own: (&[f64], Option<&Twin>),
+    measured: &Measured,
+    threads: usize,
+    kept: &dyn Kept,
+) -> Result<Evaluated, Failure> {
+    let pool = pool(threads)?;
+    let problem = placed(trial, &pool)?;
+    let Measured { forces, signals, low_pass } = measured;
+    let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
+    let one = signals.len() / forces.samples;
+    let mut found: Vec<Option<Network>> = (0..parts(forces.samples)).map(|part| kept.network(part)).collect();
+    if found.contains(&None) {
+        with_brain(&problem, own, &pool, |brain| {
+            let parts = signals.chunks(TOGETHER * one).zip(&mut found).enumerate();
+            for (number, (signals, found)) in parts.filter(|(_, (_, found))| found.is_none()) {
+                let begun = cpu_seconds();
+                let mut posterior = Posterior::of(&brain.read(signals));
+                posterior.seconds = cpu_seconds() - begun;
+                let part = Network { posterior: Some(posterior), ..Network::default() };
+                kept.done(number, &part);
+                *found = Some(part);
+            }
+        })?;
+    }
+    let mut posterior = Posterior::default();
+    let parts = found.iter().flatten().filter_map(|part| part.posterior.as_ref());
+    parts.for_each(|part| posterior.extend(part));
+    Ok(Evaluated {
+        folds: vec![0; forces.samples],
+        targets: records.targets().to_vec(),
+        errors: vec![records.errors(&posterior.forces).into_iter().map(finite).collect()],
+        predictions: posterior.forces.clone(),
+        errors_train: vec![vec![None]],
+        progress: vec![vec![Vec::new()]],
+        outcomes: vec![vec!["ok".to_owned()]],
+        posterior: Some(posterior),
+    })
+}
+
+/// The same of brains that are trained on a twin of the body, on its simulated training samples, or of its inverse brain, and read all of
+/// the records; and the signals (N, T, channels) that the twin gives under the same forces. `folds` are those of [`evaluate`].
 ///
 /// # Errors
 /// If the spec stands for no trial, or the twin cannot be simulated.
 pub fn by_twin(
     trial: &TrialSpec,
-    (design, twin): (&[f64], &Cast),
+    (design, twin): (&[f64], &Twin),
     measured: &Measured,
     effort: Effort,
     folds: &[usize],
     threads: usize,
+    kept: &dyn Kept,
 ) -> Result<(Vec<f64>, Evaluated), Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
     let Measured { forces, signals, low_pass } = measured;
+    let (ready, cast) = (Trial::new(&problem, &pool)?, Some(&twin.cast));
+    let sensed = ready.samples(design, cast, forces.clone())?.signals;
+    if effort.brain == BrainKind::Inverse {
+        return Ok((sensed, by_model(trial, (design, Some(twin)), measured, threads, kept)?));
+    }
+    let [known, _] = problem.known();
+    let known = ready.samples(design, cast, known)?;
     let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
     let recipe = Recipe { kind: problem::kind(effort.brain), ..problem.recipe() };
-    let (known, sensed) = questions::rehearse(&problem, design, twin, forces, &pool)?;
     let of = |number| records.taught(&known, recipe, number as u64, effort.iterations, &pool);
     let found: Vec<Network> = (0..effort.seeds).map(|number| Network::new(of(number), number == 0)).collect();
     let evaluated = Evaluated {
@@ -199,6 +268,7 @@ pub fn by_twin(
         targets: records.targets().to_vec(),
         folds: folds.to_vec(),
         predictions: found[0].predictions.clone(),
+        posterior: None,
     };
     Ok((sensed, evaluated))
 }

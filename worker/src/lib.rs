@@ -10,6 +10,7 @@ pub mod evaluate;
 pub mod files;
 pub mod identify;
 mod invalid;
+pub mod inverse;
 pub mod measured;
 pub mod modes;
 pub mod place;

@@ -3,9 +3,8 @@
 use std::path::Path;
 
 use metasense_numerics::dynamics::{Parameters, Parts};
-pub use metasense_numerics::identify::twin::{Ending, Estimate, Twin, Unknown};
-pub use metasense_numerics::variation::Cast;
-use metasense_numerics::variation::Chips;
+pub use metasense_numerics::identify::twin::{Ending, Estimate, Fit, Twin, Unknown};
+use metasense_numerics::variation::{Cast, Chips};
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::twin::{self as stored, Factors};
@@ -19,11 +18,11 @@ use crate::simulate::body;
 ///
 /// # Errors
 /// If the spec stands for no trial, or the design is of another body.
-pub fn twin(trial: &TrialSpec, design: &[f64], measured: &Measured, threads: usize) -> Result<Twin, Failure> {
+pub fn fit(trial: &TrialSpec, design: &[f64], measured: &Measured, threads: usize) -> Result<Fit, Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
-    Ok(Twin::of_records(&problem, design, (&measured.forces, &measured.signals), &pool))
+    Ok(Fit::of_records(&problem, design, (&measured.forces, &measured.signals), &pool))
 }
 
 /// As it is stored.
@@ -33,6 +32,7 @@ pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {
     stored::Twin {
         body: trial.body_digest(design),
         misfit: twin.misfit,
+        noise: twin.noise.clone(),
         ligament_length: *ligament_length,
         gain: chips.gain.clone(),
         turn: chips.turn.iter().map(|turn| turn.to_degrees()).collect(),
@@ -43,28 +43,39 @@ pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {
     }
 }
 
-/// The cast that a file stands for.
+/// The twin that a file holds.
 ///
 /// # Errors
 /// Names file, key and value of what is no twin of this body.
-pub fn read(file: &Path, trial: &TrialSpec, design: &[f64]) -> Result<Cast, MeasuredError> {
+pub fn read(file: &Path, trial: &TrialSpec, design: &[f64]) -> Result<Twin, MeasuredError> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
     let source = Source::new(file, text)?;
     let stored: stored::Twin = source.parse_as()?;
-    cast(stored, trial, design).map_err(|Invalid { key, value, remedy }| {
+    checked(stored, trial, design).map_err(|Invalid { key, value, remedy }| {
         MeasuredError::Spec(source.error_with(&key, Some(&value), &remedy))
     })
 }
 
-fn cast(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Cast, Invalid> {
+fn checked(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Twin, Invalid> {
     let stored::Twin {
-        body: digest, ligament_length, gain, turn, shifts, ligaments, units, material, ..
+        body: digest,
+        misfit,
+        noise,
+        ligament_length,
+        gain,
+        turn,
+        shifts,
+        ligaments,
+        units,
+        material,
     } = twin;
     let remedy = "is another body: its spec, its sensors' units or its design differ from those that the twin was fitted with";
     require(digest == trial.body_digest(design), "body", &digest, remedy)?;
     let (layout, _) = body(trial).map_err(|e| invalid("body", &digest, e.to_string()))?;
-    let sensors = trial.sensor_units.len();
+    let (sensors, read) = (trial.sensor_units.len(), trial.signals());
+    let remedy = format!("must be {read} entries, one a signal that is read");
+    require(noise.len() == read, "noise", format!("{} entries", noise.len()), &remedy)?;
     for (key, given, own) in [
         ("gain", gain.len(), 3 * sensors),
         ("turn", turn.len(), sensors),
@@ -82,7 +93,9 @@ fn cast(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Cast, I
         positive(&format!("material.{name}"), factor)?;
     }
     positive("ligament_length", ligament_length)?;
-    for (key, all) in [("gain", &gain[..]), ("ligaments", ligaments.as_flattened()), ("units", &units)] {
+    for (key, all) in
+        [("noise", &noise[..]), ("gain", &gain), ("ligaments", ligaments.as_flattened()), ("units", &units)]
+    {
         all.iter().try_for_each(|factor| positive(key, *factor))?;
     }
     for (key, all) in [("turn", &turn), ("shifts", &shifts)] {
@@ -91,5 +104,6 @@ fn cast(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Cast, I
     let turn = turn.into_iter().map(f64::to_radians).collect();
     let (material, relaxation) = (Parameters::from_array(factors), None);
     let parts = Parts { ligaments, units };
-    Ok(Cast { material, parts, ligament_length, relaxation, shifts, chips: Chips { gain, turn } })
+    let cast = Cast { material, parts, ligament_length, relaxation, shifts, chips: Chips { gain, turn } };
+    Ok(Twin { cast, misfit, noise })
 }

@@ -1,4 +1,4 @@
-//! Bodies judged by records: each record's error is that of networks that have not seen it, a mean over seeds.
+//! Bodies judged by records: each record's error is that of networks that have not seen it, a mean over seeds, or of the inverse brain.
 //!
 //! Intervals are for records drawn anew, of bodies under the same blows the same ones. They say how much other records
 //! would differ, not other networks: for that there is the spread over folds and seeds.
@@ -28,13 +28,30 @@ pub struct Judged {
     pub progress: Vec<CurvePoint>,
     /// Of the model's or the twin's signals: how they agree with the measured ones.
     pub agreement: Option<Agreement>,
+    /// Of the inverse brain.
+    pub posterior: Option<Said>,
 }
 
-/// Whose signals train the networks, and are read by them.
+/// What the inverse brain says besides, of so many records.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Said {
+    /// Part of the true forces that lies in the 95 % bands (%).
+    pub coverage: f64,
+    /// Descents that did not converge.
+    pub unconverged: usize,
+    /// Records that its model does not explain.
+    pub unexplained: usize,
+    /// CPU time of a record (s).
+    pub seconds: f64,
+}
+
+/// Whose signals train the networks, and are read by them; by an inverse brain whose model reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum By {
     /// Measured ones.
     Measured,
+    /// The trial's holdout.
+    Holdout,
     /// Those of the trial's model.
     Simulated,
     /// Those of a twin train, measured ones are read.
@@ -44,7 +61,7 @@ pub enum By {
 impl By {
     /// The name by which people know it.
     pub fn name(self) -> &'static str {
-        ["measured", "simulated", "twin"][self as usize]
+        ["measured", "holdout", "simulated", "twin"][self as usize]
     }
 }
 
@@ -157,10 +174,15 @@ impl Judged {
     }
 }
 
+/// What only brains that are trained on records have, and what only the inverse one.
+const OF_TRAINED: [&str; 4] = ["error_train", "spread_folds", "spread_seeds", "iterations_ratio"];
+const OF_INVERSE: [&str; 4] = ["coverage", "not_converged", "unexplained", "cpu_seconds"];
+
 /// A row a body and kind of signals; ratios are to the first body's row of the same kind. `delta` is an instant's length (s).
 pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
     let columns = "body signals records error_train error_test test_low test_high spread_folds \
-        spread_seeds ratio ratio_low ratio_high iterations_ratio correlation difference lag";
+        spread_seeds ratio ratio_low ratio_high iterations_ratio correlation difference lag coverage \
+        not_converged unexplained cpu_seconds";
     let row = |body: &Judged| {
         let first = judged.iter().find(|other| other.by == body.by);
         let first = first.filter(|first| first.body != body.body);
@@ -182,10 +204,17 @@ pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
             first.and_then(|first| iteration_ratio(&first.progress, &body.progress)),
             body.agreement.map(|a| a.correlation),
             body.agreement.map(|a| a.difference),
-            body.agreement.map(|a| a.lag as f64 * delta)
+            body.agreement.map(|a| a.lag as f64 * delta),
+            body.posterior.map(|said| said.coverage),
+            body.posterior.map(|said| said.unconverged),
+            body.posterior.map(|said| said.unexplained),
+            body.posterior.map(|said| said.seconds)
         ]
     };
-    Table::new(columns, judged.iter().map(row))
+    let mut table = Table::new(columns, judged.iter().map(row));
+    let inverse = judged.iter().any(|body| body.posterior.is_some());
+    table.drop_columns(if inverse { &OF_TRAINED } else { &OF_INVERSE });
+    table
 }
 
 #[cfg(test)]

@@ -162,6 +162,7 @@ fn means_over_records() {
         by_fold: vec![],
         progress: vec![],
         agreement: None,
+        posterior: None,
     };
     let draws = |draw: &mut Draw| -> [Vec<f64>; 2] {
         let each = |_| {

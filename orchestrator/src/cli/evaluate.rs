@@ -6,15 +6,19 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use metasense_schemas::spec::{BrainKind, TrialSpec};
-use metasense_worker::evaluate::{Effort, Evaluated, Kept, Network, by_twin, evaluate, simulated};
+use metasense_worker::evaluate::{
+    Effort, Evaluated, Kept, Network, by_model, by_twin, evaluate, parts, simulated,
+};
+use metasense_worker::inverse::holdout;
 use metasense_worker::measured::{self, Measured};
 use metasense_worker::run::Failure;
-use metasense_worker::twin::{self, Cast};
+use metasense_worker::twin::{self, Twin};
 
 use super::named::Named;
 use super::report::write_figures;
 use super::unfinished::Unfinished;
 use super::{Error, Format, duration, end_on_signal, print_rows, write};
+use crate::analysis::records::By;
 use crate::exit::Exit;
 use crate::export::npz::Zip;
 use crate::report::records::{Body, Comparison};
@@ -29,14 +33,14 @@ pub(super) struct Args {
     #[command(flatten)]
     trial: Named,
     /// A body and the file (TOML) of its records; once per body. Ratios are to the first. `initial` and `optimised` are the
-    /// trial's own bodies
+    /// trial's own bodies. To the inverse brain `holdout` is the trial's holdout, simulated on the body, or on its twin if it has one
     #[arg(long, value_name = "BODY=FILE", required = true, value_parser = pair)]
     records: Vec<(String, PathBuf)>,
     /// The design (.npy or .csv) of a body that is not the trial's own
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     design: Vec<(String, PathBuf)>,
-    /// A twin (TOML, of `metasense twin`) of a body whose design is known: networks trained on its simulated signals read the body's
-    /// records, too
+    /// A twin (TOML, of `metasense twin`) of a body whose design is known: networks trained on its simulated signals, or its inverse
+    /// brain, read the body's records, too
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     twin: Vec<(String, PathBuf)>,
     /// Parts of the records; each is predicted by networks trained on all others [default: 10, at most as many as records]
@@ -72,7 +76,12 @@ enum Brain {
     Linear,
     /// A network on the signals and on a linear brain's predictions
     Stacked,
+    /// The body's own model, inverted, with 95 % bands: of bodies whose design is known
+    Inverse,
 }
+
+/// What stands for a file of records: the trial's holdout.
+const HOLDOUT: &str = "holdout";
 
 /// BODY=FILE; a body's name becomes part of those of arrays.
 fn pair(text: &str) -> Result<(String, PathBuf), String> {
@@ -95,6 +104,8 @@ const FOLDS: usize = 10;
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
     let (specs, mut designs) = of_trial(&args).await?;
+    let brain = brain(&args, &specs[0])?;
+    let inverse = brain == BrainKind::Inverse;
     let (layout, initial) =
         metasense_worker::simulate::body(&specs[0]).map_err(|e| Error::Usage(format!("trial: {e}")))?;
     designs.entry("initial".into()).or_insert(initial);
@@ -119,10 +130,33 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         };
         twins.insert(name.clone(), twin::read(file, of_body(&specs, name), design)?);
     }
-    let read =
-        |(name, file): &(String, PathBuf)| Ok((name.clone(), measured::read(file, of_body(&specs, name))?));
+    let read = |(name, file): &(String, PathBuf)| -> Result<Records, Error> {
+        let (spec, design) = (of_body(&specs, name), designs.get(name));
+        let refused = |why: &str| Error::Usage(format!("--records {name}={}: {why}", file.display()));
+        if inverse && design.is_none() {
+            return Err(refused("an inverse brain reads by the body's model: give --design BODY=FILE"));
+        }
+        let (by, measured) = match design.filter(|_| file.as_os_str() == HOLDOUT) {
+            Some(_) if !inverse => {
+                return Err(refused(
+                    "is for --brain inverse; how others read it is among the trial's errors",
+                ));
+            }
+            Some(design) => {
+                let own = (&design[..], twins.get(name));
+                let found = holdout(spec, own, args.threads.into());
+                (By::Holdout, found.map_err(|e| refused(&e.to_string()))?)
+            }
+            None if inverse && spec.sensors.noise.is_none() => {
+                let remedy = "an inverse brain must know the noise of measured signals: give it";
+                return Err(args.trial.refused_key("sensors.noise", remedy));
+            }
+            None => (By::Measured, measured::read(file, spec)?),
+        };
+        Ok(Records { name: name.clone(), by, measured })
+    };
     let records = args.records.iter().map(read).collect::<Result<Vec<_>, Error>>()?;
-    let (comparison, unfinished) = compare(&args, &specs, records, &designs, &twins)?;
+    let (comparison, unfinished) = compare(&args, &specs, brain, records, &designs, &twins)?;
     if let Some(folder) = &args.out_dir {
         write_parts(folder, &comparison)?;
     }
@@ -148,69 +182,101 @@ fn of_body<'a>([initial, optimised]: &'a [TrialSpec; 2], name: &str) -> &'a Tria
     if name == "optimised" { optimised } else { initial }
 }
 
-fn compare(
-    args: &Args,
-    specs: &[TrialSpec; 2],
-    records: Vec<(String, Measured)>,
-    designs: &BTreeMap<String, Vec<f64>>,
-    twins: &BTreeMap<String, Cast>,
-) -> Result<(Comparison, Unfinished<Networks>), Error> {
-    let trial = &specs[0];
-    let fewest = records.iter().map(|(_, measured)| measured.forces.samples).min().unwrap_or(0);
+/// The brain that was asked for, and that nothing was which it does not have.
+fn brain(args: &Args, trial: &TrialSpec) -> Result<BrainKind, Error> {
     let brain = match args.brain {
-        None if trial.brain.kind == BrainKind::Inverse => {
-            let remedy = "reads by a body's model, not by records: give --brain cnn, linear or stacked";
-            return Err(Error::Usage(format!("--brain: the trial's brain.kind = \"inverse\" {remedy}")));
-        }
         None => trial.brain.kind,
         Some(Brain::Cnn) => BrainKind::Cnn,
         Some(Brain::Linear) => BrainKind::Linear,
         Some(Brain::Stacked) => BrainKind::Stacked,
+        Some(Brain::Inverse) => BrainKind::Inverse,
     };
-    let linear = brain == BrainKind::Linear;
-    for (option, given) in [("--seeds", args.seeds.is_some()), ("--iterations", args.iterations.is_some())] {
-        if linear && given {
-            return Err(Error::Usage(format!(
-                "{option} means nothing to a linear brain, which is solved exactly"
-            )));
+    let (unread, why) = match brain {
+        BrainKind::Cnn | BrainKind::Stacked => return Ok(brain),
+        BrainKind::Linear => (&["--seeds", "--iterations"][..], "a linear brain, which is solved exactly"),
+        BrainKind::Inverse => {
+            (&["--seeds", "--iterations", "--folds"][..], "an inverse brain, which is trained on no record")
         }
+    };
+    let given = [("--seeds", args.seeds), ("--iterations", args.iterations), ("--folds", args.folds)];
+    match given.iter().find(|(option, given)| given.is_some() && unread.contains(option)) {
+        Some((option, _)) => Err(Error::Usage(format!("{option} means nothing to {why}"))),
+        None => Ok(brain),
     }
+}
+
+/// Of one body.
+struct Records {
+    name: String,
+    by: By,
+    measured: Measured,
+}
+
+fn compare(
+    args: &Args,
+    specs: &[TrialSpec; 2],
+    brain: BrainKind,
+    records: Vec<Records>,
+    designs: &BTreeMap<String, Vec<f64>>,
+    twins: &BTreeMap<String, Twin>,
+) -> Result<(Comparison, Unfinished<Networks>), Error> {
+    let trial = &specs[0];
+    let fewest = records.iter().map(|of| of.measured.forces.samples).min().unwrap_or(0);
+    let networks = matches!(brain, BrainKind::Cnn | BrainKind::Stacked);
     let effort = Effort {
         brain,
         folds: args.folds.map_or(FOLDS.min(fewest).max(2), |n| n as usize),
-        seeds: if linear { 1 } else { args.seeds.map_or(trial.evaluation.networks(), |n| n as usize) },
+        seeds: if networks { args.seeds.map_or(trial.evaluation.networks(), |n| n as usize) } else { 1 },
         iterations: args.iterations.map_or(trial.brain.iterations, |n| n as usize),
     };
-    let known = records.iter().filter(|(name, _)| designs.contains_key(name)).count();
     let inputs: Vec<_> = (records.iter())
-        .map(|(name, Measured { forces, signals, low_pass })| {
+        .map(|Records { name, measured: Measured { forces, signals, low_pass }, .. }| {
             (name, forces.instants, &forces.values, signals, low_pass, designs.get(name))
         })
         .collect();
     let specs_of = specs.each_ref().map(|spec| serde_json::to_string(spec).expect("a trial is JSON"));
-    let (unfinished, kept) =
-        Unfinished::new(args.out_dir.as_deref(), "evaluate", &(specs_of, effort, inputs))?;
-    let all = (records.len() + known) * effort.folds * effort.seeds;
-    let progress = Progress::new(all, &unfinished, kept.unwrap_or_default());
+    let (unfinished, kept) = Unfinished::new(
+        args.out_dir.as_deref(),
+        "evaluate",
+        &(specs_of, effort, inputs, format!("{twins:?}")),
+    )?;
+    let modelled = |of: &Records| of.by == By::Measured && designs.contains_key(&of.name);
+    let of_body = |of: &Records| match brain {
+        BrainKind::Inverse => {
+            let times = 1 + usize::from(modelled(of)) + usize::from(twins.contains_key(&of.name));
+            times * parts(of.measured.forces.samples)
+        }
+        _ => (1 + usize::from(modelled(of))) * effort.folds * effort.seeds,
+    };
+    let what = if brain == BrainKind::Inverse { "parts read" } else { "networks trained" };
+    let all = records.iter().map(of_body).sum();
+    let progress = Progress::new(what, all, &unfinished, kept.unwrap_or_default());
     let threads = usize::from(args.threads);
     let judge = |name: &str, kind: &str, measured: &Measured| -> Result<Evaluated, Error> {
-        evaluate(of_body(specs, name), measured, effort, threads, &Judged { name, kind, of: &progress })
-            .map_err(|e| match e {
-                Failure::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
-                other => Error::Usage(format!("--records {name}: {other}")),
-            })
+        let (spec, kept) = (self::of_body(specs, name), Judged { name, kind, of: &progress });
+        let found = match brain {
+            BrainKind::Inverse => by_model(spec, (&designs[name], None), measured, threads, &kept),
+            _ => evaluate(spec, measured, effort, threads, &kept),
+        };
+        found.map_err(|e| match e {
+            Failure::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
+            other => Error::Usage(format!("--records {name}: {other}")),
+        })
     };
-    let paired =
-        records.iter().all(|(_, measured)| alike(&measured.forces.values, &records[0].1.forces.values));
+    let first = &records[0].measured.forces.values;
+    let paired = records.iter().all(|of| alike(&of.measured.forces.values, first));
     let mut bodies = Vec::new();
-    for (name, measured) in records {
-        let by_measured = judge(&name, "measured", &measured)?;
-        let model = match designs.get(&name) {
+    for of in records {
+        let modelled = modelled(&of);
+        let Records { name, by, measured } = of;
+        let spec = self::of_body(specs, &name);
+        let by_measured = judge(&name, by.name(), &measured)?;
+        let model = match designs.get(&name).filter(|_| modelled) {
             None => None,
-            Some(design) => match simulated(of_body(specs, &name), design, &measured.forces, threads) {
+            Some(design) => match simulated(spec, design, &measured.forces, threads) {
                 Ok(signals) => {
                     let modelled = Measured { signals, ..measured.clone() };
-                    let judged = judge(&name, "simulated", &modelled)?;
+                    let judged = judge(&name, By::Simulated.name(), &modelled)?;
                     Some((modelled.signals, judged))
                 }
                 Err(Failure::Numerical { detail: why, .. }) => {
@@ -220,13 +286,15 @@ fn compare(
                 Err(e) => return Err(Error::Usage(format!("--design {name}: {e}"))),
             },
         };
-        let of_twin = |cast: &Cast| {
-            let own = (&designs[&name][..], cast);
-            by_twin(of_body(specs, &name), own, &measured, effort, &by_measured.folds, threads)
+        let of_twin = |twin: &Twin| {
+            let kept = Judged { name: &name, kind: By::Twin.name(), of: &progress };
+            let own = (&designs[&name][..], twin);
+            by_twin(spec, own, &measured, effort, &by_measured.folds, threads, &kept)
                 .map_err(|e| Error::Usage(format!("--twin {name}: {e}")))
         };
         let twin = twins.get(&name).map(of_twin).transpose()?;
-        bodies.push(Body { name, signals: measured.signals, measured: by_measured, simulated: model, twin });
+        let signals = measured.signals;
+        bodies.push(Body { name, by, signals, measured: by_measured, simulated: model, twin });
     }
     Ok((Comparison::new(bodies, paired, trial), unfinished))
 }
@@ -270,32 +338,38 @@ fn write_parts(folder: &Path, comparison: &Comparison) -> Result<(), Error> {
 fn archive(comparison: &Comparison) -> Vec<u8> {
     let [panels, instants, channels] = comparison.shape;
     let mut zip = Zip::default();
-    for body in &comparison.bodies {
-        let Evaluated { folds, targets, predictions, errors, .. } = &body.measured;
-        let (n, name) = (folds.len(), &body.name);
-        let numbers = |errors: &[Vec<Option<f64>>]| -> Vec<f64> {
-            errors.iter().flatten().map(|error| error.unwrap_or(f64::NAN)).collect()
-        };
-        let folds: Vec<i64> = folds.iter().map(|fold| *fold as i64).collect();
+    for Body { name, signals, measured, simulated, twin, .. } in &comparison.bodies {
+        let n = measured.folds.len();
+        let forces = [n, instants, panels];
+        let folds: Vec<i64> = measured.folds.iter().map(|fold| *fold as i64).collect();
         zip.array(&format!("fold_{name}"), &[n], &folds);
-        zip.array(&format!("forces_{name}"), &[n, instants, panels], targets);
-        zip.array(&format!("signals_{name}"), &[n, instants, channels], &body.signals);
-        zip.array(&format!("predictions_{name}"), &[n, instants, panels], predictions);
-        zip.array(&format!("errors_{name}"), &[errors.len(), n], &numbers(errors));
-        if let Some((signals, judged)) = &body.simulated {
-            zip.array(&format!("simulated_signals_{name}"), &[n, instants, channels], signals);
-            zip.array(&format!("simulated_predictions_{name}"), &[n, instants, panels], &judged.predictions);
-            zip.array(&format!("simulated_errors_{name}"), &[errors.len(), n], &numbers(&judged.errors));
+        zip.array(&format!("forces_{name}"), &forces, &measured.targets);
+        let kinds = [
+            ("", Some((signals, measured))),
+            ("simulated_", simulated.as_ref().map(|(signals, judged)| (signals, judged))),
+            ("twin_", twin.as_ref().map(|(signals, judged)| (signals, judged))),
+        ];
+        for (of, (signals, judged)) in kinds.into_iter().filter_map(|(of, kind)| Some((of, kind?))) {
+            let errors: Vec<f64> = judged.errors.iter().flatten().map(|e| e.unwrap_or(f64::NAN)).collect();
+            zip.array(&format!("{of}signals_{name}"), &[n, instants, channels], signals);
+            zip.array(&format!("{of}predictions_{name}"), &forces, &judged.predictions);
+            zip.array(&format!("{of}errors_{name}"), &[judged.errors.len(), n], &errors);
+            if let Some(posterior) = &judged.posterior {
+                zip.array(&format!("{of}forces_low_{name}"), &forces, &posterior.low);
+                zip.array(&format!("{of}forces_high_{name}"), &forces, &posterior.high);
+            }
         }
     }
     zip.finish()
 }
 
-/// Networks that are done, by body, kind of signals and number.
+/// Networks that are done, or parts that were read, by body, kind of signals and number.
 type Networks = BTreeMap<(String, String, usize), Network>;
 
 /// Networks as they come: kept, and told of on standard error with the time to go.
 struct Progress<'a> {
+    /// What is counted, and what was done with it.
+    what: &'static str,
     all: usize,
     unfinished: &'a Unfinished<Networks>,
     start: Instant,
@@ -306,12 +380,12 @@ struct Progress<'a> {
 }
 
 impl<'a> Progress<'a> {
-    fn new(all: usize, unfinished: &'a Unfinished<Networks>, kept: Networks) -> Self {
+    fn new(what: &'static str, all: usize, unfinished: &'a Unfinished<Networks>, kept: Networks) -> Self {
         let (start, before) = (Instant::now(), kept.len());
         if before > 0 {
-            say!("{before} of {all} networks were trained before");
+            say!("{before} of {all} {what} before");
         }
-        Self { all, unfinished, start, before, said: Mutex::new((kept, start)) }
+        Self { what, all, unfinished, start, before, said: Mutex::new((kept, start)) }
     }
 }
 
@@ -334,17 +408,17 @@ impl Kept for Judged<'_> {
     }
 
     fn done(&self, number: usize, network: &Network) {
-        let Self { name: body, kind, of: Progress { all, unfinished, start, before, said } } = self;
+        let Self { name: body, kind, of: Progress { what, all, unfinished, start, before, said } } = self;
         let mut said = said.lock().expect("no line panics");
         said.0.insert(self.key(number), network.clone());
         unfinished.keep(&said.0);
         let (done, spent) = (said.0.len(), start.elapsed().as_secs_f64());
         if done == *all {
-            say!("{} networks trained in {}", all - before, duration(spent));
+            say!("{} {what} in {}", all - before, duration(spent));
         } else if said.1.elapsed() >= LINE_EVERY {
             said.1 = Instant::now();
             let left = duration(spent * (all - done) as f64 / (done - before) as f64);
-            say!("{done} of {all} networks trained, now {body} by {kind} signals; {left} to go");
+            say!("{done} of {all} {what}, now {body} by {kind} signals; {left} to go");
         }
     }
 }

@@ -7,7 +7,7 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::identify::Parameters;
 use metasense_worker::measured;
 use metasense_worker::run::{Failure, prepared};
-use metasense_worker::twin::{self, Ending, Estimate, Twin, Unknown};
+use metasense_worker::twin::{self, Ending, Estimate, Fit, Unknown};
 use serde_json::Value;
 
 use super::named::Designed;
@@ -41,7 +41,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (_, trial, design) = &args.one.read().await?;
     let measured = measured::read(&args.records, trial)?;
     let begun = Instant::now();
-    let found = twin::twin(trial, design, &measured, args.threads.into());
+    let found = twin::fit(trial, design, &measured, args.threads.into());
     let found = found.map_err(|e| args.one.trial.refused(e))?;
     print_rows(&estimates(trial, &found).map_err(|e| args.one.trial.refused(e))?, args.format)?;
     if args.format == Format::Table {
@@ -49,7 +49,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     say!("{}", duration(begun.elapsed().as_secs_f64()));
     if let Some(file) = &args.out {
-        let text = toml::to_string(&twin::store(trial, design, &found)).expect("a twin is TOML");
+        let text = toml::to_string(&twin::store(trial, design, &found.twin)).expect("a twin is TOML");
         write(file, text.into_bytes())?;
     }
     Ok(if found.ending == Ending::Converged { Exit::Done } else { Exit::Failed })
@@ -65,7 +65,7 @@ fn is_of_parts(estimate: &Estimate) -> bool {
 }
 
 /// A row for each unknown but those of nodes, ligaments and units.
-fn estimates(trial: &TrialSpec, twin: &Twin) -> Result<Table, Failure> {
+fn estimates(trial: &TrialSpec, fit: &Fit) -> Result<Table, Failure> {
     let columns = "unknown unit start fitted lower upper scatter_left_percent outcome";
     let start = Parameters::of(&prepared(trial)?.scene).array();
     let row = |e: &Estimate| {
@@ -82,21 +82,21 @@ fn estimates(trial: &TrialSpec, twin: &Twin) -> Result<Table, Failure> {
         };
         let shown = |z: f64| Value::from(digits(value(z), DIGITS));
         let ends = [-1.0, 1.0].map(|way| e.half.map(|half| shown(e.found + way * half)));
-        let outcome = if e.left > UNTOLD { "not identifiable" } else { twin.ending.name() };
+        let outcome = if e.left > UNTOLD { "not identifiable" } else { fit.ending.name() };
         row![name, unit, begun, shown(e.found), ends[0], ends[1], 100.0 * e.left, outcome]
     };
-    Ok(Table::new(columns, twin.estimates.iter().filter(|e| !is_of_parts(e)).map(row)))
+    Ok(Table::new(columns, fit.estimates.iter().filter(|e| !is_of_parts(e)).map(row)))
 }
 
 /// What there is to say beside.
-fn said(twin: &Twin, records: usize) -> Vec<String> {
+fn said(fit: &Fit, records: usize) -> Vec<String> {
     let mut said = vec![format!(
         "{} after {} steps on {records} records; what is left of the signals is {:.2} times the chips' noise, where the spec has some",
-        twin.ending.name(),
-        twin.steps,
-        twin.misfit
+        fit.ending.name(),
+        fit.steps,
+        fit.twin.misfit
     )];
-    if let Some(part) = twin.unmodelled.filter(|part| *part >= DISCREPANCY) {
+    if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY) {
         said.push(format!(
             "discrepancy: the motion explains {:.0} % of what is left, on records that were not asked; the intervals are wider for it",
             100.0 * part
@@ -109,7 +109,7 @@ fn said(twin: &Twin, records: usize) -> Vec<String> {
     ];
     for (name, unit, kind) in parts {
         let alike = |e: &&Estimate| std::mem::discriminant(&e.unknown) == std::mem::discriminant(&kind);
-        let of: Vec<&Estimate> = twin.estimates.iter().filter(alike).collect();
+        let of: Vec<&Estimate> = fit.estimates.iter().filter(alike).collect();
         let Some(first) = of.first() else { continue };
         let rms = |value: &dyn Fn(&Estimate) -> f64| {
             (of.iter().map(|e| value(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()

@@ -3,26 +3,29 @@
 use maud::html;
 use metasense_schemas::spec::{Channel, TrialSpec};
 use metasense_worker::evaluate::Evaluated;
+use metasense_worker::inverse::Posterior;
 
-use super::strips::{Errors, Strip, dots, histories, representative, strips};
+use super::strips::{Curve, Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::Interval;
 use crate::analysis::numbers::mean;
-use crate::analysis::records::{Agreement, By, Judged, mean_ratio, table};
+use crate::analysis::records::{Agreement, By, Judged, Said, mean_ratio, table};
 use crate::analysis::trial::CurvePoint;
 use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
-/// A body's records, and what networks predict from them.
+/// A body's records, and what brains predict from them.
 #[derive(Debug, Clone)]
 pub struct Body {
     /// Its name.
     pub name: String,
-    /// Measured signals (N, T, 3M) (mm/s², rad/s).
+    /// Whose the records are: measured, or the trial's holdout.
+    pub by: By,
+    /// Their signals (N, T, 3M) (mm/s², rad/s).
     pub signals: Vec<f64>,
     /// By them.
     pub measured: Evaluated,
-    /// Where the design is known: the model's signals, and what networks predict from those.
+    /// Where the design is known: the model's signals, and what brains predict from those.
     pub simulated: Option<(Vec<f64>, Evaluated)>,
-    /// Where there is a twin of it: its signals, and what networks trained on it predict from the measured ones.
+    /// Where there is a twin of it: its signals, and what networks trained on it, or its inverse brain, predict from the records'.
     pub twin: Option<(Vec<f64>, Evaluated)>,
 }
 
@@ -52,7 +55,7 @@ fn class(body: usize) -> &'static str {
 
 /// A body's errors by networks that have not seen the records.
 fn judged(body: &str, by: By, evaluated: &Evaluated, agreement: Option<Agreement>) -> Judged {
-    let Evaluated { folds, errors: by_seed, errors_train, progress, .. } = evaluated;
+    let Evaluated { folds, errors: by_seed, errors_train, progress, targets, posterior, .. } = evaluated;
     let of_record = |i: usize| -> Option<f64> {
         let errors: Option<Vec<f64>> = by_seed.iter().map(|errors| errors[i]).collect();
         mean(&errors?)
@@ -80,6 +83,12 @@ fn judged(body: &str, by: By, evaluated: &Evaluated, agreement: Option<Agreement
         progress: (0..milestones).map(at).collect(),
         errors,
         agreement,
+        posterior: posterior.as_ref().map(|posterior| Said {
+            coverage: 100.0 * posterior.coverage(targets),
+            unconverged: posterior.unconverged,
+            unexplained: posterior.unexplained,
+            seconds: posterior.seconds / folds.len() as f64,
+        }),
     }
 }
 
@@ -90,7 +99,7 @@ impl Comparison {
         let shape = [trial.panel_units.len(), instants, channels];
         let name = |m: usize, read: &Channel| format!("{}{m}", ["ax", "ay", "ω"][*read as usize]);
         let of_sensor = |m| trial.sensors.read().iter().map(move |read| name(m, read));
-        let measured = bodies.iter().map(|body| judged(&body.name, By::Measured, &body.measured, None));
+        let measured = bodies.iter().map(|body| judged(&body.name, body.by, &body.measured, None));
         let modelled = |body: &Body, by: By, model: &Option<(Vec<f64>, Evaluated)>| {
             let (signals, evaluated) = model.as_ref()?;
             let agreement = Agreement::of(&body.signals, signals, [instants, channels]);
@@ -117,24 +126,39 @@ impl Comparison {
         let mut said = Vec::new();
         for (body, judged) in self.bodies.iter().zip(&self.judged) {
             let shown = |error: Option<f64>| error.map_or("–".to_owned(), number);
-            let mut text = format!(
-                "The {} body: error {} % on {} records that its network has not seen, {} % on those it was trained on",
-                body.name,
-                shown(judged.error()),
-                judged.errors.len(),
-                shown(judged.error_train)
-            );
+            let held = |said: Said| {
+                let (n, left) = (judged.errors.len(), said.unconverged);
+                format!(
+                    ", {} % of the true forces in its 95 % bands, {left} of {n} not converged",
+                    number(said.coverage)
+                )
+            };
+            let (name, error, n) = (&body.name, shown(judged.error()), judged.errors.len());
+            let mut text = match judged.posterior {
+                Some(said) => {
+                    format!("The {name} body: error {error} % on {n} records by its model{}", held(said))
+                }
+                None => format!(
+                    "The {name} body: error {error} % on {n} records that its network has not seen, {} % on those it was \
+                     trained on",
+                    shown(judged.error_train)
+                ),
+            };
             if let Some(promised) = self.of(body, By::Simulated) {
                 text += &format!("; {} % with signals simulated by the model", shown(promised.error()));
             }
             if let Some(taught) = self.of(body, By::Twin) {
-                text += &format!("; {} % by networks trained on its twin", shown(taught.error()));
+                let (error, whose) = (shown(taught.error()), taught.posterior);
+                text += &match whose {
+                    Some(said) => format!("; {error} % by its twin{}", held(said)),
+                    None => format!("; {error} % by networks trained on its twin"),
+                };
             }
             said.push(Answer::new("", None, text + "."));
         }
         for body in self.bodies.iter().skip(1) {
             let ratio = |by| mean_ratio(self.of(&self.bodies[0], by)?, self.of(body, by)?, self.paired);
-            let Some(found) = ratio(By::Measured) else { continue };
+            let Some(found) = ratio(body.by) else { continue };
             let verdict = found.interval.and_then(Interval::is_above_one);
             let interval = found.interval.map_or(String::new(), |i| {
                 format!(" (95 % over records: {} to {})", number(i.low), number(i.high))
@@ -142,7 +166,8 @@ impl Comparison {
             let promised = ratio(By::Simulated)
                 .map_or(String::new(), |r| format!("; {} times with simulated signals", number(r.ratio)));
             let text = format!(
-                "On unseen records the {} body's error is {} times the {} body's{interval}{promised}.",
+                "On {} the {} body's error is {} times the {} body's{interval}{promised}.",
+                if body.by == By::Holdout { "the holdout" } else { "unseen records" },
                 self.bodies[0].name,
                 number(found.ratio),
                 body.name
@@ -181,8 +206,16 @@ impl Comparison {
             h2 { "Table" }
             (self.table().html(Some("table")))
         };
-        let question = "How well do fresh networks read forces from measured signals?";
-        page("metasense: bodies judged by measured records", question, content)
+        let question = match self.inverse() {
+            true => "How well does the inverse brain read forces from signals?",
+            false => "How well do fresh networks read forces from measured signals?",
+        };
+        page("metasense: bodies judged by records", question, content)
+    }
+
+    /// Whether the inverse brain reads.
+    fn inverse(&self) -> bool {
+        self.bodies.iter().any(|body| body.measured.posterior.is_some())
     }
 
     fn legend(&self) -> Legend {
@@ -198,26 +231,30 @@ impl Comparison {
                 |values: &[f64]| histories(values, record, [self.shape[1], panels], self.duration, |_| 1.0);
             let truth = curves(&self.bodies[bodies[0]].measured.targets);
             let (mut sources, mut errors) = (vec![("truth".to_owned(), truth.clone())], Vec::new());
+            let mut bands = Vec::new();
             for &b in bodies {
-                let predicted = curves(&self.bodies[b].measured.predictions);
+                let Evaluated { predictions, posterior, .. } = &self.bodies[b].measured;
+                let (predicted, style) = (curves(predictions), format!("fine {}", class(b)));
+                let [low, high] = [|p: &Posterior| p.low.clone(), |p: &Posterior| p.high.clone()]
+                    .map(|end| posterior.as_ref().map(|posterior| curves(&end(posterior))));
+                let at = |end: &Option<Vec<Curve>>, k: usize, n: usize| end.as_ref().map(|end| end[k][n].1);
                 errors.push(judged[b].errors[record].map_or("–".into(), number));
                 for (k, (truth, predicted)) in truth.iter().zip(&predicted).enumerate() {
-                    rows.extend(
-                        truth
-                            .iter()
-                            .zip(predicted)
-                            .map(|((t, f), (_, p))| row![self.bodies[b].name, record, k, t, f, p]),
-                    );
+                    rows.extend(truth.iter().zip(predicted).enumerate().map(|(n, ((t, f), (_, p)))| {
+                        row![self.bodies[b].name, record, k, t, f, p, at(&low, k, n), at(&high, k, n)]
+                    }));
                 }
-                sources.push((format!("fine {}", class(b)), predicted));
+                if let (Some(low), Some(high)) = (low, high) {
+                    let half = |(low, high): (&Curve, &Curve)| {
+                        low.iter().zip(high).map(|((_, low), (_, high))| 0.5 * (high - low)).collect()
+                    };
+                    bands.push((style.clone(), low.iter().zip(&high).map(half).collect()));
+                }
+                sources.push((style, predicted));
             }
             let whose =
                 if self.paired { String::new() } else { format!("{}, ", self.bodies[bodies[0]].name) };
-            Strip {
-                title: format!("{whose}record {record}: {} %", errors.join(" → ")),
-                sources,
-                bands: vec![],
-            }
+            Strip { title: format!("{whose}record {record}: {} %", errors.join(" → ")), sources, bands }
         };
         let all: Vec<usize> = (0..self.bodies.len()).collect();
         let chosen = |b: usize| representative(&judged[b].errors, 0..judged[b].errors.len());
@@ -233,19 +270,27 @@ impl Comparison {
         let (pictures, step) = strips(&samples, &names, " N", self.duration);
         let mut entries = legend(&[("truth", "true force")]);
         entries.extend(self.legend());
+        let mut data = Table::new("body record panel seconds force predicted low high", rows);
+        let by = match self.inverse() {
+            true => "the inverse brain, with its 95 % bands",
+            false => {
+                data.drop_columns(&["low", "high"]);
+                "networks that have not seen these records (first seed)"
+            }
+        };
         Figure::new(
             "forces",
             "True and predicted forces",
             format!(
-                "Measured forces of four records{}, at the 12th, 37th, 62nd and 87th percentile of the error, and the \
-                 predictions from measured signals by networks that have not seen these records (first seed). Each panel's \
-                 line is drawn {} N above the next. The titles give the errors, means over seeds.",
+                "True forces of four records{}, at the 12th, 37th, 62nd and 87th percentile of the error, and the \
+                 predictions from their signals by {by}. Each panel's line is drawn {} N above the next. The titles give the \
+                 errors, means over seeds.",
                 if self.paired { " of all bodies" } else { " of each body" },
                 number(step)
             ),
             entries,
             pictures,
-            Table::new("body record panel seconds force predicted", rows),
+            data,
         )
     }
 
@@ -269,11 +314,15 @@ impl Comparison {
             "errors",
             "Error of every record",
             format!(
-                "Prediction error of each record by networks that have not seen it, means over seeds{}.",
+                "Prediction error of each record by {}{}.",
+                match self.inverse() {
+                    true => "the inverse brain",
+                    false => "networks that have not seen it, means over seeds",
+                },
                 if self.paired { "; the bodies' errors under the same blow are joined" } else { "" }
             ),
             self.legend(),
-            vec![dots("Every record, measured signals", &label, &bodies, self.paired)],
+            vec![dots("Every record", &label, &bodies, self.paired)],
             self.records(),
         )
     }

@@ -12,6 +12,7 @@ fn judged(body: &str, errors: &[f64]) -> Judged {
         by_fold: vec![],
         progress: vec![],
         agreement: None,
+        posterior: None,
     }
 }
 

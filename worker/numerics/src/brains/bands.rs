@@ -12,6 +12,8 @@ use crate::trial::Samples;
 
 /// 1 − a.
 pub const LEVEL: f64 = 0.95;
+/// Standard deviations of a normal to each side, at that level.
+pub const TO_EACH_SIDE: f64 = 1.96;
 
 /// A part of the mean over instants that s² has at least: it must not vanish where a few training samples have no error.
 const FLOOR: f64 = 0.1;

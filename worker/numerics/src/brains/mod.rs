@@ -14,7 +14,7 @@ mod readings;
 mod records;
 mod stacked;
 
-pub use bands::{Band, BandKind, LEVEL};
+pub use bands::{Band, BandKind, LEVEL, TO_EACH_SIDE};
 pub(crate) use fitted::Beside;
 pub use fitted::Fitted;
 pub use inverse::{Estimate, Inverse};

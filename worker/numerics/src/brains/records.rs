@@ -47,6 +47,11 @@ impl Records {
         &self.0.targets
     }
 
+    /// Error of each (%) by these predictions (N, T, K) (N); `None` where there is no force.
+    pub fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
+        self.0.errors(predicted)
+    }
+
     /// Fits a brain to the records outside `fold` (of each record, as `folds` deals them) and lets it predict those inside:
     /// of a network number `number`, trained for `iterations`.
     ///

@@ -5,9 +5,9 @@ use super::comparison::paused;
 use super::evaluation::{BandReading, NetworkEvaluation};
 use super::observe::Log;
 use super::state::State;
-use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse};
+use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
 use crate::dynamics::{Precision, Solver};
-use crate::identify::twin::Twin;
+use crate::identify::twin::{Fit, Twin};
 use crate::trial::{Counters, FAILED, Samples, Trial, Trouble};
 
 /// Records of a cast that twins are calibrated on.
@@ -86,7 +86,8 @@ pub(super) fn invert_cast(
             // what failed tells nothing
             let first: Vec<usize> = (0..n as usize).filter(|&i| !train.failed[i]).collect();
             let records = train.select(&first);
-            let twin = Twin::of(trial, design, solver, &trial.train.select(&first), &records.signals);
+            let Fit { twin, .. } =
+                Fit::of(trial, design, solver, &trial.train.select(&first), &records.signals);
             let (cast, [forces, _]) = (Some(&twin.cast), trial.problem.known());
             let double = Precision::Double;
             let known = trial.simulate_cast(cast, design, forces, solver, double, false, &mut counted)?;
@@ -113,8 +114,6 @@ fn forces(found: &[Estimate]) -> Vec<f64> {
 
 /// The posterior's own band about each instant, how much of what was read lies in it, and how many samples the model explains.
 fn band(found: &[Estimate], samples: &Samples, cast: Option<(u32, CastBrain)>) -> BandReading {
-    /// Standard deviations of a normal to each side, at the bands' level.
-    const TO_EACH_SIDE: f64 = 1.96;
     let half: Vec<f64> =
         found.iter().flat_map(|estimate| &estimate.deviations).map(|d| TO_EACH_SIDE * d).collect();
     let within = |((f, half), said): &((&f64, &f64), f64)| (*f - said).abs() <= **half;

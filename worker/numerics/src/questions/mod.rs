@@ -9,6 +9,6 @@ mod under;
 pub use bound::{Bound, bound};
 pub use nonlinear::Nonlinear;
 pub(crate) use nonlinear::nonlinear;
-pub use replay::{LinearReplay, Motion, Replay, motion, rehearse, replay, sense};
+pub use replay::{LinearReplay, Motion, Replay, motion, replay, sense};
 pub use under::UnderReading;
 pub(crate) use under::under;

@@ -8,10 +8,9 @@ use crate::dynamics::{Forces, Precision, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
 use crate::trial::{
-    BrainKind, Counters, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, few_failed, pilot,
-    silence, simulated, tuned,
+    BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, few_failed, pilot, silence,
+    simulated, tuned,
 };
-use crate::variation::Cast;
 
 /// What a body and a network do with every sample of a trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -177,28 +176,6 @@ pub fn motion(
     let states = (1..=problem.scene.instants).map(|n| tape.state(0, n));
     let (displacements, velocities) = states.unzip();
     Ok(Motion { displacements, velocities })
-}
-
-/// Training samples of a cast of a body, a twin for instance, and its signals (N, T, channels) under given forces, as its chips give them.
-///
-/// # Errors
-/// As [`sense`].
-pub fn rehearse(
-    problem: &Problem,
-    design: &[f64],
-    cast: &Cast,
-    forces: &Forces,
-    pool: &crate::Pool,
-) -> Result<(Samples, Vec<f64>), Failure> {
-    let trial = Trial::new(problem, pool)?;
-    let (solver, counters) = (trial.tuned(design).solver, &mut Counters::default());
-    let mut of = |forces: Forces| {
-        let found =
-            trial.simulate_cast(Some(cast), design, forces, &solver, Precision::Double, false, counters);
-        Ok(found.map_err(Failure::Initial)?.samples)
-    };
-    let [train, _] = problem.known();
-    Ok((of(train)?, of(forces.clone())?.signals))
 }
 
 /// Signals (N, T, channels) of a body under given forces, as its chips give them: those of the trial, which are the same on every body.

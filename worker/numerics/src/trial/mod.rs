@@ -190,6 +190,16 @@ impl<'a> Trial<'a> {
         self.simulate_cast(None, design, forces, solver, precision, keep_tape, counters)
     }
 
+    /// Samples of a body, or of a cast of it, by the integrator that was tuned on the body.
+    ///
+    /// # Errors
+    /// As [`Trial::simulate_most`].
+    pub fn samples(&self, design: &[f64], cast: Option<&Cast>, forces: Forces) -> Result<Samples, Failure> {
+        let (solver, counters) = (self.tuned(design).solver, &mut Counters::default());
+        let found = self.simulate_cast(cast, design, forces, &solver, Precision::Double, false, counters);
+        Ok(found.map_err(Failure::Initial)?.samples)
+    }
+
     /// A cast of the trial's body; without a variation every cast is as designed.
     pub(crate) fn cast(&self, casts: Casts, number: u64) -> Option<Cast> {
         let problem = &self.problem;

@@ -247,11 +247,15 @@ impl Problem {
         [all.select(&train), all.select(&test)]
     }
 
+    /// Whether targets of a finer clock of the forces are read through a low-pass.
+    pub fn low_pass(&self) -> bool {
+        let records = |part: &&Source| matches!(part, Source::Recorded(records) if records.low_pass);
+        self.stimuli.source.parts().iter().any(records)
+    }
+
     /// What the network is to say of `forces` (N, T, K) in N.
     pub(crate) fn targets(&self, forces: &Forces) -> Vec<f64> {
-        let records = |part: &&Source| matches!(part, Source::Recorded(records) if records.low_pass);
-        let low_pass = self.stimuli.source.parts().iter().any(records);
-        targets(forces, self.scene.instants, low_pass)
+        targets(forces, self.scene.instants, self.low_pass())
     }
 
     /// Signals (N, T, channels) under `forces` as brains take them.

@@ -66,15 +66,22 @@ pub struct Estimate {
 pub struct Twin {
     /// The cast that explains the records best; as designed where none was found.
     pub cast: Cast,
-    /// Of each unknown.
-    pub estimates: Vec<Estimate>,
-    /// How the fit ended.
-    pub ending: Ending,
     /// Root mean square over the channels of what is left of the signals by the noise of the chips; 1 where that is not known, and what is
     /// left stands for it.
     pub misfit: f64,
     /// What stands for the noise of each channel that is read (mm/s², rad/s): what is left, but no less than the chips'.
     pub noise: Vec<f64>,
+}
+
+/// How a twin was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fit {
+    /// It.
+    pub twin: Twin,
+    /// Of each unknown.
+    pub estimates: Vec<Estimate>,
+    /// How the fit ended.
+    pub ending: Ending,
     /// Share of what is left that the motion explains on records that were not asked, where several were fitted and intervals asked for:
     /// what the model lacks.
     pub unmodelled: Option<f64>,
@@ -103,7 +110,7 @@ const STRIDE: f64 = 2.0;
 /// Shortest part of a step.
 const SHORTEST: f64 = 1e-4;
 
-impl Twin {
+impl Fit {
     /// Of a trial's body of this design, simulated with `solver`, from signals (N, T, channels) as its chips give them under `forces`. What
     /// scatters is the trial's variation, or [`Variation::USUAL`]. Samples that failed must be left out.
     ///
@@ -147,42 +154,41 @@ fn fit(
     variation: &Variation,
     intervals: bool,
     pool: &crate::Pool,
-) -> Twin {
+) -> Fit {
     let unknowns = Unknowns::new(&problem.scene, variation);
     let mut objective = Objective::new(problem, chip, design, records, unknowns, solver, pool);
     let start = DVector::zeros(objective.unknowns.all().len());
-    let mut twin = Twin {
-        cast: objective.unknowns.cast(start.as_slice()),
+    let cast = objective.unknowns.cast(start.as_slice());
+    let mut fit = Fit {
+        twin: Twin { cast, misfit: f64::INFINITY, noise: Vec::new() },
         estimates: Vec::new(),
         ending: Ending::StartFailed,
-        misfit: f64::INFINITY,
-        noise: Vec::new(),
         unmodelled: None,
         steps: 0,
         counters: Counters::default(),
     };
     if objective.leave_out() > 0 {
-        twin.ending = Ending::NoProgress;
+        fit.ending = Ending::NoProgress;
         let mut z = start;
         for part in WINDOWS {
             objective.look_at((part * problem.scene.instants as f64).ceil() as usize);
             let Some(point) = objective.at(z.clone()) else { break };
-            let (point, columns) = twin.settle(&mut objective, point, if part < 1.0 { 1 } else { ROUNDS });
+            let (point, columns) = fit.settle(&mut objective, point, if part < 1.0 { 1 } else { ROUNDS });
             z.copy_from(&point.z);
             if part == 1.0 {
-                twin.tell(&objective, &point, &columns);
+                fit.tell(&objective, &point, &columns);
                 if intervals {
                     let columns = objective.columns(&point, usize::MAX);
-                    twin.bound(&objective, &point, &columns);
+                    fit.bound(&objective, &point, &columns);
                 }
             }
         }
     }
-    twin.counters = objective.counters;
-    twin
+    fit.counters = objective.counters;
+    fit
 }
 
-impl Twin {
+impl Fit {
     /// Noise and fit in turns, in the window that is looked at, until both stay; where that led, and columns near there.
     fn settle(&mut self, objective: &mut Objective, mut point: Point, rounds: usize) -> (Point, Columns) {
         objective.weigh(&point);
@@ -206,9 +212,9 @@ impl Twin {
         let (unknowns, [left, _]) = (&objective.unknowns, objective.noises(point));
         let known = objective.known_noise().unwrap_or_else(|| left.clone());
         let squares: f64 = left.iter().zip(&known).map(|(left, known)| (left / known).powi(2)).sum();
-        self.misfit = (squares / left.len() as f64).sqrt();
-        self.noise.clone_from(&objective.noise);
-        self.cast = unknowns.cast(point.z.as_slice());
+        self.twin.misfit = (squares / left.len() as f64).sqrt();
+        self.twin.noise.clone_from(&objective.noise);
+        self.twin.cast = unknowns.cast(point.z.as_slice());
         let covariance =
             objective.curvature(columns).cholesky().expect("a curvature of 1 and more").inverse();
         let of = |(k, &unknown): (usize, &Unknown)| {
@@ -219,13 +225,13 @@ impl Twin {
     }
 }
 
-impl Twin {
+impl Fit {
     /// Intervals: the covariance H⁻¹ ((1 + u (G − 1)) Σ s sᵀ + 1) H⁻¹ of the estimate, s = Jᵀr of each of G groups, so that what is left
     /// may be correlated within a group, and its share u that is not noise, or follows from the motion alike in all of them, does not average out.
     fn bound(&mut self, objective: &Objective, point: &Point, columns: &Columns) {
         let (records, jacobian) = (columns.records.len(), objective.jacobian(columns));
         let [read, residual] = objective.parts(point, &columns.records);
-        let width = self.noise.len();
+        let width = self.twin.noise.len();
         self.unmodelled = explained(&read, &residual, records, width);
         let (group, count) = grouped([records, residual.len() / (records * width), width]);
         let mut scores = DMatrix::zeros(count, jacobian.ncols());
@@ -236,7 +242,7 @@ impl Twin {
         }
         let curvature = jacobian.tr_mul(&jacobian) + DMatrix::identity(scores.ncols(), scores.ncols());
         let inverse = curvature.cholesky().expect("a curvature of 1 and more").inverse();
-        let beyond = 1.0 - self.misfit.max(1.0).powi(-2);
+        let beyond = 1.0 - self.twin.misfit.max(1.0).powi(-2);
         let alike = 1.0 + self.unmodelled.unwrap_or(0.0).max(beyond) * (count - 1) as f64;
         let moved = scores * &inverse;
         for (k, estimate) in self.estimates.iter_mut().enumerate() {

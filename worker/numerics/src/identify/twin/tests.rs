@@ -48,8 +48,8 @@ fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
     (forces, signals)
 }
 
-fn twin(trial: &Trial, forces: &Forces, signals: &[f64]) -> Twin {
-    Twin::of(trial, &trial.problem.initial, &trial.problem.solver, forces, signals)
+fn twin(trial: &Trial, forces: &Forces, signals: &[f64]) -> Fit {
+    Fit::of(trial, &trial.problem.initial, &trial.problem.solver, forces, signals)
 }
 
 /// z of a cast whose nodes scatter each by itself.
@@ -77,12 +77,11 @@ fn a_twin_is_the_cast_that_was_recorded() {
     let trial = Trial::new(&problem, &pool).expect("a body");
     let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
     let (forces, signals) = records(&trial, &cast, 30);
-    let twin = twin(&trial, &forces, &signals);
-    assert_eq!(twin.ending, Ending::Converged, "{} steps", twin.steps);
+    let Fit { twin, estimates, ending, steps, .. } = twin(&trial, &forces, &signals);
+    assert_eq!(ending, Ending::Converged, "{steps} steps");
     assert!((twin.misfit - 1.0).abs() < 0.03, "{}", twin.misfit);
-    let off: Vec<f64> = twin.estimates.iter().map(|e| (e.found - truth(&cast, e)) / e.left).collect();
-    for (e, off) in twin.estimates.iter().zip(&off).filter(|(e, _)| matches!(e.unknown, Unknown::Material(_)))
-    {
+    let off: Vec<f64> = estimates.iter().map(|e| (e.found - truth(&cast, e)) / e.left).collect();
+    for (e, off) in estimates.iter().zip(&off).filter(|(e, _)| matches!(e.unknown, Unknown::Material(_))) {
         assert!(off.abs() < 3.0 && e.left < 0.3, "{e:?}: {off}");
     }
     let rms = |of: &[f64]| (of.iter().map(|x| x * x).sum::<f64>() / of.len() as f64).sqrt();
