@@ -41,14 +41,15 @@ fn a_body_rings() {
     refused(&bench, &["modes", "loose.toml"], "body.clamp = []: ");
 }
 
-/// Every trial says what a linear model leaves of its signals; bounds of its two bodies stand beside what brains have achieved, and
-/// are below it.
+/// Every trial says what a linear model leaves of its signals; bounds of its two bodies stand beside what brains have achieved, an
+/// inverse one among them, and are below it.
 #[test]
 fn a_finished_trial_stands_beside_its_bounds() {
     let bench = Bench::new();
     let spec = TINY
-        .replace("sensors = [1, 2]", "sensors = [1]")
-        .replace("[brain]\niterations = 10\n", "[sensors]\nnoise = 0.1\n[brain]\nkind = \"linear\"\n");
+        .replace("sensors = [1, 2]", "sensors = [1]\n\"brain.kind\" = [\"linear\", \"inverse\"]")
+        .replace("holdout = 2", "holdout = 8")
+        .replace("[brain]\niterations = 10\n", "[sensors]\nnoise = 0.1\n");
     bench.file("s.toml", &spec);
     bench.output(&["run", "s.toml", "--workers", "1"]);
     let sql = "SELECT nonlinear_acceleration_initial AS a, nonlinear_rotation_optimised AS b FROM v_trial";
@@ -57,7 +58,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
     assert!(["a", "b"].iter().all(|key| (0.1..500.0).contains(&share(key))), "{shares:?}");
     let asked = ["analyse", "results/tiny.sqlite", "--question", "nonlinear", "--format", "json"];
     let answer = json(&bench.output(&asked));
-    assert!(answer.len() == 4 && answer[0]["nonlinear"].as_f64() == Some(share("a")), "{answer:?}");
+    assert!(answer.len() == 8 && answer[0]["nonlinear"].as_f64() == Some(share("a")), "{answer:?}");
 
     let own = ["bound", "s.toml", "--samples", "2", "--format", "json"];
     let alone = json(&bench.output(&own));
@@ -75,6 +76,13 @@ fn a_finished_trial_stands_beside_its_bounds() {
             let [bound, linear, deaf] = [by, "linear", "no signal"].map(|by| find(&beside, body, by));
             assert!(0.0 < bound && bound < linear && bound < deaf && deaf < 120.0, "{by}: {beside:?}");
         }
+    }
+    for body in ["initial", "optimised"] {
+        let sql = format!("SELECT holdout_error_{body} AS error FROM v_trial WHERE brain = 'inverse'");
+        let own = json(&bench.output(&["query", "results/tiny.sqlite", &sql, "--format", "json"]));
+        let [least, inverse, linear] = ["any decoder", "inverse", "linear"].map(|by| find(&beside, body, by));
+        assert_eq!(own[0]["error"].as_f64(), Some(inverse));
+        assert!(least < inverse && inverse < linear, "{beside:?}");
     }
     let informed = alone.iter().find(|row| row["sample"] == "mean information").unwrap();
     assert!(informed["error"].as_f64().unwrap() <= find(&alone, "initial", "best linear"), "{alone:?}");
