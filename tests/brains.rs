@@ -104,9 +104,43 @@ fn a_body_is_read_by_its_own_model() {
         assert!((number("coverage") - 100.0 * stored[2 + b]).abs() < 1e-9, "{csv}\n{stored:?}");
         assert!(number("cpu_seconds") > 0.0 && number("not_converged") <= 2.0, "{csv}");
     }
-    // what it says has no array of weights, and is not computed again
-    bench.output(&["export", "results/tiny.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
+    // what it says is computed again, by finer steps: of test set and holdout
+    for form in ["npz", "csv", "parquet"] {
+        let out = format!("t.{form}");
+        bench.output(&["export", "results/tiny.sqlite", hash, "--format", form, "--out", &out]);
+    }
+    let npz = std::fs::read(bench.path("t.npz")).unwrap();
+    let (split, forces) = (array(&npz, "split").1, array(&npz, "forces").1);
+    let csv = std::fs::read_to_string(bench.path("t.csv")).unwrap();
+    let columns: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
+    for (b, body) in ["initial", "optimised"].into_iter().enumerate() {
+        let arrays =
+            ["predictions", "forces_low", "forces_high"].map(|of| array(&npz, &format!("{of}_{body}")).1);
+        let [said, low, high] = &arrays;
+        let (mut inside, mut all) = (0, 0);
+        for (i, (n, k)) in
+            (0..split.len()).flat_map(|i| (0..20).flat_map(move |n| [(i, (n, 0)), (i, (n, 1))]))
+        {
+            let (at, f) = ((i * 20 + n) * 2 + k, forces[(i * 2 + k) * 21 + n + 1]);
+            let line: Vec<&str> = csv.lines().nth(1 + i * 20 + n).unwrap().split(',').collect();
+            for (of, values) in ["prediction", "forces_low", "forces_high"].into_iter().zip(&arrays) {
+                let column = format!("{of}_{k}_{body}");
+                let cell = line[columns.iter().position(|name| *name == column).unwrap()];
+                assert_eq!(cell.parse::<f64>().ok(), (split[i] > 0.0).then_some(values[at]), "{column}, {i}");
+            }
+            // where no history has a force yet, nothing is unknown
+            assert!(split[i] == 0.0 || (low[at] <= said[at] && said[at] <= high[at]), "{i}, {n}, {k}");
+            (inside, all) = match split[i] == 2.0 {
+                true => (inside + usize::from(low[at] <= f && f <= high[at]), all + 1),
+                false => (inside, all),
+            };
+        }
+        let coverage = f64::from(inside as u32) / f64::from(all as u32);
+        assert!((coverage - stored[2 + b]).abs() < 0.05, "{coverage}, {stored:?}");
+    }
     bench.output(&["report", "results/tiny.sqlite", "--out", "r.html"]);
+    let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
+    assert!(page.contains("True and predicted forces") && page.contains("class=\"band optimised\""));
 }
 
 /// Rows of a query by their cells.
@@ -165,6 +199,24 @@ fn every_body_is_read_by_both_brains() {
     assert_eq!(results(&bench, "again.sqlite"), once);
 }
 
+/// Shape and numbers of an array of an archive.
+fn array(npz: &[u8], name: &str) -> (Vec<usize>, Vec<f64>) {
+    let file = format!("{name}.npy");
+    // the archive's entries end their heads with the name; that of another array may end with this one
+    let at =
+        (0..npz.len() - file.len()).find(|&i| npz[i..].starts_with(file.as_bytes()) && npz[i - 1] != b'_');
+    let start = at.unwrap_or_else(|| panic!("{name}")) + file.len();
+    let array = npyz::NpyFile::new(&npz[start..]).unwrap();
+    let shape = array.shape().iter().map(|n| *n as usize).collect();
+    let kind = array.dtype().descr();
+    let values = match kind {
+        _ if kind.contains('i') => array.into_vec::<i64>().unwrap().into_iter().map(|x| x as f64).collect(),
+        _ if kind.contains('u') => array.into_vec::<u8>().unwrap().into_iter().map(f64::from).collect(),
+        _ => array.into_vec().unwrap(),
+    };
+    (shape, values)
+}
+
 /// The exported linear brain gives the exported predictions: f̂ = b + Σ W · signal / scale on the window.
 #[test]
 fn an_exported_linear_brain_says_what_is_exported() {
@@ -175,24 +227,7 @@ fn an_exported_linear_brain_says_what_is_exported() {
         &rows(&bench, "SELECT hash FROM v_trial WHERE brain = 'linear' AND trained_with = 'linear'")[0][0];
     bench.output(&["export", "results/tiny.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
     let npz = std::fs::read(bench.path("t.npz")).unwrap();
-    let array = |name: &str| -> (Vec<usize>, Vec<f64>) {
-        let file = format!("{name}.npy");
-        // the archive's entries end their heads with the name; that of another array may end with this one
-        let at = (0..npz.len() - file.len())
-            .find(|&i| npz[i..].starts_with(file.as_bytes()) && npz[i - 1] != b'_');
-        let start = at.unwrap_or_else(|| panic!("{name}")) + file.len();
-        let array = npyz::NpyFile::new(&npz[start..]).unwrap();
-        let shape = array.shape().iter().map(|n| *n as usize).collect();
-        let kind = array.dtype().descr();
-        let values = match kind {
-            _ if kind.contains('i') => {
-                array.into_vec::<i64>().unwrap().into_iter().map(|x| x as f64).collect()
-            }
-            _ if kind.contains('u') => array.into_vec::<u8>().unwrap().into_iter().map(f64::from).collect(),
-            _ => array.into_vec().unwrap(),
-        };
-        (shape, values)
-    };
+    let array = |name: &str| array(&npz, name);
     let (shape, w) = array("linear_w_optimised");
     let (b, lags) = (array("linear_b_optimised").1, array("linear_lags").1);
     let (signals, scale) = (array("signals_optimised"), array("signal_scale").1);

@@ -5,7 +5,7 @@ use metasense_numerics::feasible::{Active, Feasible};
 use metasense_numerics::place::placed;
 use metasense_numerics::questions;
 pub use metasense_numerics::questions::{LinearReplay, Motion, Replay};
-use metasense_numerics::trial::Decoder;
+use metasense_numerics::trial::{BrainKind, Decoder};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::run::{Failure, check_length, pool, prepared, with_design};
@@ -67,17 +67,28 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
 }
 
 /// Signals of a body under all samples of its trial, and the predictions of its brain: of a network where `weights` are
-/// given, of a linear one always.
+/// given, of a linear one always; of an inverse one those of the first `inverse` test samples and of as many of the holdout.
 ///
 /// # Errors
 /// If the spec stands for no trial, lengths do not fit it, or a simulation does not end well.
-pub fn replay(trial: &TrialSpec, design: &[f64], weights: &[f32], threads: usize) -> Result<Replay, Failure> {
+pub fn replay(
+    trial: &TrialSpec,
+    design: &[f64],
+    weights: &[f32],
+    inverse: usize,
+    threads: usize,
+) -> Result<Replay, Failure> {
     let problem = with_design(trial, design)?;
     if !weights.is_empty() {
         check_length("network", weights.len(), problem.reader_shape().weights())?;
     }
     let pool = pool(threads)?;
-    Ok(questions::replay(&placed(&problem, &pool)?.0, design, weights, &pool)?)
+    let (problem, _) = placed(&problem, &pool)?;
+    let mut replay = questions::replay(&problem, design, weights, &pool)?;
+    if problem.reader == BrainKind::Inverse && inverse > 0 {
+        replay.invert(&problem, design, inverse, &pool)?;
+    }
+    Ok(replay)
 }
 
 /// The linear brain of the whole sample on a replay's signals: what every body is read by. None where it is too large.

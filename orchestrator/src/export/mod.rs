@@ -16,6 +16,24 @@ use metasense_worker::run::Failure;
 
 use crate::store::{StoreError, Stored};
 
+/// Ends of a body's bands about its brain's predictions (N, T, K) (N), by their names: at each instant by itself, `forces_low` and
+/// `forces_high`, and over a whole sample, `sample_low` and `sample_high`. Of an inverse brain the former alone.
+pub(crate) fn bands(stored: &Stored, replay: &Replay, body: usize) -> Vec<(String, Vec<f64>)> {
+    let [instant, sample] = &stored.bands[body];
+    let instant = if replay.half_widths.is_empty() { instant } else { &replay.half_widths };
+    let mut found = Vec::new();
+    for (of, half_width) in [("forces", instant), ("sample", sample)] {
+        for (end, sign) in [("low", -1.0), ("high", 1.0)] {
+            let half_width = half_width.iter().cycle().map(|h| sign * h);
+            let values: Vec<f64> = replay.predictions.iter().zip(half_width).map(|(f, h)| f + h).collect();
+            if !values.is_empty() {
+                found.push((format!("{of}_{end}"), values));
+            }
+        }
+    }
+    found
+}
+
 /// Exported signals are at least as good as this.
 const SIGNAL_TOLERANCE: f64 = 1e-4;
 
@@ -27,7 +45,7 @@ pub fn replays(stored: &Stored, threads: usize) -> Result<[Replay; 2], StoreErro
     let again = |b: usize| {
         let mut spec = stored.specs[b].clone();
         spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
-        replay(&spec, &stored.designs[b], &stored.weights[b], threads).map_err(unreadable(stored))
+        replay(&spec, &stored.designs[b], &stored.weights[b], usize::MAX, threads).map_err(unreadable(stored))
     };
     Ok([again(0)?, again(1)?])
 }

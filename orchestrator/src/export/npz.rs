@@ -10,7 +10,7 @@ use metasense_worker::replay::{Drawing, LinearReplay, Replay, drawing, linear};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
-use super::{replays, unreadable};
+use super::{bands, replays, unreadable};
 use crate::analysis::Body;
 use crate::store::{StoreError, Stored, npy_bytes};
 
@@ -58,15 +58,8 @@ pub fn archive(
         let forces = [samples, instants, panels];
         if !replay.predictions.is_empty() {
             zip.array(&format!("predictions_{name}"), &forces, &replay.predictions);
-            for (of, half_width) in ["forces", "sample"].into_iter().zip(&stored.bands[b]) {
-                for (end, sign) in [("low", -1.0), ("high", 1.0)] {
-                    let half_width = half_width.iter().cycle().map(|h| sign * h);
-                    let values: Vec<f64> =
-                        replay.predictions.iter().zip(half_width).map(|(f, h)| f + h).collect();
-                    if !values.is_empty() {
-                        zip.array(&format!("{of}_{end}_{name}"), &forces, &values);
-                    }
-                }
+            for (end, values) in bands(stored, replay, b) {
+                zip.array(&format!("{end}_{name}"), &forces, &values);
             }
         }
         if let Some(brain) = &linear[b] {

@@ -3,23 +3,29 @@
 use metasense_worker::replay::Replay;
 use serde_json::{Value, json};
 
+use super::bands;
 use crate::analysis::Body;
 use crate::look::{Table, row};
 use crate::store::Stored;
 
-/// Forces (N), signals (mm/s², rad/s) and predictions (N) of both bodies. `set` is train, test or holdout; `time` in s.
+/// Forces (N), signals (mm/s², rad/s), predictions and their bands (N) of both bodies. `set` is train, test or holdout; `time` in s.
 pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
     let (panels, sensors, instants) =
         (stored.spec().panel_units.len(), stored.spec().point.sensors, stored.spec().time.samples);
     let (read, signals) = (stored.spec().sensors.read(), stored.spec().signals());
     let mut columns: Vec<String> = ["sample", "set", "time"].map(String::from).to_vec();
     columns.extend((0..panels).map(|k| format!("force_{k}")));
+    // by body what stands in a row after its signals: predictions and ends of bands (N, T, K)
+    let mut said: [Vec<Vec<f64>>; 2] = Default::default();
     for body in Body::ALL {
+        let (name, replay) = (body.name(), &replays[body as usize]);
         for m in 0..sensors {
-            columns.extend(read.iter().map(|c| format!("{}_{m}_{}", c.name(), body.name())));
+            columns.extend(read.iter().map(|c| format!("{}_{m}_{name}", c.name())));
         }
-        if !replays[body as usize].predictions.is_empty() {
-            columns.extend((0..panels).map(|k| format!("prediction_{k}_{}", body.name())));
+        let own = (!replay.predictions.is_empty()).then(|| ("prediction".into(), replay.predictions.clone()));
+        for (of, values) in own.into_iter().chain(bands(stored, replay, body as usize)) {
+            columns.extend((0..panels).map(|k| format!("{of}_{k}_{name}")));
+            said[body as usize].push(values);
         }
     }
     let mut rows = Vec::with_capacity(replays[0].forces.samples * instants);
@@ -31,11 +37,9 @@ pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
             let forces = &replays[0].forces.values;
             row.extend((0..panels).map(|k| json!(forces[(sample * panels + k) * (instants + 1) + n])));
             let at = sample * instants + n - 1;
-            for replay in replays {
+            for (replay, said) in replays.iter().zip(&said) {
                 row.extend(replay.signals[at * signals..][..signals].iter().map(|v| json!(v)));
-                if !replay.predictions.is_empty() {
-                    row.extend(replay.predictions[at * panels..][..panels].iter().map(|v| json!(v)));
-                }
+                row.extend(said.iter().flat_map(|values| &values[at * panels..][..panels]).map(|v| json!(v)));
             }
             rows.push(row);
         }

@@ -13,6 +13,9 @@ use crate::look::wave::{self, animation, snapshot};
 use crate::look::{Figure, Table, legend, number, row};
 use crate::store::Stored;
 
+/// Test samples that an inverse brain reads again: each takes as long as some hundred simulations.
+const INVERSE: usize = 16;
+
 /// A trial that has been simulated again.
 #[derive(Debug)]
 pub struct Replayed {
@@ -33,7 +36,8 @@ impl Replayed {
     /// If the trial cannot be simulated.
     pub fn new(stored: &Stored, threads: usize) -> Result<Self, Failure> {
         let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]);
-        let again = |b: usize| replay(&stored.specs[b], &stored.designs[b], &stored.weights[b], threads);
+        let again =
+            |b: usize| replay(&stored.specs[b], &stored.designs[b], &stored.weights[b], INVERSE, threads);
         let ([initial, optimised], replays) = ([drawn(0)?, drawn(1)?], [again(0)?, again(1)?]);
         let test = replays[0].split.iter().enumerate().filter(|(_, s)| **s == 1).map(|(n, _)| n).collect();
         let bodies = [sketch(&initial, &[]), sketch(&optimised, &[])];
@@ -55,7 +59,8 @@ impl Replayed {
         let mut figures = Vec::new();
         if replays.iter().all(|replay| !replay.predictions.is_empty()) {
             let typical = || representative(&replays[1].errors, self.test.iter().copied());
-            let chosen = sample.map_or_else(typical, |sample| vec![sample]);
+            let read = |sample: &usize| !replays[1].predictions[sample * self.size()].is_nan();
+            let chosen = sample.filter(read).map_or_else(typical, |sample| vec![sample]);
             figures.extend([self.forces(&chosen), self.every_sample()]);
         }
         figures.push(self.before_and_after());
@@ -72,6 +77,12 @@ impl Replayed {
         let short = &hash[..hash.len().min(8)];
         let (k, m, placement, seed) = (p.panels, p.sensors, p.placement, p.seed);
         format!("trial {short} (K = {k}, M = {m}, placement {placement}, seed {seed})")
+    }
+
+    /// Predictions of a sample: T · K.
+    fn size(&self) -> usize {
+        let spec = self.stored.spec();
+        spec.time.samples * spec.panel_units.len()
     }
 
     /// The test sample with the greatest impulse.
@@ -95,8 +106,10 @@ impl Replayed {
                 (0..panels).map(|k| (0..=instants).map(|n| force(k, n)).collect()).collect();
             let [initial, optimised] = [0, 1]
                 .map(|b| histories(&replays[b].predictions, sample, [instants, panels], duration, |_| 1.0));
-            let half_width =
-                |b: usize, k: usize, n: usize| self.stored.bands[b][0].get(n * panels + k).copied();
+            let half_width = |b: usize, k: usize, n: usize| match &replays[b].half_widths[..] {
+                [] => self.stored.bands[b][0].get(n * panels + k).copied(),
+                own => own.get((sample * instants + n) * panels + k).copied(),
+            };
             for (k, truth) in truth.iter().enumerate() {
                 let told = truth[1..].iter().zip(&initial[k]).zip(&optimised[k]).enumerate();
                 rows.extend(told.map(|(n, (((t, f), (_, a)), (_, b)))| {
@@ -125,12 +138,12 @@ impl Replayed {
             "forces",
             "True and predicted forces",
             format!(
-                "Force histories of {which} of {}, and the predictions by each body's brain (the first network, or the \
-                 linear one). Each panel's line is drawn {} N above the next. The titles give the sample's error on \
+                "Force histories of {which} of {}, and the predictions by each body's brain (the first network, the \
+                 linear one, or the inverse one). Each panel's line is drawn {} N above the next. The titles give the sample's error on \
                  the initial and on the optimised body, over all panels.{}",
                 self.who(),
                 number(step),
-                match self.stored.bands[1][0].is_empty() {
+                match self.stored.bands[1][0].is_empty() && replays[1].half_widths.is_empty() {
                     true => "",
                     false => " At every instant the true force lies in the shaded band of a body with 95 %.",
                 }

@@ -30,7 +30,7 @@ fn a_replay_has_the_errors_that_the_trial_recorded() {
     let trial = small_trial();
     let result = run_trial(&trial, None, &pool(1).unwrap(), &mut Blind).unwrap();
     for BodyEvaluation { design, networks, .. } in [&result.initial, &result.optimised] {
-        let found = replay(&trial, design, &networks[0].weights, 1).unwrap();
+        let found = replay(&trial, design, &networks[0].weights, 0, 1).unwrap();
         let recorded = [networks[0].error_train, networks[0].error_test, networks[0].error_holdout];
         for (set, recorded) in recorded.into_iter().enumerate() {
             let of_set = found.split.iter().zip(&found.errors).filter(|(s, _)| usize::from(**s) == set);
@@ -42,5 +42,5 @@ fn a_replay_has_the_errors_that_the_trial_recorded() {
     assert_eq!(drawing(&trial, &result.initial.design).unwrap().ligaments.len(), 12);
     let motion = motion(&trial, &result.initial.design, 0, 1).unwrap();
     assert_eq!((motion.velocities.len(), motion.velocities[0].len()), (30, 9));
-    assert!(replay(&trial, &[0.0], &[], 1).is_err());
+    assert!(replay(&trial, &[0.0], &[], 0, 1).is_err());
 }

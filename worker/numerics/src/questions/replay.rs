@@ -3,7 +3,7 @@
 //! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
 
 use crate::brain::linear::{Lags, Sizes};
-use crate::brains::{Fresh, reader};
+use crate::brains::{Fresh, Inverse, TO_EACH_SIDE, reader};
 use crate::dynamics::{Forces, Precision, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
@@ -21,8 +21,10 @@ pub struct Replay {
     pub split: Vec<u8>,
     /// Sensor signals (N, T, channels) in mm/s² and rad/s.
     pub signals: Vec<f64>,
-    /// Predicted forces (N, T, K) in N; empty without weights.
+    /// Predicted forces (N, T, K) in N; empty without weights, NaN where an inverse brain has not read.
     pub predictions: Vec<f64>,
+    /// Of an inverse brain: half-widths (N, T, K) in N of its 95 % bands, likewise.
+    pub half_widths: Vec<f64>,
     /// Prediction error of each sample (%); `None` where there is no force, empty without weights.
     pub errors: Vec<Option<f64>>,
     /// Whether a sample's simulation failed (N): it then has no signals, its forces stand as zero, its error is 100 %.
@@ -76,6 +78,7 @@ pub fn replay(
         signals: all.signals,
         failed: all.failed,
         predictions,
+        half_widths: Vec::new(),
         errors,
         signal_scale: channels.clone(),
         force_mean: mean.clone(),
@@ -121,15 +124,52 @@ pub struct LinearReplay {
 }
 
 impl Replay {
+    fn samples(&self, problem: &Problem) -> Samples {
+        let (instants, outputs) = (problem.scene.instants, problem.scene.panels.len());
+        let sizes = Sizes { instants, channels: self.signal_scale.len(), outputs };
+        let targets = crate::stimuli::targets(&self.forces, instants, false);
+        Samples::new(sizes, self.signals.clone(), targets).with_failed(self.failed.clone())
+    }
+
+    /// Lets the inverse brain of the design read the first `count` test samples, and as many of the holdout.
+    ///
+    /// # Errors
+    /// If the brain cannot be made.
+    pub fn invert(
+        &mut self,
+        problem: &Problem,
+        design: &[f64],
+        count: usize,
+        pool: &crate::Pool,
+    ) -> Result<(), Failure> {
+        let (trial, all) = (Trial::new(problem, pool)?, self.samples(problem));
+        let split = &self.split;
+        let of = |set: u8| (0..split.len()).filter(move |&i| split[i] == set);
+        let read: Vec<usize> = of(1).take(count).chain(of(2).take(count)).collect();
+        let known = all.select(&of(0).collect::<Vec<_>>());
+        let solver = trial.tuned(design).solver;
+        let brain = Inverse::new(&trial, design, &solver, None, &known);
+        let found = brain.map_err(Failure::Initial)?.read(&all.select(&read).signals);
+        let [mut forces, mut half_widths] = [(); 2].map(|()| vec![f64::NAN; all.targets.len()]);
+        let one = all.targets.len() / all.count();
+        for (estimate, i) in found.iter().zip(read) {
+            let at = i * one..(i + 1) * one;
+            forces[at.clone()].copy_from_slice(&estimate.forces);
+            let own = estimate.deviations.iter().map(|deviation| TO_EACH_SIDE * deviation);
+            half_widths[at].iter_mut().zip(own).for_each(|(slot, half)| *slot = half);
+        }
+        let known = |error: Option<f64>| error.filter(|error| error.is_finite());
+        self.errors = all.errors(&forces).into_iter().map(known).collect();
+        (self.predictions, self.half_widths) = (forces, half_widths);
+        Ok(())
+    }
+
     /// Fits a linear brain as a trial does.
     ///
     /// # Errors
     /// If no λ has a solution.
     pub fn linear(&self, problem: &Problem, decoder: &Decoder) -> Result<LinearReplay, Failure> {
-        let (instants, outputs) = (problem.scene.instants, problem.scene.panels.len());
-        let sizes = Sizes { instants, channels: self.signal_scale.len(), outputs };
-        let targets = crate::stimuli::targets(&self.forces, instants, false);
-        let all = Samples::new(sizes, self.signals.clone(), targets).with_failed(self.failed.clone());
+        let all = self.samples(problem);
         let training: Vec<usize> = (0..self.split.len()).filter(|&i| self.split[i] == 0).collect();
         let scale = Some(self.signal_scale.clone());
         let fitted = decoder.fit(problem.seed, &all.select(&training), scale).map_err(Failure::Initial)?;
