@@ -274,7 +274,7 @@ pub fn forward<V: Vector>(
             }
             if margin.lane(l) < 0.0 {
                 *job.outcome = Outcome::ForbiddenContact;
-            } else if !size.lane(l).is_finite() {
+            } else if !size.lane(l).is_finite() || excess.lane(l).is_nan() {
                 *job.outcome = Outcome::NonFinite;
             } else if excess.lane(l) > 0.0 {
                 *job.outcome = Outcome::Unstable;
