@@ -12,7 +12,7 @@ use crate::dynamics::Outcome;
 use crate::identify::twin::Ending;
 use crate::trial::{Counters, Trial};
 use faer::linalg::solvers::Solve;
-use faer::{Col, Mat, Scale, Side};
+use faer::{Col, Mat, MatRef, Scale, Side};
 use rayon::prelude::*;
 
 /// Noise that a reading has at least, relative to its channel's RMS on the initial body.
@@ -249,9 +249,13 @@ impl Descent {
         }
         let (mut curvature, slope) = (self.curvature.clone()?, &self.at.slope);
         (0..curvature.nrows()).for_each(|k| curvature[(k, k)] += self.damping);
-        let step = curvature.llt(Side::Lower).expect("positive definite").solve(slope);
+        let Some(step) = solved(&curvature, slope.as_mat()) else {
+            self.ending = Some(Ending::NoProgress);
+            return None;
+        };
+        let step = step.col(0);
         let enough = ENOUGH * self.misfit().max(1.0);
-        if 0.5 * (slope.transpose() * &step) < enough && self.damping == 0.0 {
+        if 0.5 * (slope.transpose() * step) < enough && self.damping == 0.0 {
             self.ending = Some(Ending::Converged);
             return None;
         }
@@ -287,4 +291,20 @@ impl Descent {
             self.curvature = None;
         }
     }
+}
+
+/// B⁻¹ x of a B that is 1 and more along every direction, though rounding may have made it less; `None` of numbers that are none.
+pub(super) fn solved(b: &Mat<f64>, x: MatRef<'_, f64>) -> Option<Mat<f64>> {
+    let found = match b.llt(Side::Lower) {
+        Ok(factor) => factor.solve(x),
+        Err(_) => {
+            let own = b.self_adjoint_eigen(Side::Lower).ok()?;
+            let mut along = own.U().transpose() * x;
+            for k in 0..b.nrows() {
+                along.row_mut(k).iter_mut().for_each(|x| *x /= own.S()[k].max(1.0));
+            }
+            own.U() * &along
+        }
+    };
+    found.is_all_finite().then_some(found)
 }

@@ -16,8 +16,7 @@ use crate::identify::twin::{Ending, Twin};
 use crate::random::Purpose;
 use crate::trial::{Counters, Problem, Samples, Trial, Trouble};
 use descent::{Descent, Noise};
-use faer::linalg::solvers::Solve;
-use faer::{Mat, Side};
+use faer::Mat;
 use model::Model;
 use prior::Prior;
 
@@ -153,11 +152,12 @@ impl<'a> Inverse<'a> {
         let (instants, directions) = (self.seen.nrows(), self.seen.ncols());
         let forces = self.trial.problem.targets(&self.prior.forces([descent.z()].into_iter()));
         let mut deviations = vec![0.0; instants * panels];
-        let factor = descent.curvature().llt(Side::Lower).expect("positive definite");
+        let curvature = descent.curvature();
         for panel in 0..panels {
             let mut right = Mat::<f64>::zeros(descent.z().len(), instants);
             right.as_mut().subrows_mut(panel * directions, directions).copy_from(self.seen.transpose());
-            let solved = factor.solve(&right);
+            // of a curvature that is none no more is known than before
+            let solved = descent::solved(&curvature, right.as_ref()).unwrap_or_else(|| right.clone());
             for n in 0..instants {
                 let variance = right.col(n).transpose() * solved.col(n);
                 deviations[n * panels + panel] = variance.max(0.0).sqrt();

@@ -139,3 +139,23 @@ fn what_cannot_be_inverted_is_named() {
     let own = found[0].deviations.iter().step_by(2);
     assert!(prior.zip(own).all(|(prior, own)| (prior - own).abs() <= 1e-12), "{:?}", found[0].deviations);
 }
+
+/// Without noise a curvature has more digits than numbers have: it is taken for 1 where rounding leaves it less, and no sample ends the
+/// program.
+#[test]
+fn a_curvature_beyond_rounding_is_solved() {
+    use faer::Mat;
+    let b = Mat::from_fn(3, 3, |i, j| if (i, j) == (2, 2) { 1.0 } else { 1e20 });
+    let x = Mat::from_fn(3, 1, |i, _| [1.0, -1.0, 2.0][i]);
+    let found = descent::solved(&b, x.as_ref()).expect("numbers");
+    assert!(found.col(0).iter().all(|x| x.abs() < 10.0), "{found:?}");
+    assert!(descent::solved(&Mat::from_fn(2, 2, |_, _| f64::NAN), x.get(..2, ..)).is_none());
+
+    let exact = small(Protocol::Joint(GOING));
+    let pool = crate::Pool::new(2).expect("threads");
+    let trial = Trial::new(&exact, &pool).expect("a trial");
+    let mut brain = brain(&trial, 20);
+    let samples = trial.initial.signals.len() / 4;
+    let found = brain.read(&trial.initial.signals[..samples]);
+    assert!(found.iter().all(|estimate| estimate.deviations.iter().all(|d| d.is_finite())));
+}
