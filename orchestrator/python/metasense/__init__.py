@@ -14,12 +14,12 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from metasense._metasense import Body, LinearBrain, Simulation, SimulationError, Table
+from metasense._metasense import Body, Inverse, LinearBrain, Simulation, SimulationError, Table, Twin
 from metasense._results import Database, Event, program, run, watch
 
 __all__ = [
-    "Body", "Database", "Event", "LinearBrain", "Simulation", "SimulationError", "Table",
-    "body", "program", "run", "stimuli", "watch",
+    "Body", "Database", "Event", "Inverse", "LinearBrain", "Simulation", "SimulationError", "Table",
+    "Twin", "body", "program", "run", "stimuli", "watch",
 ]  # fmt: skip
 
 

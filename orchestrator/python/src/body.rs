@@ -19,6 +19,7 @@ use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::arrays::{Numbers, numbers, vector};
+use crate::inverse::Twin;
 use crate::simulation::Simulation;
 use crate::{chain, raised};
 
@@ -31,7 +32,7 @@ pub struct Body {
     pub problem: Arc<Problem>,
     pub pool: Arc<Pool>,
     hash: String,
-    trial: TrialSpec,
+    pub trial: TrialSpec,
     feasible: Mutex<Feasible>,
     /// The solver that was found once for all calls.
     tuned: Option<Tuned>,
@@ -60,6 +61,11 @@ impl Body {
         let alpha = vector(what, alpha)?;
         check_design(&self.problem, &alpha).map_err(|e| raised(&e))?;
         Ok(alpha)
+    }
+
+    /// The same, by default that of the initial body.
+    pub fn design_or_initial(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<f64>> {
+        alpha.map_or_else(|| Ok(self.problem.initial.clone()), |alpha| self.design("alpha", alpha))
     }
 
     /// The scene with the material and sensors of a call.
@@ -214,7 +220,7 @@ impl Body {
 
     /// T, the number of instants of the signals: n·duration/T, n = 1…T.
     #[getter]
-    fn instants(&self) -> usize {
+    pub fn instants(&self) -> usize {
         self.problem.scene.instants
     }
 
@@ -250,8 +256,7 @@ impl Body {
         py: Python<'py>,
         alpha: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let alpha = alpha.map(|alpha| self.design("alpha", alpha)).transpose()?;
-        let corners = self.problem.scene.layout.vertices(alpha.as_ref().unwrap_or(&self.problem.initial));
+        let corners = self.problem.scene.layout.vertices(&self.design_or_initial(alpha)?);
         let units = corners.len();
         let flat: Vec<f64> = corners.into_flattened().into_flattened();
         flat.into_pyarray(py).reshape([units, 4, 2])
@@ -359,12 +364,30 @@ impl Body {
         Simulation::new(py, Arc::clone(&self.pool), scene, design, forces, tuned, run)
     }
 
+    /// Fits a twin to records of a cast of this design, by default the initial one: forces (N, K, R + 1) (N), and signals (N, T, C)
+    /// as the sensors' chips gave them under those. Unknown is what the spec's `variation` scatters.
+    #[pyo3(signature = (forces, signals, alpha=None))]
+    fn twin(
+        &self,
+        py: Python<'_>,
+        forces: &Bound<'_, PyAny>,
+        signals: &Bound<'_, PyAny>,
+        alpha: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Twin> {
+        Twin::fitted(py, self, self.design_or_initial(alpha)?, forces, signals)
+    }
+
+    /// Reads a twin (TOML, of `metasense twin` or `Twin.save`) of this design, by default the initial one.
+    #[pyo3(signature = (file, alpha=None))]
+    fn read_twin(&self, file: PathBuf, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Twin> {
+        Twin::read(self, self.design_or_initial(alpha)?, file)
+    }
+
     /// The body drawn as SVG, the initial one by default.
     #[pyo3(signature = (alpha=None))]
     fn draw(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<String> {
-        let alpha = alpha.map(|alpha| self.design("alpha", alpha)).transpose()?;
-        let alpha = alpha.as_ref().unwrap_or(&self.problem.initial);
-        let drawing = drawing(&self.trial, alpha).map_err(|e| raised(&e))?;
+        let alpha = self.design_or_initial(alpha)?;
+        let drawing = drawing(&self.trial, &alpha).map_err(|e| raised(&e))?;
         Ok(sketch(&drawing, &[]).file("a metamaterial body"))
     }
 

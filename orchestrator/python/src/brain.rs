@@ -26,7 +26,7 @@ pub struct LinearBrain {
 }
 
 /// An array of samples, (N, T, width).
-fn samples(what: &str, object: &Bound<'_, PyAny>) -> PyResult<([usize; 3], Vec<f64>)> {
+pub fn samples(what: &str, object: &Bound<'_, PyAny>) -> PyResult<([usize; 3], Vec<f64>)> {
     let Numbers { shape, values } = numbers(what, object)?;
     finite(what, &values).map_err(|e| raised(&e))?;
     match shape[..] {

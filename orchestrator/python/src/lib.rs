@@ -11,6 +11,7 @@ mod arrow;
 mod body;
 mod brain;
 mod database;
+mod inverse;
 mod simulation;
 
 use metasense_worker::run::Failure;
@@ -55,6 +56,8 @@ mod _metasense {
     use super::brain::LinearBrain;
     #[pymodule_export]
     use super::database::{Database, default_database};
+    #[pymodule_export]
+    use super::inverse::{Inverse, Twin};
     #[pymodule_export]
     use super::simulation::Simulation;
 }
