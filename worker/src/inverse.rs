@@ -74,11 +74,7 @@ pub fn with_brain<T>(
 ) -> Result<T, Failure> {
     check_design(problem, design)?;
     let trial = Trial::new(problem, pool)?;
-    let [train, _] = problem.known();
-    let known = trial.samples(design, twin.map(|twin| &twin.cast), train)?;
-    let solver = trial.tuned(design).solver;
-    let brain = Inverse::new(&trial, design, &solver, twin, &known);
-    Ok(read(&mut brain.map_err(metasense_numerics::trial::Failure::Initial)?))
+    Ok(read(&mut Inverse::of(&trial, design, twin)?))
 }
 
 /// The trial's holdout on a body, or on its twin, as its chips read it; samples that cannot be simulated are left out.

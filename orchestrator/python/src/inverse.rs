@@ -99,7 +99,7 @@ impl Twin {
     /// Writes it into a file (TOML), as `metasense twin --out` does.
     fn save(&self, file: PathBuf) -> PyResult<()> {
         let text = toml::to_string(&store(&self.trial, &self.design, &self.twin)).expect("a twin is TOML");
-        std::fs::write(&file, text)
+        metasense::files::write(&file, text.as_bytes())
             .map_err(|e| PyOSError::new_err(format!("cannot write {}: {e}", file.display())))
     }
 

@@ -38,8 +38,3 @@ pub use elbow::{Elbow, Height, Verdict, elbow};
 pub use resample::{Interval, Resampling};
 pub use tables::Question;
 pub use trial::{Body, Cluster, Set, Trial};
-
-/// What is to be said of the intervals where a sweep may end as soon as it knows enough.
-pub const EARLY: &str = "a sweep of this database has [until]: it may have stopped because its numbers looked clear. Intervals and votes \
-    here are those of a number of trials that was fixed before, and hold the truth less often than they say; what `run` answered keeps \
-    its confidence";

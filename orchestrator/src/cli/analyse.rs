@@ -7,7 +7,7 @@ use serde_json::{Map, Value};
 use super::named::Database;
 use super::{Error, Format, print_rows};
 use crate::analysis::compare::Comparison;
-use crate::analysis::{EARLY, Question, Terms};
+use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
 use crate::provenance;
 use crate::report::load::finished_trials;
@@ -79,12 +79,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !objects.is_empty() {
         print_line!("{:#}", Value::Object(objects))?;
     }
-    if let Some(mixed) = provenance::mixed(&made) {
-        say!("{mixed}");
-    }
-    if early {
-        say!("{EARLY}");
-    }
+    provenance::caveats(&made, early).iter().for_each(|caveat| say!("{caveat}"));
     if trials.is_empty() {
         say!("no trial of {} is done yet", args.db.display());
     }

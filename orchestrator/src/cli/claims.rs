@@ -7,7 +7,6 @@ use maud::html;
 use super::named::Database;
 use super::report::write_figures;
 use super::{Error, Format, print_rows, write};
-use crate::analysis::EARLY;
 use crate::exit::Exit;
 use crate::look::page;
 use crate::provenance;
@@ -57,11 +56,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let question = "Does what arXiv:2605.23967 claims hold, and with which brain?";
         write(&folder.join("index.html"), page("The paper's claims", question, content))?;
     }
-    if let Some(mixed) = provenance::mixed(&made) {
-        say!("{mixed}");
-    }
-    if early {
-        say!("{EARLY}");
-    }
+    provenance::caveats(&made, early).iter().for_each(|caveat| say!("{caveat}"));
     Ok(Exit::Done)
 }

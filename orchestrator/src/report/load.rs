@@ -361,7 +361,8 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
         Some(hash) => reader.stored(&hash).await?,
         None => None,
     };
-    Ok(Story { sweeps, states, trials, made: reader.made().await?, stored, terms })
+    let (made, early) = (reader.made().await?, reader.may_stop_early().await?);
+    Ok(Story { sweeps, states, trials, made, early, stored, terms })
 }
 
 /// `sql` has a column `state`.

@@ -35,6 +35,8 @@ pub struct Story {
     pub trials: Vec<Trial>,
     /// By what code.
     pub made: Vec<Made>,
+    /// Whether `[until]` may have ended a sweep of them.
+    pub early: bool,
     /// The one that is replayed, where one is stored whole.
     pub stored: Option<Stored>,
     /// What a decision on M weighs.
@@ -150,9 +152,10 @@ fn state(story: &Story) -> Vec<Answer> {
         "{done} of {all} trials are done, {failed} failed{why}. Ratios are geometric means over trials. Intervals are over \
          placements and seeds, because trials that share these are not independent."
     );
-    let mixed = provenance::mixed(&story.made).map(|mixed| Answer::new("", Some(false), format!("{mixed}.")));
+    let caveats = provenance::caveats(&story.made, story.early);
+    let caveats = caveats.into_iter().map(|caveat| Answer::new("", Some(false), format!("{caveat}.")));
     let state = Answer::new("", (failed > 0).then_some(false), text);
-    std::iter::once(state).chain(mixed).collect()
+    std::iter::once(state).chain(caveats).collect()
 }
 
 fn provenance(story: &Story) -> Markup {

@@ -146,10 +146,7 @@ impl Replay {
         let split = &self.split;
         let of = |set: u8| (0..split.len()).filter(move |&i| split[i] == set);
         let read: Vec<usize> = of(1).take(count).chain(of(2).take(count)).collect();
-        let known = all.select(&of(0).collect::<Vec<_>>());
-        let solver = trial.tuned(design).solver;
-        let brain = Inverse::new(&trial, design, &solver, None, &known);
-        let found = brain.map_err(Failure::Initial)?.read(&all.select(&read).signals);
+        let found = Inverse::of(&trial, design, None)?.read(&all.select(&read).signals);
         let [mut forces, mut half_widths] = [(); 2].map(|()| vec![f64::NAN; all.targets.len()]);
         let one = all.targets.len() / all.count();
         for (estimate, i) in found.iter().zip(read) {

@@ -11,10 +11,10 @@ mod model;
 mod prior;
 
 use super::Fitted;
-use crate::dynamics::Solver;
+use crate::dynamics::{Precision, Solver};
 use crate::identify::twin::{Ending, Twin};
 use crate::random::Purpose;
-use crate::trial::{Counters, Problem, Samples, Trial, Trouble};
+use crate::trial::{Counters, Failure, Problem, Samples, Trial, Trouble};
 use descent::{Descent, Noise};
 use faer::Mat;
 use model::Model;
@@ -103,6 +103,19 @@ impl<'a> Inverse<'a> {
         })
     }
 
+    /// The same, with the solver tuned and the training samples simulated for it.
+    ///
+    /// # Errors
+    /// Likewise, or if more of those samples fail than may.
+    pub fn of(trial: &'a Trial<'a>, design: &[f64], twin: Option<&Twin>) -> Result<Self, Failure> {
+        let (solver, [train, _]) = (trial.tuned(design).solver, trial.problem.known());
+        let (cast, mut counters) = (twin.map(|twin| &twin.cast), Counters::default());
+        let known =
+            trial.simulate_cast(cast, design, train, &solver, Precision::Double, false, &mut counters);
+        let brain = known.and_then(|known| Self::new(trial, design, &solver, twin, &known.samples));
+        brain.map(|brain| Self { counters, ..brain }).map_err(Failure::Initial)
+    }
+
     /// What it says of samples of signals (N, T, channels).
     ///
     /// # Panics
@@ -152,16 +165,18 @@ impl<'a> Inverse<'a> {
         let (instants, directions) = (self.seen.nrows(), self.seen.ncols());
         let forces = self.trial.problem.targets(&self.prior.forces([descent.z()].into_iter()));
         let mut deviations = vec![0.0; instants * panels];
-        let curvature = descent.curvature();
+        // a column an instant, panel by panel, so that B is factored once
+        let mut right = Mat::<f64>::zeros(descent.z().len(), panels * instants);
         for panel in 0..panels {
-            let mut right = Mat::<f64>::zeros(descent.z().len(), instants);
-            right.as_mut().subrows_mut(panel * directions, directions).copy_from(self.seen.transpose());
-            // of a curvature that is none no more is known than before
-            let solved = descent::solved(&curvature, right.as_ref()).unwrap_or_else(|| right.clone());
-            for n in 0..instants {
-                let variance = right.col(n).transpose() * solved.col(n);
-                deviations[n * panels + panel] = variance.max(0.0).sqrt();
-            }
+            let mut own =
+                right.as_mut().submatrix_mut(panel * directions, panel * instants, directions, instants);
+            own.copy_from(self.seen.transpose());
+        }
+        // of a curvature that is none no more is known than before
+        let solved = descent::solved(&descent.curvature(), right.as_ref()).unwrap_or_else(|| right.clone());
+        for (i, (right, solved)) in right.col_iter().zip(solved.col_iter()).enumerate() {
+            let variance = right.transpose() * solved;
+            deviations[i % instants * panels + i / instants] = variance.max(0.0).sqrt();
         }
         let (misfit, steps, ending) = (descent.misfit(), descent.steps(), descent.ending());
         Estimate { forces, deviations, misfit, steps, ending }

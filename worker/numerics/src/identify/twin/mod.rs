@@ -92,15 +92,16 @@ pub struct Fit {
 }
 
 /// Parts of the records that are looked at, one after the other.
-const WINDOWS: [f64; 3] = [0.125, 0.25, 1.0];
+const WINDOWS: [f64; 5] = [1.0 / 32.0, 0.0625, 0.125, 0.25, 1.0];
 /// Records of which a metric is made: as many as lanes take at once.
 const LANES: usize = 8;
 /// Steps in one metric, at most.
 const STEPS: usize = 20;
 /// Metrics of the whole records, at most.
 const ROUNDS: usize = 4;
-/// Newton decrement, in standard errors, below which a step is nothing.
+/// Newton decrement, in standard errors, below which a step is nothing, and the part of F that it promises at least in the first windows.
 const CLOSE: f64 = 0.3;
+const WORTH: f64 = 0.01;
 /// Change of the noise below which it stays.
 const STAYS: f64 = 0.02;
 /// Error of the signals by steps under measured records, in which it does not average out.
@@ -173,7 +174,10 @@ fn fit(
         for part in WINDOWS {
             objective.look_at((part * problem.scene.instants as f64).ceil() as usize);
             let Some(point) = objective.at(z.clone()) else { break };
-            let (point, columns) = fit.settle(&mut objective, point, if part < 1.0 { 1 } else { ROUNDS });
+            let (point, columns) = match part < 1.0 {
+                true => fit.settle(&mut objective, point, 1, WORTH),
+                false => fit.settle(&mut objective, point, ROUNDS, 0.0),
+            };
             z.copy_from(&point.z);
             if part == 1.0 {
                 fit.tell(&objective, &point, &columns);
@@ -190,7 +194,13 @@ fn fit(
 
 impl Fit {
     /// Noise and fit in turns, in the window that is looked at, until both stay; where that led, and columns near there.
-    fn settle(&mut self, objective: &mut Objective, mut point: Point, rounds: usize) -> (Point, Columns) {
+    fn settle(
+        &mut self,
+        objective: &mut Objective,
+        mut point: Point,
+        rounds: usize,
+        worth: f64,
+    ) -> (Point, Columns) {
         objective.weigh(&point);
         let mut columns = objective.columns(&point, LANES);
         for round in 0..rounds {
@@ -198,7 +208,7 @@ impl Fit {
                 columns = objective.columns(&point, LANES);
             }
             let curvature = objective.curvature(&columns);
-            let (ending, steps, found) = descend(objective, objective.again(point), &curvature);
+            let (ending, steps, found) = descend(objective, objective.again(point), &curvature, worth);
             (self.ending, self.steps, point) = (ending, self.steps + steps, found);
             if objective.weigh(&point) < STAYS && ending == Ending::Converged {
                 break;
@@ -253,8 +263,13 @@ impl Fit {
     }
 }
 
-/// L-BFGS in the metric of a curvature: how it ended, after how many steps and where.
-fn descend(objective: &mut Objective, mut point: Point, curvature: &DMatrix<f64>) -> (Ending, usize, Point) {
+/// L-BFGS in the metric of a curvature, as long as steps are worth this part of F: how it ended, after how many and where.
+fn descend(
+    objective: &mut Objective,
+    mut point: Point,
+    curvature: &DMatrix<f64>,
+    worth: f64,
+) -> (Ending, usize, Point) {
     let (mut memory, mut damping): (Vec<[DVector<f64>; 2]>, f64) = (Vec::new(), 0.0);
     let mut gradient = objective.gradient(&point);
     for steps in 0..STEPS {
@@ -274,7 +289,7 @@ fn descend(objective: &mut Objective, mut point: Point, curvature: &DMatrix<f64>
             memory.clear();
         };
         let slope = gradient.dot(&step);
-        if -slope < CLOSE * CLOSE {
+        if -slope < (CLOSE * CLOSE).max(worth * point.cost) {
             return (Ending::Converged, steps, point);
         }
         let mut by = 1.0;
