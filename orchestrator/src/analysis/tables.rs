@@ -211,8 +211,7 @@ fn casts_table(trials: &[&Trial]) -> Table {
             setting.bodies.iter().flat_map(|body| body.brains().into_iter().map(move |by| (body, by)))
         {
             let Some(found) = body.left(by) else { continue };
-            let records = if let CastBrain::Records(records) = by { Some(records) } else { None };
-            let names = row![setting.label, body.name, by.name(), records];
+            let names = row![setting.label, body.name, by.name(), by.records()];
             let [median, most] = &found.errors;
             let designed = found.designed.map(|designed| designed.ratio);
             let counts = row![median.trials, found.casts[0], found.casts[1], designed];

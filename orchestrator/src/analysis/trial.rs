@@ -107,6 +107,14 @@ impl CastBrain {
         }
     }
 
+    /// How many samples of a cast it is fitted to, or its twin.
+    pub fn records(self) -> Option<u64> {
+        match self {
+            Self::Records(records) | Self::TwinLinear(records) | Self::Twin(records) => Some(records),
+            _ => None,
+        }
+    }
+
     /// By its name in the database and the samples that it is fitted to.
     pub fn named(name: &str, records: u64) -> Option<Self> {
         Some(match name {

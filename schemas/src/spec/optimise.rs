@@ -62,7 +62,8 @@ pub struct Brain {
     /// What reads the bodies in the comparison at the end. Default: `"cnn"`.
     #[serde(skip_serializing_if = "BrainKind::is_default")]
     pub kind: BrainKind,
-    /// How far a linear brain looks back and ahead, `[before, after]`; `after = 0` is what a device that answers at once can do.
+    /// How far a linear brain looks back and ahead, `[before, after]`; `after = 0` is what a device that answers at once can do. An inverse
+    /// brain looks back on everything, and as far ahead.
     /// Unit: s. Default: the whole sample.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<[f64; 2]>,

@@ -97,27 +97,66 @@ pub(super) struct Descent {
     curvature: Option<Mat<f64>>,
     /// Steps since it was 1 + JᵀJ.
     age: usize,
+    /// How many of the readings that come next J is wanted of, and what there is of it.
+    coming: (usize, Mat<f64>),
     damping: f64,
     steps: usize,
     ending: Option<Ending>,
 }
 
-/// Descends, from a start (z, then b/s) each, to the first n instants of readings (T, channels) of samples.
+/// Where a descent begins.
+pub(super) struct Start {
+    z: Vec<f64>,
+    /// B with its age, where fewer readings have made it.
+    known: Option<(Mat<f64>, usize)>,
+    /// How many readings' J is wanted beyond those that are compared, and what there is of it.
+    coming: (usize, Mat<f64>),
+}
+
+impl Start {
+    /// At z, then b/s, with nothing known of the curvature there.
+    pub(super) fn at(z: Vec<f64>) -> Self {
+        Self { z, known: None, coming: (0, Mat::new()) }
+    }
+
+    /// The same, with J also of so many readings that come next.
+    pub(super) fn with_coming(self, readings: usize) -> Self {
+        Self { coming: (readings, Mat::new()), ..self }
+    }
+
+    /// Where a descent has ended, with so many readings more.
+    pub(super) fn onward(descent: Descent, readings: usize) -> Self {
+        let Descent { at, curvature, age, coming: (wanted, coming), .. } = descent;
+        let z = at.z;
+        match curvature {
+            Some(curvature) if readings <= coming.nrows() => {
+                let (new, rest) = coming.split_at_row(readings);
+                let known = Some((curvature + new.transpose() * new, age));
+                Self { z, known, coming: (wanted, rest.to_owned()) }
+            }
+            _ => Self::at(z).with_coming(wanted),
+        }
+    }
+}
+
+/// Descends, from a start each, to the first n instants of readings (T, channels) of samples.
 pub(super) fn descend(
     model: &Model,
     prior: &Prior,
     noise: &Noise,
     readings: &[&[f64]],
     n: usize,
-    starts: Vec<Vec<f64>>,
+    starts: Vec<Start>,
     counters: &mut Counters,
 ) -> Vec<Descent> {
     let mut all = Vec::with_capacity(readings.len());
     let mut starts = starts.into_iter();
     for readings in readings.chunks(TOGETHER) {
         let mut looks = Looks { model, prior, noise, readings, n, counters };
-        let starts = starts.by_ref().take(readings.len()).enumerate().collect();
-        let mut descents: Vec<Descent> = looks.at(starts).into_iter().map(Descent::new).collect();
+        let (at, from): (Vec<Vec<f64>>, Vec<_>) =
+            starts.by_ref().take(readings.len()).map(|start| (start.z, (start.known, start.coming))).unzip();
+        let at = looks.at(at.into_iter().enumerate().collect());
+        let mut descents: Vec<Descent> = at.into_iter().zip(from).map(Descent::new).collect();
         for _ in 0..LOOKS {
             descents.iter_mut().for_each(|descent| looks.curve(descent));
             let ahead = |(i, descent): (usize, &mut Descent)| Some((i, descent.ahead()?));
@@ -193,21 +232,26 @@ impl Looks<'_> {
         let (unknowns, c) = (prior.unknowns(), noise.channels());
         let (len, all) = (descent.at.residual.len(), descent.at.z.len());
         let (histories, steps) = prior.around(&descent.at.z);
-        let found = model.coarse(&histories, *n, self.counters);
-        let jacobian = Mat::from_fn(len, all, |i, k| match k < unknowns {
-            true => (found[(1 + k) * len + i] - found[i]) / (steps[k] * noise.white[i % c]),
+        let farther = model.within(*n + descent.coming.0 / c);
+        let found = model.coarse(&histories, farther, self.counters);
+        let one = farther * c;
+        let jacobian = Mat::from_fn(one, all, |i, k| match k < unknowns {
+            true => (found[(1 + k) * one + i] - found[i]) / (steps[k] * noise.white[i % c]),
             false if k - unknowns == i % c => noise.bias[i % c] / noise.white[i % c],
             false => 0.0,
         });
-        let curvature = jacobian.transpose() * &jacobian + Mat::<f64>::identity(all, all);
+        let (jacobian, coming) = jacobian.split_at_row(len);
+        let curvature = jacobian.transpose() * jacobian + Mat::<f64>::identity(all, all);
         (descent.curvature, descent.age) = (Some(curvature), 0);
+        descent.coming.1 = coming.to_owned();
     }
 }
 
 impl Descent {
-    fn new(at: Point) -> Self {
+    fn new((at, (known, coming)): (Point, (Option<(Mat<f64>, usize)>, (usize, Mat<f64>)))) -> Self {
         let ending = at.phi.is_infinite().then_some(Ending::StartFailed);
-        Self { at, curvature: None, age: 0, damping: 0.0, steps: 0, ending }
+        let (curvature, age) = known.unzip();
+        Self { at, curvature, age: age.unwrap_or(0), coming, damping: 0.0, steps: 0, ending }
     }
 
     /// z, then b/s.

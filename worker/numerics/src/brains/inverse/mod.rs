@@ -15,10 +15,11 @@ use crate::dynamics::{Precision, Solver};
 use crate::identify::twin::{Ending, Twin};
 use crate::random::Purpose;
 use crate::trial::{Counters, Failure, Problem, Samples, Trial, Trouble};
-use descent::{Descent, Noise};
+use descent::{Descent, Noise, Start};
 use faer::Mat;
 use model::Model;
 use prior::Prior;
+use std::ops::Range;
 
 /// Histories that the prior is made of, where there are as many, and the number of their first, out of the way of the outer
 /// steps' and of those of casts.
@@ -26,6 +27,11 @@ const KNOWN: usize = 1000;
 const KNOWN_FIRST: u64 = 1 << 42;
 /// The parts of a sample that are looked at in turn where it is begun anew.
 const WINDOWS: [f64; 7] = [0.1, 0.16, 0.24, 0.35, 0.5, 0.7, 1.0];
+
+/// Into how many parts what a brain may look ahead falls: as many instants are told together, the first of them with all of it.
+const PARTS: usize = 4;
+/// Of so many times as many readings J is had at once.
+const AT_ONCE: usize = 8;
 
 /// What an inverse brain says of one sample.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,6 +49,14 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// Adds what is said of the instants that follow, by more readings.
+    fn go_on(&mut self, next: Self) {
+        self.forces.extend(next.forces);
+        self.deviations.extend(next.deviations);
+        let ending = if self.ending == Ending::Converged { next.ending } else { self.ending };
+        (self.misfit, self.steps, self.ending) = (next.misfit, self.steps + next.steps, ending);
+    }
+
     /// Whether the model explains the readings.
     pub fn is_explained(&self) -> bool {
         self.misfit <= descent::EXPLAINED
@@ -123,6 +137,9 @@ impl<'a> Inverse<'a> {
     pub fn read(&mut self, signals: &[f64]) -> Vec<Estimate> {
         let one = self.trial.problem.scene.instants * self.noise.channels();
         let readings: Vec<&[f64]> = signals.chunks_exact(one).collect();
+        if let Some(ahead) = self.ahead() {
+            return self.by_instants(&readings, ahead);
+        }
         let said = self.linear.predict(signals);
         let outset = said.chunks_exact(said.len() / readings.len().max(1));
         let mut starts: Vec<Vec<f64>> = outset.map(|forces| self.prior.near(forces, self.off)).collect();
@@ -138,15 +155,59 @@ impl<'a> Inverse<'a> {
         found.iter().map(|descent| self.estimate(descent)).collect()
     }
 
+    /// How many instants after the one that it tells it may look; none if that is the whole sample.
+    fn ahead(&self) -> Option<usize> {
+        let (after, all) = (self.trial.problem.decoder.lags.after, self.trial.problem.scene.instants);
+        (after + 1 < all).then_some(after)
+    }
+
     fn descend(&mut self, readings: &[&[f64]], n: usize, starts: Vec<Vec<f64>>) -> Vec<Descent> {
+        self.descend_from(readings, n, starts.into_iter().map(Start::at).collect())
+    }
+
+    fn descend_from(&mut self, readings: &[&[f64]], n: usize, starts: Vec<Start>) -> Vec<Descent> {
         descent::descend(&self.model, &self.prior, &self.noise, readings, n, starts, &mut self.counters)
+    }
+
+    /// Estimates of each instant by no reading that comes more than `ahead` instants after it: of readings that grow by some at a time, each
+    /// from where the one before has ended.
+    fn by_instants(&mut self, readings: &[&[f64]], ahead: usize) -> Vec<Estimate> {
+        let (all, width) = (self.trial.problem.scene.instants, self.noise.channels());
+        let (together, start) = (1 + ahead / PARTS, self.start());
+        let coming = together * width * AT_ONCE;
+        let mut starts: Vec<Start> =
+            readings.iter().map(|_| Start::at(start.clone()).with_coming(coming)).collect();
+        let mut told: Vec<Estimate> = Vec::new();
+        let (mut from, mut n) = (0, ahead + 1);
+        loop {
+            let found = self.descend_from(readings, n, starts);
+            let to = if n == all { all } else { n - ahead - 1 + together };
+            let here: Vec<Estimate> =
+                found.iter().map(|descent| self.estimate_of(descent, from..to)).collect();
+            if told.is_empty() {
+                told = here;
+            } else {
+                told.iter_mut().zip(here).for_each(|(told, here)| told.go_on(here));
+            }
+            if n == all {
+                return told;
+            }
+            let more = together.min(all - n);
+            (from, n) = (to, n + more);
+            starts = found.into_iter().map(|descent| Start::onward(descent, more * width)).collect();
+        }
+    }
+
+    /// The prior's mean.
+    fn start(&self) -> Vec<f64> {
+        vec![0.0; self.prior.unknowns() + self.noise.no_bias().len()]
     }
 
     /// Samples, by number, from the prior's mean on by the beginnings of their readings: what comes early is hardly nonlinear yet,
     /// and what comes late is then nearly known. One whose beginning the model does not explain is given up: no more of it will.
     fn by_windows(&mut self, readings: &[&[f64]], samples: Vec<usize>) -> Vec<(usize, Descent)> {
         let all = self.trial.problem.scene.instants;
-        let start = vec![0.0; self.prior.unknowns() + self.noise.no_bias().len()];
+        let start = self.start();
         let mut left: Vec<(usize, Vec<f64>)> = samples.into_iter().map(|i| (i, start.clone())).collect();
         let mut found = Vec::new();
         for part in WINDOWS {
@@ -161,16 +222,22 @@ impl<'a> Inverse<'a> {
     }
 
     fn estimate(&self, descent: &Descent) -> Estimate {
-        let panels = self.trial.problem.scene.panels.len();
-        let (instants, directions) = (self.seen.nrows(), self.seen.ncols());
+        self.estimate_of(descent, 0..self.seen.nrows())
+    }
+
+    /// The same of some instants.
+    fn estimate_of(&self, descent: &Descent, of: Range<usize>) -> Estimate {
+        let (panels, directions) = (self.trial.problem.scene.panels.len(), self.seen.ncols());
         let forces = self.trial.problem.targets(&self.prior.forces([descent.z()].into_iter()));
+        let forces = forces[of.start * panels..of.end * panels].to_vec();
+        let (from, instants) = (of.start, of.len());
         let mut deviations = vec![0.0; instants * panels];
         // a column an instant, panel by panel, so that B is factored once
         let mut right = Mat::<f64>::zeros(descent.z().len(), panels * instants);
         for panel in 0..panels {
             let mut own =
                 right.as_mut().submatrix_mut(panel * directions, panel * instants, directions, instants);
-            own.copy_from(self.seen.transpose());
+            own.copy_from(self.seen.subrows(from, instants).transpose());
         }
         // of a curvature that is none no more is known than before
         let solved = descent::solved(&descent.curvature(), right.as_ref()).unwrap_or_else(|| right.clone());

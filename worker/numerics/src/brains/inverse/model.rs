@@ -46,6 +46,11 @@ impl<'a> Model<'a> {
         n * forces.kinks(&self.scene)
     }
 
+    /// So many instants, or as many as a sample has.
+    pub(super) fn within(&self, n: usize) -> usize {
+        n.min(self.scene.instants)
+    }
+
     /// Threads.
     pub(super) fn pool(&self) -> &'a crate::Pool {
         self.pool

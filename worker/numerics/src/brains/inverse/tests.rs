@@ -2,10 +2,11 @@
 
 use super::descent::Looks;
 use super::*;
+use crate::brain::linear::Lags;
 use crate::dynamics::Precision;
 use crate::nested::tests::{GOING, small};
 use crate::random::Draw;
-use crate::trial::{Disturbance, Protocol, Size};
+use crate::trial::{Decoder, Disturbance, Protocol, Size};
 
 fn problem() -> Problem {
     let noise = Size::Relative(0.03);
@@ -118,6 +119,59 @@ fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
         found
     });
     assert!(found[0] == found[1]);
+}
+
+/// One that may look some instants ahead says the same of an instant whatever is read later than that, knows the less the less it may
+/// look, and is off by as much as it says.
+#[test]
+fn what_comes_too_late_is_not_looked_at() {
+    let pool = crate::Pool::new(2).expect("threads");
+    let read = |after: usize, cut: Option<usize>| {
+        let lags = Lags { before: 39, after };
+        let problem = Problem { decoder: Decoder { lags, ..problem().decoder }, ..problem() };
+        let trial = Trial::new(&problem, &pool).expect("a trial");
+        let mut brain = brain(&trial, 40);
+        let mut draw = Draw::numbered(5, 2);
+        let drawn: Vec<Vec<f64>> = (0..12).map(|_| normal(&mut draw, brain.prior.unknowns())).collect();
+        let forces = brain.prior.forces(drawn.iter().map(Vec::as_slice));
+        let (solver, double, counters) = (&trial.problem.solver, Precision::Double, &mut Counters::default());
+        let samples =
+            trial.simulate(&trial.problem.initial, &forces, solver, double, false, counters).expect("some");
+        let mut signals = samples.samples.signals;
+        let width = brain.noise.channels();
+        if let Some(cut) = cut {
+            signals.chunks_exact_mut(40 * width).for_each(|one| one[cut * width..].fill(0.0));
+        }
+        let found = brain.read(&signals);
+        let (mut square, mut covered, mut sure) = (0.0, 0, 0.0);
+        for (estimate, truth) in found.iter().zip(samples.samples.targets.chunks_exact(80)) {
+            for ((said, f), deviation) in estimate.forces.iter().zip(truth).zip(&estimate.deviations) {
+                square += (said - f) * (said - f);
+                covered += usize::from((said - f).abs() <= 1.96 * deviation);
+                sure += deviation * deviation;
+            }
+        }
+        (found, square, covered as f64 / (12.0 * 80.0), sure)
+    };
+    let known: Vec<_> = [0, 4, 12, 39].map(|after| read(after, None)).into();
+    for pair in known.windows(2) {
+        assert!(pair[1].3 < pair[0].3, "deviations {} then {}", pair[0].3, pair[1].3);
+    }
+    let errors: Vec<f64> = known.iter().map(|known| known.1).collect();
+    assert!(errors[3] < 0.8 * errors[0] && errors[2] < errors[0], "{errors:?}");
+    for (_, square, covered, sure) in &known {
+        assert!((0.91..0.98).contains(covered) && (0.6..1.6).contains(&(square / sure)), "{covered} {square} {sure}");
+    }
+    // readings from instant 25 on are others: what is said of instants that may not see them stays
+    for (i, after) in [0, 4, 12].into_iter().enumerate() {
+        let cut = read(after, Some(25)).0;
+        for (whole, cut) in known[i].0.iter().zip(&cut) {
+            let same = 2 * (25 - after);
+            assert_eq!(whole.forces[..same], cut.forces[..same], "ahead {after}");
+            assert_eq!(whole.deviations[..same], cut.deviations[..same], "ahead {after}");
+            assert_ne!(whole.forces[same..], cut.forces[same..], "ahead {after}");
+        }
+    }
 }
 
 /// A body that cannot be simulated under what a sample begins with is an outcome, and forces that never differ have no prior.
