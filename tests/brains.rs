@@ -64,12 +64,13 @@ fn a_body_is_read_by_its_own_model() {
         let errors: Vec<f64> = row[1..].iter().map(|cell| cell.parse().expect("an error")).collect();
         assert!(row[0] == "linear" && errors[0] < errors[1] && errors[2] < errors[3], "{row:?}");
     }
-    let read = "SELECT reader, records, count(*), min(error) > 0, min(outcome) FROM v_cast
+    let read =
+        "SELECT reader, records, count(instants_covered), count(*), min(error) > 0, min(outcome) FROM v_cast
         WHERE reader IN ('inverse', 'twin', 'twin_linear') GROUP BY 1, 2 ORDER BY 1, 2";
     let read = rows(&bench, read);
-    let expected = [["inverse", "0"], ["twin", "10"], ["twin_linear", "10"]];
-    assert_eq!(read.iter().map(|row| [row[0].as_str(), &row[1]]).collect::<Vec<_>>(), expected);
-    assert!(read.iter().all(|row| row[2..] == ["2", "1", "ok"]), "{read:?}");
+    let expected = [["inverse", "0", "2"], ["twin", "10", "2"], ["twin_linear", "10", "0"]];
+    assert_eq!(read.iter().map(|row| [row[0].as_str(), &row[1], &row[2]]).collect::<Vec<_>>(), expected);
+    assert!(read.iter().all(|row| row[3..] == ["2", "1", "ok"]), "{read:?}");
     let bands = "SELECT body, reader, samples, coverage BETWEEN 0 AND 1, width > 0 FROM v_band
         WHERE method = 'posterior' AND kind = 'instant' AND casting IS NULL ORDER BY hash, body";
     let bands = rows(&bench, bands);

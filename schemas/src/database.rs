@@ -15,6 +15,7 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0008.sql"),
     include_str!("../migrations/0009.sql"),
     include_str!("../migrations/0010.sql"),
+    include_str!("../migrations/0011.sql"),
 ];
 
 /// The stable views, and what a row of each is.
@@ -38,7 +39,8 @@ pub const VIEWS: &[(&str, &str)] = &[
          designed), `casts` (linear, fitted to other casts), `records` (linear, fitted to so many samples of this cast), \
          `network`, `network_casts` (trained on other casts), `inverse` (by the model of the design), `twin` (inverse, by a twin \
          calibrated on so many samples of this cast), `twin_linear` (linear, fitted to that twin); `nominal_error` is the linear brain's on the body as designed; \
-         instants_covered and samples_covered: what of the holdout lies in the bands of the body as designed",
+         instants_covered and samples_covered: what of the holdout lies in the bands of the body as designed, or in those that an \
+         inverse brain says itself",
     ),
     (
         "v_band",

@@ -254,6 +254,8 @@ pub struct CastReading {
 pub struct Band {
     /// `own`: the body's first brain; of casts as in [`CastReading`].
     pub reader: String,
+    /// Fitted to how many samples of that cast, as in [`CastReading`].
+    pub records: u32,
     /// Of which cast, as in [`CastReading`], with the widths of the body as designed; `None`: the body as designed.
     pub cast: Option<u32>,
     /// `conformal`: calibrated on samples that neither brain nor body was fitted to; `posterior`: an inverse brain's own.

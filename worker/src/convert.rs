@@ -163,21 +163,25 @@ fn brain_of_cast(reader: &str, records: u32) -> Result<CastBrain, String> {
 
 /// Bands of a body and its casts.
 pub fn bands(bands: &[nested::BandReading]) -> Vec<record::Band> {
-    let band = |nested::BandReading { cast, band, width, coverage }: &nested::BandReading| record::Band {
-        reader: cast.map_or("own", |(_, by)| cast_brain(by).0).into(),
-        cast: cast.map(|(cast, _)| cast),
-        method: if band.kind == BandKind::Posterior { "posterior" } else { "conformal" }.into(),
-        kind: match band.kind {
-            BandKind::Instant | BandKind::Posterior => "instant",
-            BandKind::Sample => "sample",
+    let band = |nested::BandReading { cast, band, width, coverage }: &nested::BandReading| {
+        let (reader, records) = cast.map_or(("own", 0), |(_, by)| cast_brain(by));
+        record::Band {
+            reader: reader.into(),
+            records,
+            cast: cast.map(|(cast, _)| cast),
+            method: if band.kind == BandKind::Posterior { "posterior" } else { "conformal" }.into(),
+            kind: match band.kind {
+                BandKind::Instant | BandKind::Posterior => "instant",
+                BandKind::Sample => "sample",
+            }
+            .into(),
+            level: brains::LEVEL,
+            samples: band.samples as u32,
+            coverage: finite(*coverage),
+            width: finite(*width),
+            half_width: band.half_width.clone(),
+            outcome: if width.is_some() { "ok" } else { "too_few" }.into(),
         }
-        .into(),
-        level: brains::LEVEL,
-        samples: band.samples as u32,
-        coverage: finite(*coverage),
-        width: finite(*width),
-        half_width: band.half_width.clone(),
-        outcome: if width.is_some() { "ok" } else { "too_few" }.into(),
     };
     bands.iter().map(band).collect()
 }
@@ -185,8 +189,10 @@ pub fn bands(bands: &[nested::BandReading]) -> Vec<record::Band> {
 /// The inverse of [`bands`].
 fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandReading>, String> {
     let reading = |band: &record::Band| {
-        let cast =
-            band.cast.map(|cast| Ok::<_, String>((cast, brain_of_cast(&band.reader, 0)?))).transpose()?;
+        let cast = band
+            .cast
+            .map(|cast| Ok::<_, String>((cast, brain_of_cast(&band.reader, band.records)?)))
+            .transpose()?;
         let kind = match (&*band.method, &*band.kind) {
             ("posterior", _) => BandKind::Posterior,
             (_, "instant") => BandKind::Instant,

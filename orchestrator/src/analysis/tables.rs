@@ -20,7 +20,7 @@ use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
 use super::scaling::{Scaling, scaling};
 use super::sensors::{Spread, fewer, spread};
 use super::transfer;
-use super::trial::{Body, CastBrain, Set, Trial};
+use super::trial::{Body, Set, Trial};
 use crate::look::{Table, row};
 
 /// A question to finished trials.

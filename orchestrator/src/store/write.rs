@@ -387,11 +387,12 @@ impl Store {
 
     async fn insert_bands(&mut self, id: i64, body: &str, bands: &[Band]) -> sqlx::Result<()> {
         for band in bands {
-            sqlx::query("INSERT OR REPLACE INTO band VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")
+            sqlx::query("INSERT OR REPLACE INTO band VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")
                 .bind(id)
                 .bind(body)
                 .bind(band.cast.map_or(-1, i64::from))
                 .bind(&band.reader)
+                .bind(band.records)
                 .bind(&band.method)
                 .bind(&band.kind)
                 .bind(band.level)

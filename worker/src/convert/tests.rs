@@ -80,6 +80,7 @@ fn a_state_survives_its_checkpoint() {
         band(BandKind::Instant, None, &[0.125; 4]),
         band(BandKind::Sample, None, &[]),
         band(BandKind::Sample, Some((7, CastBrain::NetworkCasts)), &[]),
+        band(BandKind::Posterior, Some((7, CastBrain::Twin(10))), &[]),
     ];
     let compared = |training| State {
         comparison: nested::Comparison {

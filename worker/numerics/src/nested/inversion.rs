@@ -101,8 +101,7 @@ pub(super) fn invert_cast(
         let by = CastBrain::Twin(n);
         let twin = twin.as_ref().map_err(|trouble| *trouble);
         let found = twin.and_then(|(known, twin)| inverted(by, Some(twin), Ok(known)));
-        // of one twin a cast a band is kept
-        keep(by, found.map(|(error, band)| (error, band.filter(|_| n == RECORDS[RECORDS.len() - 1]))));
+        keep(by, found);
     }
     (readings, bands)
 }

@@ -263,6 +263,14 @@ impl Descent {
         self.at.phi
     }
 
+    /// −ln of what the readings' likelihood comes to over all forces that the prior holds, by Laplace: Φ + ½ ln |B|.
+    pub(super) fn surprise(&self) -> f64 {
+        let factor = self.curvature().llt(Side::Lower);
+        let logs =
+            factor.map(|factor| factor.L().diagonal().column_vector().iter().map(|l| l.ln()).sum::<f64>());
+        self.at.phi + logs.unwrap_or(0.0)
+    }
+
     /// B; where no reading could be compared the prior's, 1.
     pub(super) fn curvature(&self) -> Mat<f64> {
         let all = self.at.z.len();

@@ -11,7 +11,7 @@ mod model;
 mod prior;
 
 use super::Fitted;
-use crate::dynamics::{Precision, Solver};
+use crate::dynamics::{Forces, Precision, Solver};
 use crate::identify::twin::{Ending, Twin};
 use crate::random::Purpose;
 use crate::trial::{Counters, Failure, Problem, Samples, Trial, Trouble};
@@ -67,15 +67,22 @@ impl Estimate {
 pub struct Inverse<'a> {
     trial: &'a Trial<'a>,
     model: Model<'a>,
-    prior: Prior,
+    guesses: Vec<Guess>,
     noise: Noise,
     /// Where descents begin, and how far that is off (N), root mean square.
     linear: Fitted,
     off: f64,
-    /// D of a panel as what brains are to say (T, r) (N).
-    seen: Mat<f64>,
     /// Work done.
     pub counters: Counters,
+}
+
+/// Which panels are struck.
+struct Guess {
+    prior: Prior,
+    /// Logarithm of its share.
+    share: f64,
+    /// D of a panel as what brains are to say (T, r) (N).
+    seen: Mat<f64>,
 }
 
 impl<'a> Inverse<'a> {
@@ -102,17 +109,18 @@ impl<'a> Inverse<'a> {
             true => trial.train.clone(),
             false => problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN),
         };
-        let prior = Prior::new(&histories).ok_or(Trouble::Singular)?;
-        let seen = seen(problem, &prior);
+        let guesses = guesses(problem, &histories);
+        if guesses.is_empty() {
+            return Err(Trouble::Singular);
+        }
         let model = Model::new(trial, design, solver, twin.map(|twin| &twin.cast));
         Ok(Self {
             trial,
             model,
-            prior,
+            guesses,
             noise: Noise::of(trial, twin.map_or(&[], |twin| &twin.noise)),
             linear,
             off,
-            seen,
             counters: Counters::default(),
         })
     }
@@ -141,18 +149,44 @@ impl<'a> Inverse<'a> {
             return self.by_instants(&readings, ahead);
         }
         let said = self.linear.predict(signals);
-        let outset = said.chunks_exact(said.len() / readings.len().max(1));
-        let mut starts: Vec<Vec<f64>> = outset.map(|forces| self.prior.near(forces, self.off)).collect();
-        starts.iter_mut().for_each(|z| z.extend(self.noise.no_bias()));
-        let instants = self.trial.problem.scene.instants;
-        let mut found = self.descend(&readings, instants, starts);
-        let lost = (0..found.len()).filter(|&i| !found[i].is_explained()).collect();
-        for (i, again) in self.by_windows(&readings, lost) {
-            if again.phi() < found[i].phi() {
-                found[i] = again;
+        let mut found: Vec<Vec<Descent>> =
+            (0..self.guesses.len()).map(|guess| self.descend_whole(guess, &readings, &said)).collect();
+        let lost: Vec<usize> =
+            (0..readings.len()).filter(|&i| !found.iter().any(|found| found[i].is_explained())).collect();
+        for guess in 0..self.guesses.len() {
+            for (i, again) in self.by_windows(guess, &readings, &lost) {
+                if again.phi() < found[guess][i].phi() {
+                    found[guess][i] = again;
+                }
             }
         }
-        found.iter().map(|descent| self.estimate(descent)).collect()
+        self.likeliest(&found, 0..self.trial.problem.scene.instants)
+    }
+
+    /// Descents from the linear brain's estimates (N, T, K) (N).
+    fn descend_whole(&mut self, guess: usize, readings: &[&[f64]], said: &[f64]) -> Vec<Descent> {
+        let Guess { prior, .. } = &self.guesses[guess];
+        let begin = |forces: &[f64]| {
+            let mut z = prior.near(forces, self.off);
+            z.extend(self.noise.no_bias());
+            z
+        };
+        let starts = said.chunks_exact(said.len() / readings.len().max(1)).map(begin).collect();
+        self.descend(guess, readings, self.trial.problem.scene.instants, starts)
+    }
+
+    /// What the guess that surprises least says of some instants, of each sample.
+    fn likeliest(&self, found: &[Vec<Descent>], of: Range<usize>) -> Vec<Estimate> {
+        let say = |i: usize| {
+            let surprise = |guess: usize| match found.len() {
+                1 => 0.0,
+                _ => found[guess][i].surprise() - self.guesses[guess].share,
+            };
+            let all = (0..found.len()).map(|guess| (guess, surprise(guess)));
+            let (guess, _) = all.min_by(|a, b| a.1.total_cmp(&b.1)).expect("a guess");
+            self.estimate(&self.guesses[guess], &found[guess][i], of.clone())
+        };
+        (0..found[0].len()).map(say).collect()
     }
 
     /// How many instants after the one that it tells it may look; none if that is the whole sample.
@@ -161,29 +195,43 @@ impl<'a> Inverse<'a> {
         (after + 1 < all).then_some(after)
     }
 
-    fn descend(&mut self, readings: &[&[f64]], n: usize, starts: Vec<Vec<f64>>) -> Vec<Descent> {
-        self.descend_from(readings, n, starts.into_iter().map(Start::at).collect())
+    fn descend(
+        &mut self,
+        guess: usize,
+        readings: &[&[f64]],
+        n: usize,
+        starts: Vec<Vec<f64>>,
+    ) -> Vec<Descent> {
+        self.descend_from(guess, readings, n, starts.into_iter().map(Start::at).collect())
     }
 
-    fn descend_from(&mut self, readings: &[&[f64]], n: usize, starts: Vec<Start>) -> Vec<Descent> {
-        descent::descend(&self.model, &self.prior, &self.noise, readings, n, starts, &mut self.counters)
+    fn descend_from(
+        &mut self,
+        guess: usize,
+        readings: &[&[f64]],
+        n: usize,
+        starts: Vec<Start>,
+    ) -> Vec<Descent> {
+        let Self { model, guesses, noise, counters, .. } = self;
+        descent::descend(model, &guesses[guess].prior, noise, readings, n, starts, counters)
     }
 
     /// Estimates of each instant by no reading that comes more than `ahead` instants after it: of readings that grow by some at a time, each
     /// from where the one before has ended.
     fn by_instants(&mut self, readings: &[&[f64]], ahead: usize) -> Vec<Estimate> {
         let (all, width) = (self.trial.problem.scene.instants, self.noise.channels());
-        let (together, start) = (1 + ahead / PARTS, self.start());
-        let coming = together * width * AT_ONCE;
-        let mut starts: Vec<Start> =
-            readings.iter().map(|_| Start::at(start.clone()).with_coming(coming)).collect();
+        let together = 1 + ahead / PARTS;
+        let start = |guess: &Guess| Start::at(self.start(guess)).with_coming(together * width * AT_ONCE);
+        let mut starts: Vec<Vec<Start>> =
+            self.guesses.iter().map(|guess| readings.iter().map(|_| start(guess)).collect()).collect();
         let mut told: Vec<Estimate> = Vec::new();
         let (mut from, mut n) = (0, ahead + 1);
         loop {
-            let found = self.descend_from(readings, n, starts);
+            let begin = starts.into_iter().enumerate();
+            let found: Vec<Vec<Descent>> =
+                begin.map(|(guess, starts)| self.descend_from(guess, readings, n, starts)).collect();
             let to = if n == all { all } else { n - ahead - 1 + together };
-            let here: Vec<Estimate> =
-                found.iter().map(|descent| self.estimate_of(descent, from..to)).collect();
+            let here = self.likeliest(&found, from..to);
             if told.is_empty() {
                 told = here;
             } else {
@@ -194,60 +242,63 @@ impl<'a> Inverse<'a> {
             }
             let more = together.min(all - n);
             (from, n) = (to, n + more);
-            starts = found.into_iter().map(|descent| Start::onward(descent, more * width)).collect();
+            let onward = |descent| Start::onward(descent, more * width);
+            starts = found.into_iter().map(|of| of.into_iter().map(onward).collect()).collect();
         }
     }
 
     /// The prior's mean.
-    fn start(&self) -> Vec<f64> {
-        vec![0.0; self.prior.unknowns() + self.noise.no_bias().len()]
+    fn start(&self, guess: &Guess) -> Vec<f64> {
+        vec![0.0; guess.prior.unknowns() + self.noise.no_bias().len()]
     }
 
     /// Samples, by number, from the prior's mean on by the beginnings of their readings: what comes early is hardly nonlinear yet,
     /// and what comes late is then nearly known. One whose beginning the model does not explain is given up: no more of it will.
-    fn by_windows(&mut self, readings: &[&[f64]], samples: Vec<usize>) -> Vec<(usize, Descent)> {
+    fn by_windows(&mut self, guess: usize, readings: &[&[f64]], samples: &[usize]) -> Vec<(usize, Descent)> {
         let all = self.trial.problem.scene.instants;
-        let start = self.start();
-        let mut left: Vec<(usize, Vec<f64>)> = samples.into_iter().map(|i| (i, start.clone())).collect();
+        let start = self.start(&self.guesses[guess]);
+        let mut left: Vec<(usize, Vec<f64>)> = samples.iter().map(|&i| (i, start.clone())).collect();
         let mut found = Vec::new();
         for part in WINDOWS {
             let n = ((part * all as f64) as usize).max(1);
             let (which, starts): (Vec<usize>, Vec<Vec<f64>>) = left.into_iter().unzip();
             let readings: Vec<&[f64]> = which.iter().map(|&i| readings[i]).collect();
-            found = which.into_iter().zip(self.descend(&readings, n, starts)).collect();
+            found = which.into_iter().zip(self.descend(guess, &readings, n, starts)).collect();
             found.retain(|(_, descent): &(usize, Descent)| n == all || descent.is_explained());
             left = found.iter().map(|(i, descent)| (*i, descent.z().to_vec())).collect();
         }
         found
     }
 
-    fn estimate(&self, descent: &Descent) -> Estimate {
-        self.estimate_of(descent, 0..self.seen.nrows())
-    }
-
-    /// The same of some instants.
-    fn estimate_of(&self, descent: &Descent, of: Range<usize>) -> Estimate {
-        let (panels, directions) = (self.trial.problem.scene.panels.len(), self.seen.ncols());
-        let forces = self.trial.problem.targets(&self.prior.forces([descent.z()].into_iter()));
+    /// Of some instants.
+    fn estimate(&self, Guess { prior, seen, .. }: &Guess, descent: &Descent, of: Range<usize>) -> Estimate {
+        let (panels, directions) = (self.trial.problem.scene.panels.len(), seen.ncols());
+        let forces = self.trial.problem.targets(&prior.forces([descent.z()].into_iter()));
         let forces = forces[of.start * panels..of.end * panels].to_vec();
         let (from, instants) = (of.start, of.len());
         let mut deviations = vec![0.0; instants * panels];
         // a column an instant, panel by panel, so that B is factored once
-        let mut right = Mat::<f64>::zeros(descent.z().len(), panels * instants);
-        for panel in 0..panels {
-            let mut own =
-                right.as_mut().submatrix_mut(panel * directions, panel * instants, directions, instants);
-            own.copy_from(self.seen.subrows(from, instants).transpose());
+        let struck = prior.struck();
+        let mut right = Mat::<f64>::zeros(descent.z().len(), struck.len() * instants);
+        for i in 0..struck.len() {
+            let mut own = right.as_mut().submatrix_mut(i * directions, i * instants, directions, instants);
+            own.copy_from(seen.subrows(from, instants).transpose());
         }
         // of a curvature that is none no more is known than before
         let solved = descent::solved(&descent.curvature(), right.as_ref()).unwrap_or_else(|| right.clone());
         for (i, (right, solved)) in right.col_iter().zip(solved.col_iter()).enumerate() {
             let variance = right.transpose() * solved;
-            deviations[i % instants * panels + i / instants] = variance.max(0.0).sqrt();
+            deviations[i % instants * panels + struck[i / instants]] = variance.max(0.0).sqrt();
         }
         let (misfit, steps, ending) = (descent.misfit(), descent.steps(), descent.ending());
         Estimate { forces, deviations, misfit, steps, ending }
     }
+}
+
+/// A guess for each set of panels that histories like these strike together.
+fn guesses(problem: &Problem, histories: &Forces) -> Vec<Guess> {
+    let guess = |(prior, share)| Guess { seen: seen(problem, &prior), prior, share };
+    Prior::of(histories).into_iter().map(guess).collect()
 }
 
 /// D of a panel as what brains are to say (T, r) (N).

@@ -1,32 +1,69 @@
-//! What is known of forces before any signal: a normal process, the same on every panel.
+//! What is known of forces before any signal: which panels may be struck together, and a normal process, the same on each of them.
 //!
 //! ```text
-//! f_k = μ + D z_k, z_k ~ N(0, 1)      μ, D Dᵀ: mean and covariance over time of histories, all panels in one
+//! f_k = μ + D z_k, z_k ~ N(0, 1)      μ, D Dᵀ: mean and covariance over time of histories, all struck panels in one
 //! ```
 //! D holds the principal directions in which all but a small part of the variance lies.
 
 use crate::dynamics::Forces;
 use faer::linalg::solvers::Solve;
 use faer::{ColRef, Mat, Scale, Side};
+use std::collections::BTreeMap;
 
 /// A normal process.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Prior {
     /// K.
     panels: usize,
+    /// Those that are struck.
+    struck: Vec<usize>,
     /// μ on the forces' clock (R + 1) (N).
     mean: Vec<f64>,
     /// D (R + 1, r) (N).
     modes: Mat<f64>,
 }
 
+/// More sets of panels that are struck together than this are taken for one, of all.
+const MOST_SETS: usize = 16;
 /// The part of the variance that directions may leave out.
 const LEFT_OUT: f64 = 1e-7;
 /// Step of a difference (N), beside forces of some tenths.
 const STEP: f64 = 1e-4;
 
 impl Prior {
-    /// Of histories like these; `None` if they are all alike.
+    /// Of histories like these, one for each set of panels that they strike together, with the logarithm of its share; none if they are all
+    /// alike. Sets as large share a process.
+    pub(super) fn of(forces: &Forces) -> Vec<(Self, f64)> {
+        let (clock, samples) =
+            (forces.instants + 1, forces.values.chunks_exact(forces.panels * (forces.instants + 1)));
+        let set = |sample: &[f64]| -> Vec<usize> {
+            let of = sample.chunks_exact(clock).enumerate();
+            of.filter(|(_, history)| history.iter().any(|f| *f != 0.0)).map(|(panel, _)| panel).collect()
+        };
+        let sets: Vec<Vec<usize>> = samples.clone().map(set).collect();
+        let mut counts: BTreeMap<&[usize], usize> = BTreeMap::new();
+        sets.iter().filter(|set| !set.is_empty()).for_each(|set| *counts.entry(set).or_default() += 1);
+        if counts.len() > MOST_SETS {
+            return Self::new(forces).map(|prior| (prior, 0.0)).into_iter().collect();
+        }
+        let of = |(&struck, &count): (&&[usize], &usize)| {
+            let alike = samples.clone().zip(&sets).filter(|(_, set)| set.len() == struck.len());
+            let values =
+                alike.flat_map(|(sample, set)| set.iter().flat_map(|p| &sample[p * clock..][..clock]));
+            let values: Vec<f64> = values.copied().collect();
+            let samples = values.len() / clock;
+            let histories =
+                Forces { samples, panels: 1, instants: forces.instants, values, strikes: Vec::new() };
+            let prior = Self::new(&histories)?;
+            Some((
+                Self { panels: forces.panels, struck: struck.to_vec(), ..prior },
+                (count as f64 / sets.len() as f64).ln(),
+            ))
+        };
+        counts.iter().filter_map(of).collect()
+    }
+
+    /// Of histories like these on every panel; `None` if they are all alike.
     pub(super) fn new(forces: &Forces) -> Option<Self> {
         let clock = forces.instants + 1;
         let count = forces.values.len() / clock;
@@ -57,24 +94,33 @@ impl Prior {
             true => (0..count).map(|i| rows[(i, n)] * vectors[(i, kept[k])]).sum(),
             false => vectors[(n, kept[k])] * variance(kept[k]).sqrt(),
         });
-        (!kept.is_empty()).then_some(Self { panels: forces.panels, mean, modes })
+        let struck = (0..forces.panels).collect();
+        (!kept.is_empty()).then_some(Self { panels: forces.panels, struck, mean, modes })
     }
 
-    /// Length of z: K r.
+    /// The panels that are struck.
+    pub(super) fn struck(&self) -> &[usize] {
+        &self.struck
+    }
+
+    /// Length of z: r of each panel that is struck.
     pub(super) fn unknowns(&self) -> usize {
-        self.panels * self.modes.ncols()
+        self.struck.len() * self.modes.ncols()
     }
 
     /// Histories (N, K, R + 1) of many z; what follows in each is not the forces'.
     pub(super) fn forces<'z>(&self, many: impl Iterator<Item = &'z [f64]>) -> Forces {
-        let r = self.modes.ncols();
+        let (clock, r) = (self.mean.len(), self.modes.ncols());
         let mut values = Vec::new();
-        for z in many.flat_map(|z| z[..self.unknowns()].chunks_exact(r)) {
+        for z in many {
             let begin = values.len();
-            values.extend_from_slice(&self.mean);
-            for (k, z) in z.iter().enumerate() {
-                let mode = self.modes.col(k);
-                values[begin..].iter_mut().zip(mode.iter()).for_each(|(f, d)| *f += z * d);
+            values.resize(begin + self.panels * clock, 0.0);
+            for (panel, z) in self.struck.iter().zip(z.chunks_exact(r)) {
+                let history = &mut values[begin + panel * clock..][..clock];
+                history.copy_from_slice(&self.mean);
+                for (k, z) in z.iter().enumerate() {
+                    history.iter_mut().zip(self.modes.col(k).iter()).for_each(|(f, d)| *f += z * d);
+                }
             }
         }
         self.histories(values)
@@ -88,7 +134,7 @@ impl Prior {
         let base = self.forces([z].into_iter()).values;
         let mut values = base.repeat(1 + self.unknowns());
         for (k, history) in values.chunks_exact_mut(base.len()).skip(1).enumerate() {
-            let panel = &mut history[k / r * clock..][..clock];
+            let panel = &mut history[self.struck[k / r] * clock..][..clock];
             panel.iter_mut().zip(self.modes.col(k % r).iter()).for_each(|(f, d)| *f += steps[k] * d);
         }
         (self.histories(values), steps)
@@ -104,7 +150,8 @@ impl Prior {
     /// on z.
     pub(super) fn along(&self, cotangent: &[f64], finer: usize) -> Vec<f64> {
         let mut along = Vec::with_capacity(self.unknowns());
-        for bar in cotangent.chunks_exact(cotangent.len() / self.panels) {
+        let one = cotangent.len() / self.panels;
+        for bar in self.struck.iter().map(|panel| &cotangent[panel * one..][..one]) {
             let mut own = vec![0.0; self.mean.len() + 1];
             for (n, bar) in bar.iter().enumerate() {
                 // between two instants a history is their line
@@ -132,8 +179,9 @@ impl Prior {
         let (every, r) = ((self.mean.len() - 1) / instants, self.modes.ncols());
         let seen = Mat::from_fn(instants, r, |n, k| self.modes[((n + 1) * every, k)]);
         let known = seen.transpose() * &seen + Mat::<f64>::identity(r, r) * Scale(error * error);
-        let off =
-            Mat::from_fn(instants, panels, |n, k| estimates[n * panels + k] - self.mean[(n + 1) * every]);
+        let off = Mat::from_fn(instants, self.struck.len(), |n, k| {
+            estimates[n * panels + self.struck[k]] - self.mean[(n + 1) * every]
+        });
         let z = known.llt(Side::Lower).expect("positive definite").solve(seen.transpose() * off);
         z.col_iter().flat_map(|z| z.iter().copied().collect::<Vec<_>>()).collect()
     }

@@ -6,7 +6,8 @@ use crate::brain::linear::Lags;
 use crate::dynamics::Precision;
 use crate::nested::tests::{GOING, small};
 use crate::random::Draw;
-use crate::trial::{Decoder, Disturbance, Protocol, Size};
+use crate::stimuli::{Irregular, Source};
+use crate::trial::{Decoder, Disturbance, Protocol, Size, Stimuli};
 
 fn problem() -> Problem {
     let noise = Size::Relative(0.03);
@@ -19,8 +20,7 @@ fn brain<'a>(trial: &'a Trial<'a>, histories: usize) -> Inverse<'a> {
     let problem = &trial.problem;
     let brain =
         Inverse::new(trial, &problem.initial, &problem.solver, None, &trial.initial).expect("a brain");
-    let prior = Prior::new(&problem.forces(Purpose::Fresh, 0, histories)).expect("forces that differ");
-    Inverse { seen: seen(problem, &prior), prior, ..brain }
+    Inverse { guesses: guesses(problem, &problem.forces(Purpose::Fresh, 0, histories)), ..brain }
 }
 
 fn normal(draw: &mut Draw, count: usize) -> Vec<f64> {
@@ -46,14 +46,14 @@ fn slopes_are_those_of_phi() {
         let readings =
             trial.initial.signals.chunks_exact(40 * brain.noise.channels()).next().expect("a sample");
         let mut draw = Draw::numbered(5, n as u64);
-        let all = brain.prior.unknowns() + brain.noise.no_bias().len();
+        let all = brain.guesses[0].prior.unknowns() + brain.noise.no_bias().len();
         let (z, along) = (normal(&mut draw, all), normal(&mut draw, all));
         let steps = [0.0, 1e-3, 5e-4, 2.5e-4];
         let at = steps.map(|h| (0, z.iter().zip(&along).map(|(z, d)| z + h * d).collect()));
         let counters = &mut Counters::default();
         let mut looks = Looks {
             model: &brain.model,
-            prior: &brain.prior,
+            prior: &brain.guesses[0].prior,
             noise: &brain.noise,
             readings: &[readings],
             n,
@@ -77,8 +77,9 @@ fn bands_cover_what_is_drawn_from_the_prior() {
     let problem = &trial.problem;
     let mut brain = brain(&trial, 40);
     let mut draw = Draw::numbered(5, 1);
-    let drawn: Vec<Vec<f64>> = (0..24).map(|_| normal(&mut draw, brain.prior.unknowns())).collect();
-    let forces = brain.prior.forces(drawn.iter().map(Vec::as_slice));
+    let drawn: Vec<Vec<f64>> =
+        (0..24).map(|_| normal(&mut draw, brain.guesses[0].prior.unknowns())).collect();
+    let forces = brain.guesses[0].prior.forces(drawn.iter().map(Vec::as_slice));
     let (solver, double, counters) = (&problem.solver, Precision::Double, &mut Counters::default());
     let samples =
         trial.simulate(&problem.initial, &forces, solver, double, false, counters).expect("samples");
@@ -121,6 +122,42 @@ fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
     assert!(found[0] == found[1]);
 }
 
+/// Blows strike one panel each: it says which, and reads the force better than one that takes all panels for struck. So does one that may not
+/// look ahead, once the blow is over.
+#[test]
+fn blows_are_read_on_the_panel_that_they_strike() {
+    let plain = problem();
+    let Source::Bell(bell) = plain.stimuli.source.clone() else { panic!("pulses") };
+    let kind = Irregular { bell, roughness: [0.1, 0.2], double: 0.3, gap: [0.01, 0.02], rebound: [0.2, 0.5] };
+    let stimuli = Stimuli { source: Source::Irregular(kind), ..plain.stimuli.clone() };
+    let pool = crate::Pool::new(2).expect("threads");
+    for after in [39, 4] {
+        let decoder = Decoder { lags: Lags { before: 39, after }, ..plain.decoder };
+        let problem = Problem { stimuli: stimuli.clone(), decoder, ..plain.clone() };
+        let trial = Trial::new(&problem, &pool).expect("a trial");
+        let brain = || Inverse::of(&trial, &problem.initial, None).expect("a brain");
+        let [mut own, mut all] = [brain(), brain()];
+        assert_eq!(own.guesses.iter().map(|guess| guess.prior.struck()).collect::<Vec<_>>(), [[0], [1]]);
+        let prior =
+            Prior::new(&problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN)).expect("forces that differ");
+        all.guesses = vec![Guess { seen: seen(&problem, &prior), prior, share: 0.0 }];
+        let blows = problem.forces(Purpose::Holdout, 0, 16);
+        let unseen = trial.samples(&problem.initial, None, blows).expect("samples");
+        let found = own.read(&unseen.signals);
+        let sums = |of: &[f64]| [0, 1].map(|panel| of[panel..].iter().step_by(2).sum::<f64>());
+        for (estimate, truth) in found.iter().zip(unseen.targets.chunks_exact(80)) {
+            let (said, truth) = (sums(&estimate.forces), sums(truth));
+            assert_eq!(said[0].abs() > said[1].abs(), truth[0] > truth[1], "{said:?} {truth:?}");
+        }
+        let error = |found: &[Estimate]| {
+            let said: Vec<f64> = found.iter().flat_map(|estimate| &estimate.forces).copied().collect();
+            unseen.error(&said).expect("forces")
+        };
+        let errors = [error(&found), error(&all.read(&unseen.signals))];
+        assert!(errors[0] < 0.8 * errors[1], "{errors:?}");
+    }
+}
+
 /// One that may look some instants ahead says the same of an instant whatever is read later than that, knows the less the less it may
 /// look, and is off by as much as it says.
 #[test]
@@ -132,8 +169,9 @@ fn what_comes_too_late_is_not_looked_at() {
         let trial = Trial::new(&problem, &pool).expect("a trial");
         let mut brain = brain(&trial, 40);
         let mut draw = Draw::numbered(5, 2);
-        let drawn: Vec<Vec<f64>> = (0..12).map(|_| normal(&mut draw, brain.prior.unknowns())).collect();
-        let forces = brain.prior.forces(drawn.iter().map(Vec::as_slice));
+        let drawn: Vec<Vec<f64>> =
+            (0..12).map(|_| normal(&mut draw, brain.guesses[0].prior.unknowns())).collect();
+        let forces = brain.guesses[0].prior.forces(drawn.iter().map(Vec::as_slice));
         let (solver, double, counters) = (&trial.problem.solver, Precision::Double, &mut Counters::default());
         let samples =
             trial.simulate(&trial.problem.initial, &forces, solver, double, false, counters).expect("some");
@@ -160,7 +198,10 @@ fn what_comes_too_late_is_not_looked_at() {
     let errors: Vec<f64> = known.iter().map(|known| known.1).collect();
     assert!(errors[3] < 0.8 * errors[0] && errors[2] < errors[0], "{errors:?}");
     for (_, square, covered, sure) in &known {
-        assert!((0.91..0.98).contains(covered) && (0.6..1.6).contains(&(square / sure)), "{covered} {square} {sure}");
+        assert!(
+            (0.91..0.98).contains(covered) && (0.6..1.6).contains(&(square / sure)),
+            "{covered} {square} {sure}"
+        );
     }
     // readings from instant 25 on are others: what is said of instants that may not see them stays
     for (i, after) in [0, 4, 12].into_iter().enumerate() {
@@ -189,7 +230,7 @@ fn what_cannot_be_inverted_is_named() {
     assert_eq!(found[0].ending, Ending::StartFailed);
     assert!(!found[0].is_explained());
     // no more is known than before
-    let prior = (0..40).map(|n| brain.seen.row(n).iter().map(|d| d * d).sum::<f64>().sqrt());
+    let prior = (0..40).map(|n| brain.guesses[0].seen.row(n).iter().map(|d| d * d).sum::<f64>().sqrt());
     let own = found[0].deviations.iter().step_by(2);
     assert!(prior.zip(own).all(|(prior, own)| (prior - own).abs() <= 1e-12), "{:?}", found[0].deviations);
 }
