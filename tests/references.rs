@@ -40,6 +40,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("quickstart", results::quickstart),
     ("quickstart casts", results::quickstart_casts),
     ("findings", results::findings),
+    ("who senses", results::who_senses),
     ("casts", results::casts),
     ("relaxing", results::relaxing),
     ("transfer", results::transfer),
@@ -112,6 +113,17 @@ fn generated_blocks_are_fresh() {
     for (name, _) in BLOCKS {
         assert!(found.iter().any(|used| used == name), "no document has the block {name:?}");
     }
+}
+
+/// Pictures that are drawn from committed rows here, as no report draws them.
+#[test]
+fn drawn_pictures_are_fresh() {
+    let path = root().join("results/committed/who-senses/front.svg");
+    let drawn = results::front();
+    if std::env::var_os("METASENSE_UPDATE").is_some() {
+        std::fs::write(&path, &drawn).unwrap();
+    }
+    assert!(std::fs::read_to_string(&path).is_ok_and(|there| there == drawn), "{} is stale", path.display());
 }
 
 /// Paths in `[text](path)`, without those of the web.

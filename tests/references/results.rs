@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use metasense::look::{Axis, Plot, Scale, file, legend};
 use serde_json::Value;
 
 use super::{root, table};
@@ -115,6 +116,90 @@ fn cast_lines(rows: &[Row], setting: &str, own: &str, all: &str, records: &[&str
         cells
     };
     bodies.iter().map(line).collect()
+}
+
+/// Decoders of who-senses in words, from the humblest on: the setting of their trials, their name, and records.
+const DECODERS: [(&str, &str, &str, &str); 10] = [
+    ("linear, of the design", "inverse", "nominal", ""),
+    ("linear, of many casts", "inverse", "casts", ""),
+    ("linear, 10 records of the cast", "inverse", "records", "10"),
+    ("linear, 30 records", "inverse", "records", "30"),
+    ("linear, 140 records", "inverse", "records", "140"),
+    ("linear, of a twin from 30 records", "inverse", "twin_linear", "30"),
+    ("long network, of the design", "long", "network", ""),
+    ("long network, of many casts", "long", "network_casts", ""),
+    ("the design's model, inverted", "inverse", "inverse", ""),
+    ("a twin from 30 records, inverted", "inverse", "twin", "30"),
+];
+/// The bodies that they read.
+const SENSING: [(&str, &str); 3] =
+    [("initial", "untouched"), ("nominal", "trained as designed"), ("mean, one", "trained over casts")];
+
+/// How a decoder of who-senses reads a body.
+fn sensed<'a>(rows: &'a [Row], (_, by, name, records): (&str, &str, &str, &str), body: &str) -> &'a Row {
+    let setting = format!("K = 2, M = 1, {by}");
+    one(rows, &[("setting", &setting), ("body", body), ("read_by", name), ("records", records)])
+}
+
+/// CPU time of one reading (s), by a decoder's name.
+fn seconds(by: &str) -> f64 {
+    let kind = match by {
+        "network" | "network_casts" => "network",
+        "inverse" | "twin" => "inverse",
+        _ => "linear",
+    };
+    one(&rows("who-senses/costs.csv"), &[("decoder", kind)])["seconds"].parse().unwrap()
+}
+
+/// Bodies against decoders: as designed and on casts.
+pub fn who_senses() -> String {
+    let rows = rows("who-senses/answer-casts.csv");
+    let mut head = vec!["read by".to_owned(), "a reading takes".to_owned()];
+    head.extend(SENSING.iter().map(|(_, words)| format!("{words}: as designed, cast")));
+    let line = |decoder: &(&'static str, &'static str, &'static str, &'static str)| {
+        let takes = match seconds(decoder.2) {
+            s if s < 1e-3 => format!("{} µs", short(&(1e6 * s).to_string())),
+            s if s < 1.0 => format!("{} ms", short(&(1e3 * s).to_string())),
+            s => format!("{} s", short(&s.to_string())),
+        };
+        let cell = |(body, _): &(&str, &str)| {
+            let row = sensed(&rows, *decoder, body);
+            // what is made from records of a cast is not of the design
+            match decoder.3 {
+                "" => format!("{}, {}", percent(row, "designed"), spread(row)),
+                _ => format!("–, {}", spread(row)),
+            }
+        };
+        [vec![decoder.0.to_owned(), takes], SENSING.iter().map(cell).collect()].concat()
+    };
+    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    table(&head, DECODERS.iter().map(line))
+}
+
+/// Error on the median cast against what a reading costs its decoder.
+pub fn front() -> String {
+    let rows = rows("who-senses/answer-casts.csv");
+    let error = |decoder, body| sensed(&rows, decoder, body)["median"].parse::<f64>().unwrap();
+    let all = || DECODERS.iter().flat_map(|decoder| SENSING.map(|(body, _)| error(*decoder, body)));
+    let x = Axis::new("CPU time of a reading (s)", Scale::Log, DECODERS.map(|decoder| seconds(decoder.2)));
+    let y = Axis::new("holdout error on the median cast (%)", Scale::Log, all());
+    let mut plot = Plot::new("K = 2, M = 1, 3 % noise", x, y).sized(560.0, 340.0);
+    let classes = ["initial", "optimised", "front"];
+    for ((body, words), class) in SENSING.into_iter().zip(classes) {
+        let dot = |decoder: &(&'static str, &'static str, &'static str, &'static str)| {
+            ((seconds(decoder.2), error(*decoder, body)), format!("{words}: {}", decoder.0))
+        };
+        plot.dots(class, DECODERS.iter().map(dot));
+        // what no cheaper decoder reads better
+        let mut best: Vec<(f64, f64)> = DECODERS.iter().map(|decoder| dot(decoder).0).collect();
+        best.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let mut least = f64::INFINITY;
+        best.retain(|(_, error)| std::mem::replace(&mut least, least.min(*error)) > *error);
+        plot.line(class, best);
+    }
+    let legend =
+        legend(&[(classes[0], SENSING[0].1), (classes[1], SENSING[1].1), (classes[2], SENSING[2].1)]);
+    file(&[plot.picture()], 1, 560.0, &legend) + "\n"
 }
 
 /// How a body that is cast was trained.

@@ -4,7 +4,7 @@
 //! all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
 //! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
-use super::comparison::{first_judge, paused, read};
+use super::comparison::{first_judge, paused, read, save};
 use super::evaluation::BandReading;
 use super::inversion::invert_cast;
 use super::observe::Log;
@@ -110,24 +110,36 @@ pub(super) fn read_casts(
         log.report.counters = counted;
     }
     for number in done..problem.evaluation.casts {
+        // what a cast that is begun anew does again counts once
+        let counted = if number == 0 { counted } else { log.report.counters };
         let cast = trial.cast(Casts::Unseen, number as u64);
         let sets = log.timed(|s| &mut s.simulate, |report| mould.sets(cast.as_ref(), &mut report.counters));
         state.comparison.casts.resize_with(turn + 1, Vec::new);
         state.comparison.bands.resize_with(state.comparison.bodies.len(), Vec::new);
+        let done = state.comparison.part(0, problem);
         let bands = &mut state.comparison.bands[turn];
-        let found = log.timed(
+        let before = bands.len();
+        let found = log.timed_while(
+            done,
             |s| &mut s.train,
-            |report| {
+            |report, go_on| {
                 let mut found = brains.read(trial, number as u32, &sets, bands);
                 if problem.reader == BrainKind::Inverse {
-                    let (body, counters) = ((design, solver), &mut report.counters);
-                    let (readings, own) = invert_cast(trial, body, &known[0], number as u32, &sets, counters);
+                    let (body, number, counters) = ((design, solver), number as u32, &mut report.counters);
+                    let (readings, own) =
+                        invert_cast(trial, body, &known[0], number, &sets, counters, go_on)?;
                     found.extend(readings);
                     bands.extend(own);
                 }
-                found
+                Some(found)
             },
         );
+        let Some(found) = found else {
+            bands.truncate(before);
+            log.report.counters = counted;
+            save(state, log);
+            return None;
+        };
         state.comparison.casts[turn].extend(found);
         paused(trial, state, log)?;
     }
@@ -194,7 +206,9 @@ pub fn casts_of(
         let sets = mould.sets(cast.as_ref(), counters);
         found.extend(brains.read(trial, number as u32, &sets, &mut Vec::new()));
         if trial.problem.reader == BrainKind::Inverse {
-            found.extend(invert_cast(trial, (design, solver), &known[0], number as u32, &sets, counters).0);
+            let body = (design, solver);
+            let read = invert_cast(trial, body, &known[0], number as u32, &sets, counters, &mut || true);
+            found.extend(read.expect("told to go on").0);
         }
         progress(number + 1);
     }

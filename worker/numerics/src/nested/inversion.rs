@@ -1,13 +1,13 @@
 //! How an inverse brain reads a body, as designed and cast: by the model of the design, and by twins calibrated on a few records.
 
 use super::casts::{CastBrain, CastReading};
-use super::comparison::paused;
+use super::comparison::{paused, save};
 use super::evaluation::{BandReading, NetworkEvaluation};
 use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
 use crate::dynamics::{Precision, Solver};
-use crate::identify::twin::{Fit, Twin};
+use crate::identify::twin::{Fit, GoOn};
 use crate::trial::{Counters, FAILED, Samples, Trial, Trouble};
 
 /// Records of a cast that twins are calibrated on.
@@ -24,17 +24,27 @@ pub(super) fn invert(
     state: &mut State,
     log: &mut Log,
 ) -> Option<()> {
-    let read = |counters: &mut Counters| {
-        let [known, test, holdout] = sets?;
-        let mut brain = Inverse::new(trial, design, solver, None, &known)?;
-        let error_test = test.error(&forces(&brain.read(&test.signals)));
-        let found = brain.read(&holdout.signals);
+    let read = |counters: &mut Counters, go_on: &mut GoOn| {
+        let brain = sets.as_ref().map_err(|trouble| *trouble).and_then(|[known, test, holdout]| {
+            Ok((Inverse::new(trial, design, solver, None, known)?, test, holdout))
+        });
+        let (mut brain, test, holdout) = match brain {
+            Ok(brain) => brain,
+            Err(trouble) => return Some(Err(trouble)),
+        };
+        let error_test = test.error(&forces(&brain.read_while(&test.signals, go_on)?));
+        let found = brain.read_while(&holdout.signals, go_on)?;
         counters.dynamics += brain.counters.dynamics;
         let error_holdout = holdout.error(&forces(&found));
         let evaluation = NetworkEvaluation { error_test, error_holdout, ..NetworkEvaluation::default() };
-        Ok((evaluation, band(&found, &holdout, None)))
+        Some(Ok((evaluation, band(&found, holdout, None))))
     };
-    let found = log.timed(|s| &mut s.train, |report| read(&mut report.counters));
+    let done = state.comparison.part(0, &trial.problem);
+    let found = log.timed_while(done, |s| &mut s.train, |report, go_on| read(&mut report.counters, go_on));
+    let Some(found) = found else {
+        save(state, log);
+        return None;
+    };
     let comparison = &mut state.comparison;
     let turn = comparison.bodies.len() - 1;
     comparison.bands.resize_with(turn + 1, Vec::new);
@@ -50,7 +60,7 @@ pub(super) fn invert(
 }
 
 /// How a cast of these training and holdout samples is read by the model of the design, of which `known` are training samples,
-/// and by twins, each also by a linear brain that was fitted to the twin.
+/// and by twins, each also by a linear brain that was fitted to the twin; `None` if it is told meanwhile not to go on.
 pub(super) fn invert_cast(
     trial: &Trial,
     (design, solver): (&[f64], &Solver),
@@ -58,8 +68,9 @@ pub(super) fn invert_cast(
     cast: u32,
     sets: &Result<[Samples; 2], Trouble>,
     counters: &mut Counters,
-) -> (Vec<CastReading>, Vec<BandReading>) {
-    let (mut readings, mut bands) = (Vec::new(), Vec::new());
+    go_on: &mut GoOn,
+) -> Option<(Vec<CastReading>, Vec<BandReading>)> {
+    let (mut readings, mut bands, mut work) = (Vec::new(), Vec::new(), Counters::default());
     let mut keep = |by: CastBrain, found: Result<(Option<f64>, Option<BandReading>), Trouble>| {
         let (error, trouble) = match found {
             Ok((error, band)) => {
@@ -70,40 +81,51 @@ pub(super) fn invert_cast(
         };
         readings.push(CastReading { cast, by, error, trouble });
     };
-    let some = |holdout: &Samples| holdout.select(&(0..OF_A_CAST.min(holdout.count())).collect::<Vec<_>>());
-    let mut inverted = |by, twin: Option<&Twin>, known: Result<&Samples, Trouble>| {
-        let (known, [_, holdout]) = (known?, sets.as_ref().map_err(|trouble| *trouble)?);
-        let holdout = some(holdout);
-        let mut brain = Inverse::new(trial, design, solver, twin, known)?;
-        let found = brain.read(&holdout.signals);
-        counters.dynamics += brain.counters.dynamics;
-        Ok((holdout.error(&forces(&found)), Some(band(&found, &holdout, Some((cast, by))))))
+    let sets = sets.as_ref().map(|[train, holdout]| {
+        (train, holdout.select(&(0..OF_A_CAST.min(holdout.count())).collect::<Vec<_>>()))
+    });
+    let sets = sets.map_err(|trouble| *trouble);
+    let inverted = |by, brain: Result<Inverse, Trouble>, work: &mut Counters, go_on: &mut GoOn| {
+        let (mut brain, (_, holdout)) = match (brain, &sets) {
+            (Ok(brain), Ok(sets)) => (brain, sets),
+            (Err(trouble), _) => return Some(Err(trouble)),
+            (_, Err(trouble)) => return Some(Err(*trouble)),
+        };
+        let found = brain.read_while(&holdout.signals, go_on)?;
+        work.dynamics += brain.counters.dynamics;
+        Some(Ok((holdout.error(&forces(&found)), Some(band(&found, holdout, Some((cast, by)))))))
     };
-    keep(CastBrain::Inverse, inverted(CastBrain::Inverse, None, known.as_ref().map_err(|trouble| *trouble)));
+    let brain = known.as_ref().map_err(|trouble| *trouble);
+    let brain = brain.and_then(|known| Inverse::new(trial, design, solver, None, known));
+    keep(CastBrain::Inverse, inverted(CastBrain::Inverse, brain, &mut work, go_on)?);
     for n in RECORDS.into_iter().filter(|&n| n as usize <= trial.train.samples) {
-        let mut counted = Counters::default();
-        let twin = sets.as_ref().map_err(|trouble| *trouble).and_then(|[train, _]| {
-            // what failed tells nothing
-            let first: Vec<usize> = (0..n as usize).filter(|&i| !train.failed[i]).collect();
-            let records = train.select(&first);
-            let Fit { twin, .. } =
-                Fit::of(trial, design, solver, &trial.train.select(&first), &records.signals);
-            let (cast, [forces, _]) = (Some(&twin.cast), trial.problem.known());
-            let double = Precision::Double;
-            let known = trial.simulate_cast(cast, design, forces, solver, double, false, &mut counted)?;
-            Ok((known.samples, twin))
-        });
-        let linear = twin.as_ref().map_err(|trouble| *trouble).and_then(|(known, _)| {
-            let [_, holdout] = sets.as_ref().map_err(|trouble| *trouble)?;
-            Ok((Fitted::of(trial, known)?.error_on(&some(holdout)), None))
+        let twin = match &sets {
+            Ok((train, _)) => {
+                // what failed tells nothing
+                let first: Vec<usize> = (0..n as usize).filter(|&i| !train.failed[i]).collect();
+                let (forces, records) = (trial.train.select(&first), train.select(&first));
+                let Fit { twin, counters, .. } =
+                    Fit::of(trial, design, solver, (&forces, &records.signals), go_on)?;
+                work.dynamics += counters;
+                let (cast, [forces, _]) = (Some(&twin.cast), trial.problem.known());
+                let double = Precision::Double;
+                let known = trial.simulate_cast(cast, design, forces, solver, double, false, &mut work);
+                known.map(|known| (known.samples, twin))
+            }
+            Err(trouble) => Err(*trouble),
+        };
+        let twin = twin.as_ref().map_err(|trouble| *trouble);
+        let linear = twin.and_then(|(known, _)| {
+            let (_, holdout) = sets.as_ref().map_err(|trouble| *trouble)?;
+            Ok((Fitted::of(trial, known)?.error_on(holdout), None))
         });
         keep(CastBrain::TwinLinear(n), linear);
         let by = CastBrain::Twin(n);
-        let twin = twin.as_ref().map_err(|trouble| *trouble);
-        let found = twin.and_then(|(known, twin)| inverted(by, Some(twin), Ok(known)));
-        keep(by, found);
+        let brain = twin.and_then(|(known, twin)| Inverse::new(trial, design, solver, Some(twin), known));
+        keep(by, inverted(by, brain, &mut work, go_on)?);
     }
-    (readings, bands)
+    counters.dynamics += work.dynamics;
+    Some((readings, bands))
 }
 
 /// (N, T, K) (N).

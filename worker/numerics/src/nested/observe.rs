@@ -2,6 +2,7 @@
 
 use super::report::{Report, Seconds};
 use super::state::State;
+use crate::identify::twin::GoOn;
 
 /// Who watches an outer loop. The maths has no clock of its own.
 pub trait Observe {
@@ -51,6 +52,20 @@ impl<'a> Log<'a> {
         let start = self.observer.seconds();
         let result = work(&mut self.report);
         *part(&mut self.report.seconds) += self.observer.seconds() - start;
+        result
+    }
+
+    /// The same of work that asks meanwhile whether it is to go on, as long as a part of the whole trial is done.
+    pub(super) fn timed_while<T>(
+        &mut self,
+        done: f64,
+        part: fn(&mut Seconds) -> &mut f64,
+        work: impl FnOnce(&mut Report, &mut GoOn) -> T,
+    ) -> T {
+        let Self { report, observer, .. } = self;
+        let start = observer.seconds();
+        let result = work(report, &mut || observer.progress(done) == Control::Continue);
+        *part(&mut report.seconds) += observer.seconds() - start;
         result
     }
 

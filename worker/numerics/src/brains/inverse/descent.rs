@@ -9,7 +9,7 @@
 use super::model::Model;
 use super::prior::Prior;
 use crate::dynamics::Outcome;
-use crate::identify::twin::Ending;
+use crate::identify::twin::{Ending, GoOn};
 use crate::trial::{Counters, Trial};
 use faer::linalg::solvers::Solve;
 use faer::{Col, Mat, MatRef, Scale, Side};
@@ -139,7 +139,7 @@ impl Start {
     }
 }
 
-/// Descends, from a start each, to the first n instants of readings (T, channels) of samples.
+/// Descends, from a start each, to the first n instants of readings (T, channels) of samples; `None` if it is not to go on.
 pub(super) fn descend(
     model: &Model,
     prior: &Prior,
@@ -148,7 +148,8 @@ pub(super) fn descend(
     n: usize,
     starts: Vec<Start>,
     counters: &mut Counters,
-) -> Vec<Descent> {
+    go_on: &mut GoOn,
+) -> Option<Vec<Descent>> {
     let mut all = Vec::with_capacity(readings.len());
     let mut starts = starts.into_iter();
     for readings in readings.chunks(TOGETHER) {
@@ -158,6 +159,9 @@ pub(super) fn descend(
         let at = looks.at(at.into_iter().enumerate().collect());
         let mut descents: Vec<Descent> = at.into_iter().zip(from).map(Descent::new).collect();
         for _ in 0..LOOKS {
+            if !go_on() {
+                return None;
+            }
             descents.iter_mut().for_each(|descent| looks.curve(descent));
             let ahead = |(i, descent): (usize, &mut Descent)| Some((i, descent.ahead()?));
             let ahead: Vec<(usize, Vec<f64>)> =
@@ -172,7 +176,7 @@ pub(super) fn descend(
         descents.iter_mut().for_each(|descent| looks.curve(descent));
         all.extend(descents);
     }
-    all
+    Some(all)
 }
 
 /// What is looked at.

@@ -12,7 +12,7 @@ mod prior;
 
 use super::Fitted;
 use crate::dynamics::{Forces, Precision, Solver};
-use crate::identify::twin::{Ending, Twin};
+use crate::identify::twin::{Ending, GoOn, Twin};
 use crate::random::Purpose;
 use crate::trial::{Counters, Failure, Problem, Samples, Trial, Trouble};
 use descent::{Descent, Noise, Start};
@@ -143,28 +143,44 @@ impl<'a> Inverse<'a> {
     /// # Panics
     /// If the length is not that of whole samples.
     pub fn read(&mut self, signals: &[f64]) -> Vec<Estimate> {
+        self.read_while(signals, &mut || true).expect("told to go on")
+    }
+
+    /// The same, unless it is told meanwhile not to go on.
+    ///
+    /// # Panics
+    /// Likewise.
+    pub fn read_while(&mut self, signals: &[f64], go_on: &mut GoOn) -> Option<Vec<Estimate>> {
         let one = self.trial.problem.scene.instants * self.noise.channels();
         let readings: Vec<&[f64]> = signals.chunks_exact(one).collect();
         if let Some(ahead) = self.ahead() {
-            return self.by_instants(&readings, ahead);
+            return self.by_instants(&readings, ahead, go_on);
         }
         let said = self.linear.predict(signals);
-        let mut found: Vec<Vec<Descent>> =
-            (0..self.guesses.len()).map(|guess| self.descend_whole(guess, &readings, &said)).collect();
+        let mut found = Vec::new();
+        for guess in 0..self.guesses.len() {
+            found.push(self.descend_whole(guess, &readings, &said, go_on)?);
+        }
         let lost: Vec<usize> =
             (0..readings.len()).filter(|&i| !found.iter().any(|found| found[i].is_explained())).collect();
         for guess in 0..self.guesses.len() {
-            for (i, again) in self.by_windows(guess, &readings, &lost) {
+            for (i, again) in self.by_windows(guess, &readings, &lost, go_on)? {
                 if again.phi() < found[guess][i].phi() {
                     found[guess][i] = again;
                 }
             }
         }
-        self.likeliest(&found, 0..self.trial.problem.scene.instants)
+        Some(self.likeliest(&found, 0..self.trial.problem.scene.instants))
     }
 
     /// Descents from the linear brain's estimates (N, T, K) (N).
-    fn descend_whole(&mut self, guess: usize, readings: &[&[f64]], said: &[f64]) -> Vec<Descent> {
+    fn descend_whole(
+        &mut self,
+        guess: usize,
+        readings: &[&[f64]],
+        said: &[f64],
+        go_on: &mut GoOn,
+    ) -> Option<Vec<Descent>> {
         let Guess { prior, .. } = &self.guesses[guess];
         let begin = |forces: &[f64]| {
             let mut z = prior.near(forces, self.off);
@@ -172,7 +188,7 @@ impl<'a> Inverse<'a> {
             z
         };
         let starts = said.chunks_exact(said.len() / readings.len().max(1)).map(begin).collect();
-        self.descend(guess, readings, self.trial.problem.scene.instants, starts)
+        self.descend(guess, readings, self.trial.problem.scene.instants, starts, go_on)
     }
 
     /// What the guess that surprises least says of some instants, of each sample.
@@ -201,8 +217,9 @@ impl<'a> Inverse<'a> {
         readings: &[&[f64]],
         n: usize,
         starts: Vec<Vec<f64>>,
-    ) -> Vec<Descent> {
-        self.descend_from(guess, readings, n, starts.into_iter().map(Start::at).collect())
+        go_on: &mut GoOn,
+    ) -> Option<Vec<Descent>> {
+        self.descend_from(guess, readings, n, starts.into_iter().map(Start::at).collect(), go_on)
     }
 
     fn descend_from(
@@ -211,14 +228,15 @@ impl<'a> Inverse<'a> {
         readings: &[&[f64]],
         n: usize,
         starts: Vec<Start>,
-    ) -> Vec<Descent> {
+        go_on: &mut GoOn,
+    ) -> Option<Vec<Descent>> {
         let Self { model, guesses, noise, counters, .. } = self;
-        descent::descend(model, &guesses[guess].prior, noise, readings, n, starts, counters)
+        descent::descend(model, &guesses[guess].prior, noise, readings, n, starts, counters, go_on)
     }
 
     /// Estimates of each instant by no reading that comes more than `ahead` instants after it: of readings that grow by some at a time, each
     /// from where the one before has ended.
-    fn by_instants(&mut self, readings: &[&[f64]], ahead: usize) -> Vec<Estimate> {
+    fn by_instants(&mut self, readings: &[&[f64]], ahead: usize, go_on: &mut GoOn) -> Option<Vec<Estimate>> {
         let (all, width) = (self.trial.problem.scene.instants, self.noise.channels());
         let together = 1 + ahead / PARTS;
         let start = |guess: &Guess| Start::at(self.start(guess)).with_coming(together * width * AT_ONCE);
@@ -227,9 +245,10 @@ impl<'a> Inverse<'a> {
         let mut told: Vec<Estimate> = Vec::new();
         let (mut from, mut n) = (0, ahead + 1);
         loop {
-            let begin = starts.into_iter().enumerate();
-            let found: Vec<Vec<Descent>> =
-                begin.map(|(guess, starts)| self.descend_from(guess, readings, n, starts)).collect();
+            let mut found = Vec::new();
+            for (guess, starts) in starts.into_iter().enumerate() {
+                found.push(self.descend_from(guess, readings, n, starts, go_on)?);
+            }
             let to = if n == all { all } else { n - ahead - 1 + together };
             let here = self.likeliest(&found, from..to);
             if told.is_empty() {
@@ -238,7 +257,7 @@ impl<'a> Inverse<'a> {
                 told.iter_mut().zip(here).for_each(|(told, here)| told.go_on(here));
             }
             if n == all {
-                return told;
+                return Some(told);
             }
             let more = together.min(all - n);
             (from, n) = (to, n + more);
@@ -254,7 +273,13 @@ impl<'a> Inverse<'a> {
 
     /// Samples, by number, from the prior's mean on by the beginnings of their readings: what comes early is hardly nonlinear yet,
     /// and what comes late is then nearly known. One whose beginning the model does not explain is given up: no more of it will.
-    fn by_windows(&mut self, guess: usize, readings: &[&[f64]], samples: &[usize]) -> Vec<(usize, Descent)> {
+    fn by_windows(
+        &mut self,
+        guess: usize,
+        readings: &[&[f64]],
+        samples: &[usize],
+        go_on: &mut GoOn,
+    ) -> Option<Vec<(usize, Descent)>> {
         let all = self.trial.problem.scene.instants;
         let start = self.start(&self.guesses[guess]);
         let mut left: Vec<(usize, Vec<f64>)> = samples.iter().map(|&i| (i, start.clone())).collect();
@@ -263,11 +288,11 @@ impl<'a> Inverse<'a> {
             let n = ((part * all as f64) as usize).max(1);
             let (which, starts): (Vec<usize>, Vec<Vec<f64>>) = left.into_iter().unzip();
             let readings: Vec<&[f64]> = which.iter().map(|&i| readings[i]).collect();
-            found = which.into_iter().zip(self.descend(guess, &readings, n, starts)).collect();
+            found = which.into_iter().zip(self.descend(guess, &readings, n, starts, go_on)?).collect();
             found.retain(|(_, descent): &(usize, Descent)| n == all || descent.is_explained());
             left = found.iter().map(|(i, descent)| (*i, descent.z().to_vec())).collect();
         }
-        found
+        Some(found)
     }
 
     /// Of some instants.

@@ -46,6 +46,9 @@ impl Ending {
     }
 }
 
+/// Asked in the course of long work whether it is to go on.
+pub type GoOn<'a> = dyn FnMut() -> bool + 'a;
+
 /// What a twin says of one unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
@@ -113,14 +116,21 @@ const SHORTEST: f64 = 1e-4;
 
 impl Fit {
     /// Of a trial's body of this design, simulated with `solver`, from signals (N, T, channels) as its chips give them under `forces`. What
-    /// scatters is the trial's variation, or [`Variation::USUAL`]. Samples that failed must be left out.
+    /// scatters is the trial's variation, or [`Variation::USUAL`]. Samples that failed must be left out. `None` if it is told meanwhile not to
+    /// go on.
     ///
     /// # Panics
     /// If lengths do not fit together.
-    pub fn of(trial: &Trial, design: &[f64], solver: &Solver, forces: &Forces, signals: &[f64]) -> Self {
+    pub fn of(
+        trial: &Trial,
+        design: &[f64],
+        solver: &Solver,
+        records: (&Forces, &[f64]),
+        go_on: &mut GoOn,
+    ) -> Option<Self> {
         let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
         let chip = trial.chip.as_ref();
-        fit(&trial.problem, chip, design, solver, (forces, signals), &variation, false, trial.pool)
+        fit(&trial.problem, chip, design, solver, records, &variation, false, trial.pool, go_on)
     }
 
     /// The same of a problem's body, from measured records, with intervals. Noise that the spec has relative is so to the records.
@@ -142,7 +152,9 @@ impl Fit {
         let asked = problem.solver.at_most(FINE);
         let solver = tuned(problem, design, records.0, &asked, pool).solver;
         let variation = problem.variation.unwrap_or(Variation::USUAL);
-        fit(problem, chip.as_ref(), design, &solver, records, &variation, true, pool)
+        let found =
+            fit(problem, chip.as_ref(), design, &solver, records, &variation, true, pool, &mut || true);
+        found.expect("told to go on")
     }
 }
 
@@ -155,7 +167,8 @@ fn fit(
     variation: &Variation,
     intervals: bool,
     pool: &crate::Pool,
-) -> Fit {
+    go_on: &mut GoOn,
+) -> Option<Fit> {
     let unknowns = Unknowns::new(&problem.scene, variation);
     let mut objective = Objective::new(problem, chip, design, records, unknowns, solver, pool);
     let start = DVector::zeros(objective.unknowns.all().len());
@@ -175,8 +188,8 @@ fn fit(
             objective.look_at((part * problem.scene.instants as f64).ceil() as usize);
             let Some(point) = objective.at(z.clone()) else { break };
             let (point, columns) = match part < 1.0 {
-                true => fit.settle(&mut objective, point, 1, WORTH),
-                false => fit.settle(&mut objective, point, ROUNDS, 0.0),
+                true => fit.settle(&mut objective, point, 1, WORTH, go_on)?,
+                false => fit.settle(&mut objective, point, ROUNDS, 0.0, go_on)?,
             };
             z.copy_from(&point.z);
             if part == 1.0 {
@@ -189,7 +202,7 @@ fn fit(
         }
     }
     fit.counters = objective.counters;
-    fit
+    Some(fit)
 }
 
 impl Fit {
@@ -200,7 +213,8 @@ impl Fit {
         mut point: Point,
         rounds: usize,
         worth: f64,
-    ) -> (Point, Columns) {
+        go_on: &mut GoOn,
+    ) -> Option<(Point, Columns)> {
         objective.weigh(&point);
         let mut columns = objective.columns(&point, LANES);
         for round in 0..rounds {
@@ -208,13 +222,14 @@ impl Fit {
                 columns = objective.columns(&point, LANES);
             }
             let curvature = objective.curvature(&columns);
-            let (ending, steps, found) = descend(objective, objective.again(point), &curvature, worth);
+            let (ending, steps, found) =
+                descend(objective, objective.again(point), &curvature, worth, go_on)?;
             (self.ending, self.steps, point) = (ending, self.steps + steps, found);
             if objective.weigh(&point) < STAYS && ending == Ending::Converged {
                 break;
             }
         }
-        (point, columns)
+        Some((point, columns))
     }
 
     /// What was found, and how well it is known.
@@ -269,12 +284,16 @@ fn descend(
     mut point: Point,
     curvature: &DMatrix<f64>,
     worth: f64,
-) -> (Ending, usize, Point) {
+    go_on: &mut GoOn,
+) -> Option<(Ending, usize, Point)> {
     let (mut memory, mut damping): (Vec<[DVector<f64>; 2]>, f64) = (Vec::new(), 0.0);
     let mut gradient = objective.gradient(&point);
     for steps in 0..STEPS {
+        if !go_on() {
+            return None;
+        }
         if gradient.iter().any(|slope| !slope.is_finite()) {
-            return (Ending::NoProgress, steps, point);
+            return Some((Ending::NoProgress, steps, point));
         }
         // too long a step: first as Gauss and Newton have it, then damped
         let step = loop {
@@ -290,7 +309,7 @@ fn descend(
         };
         let slope = gradient.dot(&step);
         if -slope < (CLOSE * CLOSE).max(worth * point.cost) {
-            return (Ending::Converged, steps, point);
+            return Some((Ending::Converged, steps, point));
         }
         let mut by = 1.0;
         let found = loop {
@@ -300,7 +319,7 @@ fn descend(
             }
             by *= 0.3;
             if by < SHORTEST {
-                return (Ending::NoProgress, steps, point);
+                return Some((Ending::NoProgress, steps, point));
             }
         };
         let next = objective.gradient(&found);
@@ -311,7 +330,7 @@ fn descend(
         (point, gradient) = (found, next);
         damping = if damping > 1.0 { damping / 4.0 } else { 0.0 };
     }
-    (Ending::StepsSpent, STEPS, point)
+    Some((Ending::StepsSpent, STEPS, point))
 }
 
 /// H⁻¹ g by the two loops of L-BFGS, H at first that of the metric.

@@ -49,7 +49,9 @@ fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
 }
 
 fn twin(trial: &Trial, forces: &Forces, signals: &[f64]) -> Fit {
-    Fit::of(trial, &trial.problem.initial, &trial.problem.solver, forces, signals)
+    let found =
+        Fit::of(trial, &trial.problem.initial, &trial.problem.solver, (forces, signals), &mut || true);
+    found.expect("told to go on")
 }
 
 /// z of a cast whose nodes scatter each by itself.
@@ -178,7 +180,10 @@ fn what_records_do_not_tell_is_left_as_it_was() {
     let (forces, signals) = (problem.known()[0].select(&[0]), vec![0.0; 2 * 24]);
     let problem = Problem { scene, ..problem };
     let all = (&forces, &signals[..]);
-    let twin = fit(&problem, None, &problem.initial, &problem.solver, all, &Variation::USUAL, false, &pool);
+    let variation = Variation::USUAL;
+    let twin =
+        fit(&problem, None, &problem.initial, &problem.solver, all, &variation, false, &pool, &mut || true);
+    let twin = twin.expect("told to go on");
     assert_eq!((twin.ending, twin.steps), (Ending::StartFailed, 0));
 }
 

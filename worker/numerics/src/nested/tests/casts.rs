@@ -3,9 +3,10 @@
 use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
+use crate::brain::linear::Lags;
 use crate::brains::{Plain, solve};
 use crate::dynamics::{Parameters, Precision, Relaxation, planned, run, signal_error};
-use crate::trial::{CastReader, Casting, Over, Samples};
+use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size};
 use crate::variation::{Casts, Variation};
 
 /// Every parameter of the scene, every ligament, unit, node and chip scatter.
@@ -296,4 +297,61 @@ fn a_body_trained_over_casts_reads_others_better() {
     problem.optimise = Optimise { casting: None, protocol: going(24), ..problem.optimise };
     let nominal = mean(&problem);
     assert!(robust < nominal - 0.1, "{robust} {nominal}");
+}
+
+/// Says stop after so many questions whether to go on, each time after a few more.
+struct Impatient {
+    asked: usize,
+    patience: usize,
+    saved: Option<State>,
+}
+
+impl Observe for Impatient {
+    fn seconds(&mut self) -> f64 {
+        0.0
+    }
+    fn progress(&mut self, _: f64) -> Control {
+        self.asked += 1;
+        if self.asked > self.patience { Control::Stop } else { Control::Continue }
+    }
+    fn save(&mut self, state: &State) {
+        self.saved = Some(state.clone());
+    }
+    fn step(&mut self, _: &Report, state: &State) -> Control {
+        self.saved = Some(state.clone());
+        Control::Continue
+    }
+}
+
+/// Stopped wherever an inverse brain asks, between two steps of a twin or of an inversion, and resumed: the same bits, every cast once.
+#[test]
+fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
+    let chip = Some(Disturbance { noise: Size::Relative(0.03), ..Disturbance::NONE });
+    let material = Parameters { stretch: 0.05, ..Parameters::default() };
+    let variation = Some(Variation { material, ..Variation::default() });
+    let plain = linear(Protocol::Joint(GOING));
+    let lags = Lags::whole(plain.scene.instants);
+    let decoder = Decoder { lags, ..plain.decoder };
+    let mut problem = Problem { disturbance: chip, variation, reader: BrainKind::Inverse, decoder, ..plain };
+    (problem.optimise.iterations, problem.evaluation.casts) = (1, 1);
+    let through = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+    let by: Vec<CastBrain> = through.casts[1].iter().map(|reading| reading.by).collect();
+    assert!(by.contains(&CastBrain::Twin(10)) && by.contains(&CastBrain::Inverse), "{by:?}");
+
+    let (mut state, mut patience, mut stops) = (None, 3, 0);
+    let resumed = loop {
+        let mut observer = Impatient { asked: 0, patience, saved: None };
+        match optimise(&problem, state.take(), &pool(2), &mut observer).unwrap() {
+            Some(found) => break found,
+            None => {
+                state = observer.saved;
+                // a piece that needs longer than that gets it at last
+                (patience, stops) = (patience + 4, stops + 1);
+            }
+        }
+    };
+    assert!(stops > 6, "{stops} stops");
+    assert_eq!(readings(&resumed), readings(&through));
+    assert_eq!((&resumed.bands, resumed.counters), (&through.bands, through.counters));
+    assert_eq!(resumed.optimised.networks, through.optimised.networks);
 }
