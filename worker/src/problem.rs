@@ -24,6 +24,7 @@ mod stimuli;
 pub use crate::invalid::Invalid;
 use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
 pub use metasense_numerics::brains::READINGS_MAX;
+pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
 
 use casts::{casting, casts, variation};
 use material::material;

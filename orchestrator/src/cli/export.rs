@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
+use metasense_schemas::spec::BrainKind;
 use metasense_worker::replay::drawing;
 
 use super::named::{Database, Named, Which};
@@ -11,7 +12,7 @@ use super::query::answer_in;
 use super::{Error, write};
 use crate::analysis::Body;
 use crate::exit::Exit;
-use crate::export::{Mould, Outline, dxf, mould, npz, replays, series, unreadable};
+use crate::export::{Mould, Outline, device, dxf, mould, npz, replays, series, unreadable};
 use crate::look::Format;
 use crate::report::body::sketch;
 use crate::store::{Reader, Stored, npy_bytes};
@@ -33,9 +34,11 @@ enum Form {
     Dxf,
     /// The mould to cast the body in, as a closed surface in mm
     Stl,
+    /// The linear brain or the network as C99 source for a device, with its test
+    C,
 }
 
-/// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL
+/// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL, C
 ///
 /// A view's name goes in place of the hash: DB VIEW. Of a SPEC, the trial is taken from the database that it writes to.
 #[derive(Debug, clap::Args)]
@@ -48,7 +51,7 @@ pub(super) struct Args {
     /// The file to write
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Which body, for npy, svg, dxf and stl
+    /// Which body, for npy, svg, dxf, stl and c
     #[arg(long, value_enum, default_value = "optimised")]
     body: Which,
     /// Width of a ligament (mm), for dxf and stl
@@ -112,6 +115,13 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         Form::Svg => {
             let title = format!("{} body of trial {}", Body::ALL[args.body as usize].name(), stored.hash);
             sketch(&body, &[]).file(&title).into_bytes()
+        }
+        Form::C => {
+            if matches!(stored.specs[which].brain.kind, BrainKind::Stacked | BrainKind::Inverse) {
+                let what = "--format c writes linear brains and networks; this trial's brain is neither";
+                return Err(Error::Usage(what.into()));
+            }
+            device::c(stored, which, &replays(stored, args.threads)?[which])?.into_bytes()
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {

@@ -1,5 +1,6 @@
-//! A trial in the forms of other programs: arrays (npz), tables (csv, parquet), designs (svg, dxf), the mould (stl).
+//! A trial in the forms of other programs: arrays (npz), tables (csv, parquet), designs (svg, dxf), the mould (stl), the brain (c).
 
+pub mod device;
 pub mod dxf;
 pub mod mould;
 pub mod npz;

@@ -4,7 +4,7 @@
 
 use super::Trial;
 use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
-use metasense_worker::problem::{READINGS_MAX, instants, lags};
+use metasense_worker::problem::{INVERTED_OF_A_CAST, READINGS_MAX, instants, lags};
 use metasense_worker::simd;
 
 /// Seconds a unit and force evaluation of equal steps, with all else of a step.
@@ -31,10 +31,11 @@ const FACTOR_RATE: f64 = 2.5e10;
 /// Factors of the comparison, a body, and of a step, looks for a ridge included.
 const FACTORS: f64 = 8.0;
 const STEP_FACTORS: f64 = 1.5;
-/// Simulations of an inverse brain's descent, a sample and panel.
-const INVERSION: f64 = 100.0;
-/// And of the brains fitted to a cast.
+/// Of the brains fitted to a cast.
 const CAST_FACTORS: f64 = 70.0;
+/// Simulations in the time of an inverse brain's descent, a sample and panel, and in that of the twins of a cast.
+const INVERSION: f64 = 450.0;
+const TWINS: f64 = 19_000.0;
 
 /// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, of a stacked one both; with biases.
 pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
@@ -168,7 +169,11 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     let of_casts = trial.evaluation.casts.map_or(0.0, |casts| casts as f64 * cast + 4.0 * each);
     let under = trial.evaluation.under.as_ref().map_or(0, Vec::len) as f64 * cast;
     let inverted = if trial.brain.kind == BrainKind::Inverse {
-        (stimuli.test + stimuli.holdout) as f64 * INVERSION * trial.point.panels as f64 * one_sample
+        let sample = INVERSION * trial.point.panels as f64;
+        // by the model of the design and by two twins
+        let of_a_cast = TWINS + 3.0 * stimuli.holdout.min(INVERTED_OF_A_CAST) as f64 * sample;
+        let casts = trial.evaluation.casts.unwrap_or(0) as f64 * of_a_cast;
+        ((stimuli.test + stimuli.holdout) as f64 * sample + casts) * one_sample
     } else {
         0.0
     };

@@ -20,6 +20,7 @@ mod state;
 
 pub use casts::{CastBrain, CastReading, casts_of};
 pub use evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
+pub use inversion::INVERTED_OF_A_CAST;
 pub use observe::{Control, Observe};
 pub use report::{Report, Seconds};
 pub use state::{Best, State, Waypoint};

@@ -13,7 +13,7 @@ use crate::trial::{Counters, FAILED, Samples, Trial, Trouble};
 /// Records of a cast that twins are calibrated on.
 const RECORDS: [u32; 2] = [10, 30];
 /// Samples of the holdout that are read of each cast: each takes as long as some hundred simulations.
-const OF_A_CAST: usize = 16;
+pub const INVERTED_OF_A_CAST: usize = 16;
 
 /// Reads the last body's test samples and holdout; `None` if the observer said stop.
 pub(super) fn invert(
@@ -82,7 +82,7 @@ pub(super) fn invert_cast(
         readings.push(CastReading { cast, by, error, trouble });
     };
     let sets = sets.as_ref().map(|[train, holdout]| {
-        (train, holdout.select(&(0..OF_A_CAST.min(holdout.count())).collect::<Vec<_>>()))
+        (train, holdout.select(&(0..INVERTED_OF_A_CAST.min(holdout.count())).collect::<Vec<_>>()))
     });
     let sets = sets.map_err(|trouble| *trouble);
     let inverted = |by, brain: Result<Inverse, Trouble>, work: &mut Counters, go_on: &mut GoOn| {
