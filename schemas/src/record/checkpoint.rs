@@ -146,6 +146,60 @@ impl From<Former> for Checkpoint {
     }
 }
 
+/// What comes before the bands, by field.
+type BeforeBands = (
+    u32,
+    Vec<f64>,
+    Moments<f64>,
+    Vec<f32>,
+    Moments<f32>,
+    Option<Best>,
+    f64,
+    u32,
+    Option<f64>,
+    Option<f64>,
+    Vec<Waypoint>,
+    Option<Box<Comparison>>,
+    Vec<(u32, Vec<usize>)>,
+    Vec<f64>,
+    Vec<Vec<CastReading>>,
+);
+
+/// A band until version 6: without the records that its brain was made from; of twins that of 30 alone was kept.
+#[derive(Deserialize)]
+struct FormerBand {
+    reader: String,
+    cast: Option<u32>,
+    method: String,
+    kind: String,
+    level: f64,
+    samples: u32,
+    coverage: Option<f64>,
+    width: Option<f64>,
+    half_width: Vec<f64>,
+    outcome: String,
+}
+
+impl From<FormerBand> for Band {
+    fn from(former: FormerBand) -> Self {
+        let FormerBand { reader, cast, method, kind, level, samples, .. } = former;
+        let FormerBand { coverage, width, half_width, outcome, .. } = former;
+        let records = if reader == "twin" { 30 } else { 0 };
+        Self { reader, records, cast, method, kind, level, samples, coverage, width, half_width, outcome }
+    }
+}
+
+/// Bytes of version 6 as those of version 7.
+fn with_records(bytes: &[u8]) -> Result<Vec<u8>, CheckpointError> {
+    let (_, rest) = postcard::take_from_bytes::<BeforeBands>(bytes)
+        .map_err(|error| CheckpointError::Damaged(error.to_string()))?;
+    let bands = read::<Vec<Vec<FormerBand>>>(rest)?;
+    let bands: Vec<Vec<Band>> =
+        bands.into_iter().map(|of| of.into_iter().map(Band::from).collect()).collect();
+    let before = bytes[..bytes.len() - rest.len()].to_vec();
+    Ok(postcard::to_extend(&bands, before).expect("bands are plain data"))
+}
+
 /// A stored checkpoint that this program cannot go on from.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
@@ -159,7 +213,7 @@ pub enum CheckpointError {
 
 impl Checkpoint {
     /// Of what [`Checkpoint::to_bytes`] writes.
-    pub const VERSION: u8 = 6;
+    pub const VERSION: u8 = 7;
 
     /// As it is stored.
     ///
@@ -178,6 +232,7 @@ impl Checkpoint {
         let former = |bytes: &[u8]| read::<Former>(bytes).map(Self::from);
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
+            Some((6, rest)) => read(&with_records(rest)?),
             // It ends before what came later, of which there is nothing; so do the others.
             Some((5, rest)) => read(&[rest, &[0]].concat()),
             Some((4, rest)) => read(&[rest, &[0, 0]].concat()),

@@ -20,9 +20,12 @@ const FOUND: &str = "02 0000000000002940 000000000000f07f";
 /// Of two bodies: two readings, a cast, a name, records, 2.0 % and ok; none.
 const CASTS: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 01077265636f726473ac02 010000000000000040 026f6b 00";
 
-/// Of two bodies: a band of no cast and one of cast 3; none.
-const BANDS: &str = "02 02 036f776e 00 09636f6e666f726d616c 07696e7374616e74 666666666666ee3f 63 01000000000000f03f 00 \
+/// Of two bodies: a band of no cast and one of cast 3; none; and with records.
+const BANDS_6: &str = "02 02 036f776e 00 09636f6e666f726d616c 07696e7374616e74 666666666666ee3f 63 01000000000000f03f 00 \
     01000000000000c03f 026f6b 056361737473 0103 09636f6e666f726d616c 0673616d706c65 666666666666ee3f 63 00 \
+    01000000000000d03f 00 026f6b 00";
+const BANDS: &str = "02 02 036f776e 00 00 09636f6e666f726d616c 07696e7374616e74 666666666666ee3f 63 01000000000000f03f 00 \
+    01000000000000c03f 026f6b 056361737473 1e 0103 09636f6e666f726d616c 0673616d706c65 666666666666ee3f 63 00 \
     01000000000000d03f 00 026f6b 00";
 
 fn bytes(digits: &str) -> Vec<u8> {
@@ -106,8 +109,9 @@ fn checkpoints_of_all_versions_go_on() {
     };
     let casts = vec![vec![reading(0, "nominal", 0), reading(1, "records", 300)], Vec::new()];
     let fifth = Checkpoint { casts, ..third.clone() };
-    let band = |reader: &str, cast, kind: &str, numbers: [Option<f64>; 2], half_width| Band {
+    let band = |reader: &str, cast: Option<u32>, kind: &str, numbers: [Option<f64>; 2], half_width| Band {
         reader: reader.into(),
+        records: cast.map_or(0, |_| 30),
         cast,
         method: "conformal".into(),
         kind: kind.into(),
@@ -125,7 +129,9 @@ fn checkpoints_of_all_versions_go_on() {
         ],
         Vec::new(),
     ];
-    let sixth = Checkpoint { bands, ..fifth.clone() };
+    let seventh = Checkpoint { bands, ..fifth.clone() };
+    let mut sixth = seventh.clone();
+    sixth.bands[0][1].records = 0;
     let version_1 = bytes(&["01", HEAD, CAUTION].concat());
     let version_2 = bytes(&["02", HEAD, CAUTION, COMPARISON, MOVES].concat());
     let version_3 = bytes(&["03", HEAD, PROTOCOL, COMPARISON, MOVES, FOUND].concat());
@@ -135,12 +141,14 @@ fn checkpoints_of_all_versions_go_on() {
     assert_eq!(Checkpoint::from_bytes(&version_2), Ok(second));
     assert_eq!(Checkpoint::from_bytes(&version_3), Ok(third.clone()));
     assert_eq!(Checkpoint::from_bytes(&version_4), Ok(third.clone()));
-    let version_6 = bytes(&["06", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS, BANDS].concat());
+    let version_6 = bytes(&["06", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS, BANDS_6].concat());
+    let version_7 = bytes(&["07", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS, BANDS].concat());
     assert_eq!(Checkpoint::from_bytes(&version_5), Ok(fifth));
-    assert_eq!(Checkpoint::from_bytes(&version_6), Ok(sixth.clone()));
-    assert_eq!(sixth.to_bytes(), version_6);
+    assert_eq!(Checkpoint::from_bytes(&version_6), Ok(sixth));
+    assert_eq!(Checkpoint::from_bytes(&version_7), Ok(seventh.clone()));
+    assert_eq!(seventh.to_bytes(), version_7);
     assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
-    for stored in [version_1, version_2, version_3, version_4, version_5, version_6] {
+    for stored in [version_1, version_2, version_3, version_4, version_5, version_6, version_7] {
         for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {
             assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
         }

@@ -154,10 +154,10 @@ pub(super) fn descend(
     let mut starts = starts.into_iter();
     for readings in readings.chunks(TOGETHER) {
         let mut looks = Looks { model, prior, noise, readings, n, counters };
-        let (at, from): (Vec<Vec<f64>>, Vec<_>) =
-            starts.by_ref().take(readings.len()).map(|start| (start.z, (start.known, start.coming))).unzip();
-        let at = looks.at(at.into_iter().enumerate().collect());
-        let mut descents: Vec<Descent> = at.into_iter().zip(from).map(Descent::new).collect();
+        let mut begun: Vec<Start> = starts.by_ref().take(readings.len()).collect();
+        let at = begun.iter_mut().map(|start| std::mem::take(&mut start.z)).enumerate().collect();
+        let mut descents: Vec<Descent> =
+            looks.at(at).into_iter().zip(begun).map(|(at, start)| Descent::new(at, start)).collect();
         for _ in 0..LOOKS {
             if !go_on() {
                 return None;
@@ -252,7 +252,7 @@ impl Looks<'_> {
 }
 
 impl Descent {
-    fn new((at, (known, coming)): (Point, (Option<(Mat<f64>, usize)>, (usize, Mat<f64>)))) -> Self {
+    fn new(at: Point, Start { known, coming, .. }: Start) -> Self {
         let ending = at.phi.is_infinite().then_some(Ending::StartFailed);
         let (curvature, age) = known.unzip();
         Self { at, curvature, age: age.unwrap_or(0), coming, damping: 0.0, steps: 0, ending }
