@@ -160,7 +160,7 @@ fn committed_specs_keep_their_hashes() {
     robust-two-core 9ce3fa9d9ca2fd6a
     transfer fb5577499f8e180e
     two-forces 434eeb4530862f35
-    who-senses 8683434275e15abe
+    who-senses 86aea9e1955edf73
     ");
 }
 
