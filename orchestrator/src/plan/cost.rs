@@ -157,7 +157,10 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
         Protocol::Joint => casts * (fresh + (going + 4.0 * forward) * batch / train_samples.max(1.0)),
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
-    let trainings = if network { trial.evaluation.networks() as f64 * (1.0 + long) } else { 0.0 };
+    // one more is trained on casts
+    let of_casts = if trial.evaluation.casts.is_some_and(|casts| casts > 0) { 1.0 } else { 0.0 };
+    let networks = trial.evaluation.networks() as f64 * (1.0 + long) + of_casts;
+    let trainings = if network { networks } else { 0.0 };
     // as much as fits
     let readings = match trial.signals() * trial.time.samples <= READINGS_MAX {
         true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)),
