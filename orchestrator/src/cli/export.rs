@@ -12,7 +12,7 @@ use super::query::answer_in;
 use super::{Error, write};
 use crate::analysis::Body;
 use crate::exit::Exit;
-use crate::export::{Mould, Outline, device, dxf, mould, npz, replays, series, unreadable};
+use crate::export::{Mould, Outline, device, dxf, mould, npz, replay_of, replays, series, unreadable};
 use crate::look::Format;
 use crate::report::body::sketch;
 use crate::store::{Reader, Stored, npy_bytes};
@@ -121,7 +121,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
                 let what = "--format c writes linear brains and networks; this trial's brain is neither";
                 return Err(Error::Usage(what.into()));
             }
-            device::c(stored, which, &replays(stored, args.threads)?[which])?.into_bytes()
+            device::c(stored, which, &replay_of(stored, which, args.threads)?)?.into_bytes()
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {

@@ -43,12 +43,18 @@ const SIGNAL_TOLERANCE: f64 = 1e-4;
 /// # Errors
 /// If they cannot be simulated again.
 pub fn replays(stored: &Stored, threads: usize) -> Result<[Replay; 2], StoreError> {
-    let again = |b: usize| {
-        let mut spec = stored.specs[b].clone();
-        spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
-        replay(&spec, &stored.designs[b], &stored.weights[b], usize::MAX, threads).map_err(unreadable(stored))
-    };
-    Ok([again(0)?, again(1)?])
+    Ok([replay_of(stored, 0, threads)?, replay_of(stored, 1, threads)?])
+}
+
+/// One of them.
+///
+/// # Errors
+/// Likewise.
+pub fn replay_of(stored: &Stored, body: usize, threads: usize) -> Result<Replay, StoreError> {
+    let mut spec = stored.specs[body].clone();
+    spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
+    let (design, weights) = (&stored.designs[body], &stored.weights[body]);
+    replay(&spec, design, weights, usize::MAX, threads).map_err(unreadable(stored))
 }
 
 /// A trial that the database holds and that cannot be computed again.
