@@ -269,10 +269,7 @@ impl Descent {
 
     /// −ln of what the readings' likelihood comes to over all forces that the prior holds, by Laplace: Φ + ½ ln |B|.
     pub(super) fn surprise(&self) -> f64 {
-        let factor = self.curvature().llt(Side::Lower);
-        let logs =
-            factor.map(|factor| factor.L().diagonal().column_vector().iter().map(|l| l.ln()).sum::<f64>());
-        self.at.phi + logs.unwrap_or(0.0)
+        self.at.phi + half_log(&self.curvature())
     }
 
     /// B; where no reading could be compared the prior's, 1.
@@ -346,6 +343,16 @@ impl Descent {
         if self.age >= OLD {
             self.curvature = None;
         }
+    }
+}
+
+/// ½ ln |B| of such a B as [`solved`] takes; infinite of numbers that are none.
+pub(super) fn half_log(b: &Mat<f64>) -> f64 {
+    match b.llt(Side::Lower) {
+        Ok(factor) => factor.L().diagonal().column_vector().iter().map(|l| l.ln()).sum(),
+        Err(_) => b
+            .self_adjoint_eigen(Side::Lower)
+            .map_or(f64::INFINITY, |own| (0..b.nrows()).map(|k| 0.5 * own.S()[k].max(1.0).ln()).sum()),
     }
 }
 
