@@ -27,7 +27,7 @@ pub(super) const EXPLAINED: f64 = 1.5;
 /// Most looks at Φ.
 const LOOKS: usize = 150;
 /// Steps after which B is made anew.
-const OLD: usize = 10;
+const OLD: usize = 20;
 /// Marquardt's damping: by what it grows and falls, where it begins, and where it is too much.
 const DAMPING: f64 = 10.0;
 const DAMPED: f64 = 1.0;
