@@ -184,6 +184,11 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     for name in ["answer-elbow.csv", "trials.csv", "synthetic.toml"] {
         assert!(figures.join(name).is_file(), "no {name}");
     }
+    let trials = std::fs::read_to_string(figures.join("trials.csv")).unwrap();
+    let head: Vec<&str> = trials.lines().next().unwrap().split(',').collect();
+    for column in ["linear_holdout_error_optimised", "body.columns"] {
+        assert!(head.contains(&column), "no column {column} in {head:?}");
+    }
     let figure = std::fs::read_to_string(figures.join("sensors.svg")).unwrap();
     assert!(figure.starts_with("<svg xmlns") && figure.contains("<style>"), "{}", &figure[..200]);
 }

@@ -1,7 +1,7 @@
 //! Everything that a trial is, by path. Trials of a sweep share most of it, and hold it once; what differs from trial to trial is
 //! held once, too, by those that differ in the rest alone.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 pub use metasense_schemas::spec::flatten;
@@ -43,6 +43,15 @@ impl Setting {
     pub(super) fn own(&self) -> &BTreeMap<String, Value> {
         &self.own
     }
+}
+
+/// Paths at which not all of what these share is alike.
+pub fn odd<'a>(settings: impl Iterator<Item = &'a Setting>) -> BTreeSet<&'a str> {
+    let all: HashMap<_, _> = settings.map(|s| (Arc::as_ptr(&s.shared), &*s.shared)).collect();
+    let Some(first) = all.values().next() else { return BTreeSet::new() };
+    let paths: BTreeSet<&str> = all.values().flat_map(|shared| shared.keys()).map(String::as_str).collect();
+    let unlike = |path: &&str| all.values().any(|shared| shared.get(*path) != first.get(*path));
+    paths.into_iter().filter(unlike).collect()
 }
 
 /// All of it its own.

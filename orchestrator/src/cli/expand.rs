@@ -49,12 +49,33 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let named = "hash panels sensors placement seed units panel_units sensor_units design_parameters \
         brain_parameters cost_seconds";
     let columns = [named, &axes.iter().map(|axis| axis.as_str()).collect::<Vec<_>>().join(" ")].join(" ");
-    print_rows(&Table::new(&columns, plan.trials.iter().map(|trial| row(trial, &axes))), args.format)?;
+    let mut table = Table::new(&columns, plan.trials.iter().map(|trial| row(trial, &axes)));
+    if args.format == Format::Table {
+        table.rows.iter_mut().flatten().for_each(shorten);
+    }
+    print_rows(&table, args.format)?;
     let total: f64 = plan.trials.iter().map(|t| t.cost).sum();
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
     let (trials, time) = (counted(plan.trials.len(), "trial"), super::duration(total));
     say!("{most}{trials}, about {time} on one core with {}", name());
     Ok(Exit::Done)
+}
+
+/// Characters of a cell that is read; a mixture of forces has hundreds.
+const WIDEST: usize = 48;
+
+fn shorten(cell: &mut Value) {
+    if let Value::String(text) = cell
+        && let Some((end, _)) = text.char_indices().nth(WIDEST)
+    {
+        text.truncate(end);
+        text.push('…');
+    }
+}
+
+/// Two digits: more is not known.
+fn rounded(cost: f64) -> f64 {
+    format!("{cost:.1e}").parse().expect("a number")
 }
 
 fn row(trial: &Trial, axes: &[&String]) -> Vec<Value> {
@@ -72,7 +93,7 @@ fn row(trial: &Trial, axes: &[&String]) -> Vec<Value> {
         list(&spec.sensor_units),
         design_parameters,
         brain_parameters,
-        (cost * 10.0).round() / 10.0
+        rounded(*cost)
     ];
     if !axes.is_empty() {
         let spec = serde_json::to_value(spec).expect("a trial is JSON");

@@ -1,23 +1,19 @@
-//! What a trial costs, roughly, before it has run: counts of work times measured seconds.
+//! What a trial costs, roughly, before it has run: counts of work, by how fast a core of this machine does such work.
 //!
-//! One core of this machine's instruction set, by README's rates; within a factor of two or so. The engine replaces it by what steps have taken once there are some.
+//! The engine replaces it by what steps have taken once there are some.
 
 use super::Trial;
 use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
+use metasense_worker::pace::Pace;
 use metasense_worker::problem::{INVERTED_OF_A_CAST, READINGS_MAX, instants, lags};
-use metasense_worker::simd;
 
-/// Seconds a unit and force evaluation of equal steps, with all else of a step.
-const SECONDS_PER_UNIT_EVALUATION: f64 = 3.5e-9;
-/// Part of it in f32, and the tolerance from which on steps are coarse enough.
+/// A core with AVX-512, for weights that are the same on every machine.
+const RATED: Pace = Pace { evaluations: 2.9e8, training: 1.1e11, factor: 2.5e10 };
+/// Part of a force evaluation's time in f32, and the tolerance from which on steps are coarse enough.
 const SINGLE: f64 = 0.55;
 const COARSE: f64 = 1e-2;
 /// Of the reverse sweep, forward recomputation included, to the simulation.
 const REVERSE: f64 = 1.7;
-/// Time by instruction set, to that of AVX-512.
-const SLOWER: [(&str, f64); 2] = [("avx2", 2.0), ("baseline", 5.0)];
-/// Multiply-adds a second of the brain's kernels.
-const BRAIN_RATE: f64 = 1.1e11;
 /// Of an iteration (forward, backward) and of a Hessian-vector product to a forward pass.
 const ITERATION: f64 = 3.0;
 const HESSIAN_PRODUCT: f64 = 6.3;
@@ -26,8 +22,6 @@ const AFRESH: f64 = 100.0;
 /// Products of the implicit term.
 const PRODUCTS: f64 = 21.0;
 
-/// Multiply-adds a second of a factor, of D³/6 of them.
-const FACTOR_RATE: f64 = 2.5e10;
 /// Factors of the comparison, a body, and of a step, looks for a ridge included.
 const FACTORS: f64 = 8.0;
 const STEP_FACTORS: f64 = 1.5;
@@ -64,9 +58,10 @@ fn unknowns(trial: &TrialSpec, memory: Option<[f64; 2]>) -> usize {
     trial.signals() * lags(&trial.time, memory).groups().len()
 }
 
+/// Multiply-adds of a factor.
 fn factor(unknowns: usize) -> f64 {
     let n = unknowns as f64;
-    n * n * n / 6.0 / FACTOR_RATE
+    n * n * n / 6.0
 }
 
 /// The n-th root of x > 0, by Newton: a library's power may differ in its last bit from machine to machine.
@@ -110,30 +105,22 @@ fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
 
 /// Of a trial against others, in whole milliseconds on AVX-512: the same number on every machine, and nothing is for free.
 pub(super) fn weight(trial: &TrialSpec, units: usize) -> u64 {
-    let Seconds { steps, comparison } = seconds_by_avx512(trial, units);
+    let Seconds { steps, comparison } = seconds(trial, units, RATED);
     ((steps + comparison) * 1e3).round().max(1.0) as u64
 }
 
-/// On the instruction set that this process uses.
-pub(super) fn seconds(trial: &TrialSpec, units: usize) -> Seconds {
-    let slower = SLOWER.iter().find(|(name, _)| *name == simd::name()).map_or(1.0, |(_, factor)| *factor);
-    let Seconds { steps, comparison } = seconds_by_avx512(trial, units);
-    Seconds { steps: slower * steps, comparison: slower * comparison }
-}
-
-fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
+fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Seconds {
     let stimuli = &trial.stimuli;
     let sample_by = |solver: Solver| {
         let single = solver.tolerance >= COARSE && solver.method != Method::Tsit5;
-        let seconds = SECONDS_PER_UNIT_EVALUATION * if single { SINGLE } else { 1.0 };
-        evaluations(solver, trial) * units as f64 * seconds
+        evaluations(solver, trial) * units as f64 * if single { SINGLE } else { 1.0 } / pace.evaluations
     };
     let one_sample = sample_by(trial.solver);
     let simulate = stimuli.samples as f64 * one_sample;
     let network = matches!(trial.brain.kind, BrainKind::Cnn | BrainKind::Stacked);
     let weights = network_weights(trial) as f64;
     let train_samples = stimuli.samples.saturating_sub(stimuli.test) as f64;
-    let forward = weights * train_samples * trial.time.samples as f64 / BRAIN_RATE;
+    let forward = weights * train_samples * trial.time.samples as f64 / pace.training;
     let train = trial.brain.iterations as f64 * ITERATION * forward;
     let optimise = trial.optimise.clone().resolved();
     let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
@@ -144,7 +131,7 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     let fresh =
         batch * (0.9 * coarse + 0.1 * one_sample) * (1.0 + REVERSE) + 0.1 * stimuli.test as f64 * one_sample;
     let casts = optimise.casts.unwrap_or(1) as f64;
-    let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory));
+    let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;
     let step = match optimise.protocol {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
         Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
@@ -163,11 +150,11 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
     let trainings = if network { networks } else { 0.0 };
     // as much as fits
     let readings = match trial.signals() * trial.time.samples <= READINGS_MAX {
-        true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)),
+        true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)) / pace.factor,
         false => 0.0,
     };
     let each = (stimuli.samples + stimuli.holdout) as f64 * one_sample;
-    let own_factor = CAST_FACTORS * factor(unknowns(trial, trial.brain.memory));
+    let own_factor = CAST_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;
     let cast = each + own_factor;
     let of_casts = trial.evaluation.casts.map_or(0.0, |casts| casts as f64 * cast + 4.0 * each);
     let under = trial.evaluation.under.as_ref().map_or(0, Vec::len) as f64 * cast;
@@ -187,14 +174,14 @@ fn seconds_by_avx512(trial: &TrialSpec, units: usize) -> Seconds {
 /// Estimated seconds of a trial on one core of this machine.
 #[must_use]
 pub fn of(trial: &TrialSpec, units: usize) -> f64 {
-    let Seconds { steps, comparison } = seconds(trial, units);
+    let Seconds { steps, comparison } = seconds(trial, units, Pace::here());
     steps + comparison
 }
 
 /// What of a trial's cost is the comparison at its end.
 #[must_use]
 pub fn comparison(trial: &Trial) -> f64 {
-    seconds(&trial.spec, trial.units).comparison
+    seconds(&trial.spec, trial.units, Pace::here()).comparison
 }
 
 /// Seconds that trials take on so many workers of so many threads: the work shared out, but no less than the longest.

@@ -1,6 +1,6 @@
 //! Finished trials out of a database, as the analysis takes them.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use serde_json::Value;
 
@@ -8,7 +8,7 @@ use super::{States, Story, Sweep};
 
 use crate::analysis::numbers::mean;
 use crate::analysis::paired::{Progress, iteration_ratio};
-use crate::analysis::setting::Settings;
+use crate::analysis::setting::{Settings, odd};
 use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading, UnderReading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::look::{Data, MOST_ROWS, Table};
@@ -346,13 +346,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
             Ok::<_, StoreError>(())
         })
         .await?;
-    let states = states(
-        reader,
-        "SELECT hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,
-               error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
-               holdout_error_optimised, steps, attempts, seconds, simd FROM v_trial ORDER BY state = 'failed' DESC, panels, units, sensors, placement, seed",
-    )
-    .await?;
+    let states = states(reader, &odd(trials.iter().map(|trial| &trial.setting))).await?;
     let chosen = match trial {
         Some(hash) => Some(hash.to_owned()),
         None => typical(&trials).map(|t| t.hash.clone()),
@@ -365,20 +359,34 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
     Ok(Story { sweeps, states, trials, made, early, stored, terms })
 }
 
-/// `sql` has a column `state`.
-async fn states(reader: &mut Reader, sql: &str) -> Result<States, StoreError> {
-    let first = Table { columns: reader.columns(sql).await?, rows: Vec::new() };
+/// What of a trial the page shows.
+const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,
+  error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial, holdout_error_optimised,
+  steps, attempts, seconds, simd";
+/// What its file has besides, so that nothing else is needed to know a row.
+const BESIDES: &str = "linear_holdout_error_initial, linear_holdout_error_optimised";
+
+/// All trials; their file has a column for each of the `odd` paths, too.
+async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, StoreError> {
+    let odd: String = odd.iter().map(|path| format!(", spec->>'$.{path}' AS \"{path}\"")).collect();
+    let sql = format!(
+        "SELECT {SHOWN}, {BESIDES}{odd} FROM v_trial
+         ORDER BY state = 'failed' DESC, panels, units, sensors, placement, seed"
+    );
+    let (all, shown) = (reader.columns(&sql).await?, SHOWN.split(',').count());
+    let mut data = Data::new(&all);
+    let first = Table { columns: all[..shown].to_vec(), rows: Vec::new() };
     let state = first.column("state");
-    let mut data = Data::new(&first.columns);
     let mut states = States { first, ..States::default() };
     reader
-        .each(sql, |row| {
-            let values = row.values();
+        .each(&sql, |row| {
+            let mut values = row.values();
             data.row(&values);
             states.all += 1;
             states.done += usize::from(values[state] == "done");
             states.failed += usize::from(values[state] == "failed");
             if states.first.rows.len() < MOST_ROWS {
+                values.truncate(shown);
                 states.first.rows.push(values);
             }
             Ok::<_, StoreError>(())

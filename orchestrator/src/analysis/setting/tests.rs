@@ -20,3 +20,18 @@ fn trials_that_differ_in_their_point_share_the_rest() {
         [("body.columns", &json!(8)), ("point.seed", &json!(2))]
     );
 }
+
+/// What all have alike, or what their point sets apart, is not named; what only some have is.
+#[test]
+fn odd_paths_are_those_that_set_trials_apart() {
+    let mut settings = Settings::default();
+    let mut of = |columns: u64, noise: Option<f64>| {
+        let noise = noise.map_or(json!({}), |noise| json!({"noise": noise}));
+        settings.of(
+            &json!({"body": {"columns": columns, "rows": 4}, "sensors": noise, "point": {"seed": columns}}),
+        )
+    };
+    let all = [of(6, None), of(8, None), of(8, Some(0.1)), of(6, None)];
+    assert_eq!(odd(all.iter()).into_iter().collect::<Vec<_>>(), ["body.columns", "sensors.noise"]);
+    assert!(odd([].into_iter()).is_empty() && odd(all[..1].iter()).is_empty());
+}

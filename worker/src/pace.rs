@@ -1,0 +1,106 @@
+//! How fast a core of this machine does what trials are made of: a small piece of each kind of work, timed once.
+
+use crate::clock::cpu_seconds;
+use crate::simd::width;
+use crate::verify::{bells, reference};
+use metasense_numerics::brain::linear::factor;
+use metasense_numerics::brain::{Architecture, Data, Shape, Workspace, initial_weights, loss_gradient};
+use metasense_numerics::dynamics::{Method, Plan, run};
+use metasense_numerics::random::{Purpose, Stream};
+use metasense_numerics::{Heartbeat, Pool};
+use std::sync::OnceLock;
+
+/// Repetitions of a piece, of which the quickest counts.
+const REPEAT: usize = 5;
+/// Steps of a force interval, and force evaluations of one step, in the piece of dynamics.
+const STEPS: usize = 7;
+const EVALUATIONS: usize = 11;
+/// Instants and samples of it: as many as lanes are filled by.
+const INSTANTS: usize = 20;
+const SAMPLES: usize = 16;
+/// Samples and instants of the piece of training, by the paper's network.
+const BATCH: [usize; 2] = [8, 200];
+/// Unknowns of the factor.
+const UNKNOWNS: usize = 400;
+
+/// Work a second of one core.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pace {
+    /// Force evaluations of one unit in f64, with all else of a step.
+    pub evaluations: f64,
+    /// Multiply-adds of a network's training, three forward passes an iteration.
+    pub training: f64,
+    /// Multiply-adds of a Cholesky factor.
+    pub factor: f64,
+}
+
+impl Pace {
+    /// Of this machine by the instruction set that this process uses, measured at the first call: some 0.1 s.
+    pub fn here() -> Self {
+        static HERE: OnceLock<Pace> = OnceLock::new();
+        *HERE.get_or_init(|| Self { evaluations: evaluations(), training: training(), factor: factors() })
+    }
+}
+
+/// Least CPU seconds of a piece of work.
+fn least(mut work: impl FnMut()) -> f64 {
+    let time = |_| {
+        let begin = cpu_seconds();
+        work();
+        cpu_seconds() - begin
+    };
+    (0..REPEAT).map(time).fold(f64::INFINITY, f64::min).max(1e-9)
+}
+
+fn pool() -> Pool {
+    Pool::with(1, width(), Heartbeat::default()).expect("a thread")
+}
+
+fn evaluations() -> f64 {
+    let scene = reference();
+    let (scene, forces) = bells(&scene, SAMPLES as u64).beginning(&scene, INSTANTS);
+    let design = scene.layout.initial_design(25f64.to_radians());
+    let (plan, pool) = (Plan::equal(Method::Nystrom6, STEPS), pool());
+    let seconds = least(|| drop(run(&scene, &design, &forces, &plan, false, &pool)));
+    (SAMPLES * INSTANTS * STEPS * EVALUATIONS * scene.layout.units()) as f64 / seconds
+}
+
+fn training() -> f64 {
+    let [samples, instants] = BATCH;
+    let architecture = Architecture::new(64, &[3, 3, 1], &[1, 1, 1], false);
+    let shape = Shape { instants, inputs: 3, outputs: 2, architecture };
+    let mut stream = Stream::new(Purpose::Batch, 1, [0, 0]);
+    let mut draw = |n: usize| (0..n).map(|_| stream.normal() as f32).collect::<Vec<f32>>();
+    let data = Data::new(shape, &draw(samples * instants * 3), &draw(samples * instants * 2));
+    let weights: Vec<f32> = initial_weights(shape, 1, 0).into_iter().map(|w| w as f32).collect();
+    let mut gradient = weights.clone();
+    let (mut ws, pool) = (Workspace::new(shape, width()), pool());
+    let seconds = least(|| {
+        loss_gradient(&weights, data.all(), &mut gradient, &mut ws, &pool);
+    });
+    (3 * samples * instants * weights.len()) as f64 / seconds
+}
+
+fn factors() -> f64 {
+    let n = UNKNOWNS;
+    // of a matrix whose diagonal outweighs its rows
+    let all: Vec<f64> = (0..n * n).map(|i| if i % (n + 1) == 0 { n as f64 } else { 0.5 }).collect();
+    let mut matrix = all.clone();
+    let seconds = least(|| {
+        matrix.copy_from_slice(&all);
+        factor(&mut matrix, n).expect("positive definite");
+    });
+    (n * n * n) as f64 / 6.0 / seconds
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_core_does_some_work_a_second() {
+        let Pace { evaluations, training, factor } = Pace::here();
+        assert!([evaluations, training, factor].iter().all(|rate| (1e6..1e13).contains(rate)));
+        assert_eq!(Pace::here(), Pace { evaluations, training, factor }, "measured once");
+    }
+}
