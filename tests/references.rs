@@ -9,6 +9,9 @@ mod results;
 mod spec;
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::common::skip;
 
 /// Every document of the project, from its root.
 const DOCUMENTS: &[&str] = &[
@@ -138,6 +141,35 @@ fn anchor(heading: &str) -> String {
         .filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'))
         .map(|c| if c == ' ' { '-' } else { c })
         .collect()
+}
+
+/// A script that knows nothing of this program finds the same numbers in the rows, and sees one that is not in them.
+#[test]
+fn tables_follow_from_the_rows_by_another_program() {
+    let check = |script: &Path| Command::new("python3").arg(script).output();
+    let Ok(run) = check(&root().join("results/check.py")) else {
+        return skip::skipped("tables_follow_from_the_rows_by_another_program", "there is no Python");
+    };
+    let said = String::from_utf8_lossy(&run.stdout);
+    assert!(run.status.success(), "{said}{}", String::from_utf8_lossy(&run.stderr));
+    assert!(
+        said.lines().count() >= 10 && said.lines().all(|line| line.ends_with(" cells, 0 differ")),
+        "{said}"
+    );
+
+    let folder = tempfile::tempdir().unwrap();
+    let results = folder.path().join("results");
+    std::fs::create_dir(&results).unwrap();
+    std::os::unix::fs::symlink(root().join("results/committed"), results.join("committed")).unwrap();
+    std::fs::copy(root().join("results/check.py"), results.join("check.py")).unwrap();
+    std::fs::copy(root().join("README.md"), folder.path().join("README.md")).unwrap();
+    let tables = read("results/README.md");
+    let (before, after) = tables.split_once("<!-- generated: relaxing -->").unwrap();
+    let wrong = format!("{before}<!-- generated: relaxing -->{}", after.replacen(" [", " [9", 1));
+    std::fs::write(results.join("README.md"), wrong).unwrap();
+    let run = check(&results.join("check.py")).unwrap();
+    let said = String::from_utf8_lossy(&run.stdout);
+    assert!(run.status.code() == Some(1) && said.contains("relaxing: 16 cells, 1 differ"), "{said}");
 }
 
 #[test]
