@@ -13,6 +13,9 @@ use crate::plan::{Trial, cost};
 /// More open trials than this are spread evenly instead of one by one.
 const ONE_BY_ONE: usize = 2000;
 
+/// A step or a comparison that takes longer than was thought takes at least this part of the time that it has taken so far.
+const OVERDUE: f64 = 0.25;
+
 /// What a trial is thought to take, before it has run (s).
 #[derive(Debug, Clone, Copy)]
 pub struct Planned {
@@ -138,15 +141,24 @@ impl Forecast {
         self.trials[trial as usize].open = false;
     }
 
-    /// What steps and comparisons take against their plan; a guess is taken for what is not known.
-    fn ratios(&self) -> Option<(f64, f64)> {
+    /// What steps and comparisons take against their plan; a guess is taken for what is not known. A comparison that is overdue counts.
+    fn ratios(&self, now: Duration) -> Option<(f64, f64)> {
         let (steps, comparisons) = (self.of_steps.value(), self.of_comparisons.value());
-        Some((steps.or(comparisons)?, comparisons.or(steps)?))
+        let (of_steps, known) = (steps.or(comparisons)?, comparisons.or(steps)?);
+        let mut of_comparisons = self.of_comparisons;
+        for (trial, running) in &self.running {
+            let planned = self.trials[*trial as usize];
+            let least = (1.0 + OVERDUE) * now.saturating_sub(running.since).as_secs_f64();
+            if planned.behind == planned.steps && least > known * planned.comparison {
+                of_comparisons.add(least, planned.comparison);
+            }
+        }
+        Some((of_steps, of_comparisons.value().unwrap_or(known)))
     }
 
     /// Part of the work that is done, 0 to 1, also by earlier runs.
     pub fn part(&self, now: Duration) -> f64 {
-        let ratios = self.ratios().unwrap_or((1.0, 1.0));
+        let ratios = self.ratios(now).unwrap_or((1.0, 1.0));
         let (mut left, mut whole) = (0.0, 0.0);
         for (planned, trial) in self.trials.iter().zip(0..) {
             whole += ratios.0 * planned.step * f64::from(planned.steps) + ratios.1 * planned.comparison;
@@ -169,12 +181,12 @@ impl Forecast {
         };
         let spent = now.saturating_sub(running.since).as_secs_f64();
         let in_progress = if planned.behind < planned.steps { step } else { comparison };
-        steps * step + comparison - spent.min(in_progress)
+        steps * step + comparison - in_progress + (in_progress - spent).max(OVERDUE * spent)
     }
 
     /// Time to go, once a step or a result has come in.
     pub fn to_go(&self, now: Duration) -> Option<Duration> {
-        let ratios = self.ratios()?;
+        let ratios = self.ratios(now)?;
         let mut workers: Vec<f64> = self.running.keys().map(|trial| self.left(*trial, ratios, now)).collect();
         workers.resize(self.workers.max(workers.len()), 0.0);
         let waiting = self.trials.iter().zip(0..).filter(|(planned, _)| planned.open);

@@ -34,3 +34,22 @@ fn an_estimate_holds_for_resumed_trials_and_for_the_last_one_alone() {
     }
     assert!(parts.is_sorted() && parts[0] > 0.1 && parts[23] == 1.0, "{parts:?}");
 }
+
+/// A comparison that takes ten times what the plan says: from then on some of it is always left, the longer the more, and the next
+/// trial's is expected to be as long.
+#[test]
+fn what_is_overdue_is_not_nearly_done() {
+    let planned = Planned { step: 1.0, comparison: 4.0, steps: 10, behind: 0, open: true };
+    let mut forecast = Forecast::new(vec![planned, planned], 1);
+    let at = |seconds: u32| Duration::from_secs(seconds.into());
+    forecast.assigned(0, at(0));
+    (1..=10).for_each(|second| forecast.stepped(0, at(second)));
+    let to_go = |forecast: &Forecast, second| forecast.to_go(at(second)).unwrap().as_secs_f64();
+    assert!((to_go(&forecast, 11) - (3.0 + 14.0)).abs() < 0.1);
+    let left: Vec<f64> = (20..50).step_by(5).map(|second| to_go(&forecast, second)).collect();
+    assert!(left.is_sorted() && left[0] >= 0.25 * 10.0 + 10.0 + 1.25 * 10.0, "{left:?}");
+    assert!((20..50).all(|second| forecast.part(at(second)) < 0.6));
+    forecast.returned(0, true, at(50));
+    forecast.settled(0);
+    assert!((to_go(&forecast, 50) - 50.0).abs() < 0.1);
+}
