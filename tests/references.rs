@@ -7,6 +7,7 @@ mod deviations;
 mod program;
 mod results;
 mod spec;
+mod who_senses;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -43,7 +44,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("quickstart", results::quickstart),
     ("quickstart casts", results::quickstart_casts),
     ("findings", results::findings),
-    ("who senses", results::who_senses),
+    ("who senses", who_senses::all),
     ("casts", results::casts),
     ("relaxing", results::relaxing),
     ("transfer", results::transfer),
@@ -122,7 +123,7 @@ fn generated_blocks_are_fresh() {
 #[test]
 fn drawn_pictures_are_fresh() {
     let path = root().join("results/committed/who-senses/front.svg");
-    let drawn = results::front();
+    let drawn = who_senses::front();
     if std::env::var_os("METASENSE_UPDATE").is_some() {
         std::fs::write(&path, &drawn).unwrap();
     }
