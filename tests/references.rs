@@ -48,6 +48,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("casts", results::casts),
     ("relaxing", results::relaxing),
     ("transfer", results::transfer),
+    ("transfer networks", results::transfer_networks),
     ("real scale", results::real_scale),
     ("filtered", results::filtered),
     ("brains", results::brains),

@@ -198,6 +198,43 @@ pub fn transfer() -> String {
     table(&head, bodies.iter().map(line))
 }
 
+/// The same bodies, trained with linear brains, read by long networks.
+pub fn transfer_networks() -> String {
+    let all = rows("transfer/networks.csv");
+    let kinds = ["bell", "irregular"];
+    let errors = |body: &str, under: &str| -> Vec<f64> {
+        of(&all, &[("trained_under", body), ("read_under", under)]).map(|row| number(row, "error")).collect()
+    };
+    let line = |(body, words): (&str, &str)| {
+        let read = kinds.map(|under| format!("{} %", geometric(errors(body, under).into_iter())));
+        let kept = kinds.map(|under| {
+            if [under, "initial"].contains(&body) {
+                return String::new();
+            }
+            let ends = ["initial", under].map(|other| errors(other, under));
+            let own = errors(body, under);
+            let part = |i: usize| (ends[0][i] / own[i]).ln() / (ends[0][i] / ends[1][i]).ln();
+            let parts: Vec<f64> = (0..own.len()).map(part).collect();
+            let mean = parts.iter().sum::<f64>() / parts.len() as f64;
+            let square = parts.iter().map(|part| (part - mean).powi(2)).sum::<f64>();
+            let free = parts.len() - 1;
+            let half = metasense_worker::student(free) * (square / (free * parts.len()) as f64).sqrt();
+            let [mean, low, high] = [mean, mean - half, mean + half].map(|x| short(&x.to_string()));
+            format!("{mean} ({low} … {high})")
+        });
+        [vec![words.to_owned()], read.to_vec(), kept.to_vec()].concat()
+    };
+    let bodies = [
+        ("initial", "none: the initial body"),
+        ("bell", "pulses"),
+        ("irregular", "blows"),
+        ("mix", "both, the mean of logarithms, a decoder for each"),
+    ];
+    let head =
+        ["trained under", "read under pulses", "under blows", "of the pulses' gain", "of the blows' gain"];
+    table(&head, bodies.map(line))
+}
+
 /// Errors of a body of the real scale and of the reference body, seed by seed.
 pub fn real_scale() -> String {
     let all = rows("real-scale/trials.csv");
