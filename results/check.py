@@ -41,11 +41,15 @@ def short(x):
     return digits(3) if two.lstrip("0.-").startswith("1") else two
 
 
+def mean_and_half(values):
+    """The mean and half of its 95 % interval, by Student's t."""
+    mean, free = sum(values) / len(values), len(values) - 1
+    return mean, T975[free] * math.sqrt(sum((x - mean) ** 2 for x in values) / free / len(values))
+
+
 def with_interval(ratios):
-    """The geometric mean of ratios with its 95 % interval by Student's t of their logarithms."""
-    logs = [math.log(x) for x in ratios]
-    mean, free = sum(logs) / len(logs), len(logs) - 1
-    half = T975[free] * math.sqrt(sum((x - mean) ** 2 for x in logs) / free / len(logs))
+    """The geometric mean of ratios with the 95 % interval of their logarithms."""
+    mean, half = mean_and_half([math.log(x) for x in ratios])
     return "{} ({} … {})".format(*(short(math.exp(x)) for x in (mean, mean - half, mean + half)))
 
 
@@ -152,6 +156,20 @@ def placed():
         yield line[2:], [cell(m) for m in "123456"]
 
 
+def transfer_networks():
+    def errors(body, under):
+        return numbers(rows("transfer/networks.csv", trained_under=body, read_under=under), "error")
+    for body, line in zip(["initial", "bell", "irregular", "mix"], table("transfer networks"), strict=True):
+        found = [short(geometric(errors(body, under))) + " %" for under in ("bell", "irregular")]
+        for under in ("bell", "irregular"):
+            ends = zip(errors("initial", under), errors(body, under), errors(under, under), strict=True)
+            kept = [math.log(a / b) / math.log(a / c) for a, b, c in ends]
+            mean, half = mean_and_half(kept)
+            own = body in ("initial", under)
+            found.append("" if own else "{} ({} … {})".format(*map(short, (mean, mean - half, mean + half))))
+        yield line[1:], found
+
+
 def real_scale():
     scenes = [("reference", "bell"), ("real, chip", "bell"), ("reference", "irregular"), ("real, chip", "irregular"), ("real", "irregular")]
     for (body, stimuli), line in zip(scenes, table("real scale"), strict=True):
@@ -182,7 +200,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, real_scale, filtered, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, real_scale, filtered, relaxing]
 
 if __name__ == "__main__":
     wrong = 0
