@@ -24,8 +24,10 @@ fn shards_merged_are_the_sweep() {
     let bench = Bench::new();
     bench.file("tiny.toml", &four());
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
+    // What a trial costs is measured anew each time.
     let lines = |args: &[&str]| {
-        let mut lines: Vec<String> = bench.output(args).lines().skip(1).map(str::to_owned).collect();
+        let first = |line: &str| line.split(',').take(10).collect::<Vec<_>>().join(",");
+        let mut lines: Vec<String> = bench.output(args).lines().skip(1).map(first).collect();
         lines.sort();
         lines
     };
