@@ -53,6 +53,12 @@ def with_interval(ratios):
     return "{} ({} … {})".format(*(short(math.exp(x)) for x in (mean, mean - half, mean + half)))
 
 
+def change(of):
+    """Initial → optimised body, geometric means of the trials' holdout errors."""
+    ends = (short(geometric(numbers(of, f"holdout_error_{body}"))) for body in ("initial", "optimised"))
+    return " → ".join(ends) + " %"
+
+
 def table(name, file="results/README.md"):
     """Cells of a generated table, without its head."""
     text = (HERE.parent / file).read_text()
@@ -99,10 +105,7 @@ def sensors():
     for line in table("sensors"):
         file = "claims/four-forces-trials.csv" if "K = 4" in line[0] else "claims/eight-forces-trials.csv"
         brain = "linear" if "linear" in line[0] else ""
-        def cell(m):
-            of = rows(file, sensors=m, brain__kind=brain)
-            return " → ".join(short(geometric(numbers(of, f"holdout_error_{body}"))) for body in ("initial", "optimised")) + " %"
-        yield line[1:], [cell(m) for m in "123456"]
+        yield line[1:], [change(rows(file, sensors=m, brain__kind=brain)) for m in "123456"]
 
 
 def claims():
@@ -128,8 +131,7 @@ def brains():
         found = []
         for brain, weights in [BRAINS[name] for name in ("the paper's network", "long network", "linear brain")]:
             of = rows("brains-two-core/trials.csv", stimuli__kind=kind, sensors__noise=noise, brain__kind=brain, brain_parameters=weights)
-            ends = (short(geometric(numbers(of, f"holdout_error_{body}"))) for body in ("initial", "optimised"))
-            found.append(" → ".join(ends) + " %")
+            found.append(change(of))
         yield line[2:5], found
 
 
@@ -137,9 +139,7 @@ def linear_bodies():
     for line in table("linear bodies"):
         brain, weights = BRAINS[line[0]]
         def cell(kind):
-            of = rows("fig2-linear/trials.csv", brain__kind=brain, brain_parameters=weights, stimuli__kind=kind)
-            ends = (short(geometric(numbers(of, f"holdout_error_{body}"))) for body in ("initial", "optimised"))
-            return " → ".join(ends) + " %"
+            return change(rows("fig2-linear/trials.csv", brain__kind=brain, brain_parameters=weights, stimuli__kind=kind))
         yield line[1:], [cell("bell"), cell("irregular")]
 
 

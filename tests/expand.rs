@@ -1,12 +1,6 @@
 //! `expand` shows what would run, in the order of running; `schema` describes what may be written.
 
-use crate::common::{Bench, SPEC};
-
-/// A line of the list without what the trial costs, which is measured anew each time.
-fn without_cost(line: &str) -> String {
-    let cells: Vec<&str> = line.split(',').collect();
-    [&cells[..10], &cells[11..]].concat().join(",")
-}
+use crate::common::{Bench, SPEC, without_cost};
 
 /// Breadth first: each (K, M) of each body has its first placement before any has its second. Hashes are pinned: they
 /// name trials in databases that exist.

@@ -4,7 +4,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::roll::{self, Roll};
-use crate::common::{Bench, TINY, results};
+use crate::common::{Bench, TINY, results, without_cost};
 
 /// Four trials, quick ones.
 fn four() -> String {
@@ -24,10 +24,8 @@ fn shards_merged_are_the_sweep() {
     let bench = Bench::new();
     bench.file("tiny.toml", &four());
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
-    // What a trial costs is measured anew each time.
     let lines = |args: &[&str]| {
-        let first = |line: &str| line.split(',').take(10).collect::<Vec<_>>().join(",");
-        let mut lines: Vec<String> = bench.output(args).lines().skip(1).map(first).collect();
+        let mut lines: Vec<String> = bench.output(args).lines().skip(1).map(without_cost).collect();
         lines.sort();
         lines
     };

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use serde_json::Value;
 
 use super::{root, table, who_senses};
 
-pub(super) type Row = BTreeMap<String, String>;
+type Row = BTreeMap<String, String>;
 
 pub(super) fn rows(file: &str) -> Vec<Row> {
     let path = root().join("results/committed").join(file);
@@ -215,10 +216,8 @@ pub fn transfer_networks() -> String {
             let own = errors(body, under);
             let part = |i: usize| (ends[0][i] / own[i]).ln() / (ends[0][i] / ends[1][i]).ln();
             let parts: Vec<f64> = (0..own.len()).map(part).collect();
-            let mean = parts.iter().sum::<f64>() / parts.len() as f64;
-            let square = parts.iter().map(|part| (part - mean).powi(2)).sum::<f64>();
-            let free = parts.len() - 1;
-            let half = metasense_worker::student(free) * (square / (free * parts.len()) as f64).sqrt();
+            let (mean, deviation) = (mean(&parts).unwrap(), deviation(&parts).unwrap());
+            let half = metasense_worker::student(parts.len() - 1) * deviation / (parts.len() as f64).sqrt();
             let [mean, low, high] = [mean, mean - half, mean + half].map(|x| short(&x.to_string()));
             format!("{mean} ({low} … {high})")
         });
@@ -264,9 +263,8 @@ pub(super) fn number(row: &Row, name: &str) -> f64 {
 }
 
 /// The geometric mean.
-fn geometric(values: impl Iterator<Item = f64> + Clone) -> String {
-    let logs = values.clone().map(f64::ln).sum::<f64>();
-    short(&(logs / values.count() as f64).exp().to_string())
+fn geometric(values: impl Iterator<Item = f64>) -> String {
+    short(&geometric_mean(&values.collect::<Vec<_>>()).to_string())
 }
 
 /// Bodies whose chip reads through a low-pass.

@@ -1,8 +1,9 @@
 //! Who does the sensing: the table, the picture and the finding of `who-senses`, from its rows.
 
+use metasense::analysis::numbers::{geometric_mean, median};
 use metasense::look::{Axis, Plot, Scale, file, legend};
 
-use super::results::{Row, number, of, one, rows, short};
+use super::results::{number, of, one, rows, short};
 use super::table;
 
 /// Decoders of who-senses in words, from the humblest on: the brain of their trials, their name, and records.
@@ -35,18 +36,15 @@ fn sensed((_, brain, reader, records): Decoder, (_, body, objective): (&str, &st
         ("body", body),
         ("objective", objective),
     ];
-    let mut casts: Vec<f64> = of(&all, &wanted).map(|row| number(row, "error")).collect();
-    casts.sort_by(f64::total_cmp);
-    let middle = casts.len() / 2;
-    let median = if casts.len() % 2 == 1 { casts[middle] } else { 0.5 * (casts[middle - 1] + casts[middle]) };
+    let casts: Vec<f64> = of(&all, &wanted).map(|row| number(row, "error")).collect();
+    let largest = casts.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let all = rows("who-senses/trials.csv");
     let wanted = [("brain", brain), ("objective", objective)];
-    let trials: Vec<&Row> = of(&all, &wanted).collect();
     let of_linear =
         if ["network", "network_casts", "inverse", "twin"].contains(&reader) { "" } else { "linear_" };
     let name = format!("{of_linear}holdout_error_{body}");
-    let logs: f64 = trials.iter().map(|row| number(row, &name).ln()).sum();
-    [(logs / trials.len() as f64).exp(), median, casts[casts.len() - 1]]
+    let trials: Vec<f64> = of(&all, &wanted).map(|row| number(row, &name)).collect();
+    [geometric_mean(&trials), median(casts), largest]
 }
 
 /// CPU time of one reading (s), by a decoder's name.
