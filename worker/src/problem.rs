@@ -88,6 +88,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
                 spec::Schedule::Cosine => Schedule::Cosine,
                 spec::Schedule::Constant => Schedule::Constant,
             },
+            batch: trial.evaluation.batch,
             long: trial.evaluation.long_iterations,
             casts: casts(trial)?,
         },
@@ -158,6 +159,7 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     positive("optimise.learning_rate", trial.optimise.clone().resolved().learning_rate.unwrap_or_default())?;
     at_least("evaluation.seeds", trial.evaluation.networks(), 1)?;
     at_least("evaluation.long_iterations", trial.evaluation.long_iterations.unwrap_or(1), 1)?;
+    at_least("evaluation.batch", trial.evaluation.batch.unwrap_or(1), 1)?;
     at_most("evaluation.seeds", trial.evaluation.networks(), 1000)
 }
 

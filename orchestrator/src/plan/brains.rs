@@ -111,7 +111,7 @@ pub(super) fn refuse_unread<'a>(
     let read_by_network = any(&|spec| has_network(spec.brain.kind));
     let trained_by_network = any(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
-    let keys: [(&str, bool, Given, &str); 16] = [
+    let keys: [(&str, bool, Given, &str); 17] = [
         ("brain.preset", network, &|s| s.brain.preset.is_some(), "cnn"),
         ("brain.width", network, &|s| s.brain.width.is_some(), "cnn"),
         ("brain.kernels", network, &|s| s.brain.kernels.is_some(), "cnn"),
@@ -123,6 +123,7 @@ pub(super) fn refuse_unread<'a>(
         ("brain.learning_rate", network, &|s| s.brain.learning_rate != none.learning_rate, "cnn"),
         ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds.is_some(), "cnn"),
         ("evaluation.schedule", read_by_network, &|s| s.evaluation.schedule != evaluation.schedule, "cnn"),
+        ("evaluation.batch", read_by_network, &|s| s.evaluation.batch.is_some(), "cnn"),
         ("evaluation.long_iterations", read_by_network, &|s| s.evaluation.long_iterations.is_some(), "cnn"),
         ("optimise.brain_iterations", trained_by_network, &|s| s.optimise.brain_iterations.is_some(), "cnn"),
         (

@@ -149,7 +149,8 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Seconds {
     // one more is trained on casts
     let of_casts = if trial.evaluation.casts.is_some_and(|casts| casts > 0) { 1.0 } else { 0.0 };
     let networks = trial.evaluation.networks() as f64 * (1.0 + long) + of_casts;
-    let trainings = if network { networks } else { 0.0 };
+    let part = trial.evaluation.batch.map_or(1.0, |batch| (batch as f64 / train_samples.max(1.0)).min(1.0));
+    let trainings = if network { networks * part } else { 0.0 };
     // as much as fits
     let readings = match trial.signals() * trial.time.samples <= READINGS_MAX {
         true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)) / pace.factor,

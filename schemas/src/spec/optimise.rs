@@ -433,6 +433,10 @@ pub struct Evaluation {
     pub seeds: Option<usize>,
     /// Learning rate over their training.
     pub schedule: Schedule,
+    /// Training samples of an iteration of theirs, which take turns: about a quarter of all costs a quarter, at the same errors
+    /// (worker/README.md). Default: all, as the paper has it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub batch: Option<usize>,
     /// Iterations of as many further networks, trained longer (the paper's 10 000). In `v_network` and `v_curve` they follow the
     /// others. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -476,6 +480,13 @@ impl Evaluation {
 
 impl Default for Evaluation {
     fn default() -> Self {
-        Self { seeds: None, schedule: Schedule::Cosine, long_iterations: None, casts: None, under: None }
+        Self {
+            seeds: None,
+            schedule: Schedule::Cosine,
+            batch: None,
+            long_iterations: None,
+            casts: None,
+            under: None,
+        }
     }
 }

@@ -70,6 +70,8 @@ pub trait Vector:
 {
     /// Of one lane.
     type Scalar: Scalar;
+    /// As many lanes of f64.
+    type Wide: Vector<Scalar = f64, Wide = Self::Wide>;
     /// How many.
     const LANES: usize;
     /// 0 in all lanes.
@@ -78,6 +80,10 @@ pub trait Vector:
     const SINGLE: bool = size_of::<Self::Scalar>() == 4;
     /// The same number in all lanes.
     fn of(x: Self::Scalar) -> Self;
+    /// Rounded.
+    fn narrow(wide: Self::Wide) -> Self;
+    /// Exact.
+    fn widen(self) -> Self::Wide;
     /// Lane by lane.
     fn lanes(&self) -> &[Self::Scalar];
     /// Likewise.
@@ -207,7 +213,8 @@ mod x86 {
          $set:ident, $load:ident, $store:ident, $add:ident, $sub:ident, $mul:ident, $fmadd:ident, $fnmadd:ident, $div:ident, $max:ident;
          abs($a:ident): $abs:expr, rsqrt($r:ident): $rsqrt:expr,
          less($x:ident, $y:ident): $less:expr, blend($mask:ident, $yes:ident, $no:ident): $blend:expr,
-         within($z:ident, $most:ident): $within:expr, any($m:ident): $any:expr, sum($all:ident): $sum:expr) => {
+         within($z:ident, $most:ident): $within:expr, any($m:ident): $any:expr, sum($all:ident): $sum:expr,
+         wide: $wide:ty, narrow($n:ident): $narrow:expr, widen($w:ident): $widen:expr) => {
             /// One register.
             #[derive(Clone, Copy)]
             #[repr(transparent)]
@@ -220,11 +227,21 @@ mod x86 {
 
             impl Vector for $name {
                 type Scalar = $scalar;
+                type Wide = $wide;
                 const LANES: usize = $lanes;
                 const ZERO: Self = Self(unsafe { std::mem::transmute::<[$scalar; $lanes], $register>([0.0; $lanes]) });
                 #[inline(always)]
                 fn of(x: $scalar) -> Self {
                     Self(unsafe { $set(x) })
+                }
+                #[inline(always)]
+                fn narrow($n: $wide) -> Self {
+                    $narrow
+                }
+                #[inline(always)]
+                fn widen(self) -> $wide {
+                    let $w = self;
+                    $widen
                 }
                 #[inline(always)]
                 fn lanes(&self) -> &[$scalar] {
@@ -301,7 +318,8 @@ mod x86 {
         blend(mask, yes, no): _mm512_mask_blend_pd(mask, no, yes),
         within(x, most): _mm512_cmp_pd_mask::<_CMP_LE_OQ>(x, most) == 0xff,
         any(mask): mask != 0,
-        sum(all): _mm512_reduce_add_pd(all));
+        sum(all): _mm512_reduce_add_pd(all),
+        wide: Self, narrow(x): x, widen(x): x);
 
     register!(SingleAvx512: __m512, f32, 16;
         _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps,
@@ -317,7 +335,16 @@ mod x86 {
         blend(mask, yes, no): _mm512_mask_blend_ps(mask, no, yes),
         within(x, most): _mm512_cmp_ps_mask::<_CMP_LE_OQ>(x, most) == 0xffff,
         any(mask): mask != 0,
-        sum(all): _mm512_reduce_add_ps(all));
+        sum(all): _mm512_reduce_add_ps(all),
+        wide: Pair<Avx512>,
+        narrow(x): {
+            let [low, high] = [x.0.0, x.1.0].map(|half| unsafe { _mm256_castps_pd(_mm512_cvtpd_ps(half)) });
+            Self(unsafe { _mm512_castpd_ps(_mm512_insertf64x4::<1>(_mm512_castpd256_pd512(low), high)) })
+        },
+        widen(x): unsafe {
+            let high = _mm256_castpd_ps(_mm512_extractf64x4_pd::<1>(_mm512_castps_pd(x.0)));
+            Pair(Avx512(_mm512_cvtps_pd(_mm512_castps512_ps256(x.0))), Avx512(_mm512_cvtps_pd(high)))
+        });
 
     register!(Half: __m256d, f64, 4;
     _mm256_set1_pd, _mm256_loadu_pd, _mm256_storeu_pd, _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_fmadd_pd, _mm256_fnmadd_pd,
@@ -331,7 +358,8 @@ mod x86 {
     sum(all): {
         let two = _mm_add_pd(_mm256_castpd256_pd128(all), _mm256_extractf128_pd::<1>(all));
         _mm_cvtsd_f64(_mm_add_sd(two, _mm_unpackhi_pd(two, two)))
-    });
+    },
+    wide: Self, narrow(x): x, widen(x): x);
 
     register!(SingleAvx2: __m256, f32, 8;
     _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
@@ -352,6 +380,12 @@ mod x86 {
         let four = _mm_add_ps(_mm256_castps256_ps128(all), _mm256_extractf128_ps::<1>(all));
         let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
         _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+    },
+    wide: Pair<Half>,
+    narrow(x): Self(unsafe { _mm256_set_m128(_mm256_cvtpd_ps(x.1.0), _mm256_cvtpd_ps(x.0.0)) }),
+    widen(x): unsafe {
+        let (low, high) = (_mm256_castps256_ps128(x.0), _mm256_extractf128_ps::<1>(x.0));
+        Pair(Half(_mm256_cvtps_pd(low)), Half(_mm256_cvtps_pd(high)))
     });
 
     // What every x86-64 has. No fused multiply-add, which would be a library call.
@@ -364,7 +398,8 @@ mod x86 {
     blend(mask, yes, no): _mm_or_pd(_mm_and_pd(mask, yes), _mm_andnot_pd(mask, no)),
     within(x, most): _mm_movemask_pd(_mm_cmple_pd(x, most)) == 0x3,
     any(mask): _mm_movemask_pd(mask) != 0,
-    sum(all): _mm_cvtsd_f64(_mm_add_sd(all, _mm_unpackhi_pd(all, all))));
+    sum(all): _mm_cvtsd_f64(_mm_add_sd(all, _mm_unpackhi_pd(all, all))),
+    wide: Self, narrow(x): x, widen(x): x);
 
     register!(SingleSse2: __m128, f32, 4;
     _mm_set1_ps, _mm_loadu_ps, _mm_storeu_ps, _mm_add_ps, _mm_sub_ps, _mm_mul_ps, mul_add_ps, mul_sub_from_ps,
@@ -378,7 +413,10 @@ mod x86 {
     sum(all): {
         let two = _mm_add_ps(all, _mm_movehl_ps(all, all));
         _mm_cvtss_f32(_mm_add_ss(two, _mm_shuffle_ps::<1>(two, two)))
-    });
+    },
+    wide: Pair<Sse2>,
+    narrow(x): Self(unsafe { _mm_movelh_ps(_mm_cvtpd_ps(x.0.0), _mm_cvtpd_ps(x.1.0)) }),
+    widen(x): unsafe { Pair(Sse2(_mm_cvtps_pd(x.0)), Sse2(_mm_cvtps_pd(_mm_movehl_ps(x.0, x.0)))) });
 
     #[inline(always)]
     unsafe fn mul_add_pd(a: __m128d, b: __m128d, c: __m128d) -> __m128d {
@@ -435,6 +473,7 @@ mod x86 {
 
     impl<L: Vector> Vector for Pair<L> {
         type Scalar = L::Scalar;
+        type Wide = Pair<L::Wide>;
         const LANES: usize = 2 * L::LANES;
         const ZERO: Self = Self(L::ZERO, L::ZERO);
         halves! {
@@ -449,6 +488,14 @@ mod x86 {
         #[inline(always)]
         fn of(x: L::Scalar) -> Self {
             Self(L::of(x), L::of(x))
+        }
+        #[inline(always)]
+        fn narrow(wide: Self::Wide) -> Self {
+            Self(L::narrow(wide.0), L::narrow(wide.1))
+        }
+        #[inline(always)]
+        fn widen(self) -> Self::Wide {
+            Pair(self.0.widen(), self.1.widen())
         }
         #[inline(always)]
         fn lanes(&self) -> &[L::Scalar] {

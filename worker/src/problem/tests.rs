@@ -93,6 +93,7 @@ fn an_impossible_value_is_named_by_its_key() {
         ("optimise.curvature", json!("damped"), "optimise.damping"),
         ("optimise.damping", json!(0.1), "optimise.damping"),
         ("evaluation.seeds", json!(0), "evaluation.seeds"),
+        ("evaluation.batch", json!(0), "evaluation.batch"),
         ("evaluation.long_iterations", json!(0), "evaluation.long_iterations"),
         ("feasible.min_block_angle", json!(95.0), "feasible.min_block_angle"),
         ("feasible.clearance", json!(-1.0), "feasible.clearance"),

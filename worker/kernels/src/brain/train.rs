@@ -89,18 +89,19 @@ pub fn train<F: Real>(
     pool: &crate::Pool,
 ) -> TrainOutcome {
     let mut more = Vec::new();
-    let outcome = train_on(weights, adam, batch, schedule, iterations, &mut more, ws, pool, &mut |_, _| true);
+    let same = |_: usize| batch;
+    let outcome = train_on(weights, adam, &same, schedule, iterations, &mut more, ws, pool, &mut |_, _| true);
     losses.append(&mut more);
     outcome.expect("nobody pauses it")
 }
 
-/// As [`train`] with the iterations that are left of `iterations` after those whose `losses` are there: a training that has
-/// paused goes on to the same bits. Shows `watch` the number, from 0, of each iteration whose loss is finite and the
+/// As [`train`], each iteration on a batch of its own, with the iterations that are left of `iterations` after those whose `losses`
+/// are there: a training that has paused goes on to the same bits. Shows `watch` the number, from 0, of each iteration whose loss is finite and the
 /// weights before its step; where that says `false`, it pauses before the iteration: `None`.
-pub fn train_on<F: Real>(
+pub fn train_on<'a, F: Real>(
     weights: &mut [F],
     adam: &mut Adam<F>,
-    batch: Batch<F>,
+    batch: &dyn Fn(usize) -> Batch<'a, F>,
     schedule: &dyn Fn(usize) -> f64,
     iterations: usize,
     losses: &mut Vec<f32>,
@@ -108,13 +109,14 @@ pub fn train_on<F: Real>(
     pool: &crate::Pool,
     watch: &mut dyn FnMut(usize, &[F]) -> bool,
 ) -> Option<TrainOutcome> {
-    let (shape, n) = (batch.shape(), batch.shape().layers());
+    let shape = ws.shape;
+    let n = shape.layers();
     let mut gradient = vec![F::ZERO; weights.len()];
     // Where it goes on after a pause, the loss is finite: it was before.
     let mut last = weights.to_vec();
-    let power = batch.target_power();
     losses.reserve(iterations.saturating_sub(losses.len()));
     for i in losses.len()..iterations {
+        let batch = batch(i);
         let loss = loss_gradient(weights, batch, &mut gradient, ws, pool);
         if !loss.is_finite() {
             weights.copy_from_slice(&last);
@@ -124,7 +126,7 @@ pub fn train_on<F: Real>(
             return None;
         }
         losses.push(loss as f32);
-        if loss > 100.0 * f64::from(losses[0]).max(power) {
+        if loss > 100.0 * f64::from(losses[0]) && loss > 100.0 * batch.target_power() {
             return Some(TrainOutcome::Diverged);
         }
         // A dead layer leaves the weights behind it without a gradient, and its biases without one.

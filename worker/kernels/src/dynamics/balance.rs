@@ -7,7 +7,8 @@
 
 use super::energy::contact_energy;
 use super::model::Model;
-use super::system::{System, Unit};
+use super::ligaments::Place;
+use super::system::System;
 use crate::lanes::Vector;
 
 /// Part of the most work done so far by which the left side may exceed the right: 0.001 by steps that follow the motion, 0.03 where
@@ -46,10 +47,11 @@ impl<V: Vector> Balance<V> {
 
     /// Adds the work on the way to the places `x`, where `force` acts, and the energy that was `lost` on it.
     #[inline(always)]
-    pub fn add(&mut self, system: &System<'_, V>, x: &[Unit<V>], force: &[V], lost: V) {
+    pub fn add(&mut self, system: &System<'_, V>, x: &[Place<V>], force: &[V], lost: V) {
         self.lost = self.lost + lost;
         for (k, (before, f)) in self.before.iter_mut().zip(force).enumerate() {
-            let at = system.along(k, x);
+            let [p, q, r] = x[system.scene.panels[k].unit];
+            let at = system.along(k, [V::narrow(p), V::narrow(q), V::narrow(r)]);
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];
         }
@@ -59,11 +61,12 @@ impl<V: Vector> Balance<V> {
     /// Energy, `elastic` that of ligaments and contacts, less all that there can be: positive in a lane that makes energy out of
     /// nothing.
     #[inline(always)]
-    pub fn excess(&self, elastic: V, v: &[Unit<V>]) -> V {
+    pub fn excess(&self, elastic: V, v: &[Place<V>]) -> V {
         let mut kinetic = V::splat(0.0);
         for (v, mass) in v.iter().zip(&self.mass) {
             for d in 0..3 {
-                kinetic = (V::splat(0.5 * mass[d]) * v[d]).mul_add(v[d], kinetic);
+                let v = V::narrow(v[d]);
+                kinetic = (V::splat(0.5 * mass[d]) * v).mul_add(v, kinetic);
             }
         }
         kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(self.most, V::splat(self.floor))

@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use super::rest::hessian_at_rest;
-use super::{Accuracy, Method, Plan, Precision, Scene, Solver, Steps, Tolerance};
+use super::{Accuracy, Method, Plan, Precision, Scene, Solver, Tolerance};
 
 /// Highest angular frequency of small motions about rest (rad/s), undamped: the largest eigenvalue of M^-½ H M^-½ by
 /// Lanczos' method, whose estimate is good to a per mille long before its vectors lose orthogonality. Ligaments that relax are as stiff
@@ -72,11 +72,14 @@ const LAWS: [Law; 3] = [
     Law { method: Method::Nystrom6, power: 6.0, factor: 1.5, limit: 0.5, work: 11 },
 ];
 
-/// Relative error of the signals by f32: ROUNDING · (ω Δ)², Δ an interval, as accelerations are differences of elastic
-/// forces that much greater. Measured: 1.3e-3 at 21 rad (reference scene; 5e-3 with contact), 0.05 … 0.1 at 209 (k_stretch × 100).
-const ROUNDING: f64 = 3e-6;
+/// Relative error of the signals by f32 under pulses as quick as the reference scene's, of slower ones more: ROUNDING · (ω Δ)², Δ an
+/// interval, as accelerations are differences of elastic forces that much greater. Measured: 1.3e-4 at 21 rad (reference scene, with
+/// contact too), 1e-3 … 4e-3 at 185 (k_stretch × 100).
+const ROUNDING: f64 = 3e-7;
 /// It is no less where instants are closer: the motion is the same.
 const RADIANS_MIN: f64 = 20.0;
+/// There gradients are off by 1e-2.
+const RADIANS_MAX: f64 = 66.0;
 
 /// A method of equal steps in a scene.
 pub(super) struct Candidate {
@@ -107,14 +110,15 @@ impl Candidate {
         Accuracy(self.law.factor * w.powf(self.law.power))
     }
 
-    /// In f32 where rounding adds at most a third of the error that the steps have by their law.
+    /// In f64.
     pub(super) fn plan(&self, steps: usize, reason: String) -> Plan {
-        let Accuracy(error) = self.accuracy(steps as f64);
-        let w = (error / self.law.factor).powf(1.0 / self.law.power);
-        let radians = (w * (self.law.work * steps) as f64).max(RADIANS_MIN);
-        let single = 3.0 * ROUNDING * radians * radians < error;
-        let precision = if single { Precision::Single } else { Precision::Double };
-        Plan { method: self.law.method, steps: Steps::Equal(steps), precision, reason }
+        Plan { reason, ..Plan::equal(self.law.method, steps) }
+    }
+
+    /// Highest frequency (rad/s) up to which f32's rounding is by its law at most a third of the error asked.
+    pub(super) fn single(&self, Accuracy(error): Accuracy) -> f64 {
+        let radians = (error / (3.0 * ROUNDING)).sqrt();
+        if radians < RADIANS_MIN { 0.0 } else { radians.min(RADIANS_MAX) / self.interval }
     }
 
     /// The method and its steps, why, and the frequency that decides about them, in words.
@@ -146,7 +150,7 @@ pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
 
 /// The same under forces with so many kinks an interval.
 pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: &Solver) -> Plan {
-    let Solver { method, accuracy, tolerance } = *solver;
+    let Solver { method, accuracy, tolerance, single } = *solver;
     // the scheme of `relaxing` errs by at most the law of `nystrom4`, for τ from 0.1 ms and g up to 1 on
     let method = if scene.relaxation.is_some() { Method::Nystrom4 } else { method };
     if method == Method::Tsit5 {
@@ -161,5 +165,6 @@ pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: 
     let steps = best.steps(accuracy);
     let reason = best.reason(steps, &format!("by a law for errors of {:.0e}", accuracy.0));
     // whole steps may be far finer than was asked, where one an interval is
-    best.plan(steps, reason)
+    let precision = if best.highest <= single { Precision::Single } else { Precision::Double };
+    Plan { precision, ..best.plan(steps, reason) }
 }

@@ -1,7 +1,7 @@
 //! Entry points of each instruction set and precision.
 
 use super::jobs::{Backward, Queue, take};
-use super::ligaments::{self, ShapeCotangent, Turn};
+use super::ligaments::{self, Place, ShapeCotangent, Turn};
 use super::model::{Bar, Model, ModelCotangent};
 use super::system::{EnergyKernel, GradientKernel, Kernels, ProductKernel, System, Unit};
 use super::{Counters, Forces, Plan, Precision, Scene, Steps, Wrt, relaxing, splitting, tsit5};
@@ -32,7 +32,7 @@ pub struct Machine {
 }
 
 macro_rules! machine {
-    ($module:ident, $vector:ty $(, $feature:literal)?) => {
+    ($module:ident, $vector:ty, $tsit5:ident $(, $feature:literal)?) => {
         mod $module {
             use super::*;
 
@@ -42,7 +42,7 @@ macro_rules! machine {
             unsafe fn gradient<const LINEAR: bool, const CONTACT: bool>(
                 model: &Model,
                 bars: Bars<'_>,
-                x: &[Unit<$vector>],
+                x: &[Place<$vector>],
                 turn: &[Turn<$vector>],
                 g: &mut [Unit<$vector>],
                 margin: &mut $vector,
@@ -54,7 +54,7 @@ macro_rules! machine {
             unsafe fn energy<const LINEAR: bool, const CONTACT: bool>(
                 model: &Model,
                 bars: Bars<'_>,
-                x: &[Unit<$vector>],
+                x: &[Place<$vector>],
                 turn: &[Turn<$vector>],
             ) -> $vector {
                 ligaments::energy::<$vector, LINEAR, CONTACT>(model, bars, x, turn)
@@ -64,7 +64,7 @@ macro_rules! machine {
             unsafe fn product<const LINEAR: bool, const CONTACT: bool, const GRADIENT: bool, const PARAMETERS: bool>(
                 model: &Model,
                 bars: Bars<'_>,
-                x: &[Unit<$vector>],
+                x: &[Place<$vector>],
                 w: &[Unit<$vector>],
                 turn: &[Turn<$vector>],
                 g: &mut [Unit<$vector>],
@@ -111,7 +111,7 @@ macro_rules! machine {
                 let damped = scheme.is_none();
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), damped, false);
                 match (scheme, plan.steps) {
-                    (None, Steps::Adaptive(tolerance)) if !<$vector>::SINGLE => tsit5::forward(system, forces, tolerance, queue, heartbeat),
+                    (None, Steps::Adaptive(tolerance)) => $tsit5::forward(system, forces, tolerance, queue, heartbeat),
                     (Some(scheme), Steps::Equal(steps)) => {
                         let mut counters = Counters::default();
                         loop {
@@ -161,8 +161,7 @@ macro_rules! machine {
                 let kernels = kernels(scene, parameters);
                 let mut system = System::<$vector>::new(scene, model, kernels, scheme.is_none(), parameters);
                 let (histories, counters) = match scheme {
-                    None if <$vector>::SINGLE => unreachable!("{plan:?}"),
-                    None => tsit5::reverse(&mut system, forces, sweeps, asked, heartbeat),
+                    None => $tsit5::reverse(&mut system, forces, sweeps, asked, heartbeat),
                     Some(scheme) => {
                         splitting::reverse(&mut system, &scheme, plan.steps.count(), parts, forces, sweeps, asked, heartbeat)
                     }
@@ -173,10 +172,10 @@ macro_rules! machine {
             $(#[target_feature(enable = $feature)])?
             unsafe fn repeat(scene: &Scene, model: &Model, times: usize, second: bool) {
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), true, false);
-                let (mut x, mut w) = (system.zeros(), system.zeros());
+                let (mut x, mut w) = (system.places(), system.zeros());
                 for (i, (x, w)) in x.as_flattened_mut().iter_mut().zip(w.as_flattened_mut()).enumerate() {
                     // Turns as of bodies at work: for far larger ones, trigonometry goes lane by lane.
-                    *x = <$vector>::splat(0.01 * (i as f64).sin());
+                    *x = <$vector as Vector>::Wide::splat(0.01 * (i as f64).sin());
                     *w = <$vector>::splat((i as f64).cos());
                 }
                 let mut out = system.zeros();
@@ -194,12 +193,26 @@ macro_rules! machine {
     };
 }
 
-machine!(baseline, Sse2);
-machine!(single_baseline, SingleSse2);
-machine!(avx2, Avx2, "avx2,fma");
-machine!(single_avx2, SingleAvx2, "avx2,fma");
-machine!(avx512, Avx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
-machine!(single_avx512, SingleAvx512, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+/// In place of `tsit5` where forces are f32: adaptive steps, which no rounding may steer, are never so.
+mod no_tsit5 {
+    use super::*;
+    use crate::dynamics::Tolerance;
+
+    pub fn forward<V: Vector>(_: System<'_, V>, _: &Forces, _: Tolerance, _: &Queue<'_, '_>, _: &Heartbeat) -> Counters {
+        unreachable!("no plan has it")
+    }
+
+    pub fn reverse<V: Vector>(_: &mut System<'_, V>, _: &Forces, _: &[Backward<'_>], _: bool, _: &Heartbeat) -> (Vec<f64>, Counters) {
+        unreachable!("no plan has it")
+    }
+}
+
+machine!(baseline, Sse2, tsit5);
+machine!(single_baseline, SingleSse2, no_tsit5);
+machine!(avx2, Avx2, tsit5, "avx2,fma");
+machine!(single_avx2, SingleAvx2, no_tsit5, "avx2,fma");
+machine!(avx512, Avx512, tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+machine!(single_avx512, SingleAvx512, no_tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 /// The code for this.
 ///

@@ -79,7 +79,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
         (false, true) => gradient::<Sse2, false, true, true>,
         (true, _) => gradient::<Sse2, true, true, true>,
     };
-    turns(&x, &mut turn);
+    turns::<Sse2>(&x, &mut turn);
     kernel(&model, &model.bars, &x, &turn, &mut g, &mut { zero }, &mut kept);
     let first = |v: Sse2| v.lane(0);
     for (bar, [force, voids]) in model.bars.iter().zip(kept) {

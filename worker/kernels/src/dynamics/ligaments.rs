@@ -12,7 +12,9 @@ use super::trigonometry::{angle, sin_cos1};
 use crate::lanes::{Vector, pair};
 
 /// Of one unit: sin θ and cos θ − 1.
-pub type Turn<V> = [V; 2];
+pub type Turn<V> = [<V as Vector>::Wide; 2];
+/// Likewise: (u, v, θ). Ligaments stretch by a hundredth of what their ends move: f64, also where forces are f32.
+pub type Place<V> = [<V as Vector>::Wide; 3];
 
 /// Where a kernel adds cotangents of the arms (node by node), of the void angles at rest and of the stiffnesses.
 pub struct ShapeCotangent<'a, V> {
@@ -38,6 +40,8 @@ struct Kinematics<V> {
     inverse: V,
     /// d seen from the reference at rest.
     seen: [V; 2],
+    /// |d|² − l₀², of f32 alone.
+    square: V,
     /// (θ_a + θ_b)/2, θ_b − θ_a.
     mean: V,
     relative: V,
@@ -79,7 +83,7 @@ struct ReactionTangent<V> {
 pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: bool>(
     model: &Model,
     bars: &[Bar<V::Scalar>],
-    x: &[[V; 3]],
+    x: &[Place<V>],
     turn: &[Turn<V>],
     g: &mut [[V; 3]],
     margin: &mut V,
@@ -106,7 +110,7 @@ pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: 
 pub fn energy<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
     bars: &[Bar<V::Scalar>],
-    x: &[[V; 3]],
+    x: &[Place<V>],
     turn: &[Turn<V>],
 ) -> V {
     let mut sum = V::splat(0.0);
@@ -145,7 +149,7 @@ pub fn product<
 >(
     model: &Model,
     bars: &[Bar<V::Scalar>],
-    x: &[[V; 3]],
+    x: &[Place<V>],
     w: &[[V; 3]],
     turn: &[Turn<V>],
     g: &mut [[V; 3]],
@@ -163,7 +167,7 @@ pub fn product<
     for (q, bar) in bars.iter().enumerate() {
         let (at, gamma) = pipeline.next::<LINEAR>(q, bars, x, turn);
         let &Bar::<V::Scalar> { a, b, .. } = bar;
-        let turns = [turn[a], turn[b]];
+        let turns: [[V; 2]; 2] = [narrow(turn[a]), narrow(turn[b])];
         let reaction = reaction::<V, LINEAR, CONTACT>(model, bar, at, gamma, &mut { zero });
         if GRADIENT {
             reaction.add_to(g, bar);
@@ -216,7 +220,7 @@ pub fn product<
 #[inline(always)]
 pub fn relax<V: Vector, const LINEAR: bool>(
     bars: &[Bar<V::Scalar>],
-    x: &[[V; 3]],
+    x: &[Place<V>],
     turn: &[Turn<V>],
     (reach, keep): (f64, f64),
     past: &mut [[V; 3]],
@@ -262,7 +266,7 @@ pub fn relax<V: Vector, const LINEAR: bool>(
 
 /// Overwrites `turn`.
 #[inline(always)]
-pub fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
+pub fn turns<V: Vector>(x: &[Place<V>], turn: &mut [Turn<V>]) {
     for (turn, x) in turn.iter_mut().zip(x) {
         *turn = sin_cos1(x[2]);
     }
@@ -272,23 +276,25 @@ pub fn turns<V: Vector>(x: &[[V; 3]], turn: &mut [Turn<V>]) {
 #[inline(always)]
 fn kinematics<V: Vector, const LINEAR: bool>(
     bar: &Bar<V::Scalar>,
-    x: &[[V; 3]],
+    x: &[Place<V>],
     turn: &[Turn<V>],
 ) -> Kinematics<V> {
     let (xa, xb, zero) = (x[bar.a], x[bar.b], V::splat(0.0));
     let (ra, rb) = (pair(bar.arm_a), pair(bar.arm_b));
 
     // d − d₀
-    let (pa, pb) = (moved(turn[bar.a], ra), moved(turn[bar.b], rb));
-    let du = [(xb[0] + pb[0]) - (xa[0] + pa[0]), (xb[1] + pb[1]) - (xa[1] + pa[1])];
+    let (pa, pb) = (moved::<V>(turn[bar.a], ra), moved::<V>(turn[bar.b], rb));
+    let du = narrow([(xb[0] + pb[0]) - (xa[0] + pa[0]), (xb[1] + pb[1]) - (xa[1] + pa[1])]);
+    let (theta_a, theta_b) = (V::narrow(xa[2]), V::narrow(xb[2]));
     let mut at = Kinematics {
-        levers: [[pa[0] + ra[0], pa[1] + ra[1]], [pb[0] + rb[0], pb[1] + rb[1]]],
+        levers: [narrow([pa[0] + ra[0], pa[1] + ra[1]]), narrow([pb[0] + rb[0], pb[1] + rb[1]])],
         d: du,
         size: zero,
         inverse: zero,
         seen: [zero; 2],
-        mean: V::splat(0.5) * (xa[2] + xb[2]),
-        relative: xb[2] - xa[2],
+        square: zero,
+        mean: V::splat(0.5) * (theta_a + theta_b),
+        relative: theta_b - theta_a,
     };
     if !LINEAR {
         let (e, length) = (pair(bar.e), V::of(bar.length));
@@ -297,14 +303,27 @@ fn kinematics<V: Vector, const LINEAR: bool>(
         at.d = [dx, dy];
         at.inverse = square.rsqrt();
         at.size = square * at.inverse;
-        at.seen = [dx.mul_add(e[0], dy * e[1]), dx.mul_sub_from(e[1], dy * e[0])];
+        if V::SINGLE {
+            // from d − d₀, a hundredth of d
+            let [along, across] = [du[0].mul_add(e[0], du[1] * e[1]), du[0].mul_sub_from(e[1], du[1] * e[0])];
+            at.seen = [length + along, across];
+            at.square = along.mul_add(length + at.seen[0], across * across);
+        } else {
+            at.seen = [dx.mul_add(e[0], dy * e[1]), dx.mul_sub_from(e[1], dy * e[0])];
+        }
     }
     at
 }
 
+/// Both rounded.
+#[inline(always)]
+fn narrow<V: Vector>([x, y]: [V::Wide; 2]) -> [V; 2] {
+    [V::narrow(x), V::narrow(y)]
+}
+
 /// (R − I) r.
 #[inline(always)]
-fn moved<V: Vector>([s, c1]: Turn<V>, r: [V; 2]) -> [V; 2] {
+fn moved<V: Vector>([s, c1]: Turn<V>, r: [V::Wide; 2]) -> [V::Wide; 2] {
     [s.mul_sub_from(r[1], c1 * r[0]), s.mul_add(r[0], c1 * r[1])]
 }
 
@@ -326,7 +345,7 @@ struct Pipeline<V> {
 
 impl<V: Vector> Pipeline<V> {
     #[inline(always)]
-    fn new<const LINEAR: bool>(bars: &[Bar<V::Scalar>], x: &[[V; 3]], turn: &[Turn<V>]) -> Self {
+    fn new<const LINEAR: bool>(bars: &[Bar<V::Scalar>], x: &[Place<V>], turn: &[Turn<V>]) -> Self {
         let first = kinematics::<V, LINEAR>(&bars[0], x, turn);
         let far = kinematics::<V, LINEAR>(&bars[1.min(bars.len() - 1)], x, turn);
         Self { near: (first, shear_angle::<V, LINEAR>(&first)), far }
@@ -338,7 +357,7 @@ impl<V: Vector> Pipeline<V> {
         &mut self,
         q: usize,
         bars: &[Bar<V::Scalar>],
-        x: &[[V; 3]],
+        x: &[Place<V>],
         turn: &[Turn<V>],
     ) -> (Kinematics<V>, V) {
         let (at, next) = (self.near, self.far);
@@ -380,7 +399,11 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     } else {
         let [dx, dy] = at.d;
         of.inverse_square = at.inverse * at.inverse;
-        of.stretch = V::of(bar.tension).mul_sub_from(at.inverse, V::of(k_l));
+        of.stretch = if V::SINGLE {
+            V::of(k_l) * at.inverse * at.square.over(at.size + V::of(length))
+        } else {
+            V::of(bar.tension).mul_sub_from(at.inverse, V::of(k_l))
+        };
         let twist = V::of(bar.twist) * gamma;
         of.side = twist * of.inverse_square;
         of.force = [of.side.mul_sub_from(dy, of.stretch * dx), of.side.mul_add(dx, of.stretch * dy)];

@@ -56,7 +56,7 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
         let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
         let part = V::splat(self.part);
         for (k, of) in self.cotangent.chunks_exact_mut(self.forces.instants + 1).enumerate() {
-            let bar = system.along(k, w);
+            let bar = system.along(k, w[system.scene.panels[k].unit]);
             let late = part * bar;
             of[kink] = of[kink] + (bar - late);
             of[kink + 1] = of[kink + 1] + late;

@@ -19,9 +19,9 @@ pub struct Bar<S = f64> {
     /// Likewise.
     pub node_b: usize,
     /// Arms from the centroids to the ends (mm).
-    pub arm_a: [S; 2],
+    pub arm_a: [f64; 2],
     /// Likewise.
-    pub arm_b: [S; 2],
+    pub arm_b: [f64; 2],
     /// Unit vector along the reference.
     pub e: [S; 2],
     /// l₀ (mm).
@@ -48,8 +48,8 @@ impl Bar {
             b,
             node_a,
             node_b,
-            arm_a: arm_a.map(S::from_f64),
-            arm_b: arm_b.map(S::from_f64),
+            arm_a,
+            arm_b,
             e: e.map(S::from_f64),
             length: S::from_f64(length),
             stiffness: self.stiffness.map(S::from_f64),

@@ -64,7 +64,7 @@ fn block<V: Vector, const LINEAR: bool>(
         .collect();
     let memory: Vec<Drift> = scheme.kicks.iter().map(|b| Drift::new(1.0 / time, b * h)).collect();
 
-    let (mut x, mut v, mut g, mut pull) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
+    let (mut x, mut v, mut g, mut pull) = (system.places(), system.places(), system.zeros(), system.zeros());
     let mut past = vec![[V::ZERO; 3]; model.bars.len()];
     let mut force = vec![V::ZERO; forces.panels];
     let mut margin = V::splat(1.0);
@@ -83,14 +83,14 @@ fn block<V: Vector, const LINEAR: bool>(
                 for u in moving.clone() {
                     for d in 0..3 {
                         let impulse = b.mul_add(g[u][d], pull[u][d]);
-                        v[u][d] = V::of(system.inverse_mass[u][d]).mul_sub_from(impulse, v[u][d]);
+                        v[u][d] = V::Wide::of(model.inverse_mass[u][d]).mul_sub_from(impulse.widen(), v[u][d]);
                     }
                 }
                 let Some(drifts) = drifts.get(j) else { break };
                 for u in moving.clone() {
                     for d in 0..3 {
-                        x[u][d] = V::of(drifts[u][d].reach).mul_add(v[u][d], x[u][d]);
-                        v[u][d] = V::of(drifts[u][d].keep) * v[u][d];
+                        x[u][d] = V::Wide::of(drifts[u][d].reach).mul_add(v[u][d], x[u][d]);
+                        v[u][d] = V::Wide::of(drifts[u][d].keep) * v[u][d];
                     }
                 }
                 clock += scheme.drifts[j];
@@ -102,10 +102,10 @@ fn block<V: Vector, const LINEAR: bool>(
         // a = −M⁻¹(∂U − f + Bᵀ g k (ε − q)) − γ v at the instant
         let mut a: Vec<Unit<V>> = g.clone();
         relax::<V, LINEAR>(system.bars(), &x, &system.turn, (share, 1.0), &mut past, &mut a);
-        let mut size = V::ZERO;
+        let mut size = V::Wide::ZERO;
         for u in moving.clone() {
             for d in 0..3 {
-                let net = V::splat(model.damping[d]).mul_add(v[u][d], a[u][d]);
+                let net = V::splat(model.damping[d]).mul_add(V::narrow(v[u][d]), a[u][d]);
                 a[u][d] = -(V::of(system.inverse_mass[u][d]) * net);
                 size = size + x[u][d].abs() + v[u][d].abs();
             }

@@ -74,11 +74,11 @@ impl Scheme {
 #[derive(Clone, Copy)]
 pub struct Drift<S = f64> {
     /// e.
-    pub keep: S,
+    pub keep: f64,
     /// 1/e.
-    pub restore: S,
+    pub restore: f64,
     /// (1 − e)/γ.
-    pub reach: S,
+    pub reach: f64,
     /// de/dγ.
     pub keep_slope: S,
     /// d((1 − e)/γ)/dγ.
@@ -112,11 +112,10 @@ impl Drift {
         }
     }
 
-    /// Rounded to a vector's scalar.
+    /// With slopes that are rounded to a kernel's scalar.
     pub fn rounded<S: Scalar>(self) -> Drift<S> {
         let Self { keep, restore, reach, keep_slope, reach_slope } = self;
-        let [keep, restore, reach, keep_slope, reach_slope] =
-            [keep, restore, reach, keep_slope, reach_slope].map(S::from_f64);
+        let [keep_slope, reach_slope] = [keep_slope, reach_slope].map(S::from_f64);
         Drift { keep, restore, reach, keep_slope, reach_slope }
     }
 }

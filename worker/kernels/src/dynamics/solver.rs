@@ -111,18 +111,21 @@ pub struct Solver {
     pub accuracy: Accuracy,
     /// Tsit5's, where a pilot has found it.
     pub tolerance: Option<Tolerance>,
+    /// Forces are f32 in bodies whose highest frequency (rad/s) is no more: where a pilot has found that rounding keeps the error
+    /// asked; else 0.
+    pub single: f64,
 }
 
 impl Solver {
     /// By what is asked of the signals.
     pub const fn new(method: Method, accuracy: Accuracy) -> Self {
-        Self { method, accuracy, tolerance: None }
+        Self { method, accuracy, tolerance: None, single: 0.0 }
     }
 
     /// Tsit5 by its own error norm.
     pub const fn tsit5(tolerance: Tolerance) -> Self {
         let accuracy = Accuracy(tolerance.relative / Tolerance::BY_ACCURACY);
-        Self { method: Method::Tsit5, accuracy, tolerance: Some(tolerance) }
+        Self { tolerance: Some(tolerance), ..Self::new(Method::Tsit5, accuracy) }
     }
 
     /// The same, of at most this error of the signals.
@@ -133,7 +136,8 @@ impl Solver {
             relative: (stricter * t.relative).max(Tolerance::LEAST),
             absolute: (stricter * t.absolute).max(Tolerance::LEAST),
         });
-        Self { accuracy: self.accuracy.min(error), tolerance, ..self }
+        let single = if stricter < 1.0 { 0.0 } else { self.single };
+        Self { accuracy: self.accuracy.min(error), tolerance, single, ..self }
     }
 }
 
@@ -171,7 +175,7 @@ pub struct Plan {
     pub method: Method,
     /// Adaptive of Tsit5, equal of the others.
     pub steps: Steps,
-    /// Single of coarse equal steps alone.
+    /// Single of equal steps alone.
     pub precision: Precision,
     /// Why, in words.
     pub reason: String,

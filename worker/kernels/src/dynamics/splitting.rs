@@ -13,6 +13,7 @@
 
 use super::balance::Balance;
 use super::jobs::{Backward, Job};
+use super::ligaments::Place;
 use super::loads::LockstepForces;
 use super::model::Model;
 use super::schemes::{Drift, Scheme};
@@ -143,12 +144,12 @@ impl Begin {
 impl<V: Vector> System<'_, V> {
     /// v += b G, G = −M⁻¹ g.
     #[inline(always)]
-    fn kick(&self, b: V, g: &[Unit<V>], v: &mut [Unit<V>]) {
+    fn kick(&self, b: V::Wide, g: &[Unit<V>], v: &mut [Place<V>]) {
         let moving = self.model.moving_range();
         let of_moving = v[moving.clone()].iter_mut().zip(&g[moving.clone()]).zip(&self.inverse_mass[moving]);
         for ((v, g), inverse) in of_moving {
             for d in 0..3 {
-                v[d] = b.mul_sub_from(V::of(inverse[d]) * g[d], v[d]);
+                v[d] = b.mul_sub_from((V::of(inverse[d]) * g[d]).widen(), v[d]);
             }
         }
     }
@@ -157,11 +158,11 @@ impl<V: Vector> System<'_, V> {
     #[inline(always)]
     fn advance(
         &mut self,
-        b: V,
+        b: V::Wide,
         drifts: &[[Drift<V::Scalar>; 3]],
         losses: &[[V::Scalar; 2]],
-        x: &mut [Unit<V>],
-        v: &mut [Unit<V>],
+        x: &mut [Place<V>],
+        v: &mut [Place<V>],
         g: &mut [Unit<V>],
     ) -> V {
         let moving = self.model.moving_range();
@@ -175,10 +176,11 @@ impl<V: Vector> System<'_, V> {
         for u in 0..n {
             let mut squares = [V::ZERO; 3];
             for d in 0..3 {
-                let kicked = b.mul_sub_from(V::of(inverse[u][d]) * g[u][d], v[u][d]);
-                x[u][d] = V::of(drifts[u][d].reach).mul_add(kicked, x[u][d]);
-                v[u][d] = V::of(drifts[u][d].keep) * kicked;
+                let kicked = b.mul_sub_from((V::of(inverse[u][d]) * g[u][d]).widen(), v[u][d]);
+                x[u][d] = V::Wide::of(drifts[u][d].reach).mul_add(kicked, x[u][d]);
+                v[u][d] = V::Wide::of(drifts[u][d].keep) * kicked;
                 g[u][d] = V::ZERO;
+                let kicked = V::narrow(kicked);
                 squares[d] = kicked * kicked;
             }
             lost[0] = V::of(losses[u][0]).mul_add(squares[0] + squares[1], lost[0]);
@@ -213,7 +215,7 @@ pub fn forward<V: Vector>(
     let begin = Begin::new(scene, model, forces, &histories, false);
     let Course { ready, stages, first, last, mut loads, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
-    let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
+    let (mut x, mut v, mut g, mut a) = (system.places(), system.places(), system.zeros(), system.zeros());
     let mut margin = V::splat(1.0);
     if begin.first == instants {
         return Counters::default();
@@ -225,12 +227,12 @@ pub fn forward<V: Vector>(
     system.add_forces(&x, &force, &mut g, &mut margin);
     for interval in begin.first..instants {
         heartbeat.beat();
-        let awake: V = begin.awake(interval);
+        let awake: V::Wide = begin.awake(interval);
         let mut part = 0;
         let mut b = first;
         for step in 0..substeps {
             for j in 0..stages {
-                let kick = awake * V::splat(b);
+                let kick = awake * V::Wide::splat(b);
                 let lost = system.advance(kick, &ready.drifts[j], &ready.losses[j], &mut x, &mut v, &mut g);
                 loads.at(interval * substeps + step, ready.clock[j], &mut force);
                 balance.add(system, &x, &force, lost);
@@ -238,7 +240,7 @@ pub fn forward<V: Vector>(
                 b = if j + 1 == stages { last + first } else { ready.kicks[j + 1] };
             }
             if step + 1 == segment_end(part, parts, substeps) {
-                system.kick(awake * V::splat(last), &g, &mut v);
+                system.kick(awake * V::Wide::splat(last), &g, &mut v);
                 b = first;
                 for (l, job) in jobs.iter_mut().enumerate() {
                     if let Some(tape) = &mut job.tape {
@@ -259,10 +261,10 @@ pub fn forward<V: Vector>(
         for &u in &scene.sensors {
             for d in 0..3 {
                 let pull = V::of(system.inverse_mass[u][d]) * g[u][d];
-                a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(v[u][d], -pull);
+                a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(V::narrow(v[u][d]), -pull);
             }
         }
-        let mut size = V::ZERO;
+        let mut size = V::Wide::ZERO;
         for (x, v) in x.as_flattened().iter().zip(v.as_flattened()) {
             size = size + x.abs() + v.abs();
         }
@@ -305,12 +307,12 @@ impl<V: Vector> System<'_, V> {
     #[inline(always)]
     fn retreat(
         &mut self,
-        b: V,
+        b: V::Wide,
         drifts: &[[Drift<V::Scalar>; 3]],
         gamma: &[[V::Scalar; 3]],
         next: V,
-        x: &mut [Unit<V>],
-        v: &mut [Unit<V>],
+        x: &mut [Place<V>],
+        v: &mut [Place<V>],
         g: &mut [Unit<V>],
         bars: &mut Bars<V>,
     ) {
@@ -330,17 +332,17 @@ impl<V: Vector> System<'_, V> {
             for d in 0..3 {
                 let (drift, inverse) = (&drifts[u][d], inverse[u][d]);
                 let pull = V::of(inverse) * g[u][d];
-                let before = V::of(drift.restore) * b.mul_add(pull, v[u][d]);
-                x[u][d] = V::of(drift.reach).mul_sub_from(before, x[u][d]);
+                let before = V::Wide::of(drift.restore) * b.mul_add(pull.widen(), v[u][d]);
+                x[u][d] = V::Wide::of(drift.reach).mul_sub_from(before, x[u][d]);
                 v[u][d] = before;
                 g[u][d] = V::ZERO;
                 let (to_x, to_v) = (bar_x[u][d], bar_v[u][d]);
                 let slope = V::of(drift.reach_slope).mul_add(to_x, V::of(drift.keep_slope) * to_v);
                 // Cotangent of γ = C/m
-                let rate = V::of(inverse) * (slope * before);
+                let rate = V::of(inverse) * (slope * V::narrow(before));
                 damping[d] = damping[d] + rate;
                 mass[u][d] = V::of(gamma[u][d]).mul_sub_from(rate, w[u][d].mul_add(pull, mass[u][d]));
-                bar_v[u][d] = V::of(drift.reach).mul_add(to_x, V::of(drift.keep) * to_v);
+                bar_v[u][d] = V::splat(drift.reach).mul_add(to_x, V::splat(drift.keep) * to_v);
                 w[u][d] = V::of(inverse) * (next * bar_v[u][d]);
             }
             turn[u] = sin_cos1(x[u][2]);
@@ -378,7 +380,7 @@ pub fn reverse<V: Vector>(
     if forces_asked {
         loads.ask();
     }
-    let (mut x, mut v, mut g, mut a) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
+    let (mut x, mut v, mut g, mut a) = (system.places(), system.places(), system.zeros(), system.zeros());
     let mut bars = Bars { x: system.zeros(), v: system.zeros(), w: system.zeros() };
     let mut bar_a = system.zeros();
     let mut bar = vec![zero; width];
@@ -390,7 +392,7 @@ pub fn reverse<V: Vector>(
 
     for interval in (begin.first..instants).rev() {
         heartbeat.beat();
-        let awake: V = begin.awake(interval);
+        let awake: V::Wide = begin.awake(interval);
         let mut step = substeps;
         for part in (0..parts).rev() {
             // The checkpoint: the state after the last kick of a step
@@ -404,7 +406,7 @@ pub fn reverse<V: Vector>(
             let follows: V = match instant {
                 true if interval + 1 == instants => zero,
                 true => begin.awake::<V>(interval + 1) * V::splat(first),
-                false => awake * V::splat(first),
+                false => V::narrow(awake) * V::splat(first),
             };
             for (w, v) in bars.w.as_flattened_mut().iter_mut().zip(bars.v.as_flattened()) {
                 *w = follows * *v;
@@ -421,7 +423,7 @@ pub fn reverse<V: Vector>(
                     evaluations += 1;
                     for u in 0..x.len() {
                         for d in 0..3 {
-                            a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(v[u][d], g[u][d]);
+                            a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(V::narrow(v[u][d]), g[u][d]);
                         }
                     }
                 }
@@ -433,17 +435,17 @@ pub fn reverse<V: Vector>(
                         let (bar_a, gamma) = (bar_a[u][d], V::of(ready.gamma[u][d]));
                         bars.w[u][d] = bars.w[u][d] + bar_a;
                         bars.v[u][d] = gamma.mul_sub_from(bar_a, bars.v[u][d]);
-                        let rate = V::of(system.inverse_mass[u][d]) * (bar_a * v[u][d]);
+                        let rate = V::of(system.inverse_mass[u][d]) * (bar_a * V::narrow(v[u][d]));
                         let Cotangent { mass, damping, .. } = &mut system.cotangent;
                         mass[u][d] = gamma.mul_add(rate, mass[u][d]);
                         damping[d] = damping[d] - rate;
                     }
                 }
             }
-            let mut b = awake * V::splat(last);
+            let mut b = awake * V::Wide::splat(last);
             for u in moving.clone() {
                 for d in 0..3 {
-                    let kicked = b.mul_add(bars.v[u][d], bars.w[u][d]);
+                    let kicked = V::narrow(b).mul_add(bars.v[u][d], bars.w[u][d]);
                     bars.w[u][d] = V::of(system.inverse_mass[u][d]) * kicked;
                 }
             }
@@ -457,12 +459,12 @@ pub fn reverse<V: Vector>(
                 step -= 1;
                 for j in (0..stages).rev() {
                     let kick = if j == 0 { last + first } else { ready.kicks[j] };
-                    let next = awake * V::splat(kick);
+                    let next = awake * V::Wide::splat(kick);
                     system.retreat(
                         b,
                         &ready.drifts[j],
                         &ready.gamma,
-                        next,
+                        V::narrow(next),
                         &mut x,
                         &mut v,
                         &mut g,
@@ -483,7 +485,7 @@ pub fn reverse<V: Vector>(
         }
     }
     // The first kick, from rest
-    x.fill([zero; 3]);
+    x.fill([V::Wide::ZERO; 3]);
     loads.at(begin.first * substeps, 0.0, &mut force);
     let b = begin.awake::<V>(begin.first) * V::splat(first);
     for u in moving.clone() {

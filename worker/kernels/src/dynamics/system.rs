@@ -1,6 +1,6 @@
 //! The equations of motion in lanes: accelerations, their transpose, and the sensors, for every integrator.
 
-use super::ligaments::{ShapeCotangent, Turn, turns};
+use super::ligaments::{Place, ShapeCotangent, Turn, turns};
 use super::model::{Bar, Model, ModelCotangent};
 use super::{Forces, Frame, Mount, Scene};
 use crate::lanes::{MOST, Scalar, Vector};
@@ -10,17 +10,17 @@ pub type Unit<V> = [V; 3];
 
 /// (model, its ligaments, x, turns, where to add ∂U/∂s, margin): lowers the margin to the least ψ − ψ_min.
 pub type GradientKernel<V> =
-    unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Unit<V>], &[Turn<V>], &mut [Unit<V>], &mut V);
+    unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Place<V>], &[Turn<V>], &mut [Unit<V>], &mut V);
 
 /// (model, its ligaments, x, turns): the energy.
-pub type EnergyKernel<V> = unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Unit<V>], &[Turn<V>]) -> V;
+pub type EnergyKernel<V> = unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Place<V>], &[Turn<V>]) -> V;
 
 /// (model, its ligaments, x, w, turns, where to add ∂U/∂s if at all, where to take its derivative along w from, and where to add that of
 /// arms, void angles and stiffnesses).
 pub type ProductKernel<V> = unsafe fn(
     &Model,
     &[Bar<<V as Vector>::Scalar>],
-    &[Unit<V>],
+    &[Place<V>],
     &[Unit<V>],
     &[Turn<V>],
     &mut [Unit<V>],
@@ -109,7 +109,7 @@ impl<'a, V: Vector> System<'a, V> {
             bars: model.bars.iter().map(Bar::rounded).collect(),
             strikes,
             inverse_mass: model.inverse_mass.iter().map(|m| m.map(Scalar::from_f64)).collect(),
-            turn: vec![[zero; 2]; n],
+            turn: vec![[V::Wide::ZERO; 2]; n],
             h: vec![[zero; 3]; n],
             w: vec![[zero; 3]; n],
             cotangent: Cotangent {
@@ -135,12 +135,18 @@ impl<'a, V: Vector> System<'a, V> {
         vec![[V::ZERO; 3]; self.model.units()]
     }
 
+    /// As many places or their velocities, all zero.
+    #[inline(always)]
+    pub fn places(&self) -> Vec<Place<V>> {
+        vec![[V::Wide::ZERO; 3]; self.model.units()]
+    }
+
     /// Overwrites `a` by M⁻¹(−∂U/∂s − C v + f) and lowers `margin` to the least ψ − ψ_min.
     #[inline(always)]
     pub fn acceleration(
         &mut self,
-        x: &[Unit<V>],
-        v: &[Unit<V>],
+        x: &[Place<V>],
+        v: &[Place<V>],
         force: &[V],
         a: &mut [Unit<V>],
         margin: &mut V,
@@ -152,28 +158,28 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Overwrites `g` by ∂U/∂s.
     #[inline(always)]
-    pub fn gradient(&mut self, x: &[Unit<V>], g: &mut [Unit<V>]) {
+    pub fn gradient(&mut self, x: &[Place<V>], g: &mut [Unit<V>]) {
         self.prepare(x, g);
         self.add_forces(x, &[], g, &mut { V::splat(0.0) });
     }
 
     /// What the kernels ask for at `x`: its turns, and `g` cleared.
     #[inline(always)]
-    pub fn prepare(&mut self, x: &[Unit<V>], g: &mut [Unit<V>]) {
+    pub fn prepare(&mut self, x: &[Place<V>], g: &mut [Unit<V>]) {
         g.fill([V::splat(0.0); 3]);
-        turns(x, &mut self.turn);
+        turns::<V>(x, &mut self.turn);
     }
 
     /// U at `x`, the one prepared.
     #[inline(always)]
-    pub fn energy(&self, x: &[Unit<V>]) -> V {
+    pub fn energy(&self, x: &[Place<V>]) -> V {
         // SAFETY: as in `add_forces`.
         unsafe { (self.kernels.energy)(self.model, &self.bars, x, &self.turn) }
     }
 
     /// Adds ∂U/∂s − f at `x`, the one prepared, to `g` and lowers `margin` to the least ψ − ψ_min.
     #[inline(always)]
-    pub fn add_forces(&mut self, x: &[Unit<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
+    pub fn add_forces(&mut self, x: &[Place<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
         // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
         unsafe { (self.kernels.gradient)(self.model, &self.bars, x, &self.turn, g, margin) };
         self.push(force, g);
@@ -183,7 +189,7 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn add_forces_vjp(
         &mut self,
-        x: &[Unit<V>],
+        x: &[Place<V>],
         force: &[V],
         w: &[Unit<V>],
         g: &mut [Unit<V>],
@@ -205,11 +211,11 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Transpose of what a force does to its unit: the part of `y` along it, such as the way that it went or, of the work on the
-    /// units, the cotangent of the force.
+    /// Transpose of what a force does to its unit: the part of `y`, the panel's unit's, along it, such as the way that it went or, of
+    /// the work on the unit, the cotangent of the force.
     #[inline(always)]
-    pub fn along(&self, panel: usize, y: &[Unit<V>]) -> V {
-        let ([p, q, r], y) = (self.strikes[panel], &y[self.scene.panels[panel].unit]);
+    pub fn along(&self, panel: usize, y: Unit<V>) -> V {
+        let [p, q, r] = self.strikes[panel];
         p * y[0] + q * y[1] + r * y[2]
     }
 
@@ -235,14 +241,14 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Turns ∂U/∂s − f into accelerations.
     #[inline(always)]
-    fn finish(&self, v: &[Unit<V>], a: &mut [Unit<V>]) {
+    fn finish(&self, v: &[Place<V>], a: &mut [Unit<V>]) {
         let moving = self.model.moving_range();
         a[..moving.start].fill([V::splat(0.0); 3]);
         a[moving.end..].fill([V::splat(0.0); 3]);
         let of_moving = a[moving.clone()].iter_mut().zip(&v[moving.clone()]).zip(&self.inverse_mass[moving]);
         for ((a, v), inverse) in of_moving {
             for d in 0..3 {
-                let net = V::splat(self.damping[d]).mul_add(v[d], a[d]);
+                let net = V::splat(self.damping[d]).mul_add(V::narrow(v[d]), a[d]);
                 a[d] = -(V::of(inverse[d]) * net);
             }
         }
@@ -253,8 +259,8 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn acceleration_vjp(
         &mut self,
-        x: &[Unit<V>],
-        v: &[Unit<V>],
+        x: &[Place<V>],
+        v: &[Place<V>],
         force: &[V],
         bar_a: &[Unit<V>],
         bar_x: &mut [Unit<V>],
@@ -296,7 +302,7 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Overwrites `curved` by −∂²U w at x and adds to the model's cotangents but those of masses and damping.
     #[inline(always)]
-    pub fn product(&mut self, x: &[Unit<V>], w: &[Unit<V>], curved: &mut [Unit<V>]) {
+    pub fn product(&mut self, x: &[Place<V>], w: &[Unit<V>], curved: &mut [Unit<V>]) {
         self.prepare(x, curved);
         let Cotangent { arms, voids, stiffness, contact, .. } = &mut self.cotangent;
         let shape = ShapeCotangent { arms, voids, stiffness, contact };
@@ -307,7 +313,7 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Adds to the cotangent of C, of forces of weights `w` at velocities `v`.
     #[inline(always)]
-    pub fn add_damping_cotangent(&mut self, w: &[Unit<V>], v: &[Unit<V>]) {
+    pub fn add_damping_cotangent(&mut self, w: &[Unit<V>], v: &[Place<V>]) {
         damping_cotangent(&mut self.cotangent.damping, w, v);
     }
 
@@ -315,8 +321,8 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn read_vjp(
         &self,
-        x: &[Unit<V>],
-        v: &[Unit<V>],
+        x: &[Place<V>],
+        v: &[Place<V>],
         a: &[Unit<V>],
         bar: &[V],
         bar_x: &mut [Unit<V>],
@@ -330,12 +336,12 @@ impl<'a, V: Vector> System<'a, V> {
             bar_v[u][2] = bar_v[u][2] + o;
             let (mut bx, mut by) = (p, q);
             if let Some(mount) = self.scene.mount {
-                let at = Mounted::new(mount, self.scene.frame, x[u][2]);
-                let (read, [bx, by]) = (at.read(v[u][2], a[u]), at.back([p, q]));
+                let (at, omega) = (Mounted::new(mount, self.scene.frame, V::narrow(x[u][2])), V::narrow(v[u][2]));
+                let (read, [bx, by]) = (at.read(omega, a[u]), at.back([p, q]));
                 if self.scene.frame == Frame::Body {
                     bar_x[u][2] = bar_x[u][2] + read[1] * p - read[0] * q;
                 }
-                let ([px, py], omega, alpha) = (at.arm, v[u][2], a[u][2]);
+                let ([px, py], alpha) = (at.arm, a[u][2]);
                 let (along, across) = (bx * px + by * py, by * px - bx * py);
                 bar_a[u][0] = bar_a[u][0] + bx;
                 bar_a[u][1] = bar_a[u][1] + by;
@@ -345,7 +351,7 @@ impl<'a, V: Vector> System<'a, V> {
                 continue;
             }
             if self.scene.frame == Frame::Body {
-                let (c, s) = cos_sin(x[u][2]);
+                let (c, s) = cos_sin(V::narrow(x[u][2]));
                 let read = [c * a[u][0] + s * a[u][1], c * a[u][1] - s * a[u][0]];
                 bar_x[u][2] = bar_x[u][2] + read[1] * p - read[0] * q;
                 (bx, by) = (c * p - s * q, s * p + c * q);
@@ -385,10 +391,10 @@ fn total<V: Vector>(lanes: &mut V) -> f64 {
 }
 
 #[inline(always)]
-fn damping_cotangent<V: Vector>(damping: &mut [V; 3], w: &[Unit<V>], v: &[Unit<V>]) {
+fn damping_cotangent<V: Vector>(damping: &mut [V; 3], w: &[Unit<V>], v: &[Place<V>]) {
     for (w, v) in w.iter().zip(v) {
         for d in 0..3 {
-            damping[d] = w[d].mul_sub_from(v[d], damping[d]);
+            damping[d] = w[d].mul_sub_from(V::narrow(v[d]), damping[d]);
         }
     }
 }
@@ -445,16 +451,16 @@ pub fn cos_sin<V: Vector>(theta: V) -> (V, V) {
 #[inline(always)]
 pub fn read_lane<V: Vector>(
     scene: &Scene,
-    x: &[Unit<V>],
-    v: &[Unit<V>],
+    x: &[Place<V>],
+    v: &[Place<V>],
     a: &[Unit<V>],
     lane: usize,
     out: &mut [f64],
 ) {
     for (&u, out) in scene.sensors.iter().zip(out.chunks_exact_mut(3)) {
         if let Some(mount) = scene.mount {
-            let at = Mounted::new(mount, scene.frame, x[u][2]);
-            let [ax, ay] = at.read(v[u][2], a[u]).map(|read| read.lane(lane));
+            let at = Mounted::<V>::new(mount, scene.frame, V::narrow(x[u][2]));
+            let [ax, ay] = at.read(V::narrow(v[u][2]), a[u]).map(|read| read.lane(lane));
             out.copy_from_slice(&[ax, ay, v[u][2].lane(lane)]);
             continue;
         }
@@ -469,7 +475,7 @@ pub fn read_lane<V: Vector>(
 
 /// Writes a lane's state into (free units, 6).
 #[inline(always)]
-pub fn store_lane<V: Vector>(free: &[usize], x: &[Unit<V>], v: &[Unit<V>], lane: usize, out: &mut [f64]) {
+pub fn store_lane<W: Vector>(free: &[usize], x: &[Unit<W>], v: &[Unit<W>], lane: usize, out: &mut [f64]) {
     for (&u, out) in free.iter().zip(out.chunks_exact_mut(6)) {
         for d in 0..3 {
             out[d] = x[u][d].lane(lane);
@@ -480,16 +486,16 @@ pub fn store_lane<V: Vector>(free: &[usize], x: &[Unit<V>], v: &[Unit<V>], lane:
 
 /// Reads the lanes' states, each (free units, 6), or zero where there is none.
 #[inline(always)]
-pub fn load_lanes<V: Vector>(
+pub fn load_lanes<W: Vector>(
     free: &[usize],
     states: &[Option<&[f64]>; MOST],
-    x: &mut [Unit<V>],
-    v: &mut [Unit<V>],
+    x: &mut [Unit<W>],
+    v: &mut [Unit<W>],
 ) {
     for (i, &u) in free.iter().enumerate() {
         for d in 0..3 {
-            (x[u][d], v[u][d]) = (V::ZERO, V::ZERO);
-            for lane in 0..V::LANES {
+            (x[u][d], v[u][d]) = (W::ZERO, W::ZERO);
+            for lane in 0..W::LANES {
                 if let Some(state) = states[lane] {
                     x[u][d].set_lane(lane, state[6 * i + d]);
                     v[u][d].set_lane(lane, state[6 * i + 3 + d]);

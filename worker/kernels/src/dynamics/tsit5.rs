@@ -45,7 +45,7 @@ struct Lane<'s, 'a> {
 
 /// Integrates the samples of `queue`, until there is none left. Allocates its scratch once.
 #[inline(always)]
-pub fn forward<V: Vector>(
+pub fn forward<V: Vector<Wide = V>>(
     mut system: System<'_, V>,
     forces: &Forces,
     tolerance: Tolerance,

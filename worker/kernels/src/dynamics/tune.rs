@@ -2,10 +2,13 @@
 //!
 //! The laws of `choose` hold for the reference scene; sharp forces, contact or long ringing between instants have other
 //! factors. The pilot's truth is `nystrom6`, its steps doubled until two runs agree to the asked error. Then the method of
-//! least work by its law is measured at this many steps, and at more or fewer, until no cheaper one is left.
+//! least work by its law is measured at this many steps, and at more or fewer, until no cheaper one is left; at the end once
+//! more in f32, which is taken where that keeps the error, too.
 
 use super::choose::{Candidate, candidates, choose_under};
-use super::{Accuracy, Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, Tolerance, run};
+use super::{
+    Accuracy, Counters, Forces, Method, Outcome, Plan, Precision, Scene, Simulation, Solver, Tolerance, run,
+};
 use crate::lanes::LANES;
 
 /// What a pilot made of a solver.
@@ -110,9 +113,14 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     let Some((candidate, Fewest { steps, exact, error })) = best else {
         return as_it_is(Some("no steps of the pilot reached the error asked".to_owned()), pilot.counters);
     };
-    let reason = candidate.reason(steps, &format!("error {error:.0e} measured, asked {asked:.0e}"));
-    let plan = candidate.plan(steps, reason);
-    let solver = Solver::new(plan.method, candidate.accuracy(exact));
+    let plan = candidate.plan(steps, String::new());
+    let rounded = pilot.rounded(&candidate, &plan, &truth, asked);
+    let (precision, error) = rounded.map_or((Precision::Double, error), |error| (Precision::Single, error));
+    let bits = if rounded.is_some() { "f32, " } else { "" };
+    let why = format!("{bits}error {error:.0e} measured, asked {asked:.0e}");
+    let plan = Plan { precision, reason: candidate.reason(steps, &why), ..plan };
+    let single = rounded.map_or(0.0, |_| candidate.single(solver.accuracy));
+    let solver = Solver { single, ..Solver::new(plan.method, candidate.accuracy(exact)) };
     Tuned { solver, plan, error: Some(error), counters: pilot.counters }
 }
 
@@ -140,6 +148,15 @@ struct Pilot<'a> {
 impl Pilot<'_> {
     fn channels(&self) -> usize {
         3 * self.scene.sensors.len()
+    }
+
+    /// Error of a plan's steps in f32, where that is no more than asked.
+    fn rounded(&mut self, candidate: &Candidate, plan: &Plan, truth: &Simulation, asked: f64) -> Option<f64> {
+        if candidate.highest > candidate.single(Accuracy(asked)) {
+            return None;
+        }
+        let found = self.run_plan(&Plan { precision: Precision::Single, ..plan.clone() });
+        Some(self.error(&found, truth)).filter(|error| SAFETY * error <= asked)
     }
 
     fn run(&mut self, candidate: &Candidate, steps: usize) -> Simulation {

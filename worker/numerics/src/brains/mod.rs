@@ -42,6 +42,8 @@ pub struct Recipe {
     pub rate: f64,
     /// Likewise.
     pub schedule: Schedule,
+    /// Samples of an iteration of that training, all where it does not say.
+    pub batch: Option<usize>,
     /// The linear brain, of a stacked network that beneath it.
     pub decoder: Decoder,
     /// Seed of initial weights and folds.
@@ -56,6 +58,7 @@ impl Problem {
             architecture: self.brain.architecture,
             rate: self.brain.rate,
             schedule: self.evaluation.schedule,
+            batch: self.evaluation.batch,
             decoder: self.decoder,
             seed: self.seed,
         }
@@ -91,6 +94,11 @@ pub(crate) trait Reader {
     /// A network in training or trained; `None` of a brain without weights to keep.
     fn training(&mut self) -> Option<&mut Option<Fresh>> {
         None
+    }
+
+    /// Training loss (normalised) at every iteration of a network's training, each over a round of its turns.
+    fn losses(&self) -> Vec<f32> {
+        Vec::new()
     }
 
     /// Its weights for signals at other scales; none of a brain without.

@@ -102,6 +102,21 @@ impl<'a> NetworkReader<'a> {
     }
 }
 
+/// The samples of a round of iterations of so many samples each, alike within one: every so-many-th.
+fn turns(samples: usize, batch: Option<usize>) -> Vec<Vec<usize>> {
+    let count = samples.div_ceil(batch.unwrap_or(samples).max(1)).max(1);
+    (0..count).map(|first| (first..samples).step_by(count).collect()).collect()
+}
+
+/// Losses of iterations as means of the last round of turns.
+fn by_rounds(losses: &[f32], turns: usize) -> Vec<f32> {
+    let mean = |i: usize| {
+        let round = &losses[(i + 1).saturating_sub(turns)..=i];
+        round.iter().sum::<f32>() / round.len() as f32
+    };
+    (0..losses.len()).map(mean).collect()
+}
+
 /// Samples as a network takes them.
 fn data<F: brain::Real>(shape: Shape, samples: &Samples, scales: &Scales) -> Data<F> {
     Data::new(shape, &scales.inputs(&samples.signals), &scales.targets(&samples.targets))
@@ -143,9 +158,10 @@ impl Reader for NetworkReader<'_> {
             true
         };
         let rate = |i| recipe.rate * recipe.schedule.factor(i, iterations);
-        let (all, workspace) = (self.data.all(), &mut self.workspace);
+        let (turns, data, workspace) = (turns(self.known.count(), recipe.batch), &self.data, &mut self.workspace);
+        let batch = |i: usize| if turns.len() == 1 { data.all() } else { data.batch(&turns[i % turns.len()]) };
         let outcome =
-            brain::train_on(weights, adam, all, &rate, iterations, losses, workspace, pool, &mut watch)?;
+            brain::train_on(weights, adam, &batch, &rate, iterations, losses, workspace, pool, &mut watch)?;
         Some(well(outcome))
     }
 
@@ -167,6 +183,11 @@ impl Reader for NetworkReader<'_> {
 
     fn training(&mut self) -> Option<&mut Option<Fresh>> {
         Some(&mut self.fresh)
+    }
+
+    fn losses(&self) -> Vec<f32> {
+        let turns = turns(self.known.count(), self.recipe.batch).len();
+        self.fresh.as_ref().map_or(Vec::new(), |fresh| by_rounds(&fresh.losses, turns))
     }
 
     fn weights_at(&self, scales: &Scales) -> Vec<f32> {
@@ -363,5 +384,28 @@ impl Learner for NetworkLearner<'_> {
         let predicted =
             predict(&self.weights, &data, &self.trial.scales, &mut self.workspace, self.trial.pool);
         samples.error(&predicted)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A round of turns meets every sample once, by batches of no more than asked and as alike as can be; all at once without a batch.
+    /// Losses of a round are shared by its iterations.
+    #[test]
+    fn every_sample_has_its_turn() {
+        for (samples, batch) in [(12, Some(5)), (120, Some(30)), (7, Some(1)), (7, Some(9)), (7, None)] {
+            let turns = turns(samples, batch);
+            assert_eq!(turns.len(), batch.map_or(1, |batch| samples.div_ceil(batch)));
+            let mut met: Vec<usize> = turns.concat();
+            met.sort_unstable();
+            assert_eq!(met, (0..samples).collect::<Vec<_>>());
+            let sizes = turns.iter().map(Vec::len);
+            assert!(sizes.clone().max().unwrap() - sizes.clone().min().unwrap() <= 1);
+            assert!(sizes.max().unwrap() <= batch.unwrap_or(samples));
+        }
+        assert_eq!(by_rounds(&[3.0, 1.0, 2.0, 6.0], 3), [3.0, 2.0, 2.0, 3.0]);
+        assert_eq!(by_rounds(&[3.0, 1.0], 1), [3.0, 1.0]);
     }
 }

@@ -10,7 +10,7 @@ use super::inversion::invert_cast;
 use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, Beside, Fitted, Fresh, Reader, reader};
-use crate::dynamics::{Precision, Solver};
+use crate::dynamics::Solver;
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Decoder, FAILED, Ridge, Samples, Trial, Trouble};
 use crate::variation::{Cast, Casts};
@@ -221,7 +221,7 @@ impl Mould<'_> {
         let &Self { trial, design, solver } = self;
         let [train, _] = trial.problem.known();
         let nominal = trial
-            .simulate_most(design, train, solver, Precision::Double, false, counters)
+            .simulate_most(design, train, solver, false, counters)
             .map(|found| found.samples);
         let mut all = Vec::with_capacity(KNOWN_CASTS);
         for number in 0..KNOWN_CASTS {
@@ -233,7 +233,6 @@ impl Mould<'_> {
                 design,
                 forces,
                 solver,
-                Precision::Double,
                 false,
                 counters,
             ) {
@@ -254,7 +253,7 @@ impl Mould<'_> {
         let [train, _] = trial.problem.known();
         let holdout = trial.problem.forces(Purpose::Holdout, 0, trial.problem.stimuli.holdout);
         let mut of = |forces| {
-            Ok(trial.simulate_cast(cast, design, forces, solver, Precision::Double, false, counters)?.samples)
+            Ok(trial.simulate_cast(cast, design, forces, solver, false, counters)?.samples)
         };
         Ok([of(train)?, of(holdout)?])
     }

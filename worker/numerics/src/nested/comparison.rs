@@ -6,7 +6,7 @@ use super::observe::{Control, Log};
 use super::report::Report;
 use super::state::State;
 use crate::brains::{Band, Reader, own_reading, reader, readings};
-use crate::dynamics::{Precision, Solver};
+use crate::dynamics::Solver;
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Problem, Ridge, Samples, Trial, Trouble};
 
@@ -129,8 +129,7 @@ fn sets(
     counters: &mut Counters,
 ) -> Result<[Samples; 3], Trouble> {
     let problem = &trial.problem;
-    let double = Precision::Double;
-    let mut of = |forces| Ok(trial.simulate_most(design, forces, solver, double, false, counters)?.samples);
+    let mut of = |forces| Ok(trial.simulate_most(design, forces, solver, false, counters)?.samples);
     // every training sample, those too on which the initial body failed
     let [train, test] = problem.known();
     let train = if design == problem.initial { trial.initial.clone() } else { of(train)? };
@@ -154,8 +153,7 @@ fn calibrating(
     match first_judge(trial, holdout) {
         0 => {
             let forces = trial.problem.forces(Purpose::Fresh, BANDING_FIRST, BANDING);
-            let double = Precision::Double;
-            Ok(trial.simulate_most(design, forces, solver, double, false, counters)?.samples)
+            Ok(trial.simulate_most(design, forces, solver, false, counters)?.samples)
         }
         first => Ok(holdout.select(&(0..first).collect::<Vec<_>>())),
     }
@@ -223,8 +221,8 @@ pub(super) fn read(
         state.comparison.bands.resize_with(state.comparison.bodies.len() - 1, Vec::new);
         state.comparison.bands.push(bands.map(reading).into());
     }
-    let training = reader.training().and_then(Option::take);
-    let (losses, errors) = training.map(|fresh| (fresh.losses, fresh.errors)).unwrap_or_default();
+    let losses = reader.losses();
+    let errors = reader.training().and_then(Option::take).map(|fresh| fresh.errors).unwrap_or_default();
     log.report.counters.brain_iterations += losses.len() as u64;
     let trouble = outcome.err();
     Some(NetworkEvaluation { error_train, error_test, error_holdout, losses, errors, weights, trouble })

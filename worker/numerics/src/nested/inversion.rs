@@ -6,7 +6,7 @@ use super::evaluation::{BandReading, NetworkEvaluation};
 use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
-use crate::dynamics::{Precision, Solver};
+use crate::dynamics::Solver;
 use crate::identify::twin::{Fit, GoOn};
 use crate::trial::{Counters, FAILED, Samples, Trial, Trouble};
 
@@ -108,8 +108,7 @@ pub(super) fn invert_cast(
                     Fit::of(trial, design, solver, (&forces, &records.signals), go_on)?;
                 work.dynamics += counters;
                 let (cast, [forces, _]) = (Some(&twin.cast), trial.problem.known());
-                let double = Precision::Double;
-                let known = trial.simulate_cast(cast, design, forces, solver, double, false, &mut work);
+                let known = trial.simulate_cast(cast, design, forces, solver, false, &mut work);
                 known.map(|known| (known.samples, twin))
             }
             Err(trouble) => Err(*trouble),

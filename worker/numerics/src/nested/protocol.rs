@@ -12,7 +12,7 @@ use super::observe::Log;
 use super::state::{State, Waypoint};
 use crate::brain::TrainOutcome;
 use crate::brains::{FitOn, Learner, Loss, learner};
-use crate::dynamics::{Forces, Precision, Solver};
+use crate::dynamics::{Forces, Solver};
 use crate::random::{Purpose, Stream};
 use crate::trial::{
     CastReader, Casting, FAILED, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
@@ -226,14 +226,13 @@ impl<'a> Session<'a> {
         solver: Solver,
         log: &mut Log,
     ) -> Result<[Response; 2], Trouble> {
-        let precision = self.precision();
         log.timed(
             |s| &mut s.simulate,
             |report| {
                 let mut of = |set: usize| {
                     let counters = &mut report.counters;
                     let design = &state.design;
-                    self.trial.simulate(design, sets[set], &solver, precision, tapes[set], counters)
+                    self.trial.simulate(design, sets[set], &solver, tapes[set], counters)
                 };
                 let (mut train, other) = (of(0)?, of(1)?);
                 // those on which the initial body failed train no body, and count against all
@@ -241,14 +240,6 @@ impl<'a> Session<'a> {
                 Ok([train, other])
             },
         )
-    }
-
-    /// Rounding is noise to a linear brain.
-    fn precision(&self) -> Precision {
-        match self.trial.problem.optimise.brain {
-            brain if brain.is_network() => Precision::Single,
-            _ => Precision::Double,
-        }
     }
 
     /// The integrator of a step that a going brain moves far.
@@ -356,8 +347,7 @@ impl<'a> Session<'a> {
         log.timed(
             |s| &mut s.simulate,
             |report| {
-                let (double, counters) = (Precision::Double, &mut report.counters);
-                trial.simulate_cast(cast, &state.design, forces, solver, double, false, counters)
+                trial.simulate_cast(cast, &state.design, forces, solver, false, &mut report.counters)
             },
         )
     }
@@ -397,13 +387,12 @@ impl<'a> Session<'a> {
             let response = log.timed(
                 |s| &mut s.simulate,
                 |report| {
-                    let (precision, counters) = (self.precision(), &mut report.counters);
+                    let counters = &mut report.counters;
                     trial.simulate_cast(
                         cast.as_ref(),
                         design,
                         forces,
                         &solver,
-                        precision,
                         keep_tape,
                         counters,
                     )

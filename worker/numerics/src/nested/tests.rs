@@ -2,7 +2,7 @@ use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
 use crate::brain::{self, Architecture, Data, TrainOutcome, Workspace};
-use crate::dynamics::{Accuracy, Frame, Method, Panel, Parts, Precision, Scene, Solver, Stiffness};
+use crate::dynamics::{Accuracy, Frame, Method, Panel, Parts, Scene, Solver, Stiffness};
 use crate::feasible::{Feasible, Limits};
 use crate::questions::{bound, replay, sense};
 use crate::random::{Purpose, Stream};
@@ -75,7 +75,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             coarse: Some(Solver::new(Method::Auto, Accuracy(1e-2))),
             casting: None,
         },
-        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, long: None, casts: 0 },
+        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, batch: Some(5), long: None, casts: 0 },
         seed: 3,
     }
 }
@@ -533,7 +533,7 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let mut loss = |design: &[f64]| {
         let counters = &mut Counters::default();
         let response =
-            trial.simulate(design, &trial.test, &problem.solver, Precision::Double, true, counters).unwrap();
+            trial.simulate(design, &trial.test, &problem.solver, true, counters).unwrap();
         let (x, y) =
             (trial.scales.inputs(&response.samples.signals), trial.scales.targets(&response.samples.targets));
         let data = Data::<f64>::new(shape, &x, &y).with_output_weights(&variances);

@@ -5,7 +5,7 @@
 use super::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores};
 use crate::brain::linear::Sizes;
 use crate::brains::Plain;
-use crate::dynamics::{Precision, Scene};
+use crate::dynamics::Scene;
 use crate::stimuli::folds;
 use crate::trial::{Counters, Failure, Optimise, Placing, Problem, Trial, Trouble};
 
@@ -47,8 +47,8 @@ impl Candidates {
             trial.initial.clone()
         } else {
             let solver = trial.tuned(design).solver;
-            let (double, counters) = (Precision::Double, &mut Counters::default());
-            let response = trial.simulate(design, &trial.train, &solver, double, false, counters);
+            let counters = &mut Counters::default();
+            let response = trial.simulate(design, &trial.train, &solver, false, counters);
             response.map_err(Failure::Initial)?.samples
         };
         let samples = Plain::of(&heard, &trial.scales, pool.heartbeat());

@@ -4,7 +4,7 @@
 
 use crate::brain::linear::{Lags, Sizes};
 use crate::brains::{Fresh, Inverse, TO_EACH_SIDE, reader};
-use crate::dynamics::{Forces, Precision, simulate};
+use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
 use crate::trial::{
@@ -58,7 +58,7 @@ pub fn replay(
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);
     let simulation =
-        simulated(problem, &problem.scene, design, &forces, &solver, Precision::Double, false, pool);
+        simulated(problem, &problem.scene, design, &forces, &solver, false, pool);
     for set in 0..3 {
         let own = simulation.outcomes.iter().zip(&kinds).filter(|(_, kind)| **kind == set);
         few_failed(&own.map(|(outcome, _)| *outcome).collect::<Vec<_>>()).map_err(Failure::Initial)?;
@@ -227,7 +227,7 @@ pub fn sense(
 ) -> Result<Vec<f64>, Failure> {
     let solver = tuned(problem, design, forces, &problem.solver, pool).solver;
     let simulation =
-        simulated(problem, &problem.scene, design, forces, &solver, Precision::Double, false, pool);
+        simulated(problem, &problem.scene, design, forces, &solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     match problem.disturbance {
         Some(_) => Ok(Trial::new(problem, pool)?.heard(simulation.signals, forces)),

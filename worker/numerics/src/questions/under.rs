@@ -4,7 +4,7 @@
 //! what the body still tells, the second what a reader makes of it that has not met them.
 
 use crate::brains::Fitted;
-use crate::dynamics::{Precision, Solver};
+use crate::dynamics::Solver;
 use crate::random::Purpose;
 use crate::trial::{Counters, Samples, Trial, Trouble};
 
@@ -31,7 +31,7 @@ pub(crate) fn under(
         return Vec::new();
     }
     let [train, _] = problem.known();
-    let known = trial.simulate_most(design, train, solver, Precision::Double, false, counters);
+    let known = trial.simulate_most(design, train, solver, false, counters);
     let carried = known.and_then(|known| Fitted::of(trial, &known.samples));
     let mut found = Vec::with_capacity(2 * problem.under.len());
     for (kind, source) in problem.under.iter().enumerate() {
@@ -39,7 +39,7 @@ pub(crate) fn under(
             counters.dynamics += there.pilots;
             let (forces, solver) =
                 (there.problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout), there.problem.solver);
-            let read = there.simulate_most(design, forces, &solver, Precision::Double, false, counters)?;
+            let read = there.simulate_most(design, forces, &solver, false, counters)?;
             Ok((there, read.samples))
         });
         let there = there.as_ref().map_err(|trouble| *trouble);

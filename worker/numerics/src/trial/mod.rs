@@ -26,7 +26,7 @@ pub use settings::{
 };
 
 use crate::dynamics::{
-    self, Forces, Outcome, Precision, Scene, Simulation, Solver, Tuned, Wrt, planned, tune,
+    self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, planned, tune,
 };
 use crate::random::Purpose;
 use crate::stimuli::Source;
@@ -115,7 +115,6 @@ impl<'a> Trial<'a> {
             &problem.initial,
             &train,
             &problem.solver,
-            Precision::Double,
             false,
             pool,
         );
@@ -153,7 +152,7 @@ impl<'a> Trial<'a> {
         pilot(&self.problem, design, &self.asked, self.pool)
     }
 
-    /// Simulates a body under `forces`, with `Single` in f32 where steps are coarse, and counts the work.
+    /// Simulates a body under `forces`, and counts the work.
     ///
     /// # Errors
     /// If a sample does not end well.
@@ -162,13 +161,12 @@ impl<'a> Trial<'a> {
         design: &[f64],
         forces: &Forces,
         solver: &Solver,
-        precision: Precision,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
         let scene = &self.problem.scene;
         let simulation =
-            simulated(&self.problem, scene, design, forces, solver, precision, keep_tape, self.pool);
+            simulated(&self.problem, scene, design, forces, solver, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
         Ok(self.response(simulation, Chips::default(), forces, vec![false; forces.samples]))
@@ -183,11 +181,10 @@ impl<'a> Trial<'a> {
         design: &[f64],
         forces: Forces,
         solver: &Solver,
-        precision: Precision,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
-        self.simulate_cast(None, design, forces, solver, precision, keep_tape, counters)
+        self.simulate_cast(None, design, forces, solver, keep_tape, counters)
     }
 
     /// Samples of a body, or of a cast of it, by the integrator that was tuned on the body.
@@ -196,7 +193,7 @@ impl<'a> Trial<'a> {
     /// As [`Trial::simulate_most`].
     pub fn samples(&self, design: &[f64], cast: Option<&Cast>, forces: Forces) -> Result<Samples, Failure> {
         let (solver, counters) = (self.tuned(design).solver, &mut Counters::default());
-        let found = self.simulate_cast(cast, design, forces, &solver, Precision::Double, false, counters);
+        let found = self.simulate_cast(cast, design, forces, &solver, false, counters);
         Ok(found.map_err(Failure::Initial)?.samples)
     }
 
@@ -217,7 +214,6 @@ impl<'a> Trial<'a> {
         design: &[f64],
         mut forces: Forces,
         solver: &Solver,
-        precision: Precision,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
@@ -225,7 +221,7 @@ impl<'a> Trial<'a> {
         let own = cast.map(|cast| (cast.scene(scene), cast.design(design)));
         let (scene, design) = own.as_ref().map_or((scene, design), |(scene, design)| (scene, design));
         let simulation =
-            simulated(&self.problem, scene, design, &forces, solver, precision, keep_tape, self.pool);
+            simulated(&self.problem, scene, design, &forces, solver, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         few_failed(&simulation.outcomes)?;
         let failed = silence(&mut forces, &simulation.outcomes);
@@ -297,21 +293,19 @@ pub(crate) fn tuned(
     tune(&scene, design, &forces, solver, pool)
 }
 
-/// Simulates on the clock of the motion; `Single` is for the steps that train a network alone. A linear brain takes f32's rounding for noise of the sensors,
-/// and bodies end at half as much error again (K = 2, M = 1, four seeds).
+/// Simulates on the clock of the motion. To an inverse brain, which explains every digit, f32's rounding would be noise.
 pub(crate) fn simulated(
     problem: &Problem,
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
     solver: &Solver,
-    precision: Precision,
     keep_tape: bool,
     pool: &crate::Pool,
 ) -> Simulation {
     let (scene, forces) = problem.in_motion(scene, forces);
     let plan = planned(&scene, design, &forces, solver);
-    let plan = if precision == Precision::Double { plan.double() } else { plan };
+    let plan = if problem.reader == BrainKind::Inverse { plan.double() } else { plan };
     dynamics::run(&scene, design, &forces, &plan, keep_tape, pool)
 }
 

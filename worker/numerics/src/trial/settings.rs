@@ -185,6 +185,8 @@ pub struct Evaluation {
     pub seeds: usize,
     /// Rate schedule of their training.
     pub schedule: Schedule,
+    /// Samples of an iteration, all where it does not say.
+    pub batch: Option<usize>,
     /// Iterations of as many further networks, whose training is to be a long one.
     pub long: Option<usize>,
     /// Casts of each body that are read.

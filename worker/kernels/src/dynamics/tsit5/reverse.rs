@@ -41,7 +41,7 @@ struct Cursor {
 /// Sweeps samples backwards, adding to the cotangents of `system`; returns those of the histories, (samples, K, R+1), if
 /// `forces_asked`.
 #[inline(always)]
-pub fn reverse<V: Vector>(
+pub fn reverse<V: Vector<Wide = V>>(
     system: &mut System<'_, V>,
     forces: &Forces,
     sweeps: &[Backward<'_>],
@@ -209,7 +209,7 @@ pub fn reverse<V: Vector>(
 /// Adds what forces pass on to the histories, (samples, K, R+1), of the samples in `lanes`: taken at `part` of the interval that
 /// begins at the lane's kink, they had the cotangent `w` of their work on the units.
 #[inline(always)]
-fn push_vjp<V: Vector>(
+fn push_vjp<V: Vector<Wide = V>>(
     system: &System<'_, V>,
     w: &[Unit<V>],
     part: V,
@@ -219,7 +219,7 @@ fn push_vjp<V: Vector>(
 ) {
     let panels = system.scene.panels.len();
     for k in 0..panels {
-        let bar = system.along(k, w);
+        let bar = system.along(k, w[system.scene.panels[k].unit]);
         let late = part * bar;
         let early = bar - late;
         for (l, &s) in lanes.iter().enumerate() {
@@ -232,7 +232,7 @@ fn push_vjp<V: Vector>(
 
 /// Transpose of the sensors' readings at a state: overwrites `to_x` and `to_v`.
 #[inline(always)]
-fn sensors_vjp<V: Vector>(
+fn sensors_vjp<V: Vector<Wide = V>>(
     system: &mut System<'_, V>,
     (x, v): (&[Unit<V>], &[Unit<V>]),
     force: &[V],

@@ -11,7 +11,7 @@ mod model;
 mod prior;
 
 use super::Fitted;
-use crate::dynamics::{Forces, Precision, Solver};
+use crate::dynamics::{Forces, Solver};
 use crate::identify::twin::{Ending, GoOn, Twin};
 use crate::random::Purpose;
 use crate::trial::{Counters, Failure, Problem, Samples, Trial, Trouble};
@@ -133,7 +133,7 @@ impl<'a> Inverse<'a> {
         let (solver, [train, _]) = (trial.tuned(design).solver, trial.problem.known());
         let (cast, mut counters) = (twin.map(|twin| &twin.cast), Counters::default());
         let known =
-            trial.simulate_cast(cast, design, train, &solver, Precision::Double, false, &mut counters);
+            trial.simulate_cast(cast, design, train, &solver, false, &mut counters);
         let brain = known.and_then(|known| Self::new(trial, design, &solver, twin, &known.samples));
         brain.map(|brain| Self { counters, ..brain }).map_err(Failure::Initial)
     }

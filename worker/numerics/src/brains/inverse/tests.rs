@@ -3,7 +3,6 @@
 use super::descent::Looks;
 use super::*;
 use crate::brain::linear::Lags;
-use crate::dynamics::Precision;
 use crate::nested::tests::{GOING, small};
 use crate::random::Draw;
 use crate::stimuli::{Irregular, Source};
@@ -80,9 +79,9 @@ fn bands_cover_what_is_drawn_from_the_prior() {
     let drawn: Vec<Vec<f64>> =
         (0..24).map(|_| normal(&mut draw, brain.guesses[0].prior.unknowns())).collect();
     let forces = brain.guesses[0].prior.forces(drawn.iter().map(Vec::as_slice));
-    let (solver, double, counters) = (&problem.solver, Precision::Double, &mut Counters::default());
+    let (solver, counters) = (&problem.solver, &mut Counters::default());
     let samples =
-        trial.simulate(&problem.initial, &forces, solver, double, false, counters).expect("samples");
+        trial.simulate(&problem.initial, &forces, solver, false, counters).expect("samples");
     let (samples, found) = (&samples.samples, brain.read(&samples.samples.signals));
     let off = |i: usize, estimate: &Estimate| -> Vec<f64> {
         let truth = samples.targets.chunks_exact(80).nth(i).expect("one a sample");
@@ -108,9 +107,9 @@ fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
         let mut brain =
             Inverse::new(&trial, &problem.initial, &problem.solver, None, &trial.initial).expect("a brain");
         let forces = problem.forces(Purpose::Holdout, 0, 4);
-        let (solver, double, counters) = (&problem.solver, Precision::Double, &mut Counters::default());
+        let (solver, counters) = (&problem.solver, &mut Counters::default());
         let unseen =
-            trial.simulate(&problem.initial, &forces, solver, double, false, counters).expect("some");
+            trial.simulate(&problem.initial, &forces, solver, false, counters).expect("some");
         let unseen = unseen.samples;
         let found = brain.read(&unseen.signals);
         let said: Vec<f64> = found.iter().flat_map(|estimate| &estimate.forces).copied().collect();
@@ -172,9 +171,9 @@ fn what_comes_too_late_is_not_looked_at() {
         let drawn: Vec<Vec<f64>> =
             (0..12).map(|_| normal(&mut draw, brain.guesses[0].prior.unknowns())).collect();
         let forces = brain.guesses[0].prior.forces(drawn.iter().map(Vec::as_slice));
-        let (solver, double, counters) = (&trial.problem.solver, Precision::Double, &mut Counters::default());
+        let (solver, counters) = (&trial.problem.solver, &mut Counters::default());
         let samples =
-            trial.simulate(&trial.problem.initial, &forces, solver, double, false, counters).expect("some");
+            trial.simulate(&trial.problem.initial, &forces, solver, false, counters).expect("some");
         let mut signals = samples.samples.signals;
         let width = brain.noise.channels();
         if let Some(cut) = cut {

@@ -3,7 +3,7 @@
 use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
-use crate::dynamics::{Accuracy, Contact, Method, Panel, Parameters, Precision, Scene, Solver};
+use crate::dynamics::{Accuracy, Contact, Method, Panel, Parameters, Scene, Solver};
 use crate::nested::tests::{GOING, small};
 use crate::random::{Purpose, Stream};
 use crate::trial::{BrainKind, Decoder, Disturbance, Optimise, Protocol, Ridge, Size, Stimuli};
@@ -43,7 +43,7 @@ fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
     let (solver, counters) = (&trial.problem.solver, &mut crate::trial::Counters::default());
     let design = &trial.problem.initial;
     let found =
-        trial.simulate_cast(Some(cast), design, forces.clone(), solver, Precision::Double, false, counters);
+        trial.simulate_cast(Some(cast), design, forces.clone(), solver, false, counters);
     let signals = found.expect("a cast that moves").samples.signals;
     (forces, signals)
 }

@@ -5,7 +5,7 @@ use super::linear::linear;
 use super::*;
 use crate::brain::linear::Lags;
 use crate::brains::{Plain, solve};
-use crate::dynamics::{Parameters, Precision, Relaxation, planned, run, signal_error};
+use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
 use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size};
 use crate::variation::{Casts, Variation};
 
@@ -76,7 +76,6 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
                             design,
                             forces,
                             solver,
-                            Precision::Double,
                             false,
                             counters,
                         )

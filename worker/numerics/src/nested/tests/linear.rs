@@ -4,7 +4,7 @@ use super::super::protocol::Session;
 use super::*;
 use crate::brain::linear::{Lags, Sizes};
 use crate::brains::{Plain, Stack, own_reading, readings, solve};
-use crate::dynamics::{planned, run};
+use crate::dynamics::{Precision, planned, run};
 use crate::place::placed;
 use crate::trial::{Placing, Samples};
 
@@ -129,7 +129,7 @@ fn the_whole_gradient_holds_through_simulator_and_solve() {
             let set = |forces| {
                 let counters = &mut Counters::default();
                 let found = trial
-                    .simulate(design, forces, &problem.solver, Precision::Double, false, counters)
+                    .simulate(design, forces, &problem.solver, false, counters)
                     .unwrap();
                 Plain::of(&found.samples, &trial.scales, pool.heartbeat())
             };
@@ -182,7 +182,7 @@ fn readings_are_those_of_their_own_fits() {
     let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
     let sets: [Samples; 3] = [&trial.train, &trial.test, &holdout].map(|forces| {
         let (counters, solver) = (&mut Counters::default(), &trial.problem.solver);
-        trial.simulate(&problem.initial, forces, solver, Precision::Double, false, counters).unwrap().samples
+        trial.simulate(&problem.initial, forces, solver, false, counters).unwrap().samples
     });
     for reading in &found.readings {
         trial.problem.decoder = Decoder { lags: reading.lags, ridge: Ridge::Given(reading.ridge) };
@@ -198,12 +198,11 @@ fn readings_are_those_of_their_own_fits() {
     assert_eq!(own.readings, found.readings);
 }
 
-/// However coarse the integrator and whatever brain trains, a body is read in f64: readings of both bodies are those of
-/// signals in f64, to the bit.
+/// A linear brain with all its memory hears no rounding: readings of both bodies are, to a hundredth, those of signals in f64.
 #[test]
-fn readings_are_of_signals_in_double_precision() {
+fn readings_of_forces_in_single_precision_are_those_in_double() {
     let mut problem = small(PROTOCOLS[2]);
-    (problem.solver.accuracy, problem.optimise.coarse) = (Accuracy(3e-2), None);
+    (problem.solver.accuracy, problem.optimise.coarse) = (Accuracy(1e-3), None);
     let pool = pool(1);
     let trial = Trial::new(&problem, &pool).unwrap();
     let found = super::super::optimise(&trial, None, &mut Keeper::default()).unwrap().unwrap();
@@ -220,7 +219,10 @@ fn readings_are_of_signals_in_double_precision() {
             let signals = run(&problem.scene, &body.design, forces, &plan.double(), false, &pool).signals;
             problem.samples(signals, forces)
         });
-        assert_eq!(readings(&trial, &sets).unwrap(), body.readings);
+        for (own, double) in body.readings.iter().zip(readings(&trial, &sets).unwrap()) {
+            let off = own.error_holdout.unwrap() / double.error_holdout.unwrap() - 1.0;
+            assert!(off.abs() < 0.01 && off != 0.0, "{own:?}: {off:e}");
+        }
     }
 }
 
@@ -308,10 +310,10 @@ fn channels_that_are_not_read_are_columns_that_are_not_there() {
         Samples::new(sizes, columns, all.targets.clone())
     };
     let trial = Trial::new(&problem, &pool).unwrap();
-    let (solver, double) = (trial.problem.solver, Precision::Double);
+    let solver = trial.problem.solver;
     let unseen = trial.problem.forces(Purpose::Holdout, 0, 6);
     let counters = &mut Counters::default();
-    let unseen = trial.simulate(&problem.initial, &unseen, &solver, double, false, counters).unwrap().samples;
+    let unseen = trial.simulate(&problem.initial, &unseen, &solver, false, counters).unwrap().samples;
     let brain = problem.decoder.fit(problem.seed, &deleted(&trial.initial), None).unwrap();
     let (own, wanted) = (found.initial.networks[0].error_holdout.unwrap(), brain.error_on(&deleted(&unseen)));
     assert!((own / wanted.unwrap() - 1.0).abs() < 1e-9, "{own} {wanted:?}");
