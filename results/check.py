@@ -170,6 +170,20 @@ def transfer_networks():
         yield line[1:], found
 
 
+def why():
+    bodies = {"initial": (None, "initial"), "trained with a linear brain": ("linear", "optimised"),
+              "trained with the paper's network": ("cnn", "optimised")}
+    for words, *cells in table("why"):
+        trained, body = bodies[words]
+        mine = [row for row in rows("why/rows.csv", body=body) if trained in (None, row["trained_with"])]
+        mean = lambda column, of=mine: short(geometric(numbers(of, column)))
+        by = [trained] if trained else ["linear", "cnn"]
+        errors = [mean("error", [row for row in mine if row["trained_with"] == brain]) for brain in by]
+        memory = short(geometric([1e3 * x for x in numbers(mine, "memory")]))
+        told = [mean(column) for column in ("forces_told", "condition", "bits")]
+        yield cells, [", ".join(errors) + " %", mean("wiener_error") + " %", *told, memory + " ms"]
+
+
 def real_scale():
     scenes = [("reference", "bell"), ("real, chip", "bell"), ("reference", "irregular"), ("real, chip", "irregular"), ("real", "irregular")]
     for (body, stimuli), line in zip(scenes, table("real scale"), strict=True):
@@ -200,7 +214,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, real_scale, filtered, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, real_scale, filtered, relaxing]
 
 if __name__ == "__main__":
     wrong = 0

@@ -165,7 +165,7 @@ fn committed_specs_keep_their_hashes() {
     gradient c39bace70d622cb2
     long-training aff57803d389341f
     placed-two-core 6a5121d9e7f59190
-    quickstart e9c87febd0863bfb
+    quickstart 8877ce004f8b4bb3
     random 1fc0dbba48090cf1
     real-scale a24e0292c7de791c
     reference f69dce36048b28bd
@@ -173,6 +173,7 @@ fn committed_specs_keep_their_hashes() {
     transfer fb5577499f8e180e
     two-forces 434eeb4530862f35
     who-senses 86aea9e1955edf73
+    why 0ace863b908f0e91
     ");
 }
 

@@ -92,6 +92,34 @@ fn a_finished_trial_stands_beside_its_bounds() {
         "{quieter:?}"
     );
 
+    let why = json(&bench.output(&[
+        "operator",
+        "results/tiny.sqlite",
+        "--out",
+        "operator.svg",
+        "--format",
+        "json",
+    ]));
+    let rows = json(&bench.output(&["operator", "results/tiny.sqlite", "--rows", "--format", "json"]));
+    assert!(
+        why.len() == 10
+            && rows.len() == 4
+            && std::fs::read_to_string(bench.path("operator.svg")).unwrap().contains("<circle"),
+        "{why:?}"
+    );
+    let number = |row: &Value, column: &str| row[column].as_f64().unwrap();
+    let initial = rows.iter().find(|row| row["body"] == "initial").unwrap();
+    let first =
+        why.iter().find(|row| row["setting"].as_str().unwrap().ends_with(initial["brain"].as_str().unwrap()));
+    let own = number(first.unwrap(), "initial") / number(initial, "wiener_error");
+    assert!((own - 1.0).abs() < 1e-9, "{why:?}");
+    for row in &rows {
+        let (left, ranks) = (number(row, "wiener_error"), number(row, "forces_told"));
+        assert!(0.0 < left && left < 100.0 && (1.0..=2.0).contains(&ranks), "{row:?}");
+        assert!(number(row, "bits") > 0.0 && number(row, "memory") > 0.0, "{row:?}");
+    }
+    refused(&bench, &["operator", "s.toml"], "s.toml");
+
     bench.file("silent.toml", TINY);
     refused(&bench, &["bound", "silent.toml"], "sensors.noise");
     refused(&bench, &["bound", "silent.toml", "--db", "results/tiny.sqlite"], "no trial with the scene");

@@ -50,6 +50,8 @@ const BLOCKS: &[(&str, Render)] = &[
     ("transfer", results::transfer),
     ("transfer networks", results::transfer_networks),
     ("real scale", results::real_scale),
+    ("why", results::why),
+    ("why correlated", results::why_correlated),
     ("filtered", results::filtered),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use metasense::analysis::numbers::{deviation, geometric_mean, mean};
+use metasense::analysis::operator::MEASURES;
 use serde_json::Value;
 
 use super::{root, table, who_senses};
@@ -232,6 +233,55 @@ pub fn transfer_networks() -> String {
     let head =
         ["trained under", "read under pulses", "under blows", "of the pulses' gain", "of the blows' gain"];
     table(&head, bodies.map(line))
+}
+
+/// What the sensors of initial and trained bodies can tell, in geometric means over seeds.
+pub fn why() -> String {
+    let all = rows("why/rows.csv");
+    let line = |(words, body, trained): (&str, &str, Option<&str>)| {
+        let values = |trained: Option<&str>, column: &str, by: f64| {
+            let own =
+                all.iter().filter(|row| row["body"] == body && trained.is_none_or(|t| row["trained_with"] == t));
+            geometric(own.map(|row| by * number(row, column)))
+        };
+        let mean = |trained: Option<&str>, column: &str| values(trained, column, 1.0);
+        let errors = match trained {
+            Some(brain) => format!("{} %", mean(Some(brain), "error")),
+            None => format!("{}, {} %", mean(Some("linear"), "error"), mean(Some("cnn"), "error")),
+        };
+        let left = format!("{} %", mean(trained, "wiener_error"));
+        let told = ["forces_told", "condition", "bits"].map(|column| mean(trained, column));
+        let memory = format!("{} ms", values(trained, "memory", 1e3));
+        [vec![words.to_owned(), errors, left], told.to_vec(), vec![memory]].concat()
+    };
+    let bodies = [
+        ("initial", "initial", None),
+        ("trained with a linear brain", "optimised", Some("linear")),
+        ("trained with the paper's network", "optimised", Some("cnn")),
+    ];
+    let head = [
+        "body",
+        "error by its own brain",
+        "left by Wiener's filter",
+        "forces told apart",
+        "condition",
+        "bits a second",
+        "memory",
+    ];
+    table(&head, bodies.map(line))
+}
+
+/// Rank correlations of what changes with what is gained.
+pub fn why_correlated() -> String {
+    let all = rows("why/operator.csv");
+    let line = |measure: &str| {
+        let cell = |setting: &str| {
+            let row = one(&all, &[("setting", setting), ("measure", measure)]);
+            ratio(row, "correlation", "correlation_low", "correlation_high")
+        };
+        vec![measure.to_owned(), cell("K = 2, M = 1, linear"), cell("K = 2, M = 1, cnn")]
+    };
+    table(&["measure", "linear brain", "the paper's network"], MEASURES.map(line))
 }
 
 /// Errors of a body of the real scale and of the reference body, seed by seed.

@@ -13,6 +13,7 @@ mod invalid;
 pub mod inverse;
 pub mod measured;
 pub mod modes;
+pub mod operator;
 pub mod pace;
 pub mod place;
 pub mod problem;

@@ -15,6 +15,7 @@ pub mod decision;
 pub mod elbow;
 pub mod kinds;
 pub mod numbers;
+pub mod operator;
 pub mod paired;
 pub mod placed;
 pub mod random;

@@ -23,6 +23,7 @@ mod merge;
 mod modes;
 mod named;
 mod old;
+mod operator;
 mod pages;
 mod place;
 mod project;
@@ -107,7 +108,7 @@ commands! {
     "A sweep": Run run, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
     "A cluster": Submit submit, Merge merge, Gc gc;
     "Results": Query query, Analyse analyse, Report report, Claims claims, Export export, Remove remove;
-    "Bodies": Simulate simulate, Modes modes, Bound bound, Casts casts, Place place, Project project, Draw draw;
+    "Bodies": Simulate simulate, Modes modes, Bound bound, Operator operator, Casts casts, Place place, Project project, Draw draw;
     "Measured data": Identify identify, Twin twin, Evaluate evaluate;
     "Checks": Verify verify, Schema schema;
 }

@@ -9,9 +9,9 @@ use metasense_worker::problem::{INVERTED_OF_A_CAST, READINGS_MAX, instants, lags
 
 /// A core with AVX-512, for weights that are the same on every machine.
 const RATED: Pace = Pace { evaluations: 2.9e8, training: 1.1e11, factor: 2.5e10 };
-/// Part of a force evaluation's time in f32, and the tolerance from which on steps are coarse enough.
-const SINGLE: f64 = 0.55;
-const COARSE: f64 = 1e-2;
+/// Part of a force evaluation's time where forces are f32, and the tolerance from which on they mostly are.
+const SINGLE: f64 = 0.65;
+const SINGLE_FROM: f64 = 1e-3;
 /// Steps of a body in training, against those of the initial one: it rings higher.
 const GROWN: f64 = 1.3;
 /// Of the reverse sweep, forward recomputation included, to the simulation.
@@ -115,7 +115,8 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Seconds {
     let stimuli = &trial.stimuli;
     let optimise = trial.optimise.clone().resolved();
     let sample_by = |solver: Solver| {
-        let single = solver.tolerance >= COARSE && solver.method != Method::Tsit5 && !trial.optimise.linear();
+        let exact = solver.method == Method::Tsit5 || trial.brain.kind == BrainKind::Inverse;
+        let single = solver.tolerance >= SINGLE_FROM && !exact;
         evaluations(solver, trial) * units as f64 * if single { SINGLE } else { 1.0 } / pace.evaluations
     };
     let one_sample = sample_by(trial.solver);

@@ -322,29 +322,29 @@ mod x86 {
         wide: Self, narrow(x): x, widen(x): x);
 
     register!(SingleAvx512: __m512, f32, 16;
-        _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps,
-        _mm512_div_ps, _mm512_max_ps;
-        abs(a): _mm512_abs_ps(a),
-        rsqrt(x): {
-            // 14 bits, then a step of second order: 3/8 e² is below an ulp's tenth
-            let y = Self(unsafe { _mm512_rsqrt14_ps(x.0) });
-            let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
-            y.times(e).mul_add(Self::splat(0.5), y)
-        },
-        less(x, y): _mm512_cmp_ps_mask::<_CMP_LT_OQ>(x, y),
-        blend(mask, yes, no): _mm512_mask_blend_ps(mask, no, yes),
-        within(x, most): _mm512_cmp_ps_mask::<_CMP_LE_OQ>(x, most) == 0xffff,
-        any(mask): mask != 0,
-        sum(all): _mm512_reduce_add_ps(all),
-        wide: Pair<Avx512>,
-        narrow(x): {
-            let [low, high] = [x.0.0, x.1.0].map(|half| unsafe { _mm256_castps_pd(_mm512_cvtpd_ps(half)) });
-            Self(unsafe { _mm512_castpd_ps(_mm512_insertf64x4::<1>(_mm512_castpd256_pd512(low), high)) })
-        },
-        widen(x): unsafe {
-            let high = _mm256_castpd_ps(_mm512_extractf64x4_pd::<1>(_mm512_castps_pd(x.0)));
-            Pair(Avx512(_mm512_cvtps_pd(_mm512_castps512_ps256(x.0))), Avx512(_mm512_cvtps_pd(high)))
-        });
+    _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps,
+    _mm512_div_ps, _mm512_max_ps;
+    abs(a): _mm512_abs_ps(a),
+    rsqrt(x): {
+        // 14 bits, then a step of second order: 3/8 e² is below an ulp's tenth
+        let y = Self(unsafe { _mm512_rsqrt14_ps(x.0) });
+        let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
+        y.times(e).mul_add(Self::splat(0.5), y)
+    },
+    less(x, y): _mm512_cmp_ps_mask::<_CMP_LT_OQ>(x, y),
+    blend(mask, yes, no): _mm512_mask_blend_ps(mask, no, yes),
+    within(x, most): _mm512_cmp_ps_mask::<_CMP_LE_OQ>(x, most) == 0xffff,
+    any(mask): mask != 0,
+    sum(all): _mm512_reduce_add_ps(all),
+    wide: Pair<Avx512>,
+    narrow(x): {
+        let [low, high] = [x.0.0, x.1.0].map(|half| unsafe { _mm256_castps_pd(_mm512_cvtpd_ps(half)) });
+        Self(unsafe { _mm512_castpd_ps(_mm512_insertf64x4::<1>(_mm512_castpd256_pd512(low), high)) })
+    },
+    widen(x): unsafe {
+        let high = _mm256_castpd_ps(_mm512_extractf64x4_pd::<1>(_mm512_castps_pd(x.0)));
+        Pair(Avx512(_mm512_cvtps_pd(_mm512_castps512_ps256(x.0))), Avx512(_mm512_cvtps_pd(high)))
+    });
 
     register!(Half: __m256d, f64, 4;
     _mm256_set1_pd, _mm256_loadu_pd, _mm256_storeu_pd, _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_fmadd_pd, _mm256_fnmadd_pd,

@@ -6,8 +6,8 @@
 //! Steps too long for the highest mode feed energy into it that nobody has put in; signals can then be finite and huge.
 
 use super::energy::contact_energy;
-use super::model::Model;
 use super::ligaments::Place;
+use super::model::Model;
 use super::system::System;
 use crate::lanes::Vector;
 

@@ -198,11 +198,23 @@ mod no_tsit5 {
     use super::*;
     use crate::dynamics::Tolerance;
 
-    pub fn forward<V: Vector>(_: System<'_, V>, _: &Forces, _: Tolerance, _: &Queue<'_, '_>, _: &Heartbeat) -> Counters {
+    pub fn forward<V: Vector>(
+        _: System<'_, V>,
+        _: &Forces,
+        _: Tolerance,
+        _: &Queue<'_, '_>,
+        _: &Heartbeat,
+    ) -> Counters {
         unreachable!("no plan has it")
     }
 
-    pub fn reverse<V: Vector>(_: &mut System<'_, V>, _: &Forces, _: &[Backward<'_>], _: bool, _: &Heartbeat) -> (Vec<f64>, Counters) {
+    pub fn reverse<V: Vector>(
+        _: &mut System<'_, V>,
+        _: &Forces,
+        _: &[Backward<'_>],
+        _: bool,
+        _: &Heartbeat,
+    ) -> (Vec<f64>, Counters) {
         unreachable!("no plan has it")
     }
 }

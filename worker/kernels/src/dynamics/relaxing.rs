@@ -83,7 +83,8 @@ fn block<V: Vector, const LINEAR: bool>(
                 for u in moving.clone() {
                     for d in 0..3 {
                         let impulse = b.mul_add(g[u][d], pull[u][d]);
-                        v[u][d] = V::Wide::of(model.inverse_mass[u][d]).mul_sub_from(impulse.widen(), v[u][d]);
+                        v[u][d] =
+                            V::Wide::of(model.inverse_mass[u][d]).mul_sub_from(impulse.widen(), v[u][d]);
                     }
                 }
                 let Some(drifts) = drifts.get(j) else { break };

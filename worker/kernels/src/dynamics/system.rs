@@ -336,7 +336,8 @@ impl<'a, V: Vector> System<'a, V> {
             bar_v[u][2] = bar_v[u][2] + o;
             let (mut bx, mut by) = (p, q);
             if let Some(mount) = self.scene.mount {
-                let (at, omega) = (Mounted::new(mount, self.scene.frame, V::narrow(x[u][2])), V::narrow(v[u][2]));
+                let (at, omega) =
+                    (Mounted::new(mount, self.scene.frame, V::narrow(x[u][2])), V::narrow(v[u][2]));
                 let (read, [bx, by]) = (at.read(omega, a[u]), at.back([p, q]));
                 if self.scene.frame == Frame::Body {
                     bar_x[u][2] = bar_x[u][2] + read[1] * p - read[0] * q;

@@ -158,8 +158,10 @@ impl Reader for NetworkReader<'_> {
             true
         };
         let rate = |i| recipe.rate * recipe.schedule.factor(i, iterations);
-        let (turns, data, workspace) = (turns(self.known.count(), recipe.batch), &self.data, &mut self.workspace);
-        let batch = |i: usize| if turns.len() == 1 { data.all() } else { data.batch(&turns[i % turns.len()]) };
+        let (turns, data, workspace) =
+            (turns(self.known.count(), recipe.batch), &self.data, &mut self.workspace);
+        let batch =
+            |i: usize| if turns.len() == 1 { data.all() } else { data.batch(&turns[i % turns.len()]) };
         let outcome =
             brain::train_on(weights, adam, &batch, &rate, iterations, losses, workspace, pool, &mut watch)?;
         Some(well(outcome))

@@ -220,22 +220,13 @@ impl Mould<'_> {
     fn known(&self, counters: &mut Counters) -> Known {
         let &Self { trial, design, solver } = self;
         let [train, _] = trial.problem.known();
-        let nominal = trial
-            .simulate_most(design, train, solver, false, counters)
-            .map(|found| found.samples);
+        let nominal = trial.simulate_most(design, train, solver, false, counters).map(|found| found.samples);
         let mut all = Vec::with_capacity(KNOWN_CASTS);
         for number in 0..KNOWN_CASTS {
             let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
             let forces = trial.problem.forces(Purpose::Fresh, first, KNOWN_SAMPLES);
             let cast = trial.cast(Casts::Known, number as u64);
-            match trial.simulate_cast(
-                cast.as_ref(),
-                design,
-                forces,
-                solver,
-                false,
-                counters,
-            ) {
+            match trial.simulate_cast(cast.as_ref(), design, forces, solver, false, counters) {
                 Ok(found) => all.push(found.samples),
                 // one that fails teaches nothing
                 Err(trouble) if number + 1 == KNOWN_CASTS && all.is_empty() => {
@@ -252,9 +243,7 @@ impl Mould<'_> {
         let &Self { trial, design, solver } = self;
         let [train, _] = trial.problem.known();
         let holdout = trial.problem.forces(Purpose::Holdout, 0, trial.problem.stimuli.holdout);
-        let mut of = |forces| {
-            Ok(trial.simulate_cast(cast, design, forces, solver, false, counters)?.samples)
-        };
+        let mut of = |forces| Ok(trial.simulate_cast(cast, design, forces, solver, false, counters)?.samples);
         Ok([of(train)?, of(holdout)?])
     }
 }

@@ -346,9 +346,7 @@ impl<'a> Session<'a> {
         let (trial, solver) = (self.trial, &self.trial.problem.solver);
         log.timed(
             |s| &mut s.simulate,
-            |report| {
-                trial.simulate_cast(cast, &state.design, forces, solver, false, &mut report.counters)
-            },
+            |report| trial.simulate_cast(cast, &state.design, forces, solver, false, &mut report.counters),
         )
     }
 
@@ -388,14 +386,7 @@ impl<'a> Session<'a> {
                 |s| &mut s.simulate,
                 |report| {
                     let counters = &mut report.counters;
-                    trial.simulate_cast(
-                        cast.as_ref(),
-                        design,
-                        forces,
-                        &solver,
-                        keep_tape,
-                        counters,
-                    )
+                    trial.simulate_cast(cast.as_ref(), design, forces, &solver, keep_tape, counters)
                 },
             )?;
             if step == log.report.step {

@@ -532,8 +532,7 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let mut workspace = Workspace::<f64>::new(shape, pool.width());
     let mut loss = |design: &[f64]| {
         let counters = &mut Counters::default();
-        let response =
-            trial.simulate(design, &trial.test, &problem.solver, true, counters).unwrap();
+        let response = trial.simulate(design, &trial.test, &problem.solver, true, counters).unwrap();
         let (x, y) =
             (trial.scales.inputs(&response.samples.signals), trial.scales.targets(&response.samples.targets));
         let data = Data::<f64>::new(shape, &x, &y).with_output_weights(&variances);

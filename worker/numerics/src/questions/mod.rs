@@ -3,12 +3,14 @@
 mod bound;
 mod chain;
 mod nonlinear;
+mod operator;
 mod replay;
 mod under;
 
 pub use bound::{Bound, bound};
 pub use nonlinear::Nonlinear;
 pub(crate) use nonlinear::nonlinear;
+pub use operator::{Told, told};
 pub use replay::{LinearReplay, Motion, Replay, motion, replay, sense};
 pub use under::UnderReading;
 pub(crate) use under::under;

@@ -57,8 +57,7 @@ pub fn replay(
     let mut kinds = vec![0; problem.stimuli.samples];
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);
-    let simulation =
-        simulated(problem, &problem.scene, design, &forces, &solver, false, pool);
+    let simulation = simulated(problem, &problem.scene, design, &forces, &solver, false, pool);
     for set in 0..3 {
         let own = simulation.outcomes.iter().zip(&kinds).filter(|(_, kind)| **kind == set);
         few_failed(&own.map(|(outcome, _)| *outcome).collect::<Vec<_>>()).map_err(Failure::Initial)?;
@@ -226,8 +225,7 @@ pub fn sense(
     pool: &crate::Pool,
 ) -> Result<Vec<f64>, Failure> {
     let solver = tuned(problem, design, forces, &problem.solver, pool).solver;
-    let simulation =
-        simulated(problem, &problem.scene, design, forces, &solver, false, pool);
+    let simulation = simulated(problem, &problem.scene, design, forces, &solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     match problem.disturbance {
         Some(_) => Ok(Trial::new(problem, pool)?.heard(simulation.signals, forces)),

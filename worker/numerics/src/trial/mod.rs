@@ -25,9 +25,7 @@ pub use settings::{
     Terms, Training,
 };
 
-use crate::dynamics::{
-    self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, planned, tune,
-};
+use crate::dynamics::{self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, planned, tune};
 use crate::random::Purpose;
 use crate::stimuli::Source;
 use crate::variation::{Cast, Casts, Chips};
@@ -109,15 +107,8 @@ impl<'a> Trial<'a> {
         }
 
         let [mut train, test] = problem.known();
-        let simulation = simulated(
-            &problem,
-            &problem.scene,
-            &problem.initial,
-            &train,
-            &problem.solver,
-            false,
-            pool,
-        );
+        let simulation =
+            simulated(&problem, &problem.scene, &problem.initial, &train, &problem.solver, false, pool);
         few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
         let failed = silence(&mut train, &simulation.outcomes);
         let mut initial =
@@ -165,8 +156,7 @@ impl<'a> Trial<'a> {
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
         let scene = &self.problem.scene;
-        let simulation =
-            simulated(&self.problem, scene, design, forces, solver, keep_tape, self.pool);
+        let simulation = simulated(&self.problem, scene, design, forces, solver, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         all_well(&simulation.outcomes)?;
         Ok(self.response(simulation, Chips::default(), forces, vec![false; forces.samples]))
@@ -220,8 +210,7 @@ impl<'a> Trial<'a> {
         let scene = &self.problem.scene;
         let own = cast.map(|cast| (cast.scene(scene), cast.design(design)));
         let (scene, design) = own.as_ref().map_or((scene, design), |(scene, design)| (scene, design));
-        let simulation =
-            simulated(&self.problem, scene, design, &forces, solver, keep_tape, self.pool);
+        let simulation = simulated(&self.problem, scene, design, &forces, solver, keep_tape, self.pool);
         counters.dynamics += simulation.counters;
         few_failed(&simulation.outcomes)?;
         let failed = silence(&mut forces, &simulation.outcomes);

@@ -132,8 +132,7 @@ impl<'a> Inverse<'a> {
     pub fn of(trial: &'a Trial<'a>, design: &[f64], twin: Option<&Twin>) -> Result<Self, Failure> {
         let (solver, [train, _]) = (trial.tuned(design).solver, trial.problem.known());
         let (cast, mut counters) = (twin.map(|twin| &twin.cast), Counters::default());
-        let known =
-            trial.simulate_cast(cast, design, train, &solver, false, &mut counters);
+        let known = trial.simulate_cast(cast, design, train, &solver, false, &mut counters);
         let brain = known.and_then(|known| Self::new(trial, design, &solver, twin, &known.samples));
         brain.map(|brain| Self { counters, ..brain }).map_err(Failure::Initial)
     }

@@ -80,8 +80,7 @@ fn bands_cover_what_is_drawn_from_the_prior() {
         (0..24).map(|_| normal(&mut draw, brain.guesses[0].prior.unknowns())).collect();
     let forces = brain.guesses[0].prior.forces(drawn.iter().map(Vec::as_slice));
     let (solver, counters) = (&problem.solver, &mut Counters::default());
-    let samples =
-        trial.simulate(&problem.initial, &forces, solver, false, counters).expect("samples");
+    let samples = trial.simulate(&problem.initial, &forces, solver, false, counters).expect("samples");
     let (samples, found) = (&samples.samples, brain.read(&samples.samples.signals));
     let off = |i: usize, estimate: &Estimate| -> Vec<f64> {
         let truth = samples.targets.chunks_exact(80).nth(i).expect("one a sample");
@@ -108,8 +107,7 @@ fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
             Inverse::new(&trial, &problem.initial, &problem.solver, None, &trial.initial).expect("a brain");
         let forces = problem.forces(Purpose::Holdout, 0, 4);
         let (solver, counters) = (&problem.solver, &mut Counters::default());
-        let unseen =
-            trial.simulate(&problem.initial, &forces, solver, false, counters).expect("some");
+        let unseen = trial.simulate(&problem.initial, &forces, solver, false, counters).expect("some");
         let unseen = unseen.samples;
         let found = brain.read(&unseen.signals);
         let said: Vec<f64> = found.iter().flat_map(|estimate| &estimate.forces).copied().collect();
@@ -172,8 +170,7 @@ fn what_comes_too_late_is_not_looked_at() {
             (0..12).map(|_| normal(&mut draw, brain.guesses[0].prior.unknowns())).collect();
         let forces = brain.guesses[0].prior.forces(drawn.iter().map(Vec::as_slice));
         let (solver, counters) = (&trial.problem.solver, &mut Counters::default());
-        let samples =
-            trial.simulate(&trial.problem.initial, &forces, solver, false, counters).expect("some");
+        let samples = trial.simulate(&trial.problem.initial, &forces, solver, false, counters).expect("some");
         let mut signals = samples.samples.signals;
         let width = brain.noise.channels();
         if let Some(cut) = cut {

@@ -42,8 +42,7 @@ fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
     let forces = trial.problem.known()[0].select(&(0..count).collect::<Vec<_>>());
     let (solver, counters) = (&trial.problem.solver, &mut crate::trial::Counters::default());
     let design = &trial.problem.initial;
-    let found =
-        trial.simulate_cast(Some(cast), design, forces.clone(), solver, false, counters);
+    let found = trial.simulate_cast(Some(cast), design, forces.clone(), solver, false, counters);
     let signals = found.expect("a cast that moves").samples.signals;
     (forces, signals)
 }

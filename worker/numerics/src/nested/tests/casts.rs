@@ -71,14 +71,7 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
                     let cast = trial.cast(Casts::Step, number);
                     let (solver, counters) = (&problem.solver, &mut Counters::default());
                     trial
-                        .simulate_cast(
-                            cast.as_ref(),
-                            design,
-                            forces,
-                            solver,
-                            false,
-                            counters,
-                        )
+                        .simulate_cast(cast.as_ref(), design, forces, solver, false, counters)
                         .unwrap()
                         .samples
                 })

@@ -128,9 +128,7 @@ fn the_whole_gradient_holds_through_simulator_and_solve() {
         let loss = |design: &[f64]| {
             let set = |forces| {
                 let counters = &mut Counters::default();
-                let found = trial
-                    .simulate(design, forces, &problem.solver, false, counters)
-                    .unwrap();
+                let found = trial.simulate(design, forces, &problem.solver, false, counters).unwrap();
                 Plain::of(&found.samples, &trial.scales, pool.heartbeat())
             };
             let train = set(&trial.train);

@@ -1,0 +1,146 @@
+//! `operator`: what the sensors of initial and optimised bodies can tell, and whether that says what training gains.
+
+use std::path::PathBuf;
+
+use metasense_worker::operator::{Told, told};
+
+use super::named::Database;
+use super::{Error, Format, print_rows, write};
+use crate::analysis::Cluster;
+use crate::analysis::numbers::distinct;
+use crate::analysis::operator::{Change, MEASURES, table};
+use crate::exit::Exit;
+use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row};
+use crate::store::Reader;
+
+/// Computes why training helps: what the sensors of each body can tell, before any brain
+///
+/// Of small motions about rest: the linear operator from the forces' spectrum to the signals, relative to the sensors' noise (1 % of each
+/// channel's RMS on the initial body where there is none). What Wiener's filter, the best of all linear decoders, would leave; how many
+/// forces are told apart (the exponential of the entropy of squared singular values, from 1 to K); the condition, from the first singular
+/// value to the last; bits a second; the mean time of what follows an impulse. Each in the geometric mean over the trials of a setting, with
+/// the rank correlation of its change with the gain.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The database
+    #[arg(value_name = "DB")]
+    db: PathBuf,
+    /// A row a trial and body, in place of the table of measures
+    #[arg(long)]
+    rows: bool,
+    /// Draws what Wiener's filter would gain beside what was gained
+    #[arg(long, value_name = "FILE.svg")]
+    out: Option<PathBuf>,
+    /// The form of the table
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// A finished trial: its name and how it was read, and what its bodies tell.
+struct Seen {
+    head: Vec<serde_json::Value>,
+    change: Change,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let seen = Reader::asked(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
+        let sql = "SELECT hash, panels, sensors, placement, seed, brain, trained_with, holdout_error_initial,
+                          holdout_error_optimised
+                     FROM v_trial
+                    WHERE state = 'done' AND holdout_error_initial > 0 AND holdout_error_optimised > 0
+                    ORDER BY panels, sensors, placement, seed, hash";
+        let mut seen = Vec::new();
+        for row in reader.query::<Table>(sql).await?.rows {
+            let hash = row[0].as_str().unwrap_or_default();
+            let Some(stored) = reader.stored(hash).await? else { continue };
+            let mut measures = [[0.0; MEASURES.len()]; 2];
+            for (b, to) in measures.iter_mut().enumerate() {
+                let found = told(&stored.specs[b], &stored.designs[b])
+                    .map_err(|e| Error::Usage(format!("trial {}: {e}", &hash[..8])))?;
+                let Told { error, rank, condition, bits, memory } = found;
+                *to = [error, rank, condition, bits, memory];
+            }
+            let whole = |i: usize| row[i].as_u64().unwrap_or_default();
+            let cluster = Cluster { placement: whole(3), seed: whole(4) };
+            let errors = [7, 8].map(|i| row[i].as_f64().unwrap_or_default());
+            let text = |i: usize| row[i].as_str().unwrap_or_default();
+            let (brain, trained_with) = (text(5), text(6));
+            let by = if brain == trained_with {
+                brain.to_owned()
+            } else {
+                format!("{trained_with}, read by {brain}")
+            };
+            let setting = format!("K = {}, M = {}, {by}", row[1], row[2]);
+            let change = Change { setting, cluster, errors, told: measures };
+            seen.push(Seen { head: row[..7].to_vec(), change });
+        }
+        Ok(seen)
+    })
+    .await?;
+    if seen.is_empty() {
+        let db = args.db.display();
+        return Err(Error::Usage(format!(
+            "{db} has no finished trial; `metasense status {db}` says what it holds"
+        )));
+    }
+    if args.rows {
+        print_rows(&rows(&seen), args.format)?;
+    } else {
+        print_rows(&table(&seen.iter().map(|seen| seen.change.clone()).collect::<Vec<_>>()), args.format)?;
+    }
+    if let Some(out) = &args.out {
+        write(out, drawn(&seen))?;
+        say!("written {}", out.display());
+    }
+    Ok(Exit::Done)
+}
+
+fn rows(seen: &[Seen]) -> Table {
+    let columns = "hash panels sensors placement seed brain trained_with body error wiener_error forces_told condition bits memory";
+    let of = |seen: &Seen, b: usize| {
+        let body = ["initial", "optimised"][b];
+        let own = seen.change.told[b].into_iter().flat_map(|measure| row![measure]);
+        seen.head.iter().cloned().chain(row![body, seen.change.errors[b]]).chain(own).collect()
+    };
+    Table::new(columns, seen.iter().flat_map(|seen| [of(seen, 0), of(seen, 1)]))
+}
+
+/// Of dots, in turn, and of their keys.
+const CLASSES: [(&str, &str); 5] = [
+    ("optimised", "dot optimised"),
+    ("front", "dot front"),
+    ("fourth", "dot fourth"),
+    ("fifth", "dot fifth"),
+    ("initial", "dot initial"),
+];
+
+/// Gains by Wiener's filter and of the trials' own brains.
+fn drawn(seen: &[Seen]) -> String {
+    let gains = |Seen { change, .. }: &Seen| {
+        (change.told[0][0] / change.told[1][0], change.errors[0] / change.errors[1])
+    };
+    let points: Vec<(f64, f64)> = seen.iter().map(gains).collect();
+    let x = Axis::new("gain of Wiener's filter, small motions", Scale::Log, points.iter().map(|p| p.0));
+    let y = Axis::new("gain of the trial's brain, holdout", Scale::Log, points.iter().map(|p| p.1));
+    let mut plot = Plot::new("What training makes the sensors tell, and what it gains", x, y);
+    let (low, high) =
+        points.iter().fold((f64::INFINITY, 0.0f64), |(l, h), p| (l.min(p.0.max(p.1)), h.max(p.0.min(p.1))));
+    plot.line("equal", [(low, low), (high, high)]);
+    let text = |change: &Change, (x, y): &(f64, f64)| {
+        let Cluster { placement, seed } = change.cluster;
+        format!(
+            "{}, placement {placement}, seed {seed}: {} and {} times",
+            change.setting,
+            number(*x),
+            number(*y)
+        )
+    };
+    let settings = distinct(seen.iter().map(|seen| &seen.change.setting));
+    let mut key = Legend::default();
+    for (setting, (line, dot)) in settings.into_iter().zip(CLASSES.into_iter().cycle()) {
+        let own = seen.iter().zip(&points).filter(|(seen, _)| seen.change.setting == *setting);
+        plot.dots(line, own.map(|(seen, point)| (*point, text(&seen.change, point))));
+        key.push((dot, setting.clone()));
+    }
+    file(&[plot.picture()], 1, 480.0, &key)
+}

@@ -1,0 +1,190 @@
+//! Why a body is easy to read, or hard: what small motions make of its forces, before any brain.
+//!
+//! ```text
+//! y(ω) = G(ω) f(ω) + n(ω),   A(ω) = N^-½ G(ω) S(ω)^½ with singular values s₁ ≥ s₂ ≥ …
+//! ```
+//! S is the power of the training forces, alike on all panels and independent, N white noise of each channel. Of stationary
+//! forces Wiener's filter leaves S Σ 1/(1 + s²), the least of all linear decoders (Kay, Fundamentals of Statistical Signal
+//! Processing I, 1993, ch. 12), and signals tell log₂ Π(1 + s²) bits a frequency (Shannon 1949).
+
+use crate::dynamics::Rest;
+use crate::modes::{c64, responses};
+use crate::trial::{Problem, Size};
+use faer::Mat;
+use std::f64::consts::TAU;
+
+/// What a body's sensors can tell of its forces.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Told {
+    /// What Wiener's filter leaves (% of the forces' power).
+    pub error: f64,
+    /// exp of the entropy of s²/Σs²: how many forces are told apart, from 1 to K.
+    pub rank: f64,
+    /// s₁ over the K-th, or last, of them.
+    pub condition: f64,
+    /// Bits a second.
+    pub bits: f64,
+    /// Mean time of what follows an impulse, by energy (s).
+    pub memory: f64,
+}
+
+/// Noise of each channel, as a part of its RMS on the initial body, where the trial's sensors have none.
+const NOISE: f64 = 0.01;
+
+/// Of a body; ranks and logarithms of conditions are means over frequencies, weighted by the forces' power. Noise is relative to the
+/// initial body's signals. Chips read at their units' centroids, without filter, steps and range.
+///
+/// # Panics
+/// If the sensors are still to be searched for, or the design is of another length.
+pub fn told(problem: &Problem, design: &[f64]) -> Told {
+    assert!(problem.search.is_none(), "the sensors are not in place");
+    let scene = &problem.scene;
+    let (bins, panels) = (scene.instants / 2, scene.panels.len());
+    let frequencies: Vec<f64> = (1..=bins).map(|b| b as f64 / scene.duration).collect();
+    let power = power(&problem.targets(&problem.known()[0]), scene.instants, panels, bins);
+    // G of each frequency: channels of each sensor in turn, by panels
+    let operators = |design: &[f64]| -> Vec<Mat<c64>> {
+        let found = responses(scene, &Rest::new(scene, design), &scene.sensors, &frequencies);
+        let (each, rows) = (problem.channels.len(), problem.channels.len() * scene.sensors.len());
+        let read = |of: &Vec<Vec<[c64; 3]>>, i: usize, k: usize| of[k][i / each][problem.channels[i % each]];
+        found.iter().map(|of| Mat::from_fn(rows, panels, |i, k| read(of, i, k))).collect()
+    };
+    let rms = |operators: &[Mat<c64>]| -> Vec<f64> {
+        let row = |i: usize| {
+            let own = |(g, s): (&Mat<c64>, &f64)| s * (0..panels).map(|k| g[(i, k)].norm_sqr()).sum::<f64>();
+            operators.iter().zip(&power).map(own).sum::<f64>().sqrt()
+        };
+        (0..operators[0].nrows()).map(row).collect()
+    };
+    let channels = rms(&operators(&problem.initial));
+    let size = problem.disturbance.map_or(Size::Relative(0.0), |chips| chips.noise);
+    let of_channel = |(i, rms): (usize, &f64)| {
+        let own = match size {
+            Size::Relative(part) => part * rms,
+            Size::Physical(of) => of[usize::from(problem.channels[i % problem.channels.len()] == 2)],
+        };
+        let usual = if *rms > 0.0 { NOISE * rms } else { f64::INFINITY };
+        if own > 0.0 { own } else { usual }
+    };
+    let noise: Vec<f64> = channels.iter().enumerate().map(of_channel).collect();
+    of(&operators(design), &power, &noise, &frequencies, scene.duration)
+}
+
+/// Mean square (N²) of forces (N, T, K) of zero mean by frequency b/D, b = 1 … `bins`.
+fn power(forces: &[f64], instants: usize, panels: usize, bins: usize) -> Vec<f64> {
+    let samples = forces.len() / (instants * panels);
+    let scale = 2.0 / (instants * instants * samples * panels) as f64;
+    let turn: Vec<c64> = (0..instants).map(|n| c64::cis(-TAU * n as f64 / instants as f64)).collect();
+    let of = |b: usize| {
+        let sum = |history: usize| {
+            let (sample, panel) = (history / panels, history % panels);
+            let at = |n: usize| forces[(sample * instants + n) * panels + panel];
+            (0..instants).map(|n| turn[b * n % instants] * at(n)).sum::<c64>().norm_sqr()
+        };
+        // Nyquist's has no other half
+        let half = if 2 * b == instants { 0.5 } else { 1.0 };
+        half * scale * (0..samples * panels).map(sum).sum::<f64>()
+    };
+    (1..=bins).map(of).collect()
+}
+
+fn of(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f64], duration: f64) -> Told {
+    let (bins, panels, all) = (power.len(), operators[0].ncols(), power.iter().sum::<f64>());
+    let (mut left, mut rank, mut condition, mut bits) = (0.0, 0.0, 0.0, 0.0);
+    for (g, s) in operators.iter().zip(power) {
+        let white = |i: usize| (s * bins as f64).sqrt() / noise[i];
+        let told = Mat::from_fn(g.nrows(), panels, |i, k| g[(i, k)] * white(i));
+        let squares: Vec<f64> =
+            told.singular_values().expect("an iteration that converges").iter().map(|s| s * s).collect();
+        let (sum, last) =
+            (squares.iter().sum::<f64>(), squares.iter().copied().fold(f64::INFINITY, f64::min));
+        // where nothing is heard, nothing is told apart
+        let entropy = |part: f64| if part > 0.0 { -part * part.ln() } else { 0.0 };
+        left += s * (panels as f64 - squares.iter().map(|s| s / (1.0 + s)).sum::<f64>());
+        rank += s * squares.iter().map(|s| entropy(s / sum)).sum::<f64>().exp();
+        condition += s * 0.5 * (squares[0] / last).ln();
+        bits += squares.iter().map(|s| s.ln_1p()).sum::<f64>() / std::f64::consts::LN_2;
+    }
+    let memory = memory(operators, power, noise, frequencies, duration);
+    Told {
+        error: 100.0 * left / (panels as f64 * all),
+        rank: rank / all,
+        condition: (condition / all).exp(),
+        bits: bits / duration,
+        memory,
+    }
+}
+
+/// Mean time, by energy over the noise, of what follows an impulse of the forces' spectrum, within the sample's duration.
+fn memory(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f64], duration: f64) -> f64 {
+    let instants = 2 * power.len();
+    let (mut late, mut energy) = (0.0, 0.0);
+    for n in 0..instants {
+        let t = duration * n as f64 / instants as f64;
+        let turn: Vec<c64> =
+            frequencies.iter().zip(power).map(|(hertz, s)| c64::cis(TAU * hertz * t) * s.sqrt()).collect();
+        for (i, noise) in noise.iter().enumerate() {
+            for k in 0..operators[0].ncols() {
+                let says: f64 = operators.iter().zip(&turn).map(|(g, turn)| (g[(i, k)] * turn).re).sum();
+                let square = (says / noise).powi(2);
+                (late, energy) = (late + t * square, energy + square);
+            }
+        }
+    }
+    late / energy
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nested::tests::{GOING, small};
+    use crate::trial::{Disturbance, Protocol};
+
+    /// Forces' power is their mean square about their means; of K panels read by as many independent channels of equal power the rank is K and the
+    /// condition 1, of one channel copied 1; Wiener's error falls as noise does, and is all where sensors hear nothing.
+    #[test]
+    fn a_body_is_told_by_its_operator() {
+        let wave = |n: usize, k: usize| (TAU * 3.0 * n as f64 / 16.0 + k as f64).sin() * (k + 1) as f64;
+        let forces: Vec<f64> = (0..16).flat_map(|n| [wave(n, 0), wave(n, 1)]).collect();
+        let found = power(&forces, 16, 2, 8);
+        assert!((found[2] - 0.5 * (0.5 + 2.0)).abs() < 1e-12 && found.iter().sum::<f64>() - found[2] < 1e-12);
+
+        let one = |of: [[f64; 2]; 2]| vec![Mat::from_fn(2, 2, |i, k| c64::from(of[i][k])); 4];
+        let of = |g: [[f64; 2]; 2], noise: f64| {
+            super::of(&one(g), &[1.0; 4], &[noise; 2], &[1.0, 2.0, 3.0, 4.0], 1.0)
+        };
+        let apart = of([[1.0, 0.0], [0.0, 1.0]], 0.1);
+        assert!((apart.rank - 2.0).abs() < 1e-9 && (apart.condition - 1.0).abs() < 1e-9, "{apart:?}");
+        // s² = 4 bins/noise²
+        assert!(
+            (apart.error - 100.0 / 401.0).abs() < 1e-9 && (apart.bits - 8.0 * 401f64.log2()).abs() < 1e-6
+        );
+        let alike = of([[1.0, 1.0], [1.0, 1.0]], 0.1);
+        assert!((alike.rank - 1.0).abs() < 1e-9 && alike.condition > 1e6, "{alike:?}");
+        assert!((alike.error - 50.0 * (1.0 + 1.0 / 1601.0)).abs() < 1e-9, "{alike:?}");
+        assert!(of([[1.0, 0.0], [0.0, 1.0]], 1.0).error > apart.error);
+        assert!(of([[1e-9, 0.0], [0.0, 1e-9]], 1.0).error > 99.99);
+    }
+
+    /// More sensors and less noise never tell less; one body told twice is the same.
+    #[test]
+    fn more_sensors_tell_more() {
+        let mut problem = small(Protocol::Joint(GOING));
+        let of = |problem: &Problem| told(problem, &problem.initial);
+        problem.scene.sensors = vec![4];
+        let (one, again) = (of(&problem), of(&problem));
+        problem.scene.sensors = vec![4, 7];
+        let two = of(&problem);
+        let noise = Size::Relative(1e-3);
+        problem.disturbance = Some(Disturbance { noise, ..Disturbance::NONE });
+        let quiet = of(&problem);
+        assert_eq!(one, again);
+        assert!(
+            one.error > two.error && two.error > quiet.error && quiet.error > 0.0,
+            "{one:?} {two:?} {quiet:?}"
+        );
+        assert!(one.bits < two.bits && two.bits < quiet.bits);
+        assert!((1.0..=2.0).contains(&one.rank) && one.condition >= 1.0);
+        assert!(one.memory > 0.0 && one.memory < problem.scene.duration);
+    }
+}

@@ -1,0 +1,20 @@
+//! Why a body is easy to read, or hard.
+
+use metasense_numerics::questions;
+pub use metasense_numerics::questions::Told;
+use metasense_schemas::spec::TrialSpec;
+
+use crate::run::{Failure, with_design};
+
+/// What the sensors of a body can tell of a trial's forces, by small motions.
+///
+/// # Errors
+/// If the spec stands for no trial, its sensors are still to be searched for, or the design is of another length.
+pub fn told(trial: &TrialSpec, design: &[f64]) -> Result<Told, Failure> {
+    let problem = with_design(trial, design)?;
+    if problem.search.is_some() {
+        let why = "sensors.placement: its sensors are still to be searched for".to_owned();
+        return Err(Failure::Rejected(why));
+    }
+    Ok(questions::told(&problem, design))
+}
