@@ -240,8 +240,9 @@ pub fn why() -> String {
     let all = rows("why/rows.csv");
     let line = |(words, body, trained): (&str, &str, Option<&str>)| {
         let values = |trained: Option<&str>, column: &str, by: f64| {
-            let own =
-                all.iter().filter(|row| row["body"] == body && trained.is_none_or(|t| row["trained_with"] == t));
+            let own = all
+                .iter()
+                .filter(|row| row["body"] == body && trained.is_none_or(|t| row["trained_with"] == t));
             geometric(own.map(|row| by * number(row, column)))
         };
         let mean = |trained: Option<&str>, column: &str| values(trained, column, 1.0);
