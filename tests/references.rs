@@ -49,6 +49,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("relaxing", results::relaxing),
     ("transfer", results::transfer),
     ("transfer networks", results::transfer_networks),
+    ("transfer recorded", results::transfer_recorded),
     ("real scale", results::real_scale),
     ("why", results::why),
     ("why correlated", results::why_correlated),

@@ -200,6 +200,34 @@ pub fn transfer() -> String {
     table(&head, bodies.iter().map(line))
 }
 
+/// Bodies trained under pulses, simulated blows and measured ones, each read under all three.
+pub fn transfer_recorded() -> String {
+    let rows = rows("transfer/recorded.csv");
+    let line = |(body, words): (&str, &str)| {
+        let read =
+            ["bell", "irregular", "recorded"].map(|under| one(&rows, &[("body", body), ("under", under)]));
+        let kept = match body {
+            "initial" | "recorded" => String::new(),
+            _ => ratio(read[2], "kept", "kept_low", "kept_high"),
+        };
+        [vec![words.to_owned()], read.map(|row| percent(row, "own")).to_vec(), vec![kept]].concat()
+    };
+    let bodies = [
+        ("initial", "none: the initial body"),
+        ("bell", "pulses"),
+        ("irregular", "simulated blows"),
+        ("recorded", "measured blows"),
+    ];
+    let head = [
+        "trained under",
+        "read under pulses",
+        "under simulated blows",
+        "under measured blows",
+        "of the measured blows' gain",
+    ];
+    table(&head, bodies.map(line))
+}
+
 /// The same bodies, trained with linear brains, read by long networks.
 pub fn transfer_networks() -> String {
     let all = rows("transfer/networks.csv");
