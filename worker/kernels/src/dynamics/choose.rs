@@ -164,7 +164,6 @@ pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: 
         .expect("a law for every method of equal steps");
     let steps = best.steps(accuracy);
     let reason = best.reason(steps, &format!("by a law for errors of {:.0e}", accuracy.0));
-    // whole steps may be far finer than was asked, where one an interval is
     let precision = if best.highest <= single { Precision::Single } else { Precision::Double };
     Plan { precision, ..best.plan(steps, reason) }
 }

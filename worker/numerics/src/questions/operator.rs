@@ -58,15 +58,9 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
     };
     let channels = rms(&operators(&problem.initial));
     let size = problem.disturbance.map_or(Size::Relative(0.0), |chips| chips.noise);
-    let of_channel = |(i, rms): (usize, &f64)| {
-        let own = match size {
-            Size::Relative(part) => part * rms,
-            Size::Physical(of) => of[usize::from(problem.channels[i % problem.channels.len()] == 2)],
-        };
-        let usual = if *rms > 0.0 { NOISE * rms } else { f64::INFINITY };
-        if own > 0.0 { own } else { usual }
-    };
-    let noise: Vec<f64> = channels.iter().enumerate().map(of_channel).collect();
+    let usual = |rms: f64| if rms > 0.0 { NOISE * rms } else { f64::INFINITY };
+    let own = size.of(&channels, &problem.channels).into_iter().zip(&channels);
+    let noise: Vec<f64> = own.map(|(own, rms)| if own > 0.0 { own } else { usual(*rms) }).collect();
     of(&operators(design), &power, &noise, &frequencies, scene.duration)
 }
 

@@ -49,7 +49,7 @@ pub enum Size {
 
 impl Size {
     /// Of each channel of the given RMS.
-    fn of(self, rms: &[f64], channels: &[usize]) -> Vec<f64> {
+    pub(crate) fn of(self, rms: &[f64], channels: &[usize]) -> Vec<f64> {
         let size = |(rms, &channel): (&f64, &usize)| match self {
             Self::Relative(part) => part * rms,
             Self::Physical(size) => size[usize::from(channel == 2)],
