@@ -73,7 +73,7 @@ const LAWS: [Law; 3] = [
 ];
 
 /// Relative error of the signals by f32 under pulses as quick as the reference scene's, of slower ones more: ROUNDING · (ω Δ)², Δ an
-/// interval, as accelerations are differences of elastic forces that much greater. Measured: 1.3e-4 at 21 rad (reference scene, with
+/// interval, as accelerations are differences of elastic forces that much greater. Measured: 1.4e-4 at 21 rad (reference scene, with
 /// contact too), 1e-3 … 4e-3 at 185 (k_stretch × 100).
 const ROUNDING: f64 = 3e-7;
 /// It is no less where instants are closer: the motion is the same.

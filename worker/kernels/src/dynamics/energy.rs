@@ -1,6 +1,6 @@
 //! Energy of one state, its gradient and its derivative in the design: for checks and reports, not for time steps.
 
-use super::ligaments::{gradient, turns};
+use super::ligaments::{Turn, gradient, turns};
 use super::model::{Model, ModelCotangent};
 use super::{Contact, Scene};
 use crate::lanes::{Sse2, Vector};
@@ -71,7 +71,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
     let n = model.units();
     let zero = Sse2::splat(0.0);
     let x: Vec<[Sse2; 3]> = displacement.iter().map(|d| d.map(Sse2::splat)).collect();
-    let (mut turn, mut g) = (vec![[zero; 2]; n], vec![[zero; 3]; n]);
+    let (mut turn, mut g) = (vec![Turn::NONE; n], vec![[zero; 3]; n]);
     let mut cotangent = ModelCotangent::new(&model);
     let mut kept = vec![[[zero; 2]; 2]; model.bars.len()];
     let kernel = match (scene.linearised, scene.contact.is_some()) {
@@ -86,7 +86,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
         let [gx, gy] = force.map(first);
         // (R − I)ᵀ ∂U/∂node at b, its negative at a
         for (unit, node, sign) in [(bar.a, bar.node_a, -1.0), (bar.b, bar.node_b, 1.0)] {
-            let [s, c1] = turn[unit].map(first);
+            let [s, c1] = turn[unit].exact.map(first);
             let to = &mut cotangent.arms[unit][node];
             *to = [to[0] + sign * (c1 * gx + s * gy), to[1] + sign * (c1 * gy - s * gx)];
         }

@@ -11,10 +11,42 @@ use super::model::{Bar, Model};
 use super::trigonometry::{angle, sin_cos1};
 use crate::lanes::{Vector, pair};
 
-/// Of one unit: sin θ and cos θ − 1.
-pub type Turn<V> = [<V as Vector>::Wide; 2];
+/// Of one unit.
+#[derive(Clone, Copy)]
+pub struct Turn<V: Vector> {
+    /// sin θ and cos θ − 1.
+    pub(super) exact: [V::Wide; 2],
+    /// Where forces are f32 these and θ, rounded once for all ligaments of the unit; else unused.
+    rounded: [V; 3],
+}
+
 /// Likewise: (u, v, θ). Ligaments stretch by a hundredth of what their ends move: f64, also where forces are f32.
 pub type Place<V> = [<V as Vector>::Wide; 3];
+
+impl<V: Vector> Turn<V> {
+    /// None.
+    pub const NONE: Self = Self { exact: [V::Wide::ZERO; 2], rounded: [V::ZERO; 3] };
+
+    /// Overwrites it by a turn by θ.
+    #[inline(always)]
+    pub fn set(&mut self, theta: V::Wide) {
+        self.exact = sin_cos1(theta);
+        if V::SINGLE {
+            let [s, c1] = self.exact;
+            self.rounded = [V::narrow(s), V::narrow(c1), V::narrow(theta)];
+        }
+    }
+
+    /// sin θ, cos θ − 1 and θ, with θ as given.
+    #[inline(always)]
+    fn rounded(&self, theta: V::Wide) -> [V; 3] {
+        if V::SINGLE {
+            return self.rounded;
+        }
+        let [s, c1] = self.exact;
+        [V::narrow(s), V::narrow(c1), V::narrow(theta)]
+    }
+}
 
 /// Where a kernel adds cotangents of the arms (node by node), of the void angles at rest and of the stiffnesses.
 pub struct ShapeCotangent<'a, V> {
@@ -167,7 +199,7 @@ pub fn product<
     for (q, bar) in bars.iter().enumerate() {
         let (at, gamma) = pipeline.next::<LINEAR>(q, bars, x, turn);
         let &Bar::<V::Scalar> { a, b, .. } = bar;
-        let turns: [[V; 2]; 2] = [narrow(turn[a]), narrow(turn[b])];
+        let turns = [turn[a].rounded(x[a][2]), turn[b].rounded(x[b][2])];
         let reaction = reaction::<V, LINEAR, CONTACT>(model, bar, at, gamma, &mut { zero });
         if GRADIENT {
             reaction.add_to(g, bar);
@@ -180,7 +212,7 @@ pub fn product<
         h[b] = [hx - fx, hy - fy, ht - tangent.moments[1]];
         // (R − I)ᵀ ∂U/∂node at b, its negative at a; a turn of R by ω is one of the force by −ω
         let [gx, gy] = reaction.force;
-        let [s, c1] = turns[1];
+        let [s, c1, _] = turns[1];
         let omega = w[b][2];
         let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
         let to = &mut shape.arms[b][bar.node_b];
@@ -188,7 +220,7 @@ pub fn product<
             omega.mul_add(gy, s.mul_add(ty, c1.mul_add(tx, to[0]))),
             omega.mul_sub_from(gx, s.mul_sub_from(tx, c1.mul_add(ty, to[1]))),
         ];
-        let [s, c1] = turns[0];
+        let [s, c1, _] = turns[0];
         let omega = w[a][2];
         let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
         let to = &mut shape.arms[a][bar.node_a];
@@ -268,7 +300,7 @@ pub fn relax<V: Vector, const LINEAR: bool>(
 #[inline(always)]
 pub fn turns<V: Vector>(x: &[Place<V>], turn: &mut [Turn<V>]) {
     for (turn, x) in turn.iter_mut().zip(x) {
-        *turn = sin_cos1(x[2]);
+        turn.set(x[2]);
     }
 }
 
@@ -283,11 +315,21 @@ fn kinematics<V: Vector, const LINEAR: bool>(
     let (ra, rb) = (pair(bar.arm_a), pair(bar.arm_b));
 
     // d − d₀
-    let (pa, pb) = (moved::<V>(turn[bar.a], ra), moved::<V>(turn[bar.b], rb));
-    let du = narrow([(xb[0] + pb[0]) - (xa[0] + pa[0]), (xb[1] + pb[1]) - (xa[1] + pa[1])]);
-    let (theta_a, theta_b) = (V::narrow(xa[2]), V::narrow(xb[2]));
+    let (ta, tb) = (&turn[bar.a], &turn[bar.b]);
+    let ([sa, ca, theta_a], [sb, cb, theta_b]) = (ta.rounded(xa[2]), tb.rounded(xb[2]));
+    let (du, levers);
+    if V::SINGLE {
+        let apart = [xb[0] - xa[0], xb[1] - xa[1]];
+        du = narrow(moved_from(moved_to(apart, tb.exact, rb), ta.exact, ra));
+        let (ra, rb) = (pair(bar.lever_a), pair(bar.lever_b));
+        levers = [moved_to(ra, [sa, ca], ra), moved_to(rb, [sb, cb], rb)];
+    } else {
+        let (pa, pb) = (moved(ta.exact, ra), moved(tb.exact, rb));
+        du = narrow([(xb[0] + pb[0]) - (xa[0] + pa[0]), (xb[1] + pb[1]) - (xa[1] + pa[1])]);
+        levers = [narrow([pa[0] + ra[0], pa[1] + ra[1]]), narrow([pb[0] + rb[0], pb[1] + rb[1]])];
+    }
     let mut at = Kinematics {
-        levers: [narrow([pa[0] + ra[0], pa[1] + ra[1]]), narrow([pb[0] + rb[0], pb[1] + rb[1]])],
+        levers,
         d: du,
         size: zero,
         inverse: zero,
@@ -323,8 +365,20 @@ fn narrow<V: Vector>([x, y]: [V::Wide; 2]) -> [V; 2] {
 
 /// (R − I) r.
 #[inline(always)]
-fn moved<V: Vector>([s, c1]: Turn<V>, r: [V::Wide; 2]) -> [V::Wide; 2] {
+fn moved<W: Vector>([s, c1]: [W; 2], r: [W; 2]) -> [W; 2] {
     [s.mul_sub_from(r[1], c1 * r[0]), s.mul_add(r[0], c1 * r[1])]
+}
+
+/// x + (R − I) r.
+#[inline(always)]
+fn moved_to<W: Vector>(x: [W; 2], [s, c1]: [W; 2], r: [W; 2]) -> [W; 2] {
+    [s.mul_sub_from(r[1], c1.mul_add(r[0], x[0])), s.mul_add(r[0], c1.mul_add(r[1], x[1]))]
+}
+
+/// x − (R − I) r.
+#[inline(always)]
+fn moved_from<W: Vector>(x: [W; 2], [s, c1]: [W; 2], r: [W; 2]) -> [W; 2] {
+    [s.mul_add(r[1], c1.mul_sub_from(r[0], x[0])), s.mul_sub_from(r[0], c1.mul_sub_from(r[1], x[1]))]
 }
 
 /// γ there; zero in linearised scenes.
@@ -339,16 +393,17 @@ fn shear_angle<V: Vector, const LINEAR: bool>(at: &Kinematics<V>) -> V {
 /// Software pipelining: where the next two ligaments are, and γ of the first. A ligament is a long chain of dependent operations, and while
 /// it waits processors look ahead by about a hundred others, of which a third each may well belong to three ligaments.
 struct Pipeline<V> {
-    near: (Kinematics<V>, V),
-    far: Kinematics<V>,
+    /// Of ligament q at q modulo 4: none is ever moved.
+    at: [Kinematics<V>; 4],
+    gamma: V,
 }
 
 impl<V: Vector> Pipeline<V> {
     #[inline(always)]
     fn new<const LINEAR: bool>(bars: &[Bar<V::Scalar>], x: &[Place<V>], turn: &[Turn<V>]) -> Self {
         let first = kinematics::<V, LINEAR>(&bars[0], x, turn);
-        let far = kinematics::<V, LINEAR>(&bars[1.min(bars.len() - 1)], x, turn);
-        Self { near: (first, shear_angle::<V, LINEAR>(&first)), far }
+        let second = kinematics::<V, LINEAR>(&bars[1.min(bars.len() - 1)], x, turn);
+        Self { at: [first, second, first, first], gamma: shear_angle::<V, LINEAR>(&first) }
     }
 
     /// Of ligament q, and takes up that after the next.
@@ -360,12 +415,12 @@ impl<V: Vector> Pipeline<V> {
         x: &[Place<V>],
         turn: &[Turn<V>],
     ) -> (Kinematics<V>, V) {
-        let (at, next) = (self.near, self.far);
         if let Some(bar) = bars.get(q + 2) {
-            self.far = kinematics::<V, LINEAR>(bar, x, turn);
+            self.at[(q + 2) % 4] = kinematics::<V, LINEAR>(bar, x, turn);
         }
-        self.near = (next, shear_angle::<V, LINEAR>(&next));
-        at
+        let gamma = self.gamma;
+        self.gamma = shear_angle::<V, LINEAR>(&self.at[(q + 1) % 4]);
+        (self.at[q % 4], gamma)
     }
 }
 

@@ -22,6 +22,10 @@ pub struct Bar<S = f64> {
     pub arm_a: [f64; 2],
     /// Likewise.
     pub arm_b: [f64; 2],
+    /// The same, in a kernel's scalar.
+    pub lever_a: [S; 2],
+    /// Likewise.
+    pub lever_b: [S; 2],
     /// Unit vector along the reference.
     pub e: [S; 2],
     /// l₀ (mm).
@@ -50,6 +54,8 @@ impl Bar {
             node_b,
             arm_a,
             arm_b,
+            lever_a: arm_a.map(S::from_f64),
+            lever_b: arm_b.map(S::from_f64),
             e: e.map(S::from_f64),
             length: S::from_f64(length),
             stiffness: self.stiffness.map(S::from_f64),
@@ -101,14 +107,17 @@ impl Model {
             let Stiffness { stretch, shear, bend } = scene.stiffness;
             let factors = scene.parts.ligaments.get(index).copied().unwrap_or([1.0; 3]);
             let stiffness = [stretch * factors[0], shear * factors[1], bend * factors[2]];
+            let [arm_a, arm_b] = [l.a, l.b].map(|end| geometry.arms[end.unit][end.node]);
             Bar {
                 index,
                 a: l.a.unit,
                 b: l.b.unit,
                 node_a: l.a.node,
                 node_b: l.b.node,
-                arm_a: geometry.arms[l.a.unit][l.a.node],
-                arm_b: geometry.arms[l.b.unit][l.b.node],
+                arm_a,
+                arm_b,
+                lever_a: arm_a,
+                lever_b: arm_b,
                 e: [l.reference[0] / length, l.reference[1] / length],
                 length,
                 stiffness,

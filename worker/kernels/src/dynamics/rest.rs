@@ -1,7 +1,7 @@
 //! The body's linearisation at rest: M s̈ + C ṡ + K s = f, K the Hessian of the energy there.
 
 use super::Scene;
-use super::ligaments::{ShapeCotangent, product};
+use super::ligaments::{ShapeCotangent, Turn, product};
 use super::model::Model;
 use crate::lanes::{Sse2, Vector};
 
@@ -63,7 +63,7 @@ pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [
     };
     let direction: Vec<[Sse2; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
     let x = vec![[zero; 3]; units];
-    let (turn, mut h) = (vec![[zero; 2]; units], x.clone());
+    let (turn, mut h) = (vec![Turn::NONE; units], x.clone());
     let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; units], vec![[zero; 2]; model.ligaments]);
     let kernel = match (scene.linearised, scene.contact.is_some()) {
         (false, false) => product::<Sse2, false, false, false, false>,

@@ -18,7 +18,6 @@ use super::loads::LockstepForces;
 use super::model::Model;
 use super::schemes::{Drift, Scheme};
 use super::system::{Cotangent, System, Unit, load_lanes, read_lane, store_lane};
-use super::trigonometry::sin_cos1;
 use super::{Counters, Forces, Outcome, Scene};
 use crate::Heartbeat;
 use crate::lanes::{MOST, Scalar, Vector};
@@ -185,7 +184,7 @@ impl<V: Vector> System<'_, V> {
             }
             lost[0] = V::of(losses[u][0]).mul_add(squares[0] + squares[1], lost[0]);
             lost[1] = V::of(losses[u][1]).mul_add(squares[2], lost[1]);
-            turn[u] = sin_cos1(x[u][2]);
+            turn[u].set(x[u][2]);
         }
         lost[0] + lost[1]
     }
@@ -345,7 +344,7 @@ impl<V: Vector> System<'_, V> {
                 bar_v[u][d] = V::splat(drift.reach).mul_add(to_x, V::splat(drift.keep) * to_v);
                 w[u][d] = V::of(inverse) * (next * bar_v[u][d]);
             }
-            turn[u] = sin_cos1(x[u][2]);
+            turn[u].set(x[u][2]);
         }
         self.cotangent.damping = damping;
     }

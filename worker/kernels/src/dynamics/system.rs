@@ -109,7 +109,7 @@ impl<'a, V: Vector> System<'a, V> {
             bars: model.bars.iter().map(Bar::rounded).collect(),
             strikes,
             inverse_mass: model.inverse_mass.iter().map(|m| m.map(Scalar::from_f64)).collect(),
-            turn: vec![[V::Wide::ZERO; 2]; n],
+            turn: vec![Turn::NONE; n],
             h: vec![[zero; 3]; n],
             w: vec![[zero; 3]; n],
             cotangent: Cotangent {

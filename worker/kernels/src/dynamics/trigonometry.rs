@@ -56,13 +56,13 @@ pub fn sin_cos1<V: Vector>(x: V) -> [V; 2] {
         return near;
     }
     let mut all = near;
-    far_sin_cos1(&x, &mut all);
+    far_sin_cos1(x, &mut all);
     all
 }
 
 #[cold]
 #[inline(never)]
-fn far_sin_cos1<V: Vector>(x: &V, [sin, cos1]: &mut [V; 2]) {
+fn far_sin_cos1<V: Vector>(x: V, [sin, cos1]: &mut [V; 2]) {
     for i in 0..V::LANES {
         let x = x.lane(i);
         // A NaN goes this way too.
@@ -87,7 +87,7 @@ pub fn angle<V: Vector>(t: V, [x, y]: [V; 2], mean: V) -> V {
         near
     } else {
         let mut all = near;
-        far_angle([&x, &y], &t, &mean, &mut all);
+        far_angle([x, y], t, mean, &mut all);
         all
     }
 }
@@ -127,7 +127,7 @@ fn line<V: Vector>(z: V, c: [f64; 2]) -> V {
 
 #[cold]
 #[inline(never)]
-fn far_angle<V: Vector>([x, y]: [&V; 2], t: &V, mean: &V, angle: &mut V) {
+fn far_angle<V: Vector>([x, y]: [V; 2], t: V, mean: V, angle: &mut V) {
     for i in 0..V::LANES {
         if t.lane(i).abs() <= HALF_TANGENT_LIMIT && mean.lane(i).abs() <= MEAN_LIMIT {
             continue;
