@@ -509,7 +509,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("panels = [2]", "panels = [0]", "s.toml:14: sweep.panels = 0: "),
     ("panels = [2]", "panels = []", "s.toml:14: sweep.panels = []: needs at least one value"),
     ("panels = [2]", "panels = [2, 2]", "s.toml:14: sweep.panels = 2: is named twice"),
-    ("sensors = [1, 2]", "sensors = [17]", "s.toml:15: sweep.sensors = 17: the 6 × 6 body has 16 free units"),
+    ("sensors = [1, 2]", "sensors = [17]", "s.toml:15: sweep.sensors = 17: the body has 16 free units"),
     ("[sweep]", "[sensors]\nsearch = \"best\"\n[sweep]", "s.toml:14: sensors.search = "),
     (
         "[sweep]",

@@ -6,6 +6,7 @@ mod synthetic;
 
 mod answers;
 mod bad_input;
+mod bodies;
 mod brains;
 mod browser;
 mod casts;

@@ -177,7 +177,7 @@ pub async fn fill(db: &Path) {
             let error = optimised + (initial - optimised) * 0.5f64.powi(n as i32 + 1);
             store.record_step(&trial.hash, attempt, &step(n, error), &Checkpoint::default()).await.unwrap();
         }
-        let (columns, rows) = (trial.spec.body.columns, trial.spec.body.rows.unwrap());
+        let (columns, rows) = (trial.spec.body.columns(), trial.spec.body.rows());
         let mut result = TrialResult {
             initial: evaluation(design(columns, rows, 0.0), trial.brain_parameters, *initial, 0.5),
             optimised: evaluation(design(columns, rows, 0.8), trial.brain_parameters, *optimised, 0.125),

@@ -17,12 +17,12 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    Body, Design, Disturbance, LayoutKind, NotOne, Point, Run, Search, SearchFrom, Stimuli, SweepSpec,
+    Body, Design, Disturbance, LayoutKind, NotOne, Own, Point, Run, Search, SearchFrom, Stimuli, SweepSpec,
     TrialSpec, position_of,
 };
 use metasense_worker::design::{self, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
-use metasense_worker::records;
+use metasense_worker::{polygons, records};
 
 use axes::Combination;
 pub use metasense_schemas::record::Trial;
@@ -213,7 +213,7 @@ fn add_points(
     points: &mut Vec<PointPlan>,
 ) -> Result<(), SpecError> {
     let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
-    let (spec, scale) = size::of_size(&combination.spec).map_err(located)?;
+    let (spec, scale) = size::of_size(&with_file(&combination.spec, source)?).map_err(located)?;
     let layout = layout(&spec.body).map_err(located)?;
     let spec = &SweepSpec {
         body: with_design(&spec.body, &layout, source)?,
@@ -247,12 +247,8 @@ fn add_points(
                 return Err(source.error("sensors.placements", &remedy));
             }
             if let Some(short) = placements.iter().find(|units| !searched && units.len() < sensors) {
-                let remedy = format!(
-                    "the {} × {} body has {} free units inside its boundary to carry sensors",
-                    spec.body.columns,
-                    spec.body.rows.unwrap_or(spec.body.columns),
-                    short.len()
-                );
+                let remedy =
+                    format!("the body has {} free units inside its boundary to carry sensors", short.len());
                 return Err(source.error_with("sweep.sensors", Some(&sensors.to_string()), &remedy));
             }
             let template = template(spec, scale, panels, &panel_units, sensors);
@@ -288,6 +284,44 @@ fn from_where(path: &Path) -> &'static str {
 /// `1 trial`, `2 trials`.
 pub(crate) fn counted(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
+/// The spec with the polygons of its body's file and their mean lengths, so that the trial's hash covers the content.
+fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> {
+    let mut spec = spec.clone();
+    let body = &mut spec.body;
+    let Some(own) = body.file.take() else { return Ok(spec) };
+    let others = [
+        ("body.columns", body.columns.is_some()),
+        ("body.rows", body.rows.is_some()),
+        ("body.spacing", body.spacing.is_some()),
+        ("body.ligament_length", body.ligament_length.is_some()),
+        ("body.width", body.width.is_some()),
+        ("body.diameter", body.diameter.is_some()),
+        ("body.lattice", !body.lattice.is_square()),
+        ("body.layout", body.layout != LayoutKind::Planar),
+        ("optimise.tie", spec.optimise.tie.is_some()),
+    ];
+    if let Some((key, _)) = others.into_iter().find(|(_, given)| *given) {
+        return Err(source.error(key, "cannot be given beside body.file"));
+    }
+    let (given, name) = match own {
+        Own::Given(given) => (given, String::new()),
+        Own::File(file) => {
+            let path = source.file.parent().unwrap_or(Path::new("")).join(&file);
+            let read = polygons::read(&path).map_err(|e| {
+                let because =
+                    e.source().map_or(String::new(), |cause| format!(": {cause}{}", from_where(&path)));
+                source.error_with("body.file", Some(&format!("{file:?}")), &format!("{e}{because}"))
+            });
+            (read?, format!("{file:?}, "))
+        }
+    };
+    body.file = Some(Own::Given(given));
+    let layout =
+        problem::layout(body).map_err(|e| source.error_with(&e.key, Some(&(name + &e.value)), &e.remedy))?;
+    (body.spacing, body.ligament_length) = (Some(layout.spacing), Some(layout.ligament_length));
+    Ok(spec)
 }
 
 /// The body with its design read from its file, so that the trial's hash covers the content.
@@ -363,7 +397,7 @@ impl OneBody {
         if panels_count || combinations.iter().any(|c| other(&c.spec)) {
             return Ok(None);
         }
-        let (first, _) = size::of_size(&first).map_err(located)?;
+        let (first, _) = size::of_size(&with_file(&first, source)?).map_err(located)?;
         let layout = layout(&first.body).map_err(located)?;
         let body = with_design(&first.body, &layout, source)?;
         let limits = problem::limits(&first.feasible).map_err(located)?;
@@ -431,9 +465,9 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     let mut body = spec.body.clone();
     body.panel_units = None;
     body.panel_angle = body.panel_angle.filter(|angle| *angle != 0.0);
-    body.rows = body.rows.or(Some(body.columns));
+    body.rows = body.rows.or(body.columns);
     body.clamp = Some(problem::clamp(&body));
-    if let Some(Design::Shifts { .. }) = body.design {
+    if body.file.is_some() || matches!(body.design, Some(Design::Shifts { .. })) && body.lattice.turns() {
         body.initial_angle = 0.0; // not read
     }
     let mut read = spec.sensors.clone().resolved();

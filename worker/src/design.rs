@@ -124,8 +124,9 @@ fn from_csv(text: &str, layout: &Layout) -> Result<Vec<f64>, String> {
         else {
             return Err(at("must be unit,node,x,y: two whole numbers and two lengths in mm"));
         };
-        if unit >= layout.units() || node > 3 {
-            return Err(at(&format!("units are 0 to {}, nodes 0 to 3", layout.units() - 1)));
+        if unit >= layout.units() || node >= layout.shape[unit].len() {
+            let nodes = layout.shape.get(unit).unwrap_or(&layout.shape[0]).len();
+            return Err(at(&format!("units are 0 to {}, nodes 0 to {}", layout.units() - 1, nodes - 1)));
         }
         let [x0, y0] = undisplaced[unit][node];
         let shift = [x - x0, y - y0];

@@ -16,6 +16,7 @@ pub mod modes;
 pub mod operator;
 pub mod pace;
 pub mod place;
+pub mod polygons;
 pub mod problem;
 pub mod process;
 pub mod records;

@@ -3,7 +3,7 @@
 //! Degrees become radians; rules ("bottom") become unit lists. The plan calls this for every trial before any process
 //! starts, a worker calls it again for the one that it runs.
 
-use metasense_numerics::body::Layout;
+use metasense_numerics::body::{Layout, Pattern};
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::fits;
@@ -23,6 +23,7 @@ mod stimuli;
 
 pub use crate::invalid::Invalid;
 use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
+use crate::polygons;
 pub use metasense_numerics::brains::READINGS_MAX;
 pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
 
@@ -104,15 +105,31 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
 /// # Errors
 /// Where no layout has these sizes.
 pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
-    at_least("body.columns", body.columns, 2)?;
-    at_most("body.columns", body.columns, 1000)?;
-    at_most("body.rows", body.rows.unwrap_or(body.columns), 10_000 / body.columns)?;
-    positive("body.spacing", body.spacing)?;
-    positive("body.ligament_length", body.ligament_length)?;
+    match &body.file {
+        None => {}
+        Some(spec::Own::Given(given)) => return polygons::layout(given),
+        Some(spec::Own::File(file)) => {
+            let remedy = "a trial holds the polygons themselves, not their file";
+            return Err(invalid("body.file", file.display(), remedy));
+        }
+    }
+    let (columns, [spacing, ligament_length]) = (body.columns(), body.lengths());
+    for (key, given) in [
+        ("body.columns", body.columns.is_some()),
+        ("body.spacing", body.spacing.is_some()),
+        ("body.ligament_length", body.ligament_length.is_some()),
+    ] {
+        require(given, key, "", "must be given without body.file")?;
+    }
+    at_least("body.columns", columns, 2)?;
+    at_most("body.columns", columns, 1000)?;
+    at_most("body.rows", body.rows(), 10_000 / columns)?;
+    positive("body.spacing", spacing)?;
+    positive("body.ligament_length", ligament_length)?;
     require(
-        body.ligament_length < body.spacing,
+        ligament_length < spacing,
         "body.ligament_length",
-        body.ligament_length,
+        ligament_length,
         "must be less than body.spacing",
     )?;
     require(
@@ -130,18 +147,31 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
                 rows,
                 "must be at least 2: the bottom row is clamped, the top row struck",
             )?;
-            Ok(Layout::planar(body.columns, rows, body.spacing, body.ligament_length))
+            let angle = body.initial_angle.to_radians();
+            let pattern = match body.lattice {
+                spec::Lattice::Square => Pattern::square(),
+                spec::Lattice::Kagome => Pattern::kagome(),
+                spec::Lattice::Triangular => Pattern::triangular(angle),
+                spec::Lattice::Chiral => Pattern::chiral(angle),
+            };
+            Ok(Layout::sheet(&pattern, columns, rows, spacing, ligament_length))
         }
         LayoutKind::Circular => {
-            let rows = body.rows.unwrap_or(body.columns);
+            let rows = body.rows();
             require(
-                rows == body.columns,
+                body.lattice.is_square(),
+                "body.lattice",
+                format!("{:?}", body.lattice).to_lowercase(),
+                "is a planar body's; a circular one is of squares",
+            )?;
+            require(
+                rows == columns,
                 "body.rows",
                 rows,
                 "must equal body.columns, or be left out, where circular",
             )?;
-            at_least("body.columns", body.columns, 4)?;
-            Ok(Layout::circular(body.columns, body.spacing, body.ligament_length))
+            at_least("body.columns", columns, 4)?;
+            Ok(Layout::circular(columns, spacing, ligament_length))
         }
     }
 }
@@ -322,6 +352,9 @@ fn castable(body: &spec::Body, layout: &Layout, limits: Limits, initial: &[f64])
         list += &format!("\n  … and {} more", broken.len() - SHOWN);
     }
     Err(match body.design {
+        None if body.file.is_some() => {
+            invalid("body.file", "", format!("the body is not feasible; change it or [feasible]:{list}"))
+        }
         None => {
             let remedy = format!("the initial body is not feasible; change [body] or [feasible]:{list}");
             invalid("body.initial_angle", body.initial_angle, remedy)
@@ -495,7 +528,15 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
 /// centre; turned by `body.panel_angle`.
 pub fn directions(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<[f64; 2]> {
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
-    let mut directions = match body.layout {
+    let struck = |unit: &usize| match &body.file {
+        Some(spec::Own::Given(given)) => given.panels.iter().find(|panel| panel.unit == *unit),
+        _ => None,
+    };
+    let mut directions: Vec<[f64; 2]> = match body.layout {
+        LayoutKind::Planar if body.file.is_some() => units
+            .iter()
+            .map(|unit| struck(unit).map_or([0.0, -1.0], |panel| polygons::unit_vector(panel.direction)))
+            .collect(),
         LayoutKind::Planar => vec![[0.0, -1.0]; units.len()],
         LayoutKind::Circular if ruled.iter().map(|panel| &panel.0).eq(units.iter()) => {
             ruled.iter().map(|panel| panel.1).collect()
@@ -518,7 +559,11 @@ pub fn directions(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<[f
 
 /// Which units are held, the default in place.
 pub fn clamp(body: &spec::Body) -> Clamp {
-    body.clamp.clone().unwrap_or(Clamp::Rule(match body.layout {
+    let own = match &body.file {
+        Some(spec::Own::Given(given)) => given.clamp.clone().map(Clamp::Units),
+        _ => None,
+    };
+    body.clamp.clone().or(own).unwrap_or(Clamp::Rule(match body.layout {
         LayoutKind::Planar => ClampRule::Bottom,
         LayoutKind::Circular => ClampRule::Hub,
     }))
@@ -534,9 +579,16 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
         (Some(units), _) if units.len() == panels => Ok(units.clone()),
         (Some(units), _) => Err(none(format!("body.panel_units names {} units", units.len()))),
         (None, LayoutKind::Planar) => {
-            let rows = body.rows.unwrap_or(body.columns);
-            Layout::planar_panels(body.columns, rows, panels).ok_or_else(|| {
-                none(format!("the top row of {} units has no place for as many panels", body.columns))
+            if let Some(spec::Own::Given(given)) = &body.file
+                && !given.panels.is_empty()
+            {
+                let units = given.panels.iter().map(|panel| panel.unit).take(panels).collect::<Vec<_>>();
+                let remedy = format!("body.file names {} panels", given.panels.len());
+                return if units.len() == panels { Ok(units) } else { Err(none(remedy)) };
+            }
+            layout.top_panels(panels).ok_or_else(|| {
+                let top = layout.top().len();
+                none(format!("the top row of {top} units has no place for as many panels"))
             })
         }
         (None, LayoutKind::Circular) => layout

@@ -13,8 +13,8 @@ use crate::run::{Failure, check_length, pool, prepared, with_design};
 /// A body to draw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drawing {
-    /// Corners of every unit (mm), counter-clockwise from the right.
-    pub units: Vec<[[f64; 2]; 4]>,
+    /// Corners of every unit (mm), counter-clockwise.
+    pub units: Vec<Vec<[f64; 2]>>,
     /// Area centroids (mm).
     pub centroids: Vec<[f64; 2]>,
     /// Ends of every ligament (mm).

@@ -249,7 +249,7 @@ impl Body {
         self.problem.scene.density
     }
 
-    /// Corners of every unit, (units, 4, 2) (mm), counter-clockwise from the right; of the initial body by default.
+    /// Corners of every unit, (units, nodes, 2) (mm), counter-clockwise; of the initial body by default. For bodies whose units have equally many.
     #[pyo3(signature = (alpha=None))]
     fn vertices<'py>(
         &self,
@@ -257,9 +257,17 @@ impl Body {
         alpha: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let corners = self.problem.scene.layout.vertices(&self.design_or_initial(alpha)?);
-        let units = corners.len();
-        let flat: Vec<f64> = corners.into_flattened().into_flattened();
-        flat.into_pyarray(py).reshape([units, 4, 2])
+        let (units, of_each) = (corners.len(), corners[0].len());
+        if corners.iter().any(|unit| unit.len() != of_each) {
+            return Err(PyValueError::new_err("units have different numbers of nodes: use polygons()"));
+        }
+        corners.concat().into_flattened().into_pyarray(py).reshape([units, of_each, 2])
+    }
+
+    /// The same for any body: a list of the corners of each unit.
+    #[pyo3(signature = (alpha=None))]
+    fn polygons(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Vec<[f64; 2]>>> {
+        Ok(self.problem.scene.layout.vertices(&self.design_or_initial(alpha)?))
     }
 
     /// The limits of a castable body that `alpha` breaks, in words; an empty list if it can be cast.

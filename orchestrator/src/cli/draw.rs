@@ -8,7 +8,7 @@ use metasense_worker::replay::Drawing;
 use super::named::Named;
 use super::{Error, write};
 use crate::exit::Exit;
-use crate::look::body::{Unit, frame};
+use crate::look::body::{Unit, frame, middle};
 use crate::look::file;
 use crate::report::body::sketch;
 
@@ -55,12 +55,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         if violations.is_empty() { "feasible" } else { "not feasible" }
     );
     let finite = |x: f64| if x.is_finite() { x } else { 0.0 };
-    let units: Vec<[[f64; 2]; 4]> =
-        body.layout.vertices(&drawn).into_iter().map(|corners| corners.map(|c| c.map(finite))).collect();
-    let middle = |corners: &[[f64; 2]; 4]| [0, 1].map(|i| 0.25 * corners.iter().map(|c| c[i]).sum::<f64>());
+    let finite = |corners: Vec<[f64; 2]>| corners.into_iter().map(|c| c.map(finite)).collect();
+    let units: Vec<Vec<[f64; 2]>> = body.layout.vertices(&drawn).into_iter().map(finite).collect();
     let ligaments = body.layout.ligaments.iter();
     let drawing = Drawing {
-        centroids: units.iter().map(middle).collect(),
+        centroids: units.iter().map(|corners| middle(corners)).collect(),
         ligaments: ligaments.map(|l| [units[l.a.unit][l.a.node], units[l.b.unit][l.b.node]]).collect(),
         joints: Vec::new(),
         panels: body.panels,

@@ -71,7 +71,7 @@ fn estimates(trial: &TrialSpec, fit: &Fit) -> Result<Table, Failure> {
     let row = |e: &Estimate| {
         let (name, unit, begun) = match e.unknown {
             Unknown::Material(p) => (p.name().to_owned(), p.unit(), start[p as usize]),
-            Unknown::LigamentLength => ("ligament length".to_owned(), "mm", trial.body.ligament_length),
+            Unknown::LigamentLength => ("ligament length".to_owned(), "mm", trial.body.lengths()[1]),
             Unknown::Gain(c) => (format!("gain of {}{}", ["ax", "ay", "ω"][c % 3], c / 3), "", 1.0),
             Unknown::Turn(chip) => (format!("turn of sensor {chip}"), "°", 0.0),
             Unknown::Shift(_) | Unknown::Ligament(..) | Unknown::Unit(_) => unreachable!("left out"),

@@ -53,7 +53,14 @@ pub fn archive(
         let (drawing, replay) = (&drawings[b], &replays[b]);
         zip.array(&format!("alpha_{name}"), &[stored.designs[b].len()], &stored.designs[b]);
         let corners: Vec<f64> = drawing.units.iter().flatten().flatten().copied().collect();
-        zip.array(&format!("vertices_{name}"), &[drawing.units.len(), 4, 2], &corners);
+        let of_each = drawing.units[0].len();
+        if drawing.units.iter().all(|corners| corners.len() == of_each) {
+            zip.array(&format!("vertices_{name}"), &[drawing.units.len(), of_each, 2], &corners);
+        } else {
+            let nodes: Vec<u64> = drawing.units.iter().map(|corners| corners.len() as u64).collect();
+            zip.array(&format!("vertices_{name}"), &[corners.len() / 2, 2], &corners);
+            zip.array(&format!("unit_nodes_{name}"), &[nodes.len()], &nodes);
+        }
         zip.array(&format!("signals_{name}"), &[samples, instants, inputs], &replay.signals);
         let forces = [samples, instants, panels];
         if !replay.predictions.is_empty() {

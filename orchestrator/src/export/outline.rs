@@ -120,8 +120,8 @@ fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntSh
     }
     if around > 0.0 {
         for unit in &drawing.units {
-            for p in 0..4 {
-                strip(unit[p], unit[(p + 1) % 4], around);
+            for p in 0..unit.len() {
+                strip(unit[p], unit[(p + 1) % unit.len()], around);
             }
         }
     }

@@ -16,11 +16,12 @@ pub fn squares_moved(shift: impl Fn(usize, usize) -> [f64; 2]) -> Drawing {
     for j in 0..n {
         for i in 0..n {
             let angle = 20f64.to_radians() * if (i + j) % 2 == 0 { 1.0 } else { -1.0 };
-            units.push(std::array::from_fn(|p| {
+            let corner = |p: usize| {
                 let turn = angle + p as f64 * std::f64::consts::FRAC_PI_2;
                 let radius = half / angle.cos();
                 [i as f64 * pitch + radius * turn.cos(), j as f64 * pitch + radius * turn.sin()]
-            }));
+            };
+            units.push((0..4).map(corner).collect::<Vec<_>>());
             if i + 1 < n {
                 joints.push([(j * n + i, 0), (j * n + i + 1, 2)]);
             }
@@ -36,10 +37,7 @@ pub fn squares_moved(shift: impl Fn(usize, usize) -> [f64; 2]) -> Drawing {
             units[unit][corner] = [cx + x, cy + y];
         }
     }
-    let corner = |(u, p): (usize, usize)| -> [f64; 2] {
-        let unit: &[[f64; 2]; 4] = &units[u];
-        unit[p]
-    };
+    let corner = |(u, p): (usize, usize)| units[u][p];
     let ligaments = joints.iter().map(|&[a, b]| [corner(a), corner(b)]).collect();
     let centroids = (0..n * n).map(|u| [(u % n) as f64 * pitch, (u / n) as f64 * pitch]).collect();
     Drawing {

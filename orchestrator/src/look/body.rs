@@ -14,7 +14,7 @@ pub type Frame = [f64; 4];
 #[derive(Debug, Clone, Default)]
 pub struct Sketch {
     /// Corners of every unit.
-    pub units: Vec<[Point; 4]>,
+    pub units: Vec<Vec<Point>>,
     /// Their centroids.
     pub centroids: Vec<Point>,
     /// Ends of every ligament.
@@ -90,7 +90,7 @@ impl Sketch {
                 path class="ligament" d=(format!("M{ax:.3} {:.3}L{bx:.3} {:.3}", -ay, -by)) {}
             }
             @for (u, corners) in self.units.iter().enumerate() {
-                @let points = corners.map(|[x, y]| format!("{x:.3},{:.3}", -y)).join(" ");
+                @let points = corners.iter().map(|[x, y]| format!("{x:.3},{:.3}", -y)).collect::<Vec<_>>().join(" ");
                 @let Unit { class: other, transform, style } = unit(u);
                 polygon class=(other.unwrap_or_else(|| class(u))) points=(points) transform=[transform] style=[style] {}
             }
@@ -172,6 +172,6 @@ fn mark(at: &Mark, [line, dot]: [&str; 2]) -> Markup {
 }
 
 /// The mean of a unit's corners.
-pub fn middle(corners: &[Point; 4]) -> Point {
-    [0, 1].map(|c| corners.iter().map(|q| q[c]).sum::<f64>() / 4.0)
+pub fn middle(corners: &[Point]) -> Point {
+    [0, 1].map(|c| corners.iter().map(|q| q[c]).sum::<f64>() / corners.len() as f64)
 }

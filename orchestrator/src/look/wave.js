@@ -44,6 +44,8 @@ document.querySelectorAll('.wave').forEach(root => {
 document.querySelectorAll('.course').forEach(root => {
   const [units, ligaments, marks] = ['polygon.unit', 'path.ligament', '.panel, .sensor'].map(of => [...root.querySelectorAll(of)]);
   const range = root.querySelector('input');
+  const first = [0]; // corner of each unit
+  units.forEach(e => first.push(first.at(-1) + e.points.numberOfItems));
   let joints, designs;
   const read = () => {
     [joints, ...designs] = root.querySelector('[data-live]').textContent.split('\n').map(line => line.split(',').map(Number));
@@ -53,9 +55,9 @@ document.querySelectorAll('.course').forEach(root => {
     const n = Math.floor(at), [step, ...from] = designs[n], to = (designs[n + 1] ?? designs[n]).slice(1);
     const number = i => (from[i] + (at - n) * (to[i] - from[i])).toFixed(3);
     const point = i => `${number(2 * i)} ${number(2 * i + 1)}`;
-    units.forEach((e, u) => e.setAttribute('points', [0, 1, 2, 3].map(c => point(4 * u + c)).join(' ')));
+    units.forEach((e, u) => e.setAttribute('points', Array.from({length: first[u + 1] - first[u]}, (_, c) => point(first[u] + c)).join(' ')));
     ligaments.forEach((e, l) => e.setAttribute('d', `M${point(joints[2 * l])}L${point(joints[2 * l + 1])}`));
-    marks.forEach((e, m) => e.setAttribute('transform', `translate(${point(4 * units.length + m)})`));
+    marks.forEach((e, m) => e.setAttribute('transform', `translate(${point(first.at(-1) + m)})`));
     return `step ${step} of ${root.dataset.steps}`;
   });
   const go = () => {

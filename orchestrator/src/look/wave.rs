@@ -110,7 +110,8 @@ pub fn course(designs: &[(u32, Sketch)], steps: usize) -> Markup {
     let still = Sketch { held: Vec::new(), ..first.clone() };
     let still = still.picture(frame(designs.iter().map(|design| &design.1)), "The body from step to step");
     // which corners a ligament joins; then a line a design: its step, all corners, how far panels and sensors have gone (mm)
-    let joints = first.joints.iter().flatten().map(|(unit, node)| (4 * unit + node).to_string());
+    let corner = |unit: usize| first.units[..unit].iter().map(Vec::len).sum::<usize>();
+    let joints = first.joints.iter().flatten().map(|&(unit, node)| (corner(unit) + node).to_string());
     let point = |[x, y]: [f64; 2]| format!("{x:.3},{:.3}", -y);
     let marks = |sketch: &Sketch| -> Vec<Point> {
         let units = sketch.panels.iter().map(|panel| &panel.0).chain(&sketch.sensors);

@@ -41,9 +41,10 @@ pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
     if !(size > 0.0 && size.is_finite()) {
         return Err(invalid(own, "must be a number above 0"));
     }
-    let scale = size / (body.columns as f64 * body.spacing);
-    body.spacing *= scale;
-    body.ligament_length *= scale;
+    let scale = size / (body.columns() as f64 * body.lengths()[0]);
+    for length in [&mut body.spacing, &mut body.ligament_length].into_iter().flatten() {
+        *length *= scale;
+    }
     if let Some(stiffness) = &mut body.stiffness {
         stiffness.bend *= scale * scale;
     }

@@ -39,7 +39,7 @@ pub fn figure(
         entries.push(("active", "constraint at its limit"));
     }
     let rows = bodies.iter().flat_map(|(_, name, sketch)| {
-        let corners = |(unit, corners): (usize, &[Point; 4])| {
+        let corners = |(unit, corners): (usize, &Vec<Point>)| {
             corners.iter().enumerate().map(|(node, [x, y])| row![name, unit, node, x, y]).collect::<Vec<_>>()
         };
         sketch.units.iter().enumerate().flat_map(corners).collect::<Vec<_>>()
@@ -49,10 +49,10 @@ pub fn figure(
 }
 
 /// Where a constraint holds: a line or a dot.
-fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[[Point; 4]]) -> Mark {
+fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[Vec<Point>]) -> Mark {
     let (corners, other) = (&units[of[0]], &units[of[1]]);
     match (kind, node) {
-        (Kind::Edge, Some(p)) => Mark::Line(corners[p], corners[(p + 1) % 4]),
+        (Kind::Edge, Some(p)) => Mark::Line(corners[p], corners[(p + 1) % corners.len()]),
         (Kind::Clearance | Kind::Overlap, _) => {
             let (a, b) = closest(corners, other);
             Mark::Line(a, b)
@@ -60,7 +60,7 @@ fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[[Point; 4]]) -
         (Kind::LigamentClearance, Some(p)) => Mark::Line(corners[p], closest(&[corners[p]], other).1),
         (Kind::VoidAngle, Some(p)) => {
             // an arc's chord, drawn in the void beside the node
-            let (here, next) = (corners[p], corners[(p + 1) % 4]);
+            let (here, next) = (corners[p], corners[(p + 1) % corners.len()]);
             let along = [0, 1].map(|i| here[i] + 0.35 * (next[i] - here[i]));
             let (_, b) = closest(&[along], other);
             Mark::Line(along, if b == along { middle(other) } else { b })

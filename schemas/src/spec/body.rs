@@ -7,17 +7,96 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LayoutKind {
-    /// `columns` × `rows` units on a square grid.
+    /// `rows` rows of `columns` units, or what `file` gives: the topmost units are struck downwards, the lowest held.
     Planar,
     /// The units of a square lattice whose centres lie inside a disc, `columns` across.
     Circular,
+}
+
+/// How the units of a sheet repeat.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Lattice {
+    /// Squares that turn against their neighbours, four ligaments each.
+    #[default]
+    Square,
+    /// Triangles that turn against their neighbours, three ligaments each, around voids of six.
+    Kagome,
+    /// Hexagons that all turn alike, six ligaments each.
+    Triangular,
+    /// Squares that all turn alike, so that ligaments lead aslant: four each.
+    Chiral,
+}
+
+impl Lattice {
+    /// The one that is not written.
+    #[must_use]
+    pub fn is_square(&self) -> bool {
+        *self == Self::Square
+    }
+
+    /// Whether the initial angle is one of the design, which turns units against their neighbours, and not of the lattice.
+    #[must_use]
+    pub fn turns(&self) -> bool {
+        matches!(self, Self::Square | Self::Kagome)
+    }
+}
+
+/// A body of any polygons.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Own {
+    /// a file, relative to the spec: TOML of these keys, or NPZ of `block_centroids`, `centroid_node_vectors`, `bond_connectivity`.
+    File(std::path::PathBuf),
+    /// `{ units = [ … ], ligaments = [ … ] }`, the polygons themselves, which is how a trial stores a file's.
+    Given(Polygons),
+}
+
+/// Polygons and what joins them.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Polygons {
+    /// Of each unit its 3 to 12 nodes, counter-clockwise. Unit: mm.
+    pub units: Vec<Vec<[f64; 2]>>,
+    /// From a node to a node: unit, node, unit, node, counted from 0. Both shift together.
+    pub ligaments: Vec<[usize; 4]>,
+    /// Further nodes (unit, node) that shift together. Default: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub together: Vec<Vec<[usize; 2]>>,
+    /// Units that are held where `body.clamp` is left out. Default: the lowest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clamp: Option<Vec<usize>>,
+    /// Units that are struck, of K panels the first K, where `body.panel_units` is left out. Default: the topmost.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub panels: Vec<Struck>,
+    /// Units that may carry sensors. Default: those of which every node holds a ligament.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensors: Option<Vec<usize>>,
+}
+
+/// A unit that is struck.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Struck {
+    /// The unit.
+    pub unit: usize,
+    /// Where its force points. Default: down.
+    #[serde(default = "down", skip_serializing_if = "is_down")]
+    pub direction: [f64; 2],
+}
+
+fn down() -> [f64; 2] {
+    [0.0, -1.0]
+}
+fn is_down(direction: &[f64; 2]) -> bool {
+    *direction == down()
 }
 
 /// Which units are held.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Clamp {
-    /// `"bottom"`, the bottom row (planar), or `"hub"`, the innermost units (circular).
+    /// `"bottom"`, the lowest units (planar), or `"hub"`, the innermost units (circular).
     Rule(ClampRule),
     /// a list of units.
     Units(Vec<usize>),
@@ -27,7 +106,7 @@ pub enum Clamp {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ClampRule {
-    /// The bottom row of a planar body.
+    /// The lowest units of a planar body.
     Bottom,
     /// The innermost 2 × 2 units, or the one, of a circular body.
     Hub,
@@ -58,6 +137,12 @@ pub struct Body {
     /// Where the units are.
     #[serde(default = "planar")]
     pub layout: LayoutKind,
+    /// How the units of a planar body repeat. Default: `"square"`.
+    #[serde(default, skip_serializing_if = "Lattice::is_square")]
+    pub lattice: Lattice,
+    /// A body of any polygons, in place of `columns`, `rows`, `spacing`, `ligament_length` and `initial_angle`. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<Own>,
     /// Units that are held. Default: `"bottom"` for a planar body, `"hub"` for a circular one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Clamp>,
@@ -71,9 +156,10 @@ pub struct Body {
     /// one. Unit: degrees. Default: 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_angle: Option<f64>,
-    /// Units along x; of a circular body across its diameter.
-    pub columns: usize,
-    /// Units along y; must be left out of a circular body. Default: must be given for a planar body.
+    /// Units in a row; of a circular body across its diameter. Default: must be given without `file`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub columns: Option<usize>,
+    /// Rows of units; must be left out of a circular body. Default: must be given for a planar body.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<usize>,
     /// Diameter of a circular body. If given, `spacing` becomes `diameter / columns`; lengths of a unit, limits in mm and the
@@ -84,11 +170,13 @@ pub struct Body {
     /// Width of a planar body along x, with the same effect as `diameter`. Unit: mm. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub width: Option<f64>,
-    /// Distance between the centres of neighbouring cells. Unit: mm.
-    pub spacing: f64,
-    /// Length of a ligament at rest. Unit: mm.
-    pub ligament_length: f64,
-    /// Angle by which the squares of the initial design are rotated. Unit: degrees.
+    /// Distance between the centres of joined units. Unit: mm. Default: must be given without `file`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<f64>,
+    /// Length of a ligament at rest, of units that are not turned. Unit: mm. Default: must be given without `file`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ligament_length: Option<f64>,
+    /// Angle by which the units of the initial design are rotated. Unit: degrees.
     #[serde(default = "initial_angle")]
     pub initial_angle: f64,
     /// The design to start from. Default: rotated squares.
@@ -120,6 +208,26 @@ fn initial_angle() -> f64 {
 }
 fn damping_ratio() -> f64 {
     0.02
+}
+
+impl Body {
+    /// `columns`, 0 where a file gives the units.
+    #[must_use]
+    pub fn columns(&self) -> usize {
+        self.columns.unwrap_or(0)
+    }
+
+    /// `rows`, or as many as columns.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.rows.unwrap_or(self.columns())
+    }
+
+    /// `spacing` and `ligament_length`; a plan fills them in from a file.
+    #[must_use]
+    pub fn lengths(&self) -> [f64; 2] {
+        [self.spacing, self.ligament_length].map(|length| length.unwrap_or(f64::NAN))
+    }
 }
 
 /// Ligament stiffnesses.

@@ -15,7 +15,10 @@ mod trial;
 mod until;
 mod variation;
 
-pub use body::{Body, Clamp, ClampRule, Contact, Design, LayoutKind, Material, Rubber, Stiffness};
+pub use body::{
+    Body, Clamp, ClampRule, Contact, Design, Lattice, LayoutKind, Material, Own, Polygons, Rubber, Stiffness,
+    Struck,
+};
 pub use feasible::Feasible;
 pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};

@@ -730,7 +730,7 @@ fn circular_bodies_are_bodies() {
 /// The rule of MODEL.md and the examples it names.
 #[test]
 fn planar_panels_follow_the_rule() {
-    let panels = |columns, rows, k| Layout::planar_panels(columns, rows, k);
+    let panels = |columns, rows, k| Layout::planar(columns, rows, 15.0, 2.25).top_panels(k);
     assert_eq!(panels(6, 6, 2), Some(vec![31, 34]));
     assert_eq!(panels(8, 1, 4), Some(vec![1, 3, 4, 6]));
     assert_eq!(panels(8, 4, 3), Some(vec![25, 28, 30]));

@@ -66,7 +66,7 @@ fn losses_are_those_of_a_maxwell_branch() {
             let size = small * (half.sin() / half).powi(2);
             let (p, q) = (by * p / size, by * q / size);
             let square = p * p + q * q;
-            let area = 2.0 * scene.layout.half.powi(2);
+            let (area, _) = scene.layout.mean_unit();
             let (k, m) = (scene.stiffness.stretch, scene.density * area);
             let c = 2.0 * scene.damping_ratio * (m * scene.stiffness.shear).sqrt();
             let loss = (-q / square - omega * c) / k;

@@ -15,7 +15,7 @@ fn pool(threads: usize) -> metasense_numerics::Pool {
 /// Columns and rows of units, one or two panels, read for 0.3 s at 60 instants.
 fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
     let layout = Layout::planar(columns, rows, 15.0, 2.25);
-    let struck = Layout::planar_panels(columns, rows, panels).expect("panels");
+    let struck = layout.top_panels(panels).expect("panels");
     Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },

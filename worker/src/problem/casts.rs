@@ -40,7 +40,8 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
         Some(spec::Nodes::Each(scatter)) => ("variation.nodes", scatter, 0.0),
         Some(spec::Nodes::Alike(alike)) => ("variation.nodes.scatter", alike.scatter, alike.correlation),
     };
-    let most = NODES_MAX * trial.body.ligament_length;
+    let [spacing, length] = trial.body.lengths();
+    let most = NODES_MAX * length;
     let remedy =
         format!("must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: units would touch");
     require((0.0..=most).contains(&nodes), key, nodes, &remedy)?;
@@ -50,7 +51,10 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
         correlation,
         "must lie between 0 and 10000 mm",
     )?;
-    let units = trial.body.columns * trial.body.rows.unwrap_or(trial.body.columns);
+    let units = match &trial.body.file {
+        Some(spec::Own::Given(given)) => given.units.len(),
+        _ => trial.body.columns() * trial.body.rows(),
+    };
     let remedy = format!("the body has {units} units; nodes scatter alike on at most {ALIKE_MAX}");
     require(correlation == 0.0 || units <= ALIKE_MAX, "variation.nodes.correlation", correlation, &remedy)?;
     let [stretch, shear, bend] = [
@@ -73,7 +77,7 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
     let (ligaments, units) = ([stretch[1], shear[1], bend[1]], density[1]);
     let misalignment = turn.to_radians();
     let ligament_length = ligament_length.unwrap_or(0.0);
-    let most = ((trial.body.spacing / trial.body.ligament_length).ln() / LENGTHS).min(DEVIATION_MAX);
+    let most = ((spacing / length).ln() / LENGTHS).min(DEVIATION_MAX);
     let remedy =
         format!("must be a standard deviation of the logarithm, from 0 to {most:.3}: units would vanish");
     require((0.0..=most).contains(&ligament_length), "variation.ligament_length", ligament_length, &remedy)?;

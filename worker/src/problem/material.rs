@@ -37,8 +37,9 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
     let density = found("body.material.density", density, heavy)?;
     positive("body.material.thickness", thickness)?;
     positive("body.material.ligament_width", ligament_width)?;
-    positive("body.ligament_length", body.ligament_length)?;
-    let ligament = Ligament { modulus, thickness, width: ligament_width, length: body.ligament_length };
+    let [_, length] = body.lengths();
+    positive("body.ligament_length", length)?;
+    let ligament = Ligament { modulus, thickness, width: ligament_width, length };
     let Stiffness { stretch, shear, bend } = ligament.stiffness();
     Ok(spec::Body {
         density: Some(density * thickness),

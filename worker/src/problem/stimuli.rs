@@ -55,7 +55,8 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
 fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Invalid> {
     let (offset, angle) = (stimuli.offset.unwrap_or_default(), stimuli.angle.unwrap_or_default());
     // two deviations reach a corner
-    let most = 0.25 * (trial.body.spacing - trial.body.ligament_length);
+    let [spacing, length] = trial.body.lengths();
+    let most = 0.25 * (spacing - length);
     let remedy =
         format!("must lie between 0 and a quarter of a unit's diagonal, {most} mm: others miss the unit");
     require((0.0..=most).contains(&offset), "stimuli.offset", offset, &remedy)?;

@@ -22,12 +22,11 @@ pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let layout = &scene.layout;
     let g = scene.geometry(&case.design(&scene)?);
-    let flat = |v: &[[[f64; 2]; 4]]| v.as_flattened().as_flattened().to_vec();
     let arrays = [
         ("alpha_initial", layout.initial_design(case.number("scene.initial_angle")?)),
-        ("vertices", flat(&g.vertices)),
+        ("vertices", g.vertices.concat().into_flattened()),
         ("centroids", g.centroids.as_flattened().to_vec()),
-        ("r", flat(&g.arms)),
+        ("r", g.arms.as_flattened().to_vec()),
         ("area", g.area.clone()),
         ("mass", g.mass.clone()),
         ("moment", g.moment.clone()),

@@ -1,7 +1,7 @@
 //! Reading a reference case: `case.json` and its arrays, every fault an error that names the file.
 
 use super::{Row, relative};
-use crate::files;
+use crate::{files, polygons};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{Contact, Forces, Frame, Panel, Parts, Scene, Stiffness};
 use serde_json::Value;
@@ -150,8 +150,18 @@ impl Case {
     pub fn scene(&self) -> Result<Scene, CaseError> {
         let number = |key: &str| self.number(&format!("scene.{key}"));
         let size = |key: &str| self.size(&format!("scene.{key}"));
-        let layout =
-            Layout::planar(size("columns")?, size("rows")?, number("spacing")?, number("ligament_length")?);
+        let layout = match self.about.pointer("/scene/polygons") {
+            Some(given) => {
+                let given = serde_json::from_value(given.clone()).map_err(|e| self.wrong(e))?;
+                polygons::layout(&given).map_err(|e| self.wrong(e))?
+            }
+            None => Layout::planar(
+                size("columns")?,
+                size("rows")?,
+                number("spacing")?,
+                number("ligament_length")?,
+            ),
+        };
         let units = |key: &str| self.units(&format!("scene.{key}"), layout.units());
         let direction = [number("force_direction.0")?, number("force_direction.1")?];
         let contact = match self.flag("scene.contact")? {

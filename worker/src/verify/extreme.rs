@@ -43,7 +43,7 @@ fn on(columns: usize, rows: usize) -> Extreme {
         e.scene.layout = Layout::planar(columns, rows, 15.0, 2.25);
         e.design = initial(&e.scene.layout);
         e.scene.clamped = e.scene.layout.bottom();
-        let panels = Layout::planar_panels(columns, rows, 2).unwrap_or_else(|| vec![columns * rows - 1]);
+        let panels = e.scene.layout.top_panels(2).unwrap_or_else(|| vec![columns * rows - 1]);
         e.scene.panels = panels.into_iter().map(|unit| Panel { unit, direction: [0.0, -1.0] }).collect();
         e.scene.sensors = vec![(rows / 2).max(1) * columns + columns / 2];
         e.forces = bells(&e.scene, 2);

@@ -9,12 +9,15 @@ pub fn mould(width: f64) -> Mould {
 }
 
 /// Of a unit's corners.
-fn area_of(unit: &[[f64; 2]; 4]) -> f64 {
-    (0..4).map(|p| (unit[p], unit[(p + 1) % 4])).map(|(a, b)| 0.5 * (a[0] * b[1] - a[1] * b[0])).sum()
+fn area_of(unit: &[[f64; 2]]) -> f64 {
+    (0..unit.len())
+        .map(|p| (unit[p], unit[(p + 1) % unit.len()]))
+        .map(|(a, b)| 0.5 * (a[0] * b[1] - a[1] * b[0]))
+        .sum()
 }
 
 pub fn area_of_units(drawing: &Drawing) -> f64 {
-    drawing.units.iter().map(area_of).sum()
+    drawing.units.iter().map(|unit| area_of(unit)).sum()
 }
 
 /// Four voids in nine units. A ligament adds at least the strip between the corners that it joins, less what of the

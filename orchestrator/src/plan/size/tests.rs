@@ -19,8 +19,9 @@ fn a_disc_keeps_its_size_while_its_units_grow_in_number() {
     for trial in &sized.trials {
         let (body, limits) = (&trial.spec.body, &trial.spec.feasible);
         let stiffness = body.stiffness.unwrap();
-        let scale = 150.0 / (body.columns as f64 * 15.0);
-        let lengths = [body.spacing / 15.0, body.ligament_length / 2.25, limits.min_edge / 3.0];
+        let scale = 150.0 / (body.columns() as f64 * 15.0);
+        let [spacing, ligament_length] = body.lengths();
+        let lengths = [spacing / 15.0, ligament_length / 2.25, limits.min_edge / 3.0];
         let others = [limits.clearance, limits.ligament_clearance / 0.5, stiffness.bend.sqrt()];
         let rate = trial.spec.optimise.learning_rate.unwrap() / 0.3;
         let all = [&lengths[..], &others[..], &[rate]].concat();
@@ -30,7 +31,7 @@ fn a_disc_keeps_its_size_while_its_units_grow_in_number() {
     }
     let free = plan(&disc.replace("\ndiameter =", "\n# diameter ="));
     for (sized, free) in sized.trials.iter().zip(&free.trials) {
-        assert_eq!(sized.hash == free.hash, sized.spec.body.columns == 10);
+        assert_eq!(sized.hash == free.hash, sized.spec.body.columns() == 10);
         assert_eq!((sized.units, sized.design_parameters), (free.units, free.design_parameters));
     }
 }

@@ -28,7 +28,7 @@ fn a_course_has_every_design_and_where_its_marks_have_gone() {
         (sketch.panels, sketch.sensors) = (vec![(0, [1.0, 0.0])], vec![1]);
     }
     let [_, (_, last)] = &mut designs;
-    last.units[0] = last.units[0].map(|[x, y]| [x + 1.5, y - 0.25]);
+    last.units[0].iter_mut().for_each(|[x, y]| (*x, *y) = (*x + 1.5, *y - 0.25));
     last.centroids[0] = [last.centroids[0][0] + 1.5, last.centroids[0][1] - 0.25];
     last.sensors = vec![2];
     let page = course(&designs, 50).into_string();

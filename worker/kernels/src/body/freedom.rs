@@ -6,7 +6,7 @@
 //! A block holds the groups of p × q cells with one direction of ligament; frozen groups have rows of zeros. Designs and
 //! gradients keep the length of α: a block's number stands at its first group, its leader, and is spread to the others.
 
-use super::Layout;
+use super::{GroupCell, Layout};
 use std::collections::BTreeMap;
 
 /// P.
@@ -24,10 +24,10 @@ impl Freedom {
     /// If p or q is 0.
     pub fn new(layout: &Layout, [p, q]: [usize; 2], frozen_units: &[usize]) -> Self {
         let mut frozen = vec![false; layout.group_count];
-        frozen_units.iter().flat_map(|&unit| layout.groups[unit]).for_each(|group| frozen[group] = true);
-        let mut first: BTreeMap<(bool, [i32; 2]), usize> = BTreeMap::new();
-        let leader = layout.group_cells.iter().enumerate().map(|(group, &(vertical, [i, j]))| {
-            let block = (vertical, [i.div_euclid(p as i32), j.div_euclid(q as i32)]);
+        frozen_units.iter().flat_map(|&unit| &layout.groups[unit]).for_each(|&group| frozen[group] = true);
+        let mut first: BTreeMap<GroupCell, usize> = BTreeMap::new();
+        let leader = layout.group_cells.iter().enumerate().map(|(group, &(kind, [i, j]))| {
+            let block = (kind, [i.div_euclid(p as i32), j.div_euclid(q as i32)]);
             if frozen[group] { group } else { *first.entry(block).or_insert(group) }
         });
         Self { leader: leader.collect(), frozen }

@@ -11,12 +11,12 @@ use super::Layout;
 /// What the dynamics need to know of a design.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geometry {
-    /// Absolute node positions (mm).
-    pub vertices: Vec<[[f64; 2]; 4]>,
+    /// Absolute node positions of each unit (mm).
+    pub vertices: Vec<Vec<[f64; 2]>>,
     /// Area centroids (mm).
     pub centroids: Vec<[f64; 2]>,
-    /// r: from the centroid to each node (mm).
-    pub arms: Vec<[[f64; 2]; 4]>,
+    /// r: from its unit's centroid to each node (mm).
+    pub arms: Vec<[f64; 2]>,
     /// Areas (mm²).
     pub area: Vec<f64>,
     /// Masses (Mg).
@@ -50,28 +50,23 @@ impl Geometry {
         let mut g = Self {
             vertices,
             centroids: vec![[0.0; 2]; n],
-            arms: vec![[[0.0; 2]; 4]; n],
+            arms: vec![[0.0; 2]; layout.nodes()],
             area: vec![0.0; n],
             mass: vec![0.0; n],
             moment: vec![0.0; n],
         };
         for u in 0..n {
-            let q: [[f64; 2]; 4] = std::array::from_fn(|p| layout.node(design, u, p));
+            let r = &mut g.arms[layout.first[u]..layout.first[u + 1]];
+            r.iter_mut().enumerate().for_each(|(p, r)| *r = layout.node(design, u, p));
             let (mut doubled, mut first) = (0.0, [0.0; 2]);
-            for p in 0..4 {
-                let w = q[(p + 1) % 4];
-                doubled += cross(q[p], w);
-                add_scaled(&mut first, cross(q[p], w), sum(q[p], w));
+            for (p, s) in edges(r.len()) {
+                doubled += cross(r[p], r[s]);
+                add_scaled(&mut first, cross(r[p], r[s]), sum(r[p], r[s]));
             }
             let centroid = [first[0] / (3.0 * doubled), first[1] / (3.0 * doubled)];
-            let r = q.map(|q| difference(q, centroid));
-            let mut polar = 0.0;
-            for p in 0..4 {
-                let w = r[(p + 1) % 4];
-                polar += cross(r[p], w) * (dot(r[p], r[p]) + dot(r[p], w) + dot(w, w));
-            }
+            r.iter_mut().for_each(|r| *r = difference(*r, centroid));
+            let polar = polar(r);
             g.centroids[u] = sum(layout.centres[u], centroid);
-            g.arms[u] = r;
             g.area[u] = doubled / 2.0;
             g.mass[u] = density * g.area[u];
             g.moment[u] = density * polar / 12.0;
@@ -84,16 +79,20 @@ impl Geometry {
         &self,
         layout: &Layout,
         density: f64,
-        bar_arms: &[[[f64; 2]; 4]],
+        bar_arms: &[[f64; 2]],
         bar_mass: &[f64],
         bar_moment: &[f64],
     ) -> Vec<f64> {
         let mut design = vec![0.0; layout.design_len()];
+        let (mut bar, mut q) = (Vec::new(), Vec::new());
         for u in 0..layout.units() {
-            let (r, mut bar_r) = (self.arms[u], bar_arms[u]);
+            let nodes = layout.first[u]..layout.first[u + 1];
+            let r = &self.arms[nodes.clone()];
+            bar.clear();
+            bar.extend_from_slice(&bar_arms[nodes]);
+            let bar_r = &mut bar;
             let scale = density * bar_moment[u] / 12.0;
-            for p in 0..4 {
-                let s = (p + 1) % 4;
+            for (p, s) in edges(r.len()) {
                 let (a, b) = (r[p], r[s]);
                 let (area, square) = (cross(a, b), dot(a, a) + dot(a, b) + dot(b, b));
                 add_scaled(&mut bar_r[p], scale * square, [b[1], -b[0]]);
@@ -103,14 +102,14 @@ impl Geometry {
             }
             // r = q − c, c = first/(6A), all relative to the unit's reference point
             let centroid = difference(self.centroids[u], layout.centres[u]);
-            let q = r.map(|r| sum(r, centroid));
-            let mut bar_q = bar_r;
+            q.clear();
+            q.extend(r.iter().map(|r| sum(*r, centroid)));
             let bar_c = bar_r.iter().fold([0.0; 2], |s, r| difference(s, *r));
             let area = self.area[u];
             let bar_first = [bar_c[0] / (6.0 * area), bar_c[1] / (6.0 * area)];
             let bar_area = density * bar_mass[u] - dot(bar_c, centroid) / area;
-            for p in 0..4 {
-                let s = (p + 1) % 4;
+            let bar_q = bar_r;
+            for (p, s) in edges(q.len()) {
                 let (a, b) = (q[p], q[s]);
                 let bar_cross = dot(sum(a, b), bar_first) + 0.5 * bar_area;
                 add_scaled(&mut bar_q[p], cross(a, b), bar_first);
@@ -118,10 +117,9 @@ impl Geometry {
                 add_scaled(&mut bar_q[p], bar_cross, [b[1], -b[0]]);
                 add_scaled(&mut bar_q[s], bar_cross, [-a[1], a[0]]);
             }
-            for p in 0..4 {
-                let group = layout.groups[u][p];
-                design[2 * group] += bar_q[p][0];
-                design[2 * group + 1] += bar_q[p][1];
+            for (&group, bar) in layout.groups[u].iter().zip(bar_q) {
+                design[2 * group] += bar[0];
+                design[2 * group + 1] += bar[1];
             }
         }
         design
@@ -129,19 +127,42 @@ impl Geometry {
 
     /// The two void angles of each ligament at rest, in (−π, π]: from e⁻ of b to e⁺ of a, and from e⁻ of a to e⁺ of b.
     pub fn void_angles(&self, layout: &Layout) -> Vec<[f64; 2]> {
-        let angle = |ends: [(usize, usize, usize); 2]| {
-            let [e, f] = ends.map(|(u, p, s)| difference(self.arms[u][s], self.arms[u][p]));
+        let angle = |ends: [(usize, usize); 2]| {
+            let [e, f] = ends.map(|(p, s)| difference(self.arms[s], self.arms[p]));
             cross(e, f).atan2(dot(e, f))
         };
         void_edges(layout).map(|pair| pair.map(angle)).collect()
     }
 }
 
-/// For each void angle of each ligament the edges it opens from and to, as (unit, node, other node).
-fn void_edges(layout: &Layout) -> impl Iterator<Item = [[(usize, usize, usize); 2]; 2]> + '_ {
+/// The edges of a polygon of so many nodes.
+pub fn edges(count: usize) -> impl Iterator<Item = (usize, usize)> + Clone {
+    (0..count).map(move |p| (p, if p + 1 == count { 0 } else { p + 1 }))
+}
+
+/// 12 times the polar second moment of area about the origin.
+fn polar(r: &[[f64; 2]]) -> f64 {
+    let edge =
+        |(p, s): (usize, usize)| cross(r[p], r[s]) * (dot(r[p], r[p]) + dot(r[p], r[s]) + dot(r[s], r[s]));
+    edges(r.len()).map(edge).fold(0.0, |sum, edge| sum + edge)
+}
+
+/// Area of a polygon, and 12 times its polar second moment of area about its centroid.
+pub fn moments(nodes: &[[f64; 2]]) -> (f64, f64) {
+    let (mut doubled, mut first) = (0.0, [0.0; 2]);
+    for (p, s) in edges(nodes.len()) {
+        doubled += cross(nodes[p], nodes[s]);
+        add_scaled(&mut first, cross(nodes[p], nodes[s]), sum(nodes[p], nodes[s]));
+    }
+    let centroid = first.map(|x| x / (3.0 * doubled));
+    (0.5 * doubled, polar(nodes) - 6.0 * doubled * dot(centroid, centroid))
+}
+
+/// For each void angle of each ligament the edges it opens from and to, as the numbers of (node, other node).
+fn void_edges(layout: &Layout) -> impl Iterator<Item = [[(usize, usize); 2]; 2]> + '_ {
     layout.ligaments.iter().map(|l| {
-        let next = |e: super::End| (e.unit, e.node, (e.node + 1) % 4);
-        let previous = |e: super::End| (e.unit, e.node, (e.node + 3) % 4);
+        let next = |e| (layout.number(e), layout.number(layout.next(e)));
+        let previous = |e| (layout.number(e), layout.number(layout.previous(e)));
         [[previous(l.b), next(l.a)], [previous(l.a), next(l.b)]]
     })
 }
@@ -151,16 +172,16 @@ pub fn void_angles_vjp(
     geometry: &Geometry,
     layout: &Layout,
     bar_angles: &[[f64; 2]],
-    bar_arms: &mut [[[f64; 2]; 4]],
+    bar_arms: &mut [[f64; 2]],
 ) {
     for (pair, bars) in void_edges(layout).zip(bar_angles) {
         for (ends, &bar) in pair.iter().zip(bars) {
             // The angle falls with that of the first edge and rises with that of the second.
-            for (&(u, p, s), sign) in ends.iter().zip([-bar, bar]) {
-                let e = difference(geometry.arms[u][s], geometry.arms[u][p]);
+            for (&(p, s), sign) in ends.iter().zip([-bar, bar]) {
+                let e = difference(geometry.arms[s], geometry.arms[p]);
                 let turn = [-e[1] / dot(e, e), e[0] / dot(e, e)];
-                add_scaled(&mut bar_arms[u][s], sign, turn);
-                add_scaled(&mut bar_arms[u][p], -sign, turn);
+                add_scaled(&mut bar_arms[s], sign, turn);
+                add_scaled(&mut bar_arms[p], -sign, turn);
             }
         }
     }

@@ -1,143 +1,274 @@
 //! Layouts: which units there are, which nodes the ligaments join, and which nodes move together.
 //!
-//! One general form for planar lattices and circular bodies: a set of cells of a square grid. Node p of a unit is
-//! numbered counter-clockwise from the right and, undisplaced, lies at h·(cos pπ/2, sin pπ/2) from the unit's
-//! reference point, h = (spacing − ligament length)/2. Each node group has a 2-vector of the design α.
+//! A unit is a polygon, its nodes numbered counter-clockwise; undisplaced, node p lies at h·(its place in the unit's shape) from
+//! the unit's reference point, h = (spacing − ligament length)/2. Each node group has a 2-vector of the design α, and the ends of
+//! a ligament are in one group. Lattices repeat a [`Pattern`]; a square's node p lies at h·(cos pπ/2, sin pπ/2).
 
+use super::pattern::Pattern;
 use crate::random::{Purpose, Stream};
 use std::collections::BTreeMap;
 
 /// A node of a unit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct End {
     /// Unit index.
     pub unit: usize,
-    /// 0 right, 1 top, 2 left, 3 bottom.
+    /// Its place among the unit's nodes; of a square 0 right, 1 top, 2 left, 3 bottom.
     pub node: usize,
 }
 
 /// An elastic ligament between two nodes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ligament {
-    /// Right or top node of the left or lower unit.
+    /// Where it begins; in a square lattice the right or top node of the left or lower unit.
     pub a: End,
-    /// Left or bottom node of the right or upper unit.
+    /// Where it ends.
     pub b: End,
     /// d₀ (mm), from a to b.
     pub reference: [f64; 2],
 }
+
+/// Where a node group is in a lattice: the pattern's ligament that its nodes belong to, and the cell where that ends.
+pub type GroupCell = (usize, [i32; 2]);
 
 /// A body without its design.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layout {
     /// Reference points of the units (mm).
     pub centres: Vec<[f64; 2]>,
-    /// Grid cells (i, j) of the units, i to the right, j upward.
+    /// Cells (i, j) of the lattice that the units lie in, i to the right, j upward; of a body from a file all (0, 0).
     pub grid: Vec<[i32; 2]>,
+    /// Nodes of each unit relative to its reference point, undisplaced, in units of h.
+    pub shape: Vec<Vec<[f64; 2]>>,
+    /// Number of the first node of each unit where all nodes are counted, and how many there are.
+    pub first: Vec<usize>,
     /// h (mm).
     pub half: f64,
-    /// l₀ (mm).
+    /// l₀ (mm), of a ligament along the line between two reference points; of a body from a file the mean.
     pub ligament_length: f64,
-    /// Pitch of the grid (mm).
+    /// Distance of neighbouring reference points (mm); of a body from a file the mean.
     pub spacing: f64,
-    /// Horizontal ones (j outer, i inner), then vertical ones.
+    /// One kind of the pattern after another, by cells (j outer, i inner).
     pub ligaments: Vec<Ligament>,
     /// Node group of each node of each unit.
-    pub groups: Vec<[usize; 4]>,
-    /// (vertical?, i, j) of each node group: node 2 (or 3) of unit (i, j) and node 0 (or 1) of its left (lower) neighbour.
-    pub group_cells: Vec<(bool, [i32; 2])>,
+    pub groups: Vec<Vec<usize>>,
+    /// Of each node group.
+    pub group_cells: Vec<GroupCell>,
     /// Number of node groups.
     pub group_count: usize,
-    /// Whether a unit has fewer than four neighbours.
+    /// How a group shifts where units turn against their neighbours, per tangent of the angle, in units of h.
+    turning: Vec<[f64; 2]>,
+    /// Whether a node of a unit holds no ligament.
     pub boundary: Vec<bool>,
 }
 
 impl Layout {
-    /// `columns` × `rows` units; unit (i, j) has index j·columns + i and reference point (i, j)·spacing.
+    /// `columns` × `rows` squares; unit (i, j) has index j·columns + i and reference point (i, j)·spacing.
     pub fn planar(columns: usize, rows: usize, spacing: f64, ligament_length: f64) -> Self {
-        let cells = (0..rows as i32).flat_map(|j| (0..columns as i32).map(move |i| [i, j])).collect();
-        Self::from_cells(cells, [0.0, 0.0], spacing, ligament_length)
+        Self::sheet(&Pattern::square(), columns, rows, spacing, ligament_length)
     }
 
-    /// The cells of an `across` × `across` grid whose centres lie in the disc of diameter `across`·spacing, centred on 0.
+    /// `rows` rows of `columns` units of a lattice, one above the other, row by row from the left.
+    pub fn sheet(pattern: &Pattern, columns: usize, rows: usize, spacing: f64, ligament_length: f64) -> Self {
+        let row = |j: i32| (0..columns as i32).map(move |n| (j, n));
+        let units = (0..rows as i32).flat_map(row).map(|(j, n)| pattern.in_row(j, n)).collect();
+        Self::of_pattern(pattern, units, [0.0, 0.0], spacing, ligament_length)
+    }
+
+    /// The squares of an `across` × `across` grid whose centres lie in the disc of diameter `across`·spacing, centred on 0.
     pub fn circular(across: usize, spacing: f64, ligament_length: f64) -> Self {
         let n = across as i32;
         // In half pitches from the disc's centre; no centre lies on the rim, as odd and even squares differ mod 8.
         let inside = |&[i, j]: &[i32; 2]| (2 * i - n + 1).pow(2) + (2 * j - n + 1).pow(2) <= n * n;
-        let cells = (0..n).flat_map(|j| (0..n).map(move |i| [i, j])).filter(inside).collect();
+        let cells = (0..n).flat_map(|j| (0..n).map(move |i| [i, j])).filter(inside);
         let origin = -0.5 * (n - 1) as f64 * spacing;
-        Self::from_cells(cells, [origin, origin], spacing, ligament_length)
+        let units = cells.map(|cell| (cell, 0)).collect();
+        Self::of_pattern(&Pattern::square(), units, [origin, origin], spacing, ligament_length)
     }
 
-    /// A body of any cells of the grid, in the order given.
-    pub fn from_cells(cells: Vec<[i32; 2]>, origin: [f64; 2], spacing: f64, ligament_length: f64) -> Self {
-        let index: BTreeMap<[i32; 2], usize> = cells.iter().enumerate().map(|(u, &cell)| (cell, u)).collect();
-        assert_eq!(index.len(), cells.len(), "cells repeat");
-        let at = |i: i32, j: i32| index.get(&[i, j]).copied();
-        let mut scan = cells.clone();
+    /// Units of a pattern by cell and place in it, in the order given.
+    fn of_pattern(
+        pattern: &Pattern,
+        units: Vec<([i32; 2], usize)>,
+        origin: [f64; 2],
+        spacing: f64,
+        ligament_length: f64,
+    ) -> Self {
+        let index: BTreeMap<([i32; 2], usize), usize> =
+            units.iter().enumerate().map(|(u, &unit)| (unit, u)).collect();
+        assert_eq!(index.len(), units.len(), "units repeat");
+        let at = |cell: [i32; 2], member: usize| index.get(&(cell, member)).copied();
+        let mut scan: Vec<[i32; 2]> = units.iter().map(|unit| unit.0).collect();
         scan.sort_by_key(|&[i, j]| (j, i));
+        scan.dedup();
 
         let mut ligaments = Vec::new();
-        for vertical in [false, true] {
-            let reference = if vertical { [0.0, ligament_length] } else { [ligament_length, 0.0] };
-            let (di, dj) = if vertical { (0, 1) } else { (1, 0) };
+        let mut groups: Vec<Vec<usize>> =
+            units.iter().map(|&(_, member)| vec![usize::MAX; pattern.units[member].nodes.len()]).collect();
+        let (mut group_cells, mut turning) = (Vec::new(), Vec::new());
+        for (kind, link) in pattern.links.iter().enumerate() {
+            let [di, dj] = link.cells;
             for &[i, j] in &scan {
-                if let (Some(a), Some(b)) = (at(i, j), at(i + di, j + dj)) {
-                    let node = usize::from(vertical);
-                    ligaments.push(Ligament {
-                        a: End { unit: a, node },
-                        b: End { unit: b, node: node + 2 },
-                        reference,
-                    });
+                if let (Some(a), Some(b)) = (at([i, j], link.from.unit), at([i + di, j + dj], link.to.unit)) {
+                    ligaments
+                        .push([End { unit: a, node: link.from.node }, End { unit: b, node: link.to.node }]);
                 }
             }
-        }
-
-        let mut groups = vec![[usize::MAX; 4]; cells.len()];
-        let mut group_cells = Vec::new();
-        for vertical in [false, true] {
-            let (di, dj) = if vertical { (0, 1) } else { (1, 0) };
             let mut places: Vec<[i32; 2]> =
-                cells.iter().flat_map(|&[i, j]| [[i, j], [i + di, j + dj]]).collect();
+                scan.iter().flat_map(|&[i, j]| [[i, j], [i + di, j + dj]]).collect();
             places.sort_unstable();
             places.dedup();
             for [i, j] in places {
-                let node = usize::from(vertical);
-                for (unit, node) in [(at(i - di, j - dj), node), (at(i, j), node + 2)] {
+                let ends =
+                    [(at([i - di, j - dj], link.from.unit), link.from), (at([i, j], link.to.unit), link.to)];
+                if ends.iter().all(|end| end.0.is_none()) {
+                    continue;
+                }
+                for (unit, end) in ends {
                     if let Some(unit) = unit {
-                        groups[unit][node] = group_cells.len();
+                        groups[unit][end.node] = group_cells.len();
                     }
                 }
-                group_cells.push((vertical, [i, j]));
+                let [x, y] = pattern.units[link.to.unit].nodes[link.to.node];
+                let sense = pattern.sense([i, j], link.to.unit);
+                turning.push([-y * sense + 0.0, x * sense + 0.0]);
+                group_cells.push((kind, [i, j]));
             }
         }
-
-        let boundary = cells.iter().map(|&[i, j]| {
-            [(1, 0), (0, 1), (-1, 0), (0, -1)].iter().any(|&(a, b)| at(i + a, j + b).is_none())
-        });
+        let place = |&([i, j], member): &([i32; 2], usize)| {
+            [0, 1].map(|d| origin[d] + pattern.centre([i, j], member)[d] * spacing)
+        };
         Self {
-            centres: cells
-                .iter()
-                .map(|&[i, j]| [origin[0] + f64::from(i) * spacing, origin[1] + f64::from(j) * spacing])
-                .collect(),
-            half: 0.5 * (spacing - ligament_length),
-            ligament_length,
-            spacing,
-            ligaments,
-            groups,
-            group_count: group_cells.len(),
+            turning,
             group_cells,
-            boundary: boundary.collect(),
-            grid: cells,
+            ..Self::assembled(
+                units.iter().map(place).collect(),
+                units.iter().map(|unit| unit.0).collect(),
+                units.iter().map(|&(_, member)| pattern.units[member].nodes.clone()).collect(),
+                [spacing, ligament_length],
+                &ligaments,
+                groups,
+            )
         }
     }
 
-    /// The same grid with ligaments of another length: its units are smaller by what they are longer.
+    /// A body of any polygons, each by its nodes (mm) counter-clockwise, joined by ligaments; `together` are further nodes that shift
+    /// together. Reference points are the means of a polygon's nodes.
+    pub fn of_polygons(polygons: &[Vec<[f64; 2]>], ligaments: &[[End; 2]], together: &[Vec<End>]) -> Self {
+        let mean = |points: &[[f64; 2]]| {
+            [0, 1].map(|d| points.iter().map(|q| q[d]).sum::<f64>() / points.len() as f64)
+        };
+        let length = |[x, y]: [f64; 2]| x.hypot(y);
+        let between = |a: [f64; 2], b: [f64; 2]| [b[0] - a[0], b[1] - a[1]];
+        let centres: Vec<[f64; 2]> = polygons.iter().map(|points| mean(points)).collect();
+        let count = ligaments.len().max(1) as f64;
+        let pitch = ligaments.iter().map(|[a, b]| length(between(centres[a.unit], centres[b.unit])));
+        let bare = |[a, b]: &[End; 2]| length(between(polygons[a.unit][a.node], polygons[b.unit][b.node]));
+        let spacing = pitch.sum::<f64>() / count;
+        let ligament_length = ligaments.iter().map(bare).sum::<f64>() / count;
+        let half = 0.5 * (spacing - ligament_length);
+        let relative = |(points, c): (&Vec<[f64; 2]>, &[f64; 2])| {
+            points.iter().map(|q| between(*c, *q).map(|x| x / half)).collect()
+        };
+
+        // The least end of those that shift together stands for them.
+        let mut joined: BTreeMap<End, End> = BTreeMap::new();
+        let root = |joined: &BTreeMap<End, End>, mut end: End| {
+            while let Some(&next) = joined.get(&end) {
+                end = next;
+            }
+            end
+        };
+        let pairs = ligaments.iter().map(|l| &l[..]).chain(together.iter().map(|t| &t[..]));
+        for ends in pairs {
+            for pair in ends.windows(2) {
+                let [a, b] = [pair[0], pair[1]].map(|end| root(&joined, end));
+                if a != b {
+                    joined.insert(a.max(b), a.min(b));
+                }
+            }
+        }
+        let (mut number, mut groups) = (BTreeMap::new(), Vec::new());
+        for (unit, points) in polygons.iter().enumerate() {
+            let of = |node: usize| {
+                let count = number.len();
+                *number.entry(root(&joined, End { unit, node })).or_insert(count)
+            };
+            groups.push((0..points.len()).map(of).collect());
+        }
+        Self {
+            turning: vec![[0.0; 2]; number.len()],
+            group_cells: (0..number.len()).map(|group| (group, [0; 2])).collect(),
+            ..Self::assembled(
+                centres.clone(),
+                vec![[0; 2]; polygons.len()],
+                polygons.iter().zip(&centres).map(relative).collect(),
+                [spacing, ligament_length],
+                ligaments,
+                groups,
+            )
+        }
+    }
+
+    fn assembled(
+        centres: Vec<[f64; 2]>,
+        grid: Vec<[i32; 2]>,
+        shape: Vec<Vec<[f64; 2]>>,
+        [spacing, ligament_length]: [f64; 2],
+        ligaments: &[[End; 2]],
+        groups: Vec<Vec<usize>>,
+    ) -> Self {
+        let mut boundary = vec![false; centres.len()];
+        let joined: std::collections::BTreeSet<End> = ligaments.iter().flatten().copied().collect();
+        for (unit, nodes) in shape.iter().enumerate() {
+            boundary[unit] = (0..nodes.len()).any(|node| !joined.contains(&End { unit, node }));
+        }
+        let mut first = vec![0];
+        shape.iter().for_each(|nodes| first.push(first[first.len() - 1] + nodes.len()));
+        let mut layout = Self {
+            centres,
+            grid,
+            shape,
+            first,
+            half: 0.5 * (spacing - ligament_length),
+            ligament_length,
+            spacing,
+            ligaments: ligaments.iter().map(|&[a, b]| Ligament { a, b, reference: [0.0; 2] }).collect(),
+            group_count: groups.iter().flatten().max().map_or(0, |most| most + 1),
+            groups,
+            group_cells: Vec::new(),
+            turning: Vec::new(),
+            boundary,
+        };
+        layout.refer();
+        layout
+    }
+
+    /// Ligaments from node to node of the undisplaced units: l₀ long where they lie on the line between two reference points.
+    fn refer(&mut self) {
+        let place = |end: End| {
+            let ([x, y], [p, q]) = (self.centres[end.unit], self.shape[end.unit][end.node]);
+            [x + self.half * p, y + self.half * q]
+        };
+        let reference = |ligament: &Ligament| {
+            let [a, b] = [ligament.a, ligament.b];
+            let (c, d) = (self.centres[a.unit], self.centres[b.unit]);
+            let away = [d[0] - c[0], d[1] - c[1]];
+            let straight = away.map(|x| x / away[0].hypot(away[1]) * self.ligament_length);
+            let (p, q) = (place(a), place(b));
+            let bare = [q[0] - p[0], q[1] - p[1]];
+            let off = (bare[0] - straight[0]).hypot(bare[1] - straight[1]);
+            if off < 1e-9 * self.spacing { straight } else { bare }
+        };
+        let references: Vec<[f64; 2]> = self.ligaments.iter().map(reference).collect();
+        self.ligaments.iter_mut().zip(references).for_each(|(ligament, d)| ligament.reference = d);
+    }
+
+    /// The same lattice with ligaments of another length: its units are smaller by what they are longer.
     #[must_use]
     pub fn with_ligament_length(&self, ligament_length: f64) -> Self {
         let mut own = Self { half: 0.5 * (self.spacing - ligament_length), ligament_length, ..self.clone() };
-        let lengthened = |d: f64| if d == 0.0 { 0.0 } else { ligament_length };
-        own.ligaments.iter_mut().for_each(|ligament| ligament.reference = ligament.reference.map(lengthened));
+        own.refer();
         own
     }
 
@@ -151,45 +282,89 @@ impl Layout {
         2 * self.group_count
     }
 
-    /// Rotated squares of ±`angle` (rad), alternating as on a chessboard.
+    /// Units turned by ±`angle` (rad) against their neighbours; where a lattice cannot, or a file gives the units, as they are.
     pub fn initial_design(&self, angle: f64) -> Vec<f64> {
-        let shift = |&(vertical, [i, j]): &(bool, [i32; 2])| {
-            let tangent = if (i + j).rem_euclid(2) == 0 { angle.tan() } else { -angle.tan() };
-            if vertical { [self.half * tangent, 0.0] } else { [0.0, -self.half * tangent] }
-        };
-        self.group_cells.iter().flat_map(shift).collect()
+        let tangent = self.half * angle.tan();
+        self.turning.iter().flat_map(|turn| turn.map(|t| t * tangent + 0.0)).collect()
     }
 
     /// Position of a node relative to its unit's reference point (mm).
     pub fn node(&self, design: &[f64], unit: usize, node: usize) -> [f64; 2] {
-        let base = [[self.half, 0.0], [0.0, self.half], [-self.half, 0.0], [0.0, -self.half]][node];
+        let base = self.shape[unit][node];
         let group = self.groups[unit][node];
-        [base[0] + design[2 * group], base[1] + design[2 * group + 1]]
+        [self.half * base[0] + design[2 * group], self.half * base[1] + design[2 * group + 1]]
     }
 
-    /// Absolute node positions (mm).
-    pub fn vertices(&self, design: &[f64]) -> Vec<[[f64; 2]; 4]> {
+    /// Absolute node positions of each unit (mm).
+    pub fn vertices(&self, design: &[f64]) -> Vec<Vec<[f64; 2]>> {
         assert_eq!(design.len(), self.design_len(), "length of the design");
-        let place = |u: usize| {
-            std::array::from_fn(|p| {
-                let q = self.node(design, u, p);
-                [self.centres[u][0] + q[0], self.centres[u][1] + q[1]]
-            })
+        let place = |u: usize, p: usize| {
+            let q = self.node(design, u, p);
+            [self.centres[u][0] + q[0], self.centres[u][1] + q[1]]
         };
-        (0..self.units()).map(place).collect()
+        let unit = |u: usize| (0..self.shape[u].len()).map(|p| place(u, p)).collect();
+        (0..self.units()).map(unit).collect()
     }
 
-    /// The k input panels of a planar body, from left to right: units of the top row, symmetric about its middle.
+    /// How many nodes all units have.
+    pub fn nodes(&self) -> usize {
+        self.first[self.units()]
+    }
+
+    /// A node's place among all.
+    pub fn number(&self, end: End) -> usize {
+        self.first[end.unit] + end.node
+    }
+
+    /// The node after one on its unit.
+    pub fn next(&self, end: End) -> End {
+        End { node: (end.node + 1) % self.shape[end.unit].len(), ..end }
+    }
+
+    /// The node before one on its unit.
+    pub fn previous(&self, end: End) -> End {
+        let count = self.shape[end.unit].len();
+        End { node: (end.node + count - 1) % count, ..end }
+    }
+
+    /// Mean area A of the undisplaced units (mm²), and their mean polar second moment of area by A²/6: 1 for squares.
+    pub fn mean_unit(&self) -> (f64, f64) {
+        let (mut area, mut polar) = (0.0, 0.0);
+        for nodes in &self.shape {
+            let (own, turn) = super::geometry::moments(nodes);
+            (area, polar) = (area + own, polar + turn);
+        }
+        let count = self.units() as f64;
+        let area = area / count;
+        (area * self.half.powi(2), 0.5 * (polar / count) / area.powi(2))
+    }
+
+    /// The k input panels of a sheet, from left to right: of its topmost units, symmetric about their middle.
     /// None where they would not be k different units.
-    pub fn planar_panels(columns: usize, rows: usize, k: usize) -> Option<Vec<usize>> {
-        if k == 0 || rows == 0 {
+    pub fn top_panels(&self, k: usize) -> Option<Vec<usize>> {
+        let top = self.top();
+        let columns = top.len();
+        if k == 0 || columns == 0 {
             return None;
         }
         let column = |q: usize| if 2 * q < k { (2 * q + 1) * columns / (2 * k) } else { usize::MAX };
         let panel = |q: usize| if 2 * q < k { column(q) } else { columns - 1 - column(k - 1 - q) };
         let panels: Vec<usize> = (0..k).map(panel).collect();
         let distinct = panels.windows(2).all(|w| w[0] < w[1]) && panels[k - 1] < columns;
-        distinct.then(|| panels.iter().map(|c| (rows - 1) * columns + c).collect())
+        distinct.then(|| panels.iter().map(|&c| top[c]).collect())
+    }
+
+    /// The topmost units, from left to right.
+    pub fn top(&self) -> Vec<usize> {
+        let mut top = self.level(self.centres.iter().map(|c| c[1]).fold(f64::NEG_INFINITY, f64::max));
+        top.sort_by(|&u, &v| self.centres[u][0].total_cmp(&self.centres[v][0]));
+        top
+    }
+
+    /// Units whose reference points are so high (mm).
+    fn level(&self, height: f64) -> Vec<usize> {
+        let near = |u: &usize| (self.centres[*u][1] - height).abs() < 1e-6 * self.spacing;
+        (0..self.units()).filter(near).collect()
     }
 
     /// k of the eight input panels of a circular body, evenly spaced from direction 0 on, with their inward directions.
@@ -217,10 +392,9 @@ impl Layout {
         (units.len() == k).then_some(panels)
     }
 
-    /// The units of the bottom row (the least j).
+    /// The lowest units.
     pub fn bottom(&self) -> Vec<usize> {
-        let least = self.grid.iter().map(|c| c[1]).min();
-        (0..self.units()).filter(|&u| Some(self.grid[u][1]) == least).collect()
+        self.level(self.centres.iter().map(|c| c[1]).fold(f64::INFINITY, f64::min))
     }
 
     /// The innermost unit of a circular body, or the innermost four.

@@ -5,7 +5,10 @@
 mod freedom;
 mod geometry;
 mod layout;
+mod pattern;
 
 pub use freedom::Freedom;
+pub(crate) use geometry::edges;
 pub use geometry::{Geometry, void_angles_vjp};
-pub use layout::{End, Layout, Ligament};
+pub use layout::{End, GroupCell, Layout, Ligament};
+pub use pattern::Pattern;

@@ -87,7 +87,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
         // (R − I)ᵀ ∂U/∂node at b, its negative at a
         for (unit, node, sign) in [(bar.a, bar.node_a, -1.0), (bar.b, bar.node_b, 1.0)] {
             let [s, c1] = turn[unit].exact.map(first);
-            let to = &mut cotangent.arms[unit][node];
+            let to = &mut cotangent.arms[node];
             *to = [to[0] + sign * (c1 * gx + s * gy), to[1] + sign * (c1 * gy - s * gx)];
         }
         cotangent.voids[bar.index] = voids.map(first);

@@ -6,6 +6,7 @@
 
 use super::schemes::Drift;
 use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, tsit5};
+use crate::body::edges;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -96,7 +97,7 @@ pub struct Tangent<'a> {
 /// A scene with a design that moves.
 struct Body<'a> {
     scene: &'a Scene,
-    arms: Vec<[Pair; 4]>,
+    arms: Vec<Pair>,
     /// (m, m, J).
     mass: State,
     /// k_l, k_s, k_θ, k_c.
@@ -119,30 +120,30 @@ impl<'a> Body<'a> {
         let [stretch, shear, bend, ratio, density, contact] = std::array::from_fn(|k| Dual(at[k], along[k]));
         let (mut arms, mut mass) = (Vec::new(), Vec::new());
         for u in 0..layout.units() {
-            let q: [Pair; 4] = std::array::from_fn(|p| {
-                let (at, group) = (layout.node(design, u, p), layout.groups[u][p]);
+            let q = layout.groups[u].iter().enumerate().map(|(p, group)| {
+                let at = layout.node(design, u, p);
                 [0, 1].map(|d| Dual(at[d], or_zero(tangent.design, 2 * group + d)))
             });
-            let edges = [0, 1, 2, 3].map(|p| (p, (p + 1) % 4));
-            let doubled = edges.iter().fold(Dual::default(), |s, &(p, n)| s + cross(q[p], q[n]));
-            let first = edges.iter().fold([Dual::default(); 2], |s, &(p, n)| {
+            let q: Vec<Pair> = q.collect();
+            let edges = edges(q.len());
+            let doubled = edges.clone().fold(Dual::default(), |s, (p, n)| s + cross(q[p], q[n]));
+            let first = edges.clone().fold([Dual::default(); 2], |s, (p, n)| {
                 plus(s, plus(q[p], q[n]).map(|x| cross(q[p], q[n]) * x))
             });
-            let r = q.map(|q| minus(q, first.map(|x| x / (3.0 * doubled))));
-            let polar = edges.iter().fold(Dual::default(), |s, &(p, n)| {
+            let r: Vec<Pair> = q.iter().map(|&q| minus(q, first.map(|x| x / (3.0 * doubled)))).collect();
+            let polar = edges.fold(Dual::default(), |s, (p, n)| {
                 s + cross(r[p], r[n]) * (dot(r[p], r[p]) + dot(r[p], r[n]) + dot(r[n], r[n]))
             });
             let m = 0.5 * density * doubled;
-            arms.push(r);
+            arms.extend(r);
             let by = scene.parts.units.get(u).copied().unwrap_or(1.0);
             let own = [by * m, by * m, by / 12.0 * density * polar];
             let chip = Inertia::on(scene, u);
             mass.push([0, 1, 2].map(|d| own[d] + Dual(chip[d], 0.0)));
         }
-        // C of the square of angle 0
-        let area = 2.0 * layout.half.powi(2);
+        let (area, round) = layout.mean_unit();
         let shift = 2.0 * ratio * (area * density * shear).sqrt();
-        let turn = 2.0 * ratio * (area.powi(2) / 6.0 * density * bend).sqrt();
+        let turn = 2.0 * ratio * (area.powi(2) / 6.0 * round * density * bend).sqrt();
         Self {
             scene,
             arms,
@@ -158,7 +159,7 @@ impl<'a> Body<'a> {
     }
 
     fn still(&self) -> State {
-        vec![[Dual::default(); 3]; self.arms.len()]
+        vec![[Dual::default(); 3]; self.mass.len()]
     }
 
     /// Gives the state at instant n the values that `vjp` starts from: own rounding, much amplified in
@@ -183,6 +184,7 @@ impl<'a> Body<'a> {
     fn acceleration(&self, x: &State, v: &State, damping: [Dual; 3], (interval, w): (usize, f64)) -> State {
         let Self { scene, arms, stiffness: [stretch, shearing, bending, touch], .. } = self;
         let (stretch, shearing, bending, touch) = (*stretch, *shearing, *bending, *touch);
+        let layout = &scene.layout;
         let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
         for (k, panel) in scene.panels.iter().enumerate() {
             let strike = self.forces.strike(&scene.panels, self.sample, k);
@@ -191,11 +193,11 @@ impl<'a> Body<'a> {
                 net[panel.unit][d] = net[panel.unit][d] + push;
             }
         }
-        for (index, ligament) in scene.layout.ligaments.iter().enumerate() {
+        for (index, ligament) in layout.ligaments.iter().enumerate() {
             let own = scene.parts.ligaments.get(index).copied().unwrap_or([1.0; 3]);
             let (stretch, shearing, bending) = (own[0] * stretch, own[1] * shearing, own[2] * bending);
             let (a, b) = (ligament.a.unit, ligament.b.unit);
-            let (ra, rb) = (arms[a][ligament.a.node], arms[b][ligament.b.node]);
+            let (ra, rb) = (arms[layout.number(ligament.a)], arms[layout.number(ligament.b)]);
             let length = ligament.reference[0].hypot(ligament.reference[1]);
             let e = ligament.reference.map(|d| Dual(d / length, 0.0));
             let mean = 0.5 * (x[a][2] + x[b][2]);
@@ -225,9 +227,8 @@ impl<'a> Body<'a> {
             };
             let mut moment = bending * bend;
             if let Some(contact) = scene.contact {
-                let edge = |(u, p, to): (usize, usize, usize)| minus(arms[u][to], arms[u][p]);
-                let next = |e: crate::body::End| edge((e.unit, e.node, (e.node + 1) % 4));
-                let previous = |e: crate::body::End| edge((e.unit, e.node, (e.node + 3) % 4));
+                let edge = |from, to| minus(arms[layout.number(to)], arms[layout.number(from)]);
+                let (next, previous) = (|e| edge(e, layout.next(e)), |e| edge(e, layout.previous(e)));
                 let (i, j) = (ligament.a, ligament.b);
                 for (void, sign) in [(angle(previous(j), next(i)), -1.0), (angle(previous(i), next(j)), 1.0)]
                 {

@@ -50,8 +50,8 @@ impl<V: Vector> Turn<V> {
 
 /// Where a kernel adds cotangents of the arms (node by node), of the void angles at rest and of the stiffnesses.
 pub struct ShapeCotangent<'a, V> {
-    /// One entry a unit.
-    pub arms: &'a mut [[[V; 2]; 4]],
+    /// One entry a node.
+    pub arms: &'a mut [[V; 2]],
     /// One entry a ligament.
     pub voids: &'a mut [[V; 2]],
     /// Of k_l, k_s, k_θ, one entry a ligament; touched with `PARAMETERS` alone, as is the next.
@@ -190,7 +190,7 @@ pub fn product<
 ) {
     let units = model.units();
     assert!(x.len() == units && turn.len() == units && h.len() == units, "one entry per unit");
-    assert!(w.len() == units && shape.arms.len() == units, "one entry per unit");
+    assert!(w.len() == units, "one entry per unit");
     let zero = V::splat(0.0);
     if bars.is_empty() {
         return;
@@ -215,7 +215,7 @@ pub fn product<
         let [s, c1, _] = turns[1];
         let omega = w[b][2];
         let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
-        let to = &mut shape.arms[b][bar.node_b];
+        let to = &mut shape.arms[bar.node_b];
         *to = [
             omega.mul_add(gy, s.mul_add(ty, c1.mul_add(tx, to[0]))),
             omega.mul_sub_from(gx, s.mul_sub_from(tx, c1.mul_add(ty, to[1]))),
@@ -223,7 +223,7 @@ pub fn product<
         let [s, c1, _] = turns[0];
         let omega = w[a][2];
         let (tx, ty) = (omega.mul_add(gy, fx), omega.mul_sub_from(gx, fy));
-        let to = &mut shape.arms[a][bar.node_a];
+        let to = &mut shape.arms[bar.node_a];
         *to = [
             omega.mul_sub_from(gy, s.mul_sub_from(ty, c1.mul_sub_from(tx, to[0]))),
             omega.mul_add(gx, s.mul_add(tx, c1.mul_sub_from(ty, to[1]))),

@@ -14,7 +14,7 @@ pub struct Bar<S = f64> {
     pub a: usize,
     /// Likewise.
     pub b: usize,
-    /// Nodes at the ends.
+    /// Nodes at the ends, by their numbers among all.
     pub node_a: usize,
     /// Likewise.
     pub node_b: usize,
@@ -86,10 +86,10 @@ pub struct Model {
     pub geometry: Geometry,
 }
 
-/// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) of the square of angle 0, so that damping does not depend on the design.
+/// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) of the mean undisplaced unit, so that damping does not depend on the design.
 pub fn damping(scene: &Scene) -> [f64; 3] {
-    let area = 2.0 * scene.layout.half.powi(2);
-    let (mass, moment) = (scene.density * area, scene.density * area.powi(2) / 6.0);
+    let (area, round) = scene.layout.mean_unit();
+    let (mass, moment) = (scene.density * area, scene.density * area.powi(2) / 6.0 * round);
     let shift = 2.0 * scene.damping_ratio * (mass * scene.stiffness.shear).sqrt();
     let turn = 2.0 * scene.damping_ratio * (moment * scene.stiffness.bend).sqrt();
     [shift, shift, turn]
@@ -107,13 +107,13 @@ impl Model {
             let Stiffness { stretch, shear, bend } = scene.stiffness;
             let factors = scene.parts.ligaments.get(index).copied().unwrap_or([1.0; 3]);
             let stiffness = [stretch * factors[0], shear * factors[1], bend * factors[2]];
-            let [arm_a, arm_b] = [l.a, l.b].map(|end| geometry.arms[end.unit][end.node]);
+            let [arm_a, arm_b] = [l.a, l.b].map(|end| geometry.arms[layout.number(end)]);
             Bar {
                 index,
                 a: l.a.unit,
                 b: l.b.unit,
-                node_a: l.a.node,
-                node_b: l.b.node,
+                node_a: layout.number(l.a),
+                node_b: layout.number(l.b),
                 arm_a,
                 arm_b,
                 lever_a: arm_a,
@@ -177,7 +177,7 @@ impl Model {
 #[derive(Debug, Clone)]
 pub struct ModelCotangent {
     /// Of the arms.
-    pub arms: Vec<[[f64; 2]; 4]>,
+    pub arms: Vec<[f64; 2]>,
     /// Of (m, m, J).
     pub mass: Vec<[f64; 3]>,
     /// Of the void angles at rest.
@@ -195,7 +195,7 @@ impl ModelCotangent {
     pub fn new(model: &Model) -> Self {
         let n = model.units();
         Self {
-            arms: vec![[[0.0; 2]; 4]; n],
+            arms: vec![[0.0; 2]; model.geometry.arms.len()],
             mass: vec![[0.0; 3]; n],
             voids: vec![[0.0; 2]; model.ligaments],
             stiffness: vec![[0.0; 3]; model.ligaments],
@@ -207,7 +207,7 @@ impl ModelCotangent {
     /// Adds another.
     pub fn add(&mut self, other: &Self) {
         let add = |to: &mut [f64], from: &[f64]| to.iter_mut().zip(from).for_each(|(t, f)| *t += f);
-        add(self.arms.as_flattened_mut().as_flattened_mut(), other.arms.as_flattened().as_flattened());
+        add(self.arms.as_flattened_mut(), other.arms.as_flattened());
         add(self.mass.as_flattened_mut(), other.mass.as_flattened());
         add(self.voids.as_flattened_mut(), other.voids.as_flattened());
         add(self.stiffness.as_flattened_mut(), other.stiffness.as_flattened());

@@ -64,7 +64,8 @@ pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [
     let direction: Vec<[Sse2; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
     let x = vec![[zero; 3]; units];
     let (turn, mut h) = (vec![Turn::NONE; units], x.clone());
-    let (mut arms, mut voids) = (vec![[[zero; 2]; 4]; units], vec![[zero; 2]; model.ligaments]);
+    let (mut arms, mut voids) =
+        (vec![[zero; 2]; model.geometry.arms.len()], vec![[zero; 2]; model.ligaments]);
     let kernel = match (scene.linearised, scene.contact.is_some()) {
         (false, false) => product::<Sse2, false, false, false, false>,
         (false, true) => product::<Sse2, false, true, false, false>,

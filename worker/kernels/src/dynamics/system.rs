@@ -42,7 +42,7 @@ pub struct Kernels<V: Vector> {
 
 /// Cotangents of the model, in lanes, as negatives of the arms', void angles' and stiffnesses'.
 pub struct Cotangent<V> {
-    arms: Vec<[[V; 2]; 4]>,
+    arms: Vec<[V; 2]>,
     voids: Vec<[V; 2]>,
     pub(super) mass: Vec<Unit<V>>,
     stiffness: Vec<[V; 3]>,
@@ -113,7 +113,7 @@ impl<'a, V: Vector> System<'a, V> {
             h: vec![[zero; 3]; n],
             w: vec![[zero; 3]; n],
             cotangent: Cotangent {
-                arms: vec![[[zero; 2]; 4]; n],
+                arms: vec![[zero; 2]; model.geometry.arms.len()],
                 voids: vec![[zero; 2]; model.ligaments],
                 mass: vec![[zero; 3]; n],
                 stiffness: vec![[zero; 3]; model.ligaments],
@@ -367,7 +367,7 @@ impl<'a, V: Vector> System<'a, V> {
     pub fn take_cotangent(&mut self) -> ModelCotangent {
         let mut sum = ModelCotangent::new(self.model);
         for (to, from) in sum.arms.iter_mut().zip(&mut self.cotangent.arms) {
-            *to = std::array::from_fn(|p| [-total(&mut from[p][0]), -total(&mut from[p][1])]);
+            *to = [-total(&mut from[0]), -total(&mut from[1])];
         }
         for (to, from) in sum.voids.iter_mut().zip(&mut self.cotangent.voids) {
             *to = [-total(&mut from[0]), -total(&mut from[1])];

@@ -7,6 +7,7 @@
 
 use super::Limits;
 use crate::body::Layout;
+use std::borrow::Cow;
 use std::f64::consts::{PI, TAU};
 use std::fmt;
 
@@ -86,7 +87,7 @@ impl fmt::Display for Violation {
         match self.kind {
             Kind::NotFinite => write!(f, "unit {a}, node {node}: a coordinate is not finite"),
             Kind::NotSimple => write!(f, "unit {a}: its edges cross, or it is turned over"),
-            Kind::Edge => write!(f, "unit {a}, edge {node}–{}: {value:.4} mm < {limit} mm", (node + 1) % 4),
+            Kind::Edge => write!(f, "unit {a}, edge from node {node}: {value:.4} mm < {limit} mm"),
             Kind::BlockAngleLow => {
                 write!(f, "unit {a}, node {node}: interior angle {degrees:.3}° < {limit_degrees:.3}°")
             }
@@ -162,16 +163,24 @@ fn turn(a: Point, b: Point) -> f64 {
     if angle < 0.0 { angle + TAU } else { angle }
 }
 
-fn judge_unit(u: usize, corners: &[Point; 4], limits: &Limits, found: &mut Vec<Violation>) {
-    let area = cross(minus(corners[2], corners[0]), minus(corners[3], corners[1]));
-    let crossing = segments_cross(corners[0], corners[1], corners[2], corners[3])
-        || segments_cross(corners[1], corners[2], corners[3], corners[0]);
+fn judge_unit(u: usize, corners: &[Point], limits: &Limits, found: &mut Vec<Violation>) {
+    let count = corners.len();
+    let edge = |p: usize| [corners[p], corners[(p + 1) % count]];
+    let apart = |p: usize, q: usize| q - p > 1 && q - p < count - 1;
+    let crossing = (0..count).any(|p| {
+        (p + 1..count).filter(|&q| apart(p, q)).any(|q| {
+            let ([a, b], [c, d]) = (edge(p), edge(q));
+            segments_cross(a, b, c, d)
+        })
+    });
+    let fan = |p: usize| cross(minus(corners[p], corners[0]), minus(corners[p + 1], corners[0]));
+    let area: f64 = (1..count - 1).map(fan).sum();
     if crossing || !(area > 0.0) {
         found.push(broken(Kind::NotSimple, [u, u], None, area, 0.0));
     }
-    for p in 0..4 {
-        let onward = minus(corners[(p + 1) % 4], corners[p]);
-        let back = minus(corners[(p + 3) % 4], corners[p]);
+    for p in 0..count {
+        let onward = minus(corners[(p + 1) % count], corners[p]);
+        let back = minus(corners[(p + count - 1) % count], corners[p]);
         let edge = onward[0].hypot(onward[1]);
         if !(edge >= limits.min_edge) {
             found.push(broken(Kind::Edge, [u, u], Some(p), edge, limits.min_edge));
@@ -188,9 +197,10 @@ fn judge_unit(u: usize, corners: &[Point; 4], limits: &Limits, found: &mut Vec<V
 
 /// Angles between a ligament that leaves node p along `away` and the edges to the next and to the previous node,
 /// each measured through the void; negative where the ligament runs through the unit.
-fn beside_ligament(corners: &[Point; 4], p: usize, away: Point) -> [f64; 2] {
-    let next = turn(away, minus(corners[(p + 1) % 4], corners[p]));
-    let previous = turn(minus(corners[(p + 3) % 4], corners[p]), away);
+fn beside_ligament(corners: &[Point], p: usize, away: Point) -> [f64; 2] {
+    let count = corners.len();
+    let next = turn(away, minus(corners[(p + 1) % count], corners[p]));
+    let previous = turn(minus(corners[(p + count - 1) % count], corners[p]), away);
     if next + previous <= TAU {
         [next, previous]
     } else if next > previous {
@@ -200,7 +210,7 @@ fn beside_ligament(corners: &[Point; 4], p: usize, away: Point) -> [f64; 2] {
     }
 }
 
-fn judge_ligaments(layout: &Layout, units: &[[Point; 4]], limits: &Limits, found: &mut Vec<Violation>) {
+fn judge_ligaments(layout: &Layout, units: &[Vec<Point>], limits: &Limits, found: &mut Vec<Violation>) {
     for ligament in &layout.ligaments {
         let (a, b) = (&ligament.a, &ligament.b);
         let along = ligament.reference;
@@ -233,9 +243,8 @@ fn judge_ligaments(layout: &Layout, units: &[[Point; 4]], limits: &Limits, found
 }
 
 /// A unit or a ligament among those whose distances are judged.
-struct Piece {
-    corners: [Point; 4],
-    count: usize,
+struct Piece<'a> {
+    corners: Cow<'a, [Point]>,
     least: Point,
     most: Point,
     /// The unit, or the ligament's two units.
@@ -244,26 +253,24 @@ struct Piece {
     node: Option<usize>,
 }
 
-impl Piece {
-    fn new(points: &[Point], units: [usize; 2], node: Option<usize>) -> Self {
-        let mut corners = [points[0]; 4];
-        corners[..points.len()].copy_from_slice(points);
+impl<'a> Piece<'a> {
+    fn new(points: Cow<'a, [Point]>, units: [usize; 2], node: Option<usize>) -> Self {
         let end = |axis: usize, pick: fn(f64, f64) -> f64| {
             points.iter().map(|q| q[axis]).reduce(pick).unwrap_or(0.0)
         };
         Self {
-            corners,
-            count: points.len(),
             least: [end(0, f64::min), end(1, f64::min)],
             most: [end(0, f64::max), end(1, f64::max)],
+            corners: points,
             units,
             node,
         }
     }
 
     fn edges(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
-        let edges = if self.count == 4 { 4 } else { 1 };
-        (0..edges).map(move |p| (self.corners[p], self.corners[(p + 1) % self.count]))
+        let count = self.corners.len();
+        let edges = if self.node.is_none() { count } else { 1 };
+        (0..edges).map(move |p| (self.corners[p], self.corners[(p + 1) % count]))
     }
 
     /// Winding of the corners about a point is not zero.
@@ -277,17 +284,20 @@ impl Piece {
                 winding -= 1;
             }
         }
-        self.count == 4 && winding != 0
+        self.node.is_none() && winding != 0
     }
 }
 
-fn judge_distances(layout: &Layout, units: &[[Point; 4]], limits: &Limits, found: &mut Vec<Violation>) {
-    let mut pieces: Vec<Piece> =
-        units.iter().enumerate().map(|(u, corners)| Piece::new(corners, [u, u], None)).collect();
+fn judge_distances(layout: &Layout, units: &[Vec<Point>], limits: &Limits, found: &mut Vec<Violation>) {
+    let mut pieces: Vec<Piece> = units
+        .iter()
+        .enumerate()
+        .map(|(u, corners)| Piece::new(Cow::Borrowed(corners), [u, u], None))
+        .collect();
     for ligament in &layout.ligaments {
         let (a, b) = (&ligament.a, &ligament.b);
         let bar = [units[a.unit][a.node], units[b.unit][b.node]];
-        pieces.push(Piece::new(&bar, [a.unit, b.unit], Some(a.node)));
+        pieces.push(Piece::new(Cow::Owned(bar.to_vec()), [a.unit, b.unit], Some(a.node)));
     }
     let reach = limits.clearance.max(limits.ligament_clearance).max(0.0);
     pieces.sort_by(|p, q| p.least[0].total_cmp(&q.least[0]));
@@ -313,8 +323,7 @@ fn judge_pair(one: &Piece, other: &Piece, limits: &Limits, found: &mut Vec<Viola
             return;
         }
     }
-    let inside = other.corners[..other.count].iter().any(|q| one.holds(*q))
-        || one.corners[..one.count].iter().any(|q| other.holds(*q));
+    let inside = other.corners.iter().any(|q| one.holds(*q)) || one.corners.iter().any(|q| other.holds(*q));
     let mut distance = if inside { 0.0 } else { f64::INFINITY };
     for (a0, a1) in one.edges() {
         for (b0, b1) in other.edges() {

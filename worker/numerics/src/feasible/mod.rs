@@ -71,7 +71,7 @@ impl Feasible {
     pub fn new(layout: &Layout, limits: Limits, fixed_units: &[usize]) -> Self {
         let mut fixed = vec![false; layout.group_count];
         for &unit in fixed_units {
-            for group in layout.groups[unit] {
+            for &group in &layout.groups[unit] {
                 fixed[group] = true;
             }
         }

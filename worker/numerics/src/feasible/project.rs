@@ -11,6 +11,7 @@
 use super::program::{Ask, Step};
 use super::rows::{Key, Row, What};
 use super::{Feasible, Kind};
+use crate::body::End;
 
 /// What a projection came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -243,11 +244,12 @@ impl Feasible {
         let vertices = self.layout.vertices(&best);
         for active in self.active(&best).iter().filter(|a| a.kind == Kind::Edge) {
             let (unit, p) = (active.units[0], active.node);
-            let groups = [self.layout.groups[unit][p], self.layout.groups[unit][(p + 1) % 4]];
+            let next = self.layout.next(End { unit, node: p }).node;
+            let groups = [self.layout.groups[unit][p], self.layout.groups[unit][next]];
             if groups.iter().any(|&g| self.fixed[g]) {
                 continue;
             }
-            let (s, t) = (vertices[unit][p], vertices[unit][(p + 1) % 4]);
+            let (s, t) = (vertices[unit][p], vertices[unit][next]);
             edges.push((groups.map(|g| off(&best, g)).iter().sum(), groups, [t[0] - s[0], t[1] - s[1]]));
         }
         edges.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -369,7 +371,7 @@ impl Feasible {
 impl super::rows::Rows {
     fn describe(&self, row: &Row) -> Active {
         let [first, second, _] = row.key.at.map(|n| n as usize);
-        let unit = first / 4;
+        let unit = self.unit(first);
         let (kind, units) = match row.key.kind {
             What::Edge => (Kind::Edge, [unit, unit]),
             What::AngleLow => (Kind::BlockAngleLow, [unit, unit]),
@@ -377,11 +379,11 @@ impl super::rows::Rows {
             What::Ligament => (Kind::LigamentAngle, [unit, unit]),
             What::Void => (Kind::VoidAngle, [unit, self.across(first, second)]),
             What::Corners | What::Side | What::Through if row.bar => {
-                (Kind::LigamentClearance, [unit, second / 4])
+                (Kind::LigamentClearance, [unit, self.unit(second)])
             }
-            What::Corners | What::Side | What::Through => (Kind::Clearance, [unit, second / 4]),
+            What::Corners | What::Side | What::Through => (Kind::Clearance, [unit, self.unit(second)]),
         };
-        Active { kind, units, node: first % 4, slack: row.value }
+        Active { kind, units, node: first - self.first(unit), slack: row.value }
     }
 }
 

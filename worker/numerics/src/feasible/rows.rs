@@ -5,7 +5,7 @@
 //! point is exact; overlapping ones by the edge normal along which they overlap least.
 
 use super::Limits;
-use crate::body::Layout;
+use crate::body::{End, Layout};
 use std::f64::consts::{PI, TAU};
 
 type Point = [f64; 2];
@@ -14,7 +14,7 @@ type Point = [f64; 2];
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Key {
     pub kind: What,
-    /// Nodes (4·unit + node) or ligament indices, by kind.
+    /// Nodes, by their numbers among all, or ligament indices, by kind.
     pub at: [u32; 3],
 }
 
@@ -78,13 +78,24 @@ impl Row {
     }
 }
 
-/// A unit (four corners) or a ligament (two).
-#[derive(Debug, Clone, Copy)]
+/// A unit or a ligament (two corners).
+#[derive(Debug, Clone)]
 struct Piece {
-    nodes: [u32; 4],
-    count: usize,
+    nodes: Vec<u32>,
     /// The units it belongs to.
     units: [u32; 2],
+}
+
+impl Piece {
+    fn is_unit(&self) -> bool {
+        self.nodes.len() > 2
+    }
+
+    /// From node to node; a ligament has one.
+    fn edges(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
+        let count = self.nodes.len();
+        (0..if self.is_unit() { count } else { 1 }).map(move |p| (self.nodes[p], self.nodes[(p + 1) % count]))
+    }
 }
 
 /// A layout, laid out for enumeration of rows.
@@ -93,6 +104,11 @@ pub(super) struct Rows {
     limits: Limits,
     base: Vec<Point>,
     group: Vec<u32>,
+    /// Of each node its unit, the next and the last node there, and where it is in the unit's shape.
+    unit: Vec<u32>,
+    next: Vec<u32>,
+    last: Vec<u32>,
+    shape: Vec<Point>,
     pieces: Vec<Piece>,
     /// Node at a, node at b, direction from a to b.
     ligaments: Vec<(u32, u32, Point)>,
@@ -108,7 +124,6 @@ pub(super) struct Near {
     margin: f64,
 }
 
-const UNIT: [Point; 4] = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
 /// An edge shorter than this has no direction (mm).
 const POINTLIKE: f64 = 1e-9;
 
@@ -138,25 +153,39 @@ impl Rows {
     pub fn new(layout: &Layout, limits: Limits) -> Self {
         let units = layout.units();
         let half = layout.half;
-        let base = (0..4 * units)
-            .map(|n| {
-                let (centre, e) = (layout.centres[n / 4], UNIT[n % 4]);
-                [centre[0] + half * e[0], centre[1] + half * e[1]]
-            })
-            .collect();
-        let group = (0..4 * units).map(|n| layout.groups[n / 4][n % 4] as u32).collect();
-        let mut pieces: Vec<Piece> = (0..units as u32)
-            .map(|u| Piece { nodes: std::array::from_fn(|p| 4 * u + p as u32), count: 4, units: [u, u] })
-            .collect();
+        let base = layout.vertices(&vec![0.0; layout.design_len()]).concat();
+        let group = layout.groups.iter().flatten().map(|&group| group as u32).collect();
+        let nodes = |u: usize| layout.first[u] as u32..layout.first[u + 1] as u32;
+        let mut pieces: Vec<Piece> =
+            (0..units).map(|u| Piece { nodes: nodes(u).collect(), units: [u as u32; 2] }).collect();
+        let ends =
+            (0..units).flat_map(|unit| (0..layout.shape[unit].len()).map(move |node| End { unit, node }));
+        let of = |to: fn(&Layout, End) -> End| {
+            ends.clone().map(|end| layout.number(to(layout, end)) as u32).collect()
+        };
+        let (next, last) = (of(Layout::next), of(Layout::previous));
         let mut ligaments = Vec::new();
         for ligament in &layout.ligaments {
             let (a, b) = (&ligament.a, &ligament.b);
-            let (na, nb) = ((4 * a.unit + a.node) as u32, (4 * b.unit + b.node) as u32);
-            pieces.push(Piece { nodes: [na, nb, nb, nb], count: 2, units: [a.unit as u32, b.unit as u32] });
+            let [na, nb] = [*a, *b].map(|end| layout.number(end) as u32);
+            pieces.push(Piece { nodes: vec![na, nb], units: [a.unit as u32, b.unit as u32] });
             ligaments.push((na, nb, ligament.reference));
         }
         let cell = 2.0 * half.abs().max(1e-3);
-        Self { limits, base, group, pieces, ligaments, units, cell }
+        let unit = ends.map(|end| end.unit as u32).collect();
+        Self {
+            limits,
+            base,
+            group,
+            unit,
+            next,
+            last,
+            shape: layout.shape.concat(),
+            pieces,
+            ligaments,
+            units,
+            cell,
+        }
     }
 
     fn place(&self, design: &[f64]) -> Vec<Point> {
@@ -167,14 +196,24 @@ impl Rows {
             .collect()
     }
 
+    /// The unit of a node.
+    pub fn unit(&self, n: usize) -> usize {
+        self.unit[n] as usize
+    }
+
+    /// The first node of a unit.
+    pub fn first(&self, unit: usize) -> usize {
+        self.pieces[unit].nodes[0] as usize
+    }
+
     /// The unit at the other end of ligament `l` from node `n`.
     pub fn across(&self, n: usize, l: usize) -> usize {
         let (a, b, _) = self.ligaments[l];
-        (if n == a as usize { b } else { a }) as usize / 4
+        self.unit(if n == a as usize { b } else { a } as usize)
     }
 
     fn gap(&self, a: &Piece, b: &Piece) -> f64 {
-        if a.count == 4 && b.count == 4 { self.limits.clearance } else { self.limits.ligament_clearance }
+        if a.is_unit() && b.is_unit() { self.limits.clearance } else { self.limits.ligament_clearance }
     }
 
     /// Pairs whose boxes come within their gap + `window` after any motion of up to `margin`/2 a coordinate.
@@ -187,7 +226,7 @@ impl Rows {
             .iter()
             .map(|piece| {
                 let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
-                for &n in &piece.nodes[..piece.count] {
+                for &n in &piece.nodes {
                     let [x, y] = at[n as usize];
                     b = [b[0].min(x - reach), b[1].min(y - reach), b[2].max(x + reach), b[3].max(y + reach)];
                 }
@@ -219,7 +258,7 @@ impl Rows {
                 return;
             }
             let (one, other) = (&self.pieces[i as usize], &self.pieces[j as usize]);
-            if one.count == 4 && other.count == 2 && other.units.contains(&one.units[0]) {
+            if one.is_unit() && !other.is_unit() && other.units.contains(&one.units[0]) {
                 return;
             }
             pairs.push((i, j));
@@ -292,19 +331,16 @@ impl Rows {
     }
 
     fn unit_rows(&self, at: &[Point], u: u32, window: f64, rows: &mut Vec<Row>) {
-        let node = |p: u32| 4 * u + p % 4;
         let limits = &self.limits;
-        let edges: [Point; 4] =
-            std::array::from_fn(|p| sub(at[node(p as u32 + 1) as usize], at[node(p as u32) as usize]));
-        let lengths = edges.map(norm);
-        for p in 0..4 {
-            let (here, next, last) = (node(p as u32), node(p as u32 + 1), node(p as u32 + 3));
-            let (length, before) = (lengths[p], lengths[(p + 3) % 4]);
+        for &here in &self.pieces[u as usize].nodes {
+            let (next, last) = (self.next[here as usize], self.last[here as usize]);
+            let [onward, back] = [next, last].map(|n| sub(at[n as usize], at[here as usize]));
+            let (length, before) = (norm(onward), norm(back));
             if length - limits.min_edge < window {
                 let along = if length > POINTLIKE {
-                    scale(1.0 / length, edges[p])
+                    scale(1.0 / length, onward)
                 } else {
-                    let away = sub(UNIT[(p + 1) % 4], UNIT[p]);
+                    let away = sub(self.shape[next as usize], self.shape[here as usize]);
                     scale(1.0 / norm(away), away)
                 };
                 let key = Key { kind: What::Edge, at: [here, 0, 0] };
@@ -313,7 +349,6 @@ impl Rows {
             if length < POINTLIKE || before < POINTLIKE {
                 continue;
             }
-            let (onward, back) = (edges[p], scale(-1.0, edges[(p + 3) % 4]));
             let centre = 0.5 * (limits.min_block_angle + limits.max_block_angle);
             let angle = near_centre(back[1].atan2(back[0]) - onward[1].atan2(onward[0]), centre);
             let size = length.min(before);
@@ -341,7 +376,7 @@ impl Rows {
     /// At the end `n` of a ligament that leaves along `away`: for the edge onward and the edge back, the void's angle
     /// beside the ligament, its gradient by the far node, that node, and the edge's length.
     fn beside(&self, at: &[Point], n: u32, away: Point) -> Option<[(f64, Point, u32, f64); 2]> {
-        let (next, last) = ((n & !3) + (n + 1) % 4, (n & !3) + (n + 3) % 4);
+        let (next, last) = (self.next[n as usize], self.last[n as usize]);
         let (onward, back) = (sub(at[next as usize], at[n as usize]), sub(at[last as usize], at[n as usize]));
         let lengths = [norm(onward), norm(back)];
         if lengths[0].min(lengths[1]) < POINTLIKE {
@@ -392,7 +427,7 @@ impl Rows {
         let first = rows.len();
         self.gap_rows(at, a, b, window, rows);
         for row in &mut rows[first..] {
-            row.bar = a.count + b.count < 8;
+            row.bar = !(a.is_unit() && b.is_unit());
         }
     }
 
@@ -404,9 +439,8 @@ impl Rows {
         }
         if apart > 0.0 {
             for (corner_of, edge_of) in [(a, b), (b, a)] {
-                for &n in &corner_of.nodes[..corner_of.count] {
-                    for p in 0..if edge_of.count == 4 { 4 } else { 1 } {
-                        let (s, t) = (edge_of.nodes[p], edge_of.nodes[(p + 1) % edge_of.count]);
+                for &n in &corner_of.nodes {
+                    for (s, t) in edge_of.edges() {
                         self.side_row(at, n, s, t, gap, window, rows);
                     }
                 }
@@ -415,12 +449,11 @@ impl Rows {
         }
         // Overlapping: along the normal of the edge that needs the least way out.
         let (edge_of, corner_of) = if owner_first { (a, b) } else { (b, a) };
-        let (s, t) = (edge_of.nodes[edge], edge_of.nodes[(edge + 1) % edge_of.count]);
-        let reach = edge_of.nodes[..edge_of.count]
-            .iter()
-            .fold(f64::NEG_INFINITY, |m, &n| m.max(inner(normal, at[n as usize])));
+        let (s, t) = edge;
+        let reach =
+            edge_of.nodes.iter().fold(f64::NEG_INFINITY, |m, &n| m.max(inner(normal, at[n as usize])));
         let along = sub(at[t as usize], at[s as usize]);
-        for &n in &corner_of.nodes[..corner_of.count] {
+        for &n in &corner_of.nodes {
             let value = inner(normal, at[n as usize]) - reach - gap;
             if value < window {
                 let part = (inner(sub(at[n as usize], at[s as usize]), along)
@@ -459,12 +492,11 @@ impl Rows {
 
 /// Greatest separation of two convex pieces along a normal of one of their edges (negative: they overlap), that normal
 /// (from the owner of the edge outward), whether the owner is `a`, and the edge.
-fn separation(at: &[Point], a: &Piece, b: &Piece) -> (f64, Point, bool, usize) {
-    let mut best = (f64::NEG_INFINITY, [0.0; 2], true, 0);
+fn separation(at: &[Point], a: &Piece, b: &Piece) -> (f64, Point, bool, (u32, u32)) {
+    let mut best = (f64::NEG_INFINITY, [0.0; 2], true, (0, 0));
     for (owner, other, first) in [(a, b, true), (b, a, false)] {
-        for p in 0..if owner.count == 4 { 4 } else { 1 } {
-            let (s, t) = (at[owner.nodes[p] as usize], at[owner.nodes[(p + 1) % owner.count] as usize]);
-            let along = sub(t, s);
+        for (s, t) in owner.edges() {
+            let along = sub(at[t as usize], at[s as usize]);
             let length = norm(along);
             if length < POINTLIKE {
                 continue;
@@ -472,16 +504,13 @@ fn separation(at: &[Point], a: &Piece, b: &Piece) -> (f64, Point, bool, usize) {
             let normal = [along[1] / length, -along[0] / length];
             let mut directions =
                 [normal, scale(-1.0, normal), scale(1.0 / length, along), scale(-1.0 / length, along)];
-            let used = if owner.count == 4 { &mut directions[..1] } else { &mut directions[..] };
+            let used = if owner.is_unit() { &mut directions[..1] } else { &mut directions[..] };
             for n in used {
-                let far = owner.nodes[..owner.count]
-                    .iter()
-                    .fold(f64::NEG_INFINITY, |m, &q| m.max(inner(*n, at[q as usize])));
-                let near = other.nodes[..other.count]
-                    .iter()
-                    .fold(f64::INFINITY, |m, &q| m.min(inner(*n, at[q as usize])));
+                let far =
+                    owner.nodes.iter().fold(f64::NEG_INFINITY, |m, &q| m.max(inner(*n, at[q as usize])));
+                let near = other.nodes.iter().fold(f64::INFINITY, |m, &q| m.min(inner(*n, at[q as usize])));
                 if near - far > best.0 {
-                    best = (near - far, *n, first, p);
+                    best = (near - far, *n, first, (s, t));
                 }
             }
         }

@@ -12,7 +12,7 @@ use crate::variation::Casts;
 /// So many columns and rows of units, two panels, one sensor, `instants` of 5 ms.
 fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Problem {
     let layout = Layout::planar(columns, rows, 15.0, 2.25);
-    let struck = Layout::planar_panels(columns, rows, 2).expect("panels");
+    let struck = layout.top_panels(2).expect("panels");
     let small = small(Protocol::Joint(GOING));
     Problem {
         initial: layout.initial_design(25f64.to_radians()),

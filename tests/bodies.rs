@@ -1,0 +1,128 @@
+//! Bodies of other units than squares: lattices by name and polygons from a file, from the spec to what is exported.
+
+use crate::common::{Bench, TINY};
+
+const LATTICE: &str = "columns = 4\nrows = 4\nspacing = 15.0\nligament_length = 2.25\n";
+
+/// A triangle that is held, a square that is read and a square that is struck.
+const MINE: &str = "units = [
+  [[0, 0], [14, 2], [5, 12]],
+  [[16, 0], [28, 1], [27, 11], [17, 12]],
+  [[6, 15], [15, 14], [20, 21], [9, 27]],
+]
+ligaments = [[0, 1, 1, 0], [0, 2, 2, 0], [1, 3, 2, 1]]
+clamp = [0]
+panels = [{ unit = 2, direction = [1, -1] }]
+sensors = [1]
+";
+
+fn linear(body: &str) -> String {
+    let spec = TINY.replace(LATTICE, body).replace("iterations = 10\n", "kind = \"linear\"\n");
+    spec.replace("sensors = [1, 2]", "sensors = [1]")
+}
+
+/// Each lattice is drawn, trained, reported and exported; its trained design can be cast; it has its own hash.
+#[test]
+fn every_lattice_runs_from_the_spec_to_the_mould() {
+    let bench = Bench::new();
+    let mut hashes = std::collections::BTreeSet::new();
+    for (lattice, corners) in [("square", 4), ("kagome", 3), ("triangular", 6), ("chiral", 4)] {
+        bench.file("s.toml", &linear(&format!("lattice = \"{lattice}\"\n{LATTICE}")));
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        hashes.insert(csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned());
+        bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
+        let hash = hashes.iter().last().unwrap();
+        let of = "SELECT hash FROM trial ORDER BY rowid DESC LIMIT 1";
+        let said = bench.output(&["query", "s.sqlite", of, "--format", "csv"]);
+        let trial = said.lines().nth(1).unwrap_or(hash).to_owned();
+        for format in ["npz", "svg", "dxf", "stl"] {
+            let out = format!("{lattice}.{format}");
+            bench.output(&["export", "s.sqlite", &trial, "--format", format, "--out", &out]);
+        }
+        let svg = std::fs::read_to_string(bench.path(&format!("{lattice}.svg"))).unwrap();
+        let points = |polygon: &str| {
+            polygon.split("points=\"").nth(1).unwrap().split('"').next().unwrap().split(' ').count()
+        };
+        let units: Vec<usize> = svg.split("<polygon class=\"unit").skip(1).map(points).collect();
+        assert_eq!(units, vec![corners; 16], "{lattice}");
+    }
+    assert_eq!(hashes.len(), 4, "{hashes:?}");
+    bench.output(&["report", "s.sqlite", "--out", "report.html"]);
+    let done = bench.output(&[
+        "query",
+        "s.sqlite",
+        "SELECT count(*) FROM trial WHERE state = 'done'",
+        "--format",
+        "csv",
+    ]);
+    assert!(done.contains('4'), "{done}");
+}
+
+/// A body from a file is a trial of what the file holds: another name changes nothing, another corner does, and the file may go.
+#[test]
+fn a_body_from_a_file_is_what_it_holds() {
+    let bench = Bench::new();
+    let spec = linear("file = \"mine.body.toml\"\n").replace("panels = [2]", "panels = [1]");
+    let hash = |bench: &Bench, spec: &str| {
+        bench.file("s.toml", spec);
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
+    };
+    bench.file("mine.body.toml", MINE);
+    bench.file("other.body.toml", MINE);
+    let mine = hash(&bench, &spec);
+    assert_eq!(mine, hash(&bench, &spec.replace("mine.body", "other.body")));
+    bench.file("other.body.toml", &MINE.replace("[28, 1]", "[28, 2]"));
+    assert_ne!(mine, hash(&bench, &spec.replace("mine.body", "other.body")));
+
+    bench.file("s.toml", &spec);
+    let drawn = bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.csv"]);
+    assert!(drawn.contains("3 units, 8 shifts: feasible"), "{drawn}");
+    let nodes = std::fs::read_to_string(bench.path("a.csv")).unwrap();
+    assert_eq!(nodes.lines().count(), 1 + 3 + 4 + 4);
+    assert!(nodes.contains("\n1,1,28,1\n"), "{nodes}");
+    // corners in a table are a design of it
+    bench.file("b.csv", &nodes.replace("\n1,1,28,1\n", "\n1,1,28.5,1\n"));
+    let drawn = bench.output(&["draw", "s.toml", "--design", "b.csv", "--out", "b.svg"]);
+    assert!(drawn.contains(" 0 broken"), "{drawn}");
+
+    bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
+    std::fs::remove_file(bench.path("mine.body.toml")).unwrap();
+    bench.output(&["export", "s.sqlite", &mine, "--format", "npz", "--out", "m.npz"]);
+    bench.output(&["export", "s.sqlite", &mine, "--format", "stl", "--out", "m.stl"]);
+    bench.file("v.toml", "[variation]\nnodes = 0.05\n");
+    bench.output(&["casts", "s.sqlite", &mine[..8], "--casts", "2", "--variation", "v.toml"]);
+}
+
+/// What a file cannot hold is refused with spec, line, file and place.
+#[test]
+fn a_body_that_cannot_be_is_refused_with_its_place() {
+    let bench = Bench::new();
+    let spec = linear("file = \"bad.body.toml\"\n").replace("panels = [2]", "panels = [1]");
+    bench.file("s.toml", &spec);
+    for (from, to, expected) in [
+        (
+            "[14, 2], [5, 12]",
+            "[5, 12], [14, 2]",
+            "s.toml:3: body.file = \"bad.body.toml\", units[0]: its nodes must run counter-clockwise",
+        ),
+        ("[0, 1, 1, 0]", "[0, 1, 1, 9]", "ligaments[0] = [0, 1, 1, 9]: there is no node 9 of a unit 1"),
+        ("[0, 2, 2, 0], [1, 3, 2, 1]", "[0, 2, 1, 3]", "units[2]: hangs on nothing"),
+        ("[16, 0], [28, 1]", "[9, 4], [28, 1]", "\n  units 0 and 1 overlap"),
+        ("[27, 11], [17, 12]", "[17, 12], [29, 7]", "unit 1: its edges cross"),
+        ("clamp = [0]", "clamp = [0, 3]", "clamp: 3: the units are 0 to 2"),
+        ("clamp", "clamps", "bad.body.toml: TOML parse error at line 7"),
+    ] {
+        assert!(MINE.contains(from), "{from}");
+        bench.file("bad.body.toml", &MINE.replace(from, to));
+        let refused = bench.metasense(&["run", "s.toml", "--db", "s.sqlite"]);
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && said.contains(expected), "{to}: {said}");
+    }
+    bench.file("bad.body.toml", MINE);
+    bench.file("s.toml", &spec.replace("file = ", "columns = 3\nfile = "));
+    let refused = bench.metasense(&["run", "s.toml", "--db", "s.sqlite"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(said.contains("body.columns = 3: cannot be given beside body.file"), "{said}");
+    assert!(!bench.path("s.sqlite").exists(), "nothing was started");
+}

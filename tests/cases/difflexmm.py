@@ -1,0 +1,204 @@
+#!/usr/bin/env python3
+"""Makes the cases *_difflexmm_*: bodies, energies and motion as DifFlexMM computes them (github.com/bertoldi-collab/DifFlexMM).
+
+    pip install jax scipy numpy && git clone https://github.com/bertoldi-collab/DifFlexMM
+    python tests/cases/difflexmm.py DifFlexMM tests/cases
+
+Geometries, kinematics, strain and contact energies, inertia and the right-hand side are DifFlexMM's own functions. Ours are: the random
+shifts of nodes (the ends of a ligament alike), the forces, which are linear between instants, and SciPy's DOP853 in the place of odeint,
+whose accuracy can be asked for.
+"""
+import json, pathlib, sys, types
+import numpy as np
+import jax, jax.numpy as jnp
+from scipy.integrate import solve_ivp
+
+jax.config.update("jax_enable_x64", True)
+# DifFlexMM takes two functions of jax_md, which needs much else: a sum over bonds, and minus a gradient.
+smap, quantity, package = (types.ModuleType(f"jax_md{part}") for part in (".smap", ".quantity", ""))
+smap.bond = lambda energy, metric, static_bonds, static_bond_types=None: (
+    lambda nodes, **params: energy(metric(nodes[static_bonds[:, 0]], nodes[static_bonds[:, 1]]), **params).sum())
+quantity.force = lambda energy: lambda x, *rest: -jax.grad(energy)(x, *rest)
+package.smap, package.quantity = smap, quantity
+sys.modules |= {"jax_md": package, "jax_md.smap": smap, "jax_md.quantity": quantity}
+sys.path.insert(0, sys.argv[1])
+from difflexmm import dynamics, energy, geometry, utils  # noqa: E402
+
+OUT = pathlib.Path(sys.argv[2])
+DENSITY, STRETCH, SHEAR, BEND, ZETA = 1e-8, 3.0, 0.5, 1.0, 0.02
+CONTACT = {"k_contact": 1.0, "psi_min": 0.0, "psi_cut": 0.6}
+
+
+class Body:
+    """A body of DifFlexMM's, its nodes in groups that shift together."""
+
+    def __init__(self, lattice, shifts, scale):
+        lattice.compute_geometry()
+        self.lattice = lattice
+        self.bonds = np.asarray(lattice.bond_connectivity())
+        self.reference = scale * np.asarray(lattice.reference_bond_vectors())
+        # a block's own node vectors start at its centroid: the corners, with ligaments of their lengths between them
+        self.nodes = scale * np.asarray(lattice.get_reference_geometry(*shifts))
+        count, each, _ = self.nodes.shape
+        self.shape = (count, each)
+        flat = self.nodes.reshape(-1, 2)
+        assert np.allclose(flat[self.bonds[:, 1]] - flat[self.bonds[:, 0]], self.reference, atol=1e-12)
+        root = np.arange(count * each)
+        for a, b in self.bonds:
+            root[root == max(root[a], root[b])] = min(root[a], root[b])
+        self.group = np.unique(root, return_inverse=True)[1]
+
+    def vertices(self, alpha):
+        return jnp.asarray(self.nodes) + alpha.reshape(-1, 2)[self.group].reshape(*self.shape, 2)
+
+    def params(self, alpha):
+        vertices = self.vertices(alpha)
+        centroids = jax.vmap(geometry.polygon_centroid)(vertices)
+        arms = vertices - centroids[:, None]
+        bonds = utils.LigamentParams(STRETCH, SHEAR, BEND, jnp.asarray(self.reference))
+        contact = utils.ContactParams(CONTACT["psi_min"], CONTACT["psi_cut"], CONTACT["k_contact"])
+        mechanical = utils.MechanicalParams(bond_params=bonds, density=DENSITY, contact_params=contact)
+        return utils.ControlParams(utils.GeometricalParams(centroids, arms), mechanical)
+
+    def energies(self):
+        elastic = energy.build_strain_energy(self.bonds, energy.ligament_energy)
+        touch = energy.build_contact_energy(self.bonds)
+        return elastic, touch
+
+    def damping(self):
+        """Of the mean unit that is not shifted."""
+        _, area, polar = geometry.polygons_geometric_properties(jnp.asarray(self.nodes))
+        mass, moment = DENSITY * area.mean(), DENSITY * polar.mean()
+        shift = 2 * ZETA * np.sqrt(mass * SHEAR)
+        return np.array([shift, shift, 2 * ZETA * np.sqrt(moment * BEND)])
+
+    def scene(self, **other):
+        each = self.shape[1]
+        ligaments = [[int(a // each), int(a % each), int(b // each), int(b % each)] for a, b in self.bonds]
+        return {
+            "polygons": {"units": self.nodes.tolist(), "ligaments": ligaments},
+            "density": DENSITY, "k_stretch": STRETCH, "k_shear": SHEAR, "k_rot": BEND, "zeta": ZETA, "linearised": False,
+            "contact": False, **CONTACT, "frame": "world", "duration": 0.2, "T": 40, "initial_angle": 0.0, "panels": [], "sensors": [],
+            "clamped": [], "force_direction": [0.0, -1.0], **other,
+        }
+
+
+def save(name, about, arrays):
+    folder = OUT / name
+    folder.mkdir(parents=True, exist_ok=True)
+    for key, value in arrays.items():
+        np.save(folder / f"{key}.npy", np.asarray(value, dtype=float))
+    about["arrays"] = {key: list(np.shape(value)) for key, value in arrays.items()}
+    (folder / "case.json").write_text(json.dumps(about, indent=1) + "\n")
+
+
+def cases(name, body, alpha, rng, clamped, panels, sensors):
+    params = body.params(alpha)
+    centroids, arms = params.geometrical_params
+    vertices = body.vertices(alpha)
+    _, area, polar = geometry.polygons_geometric_properties(vertices)
+    voids = energy.void_angles(vertices, jnp.asarray(body.bonds)).reshape(2, -1).T
+    ligaments = [dict(zip(("a", "node_a", "b", "node_b"), ends)) for ends in body.scene()["polygons"]["ligaments"]]
+    save(f"geometry_difflexmm_{name}", {"kind": "geometry", "scene": body.scene(), "ligaments": ligaments}, {
+        "alpha": alpha, "alpha_initial": np.zeros_like(alpha), "vertices": vertices, "centroids": centroids, "r": arms, "area": area,
+        "mass": DENSITY * area, "moment": DENSITY * polar, "void_angles": voids})
+
+    elastic, touch = map(jax.jit, body.energies())
+    both = lambda x, alpha: elastic(x, body.params(alpha)) + touch(x, body.params(alpha))
+    states = np.array([0.3, 0.3, 0.05]) * rng.standard_normal((4, body.shape[0], 3)) * np.array([0.3, 1, 2, 4])[:, None, None]
+
+    def turned(x):
+        spin = jax.vmap(geometry.rotation_matrix)(x[:, 2])
+        moved = jnp.einsum("uij,upj->upi", spin, arms) + centroids[:, None] + x[:, None, :2]
+        return energy.void_angles(moved, jnp.asarray(body.bonds)).reshape(2, -1).T
+
+    of = {"energy_elastic": elastic, "energy_contact": touch}
+    arrays = {key: np.array([f(x, params) for x in states]) for key, f in of.items()}
+    arrays |= {"alpha": alpha, "displacement": states, "energy": arrays["energy_elastic"] + arrays["energy_contact"],
+               "dU_dx": np.array([jax.grad(both)(x, alpha) for x in states]),
+               "dU_dalpha": np.array([jax.grad(both, argnums=1)(x, alpha) for x in states]),
+               "void_angles": np.array([turned(x) for x in states])}
+    save(f"energy_difflexmm_{name}", {"kind": "energy", "scene": body.scene(contact=True)}, arrays)
+    motion(name, body, alpha, rng, body.scene(clamped=clamped, panels=panels, sensors=sensors))
+
+
+def motion(name, body, alpha, rng, scene):
+    params, elastic = body.params(alpha), body.energies()[0]
+    held = jnp.array([[unit, d] for unit in scene["clamped"] for d in range(3)])
+    units, (steps, duration) = body.shape[0], (scene["T"], scene["duration"])
+    free, _, _ = geometry.DOFsInfo(units, held)
+    fixed = energy.constrain_energy(elastic, dynamics.build_constrained_kinematics(
+        types.SimpleNamespace(n_blocks=units), held))
+    rhs = dynamics.build_RHS(lambda x, t, p: fixed(x, t, p), lambda state, t, load, damping: load["f"] - damping * state[1])
+    damping = np.tile(body.damping(), units)[np.asarray(free)]
+    inertia = np.asarray(geometry.compute_inertia(params.geometrical_params.centroid_node_vectors, DENSITY)).reshape(-1)[np.asarray(free)]
+    params = params._replace(mechanical_params=params.mechanical_params._replace(damping=jnp.asarray(damping)))
+    slot = {int(d): i for i, d in enumerate(np.asarray(free))}
+    struck = [slot[3 * unit + 1] for unit in scene["panels"]]
+    energy_of = jax.jit(lambda x: fixed(x, 0.0, params))
+    right = jax.jit(lambda y, f: rhs(y, 0.0, params._replace(loading_params={"f": f}), inertia))
+
+    def load(forces):
+        vector = np.zeros(len(free))
+        for at, f in zip(struck, forces):
+            vector[at] -= f
+        return vector
+
+    samples, times = 2, np.linspace(0.0, duration, steps + 1)
+    onset, width = rng.uniform(0.0, 0.05, (samples, len(struck))), rng.uniform(0.05, 0.1, (samples, len(struck)))
+    bell = lambda t, o, w: np.where((t > o) & (t < o + w), np.sin(np.pi * np.clip((t - o) / w, 0, 1)) ** 2, 0.0)
+    forces = np.array([[rng.uniform(0.1, 0.3) * bell(times, o, w) for o, w in zip(*each)] for each in zip(onset, width)])
+    read, ends, kept = [], [], {key: [] for key in ("kinetic_energy", "elastic_energy", "dissipated_work", "external_work")}
+    n, apart = len(free), 0.0
+    for sample in forces:
+        def slope(y, t, forces=sample):
+            f = load([np.interp(t, times, row) for row in forces])
+            x, v = y[:n], y[n:2 * n]
+            _, a = np.asarray(right(np.array([x, v]), f))
+            return np.concatenate([v, a, [damping @ (v * v), f @ v]]), a
+
+        def solve(rtol):
+            y, all_of = np.zeros(2 * n + 2), []
+            for from_, to in zip(times, times[1:]):
+                y = solve_ivp(lambda t, y: slope(y, t)[0], (from_, to), y, method="DOP853", rtol=rtol, atol=rtol * 1e-3).y[:, -1]
+                all_of.append(y)
+            return np.array(all_of)
+
+        fine, coarse = solve(1e-11), solve(1e-9)
+        apart = max(apart, np.linalg.norm(fine - coarse) / np.linalg.norm(fine))
+        at = []
+        for t, y in zip(times[1:], fine):
+            a = slope(y, t)[1]
+            at.append(np.concatenate([[a[slot[3 * u]], a[slot[3 * u + 1]], y[n + slot[3 * u + 2]]] for u in scene["sensors"]]))
+            kept["kinetic_energy"].append(0.5 * inertia @ y[n:2 * n] ** 2)
+            kept["elastic_energy"].append(float(energy_of(y[:n])))
+            kept["dissipated_work"].append(y[-2])
+            kept["external_work"].append(y[-1])
+        read.append(at)
+        ends.append(fine[-1])
+    whole = lambda part: np.array([np.bincount(np.asarray(free), end[part], 3 * units).reshape(units, 3) for end in ends])
+    about = {"kind": "trajectory", "scene": scene, "N": samples,
+             "self_consistency": {"methods": "DOP853 rtol 1e-11 (kept) against 1e-9", "sensors_relative_l2": apart,
+                                  "final_state_relative_l2": apart}}
+    save(f"trajectory_difflexmm_{name}", about, {
+        "alpha": alpha, "forces": forces, "sensors": np.array(read), "final_displacement": whole(slice(0, n)),
+        "final_velocity": whole(slice(n, 2 * n)), **{key: np.array(value).reshape(samples, steps) for key, value in kept.items()}})
+    print(name, "trajectories apart by", apart)
+
+
+if __name__ == "__main__":
+    rng = np.random.default_rng(40)
+    turn = np.deg2rad(20.0)
+    kagome = geometry.KagomeGeometry(3, 2, bond_length=0.1)
+    shifts = [np.zeros((4, 2, 2)), np.zeros((3, 3, 2)), np.zeros((3, 2, 2))]
+    body = Body(kagome, shifts, 25.0)
+    alpha = 0.6 * rng.standard_normal(2 * (body.group.max() + 1))
+    cases("kagome", body, jnp.asarray(alpha), rng, [0, 2, 4], [7, 11], [5, 9])
+    quads = geometry.QuadGeometry(4, 3, spacing=1.0, bond_length=0.15)
+    tan = 0.5 * 0.85 * np.tan(turn)
+    sign = lambda i, j: (-1.0) ** (i + j)
+    horizontal = np.array([[[0.0, -tan * sign(i, j)] for j in range(3)] for i in range(5)])
+    vertical = np.array([[[tan * sign(i, j), 0.0] for j in range(4)] for i in range(4)])
+    body = Body(quads, [horizontal, vertical], 15.0)
+    alpha = 0.6 * rng.standard_normal(2 * (body.group.max() + 1))
+    cases("quads", body, jnp.asarray(alpha), rng, [0, 1, 2, 3], [9, 10], [5, 6])

@@ -1,0 +1,188 @@
+//! Bodies of other units than squares: lattices of every pattern, and polygons with any number of nodes.
+
+mod common;
+
+use common::{norm, pool, relative, scene};
+use metasense_kernels::body::{End, Geometry, Layout, Pattern};
+use metasense_kernels::dynamics::{Contact, Forces, Frame, Method, Panel, Plan, Scene, Tangent, Wrt, run};
+
+/// A square above a triangle and a hexagon, which is below another triangle.
+fn mixed() -> Layout {
+    let regular = |count: usize, [x, y]: [f64; 2], from: f64| -> Vec<[f64; 2]> {
+        let turn = |p: usize| (from + 360.0 * p as f64 / count as f64).to_radians().sin_cos();
+        (0..count).map(|p| [x + 6.0 * turn(p).1, y + 6.0 * turn(p).0]).collect()
+    };
+    let units = [
+        regular(3, [0.0, 0.0], 0.0),
+        regular(6, [15.0, 1.0], 0.0),
+        regular(4, [1.0, 14.0], 20.0),
+        regular(3, [15.0, 16.0], -90.0),
+    ];
+    let joint = |[a, p, b, q]: [usize; 4]| [End { unit: a, node: p }, End { unit: b, node: q }];
+    let joints = [[0, 0, 1, 3], [0, 1, 2, 3], [1, 1, 3, 0], [2, 0, 3, 2], [1, 2, 2, 3]].map(joint);
+    Layout::of_polygons(&units, &joints, &[vec![End { unit: 1, node: 4 }, End { unit: 1, node: 5 }]])
+}
+
+fn bodies() -> Vec<(&'static str, Layout)> {
+    let sheet = |pattern: Pattern| Layout::sheet(&pattern, 4, 3, 15.0, 2.25);
+    vec![
+        ("square", sheet(Pattern::square())),
+        ("kagome", sheet(Pattern::kagome())),
+        ("triangular", sheet(Pattern::triangular(0.4))),
+        ("chiral", sheet(Pattern::chiral(0.4))),
+        ("mixed", mixed()),
+    ]
+}
+
+fn shaken(layout: &Layout, size: f64) -> Vec<f64> {
+    let shake = |(i, a): (usize, f64)| a + size * (1.7 * i as f64).sin();
+    layout.initial_design(0.4).into_iter().enumerate().map(shake).collect()
+}
+
+/// Struck at its last unit, read there and at the first that moves.
+fn struck(layout: Layout) -> (Scene, Forces) {
+    let (clamped, last) = (layout.bottom(), layout.units() - 1);
+    let free = (0..last).find(|u| !clamped.contains(u)).expect("a unit that moves");
+    let base = scene(3, 3, 20);
+    let panels = vec![Panel { unit: last, direction: [0.6, -0.8] }];
+    let scene = Scene { clamped, panels, sensors: vec![free, last], frame: Frame::Body, layout, ..base };
+    let values = (0..3 * 21).map(|i| 0.3 * (0.15 * f64::from(i % 21)).sin().powi(2)).collect();
+    (scene, Forces { samples: 3, panels: 1, instants: 20, values, strikes: Vec::new() })
+}
+
+/// Both ends of a ligament shift alike: whatever the design, they are apart by its reference, and every node has a group.
+#[test]
+fn ligaments_have_their_length_in_every_design() {
+    for (name, layout) in bodies() {
+        let vertices = layout.vertices(&shaken(&layout, 0.5));
+        for ligament in &layout.ligaments {
+            let [a, b] = [ligament.a, ligament.b].map(|end| vertices[end.unit][end.node]);
+            let off = (b[0] - a[0] - ligament.reference[0]).hypot(b[1] - a[1] - ligament.reference[1]);
+            assert!(off < 1e-12 * layout.spacing, "{name}: {off}");
+        }
+        assert!(layout.groups.iter().flatten().all(|group| *group < layout.group_count), "{name}");
+        assert_eq!(layout.nodes(), layout.groups.iter().map(Vec::len).sum::<usize>());
+    }
+    // nodes that shift together by wish do
+    let mixed = mixed();
+    assert_eq!(mixed.groups[1][4], mixed.groups[1][5]);
+    assert_eq!(mixed.groups[1][2], mixed.groups[2][3]);
+    assert_eq!(mixed.groups[0][1], mixed.groups[2][3], "two ligaments meet there");
+    assert_eq!(mixed.group_count, 16 - 5 - 1);
+}
+
+/// Kagome's triangles have three neighbours and turn against them, around voids of six; hexagons have six, and turn alike.
+#[test]
+fn units_have_the_neighbours_of_their_lattice() {
+    for (pattern, nodes, turn) in
+        [(Pattern::kagome(), 3, -1.0), (Pattern::triangular(0.0), 6, 0.0), (Pattern::chiral(0.3), 4, 0.0)]
+    {
+        let layout = Layout::sheet(&pattern, 8, 6, 15.0, 2.25);
+        assert!(layout.shape.iter().all(|shape| shape.len() == nodes));
+        let inner = layout.boundary.iter().filter(|edge| !**edge).count();
+        let ends =
+            |u: usize| layout.ligaments.iter().flat_map(|l| [l.a, l.b]).filter(|end| end.unit == u).count();
+        assert_eq!((0..48).filter(|&u| ends(u) == nodes).count(), inner);
+        assert!(inner >= 16, "{nodes}: {inner}");
+        let away = |unit: usize, other: usize| {
+            let (p, q) = (layout.centres[unit], layout.centres[other]);
+            (p[0] - q[0]).hypot(p[1] - q[1])
+        };
+        assert!(layout.ligaments.iter().all(|l| (away(l.a.unit, l.b.unit) - 15.0).abs() < 1e-9));
+        // by how much a unit is turned, from its first node
+        let design = layout.initial_design(0.3);
+        let turned = |u: usize| {
+            let (at, from) = (layout.node(&design, u, 0), layout.shape[u][0]);
+            (from[0] * at[1] - from[1] * at[0]).atan2(from[0] * at[0] + from[1] * at[1])
+        };
+        let pairs = layout.ligaments.iter().map(|l| turned(l.a.unit) * turned(l.b.unit));
+        assert!(pairs.into_iter().all(|product| (product - turn * 0.09).abs() < 1e-12), "{nodes}");
+    }
+}
+
+/// Squares given by their corners are the planar body: the same signals and gradient, group by group.
+#[test]
+fn squares_from_corners_are_the_planar_body() {
+    let planar = Layout::planar(4, 3, 15.0, 2.25);
+    let ligaments: Vec<[End; 2]> = planar.ligaments.iter().map(|l| [l.a, l.b]).collect();
+    let given = Layout::of_polygons(&planar.vertices(&vec![0.0; planar.design_len()]), &ligaments, &[]);
+    assert_eq!((planar.group_count, &planar.boundary), (given.group_count, &given.boundary));
+    let (area, round) = given.mean_unit();
+    assert!((area / planar.mean_unit().0 - 1.0).abs() < 1e-12 && (round - 1.0).abs() < 1e-12);
+    let design = shaken(&planar, 0.3);
+    let mut same = vec![0.0; design.len()];
+    for (ours, theirs) in planar.groups.iter().flatten().zip(given.groups.iter().flatten()) {
+        same[2 * theirs..][..2].copy_from_slice(&design[2 * ours..][..2]);
+    }
+    let plan = Plan::equal(Method::Nystrom6, 24);
+    let of = |layout: &Layout, design: &[f64]| {
+        let (scene, forces) = struck(layout.clone());
+        let simulation = run(&scene, design, &forces, &plan, true, &pool(1));
+        let gradient = simulation.vjp(&simulation.signals, Wrt::Design, &pool(1)).design;
+        (simulation.signals, gradient)
+    };
+    let ((signals, gradient), (others, other)) = (of(&planar, &design), of(&given, &same));
+    assert!(norm(&signals) > 0.0 && relative(&others, &signals) < 1e-9);
+    let back: Vec<f64> = {
+        let mut back = vec![0.0; gradient.len()];
+        for (ours, theirs) in planar.groups.iter().flatten().zip(given.groups.iter().flatten()) {
+            back[2 * ours..][..2].copy_from_slice(&other[2 * theirs..][..2]);
+        }
+        back
+    };
+    assert!(relative(&back, &gradient) < 1e-9, "{}", relative(&back, &gradient));
+}
+
+/// Gradients in the design of every lattice and of mixed polygons, in contact, too, are those of differences; and the forward derivative is
+/// the backward one's transpose.
+#[test]
+fn gradients_in_the_design_are_those_of_differences() {
+    for (name, layout) in bodies() {
+        for contact in [None, Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 })] {
+            let (scene, forces) = struck(layout.clone());
+            let scene = Scene { contact, ..scene };
+            let design = shaken(&scene.layout, 0.3);
+            let plan = Plan::equal(Method::Nystrom6, 60);
+            let at = |design: &[f64]| run(&scene, design, &forces, &plan, true, &pool(1));
+            let here = at(&design);
+            let size = norm(&here.signals).powi(2);
+            let cotangent: Vec<f64> = here.signals.iter().map(|s| s / size).collect();
+            let gradient = here.vjp(&cotangent, Wrt::Design, &pool(1)).design;
+            let along: Vec<f64> = (0..design.len()).map(|i| (0.3 + 2.3 * i as f64).cos()).collect();
+            let slope: f64 = gradient.iter().zip(&along).map(|(g, a)| g * a).sum();
+            let energy = |by: f64| {
+                let moved: Vec<f64> = design.iter().zip(&along).map(|(a, d)| a + by * d).collect();
+                0.5 * norm(&at(&moved).signals).powi(2) / size
+            };
+            let difference = (energy(1e-4) - energy(-1e-4)) / 2e-4;
+            assert!((difference / slope - 1.0).abs() < 1e-5, "{name}, {contact:?}: {difference} {slope}");
+
+            let readings = here.signals.len() / forces.samples;
+            let forward: f64 = (0..forces.samples)
+                .map(|sample| {
+                    let tangent = Tangent { design: &along, ..Tangent::default() };
+                    let (_, signals) = here.jvp(sample, tangent);
+                    let own = &cotangent[sample * readings..][..readings];
+                    signals.iter().zip(own).map(|(s, c)| s * c).sum::<f64>()
+                })
+                .sum();
+            assert!((forward / slope - 1.0).abs() < 1e-6, "{name}: {forward} {slope}");
+        }
+    }
+}
+
+/// Area, centroid and moment of inertia of a right-angled triangle (textbook): A = ab/2, J = A (a² + b²)/18.
+#[test]
+fn a_triangle_has_its_moments() {
+    let (a, b) = (12.0, 7.0);
+    let corners = vec![[1.0, 2.0], [1.0 + a, 2.0], [1.0, 2.0 + b]];
+    let other = vec![[20.0, 0.0], [30.0, 0.0], [20.0, 9.0]];
+    let joint = [[End { unit: 0, node: 1 }, End { unit: 1, node: 0 }]];
+    let layout = Layout::of_polygons(&[corners, other], &joint, &[]);
+    let geometry = Geometry::new(&layout, &vec![0.0; layout.design_len()], 2.0);
+    let area = 0.5 * a * b;
+    assert!((geometry.area[0] / area - 1.0).abs() < 1e-12);
+    assert!((geometry.moment[0] / (2.0 * area * (a * a + b * b) / 18.0) - 1.0).abs() < 1e-12);
+    let [x, y] = geometry.centroids[0];
+    assert!((x - 1.0 - a / 3.0).abs() < 1e-12 && (y - 2.0 - b / 3.0).abs() < 1e-12);
+}

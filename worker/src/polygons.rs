@@ -1,0 +1,192 @@
+//! Bodies of any polygons: from a file, and as a layout.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use metasense_numerics::body::{End, Layout};
+use metasense_schemas::spec::Polygons;
+
+use crate::design::DesignError;
+use crate::files::{self, Array, Content};
+use crate::invalid::{Invalid, invalid};
+
+/// Nodes of a unit.
+const NODES: std::ops::RangeInclusive<usize> = 3..=12;
+/// Units at most, as of a lattice.
+const UNITS_MAX: usize = 10_000;
+
+/// The polygons of a file, by its ending: TOML of [`Polygons`], or NPZ as DifFlexMM lays bodies out: `block_centroids` (units, 2),
+/// `centroid_node_vectors` (units, nodes, 2), `bond_connectivity` (ligaments, 2) of nodes counted through all units. They need not
+/// make sense; [`layout`] tells.
+///
+/// # Errors
+/// Names the file, and what is wrong with it.
+pub fn read(path: &Path) -> Result<Polygons, DesignError> {
+    let bytes = std::fs::read(path).map_err(|source| DesignError::Io {
+        doing: "reading",
+        path: path.into(),
+        source,
+    })?;
+    let content = |what: String| DesignError::Content { path: path.into(), what };
+    match path.extension().and_then(|e| e.to_str()) {
+        Some("toml") => {
+            let text = String::from_utf8(bytes).map_err(|e| content(e.to_string()))?;
+            toml::from_str(&text).map_err(|e| content(e.to_string().trim_end().into()))
+        }
+        Some("npz") => of_archive(&files::content(path, &bytes).map_err(content)?).map_err(content),
+        _ => Err(content("must be a .toml or .npz file".into())),
+    }
+}
+
+fn of_archive(held: &Content) -> Result<Polygons, String> {
+    let Content::Archive(arrays) = held else { return Err("is no archive".into()) };
+    let array = |name: &str| -> Result<&Array, String> {
+        let found = arrays.get(name).ok_or_else(|| format!("has no array {name}"))?;
+        found.as_ref().map_err(|what| format!("{name} {what}"))
+    };
+    let [centroids, nodes, bonds] =
+        [array("block_centroids")?, array("centroid_node_vectors")?, array("bond_connectivity")?];
+    let [count, of_each] = match (&centroids.shape[..], &nodes.shape[..], &bonds.shape[..]) {
+        (&[units, 2], &[other, each, 2], &[_, 2]) if units == other && each > 0 => [units, each],
+        (units, nodes, bonds) => {
+            return Err(format!(
+                "block_centroids, centroid_node_vectors and bond_connectivity are of shapes {units:?}, {nodes:?}, {bonds:?}; must be \
+                 [units, 2], [units, nodes, 2], [ligaments, 2]"
+            ));
+        }
+    };
+    let node = |u: usize, p: usize| {
+        [0, 1].map(|d| centroids.values[2 * u + d] + nodes.values[2 * (u * of_each + p) + d])
+    };
+    let end = |number: f64| {
+        let number = number as usize;
+        [number / of_each, number % of_each]
+    };
+    let ligament = |ends: &[f64]| {
+        let ([a, p], [b, q]) = (end(ends[0]), end(ends[1]));
+        [a, p, b, q]
+    };
+    Ok(Polygons {
+        units: (0..count).map(|u| (0..of_each).map(|p| node(u, p)).collect()).collect(),
+        ligaments: bonds.values.chunks_exact(2).map(ligament).collect(),
+        ..Polygons::default()
+    })
+}
+
+/// The layout of polygons. Whether they overlap, or are turned over, is the judge's business.
+///
+/// # Errors
+/// Names the unit, ligament or node that cannot be.
+pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
+    let wrong = |at: String, remedy: String| Err(invalid("body.file", at, remedy));
+    let count = given.units.len();
+    if !(2..=UNITS_MAX).contains(&count) {
+        return wrong(format!("{count} units"), format!("must be 2 to {UNITS_MAX} units"));
+    }
+    for (u, nodes) in given.units.iter().enumerate() {
+        if !NODES.contains(&nodes.len()) {
+            return wrong(format!("units[{u}]"), format!("has {} nodes, must have 3 to 12", nodes.len()));
+        }
+        if !nodes.iter().flatten().all(|x| x.is_finite()) {
+            return wrong(format!("units[{u}]"), "must be finite numbers".into());
+        }
+        let edges = (0..nodes.len()).map(|p| (nodes[p], nodes[(p + 1) % nodes.len()]));
+        let doubled: f64 = edges.map(|([a, b], [c, d])| a * d - b * c).sum();
+        if doubled <= 0.0 {
+            return wrong(format!("units[{u}]"), "its nodes must run counter-clockwise".into());
+        }
+    }
+    let exists = |[unit, node]: [usize; 2]| given.units.get(unit).is_some_and(|nodes| node < nodes.len());
+    let mut seen = BTreeSet::new();
+    for (l, &[a, p, b, q]) in given.ligaments.iter().enumerate() {
+        let at = || format!("ligaments[{l}] = [{a}, {p}, {b}, {q}]");
+        for [unit, node] in [[a, p], [b, q]] {
+            if !exists([unit, node]) {
+                return wrong(
+                    at(),
+                    format!("there is no node {node} of a unit {unit}; both are counted from 0"),
+                );
+            }
+        }
+        if a == b {
+            return wrong(at(), "must join two units".into());
+        }
+        if !seen.insert(([a, p].min([b, q]), [a, p].max([b, q]))) {
+            return wrong(at(), "is there twice".into());
+        }
+        let [[x, y], [z, w]] = [given.units[a][p], given.units[b][q]];
+        if (x - z).hypot(y - w) < 1e-9 {
+            return wrong(at(), "has no length".into());
+        }
+    }
+    for (group, ends) in given.together.iter().enumerate() {
+        if let Some([unit, node]) = ends.iter().copied().find(|end| !exists(*end)) {
+            return wrong(format!("together[{group}]"), format!("there is no node {node} of a unit {unit}"));
+        }
+    }
+    for (name, units) in [
+        ("panels", given.panels.iter().map(|panel| panel.unit).collect::<Vec<_>>()),
+        ("clamp", given.clamp.clone().unwrap_or_default()),
+        ("sensors", given.sensors.clone().unwrap_or_default()),
+    ] {
+        if let Some(unit) = units.iter().find(|unit| **unit >= count) {
+            return wrong(format!("{name}: {unit}"), format!("the units are 0 to {}", count - 1));
+        }
+    }
+    if let Some(panel) =
+        given.panels.iter().find(|panel| unit_vector(panel.direction).iter().any(|x| !x.is_finite()))
+    {
+        return wrong(
+            format!("panels: unit {}", panel.unit),
+            "its direction must be finite and not zero".into(),
+        );
+    }
+    if let Some(unit) = hangs(given) {
+        let remedy = "hangs on nothing: no ligaments lead from it to unit 0";
+        return wrong(format!("units[{unit}]"), remedy.into());
+    }
+    let ligaments: Vec<[End; 2]> = given
+        .ligaments
+        .iter()
+        .map(|&[a, p, b, q]| [End { unit: a, node: p }, End { unit: b, node: q }])
+        .collect();
+    let ends = |ends: &Vec<[usize; 2]>| ends.iter().map(|&[unit, node]| End { unit, node }).collect();
+    let together: Vec<Vec<End>> = given.together.iter().map(ends).collect();
+    let mut layout = Layout::of_polygons(&given.units, &ligaments, &together);
+    if layout.half <= 0.0 {
+        let remedy = format!(
+            "ligaments are {:.3} mm long in the mean, more than the {:.3} mm from unit to unit",
+            layout.ligament_length, layout.spacing
+        );
+        return wrong("ligaments".into(), remedy);
+    }
+    if let Some(sensors) = &given.sensors {
+        layout.boundary = (0..count).map(|unit| !sensors.contains(&unit)).collect();
+    }
+    Ok(layout)
+}
+
+/// The first unit that no ligaments join to unit 0.
+fn hangs(given: &Polygons) -> Option<usize> {
+    let mut joined = vec![false; given.units.len()];
+    let (mut next, mut neighbours) = (vec![0], vec![Vec::new(); given.units.len()]);
+    for &[a, _, b, _] in &given.ligaments {
+        neighbours[a].push(b);
+        neighbours[b].push(a);
+    }
+    while let Some(unit) = next.pop() {
+        if !std::mem::replace(&mut joined[unit], true) {
+            next.extend(&neighbours[unit]);
+        }
+    }
+    joined.iter().position(|joined| !joined)
+}
+
+/// A direction at length 1.
+pub(crate) fn unit_vector([x, y]: [f64; 2]) -> [f64; 2] {
+    let length = x.hypot(y);
+    [x / length, y / length]
+}
+
+#[cfg(test)]
+mod tests;

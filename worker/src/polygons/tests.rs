@@ -1,0 +1,99 @@
+//! Bodies of any polygons: both kinds of file, and what cannot be.
+
+use super::*;
+
+const TWO: &str =
+    "units = [[[0, 0], [10, 0], [0, 9]], [[14, 0], [24, 0], [24, 8], [14, 8]]]\nligaments = [[0, 1, 1, 0]]\n";
+
+fn file(name: &str, content: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    std::fs::write(&path, content).unwrap();
+    (folder, path)
+}
+
+#[test]
+fn a_toml_of_polygons_is_a_layout() {
+    let (_folder, path) = file("two.toml", TWO.as_bytes());
+    let given = read(&path).unwrap();
+    assert_eq!(given.units[0].len() + given.units[1].len(), 7);
+    let layout = layout(&given).unwrap();
+    assert_eq!((layout.units(), layout.group_count, layout.ligament_length), (2, 6, 4.0));
+    assert_eq!(layout.ligaments[0].reference, [4.0, 0.0]);
+    assert_eq!(layout.groups[0][1], layout.groups[1][0]);
+    let corners = layout.vertices(&vec![0.0; layout.design_len()]);
+    for (ours, theirs) in corners.iter().flatten().zip(given.units.iter().flatten()) {
+        assert!((ours[0] - theirs[0]).hypot(ours[1] - theirs[1]) < 1e-12);
+    }
+    // sensors where the file says
+    let given = Polygons { sensors: Some(vec![1]), ..given };
+    assert_eq!(super::layout(&given).unwrap().boundary, [true, false]);
+}
+
+/// Every fault is told with where it is.
+#[test]
+fn bad_polygons_are_refused_by_name() {
+    for (from, to, at, what) in [
+        ("[10, 0], [0, 9]", "[0, 9], [10, 0]", "units[0]", "counter-clockwise"),
+        ("[10, 0], [0, 9]", "[10, 0]", "units[0]", "has 2 nodes"),
+        ("[24, 8]", "[nan, 8]", "units[1]", "finite"),
+        ("[[0, 1, 1, 0]]", "[[0, 3, 1, 0]]", "ligaments[0]", "no node 3 of a unit 0"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 2, 0]]", "ligaments[0]", "no node 0 of a unit 2"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 0, 2]]", "ligaments[0]", "two units"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0], [1, 0, 0, 1]]", "ligaments[1]", "twice"),
+        ("[14, 0]", "[10, 0]", "ligaments[0]", "no length"),
+        ("[[0, 1, 1, 0]]", "[]", "units[1]", "hangs on nothing"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\ntogether = [[[0, 0], [1, 4]]]", "together[0]", "no node 4"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\nclamp = [2]", "clamp: 2", "0 to 1"),
+        (
+            "[[0, 1, 1, 0]]",
+            "[[0, 1, 1, 0]]\npanels = [{ unit = 1, direction = [0, 0] }]",
+            "panels: unit 1",
+            "not zero",
+        ),
+    ] {
+        let text = TWO.replacen(from, to, 1);
+        assert_ne!(text, TWO, "{from}");
+        let given: Polygons = toml::from_str(&text).unwrap();
+        let Err(e) = layout(&given) else { panic!("{to} passes") };
+        assert!(e.key == "body.file" && e.value.starts_with(at) && e.remedy.contains(what), "{to}: {e}");
+    }
+    let (_folder, path) = file("two.toml", TWO.replace("ligaments", "ligament").as_bytes());
+    let told = read(&path).unwrap_err().to_string();
+    assert!(told.contains("two.toml") && told.contains("ligament") && told.contains("line 2"), "{told}");
+    let (_folder, path) = file("two.txt", TWO.as_bytes());
+    assert!(read(&path).unwrap_err().to_string().contains(".toml or .npz"));
+}
+
+/// What DifFlexMM's geometries hold, as `numpy.savez` writes it.
+#[test]
+fn an_npz_of_blocks_is_polygons() {
+    let mut bytes = Vec::new();
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(&mut bytes));
+    let array = |shape: &[u64], values: &[f64]| {
+        use npyz::WriterBuilder;
+        let mut npy = Vec::new();
+        let mut writer =
+            npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut npy).begin_nd().unwrap();
+        writer.extend(values.iter().copied()).unwrap();
+        writer.finish().unwrap();
+        npy
+    };
+    let arms = [-1.0, -1.0, 2.0, -1.0, -1.0, 2.0, -1.0, -2.0, 1.0, 1.0, -1.0, 1.0];
+    for (name, shape, values) in [
+        ("block_centroids", &[2, 2][..], &[0.0, 0.0, 5.0, 0.0][..]),
+        ("centroid_node_vectors", &[2, 3, 2], &arms),
+        ("bond_connectivity", &[1, 2], &[1.0, 3.0]),
+    ] {
+        zip.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+        std::io::Write::write_all(&mut zip, &array(shape, values)).unwrap();
+    }
+    zip.finish().unwrap();
+    let (_folder, path) = file("blocks.npz", &bytes);
+    let given = read(&path).unwrap();
+    assert_eq!(given.units[1], [[4.0, -2.0], [6.0, 1.0], [4.0, 1.0]]);
+    assert_eq!(given.ligaments, [[0, 1, 1, 0]]);
+    assert_eq!(layout(&given).unwrap().ligament_length, 2f64.hypot(1.0));
+    let (_folder, path) = file("blocks.npz", &bytes[..bytes.len() / 2]);
+    assert!(read(&path).is_err());
+}
