@@ -26,13 +26,13 @@ from difflexmm import dynamics, energy, geometry, utils  # noqa: E402
 
 OUT = pathlib.Path(sys.argv[2])
 DENSITY, STRETCH, SHEAR, BEND, ZETA = 1e-8, 3.0, 0.5, 1.0, 0.02
-CONTACT = {"k_contact": 1.0, "psi_min": 0.0, "psi_cut": 0.6}
 
 
 class Body:
     """A body of DifFlexMM's, its nodes in groups that shift together."""
 
-    def __init__(self, lattice, shifts, scale):
+    def __init__(self, lattice, shifts, scale, cutoff):
+        self.contact = {"k_contact": 1.0, "psi_min": 0.0, "psi_cut": cutoff}
         lattice.compute_geometry()
         self.lattice = lattice
         self.bonds = np.asarray(lattice.bond_connectivity())
@@ -56,7 +56,7 @@ class Body:
         centroids = jax.vmap(geometry.polygon_centroid)(vertices)
         arms = vertices - centroids[:, None]
         bonds = utils.LigamentParams(STRETCH, SHEAR, BEND, jnp.asarray(self.reference))
-        contact = utils.ContactParams(CONTACT["psi_min"], CONTACT["psi_cut"], CONTACT["k_contact"])
+        contact = utils.ContactParams(self.contact["psi_min"], self.contact["psi_cut"], self.contact["k_contact"])
         mechanical = utils.MechanicalParams(bond_params=bonds, density=DENSITY, contact_params=contact)
         return utils.ControlParams(utils.GeometricalParams(centroids, arms), mechanical)
 
@@ -78,7 +78,7 @@ class Body:
         return {
             "polygons": {"units": self.nodes.tolist(), "ligaments": ligaments},
             "density": DENSITY, "k_stretch": STRETCH, "k_shear": SHEAR, "k_rot": BEND, "zeta": ZETA, "linearised": False,
-            "contact": False, **CONTACT, "frame": "world", "duration": 0.2, "T": 40, "initial_angle": 0.0, "panels": [], "sensors": [],
+            "contact": False, **self.contact, "frame": "world", "duration": 0.2, "T": 40, "initial_angle": 0.0, "panels": [], "sensors": [],
             "clamped": [], "force_direction": [0.0, -1.0], **other,
         }
 
@@ -191,7 +191,7 @@ if __name__ == "__main__":
     turn = np.deg2rad(20.0)
     kagome = geometry.KagomeGeometry(3, 2, bond_length=0.1)
     shifts = [np.zeros((4, 2, 2)), np.zeros((3, 3, 2)), np.zeros((3, 2, 2))]
-    body = Body(kagome, shifts, 25.0)
+    body = Body(kagome, shifts, 25.0, 2.3)
     alpha = 0.6 * rng.standard_normal(2 * (body.group.max() + 1))
     cases("kagome", body, jnp.asarray(alpha), rng, [0, 2, 4], [7, 11], [5, 9])
     quads = geometry.QuadGeometry(4, 3, spacing=1.0, bond_length=0.15)
@@ -199,6 +199,6 @@ if __name__ == "__main__":
     sign = lambda i, j: (-1.0) ** (i + j)
     horizontal = np.array([[[0.0, -tan * sign(i, j)] for j in range(3)] for i in range(5)])
     vertical = np.array([[[tan * sign(i, j), 0.0] for j in range(4)] for i in range(4)])
-    body = Body(quads, [horizontal, vertical], 15.0)
+    body = Body(quads, [horizontal, vertical], 15.0, 0.6)
     alpha = 0.6 * rng.standard_normal(2 * (body.group.max() + 1))
     cases("quads", body, jnp.asarray(alpha), rng, [0, 1, 2, 3], [9, 10], [5, 6])
