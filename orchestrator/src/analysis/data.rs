@@ -78,8 +78,8 @@ pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise."];
 /// What brains vary, and the training that goes with them.
 pub const BRAINS: &[&str] = &["brain.", "optimise.", "evaluation."];
 
-/// What the way of training varies; a linear brain is solved for once, where networks are several.
-pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver.", "evaluation.seeds"];
+/// What the way of training varies; a linear brain is solved for once and whole, where networks are several and train in batches.
+pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver.", "evaluation.seeds", "evaluation.batch"];
 
 type Key = Vec<(String, Value)>;
 

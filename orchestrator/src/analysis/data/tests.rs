@@ -52,9 +52,10 @@ fn groups_differ_in_what_their_labels_say() {
     let found: Vec<(&str, usize)> = found.iter().map(|g| (&*g.label, g.trials.len())).collect();
     let told = |bend: &str| format!("K = 2, M = 1, body.stiffness.bend = {bend}");
     assert_eq!(found, [(&*told("4.0"), 3), (&*told("5.76"), 1)]);
-    let ways = [("cnn", 3), ("linear", 1)].map(|(kind, seeds)| {
-        with(trial(2, 5, 1, 0), &json!({"brain": {"kind": kind}, "evaluation": {"seeds": seeds}}))
-    });
+    let ways =
+        [("cnn", json!({"seeds": 3, "batch": 30})), ("linear", json!({"seeds": 1}))].map(|(kind, judged)| {
+            with(trial(2, 5, 1, 0), &json!({"brain": {"kind": kind}, "evaluation": judged}))
+        });
     assert_eq!(groups(&ways.iter().collect::<Vec<_>>(), TRAINING).len(), 1);
     let struck = |kind: &str, width: f64, double: Option<f64>| {
         let stimuli = json!({"stimuli": {"kind": kind, "width": [width], "double": double}});
