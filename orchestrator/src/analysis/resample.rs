@@ -1,12 +1,14 @@
 //! What is independent of what, and the intervals and votes that follow from it.
 //!
 //! Trials of one seed share stimuli, split and first weights, those of one placement their sensors, be they more or
-//! fewer, at every seed: never trials but seeds and placements, crossed, are the *units* of inference. A kind with four
-//! units or more is drawn anew; one with fewer is held, and what is said holds for those it has.
+//! fewer, at every seed: never trials but seeds and placements, crossed, are the *units* of inference; where each seed
+//! has a placement of its own, both together are one. A kind with four units or more is drawn anew; one with fewer is
+//! held, and what is said holds for those it has.
 //! ```text
 //! V = Σ_kinds V_k − Σ_pairs V_kl + …,   V_k = (n−1)/n Σ (θ₋ᵢ − θ̄₋)²   by leaving out one unit at a time
 //! ```
-//! (Cameron, Gelbach and Miller 2011), with Student's t at Satterthwaite's degrees of freedom. Votes are by bootstrap.
+//! (Cameron, Gelbach and Miller 2011), with Student's t at Satterthwaite's degrees of freedom. Votes are by bootstrap, over all ways
+//! to draw where these are few.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +19,7 @@ use metasense_worker::{Draw, chance_above, student};
 /// Units of a kind below which it is not drawn anew: of three, leaving one out says next to nothing about the spread.
 pub const LEAST_UNITS: usize = 4;
 
-/// Replicates of a bootstrap.
+/// Replicates of a bootstrap, and the most where every way to draw is one.
 pub const REPLICATES: usize = 1000;
 
 /// The seed of all bootstraps, so that an analysis repeated gives the same numbers.
@@ -49,6 +51,10 @@ pub const PLACEMENTS: [&str; 2] = ["placement", "placements"];
 /// Likewise.
 pub const SEEDS: [&str; 2] = ["seed", "seeds"];
 
+/// Likewise, where each is at another placement.
+pub const OWN_PLACEMENTS: [&str; 2] =
+    ["seed with a placement of its own", "seeds, each with a placement of its own"];
+
 /// A kind of unit: its name, of one and of several, how many there are, and which is each trial's.
 #[derive(Debug, Clone)]
 struct Kind {
@@ -67,8 +73,14 @@ pub struct Resampling {
 impl Resampling {
     /// Placements and seeds, one entry a trial.
     pub fn new(clusters: &[Cluster]) -> Self {
-        let of = |pick: fn(&Cluster) -> u64| clusters.iter().map(pick).collect();
-        Self::of([(PLACEMENTS, of(|c| c.placement)), (SEEDS, of(|c| c.seed))])
+        let of = |pick: fn(&Cluster) -> u64| clusters.iter().map(pick).collect::<Vec<u64>>();
+        let (placements, seeds) = (of(|c| c.placement), of(|c| c.seed));
+        let several = distinct(clusters.iter().copied()).len();
+        let apart = |of: &[u64]| several > 1 && distinct(of.iter().copied()).len() == several;
+        if apart(&placements) && apart(&seeds) {
+            return Self::of([(OWN_PLACEMENTS, seeds)]);
+        }
+        Self::of([(PLACEMENTS, placements), (SEEDS, seeds)])
     }
 
     /// Other kinds of units: a name, and each trial's.
@@ -115,11 +127,16 @@ impl Resampling {
     /// comes out right (Rao and Wu 1988).
     pub fn weights(&self, replicate: usize) -> Vec<f64> {
         let mut draw = Draw::numbered(SEED, replicate as u64);
+        self.weighed(|count| draw.below(count))
+    }
+
+    /// Likewise, by a function that draws one of so many units.
+    fn weighed(&self, mut below: impl FnMut(usize) -> usize) -> Vec<f64> {
         let mut weights = vec![1.0; self.trials];
         for kind in self.drawn() {
             let mut counts = vec![0.0; kind.count];
             for _ in 1..kind.count {
-                counts[draw.below(kind.count)] += kind.count as f64 / (kind.count - 1) as f64;
+                counts[below(kind.count)] += kind.count as f64 / (kind.count - 1) as f64;
             }
             for (weight, unit) in weights.iter_mut().zip(&kind.of_trial) {
                 *weight *= counts[*unit];
@@ -134,7 +151,20 @@ impl Resampling {
         if !self.can_tell() {
             return Vec::new();
         }
-        (0..REPLICATES).map(|r| self.weights(r)).filter_map(statistic).collect()
+        let ways = self.drawn().iter().fold(1usize, |ways, kind| {
+            ways.saturating_mul(kind.count.saturating_pow((kind.count - 1) as u32))
+        });
+        if ways > REPLICATES {
+            return (0..REPLICATES).map(|r| self.weights(r)).filter_map(statistic).collect();
+        }
+        let way = |mut number: usize| {
+            self.weighed(|count| {
+                let drawn = number % count;
+                number /= count;
+                drawn
+            })
+        };
+        (0..ways).map(way).filter_map(statistic).collect()
     }
 
     /// A statistic of all trials, and with each unit left out; `None` where there are too few units, or one of them leaves

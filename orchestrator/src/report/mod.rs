@@ -171,8 +171,8 @@ fn provenance(story: &Story) -> Markup {
             }
         }
         p {
-            "Seeds of the trials that are done: " (if seeds.is_empty() { "none" } else { &seeds }) ". Bootstrap: "
-            (REPLICATES) " replicates, seed " (SEED) ". Report by metasense " (env!("CARGO_PKG_VERSION")) "."
+            "Seeds of the trials that are done: " (if seeds.is_empty() { "none" } else { &seeds }) ". Bootstrap: all ways to draw, or "
+            (REPLICATES) " of them, seed " (SEED) ". Report by metasense " (env!("CARGO_PKG_VERSION")) "."
         }
         @for sweep in &story.sweeps {
             p { "Sweep " b { (sweep.name) } ", begun " (sweep.created_at) " by metasense " (sweep.version) ":" }

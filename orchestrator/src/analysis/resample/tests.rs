@@ -18,7 +18,7 @@ fn a_replicate_draws_one_placement_and_seed_fewer_than_there_are() {
     assert_eq!(resampling.weights(7), Resampling::new(&grid(5, 4)).weights(7));
 }
 
-/// A mean's variance over replicates is that of its units: Σ (x − x̄)²/n(n − 1).
+/// A mean's variance over replicates is that of its units, Σ (x − x̄)²/n(n − 1): exactly, as every way to draw is one.
 #[test]
 fn replicates_vary_as_means_do() {
     let x = [1.0, 2.0, 4.0, 8.0];
@@ -26,7 +26,8 @@ fn replicates_vary_as_means_do() {
     let means = Resampling::new(&grid(4, 1)).replicates(mean);
     let variance = means.iter().map(|m| (m - 3.75).powi(2)).sum::<f64>() / means.len() as f64;
     let truth = x.map(|x| (x - 3.75) * (x - 3.75)).iter().sum::<f64>() / 12.0;
-    assert!((variance / truth - 1.0).abs() < 0.1, "{variance} {truth}");
+    assert_eq!(means.len(), 64);
+    assert!((variance / truth - 1.0).abs() < 1e-12, "{variance} {truth}");
 }
 
 #[test]
@@ -43,9 +44,24 @@ fn fewer_than_four_units_of_every_kind_are_too_few_to_tell() {
         let resampling = Resampling::new(&grid(placements, seeds));
         let tells = placements > 3 || seeds > 3;
         assert_eq!(resampling.over(), over);
-        assert_eq!(resampling.replicates(Some).len(), if tells { REPLICATES } else { 0 }, "{over}");
+        let replicates = match (placements, seeds) {
+            (5, 4) => REPLICATES,
+            (5, _) => 625,
+            (_, 4) => 64,
+            _ => 0,
+        };
+        assert_eq!(resampling.replicates(Some).len(), replicates, "{over}");
         assert_eq!(resampling.interval(|w| Some(w.iter().sum())).is_some(), tells, "{over}");
     }
+}
+
+/// A placement a seed: one kind of unit, whose mean varies as that of seeds at one placement.
+#[test]
+fn seeds_with_placements_of_their_own_are_one_kind_of_unit() {
+    let own: Vec<Cluster> = (0..4).map(|i| Cluster { placement: 3 - i, seed: i }).collect();
+    let [own, one] = [Resampling::new(&own), Resampling::new(&grid(1, 4))];
+    assert_eq!(own.over(), "4 seeds, each with a placement of its own");
+    assert_eq!(own.replicates(Some), one.replicates(Some));
 }
 
 /// Of one trial a unit it is Student's: 4 values 1, 2, 4, 8, s² = 28.75/3, t₃ = 3.182. Nested trials add nothing.
