@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! within:  the smallest M with e(M) ≤ (1 + δ)·min e          price p:  argmin e(M) + p·M
+//! fall f:  the smallest M with 100 − e(M) ≥ f·(100 − min e)  of the fall from 100 %, the error of who says nothing
 //! ```
 //! e(M) is the geometric mean of the error (%). Votes are shares of the bootstrap's replicates over placements and seeds. The
 //! decision without the largest M shows whether it depends on how far M was tried.
@@ -15,6 +16,9 @@ pub struct Terms {
     /// Shows the smallest M whose error is at most this part above the least, beside the elbow
     #[arg(long, value_name = "PART", default_value_t = Self::default().within, value_parser = at_least_zero)]
     pub within: f64,
+    /// Shows the smallest M with this part of the fall from 100 % (no sensor) to the least error, beside the elbow
+    #[arg(long, value_name = "PART", default_value_t = Self::default().fall, value_parser = part)]
+    pub fall: f64,
     /// Price of a sensor in % of error: shows the M of least error + price × M beside the elbow
     #[arg(long, value_name = "PERCENT", value_parser = at_least_zero)]
     pub price: Option<f64>,
@@ -22,13 +26,17 @@ pub struct Terms {
 
 impl Default for Terms {
     fn default() -> Self {
-        Self { within: 0.1, price: None }
+        Self { within: 0.1, fall: 0.9, price: None }
     }
 }
 
 fn at_least_zero(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|x| x.is_finite() && *x >= 0.0);
     number.ok_or_else(|| "must be a number, 0 or more".into())
+}
+
+fn part(text: &str) -> Result<f64, String> {
+    at_least_zero(text).ok().filter(|x| *x <= 1.0).ok_or_else(|| "must be a number from 0 to 1".into())
 }
 
 /// An M that is decided for.
@@ -49,11 +57,13 @@ impl Decision {
     }
 }
 
-/// Both decisions.
+/// All decisions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decisions {
     /// The smallest M within δ of the best.
     pub within: Decision,
+    /// The smallest M with its part of the fall.
+    pub fall: Decision,
     /// Where a sensor has a price.
     pub priced: Option<Decision>,
     /// The units that votes are over, or that are too few.
@@ -93,8 +103,14 @@ pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
         let bar = (1.0 + terms.within) * least(means, &|m| m.1).1;
         means.iter().find(|m| m.1 <= bar).expect("the best is within").0
     };
+    let fall = |means: &Means| {
+        let (best, error) = least(means, &|m| m.1);
+        let bar = 100.0 - terms.fall * (100.0 - error);
+        means.iter().find(|m| m.1 <= bar).map_or(best, |m| m.0)
+    };
     Some(Decisions {
         within: decision(&within),
+        fall: decision(&fall),
         priced: terms.price.map(|price| decision(&|means| least(means, &|m| m.1 + price * m.0).0)),
         over: units.over(),
     })

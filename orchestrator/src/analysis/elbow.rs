@@ -22,7 +22,13 @@ const FALL_KEPT: f64 = 0.5;
 const MAJORITY: f64 = 0.5;
 
 /// What remains of the rest by a further sensor, of a decay.
-const DECAYS: [f64; 13] = [0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95];
+const DECAYS: [f64; 20] = [
+    0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9,
+    0.95,
+];
+
+/// The first of them that counts as smooth: a faster one takes most of the rest at once, as a stick does that bends at the second M.
+const SMOOTH: usize = 7;
 
 /// The height over M of which an elbow is sought: a fall of many factors bends early in per cent, and late in logarithms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,6 +82,8 @@ pub struct Elbow {
     pub broken_stick: Option<f64>,
     /// The same without the largest M, where four are left.
     pub without_largest: Option<Option<f64>>,
+    /// The same of all M where decays of any speed are rivals.
+    pub any_decay: Option<f64>,
     /// Kneedle's, on the mean error.
     pub kneedle: Option<f64>,
     /// The point farthest below the chord, on the height of the mean error.
@@ -123,8 +131,8 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
     let resampling = Resampling::new(&clusters);
     let curve = Curve::new(&grid, clusters.len(), height);
     let even = vec![1.0; clusters.len()];
-    let broken_stick = curve.broken_stick(&even);
-    let replicates = resampling.replicates(|weights| Some(curve.broken_stick(&weights)));
+    let broken_stick = curve.broken_stick(&even, SMOOTH);
+    let replicates = resampling.replicates(|weights| Some(curve.broken_stick(&weights, SMOOTH)));
     let share = |place: Option<f64>| {
         replicates.iter().filter(|r| **r == place).count() as f64 / replicates.len().max(1) as f64
     };
@@ -140,11 +148,12 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
     let largest = at[at.len() - 1];
     let without_largest = (at.len() > LEAST_VALUES).then(|| {
         let rest: Vec<Observation> = observations.iter().filter(|o| o.at < largest).copied().collect();
-        Curve::new(&Grid::new(&rest, &clusters), clusters.len(), height).broken_stick(&even)
+        Curve::new(&Grid::new(&rest, &clusters), clusters.len(), height).broken_stick(&even, SMOOTH)
     });
     Ok(Elbow {
         broken_stick,
         without_largest,
+        any_decay: curve.broken_stick(&even, 0),
         kneedle: kneedle(&levels),
         chord: chord(&levels, height),
         votes,
@@ -235,8 +244,8 @@ impl Curve {
         weighed.fold(Normal::default(), |sum, (cluster, w)| sum.plus(*w, of(cluster)))
     }
 
-    /// The broken stick's elbow by weights of clusters, if there is one.
-    fn broken_stick(&self, weights: &[f64]) -> Option<f64> {
+    /// The broken stick's elbow by weights of clusters, if there is one; decays from the fastest named on are its rivals.
+    fn broken_stick(&self, weights: &[f64], fastest: usize) -> Option<f64> {
         let drawn = |place: &usize| self.clusters.iter().zip(weights).any(|(c, w)| *w > 0.0 && c.has[*place]);
         let at: Vec<usize> = (0..self.places.len()).filter(drawn).collect();
         if at.len() < LEAST_VALUES {
@@ -257,7 +266,8 @@ impl Curve {
         let floor = 1e-12 * line.0[5] + f64::MIN_POSITIVE;
         let information =
             |residual: f64, parameters: f64| n * (residual.max(floor) / n).ln() + parameters * n.ln();
-        let decays = (0..DECAYS.len()).map(|rho| self.sum(weights, |cluster| &cluster.decays[rho]).solve().1);
+        let decays =
+            (fastest..DECAYS.len()).map(|rho| self.sum(weights, |cluster| &cluster.decays[rho]).solve().1);
         let smooth = information(decays.fold(f64::INFINITY, f64::min), 2.0);
         let bends = information(residual, 3.0) < smooth.min(information(line_residual, 1.0));
         (bends && before < 0.0 && after >= FALL_KEPT * before).then_some(place)

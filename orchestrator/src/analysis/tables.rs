@@ -40,7 +40,7 @@ pub enum Question {
     Long,
     /// Error against the number of sensors M, votes for an elbow, gain by the next sensor
     Sensors,
-    /// The elbow of error against M, by three methods; the smallest M within 10 % of the best, the best at a price (--price)
+    /// The elbow of error against M, by three methods; the smallest M with nine tenths of the fall from 100 %, within 10 % of the best, the best at a price (--price)
     Elbow,
     /// The fewest sensors with which the optimised body beats the initial one with the most
     Fewer,
@@ -91,7 +91,7 @@ impl Question {
             Self::Long => "Initial over optimised error after long training, paired by trial (95 % interval)",
             Self::Sensors => "Error (%, geometric mean) against the number of sensors M",
             Self::Elbow => {
-                "Elbow of error against M; the smallest M within --within of the best, and of least error + --price × M, each also without the largest M"
+                "Elbow of error against M; the smallest M with --fall of the fall from 100 %, within --within of the best, and of least error + --price × M, each also without the largest M"
             }
             Self::Fewer => "Fewest sensors with which the optimised body beats the initial one with the most",
             Self::Placements => {
@@ -367,13 +367,14 @@ pub fn verdict_text(verdict: Verdict) -> String {
 }
 
 fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
-    let columns = "height verdict broken_stick votes_for_none without_largest kneedle chord within within_votes \
-        within_without_largest price price_votes price_without_largest over";
+    let columns = "height verdict broken_stick votes_for_none without_largest any_decay kneedle chord fall fall_votes \
+        fall_without_largest within within_votes within_without_largest price price_votes price_without_largest over";
     let whole = |m: f64| m as u64;
     by_curve(columns, by_sensors(trials), |points| {
         let none = |e: &Elbow| has_votes(e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>());
         let without = |m: Option<f64>| m.map_or(json!("none"), |m| json!(whole(m)));
         let decided = decide(points, terms);
+        let fall = decision_cells(decided.as_ref().map(|d| &d.fall));
         let within = decision_cells(decided.as_ref().map(|d| &d.within));
         let price = decision_cells(decided.as_ref().and_then(|d| d.priced.as_ref()));
         let over = row![decided.map(|d| d.over)];
@@ -386,10 +387,11 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
                 e.and_then(|e| e.broken_stick).map(whole),
                 e.and_then(none),
                 e.and_then(|e| e.without_largest).map(without),
+                e.map(|e| without(e.any_decay)),
                 e.and_then(|e| e.kneedle).map(whole),
                 e.and_then(|e| e.chord).map(whole)
             ];
-            [by_elbow, within.clone(), price.clone(), over.clone()].concat()
+            [by_elbow, fall.clone(), within.clone(), price.clone(), over.clone()].concat()
         };
         Height::ALL.map(row).into()
     })

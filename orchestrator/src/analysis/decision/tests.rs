@@ -30,6 +30,16 @@ fn the_smallest_within_ten_percent_and_what_it_hangs_on() {
     assert_eq!(wide.within.at, 3.0, "{wide:?}");
 }
 
+/// Of a fall from 100 to 10.4 % nine tenths are at 19.4 %, eight at 28.3 %; a body that is worse than to say nothing has its best.
+#[test]
+fn the_fall_from_nothing_ends_where_nine_tenths_of_it_are_done() {
+    let of =
+        |errors: &[f64], fall| decide(&curve(errors, 5), Terms { fall, ..Terms::default() }).unwrap().fall.at;
+    let errors = [30.0, 20.0, 12.0, 10.9, 10.0];
+    assert_eq!([0.9, 0.8, 0.75, 1.0].map(|fall| of(&errors, fall)), [3.0, 2.0, 1.0, 5.0]);
+    assert_eq!(of(&[150.0, 120.0, 130.0], 0.9), 2.0);
+}
+
 /// Levels are 1 … 1.08, 1.04 in the mean. Falls of 10.4, 8.3, 1.1, 0.9: a sensor worth 1 % stops at the fourth, one worth
 /// 9 % at the second.
 #[test]

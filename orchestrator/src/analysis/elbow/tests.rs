@@ -60,6 +60,18 @@ fn a_curve_has_two_heights() {
     assert_eq!(verdicts(&|m| 5.0 + 30.0 * 0.6f64.powf(m))[0], Verdict::NoElbow);
 }
 
+/// What falls at once from the first M to the second is a bend there, or a fast decay; what falls later is a bend.
+#[test]
+fn a_bend_at_the_second_m_may_be_a_fast_decay() {
+    for (error, place, any) in [
+        (&(|m: f64| 5.0 + 30.0 * 0.08f64.powf(m - 1.0)) as &dyn Fn(f64) -> f64, Some(2.0), None),
+        (&|m: f64| 60.0 - 18.0 * m.min(3.0), Some(3.0), Some(3.0)),
+    ] {
+        let found = elbow(&curve(error, 0.01), Height::Percent).unwrap();
+        assert_eq!((found.broken_stick, found.any_decay), (place, any), "{found:?}");
+    }
+}
+
 /// The true gain is e^0.5 before the elbow and 1 after it.
 #[test]
 fn gains_are_paired_within_clusters() {
