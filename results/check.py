@@ -3,10 +3,13 @@
 
 `python3 results/check.py` prints a line a table and exits with 1 if a number differs. Only tables whose every cell follows from rows
 of trials, samples or casts are here: a table that was printed by `metasense analyse` is an answer, not a row.
+`--power` says what a sweep like `elbow-law` could tell.
 """
 
 import csv
+import itertools
 import math
+import random
 import re
 import sys
 from pathlib import Path
@@ -184,6 +187,109 @@ def why():
         yield cells, [", ".join(errors) + " %", mean("wiener_error") + " %", *told, memory + " ms"]
 
 
+def residual(columns, curves, weights):
+    """Slopes and residual sum of squares of weighed curves on one column or two, each curve's own level taken out."""
+    def less_mean(x):
+        return [value - sum(x) / len(x) for value in x]
+    columns = [less_mean(column) for column in columns]
+    curves = [less_mean(curve) for curve in curves]
+    dot = lambda a, b: sum(x * y for x, y in zip(a, b))
+    of = [sum(w * dot(column, curve) for w, curve in zip(weights, curves)) for column in columns]
+    [aa, ab, bb] = [sum(weights) * dot(a, b) for a, b in [(columns[0], columns[0]), (columns[0], columns[-1]), (columns[-1], columns[-1])]]
+    slopes = [of[0] / aa]
+    if len(columns) == 2:
+        slopes = [(bb * of[0] - ab * of[1]) / (aa * bb - ab * ab), (aa * of[1] - ab * of[0]) / (aa * bb - ab * ab)]
+    return slopes, sum(w * dot(curve, curve) for w, curve in zip(weights, curves)) - dot(slopes, of)
+
+
+FAST = [0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3]
+SMOOTH = [0.05 * i for i in range(7, 20)]
+
+
+def elbow(at, curves, weights, decays=SMOOTH):
+    """The broken stick's place, if it falls before, at most half as fast after, and beats line and decay by BIC."""
+    n = sum(weights) * len(at)
+    information = lambda rest, parameters: n * math.log(rest / n) + parameters * math.log(n)
+    sticks = [(m, *residual([[min(x, m) for x in at], [max(x - m, 0) for x in at]], curves, weights)) for m in at[1:-1]]
+    place, (before, after), rest = min(sticks, key=lambda stick: stick[2])
+    decay = min(residual([[rho**x for x in at]], curves, weights)[1] for rho in decays)
+    rival = min(information(decay, 2), information(residual([at], curves, weights)[1], 1))
+    return place if information(rest, 3) < rival and before < 0 and after >= 0.5 * before else None
+
+
+def fall(at, curves, weights, part):
+    """The least M with this part of the fall from 100 % to the least mean error."""
+    means = [math.exp(sum(w * math.log(e) for w, e in zip(weights, errors)) / sum(weights)) for errors in zip(*curves)]
+    return next(m for m, mean in zip(at, means) if mean <= 100 - part * (100 - min(means)))
+
+
+def ends(of, part=0.9):
+    """Where the fall of rows of trained bodies ends: by each reading the share of votes for each place, and what depends on how one asks.
+
+    Votes are over all ways to draw one unit fewer than there are, a unit being a seed, of one seed a placement."""
+    at = sorted({int(row["sensors"]) for row in of})
+    clusters = sorted({(row["placement"], row["seed"]) for row in of})
+    error = {(row["placement"], row["seed"], int(row["sensors"])): float(row["holdout_error_optimised"]) for row in of}
+    assert len(error) == len(of) == len(at) * len(clusters), "not a whole grid"
+    curves = [[error[*cluster, m] for m in at] for cluster in clusters]
+    logs = [[math.log(e) for e in curve] for curve in curves]
+    unit = 1 if len({seed for _, seed in clusters}) > 1 else 0
+    units = sorted({cluster[unit] for cluster in clusters})
+    n, even = len(units), [1] * len(clusters)
+    ways = [[way.count(cluster[unit]) * n / (n - 1) for cluster in clusters] for way in itertools.product(units, repeat=n - 1)]
+    shares = []
+    for reading in (lambda w: elbow(at, curves, w), lambda w: elbow(at, logs, w), lambda w: fall(at, curves, w, part)):
+        votes = [reading(way) for way in ways]
+        shares.append({place: votes.count(place) / len(ways) for place in [*at, None]})
+    any_decay = ", ".join(str(elbow(at, of, even, FAST + SMOOTH) or "none") for of in (curves, logs))
+    return shares, [any_decay, ", ".join(str(fall(at, curves, even, part)) for part in (0.8, 0.95))]
+
+
+def votes_in_words(shares):
+    told = sorted(((-share, place is None, place) for place, share in shares.items() if share > 0.004))
+    return ", ".join(("none" if none else str(place)) + ("" if -share > 0.996 else f": {-100 * share:.0f} %") for share, none, place in told)
+
+
+def trained(forces, brain):
+    """The rows of a line of the table of elbows."""
+    kind = "linear" if brain.startswith("linear brain") else ""
+    if "noise" in brain:
+        return rows("placed-two-core/trials.csv", brain__kind=kind, sensors__search="", stimuli__kind="bell")
+    return rows("claims/four-forces-trials.csv" if forces == "4" else "claims/eight-forces-trials.csv", brain__kind=kind)
+
+
+def power(campaigns=60):
+    """Of made-up campaigns of four seeds, M up to 5, with the means and the scatter of rows: the share with 95 % of votes for K / 3, rounded up."""
+    draw = random.Random(5)
+    for forces, brain, law, *_ in table("elbow law"):
+        if not brain.startswith("linear brain"):
+            continue
+        of = [row for row in trained(forces, brain) if int(row["sensors"]) < 6]
+        clusters = sorted({(row["placement"], row["seed"]) for row in of})
+        logs = [[math.log(float(row["holdout_error_optimised"])) for row in sorted(of, key=lambda row: int(row["sensors"]))
+                 if (row["placement"], row["seed"]) == cluster] for cluster in clusters]
+        mean = lambda x: sum(x) / len(x)
+        means = list(map(mean, zip(*logs)))
+        levels = [mean(curve) - mean(means) for curve in logs]
+        rest = sum((y - m - level) ** 2 for curve, level in zip(logs, levels) for y, m in zip(curve, means)) / (len(logs) - 1) / (len(means) - 1)
+        level = sum(x * x for x in levels) / (len(levels) - 1)
+        sure = [0, 0, 0]
+        for _ in range(campaigns):
+            made_up = []
+            for seed in range(4):
+                own = draw.gauss(0, math.sqrt(level))
+                errors = [math.exp(m + own + draw.gauss(0, math.sqrt(rest))) for m in means]
+                made_up += [dict(placement="0", seed=str(seed), sensors=str(m), holdout_error_optimised=e) for m, e in enumerate(errors, 1)]
+            sure = [n + (shares[int(law)] >= 0.95) for n, shares in zip(sure, ends(made_up)[0])]
+        yield f"K = {forces}, {brain}: elbow in %, in logarithms, nine tenths of the fall: " + ", ".join(f"{100 * n / campaigns:.0f} %" for n in sure)
+
+
+def elbow_law():
+    for forces, brain, *cells in table("elbow law"):
+        readings, beside = ends(trained(forces, brain))
+        yield cells, [str(-(-int(forces) // 3)), *map(votes_in_words, readings), *beside]
+
+
 def real_scale():
     scenes = [("reference", "bell"), ("real, chip", "bell"), ("reference", "irregular"), ("real, chip", "irregular"), ("real", "irregular")]
     for (body, stimuli), line in zip(scenes, table("real scale"), strict=True):
@@ -214,9 +320,12 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, real_scale, filtered, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, real_scale, filtered, relaxing]
 
 if __name__ == "__main__":
+    if "--power" in sys.argv:
+        print(*power(), sep="\n")
+        sys.exit()
     wrong = 0
     for check in CHECKS:
         pairs = list(check())

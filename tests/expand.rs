@@ -153,6 +153,7 @@ fn committed_specs_keep_their_hashes() {
     brains-two-core 5eb82c6f08db37b1
     disc 05cd48334f7ba6b8
     eight-forces d02373435aeebd1c
+    elbow-law dd9ab67d59dd2124
     families 8157da65514428a4
     fig2 e582672de812b89c
     fig2-linear 3a1cb407e60bff17

@@ -4,6 +4,7 @@
 //! `METASENSE_UPDATE=1 cargo test -p metasense --test program -- references::`.
 
 mod deviations;
+mod elbow_law;
 mod program;
 mod results;
 mod spec;
@@ -57,6 +58,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),
     ("placed", results::placed),
+    ("elbow law", elbow_law::all),
     ("claims", results::claims),
     ("sensors", results::sensors),
     ("evaluate", results::evaluate),
