@@ -312,6 +312,20 @@ def filtered():
         yield line[1:], found
 
 
+def families():
+    lattices = {"squares": "square", "squares, chiral": "chiral", "Kagome's triangles": "kagome", "hexagons": "triangular"}
+    for words, *cells in table("families"):
+        of = {lattice: rows("families/trials.csv", lattice=lattice) for lattice in ("square", lattices[words])}
+        mine = of[lattices[words]]
+        initial, optimised = numbers(mine, "initial"), numbers(mine, "optimised")
+        found = [mine[0]["units"], mine[0]["design_parameters"], short(geometric(initial)) + " %", short(geometric(optimised)) + " %"]
+        found.append(with_interval([a / b for a, b in zip(initial, optimised, strict=True)]))
+        for own, body in ((initial, "initial"), (optimised, "optimised")):
+            ratios = [a / b for a, b in zip(own, numbers(of["square"], body), strict=True)]
+            found.append("1" if mine is of["square"] else with_interval(ratios))
+        yield cells, found
+
+
 def relaxing():
     for line in table("relaxing"):
         def cell(reader, records):
@@ -320,7 +334,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, real_scale, filtered, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, real_scale, families, filtered, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

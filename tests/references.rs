@@ -54,6 +54,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("real scale", results::real_scale),
     ("why", results::why),
     ("why correlated", results::why_correlated),
+    ("families", results::families),
     ("filtered", results::filtered),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),

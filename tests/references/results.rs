@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use metasense::analysis::operator::MEASURES;
+use metasense_worker::student;
 use serde_json::Value;
 
 use super::{root, table, who_senses};
@@ -366,6 +367,57 @@ pub fn filtered() -> String {
     };
     let lines = [("", "none"), ("50.0", "50 Hz"), ("20.0", "20 Hz")].map(line);
     table(&["low-pass", "without noise", "gain", "with noise", "gain"], lines)
+}
+
+/// Lattices of one outline and mass.
+pub fn families() -> String {
+    let all = rows("families/trials.csv");
+    let interval = |ratios: Vec<f64>| {
+        let logs: Vec<f64> = ratios.iter().map(|ratio| ratio.ln()).collect();
+        let (centre, spread) = (mean(&logs).unwrap(), deviation(&logs).unwrap());
+        let half = student(logs.len() - 1) * spread / (logs.len() as f64).sqrt();
+        let [at, low, high] = [0.0, -half, half].map(|by| short(&(centre + by).exp().to_string()));
+        format!("{at} ({low} … {high})")
+    };
+    let column = |lattice: &str, name: &str| -> Vec<f64> {
+        of(&all, &[("lattice", lattice)]).map(|row| number(row, name)).collect()
+    };
+    let by = |ends: [Vec<f64>; 2]| ends[0].iter().zip(&ends[1]).map(|(a, b)| a / b).collect::<Vec<_>>();
+    let line = |(lattice, words): (&str, &str)| {
+        let [initial, optimised] = ["initial", "optimised"].map(|name| column(lattice, name));
+        let wanted = [("lattice", lattice)];
+        let first = of(&all, &wanted).next().unwrap();
+        let other = |body: &str, own: &[f64]| match lattice {
+            "square" => "1".to_owned(),
+            _ => interval(by([own.to_vec(), column("square", body)])),
+        };
+        vec![
+            words.to_owned(),
+            first["units"].clone(),
+            first["design_parameters"].clone(),
+            format!("{} %", geometric(initial.iter().copied())),
+            format!("{} %", geometric(optimised.iter().copied())),
+            interval(by([initial.clone(), optimised.clone()])),
+            other("initial", &initial),
+            other("optimised", &optimised),
+        ]
+    };
+    let lattices = [
+        ("square", "squares"),
+        ("chiral", "squares, chiral"),
+        ("kagome", "Kagome's triangles"),
+        ("triangular", "hexagons"),
+    ];
+    let head = [
+        "units",
+        "parameters",
+        "untouched",
+        "trained",
+        "gain",
+        "untouched, by squares",
+        "trained, by squares",
+    ];
+    table(&[&["lattice"][..], &head].concat(), lattices.map(line))
 }
 
 /// Robust bodies in a world that the model does not contain.
