@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use metasense::plan::Plan;
 use metasense::report::body::sketch;
 use metasense_numerics::Pool;
+use metasense_numerics::body::Ligament;
 use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, Tuned, tune};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::random::Purpose;
@@ -268,6 +269,13 @@ impl Body {
     #[pyo3(signature = (alpha=None))]
     fn polygons(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Vec<[f64; 2]>>> {
         Ok(self.problem.scene.layout.vertices(&self.design_or_initial(alpha)?))
+    }
+
+    /// The ligaments: unit, node, unit, node.
+    #[getter]
+    fn ligaments(&self) -> Vec<(usize, usize, usize, usize)> {
+        let of = |l: &Ligament| (l.a.unit, l.a.node, l.b.unit, l.b.node);
+        self.problem.scene.layout.ligaments.iter().map(of).collect()
     }
 
     /// The limits of a castable body that `alpha` breaks, in words; an empty list if it can be cast.

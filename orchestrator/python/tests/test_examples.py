@@ -38,6 +38,26 @@ def test_place(body, spec):
     assert errors[2] < errors[0]
 
 
+def test_blocks(spec, tmp_path, rng):
+    # a row of three triangles as DifFlexMM lays them out, the second upside down and turned
+    triangle = np.array([[-6.0, -3.5], [6.0, -3.5], [0.0, 7.0]])
+    turn = np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]])
+    centroids = np.array([[0.0, 0.0], [14.0, 0.0], [28.0, 0.0]])
+    nodes = np.stack([triangle, -triangle[[2, 0, 1]] @ turn.T, triangle])
+    bonds = np.array([[1, 3], [4, 8]])
+    lines = spec.read_text().replace("[stimuli]", "[sensors]\nplacements = [[2]]\n[stimuli]")
+    body, arrays = load("blocks").main(centroids, nodes, bonds, lines, tmp_path)
+    assert (body.units, body.clamped, body.panels) == (3, [0], [1])
+    for own, theirs in zip(arrays, (centroids, nodes, bonds), strict=True):
+        assert np.allclose(own, theirs, atol=1e-9)
+    moved = body.alpha + 0.1 * rng.standard_normal(body.alpha.size)
+    assert body.feasible(moved)
+    at, arms, _ = load("blocks").arrays(body, moved)
+    assert np.allclose(at[:, None] + arms, body.vertices(moved))
+    forces = body.stimuli("test")
+    assert np.isfinite(body.simulate(moved, forces).signals).all()
+
+
 def test_elbow(spec, tmp_path):
     pytest.importorskip("matplotlib")
     sweep = tmp_path / "sweep.toml"
