@@ -7,6 +7,7 @@ const MATERIAL: &str = "density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5
 
 /// What is replaced in the spec, by what, and what the message says.
 const EDITS: &[(&str, &str, &str)] = &[
+    ("columns = 6\n", "", "s.toml:2: body.columns: must be given without body.file"),
     (
         "[sweep]",
         "[variation]\nstretch = -0.1\n[sweep]",

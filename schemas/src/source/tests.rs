@@ -72,7 +72,6 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         ),
         ("rows = 6", "rows = \"six\"", "a.toml:4: body.rows = \"six\": must be a whole number from 0 up"),
         ("rows = 6", "rows = -6", "a.toml:4: body.rows = -6: must be a whole number from 0 up"),
-        ("columns = 6\n", "", "a.toml:2: body.columns: must be given, it has no default"),
         (", bend = 1.0", "", "a.toml:8: body.stiffness.bend: must be given, it has no default"),
         ("[stimuli]\nkind = \"bell\"\n", "", "a.toml:1: stimuli: must be given, it has no default"),
         (
