@@ -20,7 +20,7 @@ use metasense_schemas::spec::{
     Body, Design, Disturbance, LayoutKind, NotOne, Own, Point, Run, Search, SearchFrom, Stimuli, SweepSpec,
     TrialSpec, position_of,
 };
-use metasense_worker::design::{self, Layout, Limits};
+use metasense_worker::design::{self, DesignError, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
 use metasense_worker::{polygons, records};
 
@@ -281,6 +281,12 @@ fn from_where(path: &Path) -> &'static str {
     if path.exists() { "" } else { "; names of files are taken from the folder of the spec" }
 }
 
+/// A file of the body that cannot be read, or holds what it must not.
+fn unread(key: &str, file: &Path, path: &Path, error: &DesignError, source: &Source) -> SpecError {
+    let because = error.source().map_or(String::new(), |cause| format!(": {cause}{}", from_where(path)));
+    source.error_with(key, Some(&format!("{file:?}")), &format!("{error}{because}"))
+}
+
 /// `1 trial`, `2 trials`.
 pub(crate) fn counted(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
@@ -309,12 +315,8 @@ fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> 
         Own::Given(given) => (given, String::new()),
         Own::File(file) => {
             let path = source.file.parent().unwrap_or(Path::new("")).join(&file);
-            let read = polygons::read(&path).map_err(|e| {
-                let because =
-                    e.source().map_or(String::new(), |cause| format!(": {cause}{}", from_where(&path)));
-                source.error_with("body.file", Some(&format!("{file:?}")), &format!("{e}{because}"))
-            });
-            (read?, format!("{file:?}, "))
+            let read = polygons::read(&path).map_err(|e| unread("body.file", &file, &path, &e, source))?;
+            (read, format!("{file:?}, "))
         }
     };
     body.file = Some(Own::Given(given));
@@ -329,10 +331,8 @@ fn with_design(body: &Body, layout: &Layout, source: &Source) -> Result<Body, Sp
     let mut body = body.clone();
     if let Some(Design::File(file)) = &body.design {
         let path = source.file.parent().unwrap_or(Path::new("")).join(file);
-        let shifts = design::read(&path, layout).map_err(|e| {
-            let because = e.source().map_or(String::new(), |cause| format!(": {cause}{}", from_where(&path)));
-            source.error_with("body.design", Some(&format!("{file:?}")), &format!("{e}{because}"))
-        })?;
+        let shifts =
+            design::read(&path, layout).map_err(|e| unread("body.design", file, &path, &e, source))?;
         body.design = Some(Design::Shifts { shifts });
     }
     Ok(body)

@@ -246,10 +246,7 @@ pub fn transfer_networks() -> String {
             let own = errors(body, under);
             let part = |i: usize| (ends[0][i] / own[i]).ln() / (ends[0][i] / ends[1][i]).ln();
             let parts: Vec<f64> = (0..own.len()).map(part).collect();
-            let (mean, deviation) = (mean(&parts).unwrap(), deviation(&parts).unwrap());
-            let half = metasense_worker::student(parts.len() - 1) * deviation / (parts.len() as f64).sqrt();
-            let [mean, low, high] = [mean, mean - half, mean + half].map(|x| short(&x.to_string()));
-            format!("{mean} ({low} … {high})")
+            with_interval(&parts, |x| x)
         });
         [vec![words.to_owned()], read.to_vec(), kept.to_vec()].concat()
     };
@@ -342,6 +339,14 @@ pub(super) fn number(row: &Row, name: &str) -> f64 {
     row[name].parse().unwrap_or_else(|_| panic!("{:?} is no number", row[name]))
 }
 
+/// The mean and Student's interval of 95 %, as they are shown.
+fn with_interval(values: &[f64], shown: fn(f64) -> f64) -> String {
+    let half = student(values.len() - 1) * deviation(values).unwrap() / (values.len() as f64).sqrt();
+    let centre = mean(values).unwrap();
+    let [at, low, high] = [0.0, -half, half].map(|by| short(&shown(centre + by).to_string()));
+    format!("{at} ({low} … {high})")
+}
+
 /// The geometric mean.
 fn geometric(values: impl Iterator<Item = f64>) -> String {
     short(&geometric_mean(&values.collect::<Vec<_>>()).to_string())
@@ -373,11 +378,7 @@ pub fn filtered() -> String {
 pub fn families() -> String {
     let all = rows("families/trials.csv");
     let interval = |ratios: Vec<f64>| {
-        let logs: Vec<f64> = ratios.iter().map(|ratio| ratio.ln()).collect();
-        let (centre, spread) = (mean(&logs).unwrap(), deviation(&logs).unwrap());
-        let half = student(logs.len() - 1) * spread / (logs.len() as f64).sqrt();
-        let [at, low, high] = [0.0, -half, half].map(|by| short(&(centre + by).exp().to_string()));
-        format!("{at} ({low} … {high})")
+        with_interval(&ratios.iter().map(|ratio| ratio.ln()).collect::<Vec<_>>(), f64::exp)
     };
     let column = |lattice: &str, name: &str| -> Vec<f64> {
         of(&all, &[("lattice", lattice)]).map(|row| number(row, name)).collect()

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use metasense_numerics::body::{End, Layout};
+use metasense_numerics::body::{End, Layout, moments};
 use metasense_schemas::spec::Polygons;
 
 use crate::design::DesignError;
@@ -90,9 +90,7 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         if !nodes.iter().flatten().all(|x| x.is_finite()) {
             return wrong(format!("units[{u}]"), "must be finite numbers".into());
         }
-        let edges = (0..nodes.len()).map(|p| (nodes[p], nodes[(p + 1) % nodes.len()]));
-        let doubled: f64 = edges.map(|([a, b], [c, d])| a * d - b * c).sum();
-        if doubled <= 0.0 {
+        if moments(nodes).area <= 0.0 {
             return wrong(format!("units[{u}]"), "its nodes must run counter-clockwise".into());
         }
     }
@@ -161,7 +159,7 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         return wrong("ligaments".into(), remedy);
     }
     if let Some(sensors) = &given.sensors {
-        layout.boundary = (0..count).map(|unit| !sensors.contains(&unit)).collect();
+        layout.carriers = (0..count).map(|unit| sensors.contains(&unit)).collect();
     }
     Ok(layout)
 }

@@ -3,7 +3,7 @@
 //! Degrees become radians; rules ("bottom") become unit lists. The plan calls this for every trial before any process
 //! starts, a worker calls it again for the one that it runs.
 
-use metasense_numerics::body::{Layout, Pattern};
+use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::fits;
@@ -14,8 +14,9 @@ use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::trial::{
     BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Schedule, Training,
 };
-use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Point, TrialSpec};
+use metasense_schemas::spec::{self, Point, TrialSpec};
 
+mod body;
 mod casts;
 mod material;
 mod optimise;
@@ -23,10 +24,11 @@ mod stimuli;
 
 pub use crate::invalid::Invalid;
 use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
-use crate::polygons;
+pub use body::{check_units, clamp, clamped, directions, initial_design, layout, panel_units};
 pub use metasense_numerics::brains::READINGS_MAX;
 pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
 
+use body::castable;
 use casts::{casting, casts, variation};
 use material::material;
 pub use material::sheet;
@@ -98,82 +100,6 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         search: search(trial, &scene)?,
         scene,
     })
-}
-
-/// The layout of a body.
-///
-/// # Errors
-/// Where no layout has these sizes.
-pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
-    match &body.file {
-        None => {}
-        Some(spec::Own::Given(given)) => return polygons::layout(given),
-        Some(spec::Own::File(file)) => {
-            let remedy = "a trial holds the polygons themselves, not their file";
-            return Err(invalid("body.file", file.display(), remedy));
-        }
-    }
-    let (columns, [spacing, ligament_length]) = (body.columns(), body.lengths());
-    for (key, given) in [
-        ("body.columns", body.columns.is_some()),
-        ("body.spacing", body.spacing.is_some()),
-        ("body.ligament_length", body.ligament_length.is_some()),
-    ] {
-        require(given, key, "", "must be given without body.file")?;
-    }
-    at_least("body.columns", columns, 2)?;
-    at_most("body.columns", columns, 1000)?;
-    at_most("body.rows", body.rows(), 10_000 / columns)?;
-    positive("body.spacing", spacing)?;
-    positive("body.ligament_length", ligament_length)?;
-    require(
-        ligament_length < spacing,
-        "body.ligament_length",
-        ligament_length,
-        "must be less than body.spacing",
-    )?;
-    require(
-        body.initial_angle.abs() < 45.0,
-        "body.initial_angle",
-        body.initial_angle,
-        "must lie between -45 and 45 degrees",
-    )?;
-    match body.layout {
-        LayoutKind::Planar => {
-            let rows = body.rows.ok_or_else(|| invalid("body.rows", "", "must be given where planar"))?;
-            require(
-                rows >= 2,
-                "body.rows",
-                rows,
-                "must be at least 2: the bottom row is clamped, the top row struck",
-            )?;
-            let angle = body.initial_angle.to_radians();
-            let pattern = match body.lattice {
-                spec::Lattice::Square => Pattern::square(),
-                spec::Lattice::Kagome => Pattern::kagome(),
-                spec::Lattice::Triangular => Pattern::triangular(angle),
-                spec::Lattice::Chiral => Pattern::chiral(angle),
-            };
-            Ok(Layout::sheet(&pattern, columns, rows, spacing, ligament_length))
-        }
-        LayoutKind::Circular => {
-            let rows = body.rows();
-            require(
-                body.lattice.is_square(),
-                "body.lattice",
-                format!("{:?}", body.lattice).to_lowercase(),
-                "is a planar body's; a circular one is of squares",
-            )?;
-            require(
-                rows == columns,
-                "body.rows",
-                rows,
-                "must equal body.columns, or be left out, where circular",
-            )?;
-            at_least("body.columns", columns, 4)?;
-            Ok(Layout::circular(columns, spacing, ligament_length))
-        }
-    }
 }
 
 fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
@@ -338,68 +264,6 @@ pub fn kept(feasible: &spec::Feasible, panels: &[usize], clamped: &[usize]) -> V
     asked.into_iter().filter(|(keep, _)| *keep).flat_map(|(_, units)| units).copied().collect()
 }
 
-/// Limits that a design breaks, as many as are shown.
-const SHOWN: usize = 10;
-
-/// Refuses a starting design that cannot be cast, with the first of what it breaks.
-fn castable(body: &spec::Body, layout: &Layout, limits: Limits, initial: &[f64]) -> Result<(), Invalid> {
-    let broken = Feasible::new(layout, limits, &[]).violations(initial);
-    if broken.is_empty() {
-        return Ok(());
-    }
-    let mut list: String = broken.iter().take(SHOWN).map(|violation| format!("\n  {violation}")).collect();
-    if broken.len() > SHOWN {
-        list += &format!("\n  … and {} more", broken.len() - SHOWN);
-    }
-    Err(match body.design {
-        None if body.file.is_some() => {
-            invalid("body.file", "", format!("the body is not feasible; change it or [feasible]:{list}"))
-        }
-        None => {
-            let remedy = format!("the initial body is not feasible; change [body] or [feasible]:{list}");
-            invalid("body.initial_angle", body.initial_angle, remedy)
-        }
-        Some(_) => {
-            let remedy = format!("this design is not feasible; `metasense project` repairs it:{list}");
-            invalid("body.design", shown(body), remedy)
-        }
-    })
-}
-
-fn shown(body: &spec::Body) -> String {
-    match &body.design {
-        None => "absent".into(),
-        Some(Design::File(path)) => path.display().to_string(),
-        Some(Design::Random { random }) => format!("{{ random = {random} }}"),
-        Some(Design::Shifts { shifts }) => format!("{} shifts", shifts.len()),
-    }
-}
-
-/// The design that the body starts from; not judged.
-///
-/// # Errors
-/// Where its length is not the layout's, it is not finite or still a file, or no random design can be cast.
-pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Result<Vec<f64>, Invalid> {
-    let regular = layout.initial_design(body.initial_angle.to_radians());
-    let wrong = |remedy: String| invalid("body.design", shown(body), remedy);
-    match &body.design {
-        None => Ok(regular),
-        Some(Design::Random { random }) => Feasible::new(layout, limits, &[])
-            .random_design(&regular, *random)
-            .ok_or_else(|| wrong("no feasible design was found near the rotated squares".into())),
-        Some(Design::Shifts { shifts }) if shifts.len() == layout.design_len() => {
-            match shifts.iter().all(|x| x.is_finite()) {
-                true => Ok(shifts.clone()),
-                false => Err(wrong("must be finite numbers".into())),
-            }
-        }
-        Some(Design::Shifts { .. }) => {
-            Err(wrong(format!("α of this body has {} numbers", layout.design_len())))
-        }
-        Some(Design::File(_)) => Err(wrong("a trial holds the design itself, not its file".into())),
-    }
-}
-
 /// The limits of a feasible design.
 ///
 /// # Errors
@@ -505,7 +369,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let spacing = spacing.unwrap_or(0.0);
     not_negative("sensors.spacing", spacing)?;
     let inside = from.unwrap_or(spec::SearchFrom::Interior) == spec::SearchFrom::Interior;
-    let open = |unit: &usize| !(scene.clamped.contains(unit) || inside && scene.layout.boundary[*unit]);
+    let open = |unit: &usize| !(scene.clamped.contains(unit) || inside && !scene.layout.carriers[*unit]);
     let candidates: Vec<usize> = (0..scene.layout.units()).filter(open).collect();
     let Point { sensors, placement, .. } = trial.point;
     let remedy = format!("the body has {} units where sensors.search may put one", candidates.len());
@@ -522,130 +386,6 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     require(sensors <= apart.len(), "sensors.spacing", spacing, &remedy)?;
     let given = !trial.sensor_units.is_empty();
     Ok((!given).then_some(Placing { candidates, sensors, turn: placement, spacing }))
-}
-
-/// Panels are struck along −y where planar, inward where circular, along the direction of the rule that gave them or towards the
-/// centre; turned by `body.panel_angle`.
-pub fn directions(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<[f64; 2]> {
-    let ruled = layout.circular_panels(units.len()).unwrap_or_default();
-    let struck = |unit: &usize| match &body.file {
-        Some(spec::Own::Given(given)) => given.panels.iter().find(|panel| panel.unit == *unit),
-        _ => None,
-    };
-    let mut directions: Vec<[f64; 2]> = match body.layout {
-        LayoutKind::Planar if body.file.is_some() => units
-            .iter()
-            .map(|unit| struck(unit).map_or([0.0, -1.0], |panel| polygons::unit_vector(panel.direction)))
-            .collect(),
-        LayoutKind::Planar => vec![[0.0, -1.0]; units.len()],
-        LayoutKind::Circular if ruled.iter().map(|panel| &panel.0).eq(units.iter()) => {
-            ruled.iter().map(|panel| panel.1).collect()
-        }
-        LayoutKind::Circular => units
-            .iter()
-            .map(|&unit| {
-                let [x, y] = layout.centres[unit];
-                let radius = x.hypot(y).max(f64::MIN_POSITIVE);
-                [-x / radius, -y / radius]
-            })
-            .collect(),
-    };
-    if let Some(angle) = body.panel_angle {
-        let (s, c) = angle.to_radians().sin_cos();
-        directions.iter_mut().for_each(|[x, y]| [*x, *y] = [c * *x - s * *y, s * *x + c * *y]);
-    }
-    directions
-}
-
-/// Which units are held, the default in place.
-pub fn clamp(body: &spec::Body) -> Clamp {
-    let own = match &body.file {
-        Some(spec::Own::Given(given)) => given.clamp.clone().map(Clamp::Units),
-        _ => None,
-    };
-    body.clamp.clone().or(own).unwrap_or(Clamp::Rule(match body.layout {
-        LayoutKind::Planar => ClampRule::Bottom,
-        LayoutKind::Circular => ClampRule::Hub,
-    }))
-}
-
-/// The units of K panels: `body.panel_units`, or those of the layout's rule.
-///
-/// # Errors
-/// Where there are not K.
-pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<Vec<usize>, Invalid> {
-    let none = |remedy: String| invalid("sweep.panels", panels, remedy);
-    match (&body.panel_units, body.layout) {
-        (Some(units), _) if units.len() == panels => Ok(units.clone()),
-        (Some(units), _) => Err(none(format!("body.panel_units names {} units", units.len()))),
-        (None, LayoutKind::Planar) => {
-            if let Some(spec::Own::Given(given)) = &body.file
-                && !given.panels.is_empty()
-            {
-                let units = given.panels.iter().map(|panel| panel.unit).take(panels).collect::<Vec<_>>();
-                let remedy = format!("body.file names {} panels", given.panels.len());
-                return if units.len() == panels { Ok(units) } else { Err(none(remedy)) };
-            }
-            layout.top_panels(panels).ok_or_else(|| {
-                let top = layout.top().len();
-                none(format!("the top row of {top} units has no place for as many panels"))
-            })
-        }
-        (None, LayoutKind::Circular) => layout
-            .circular_panels(panels)
-            .map(|ruled| ruled.into_iter().map(|(unit, _)| unit).collect())
-            .ok_or_else(|| none("a circular body has 1, 2, 4 or 8 panels, at different units".into())),
-    }
-}
-
-/// The units that are held.
-///
-/// # Errors
-/// Where the layout has no such units, or none would be left.
-pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
-    match clamp(body) {
-        Clamp::Units(units) => {
-            let units = check_units("body.clamp", &units, layout, &[])?;
-            require(
-                units.len() < layout.units(),
-                "body.clamp",
-                format!("{units:?}"),
-                "must leave a unit free to move",
-            )?;
-            Ok(units)
-        }
-        Clamp::Rule(ClampRule::Bottom) if body.layout == LayoutKind::Planar => Ok(layout.bottom()),
-        Clamp::Rule(ClampRule::Hub) if body.layout == LayoutKind::Circular => Ok(layout.hub()),
-        Clamp::Rule(ClampRule::Bottom) => {
-            Err(invalid("body.clamp", "bottom", "must be \"hub\" or units where circular"))
-        }
-        Clamp::Rule(ClampRule::Hub) => {
-            Err(invalid("body.clamp", "hub", "must be \"bottom\" or units where planar"))
-        }
-    }
-}
-
-/// The units as they are, if each is one of the layout's, appears once and is not held.
-///
-/// # Errors
-/// Names the unit at fault.
-pub fn check_units(
-    key: &str,
-    units: &[usize],
-    layout: &Layout,
-    held: &[usize],
-) -> Result<Vec<usize>, Invalid> {
-    for (n, &unit) in units.iter().enumerate() {
-        require(
-            unit < layout.units(),
-            key,
-            unit,
-            &format!("the layout's units are 0 to {}", layout.units() - 1),
-        )?;
-        require(!units[..n].contains(&unit), key, unit, "must be named once")?;
-        require(!held.contains(&unit), key, unit, "is clamped and cannot move")?;
-    }
-    Ok(units.to_vec())
 }
 
 #[cfg(test)]

@@ -223,6 +223,15 @@ impl Body {
         self.rows.unwrap_or(self.columns())
     }
 
+    /// The polygons that it is made of, where these and no lattice are given.
+    #[must_use]
+    pub fn polygons(&self) -> Option<&Polygons> {
+        match &self.file {
+            Some(Own::Given(given)) => Some(given),
+            _ => None,
+        }
+    }
+
     /// `spacing` and `ligament_length`; a plan fills them in from a file.
     #[must_use]
     pub fn lengths(&self) -> [f64; 2] {

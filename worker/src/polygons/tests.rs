@@ -27,7 +27,7 @@ fn a_toml_of_polygons_is_a_layout() {
     }
     // sensors where the file says
     let given = Polygons { sensors: Some(vec![1]), ..given };
-    assert_eq!(super::layout(&given).unwrap().boundary, [true, false]);
+    assert_eq!(super::layout(&given).unwrap().carriers, [false, true]);
 }
 
 /// Every fault is told with where it is.

@@ -6,6 +6,7 @@ use metasense_numerics::trial::{CastReader, Casting, Over};
 use metasense_numerics::variation::Variation;
 use metasense_schemas::spec::{self, Scatter, TrialSpec};
 
+use super::body::lengths;
 use crate::invalid::{Invalid, at_least, at_most, invalid, require};
 
 /// Largest standard deviation of a logarithm: one cast in three hundred is then off by a factor of twenty.
@@ -40,7 +41,7 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
         Some(spec::Nodes::Each(scatter)) => ("variation.nodes", scatter, 0.0),
         Some(spec::Nodes::Alike(alike)) => ("variation.nodes.scatter", alike.scatter, alike.correlation),
     };
-    let [spacing, length] = trial.body.lengths();
+    let [spacing, length] = lengths(&trial.body)?;
     let most = NODES_MAX * length;
     let remedy =
         format!("must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: units would touch");
@@ -51,10 +52,8 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
         correlation,
         "must lie between 0 and 10000 mm",
     )?;
-    let units = match &trial.body.file {
-        Some(spec::Own::Given(given)) => given.units.len(),
-        _ => trial.body.columns() * trial.body.rows(),
-    };
+    let lattice = trial.body.columns() * trial.body.rows();
+    let units = trial.body.polygons().map_or(lattice, |given| given.units.len());
     let remedy = format!("the body has {units} units; nodes scatter alike on at most {ALIKE_MAX}");
     require(correlation == 0.0 || units <= ALIKE_MAX, "variation.nodes.correlation", correlation, &remedy)?;
     let [stretch, shear, bend] = [

@@ -4,6 +4,7 @@ use metasense_numerics::dynamics::Stiffness;
 use metasense_numerics::material::{Ligament, modulus_at_rest};
 use metasense_schemas::spec::{self, Material, Rubber};
 
+use super::body::lengths;
 use crate::invalid::{Invalid, invalid, not_negative, positive, require};
 
 /// The body with mass per area and stiffnesses in place of the material that gives them.
@@ -37,8 +38,7 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
     let density = found("body.material.density", density, heavy)?;
     positive("body.material.thickness", thickness)?;
     positive("body.material.ligament_width", ligament_width)?;
-    let [_, length] = body.lengths();
-    positive("body.ligament_length", length)?;
+    let [_, length] = lengths(body)?;
     let ligament = Ligament { modulus, thickness, width: ligament_width, length };
     let Stiffness { stretch, shear, bend } = ligament.stiffness();
     Ok(spec::Body {

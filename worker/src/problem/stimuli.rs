@@ -55,7 +55,7 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
 fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Invalid> {
     let (offset, angle) = (stimuli.offset.unwrap_or_default(), stimuli.angle.unwrap_or_default());
     // two deviations reach a corner
-    let [spacing, length] = trial.body.lengths();
+    let [spacing, length] = lengths(&trial.body)?;
     let most = 0.25 * (spacing - length);
     let remedy =
         format!("must lie between 0 and a quarter of a unit's diagonal, {most} mm: others miss the unit");

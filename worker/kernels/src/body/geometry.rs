@@ -58,12 +58,7 @@ impl Geometry {
         for u in 0..n {
             let r = &mut g.arms[layout.first[u]..layout.first[u + 1]];
             r.iter_mut().enumerate().for_each(|(p, r)| *r = layout.node(design, u, p));
-            let (mut doubled, mut first) = (0.0, [0.0; 2]);
-            for (p, s) in edges(r.len()) {
-                doubled += cross(r[p], r[s]);
-                add_scaled(&mut first, cross(r[p], r[s]), sum(r[p], r[s]));
-            }
-            let centroid = [first[0] / (3.0 * doubled), first[1] / (3.0 * doubled)];
+            let (doubled, centroid) = doubled_and_centroid(r);
             r.iter_mut().for_each(|r| *r = difference(*r, centroid));
             let polar = polar(r);
             g.centroids[u] = sum(layout.centres[u], centroid);
@@ -147,15 +142,29 @@ fn polar(r: &[[f64; 2]]) -> f64 {
     edges(r.len()).map(edge).fold(0.0, |sum, edge| sum + edge)
 }
 
-/// Area of a polygon, and 12 times its polar second moment of area about its centroid.
-pub fn moments(nodes: &[[f64; 2]]) -> (f64, f64) {
+/// Twice the area of a polygon, below 0 where it runs clockwise, and its centroid.
+fn doubled_and_centroid(nodes: &[[f64; 2]]) -> (f64, [f64; 2]) {
     let (mut doubled, mut first) = (0.0, [0.0; 2]);
     for (p, s) in edges(nodes.len()) {
         doubled += cross(nodes[p], nodes[s]);
         add_scaled(&mut first, cross(nodes[p], nodes[s]), sum(nodes[p], nodes[s]));
     }
-    let centroid = first.map(|x| x / (3.0 * doubled));
-    (0.5 * doubled, polar(nodes) - 6.0 * doubled * dot(centroid, centroid))
+    (doubled, first.map(|x| x / (3.0 * doubled)))
+}
+
+/// Moments of a polygon.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moments {
+    /// Its area, below 0 where it runs clockwise.
+    pub area: f64,
+    /// 12 times its polar second moment of area about its centroid.
+    pub polar: f64,
+}
+
+/// Moments of a polygon.
+pub fn moments(nodes: &[[f64; 2]]) -> Moments {
+    let (doubled, centroid) = doubled_and_centroid(nodes);
+    Moments { area: 0.5 * doubled, polar: polar(nodes) - 6.0 * doubled * dot(centroid, centroid) }
 }
 
 /// For each void angle of each ligament the edges it opens from and to, as the numbers of (node, other node).

@@ -4,6 +4,7 @@
 //! the unit's reference point, h = (spacing − ligament length)/2. Each node group has a 2-vector of the design α, and the ends of
 //! a ligament are in one group. Lattices repeat a [`Pattern`]; a square's node p lies at h·(cos pπ/2, sin pπ/2).
 
+use super::geometry::moments;
 use super::pattern::Pattern;
 use crate::random::{Purpose, Stream};
 use std::collections::BTreeMap;
@@ -60,6 +61,22 @@ pub struct Layout {
     turning: Vec<[f64; 2]>,
     /// Whether a node of a unit holds no ligament.
     pub boundary: Vec<bool>,
+    /// Whether a unit may carry a sensor: those inside, or what a file says.
+    pub carriers: Vec<bool>,
+}
+
+/// The units of a layout: reference points, cells, nodes relative to them.
+struct Units {
+    centres: Vec<[f64; 2]>,
+    grid: Vec<[i32; 2]>,
+    shape: Vec<Vec<[f64; 2]>>,
+}
+
+/// The node groups of a layout: of each node, and each one's cell and turning.
+struct Groups {
+    of_nodes: Vec<Vec<usize>>,
+    cells: Vec<GroupCell>,
+    turning: Vec<[f64; 2]>,
 }
 
 impl Layout {
@@ -138,18 +155,13 @@ impl Layout {
         let place = |&([i, j], member): &([i32; 2], usize)| {
             [0, 1].map(|d| origin[d] + pattern.centre([i, j], member)[d] * spacing)
         };
-        Self {
-            turning,
-            group_cells,
-            ..Self::assembled(
-                units.iter().map(place).collect(),
-                units.iter().map(|unit| unit.0).collect(),
-                units.iter().map(|&(_, member)| pattern.units[member].nodes.clone()).collect(),
-                [spacing, ligament_length],
-                &ligaments,
-                groups,
-            )
-        }
+        let places = Units {
+            centres: units.iter().map(place).collect(),
+            grid: units.iter().map(|unit| unit.0).collect(),
+            shape: units.iter().map(|&(_, member)| pattern.units[member].nodes.clone()).collect(),
+        };
+        let groups = Groups { of_nodes: groups, cells: group_cells, turning };
+        Self::assembled(places, [spacing, ligament_length], &ligaments, groups)
     }
 
     /// A body of any polygons, each by its nodes (mm) counter-clockwise, joined by ligaments; `together` are further nodes that shift
@@ -196,27 +208,24 @@ impl Layout {
             };
             groups.push((0..points.len()).map(of).collect());
         }
-        Self {
+        let places = Units {
+            grid: vec![[0; 2]; polygons.len()],
+            shape: polygons.iter().zip(&centres).map(relative).collect(),
+            centres,
+        };
+        let groups = Groups {
+            of_nodes: groups,
+            cells: (0..number.len()).map(|group| (group, [0; 2])).collect(),
             turning: vec![[0.0; 2]; number.len()],
-            group_cells: (0..number.len()).map(|group| (group, [0; 2])).collect(),
-            ..Self::assembled(
-                centres.clone(),
-                vec![[0; 2]; polygons.len()],
-                polygons.iter().zip(&centres).map(relative).collect(),
-                [spacing, ligament_length],
-                ligaments,
-                groups,
-            )
-        }
+        };
+        Self::assembled(places, [spacing, ligament_length], ligaments, groups)
     }
 
     fn assembled(
-        centres: Vec<[f64; 2]>,
-        grid: Vec<[i32; 2]>,
-        shape: Vec<Vec<[f64; 2]>>,
+        Units { centres, grid, shape }: Units,
         [spacing, ligament_length]: [f64; 2],
         ligaments: &[[End; 2]],
-        groups: Vec<Vec<usize>>,
+        groups: Groups,
     ) -> Self {
         let mut boundary = vec![false; centres.len()];
         let joined: std::collections::BTreeSet<End> = ligaments.iter().flatten().copied().collect();
@@ -234,10 +243,11 @@ impl Layout {
             ligament_length,
             spacing,
             ligaments: ligaments.iter().map(|&[a, b]| Ligament { a, b, reference: [0.0; 2] }).collect(),
-            group_count: groups.iter().flatten().max().map_or(0, |most| most + 1),
-            groups,
-            group_cells: Vec::new(),
-            turning: Vec::new(),
+            group_count: groups.cells.len(),
+            groups: groups.of_nodes,
+            group_cells: groups.cells,
+            turning: groups.turning,
+            carriers: boundary.iter().map(|edge| !edge).collect(),
             boundary,
         };
         layout.refer();
@@ -331,8 +341,8 @@ impl Layout {
     pub fn mean_unit(&self) -> (f64, f64) {
         let (mut area, mut polar) = (0.0, 0.0);
         for nodes in &self.shape {
-            let (own, turn) = super::geometry::moments(nodes);
-            (area, polar) = (area + own, polar + turn);
+            let own = moments(nodes);
+            (area, polar) = (area + own.area, polar + own.polar);
         }
         let count = self.units() as f64;
         let area = area / count;
@@ -413,7 +423,7 @@ impl Layout {
     /// Placement `p`: an order of the interior free units, of which a body with M sensors takes the first M.
     pub fn placement(&self, p: u64, clamped: &[usize]) -> Vec<usize> {
         let interior: Vec<usize> =
-            (0..self.units()).filter(|u| !self.boundary[*u] && !clamped.contains(u)).collect();
+            (0..self.units()).filter(|u| self.carriers[*u] && !clamped.contains(u)).collect();
         let mut stream = Stream::new(Purpose::Placement, 0, [p, self.units() as u64]);
         stream.permutation(interior.len()).into_iter().map(|i| interior[i]).collect()
     }

@@ -8,7 +8,6 @@ mod layout;
 mod pattern;
 
 pub use freedom::Freedom;
-pub(crate) use geometry::edges;
-pub use geometry::{Geometry, void_angles_vjp};
+pub use geometry::{Geometry, edges, moments, void_angles_vjp};
 pub use layout::{End, GroupCell, Layout, Ligament};
 pub use pattern::Pattern;

@@ -6,7 +6,7 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "a NaN must break a limit, not pass it")]
 
 use super::Limits;
-use crate::body::Layout;
+use crate::body::{Layout, edges};
 use std::borrow::Cow;
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -268,9 +268,8 @@ impl<'a> Piece<'a> {
     }
 
     fn edges(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
-        let count = self.corners.len();
-        let edges = if self.node.is_none() { count } else { 1 };
-        (0..edges).map(move |p| (self.corners[p], self.corners[(p + 1) % count]))
+        let count = if self.node.is_none() { self.corners.len() } else { 1 };
+        edges(self.corners.len()).take(count).map(|(p, s)| (self.corners[p], self.corners[s]))
     }
 
     /// Winding of the corners about a point is not zero.

@@ -5,7 +5,7 @@
 //! point is exact; overlapping ones by the edge normal along which they overlap least.
 
 use super::Limits;
-use crate::body::{End, Layout};
+use crate::body::{End, Layout, edges};
 use std::f64::consts::{PI, TAU};
 
 type Point = [f64; 2];
@@ -93,8 +93,8 @@ impl Piece {
 
     /// From node to node; a ligament has one.
     fn edges(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
-        let count = self.nodes.len();
-        (0..if self.is_unit() { count } else { 1 }).map(move |p| (self.nodes[p], self.nodes[(p + 1) % count]))
+        let count = if self.is_unit() { self.nodes.len() } else { 1 };
+        edges(self.nodes.len()).take(count).map(|(p, s)| (self.nodes[p], self.nodes[s]))
     }
 }
 

@@ -1,0 +1,269 @@
+//! A body from its spec: units and ligaments, what holds it, where it is struck, and the design that it starts from.
+
+use metasense_numerics::body::{Layout, Pattern};
+use metasense_numerics::feasible::{Feasible, Limits};
+use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind};
+
+use crate::invalid::{Invalid, at_least, at_most, invalid, positive, require};
+use crate::polygons;
+
+/// The layout of a body.
+///
+/// # Errors
+/// Where no layout has these sizes.
+pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
+    if let Some(spec::Own::File(file)) = &body.file {
+        let remedy = "a trial holds the polygons themselves, not their file";
+        return Err(invalid("body.file", file.display(), remedy));
+    }
+    if let Some(given) = body.polygons() {
+        return polygons::layout(given);
+    }
+    let columns = given("body.columns", body.columns)?;
+    at_least("body.columns", columns, 2)?;
+    at_most("body.columns", columns, 1000)?;
+    at_most("body.rows", body.rows(), 10_000 / columns)?;
+    let [spacing, ligament_length] = lengths(body)?;
+    require(
+        ligament_length < spacing,
+        "body.ligament_length",
+        ligament_length,
+        "must be less than body.spacing",
+    )?;
+    require(
+        body.initial_angle.abs() < 45.0,
+        "body.initial_angle",
+        body.initial_angle,
+        "must lie between -45 and 45 degrees",
+    )?;
+    match body.layout {
+        LayoutKind::Planar => {
+            let rows = body.rows.ok_or_else(|| invalid("body.rows", "", "must be given where planar"))?;
+            require(
+                rows >= 2,
+                "body.rows",
+                rows,
+                "must be at least 2: the bottom row is clamped, the top row struck",
+            )?;
+            let angle = body.initial_angle.to_radians();
+            let pattern = match body.lattice {
+                spec::Lattice::Square => Pattern::square(),
+                spec::Lattice::Kagome => Pattern::kagome(),
+                spec::Lattice::Triangular => Pattern::triangular(angle),
+                spec::Lattice::Chiral => Pattern::chiral(angle),
+            };
+            Ok(Layout::sheet(&pattern, columns, rows, spacing, ligament_length))
+        }
+        LayoutKind::Circular => {
+            let rows = body.rows();
+            require(
+                body.lattice.is_square(),
+                "body.lattice",
+                format!("{:?}", body.lattice).to_lowercase(),
+                "is a planar body's; a circular one is of squares",
+            )?;
+            require(
+                rows == columns,
+                "body.rows",
+                rows,
+                "must equal body.columns, or be left out, where circular",
+            )?;
+            at_least("body.columns", columns, 4)?;
+            Ok(Layout::circular(columns, spacing, ligament_length))
+        }
+    }
+}
+
+/// A key that a body needs unless a file gives its units.
+fn given<T>(key: &str, value: Option<T>) -> Result<T, Invalid> {
+    value.ok_or_else(|| invalid(key, "", "must be given without body.file"))
+}
+
+/// `spacing` and `ligament_length` (mm), which a plan fills in from a file.
+///
+/// # Errors
+/// Where one is not given, or not above 0.
+pub(super) fn lengths(body: &spec::Body) -> Result<[f64; 2], Invalid> {
+    let length = |key: &str, length: Option<f64>| {
+        let length = given(key, length)?;
+        positive(key, length).map(|()| length)
+    };
+    Ok([length("body.spacing", body.spacing)?, length("body.ligament_length", body.ligament_length)?])
+}
+
+/// Panels are struck along −y where planar, inward where circular, along the direction of the rule that gave them or towards the
+/// centre; turned by `body.panel_angle`.
+pub fn directions(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<[f64; 2]> {
+    let ruled = layout.circular_panels(units.len()).unwrap_or_default();
+    let struck = |unit: &usize| body.polygons()?.panels.iter().find(|panel| panel.unit == *unit);
+    let mut directions: Vec<[f64; 2]> = match body.layout {
+        LayoutKind::Planar => units
+            .iter()
+            .map(|unit| struck(unit).map_or([0.0, -1.0], |panel| polygons::unit_vector(panel.direction)))
+            .collect(),
+        LayoutKind::Circular if ruled.iter().map(|panel| &panel.0).eq(units.iter()) => {
+            ruled.iter().map(|panel| panel.1).collect()
+        }
+        LayoutKind::Circular => units
+            .iter()
+            .map(|&unit| {
+                let [x, y] = layout.centres[unit];
+                let radius = x.hypot(y).max(f64::MIN_POSITIVE);
+                [-x / radius, -y / radius]
+            })
+            .collect(),
+    };
+    if let Some(angle) = body.panel_angle {
+        let (s, c) = angle.to_radians().sin_cos();
+        directions.iter_mut().for_each(|[x, y]| [*x, *y] = [c * *x - s * *y, s * *x + c * *y]);
+    }
+    directions
+}
+
+/// Which units are held, the default in place.
+pub fn clamp(body: &spec::Body) -> Clamp {
+    let own = body.polygons().and_then(|given| given.clamp.clone()).map(Clamp::Units);
+    body.clamp.clone().or(own).unwrap_or(Clamp::Rule(match body.layout {
+        LayoutKind::Planar => ClampRule::Bottom,
+        LayoutKind::Circular => ClampRule::Hub,
+    }))
+}
+
+/// The units of K panels: `body.panel_units`, or those of the layout's rule.
+///
+/// # Errors
+/// Where there are not K.
+pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<Vec<usize>, Invalid> {
+    let none = |remedy: String| invalid("sweep.panels", panels, remedy);
+    match (&body.panel_units, body.layout) {
+        (Some(units), _) if units.len() == panels => Ok(units.clone()),
+        (Some(units), _) => Err(none(format!("body.panel_units names {} units", units.len()))),
+        (None, LayoutKind::Planar) => {
+            if let Some(given) = body.polygons().filter(|given| !given.panels.is_empty()) {
+                let units = given.panels.iter().map(|panel| panel.unit).take(panels).collect::<Vec<_>>();
+                let remedy = format!("body.file names {} panels", given.panels.len());
+                return if units.len() == panels { Ok(units) } else { Err(none(remedy)) };
+            }
+            layout.top_panels(panels).ok_or_else(|| {
+                let top = layout.top().len();
+                none(format!("the top row of {top} units has no place for as many panels"))
+            })
+        }
+        (None, LayoutKind::Circular) => layout
+            .circular_panels(panels)
+            .map(|ruled| ruled.into_iter().map(|(unit, _)| unit).collect())
+            .ok_or_else(|| none("a circular body has 1, 2, 4 or 8 panels, at different units".into())),
+    }
+}
+
+/// The units that are held.
+///
+/// # Errors
+/// Where the layout has no such units, or none would be left.
+pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
+    match clamp(body) {
+        Clamp::Units(units) => {
+            let units = check_units("body.clamp", &units, layout, &[])?;
+            require(
+                units.len() < layout.units(),
+                "body.clamp",
+                format!("{units:?}"),
+                "must leave a unit free to move",
+            )?;
+            Ok(units)
+        }
+        Clamp::Rule(ClampRule::Bottom) if body.layout == LayoutKind::Planar => Ok(layout.bottom()),
+        Clamp::Rule(ClampRule::Hub) if body.layout == LayoutKind::Circular => Ok(layout.hub()),
+        Clamp::Rule(ClampRule::Bottom) => {
+            Err(invalid("body.clamp", "bottom", "must be \"hub\" or units where circular"))
+        }
+        Clamp::Rule(ClampRule::Hub) => {
+            Err(invalid("body.clamp", "hub", "must be \"bottom\" or units where planar"))
+        }
+    }
+}
+
+/// The units as they are, if each is one of the layout's, appears once and is not held.
+///
+/// # Errors
+/// Names the unit at fault.
+pub fn check_units(
+    key: &str,
+    units: &[usize],
+    layout: &Layout,
+    held: &[usize],
+) -> Result<Vec<usize>, Invalid> {
+    for (n, &unit) in units.iter().enumerate() {
+        require(
+            unit < layout.units(),
+            key,
+            unit,
+            &format!("the layout's units are 0 to {}", layout.units() - 1),
+        )?;
+        require(!units[..n].contains(&unit), key, unit, "must be named once")?;
+        require(!held.contains(&unit), key, unit, "is clamped and cannot move")?;
+    }
+    Ok(units.to_vec())
+}
+
+/// Limits that a design breaks, as many as are shown.
+const SHOWN: usize = 10;
+
+/// Refuses a starting design that cannot be cast, with the first of what it breaks.
+fn castable(body: &spec::Body, layout: &Layout, limits: Limits, initial: &[f64]) -> Result<(), Invalid> {
+    let broken = Feasible::new(layout, limits, &[]).violations(initial);
+    if broken.is_empty() {
+        return Ok(());
+    }
+    let mut list: String = broken.iter().take(SHOWN).map(|violation| format!("\n  {violation}")).collect();
+    if broken.len() > SHOWN {
+        list += &format!("\n  … and {} more", broken.len() - SHOWN);
+    }
+    Err(match body.design {
+        None if body.file.is_some() => {
+            invalid("body.file", "", format!("the body is not feasible; change it or [feasible]:{list}"))
+        }
+        None => {
+            let remedy = format!("the initial body is not feasible; change [body] or [feasible]:{list}");
+            invalid("body.initial_angle", body.initial_angle, remedy)
+        }
+        Some(_) => {
+            let remedy = format!("this design is not feasible; `metasense project` repairs it:{list}");
+            invalid("body.design", shown(body), remedy)
+        }
+    })
+}
+
+fn shown(body: &spec::Body) -> String {
+    match &body.design {
+        None => "absent".into(),
+        Some(Design::File(path)) => path.display().to_string(),
+        Some(Design::Random { random }) => format!("{{ random = {random} }}"),
+        Some(Design::Shifts { shifts }) => format!("{} shifts", shifts.len()),
+    }
+}
+
+/// The design that the body starts from; not judged.
+///
+/// # Errors
+/// Where its length is not the layout's, it is not finite or still a file, or no random design can be cast.
+pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Result<Vec<f64>, Invalid> {
+    let regular = layout.initial_design(body.initial_angle.to_radians());
+    let wrong = |remedy: String| invalid("body.design", shown(body), remedy);
+    match &body.design {
+        None => Ok(regular),
+        Some(Design::Random { random }) => Feasible::new(layout, limits, &[])
+            .random_design(&regular, *random)
+            .ok_or_else(|| wrong("no feasible design was found near the rotated squares".into())),
+        Some(Design::Shifts { shifts }) if shifts.len() == layout.design_len() => {
+            match shifts.iter().all(|x| x.is_finite()) {
+                true => Ok(shifts.clone()),
+                false => Err(wrong("must be finite numbers".into())),
+            }
+        }
+        Some(Design::Shifts { .. }) => {
+            Err(wrong(format!("α of this body has {} numbers", layout.design_len())))
+        }
+        Some(Design::File(_)) => Err(wrong("a trial holds the design itself, not its file".into())),
+    }
+}
