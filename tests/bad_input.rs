@@ -284,6 +284,11 @@ const EDITS: &[(&str, &str, &str)] = &[
         "s.toml:7: body.material.ligament_width = 0: must be a number above 0",
     ),
     (
+        "ligament_length = 2.25\ndensity = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }\n",
+        "material = { rubber = \"Dragon Skin 10\", thickness = 10, ligament_width = 2 }\n",
+        "body.ligament_length: must be given without body.file",
+    ),
+    (
         MATERIAL,
         "material = { modulus = 0.2, thickness = 10, ligament_width = 2 }\n",
         "body.material.density: must be given, or body.material.rubber in its place",
@@ -302,6 +307,21 @@ const EDITS: &[(&str, &str, &str)] = &[
         "s.toml:8: body.panel_angle = 200: must lie between -180 and 180 degrees",
     ),
     ("density = 1e-8", "density = 1e-8\npanel_units = [31]", "sweep.panels = 2: "),
+    (
+        "density = 1e-8",
+        "density = 1e-8\npanels = [{ unit = 31 }]",
+        "sweep.panels = 2: body.panels names 1 panels",
+    ),
+    (
+        "density = 1e-8",
+        "density = 1e-8\npanel_units = [31, 34]\npanels = [{ unit = 31 }]",
+        "body.panel_units = [31, 34]: cannot be given beside body.panels",
+    ),
+    (
+        "density = 1e-8",
+        "density = 1e-8\npanels = [{ unit = 31 }, { unit = 31, node = 7 }]",
+        "body.panels = panels[1]: there is no node 7 of unit 31",
+    ),
     ("density = 1e-8", "density = 1e-8\npanel_units = [31, 77]", "s.toml:8: body.panel_units = 77: "),
     ("stretch = 3.0", "stretch = -3.0", "s.toml:8: body.stiffness.stretch = -3: "),
     ("bend = 1.0", "bend = inf", "s.toml:8: body.stiffness.bend = inf: "),

@@ -91,6 +91,23 @@ fn a_body_from_a_file_is_what_it_holds() {
     bench.output(&["casts", "s.sqlite", &mine[..8], "--casts", "2", "--variation", "v.toml"]);
 }
 
+/// A force on a node and a couple on the same unit, which no other test has together: drawn, trained, reported, and told apart by
+/// six channels.
+#[test]
+fn forces_act_on_nodes_and_turn_units() {
+    let bench = Bench::new();
+    let panels = "[{ unit = 13, node = 0, direction = [-1, 0] }, { unit = 13, couple = 5 }]";
+    let spec = linear(&format!("{LATTICE}panels = {panels}\n")).replace("sensors = [1]", "sensors = [2]");
+    bench.file("s.toml", &spec.replace("samples = 8", "samples = 40"));
+    bench.output(&["draw", "s.toml", "--out", "a.svg"]);
+    let svg = std::fs::read_to_string(bench.path("a.svg")).unwrap();
+    assert_eq!((svg.matches("panel 0: unit 13").count(), svg.matches("panel 1: unit 13").count()), (1, 1));
+    bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
+    let sql = "SELECT holdout_error_initial < 50, holdout_error_optimised < 50 FROM v_trial";
+    assert_eq!(bench.output(&["query", "s.sqlite", sql, "--format", "csv"]).lines().nth(1), Some("1,1"));
+    bench.output(&["report", "s.sqlite", "--out", "report.html"]);
+}
+
 /// What a file cannot hold is refused with spec, line, file and place.
 #[test]
 fn a_body_that_cannot_be_is_refused_with_its_place() {
@@ -108,6 +125,7 @@ fn a_body_that_cannot_be_is_refused_with_its_place() {
         ("[16, 0], [28, 1]", "[9, 4], [28, 1]", "\n  units 0 and 1 overlap"),
         ("[27, 11], [17, 12]", "[17, 12], [27, 11]", "unit 1: its edges cross"),
         ("clamp = [0]", "clamp = [0, 3]", "clamp: 3: the units are 0 to 2"),
+        ("unit = 2,", "unit = 3,", "panels[0]: there is no unit 3: the units are 0 to 2"),
         ("clamp", "clamps", "bad.body.toml: TOML parse error at line 7"),
     ] {
         assert!(MINE.contains(from), "{from}");

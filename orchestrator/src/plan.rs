@@ -22,6 +22,7 @@ use metasense_schemas::spec::{
 };
 use metasense_worker::design::{self, DesignError, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
+use metasense_worker::replay::Panel;
 use metasense_worker::{polygons, records};
 
 use axes::Combination;
@@ -372,8 +373,8 @@ pub struct OneBody {
     pub initial: Vec<f64>,
     /// Clamped units.
     pub clamped: Vec<usize>,
-    /// Input panels of the sweep's first K, with the directions of their forces; none where there are no such panels.
-    pub panels: Vec<(usize, [f64; 2])>,
+    /// Input panels of the sweep's first K; none where there are no such panels.
+    pub panels: Vec<Panel>,
     /// Sensors of the sweep's first M in the first placement.
     pub sensors: Vec<usize>,
 }
@@ -415,7 +416,7 @@ impl OneBody {
             limits,
             initial,
             clamped,
-            panels: with_directions(&body, &units, &layout),
+            panels: problem::panels(&body, &units, &layout),
             sensors: placed,
             body,
             layout,
@@ -435,17 +436,12 @@ impl OneBody {
             limits,
             initial: problem::initial_design(&trial.body, &layout, limits)?,
             clamped,
-            panels: with_directions(&trial.body, &trial.panel_units, &layout),
+            panels: problem::panels(&trial.body, &trial.panel_units, &layout),
             sensors: trial.sensor_units.clone(),
             body: trial.body.clone(),
             layout,
         })
     }
-}
-
-/// Panels with the directions of their forces.
-fn with_directions(body: &Body, units: &[usize], layout: &Layout) -> Vec<(usize, [f64; 2])> {
-    units.iter().copied().zip(problem::directions(body, units, layout)).collect()
 }
 
 /// The layout that a spec asks for. Of a circular body trials alone carry rows, as many as columns.
@@ -464,6 +460,7 @@ fn layout(body: &Body) -> Result<Layout, Invalid> {
 fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], sensors: usize) -> TrialSpec {
     let mut body = spec.body.clone();
     body.panel_units = None;
+    body.panels.truncate(panels);
     body.panel_angle = body.panel_angle.filter(|angle| *angle != 0.0);
     body.rows = body.rows.or(body.columns);
     body.clamp = Some(problem::clamp(&body));

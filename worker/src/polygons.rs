@@ -123,21 +123,12 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         }
     }
     for (name, units) in [
-        ("panels", given.panels.iter().map(|panel| panel.unit).collect::<Vec<_>>()),
         ("clamp", given.clamp.clone().unwrap_or_default()),
         ("sensors", given.sensors.clone().unwrap_or_default()),
     ] {
         if let Some(unit) = units.iter().find(|unit| **unit >= count) {
             return wrong(format!("{name}: {unit}"), format!("the units are 0 to {}", count - 1));
         }
-    }
-    if let Some(panel) =
-        given.panels.iter().find(|panel| unit_vector(panel.direction).iter().any(|x| !x.is_finite()))
-    {
-        return wrong(
-            format!("panels: unit {}", panel.unit),
-            "its direction must be finite and not zero".into(),
-        );
     }
     if let Some(unit) = hangs(given) {
         let remedy = "hangs on nothing: no ligaments lead from it to unit 0";

@@ -7,10 +7,8 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::fits;
-use metasense_numerics::dynamics::{
-    Accuracy, Contact, Frame, Method, Panel, Parts, Scene, Solver, Stiffness,
-};
-use metasense_numerics::feasible::{Feasible, Limits};
+use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Parts, Scene, Solver, Stiffness};
+use metasense_numerics::feasible::Limits;
 use metasense_numerics::trial::{
     BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Schedule, Training,
 };
@@ -24,11 +22,11 @@ mod stimuli;
 
 pub use crate::invalid::Invalid;
 use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
-pub use body::{check_units, clamp, clamped, directions, initial_design, layout, panel_units};
+pub use body::{check_units, clamp, clamped, initial_design, layout, panel_units, panels};
 pub use metasense_numerics::brains::READINGS_MAX;
 pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
 
-use body::castable;
+use body::{castable, struck};
 use casts::{casting, casts, variation};
 use material::material;
 pub use material::sheet;
@@ -305,7 +303,7 @@ fn scene(
 ) -> Result<Scene, Invalid> {
     let body = &trial.body;
     let clamped = clamped(body, &layout)?;
-    let panels = check_units("body.panel_units", &trial.panel_units, &layout, &clamped)?;
+    let panels = struck(trial, &layout, &clamped)?;
     require(
         panels.len() == trial.point.panels && !panels.is_empty(),
         "sweep.panels",
@@ -323,7 +321,6 @@ fn scene(
     let turned = body.panel_angle.unwrap_or_default();
     let remedy = "must lie between -180 and 180 degrees";
     require((-180.0..=180.0).contains(&turned), "body.panel_angle", turned, remedy)?;
-    let directions = directions(body, &trial.panel_units, &layout);
     let angle = f64::to_radians;
     Ok(Scene {
         density,
@@ -338,11 +335,7 @@ fn scene(
         }),
         linearised: body.linearised,
         clamped,
-        panels: panels
-            .into_iter()
-            .zip(directions)
-            .map(|(unit, direction)| Panel { unit, direction })
-            .collect(),
+        panels,
         sensors,
         chip: inertia(&trial.sensors)?,
         mount: mount(&trial.sensors)?,

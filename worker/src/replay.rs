@@ -1,6 +1,7 @@
 //! A finished trial computed again from its stored design and weights: geometry, signals, predictions, motion.
 
 use metasense_numerics::brains::fits;
+pub use metasense_numerics::dynamics::Panel;
 use metasense_numerics::feasible::{Active, Feasible};
 use metasense_numerics::place::placed;
 use metasense_numerics::questions;
@@ -21,8 +22,8 @@ pub struct Drawing {
     pub ligaments: Vec<[[f64; 2]; 2]>,
     /// The two corners (unit, node) that each ligament joins.
     pub joints: Vec<[(usize, usize); 2]>,
-    /// Struck units, and the direction of the blow.
-    pub panels: Vec<(usize, [f64; 2])>,
+    /// Panels, and where their forces act (mm).
+    pub panels: Vec<(Panel, [f64; 2])>,
     /// Units that carry sensors.
     pub sensors: Vec<usize>,
     /// Units that are held.
@@ -45,14 +46,16 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
     let geometry = scene.geometry(design);
     let ligaments = scene.layout.ligaments.iter();
     let instants = 1..=scene.instants;
+    let struck =
+        |panel: &Panel| (*panel, panel.foot(geometry.centroids[panel.unit], &geometry.vertices[panel.unit]));
     Ok(Drawing {
+        panels: scene.panels.iter().map(struck).collect(),
         ligaments: ligaments
             .map(|l| [geometry.vertices[l.a.unit][l.a.node], geometry.vertices[l.b.unit][l.b.node]])
             .collect(),
         joints: scene.layout.ligaments.iter().map(|l| [(l.a.unit, l.a.node), (l.b.unit, l.b.node)]).collect(),
         units: geometry.vertices,
         centroids: geometry.centroids,
-        panels: scene.panels.iter().map(|p| (p.unit, p.direction)).collect(),
         sensors: scene.sensors.clone(),
         clamped: scene.clamped.clone(),
         // the initial body may be given beyond a limit: then it is not at it

@@ -318,7 +318,7 @@ impl Body {
 
     /// Force histories (N, K, R + 1) (N) of the trial: "train", "test" and "holdout" are its own samples, "fresh"
     /// the endless series that its body is trained on. They do not say where blows strike (`stimuli.offset`, `angle`):
-    /// `simulate` takes every force on its panel's centroid.
+    /// `simulate` takes every force as its panel says.
     #[pyo3(signature = (set, first=0, count=None))]
     fn stimuli<'py>(
         &self,

@@ -59,6 +59,7 @@ pub const COMPLEXITY: &[&str] = &[
     "body.spacing",
     "body.ligament_length",
     "body.panel_units",
+    "body.panels",
     "panel_units",
     "feasible.min_edge",
     "feasible.clearance",

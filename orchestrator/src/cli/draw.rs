@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use metasense_worker::design::{self, Feasible};
-use metasense_worker::replay::Drawing;
+use metasense_worker::replay::{Drawing, Panel};
 
 use super::named::Named;
 use super::{Error, write};
@@ -58,11 +58,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let finite = |corners: Vec<[f64; 2]>| corners.into_iter().map(|c| c.map(finite)).collect();
     let units: Vec<Vec<[f64; 2]>> = body.layout.vertices(&drawn).into_iter().map(finite).collect();
     let ligaments = body.layout.ligaments.iter();
+    let foot = |panel: &Panel| panel.foot(middle(&units[panel.unit]), &units[panel.unit]);
     let drawing = Drawing {
+        panels: body.panels.iter().map(|panel| (*panel, foot(panel))).collect(),
         centroids: units.iter().map(|corners| middle(corners)).collect(),
         ligaments: ligaments.map(|l| [units[l.a.unit][l.a.node], units[l.b.unit][l.b.node]]).collect(),
         joints: Vec::new(),
-        panels: body.panels,
         sensors: body.sensors,
         clamped: body.clamped,
         // a broken constraint is beyond its limit, not at it

@@ -30,8 +30,8 @@ pub fn dxf(drawing: &Drawing, width: f64, radius: f64) -> String {
             [[a[0] - nx, a[1] - ny], [b[0] - nx, b[1] - ny], [b[0] + nx, b[1] + ny], [a[0] + nx, a[1] + ny]];
         polyline(&mut text, "ligaments", &corners);
     }
-    for (unit, _) in &drawing.panels {
-        polyline(&mut text, "panels", &drawing.units[*unit]);
+    for (panel, _) in &drawing.panels {
+        polyline(&mut text, "panels", &drawing.units[panel.unit]);
     }
     for unit in &drawing.sensors {
         let [x, y] = drawing.centroids[*unit];

@@ -1,6 +1,6 @@
 //! A body that exports are tried on.
 
-use metasense_worker::replay::Drawing;
+use metasense_worker::replay::{Drawing, Panel};
 
 /// 3 × 3 rotated squares of 20°, pitch 15 mm, ligaments 2.25 mm long.
 pub fn squares() -> Drawing {
@@ -44,7 +44,7 @@ pub fn squares_moved(shift: impl Fn(usize, usize) -> [f64; 2]) -> Drawing {
         ligaments,
         joints,
         centroids,
-        panels: vec![(7, [0.0, -1.0])],
+        panels: vec![(Panel::central(7, [0.0, -1.0]), [0.0; 2])],
         sensors: vec![4],
         clamped: vec![0, 1, 2],
         active: vec![],

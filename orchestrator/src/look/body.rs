@@ -1,6 +1,7 @@
 //! A body: units, ligaments, what is at its limit or broken, panels with the direction of the blow, sensors.
 
 use maud::{Markup, html};
+use metasense_worker::replay::Panel;
 
 use super::picture::{Legend, Picture, file};
 
@@ -21,8 +22,8 @@ pub struct Sketch {
     pub ligaments: Vec<[Point; 2]>,
     /// The two corners (unit, node) that each ligament joins.
     pub joints: Vec<[(usize, usize); 2]>,
-    /// Struck units, and the direction of the blow.
-    pub panels: Vec<(usize, Point)>,
+    /// Panels, and where their forces act.
+    pub panels: Vec<(Panel, Point)>,
     /// Units that carry sensors.
     pub sensors: Vec<usize>,
     /// Units that are held.
@@ -73,13 +74,16 @@ pub struct Unit {
     pub style: Option<String>,
 }
 
+/// How far towards its unit's middle a node's number stands.
+const INWARD: f64 = 0.25;
+
 impl Sketch {
     /// The body, its units as usual.
     pub fn picture(&self, view: Frame, title: &str) -> Picture {
         self.drawn(view, title, false, |_| Unit::default())
     }
 
-    /// The body. `numbers`: units and sensors are numbered.
+    /// The body. `numbers`: units, their nodes and sensors are numbered.
     pub fn drawn(&self, view: Frame, title: &str, numbers: bool, unit: impl Fn(usize) -> Unit) -> Picture {
         let class = |u: usize| {
             let clamped = if self.clamped.contains(&u) { " clamped" } else { "" };
@@ -100,6 +104,13 @@ impl Sketch {
                 @for (u, corners) in self.units.iter().enumerate().filter(|(u, _)| !self.sensors.contains(u)) {
                     @let [x, y] = middle(corners);
                     text class="index" x=(format!("{x:.2}")) y=(format!("{:.2}", 0.7 - y)) { (u) }
+                }
+                @for corners in &self.units {
+                    @let [x, y] = middle(corners);
+                    @for (p, q) in corners.iter().enumerate() {
+                        @let [at_x, at_y] = [q[0] + INWARD * (x - q[0]), q[1] + INWARD * (y - q[1])];
+                        text class="index node" x=(format!("{at_x:.2}")) y=(format!("{:.2}", 0.4 - at_y)) { (p) }
+                    }
                 }
             }
             (panels_and_sensors(self, numbers))
@@ -130,10 +141,13 @@ impl Sketch {
 /// Arrows at the panels and dots at the sensors.
 fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
     let pitch = sketch.spacing;
-    let arrow = |&(unit, [dx, dy]): &(usize, Point)| {
-        // it ends at the unit's middle, or before it where a number stands there, and begins outside
-        let ([x, y], dy) = (sketch.centroids[unit], -dy);
-        let before = if numbers { 0.5 } else { 0.0 };
+    let arrow = |(panel, [x, y]): &(Panel, Point)| {
+        // it ends where the force acts, or before it where a number stands there, and begins outside
+        let [dx, dy] = [panel.direction[0], -panel.direction[1]];
+        let before = if numbers && [*x, *y] == sketch.centroids[panel.unit] { 0.5 } else { 0.0 };
+        if panel.is_couple() {
+            return turning(panel.moment.signum(), [*x, -*y], pitch);
+        }
         let at = |along: f64, aside: f64| {
             let along = along - before;
             [x + pitch * (along * dx - aside * dy), -y + pitch * (along * dy + aside * dx)]
@@ -145,7 +159,7 @@ fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
     html! {
         @for (k, panel) in sketch.panels.iter().enumerate() {
             @let (shaft, tip) = arrow(panel);
-            g class="panel" { title { "panel " (k) ": unit " (panel.0) } path d=(shaft) {} polygon points=(tip) {} }
+            g class="panel" { title { "panel " (k) ": unit " (panel.0.unit) } path d=(shaft) {} polygon points=(tip) {} }
         }
         @for (m, &unit) in sketch.sensors.iter().enumerate() {
             @let [x, y] = sketch.centroids[unit];
@@ -157,6 +171,19 @@ fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
             }
         }
     }
+}
+
+/// Three quarters of a circle around a point of the page, and its tip: anticlockwise where `sense` is 1.
+fn turning(sense: f64, [x, y]: Point, pitch: f64) -> (String, String) {
+    let r = 0.36 * pitch;
+    let at = |along: f64, aside: f64| format!("{:.2},{:.2}", x + sense * aside * pitch, y + along * pitch);
+    let shaft = format!(
+        "M{:.2} {y:.2}A{r:.2} {r:.2} 0 1 {} {x:.2} {:.2}",
+        x - sense * r,
+        if sense > 0.0 { 0 } else { 1 },
+        y - r
+    );
+    (shaft, [at(-0.5, 0.05), at(-0.22, 0.05), at(-0.36, -0.25)].join(" "))
 }
 
 /// A mark of a class for lines, or one for dots.

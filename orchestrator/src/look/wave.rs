@@ -114,7 +114,7 @@ pub fn course(designs: &[(u32, Sketch)], steps: usize) -> Markup {
     let joints = first.joints.iter().flatten().map(|&(unit, node)| (corner(unit) + node).to_string());
     let point = |[x, y]: [f64; 2]| format!("{x:.3},{:.3}", -y);
     let marks = |sketch: &Sketch| -> Vec<Point> {
-        let units = sketch.panels.iter().map(|panel| &panel.0).chain(&sketch.sensors);
+        let units = sketch.panels.iter().map(|(panel, _)| &panel.unit).chain(&sketch.sensors);
         units.map(|unit| sketch.centroids[*unit]).collect()
     };
     let line = |(step, sketch): &(u32, Sketch)| {

@@ -66,7 +66,7 @@ pub struct Polygons {
     /// Units that are held where `body.clamp` is left out. Default: the lowest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Vec<usize>>,
-    /// Units that are struck, of K panels the first K, where `body.panel_units` is left out. Default: the topmost.
+    /// Where forces act, of K panels the first K, where `body.panels` and `body.panel_units` are left out. Default: the topmost units.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<Struck>,
     /// Units that may carry sensors. Default: those of which every node holds a ligament.
@@ -74,22 +74,25 @@ pub struct Polygons {
     pub sensors: Option<Vec<usize>>,
 }
 
-/// A unit that is struck.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+/// A unit that is struck, and how.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Struck {
     /// The unit.
     pub unit: usize,
-    /// Where its force points. Default: down.
-    #[serde(default = "down", skip_serializing_if = "is_down")]
-    pub direction: [f64; 2],
-}
-
-fn down() -> [f64; 2] {
-    [0.0, -1.0]
-}
-fn is_down(direction: &[f64; 2]) -> bool {
-    *direction == down()
+    /// Where its force points. Default: down, on a circular body inward.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub direction: Option<[f64; 2]>,
+    /// The unit's node that the force acts on, wherever the design moves it. Default: the unit's centroid.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub node: Option<usize>,
+    /// Where the force acts, from that point. Unit: mm. Default: `[0, 0]`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at: Option<[f64; 2]>,
+    /// In place of one force two opposite ones, so far apart: they turn the unit, anticlockwise where this is above 0. Unit: mm.
+    /// Default: no couple.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub couple: Option<f64>,
 }
 
 /// Which units are held.
@@ -149,9 +152,13 @@ pub struct Body {
     /// Whether ligaments have linear strain measures; displacements of nodes stay exact.
     #[serde(default)]
     pub linearised: bool,
-    /// Units that are struck. Default: by the rule in MODEL.md.
+    /// Units that are struck, on their centroids. Default: by the rule in MODEL.md.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_units: Option<Vec<usize>>,
+    /// Where and how forces act, of K panels the first K, in place of `panel_units`: `[{ unit = 34, node = 1 }, { unit = 34, couple = 5 }]`.
+    /// Default: `panel_units`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub panels: Vec<Struck>,
     /// Angle by which the forces on all panels are turned, anticlockwise, from down on a planar body and from inward on a circular
     /// one. Unit: degrees. Default: 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]

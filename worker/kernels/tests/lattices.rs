@@ -44,7 +44,7 @@ fn struck(layout: Layout) -> (Scene, Forces) {
     let (clamped, last) = (layout.bottom(), layout.units() - 1);
     let free = (0..last).find(|u| !clamped.contains(u)).expect("a unit that moves");
     let base = scene(3, 3, 20);
-    let panels = vec![Panel { unit: last, direction: [0.6, -0.8] }];
+    let panels = vec![Panel { node: Some(1), moment: 0.5, ..Panel::central(last, [0.6, -0.8]) }];
     let scene = Scene { clamped, panels, sensors: vec![free, last], frame: Frame::Body, layout, ..base };
     let values = (0..3 * 21).map(|i| 0.3 * (0.15 * f64::from(i % 21)).sin().powi(2)).collect();
     (scene, Forces { samples: 3, panels: 1, instants: 20, values, strikes: Vec::new() })

@@ -40,7 +40,7 @@ fn losses_are_those_of_a_maxwell_branch() {
             let (omega, share, cycles, points) = (TAU * 150.0, 0.3, 60, 512);
             let base = Scene {
                 // struck along its one ligament, of no shifts
-                panels: vec![Panel { unit: 1, direction: [0.0, 1.0] }],
+                panels: vec![Panel::central(1, [0.0, 1.0])],
                 damping_ratio: 0.4,
                 linearised,
                 duration: cycles as f64 * TAU / omega,

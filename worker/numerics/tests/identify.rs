@@ -25,7 +25,7 @@ fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
         contact: None,
         linearised: false,
         clamped: layout.bottom(),
-        panels: struck.into_iter().map(|unit| Panel { unit, direction: [0.0, -1.0] }).collect(),
+        panels: struck.into_iter().map(|unit| Panel::central(unit, [0.0, -1.0])).collect(),
         sensors: vec![columns * (rows - 1)],
         chip: None,
         mount: None,

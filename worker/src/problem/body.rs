@@ -1,8 +1,9 @@
 //! A body from its spec: units and ligaments, what holds it, where it is struck, and the design that it starts from.
 
 use metasense_numerics::body::{Layout, Pattern};
+use metasense_numerics::dynamics::Panel;
 use metasense_numerics::feasible::{Feasible, Limits};
-use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind};
+use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Struck, TrialSpec};
 
 use crate::invalid::{Invalid, at_least, at_most, invalid, positive, require};
 use crate::polygons;
@@ -91,33 +92,102 @@ pub(super) fn lengths(body: &spec::Body) -> Result<[f64; 2], Invalid> {
     Ok([length("body.spacing", body.spacing)?, length("body.ligament_length", body.ligament_length)?])
 }
 
-/// Panels are struck along −y where planar, inward where circular, along the direction of the rule that gave them or towards the
-/// centre; turned by `body.panel_angle`.
-pub fn directions(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<[f64; 2]> {
+/// The panels at these units, as `panel_units` gives them: forces along −y where planar, inward where circular, along the direction
+/// of the rule that gave them or towards the centre; or as `body.panels` or the body's file says. Turned by `body.panel_angle`.
+pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel> {
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
-    let struck = |unit: &usize| body.polygons()?.panels.iter().find(|panel| panel.unit == *unit);
-    let mut directions: Vec<[f64; 2]> = match body.layout {
-        LayoutKind::Planar => units
-            .iter()
-            .map(|unit| struck(unit).map_or([0.0, -1.0], |panel| polygons::unit_vector(panel.direction)))
-            .collect(),
-        LayoutKind::Circular if ruled.iter().map(|panel| &panel.0).eq(units.iter()) => {
-            ruled.iter().map(|panel| panel.1).collect()
+    let by_rule = ruled.iter().map(|panel| &panel.0).eq(units.iter());
+    let (sin, cos) = body.panel_angle.unwrap_or_default().to_radians().sin_cos();
+    let (_, listed) = listed(body);
+    let in_turn = listed.iter().map(|struck| &struck.unit).take(units.len()).eq(units.iter());
+    let panel = |(k, &unit): (usize, &usize)| {
+        let struck = match in_turn {
+            true => Some(&listed[k]),
+            false => listed.iter().find(|struck| struck.unit == unit),
+        };
+        let Struck { direction, node, at, couple, .. } = struck.cloned().unwrap_or_default();
+        if let Some(moment) = couple {
+            return Panel { moment, ..Panel::central(unit, [0.0; 2]) };
         }
-        LayoutKind::Circular => units
-            .iter()
-            .map(|&unit| {
+        let [x, y] = match body.layout {
+            _ if direction.is_some() => polygons::unit_vector(direction.unwrap_or_default()),
+            LayoutKind::Planar => [0.0, -1.0],
+            LayoutKind::Circular if by_rule => ruled[k].1,
+            LayoutKind::Circular => {
                 let [x, y] = layout.centres[unit];
                 let radius = x.hypot(y).max(f64::MIN_POSITIVE);
                 [-x / radius, -y / radius]
-            })
-            .collect(),
+            }
+        };
+        let direction = match body.panel_angle {
+            Some(_) => [cos * x - sin * y, sin * x + cos * y],
+            None => [x, y],
+        };
+        let [p, q] = at.unwrap_or_default();
+        Panel { unit, direction, node, moment: p * direction[1] - q * direction[0] + 0.0 }
     };
-    if let Some(angle) = body.panel_angle {
-        let (s, c) = angle.to_radians().sin_cos();
-        directions.iter_mut().for_each(|[x, y]| [*x, *y] = [c * *x - s * *y, s * *x + c * *y]);
+    units.iter().enumerate().map(panel).collect()
+}
+
+/// Where forces act, by `body.panels` or, where this is empty, by the body's file; and the key that says so.
+fn listed(body: &spec::Body) -> (&'static str, &[Struck]) {
+    match body.polygons() {
+        Some(given) if body.panels.is_empty() => ("body.file", &given.panels),
+        _ => ("body.panels", &body.panels),
     }
-    directions
+}
+
+/// Refuses a list of panels that name what the layout has not, or that nothing tells apart.
+fn check_listed(body: &spec::Body, layout: &Layout) -> Result<(), Invalid> {
+    let (key, list) = listed(body);
+    for (k, struck) in list.iter().enumerate() {
+        let Struck { unit, direction, node, at, couple } = struck;
+        let wrong = |remedy: String| Err(invalid(key, format!("panels[{k}]"), remedy));
+        if *unit >= layout.units() {
+            return wrong(format!("there is no unit {unit}: the units are 0 to {}", layout.units() - 1));
+        }
+        let nodes = layout.shape[*unit].len();
+        if let Some(node) = node.filter(|node| *node >= nodes) {
+            return wrong(format!(
+                "there is no node {node} of unit {unit}, which has {nodes}, counted from 0"
+            ));
+        }
+        if direction.is_some_and(|way| polygons::unit_vector(way).iter().any(|x| !x.is_finite())) {
+            return wrong("its direction must be finite and not zero".into());
+        }
+        if at.is_some_and(|at| at.iter().any(|x| !x.is_finite())) {
+            return wrong("its at must be two finite numbers".into());
+        }
+        if couple.is_some_and(|arm| arm == 0.0 || !arm.is_finite()) {
+            return wrong("its couple must be finite and not zero".into());
+        }
+        if couple.is_some() && (direction.is_some() || node.is_some() || at.is_some()) {
+            return wrong(
+                "a couple turns its unit wherever it acts: no direction, node or at beside it".into(),
+            );
+        }
+        if let Some(other) = list[..k].iter().position(|other| other == struck) {
+            return wrong(format!("is panels[{other}] once more: nothing could tell their forces apart"));
+        }
+    }
+    Ok(())
+}
+
+/// The panels of a trial.
+///
+/// # Errors
+/// Where one is at no unit, at one that is held, or at the same as another without saying how.
+pub(super) fn struck(trial: &TrialSpec, layout: &Layout, held: &[usize]) -> Result<Vec<Panel>, Invalid> {
+    let TrialSpec { body, panel_units: units, .. } = trial;
+    check_listed(body, layout)?;
+    let (key, list) = listed(body);
+    let told = list.iter().map(|struck| &struck.unit).take(units.len()).eq(units.iter());
+    for (k, unit) in units.iter().enumerate() {
+        let others = if told { &[][..] } else { &units[..k] };
+        let key = if told { key } else { "body.panel_units" };
+        check_units(key, &[others, &[*unit]].concat(), layout, held)?;
+    }
+    Ok(panels(body, units, layout))
 }
 
 /// Which units are held, the default in place.
@@ -129,27 +199,31 @@ pub fn clamp(body: &spec::Body) -> Clamp {
     }))
 }
 
-/// The units of K panels: `body.panel_units`, or those of the layout's rule.
+/// The units of K panels: of `body.panels`, `body.panel_units`, the body's file, or the layout's rule.
 ///
 /// # Errors
-/// Where there are not K.
+/// Where there are not K, or they are none of the layout's.
 pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<Vec<usize>, Invalid> {
     let none = |remedy: String| invalid("sweep.panels", panels, remedy);
-    match (&body.panel_units, body.layout) {
-        (Some(units), _) if units.len() == panels => Ok(units.clone()),
-        (Some(units), _) => Err(none(format!("body.panel_units names {} units", units.len()))),
-        (None, LayoutKind::Planar) => {
-            if let Some(given) = body.polygons().filter(|given| !given.panels.is_empty()) {
-                let units = given.panels.iter().map(|panel| panel.unit).take(panels).collect::<Vec<_>>();
-                let remedy = format!("body.file names {} panels", given.panels.len());
-                return if units.len() == panels { Ok(units) } else { Err(none(remedy)) };
-            }
-            layout.top_panels(panels).ok_or_else(|| {
-                let top = layout.top().len();
-                none(format!("the top row of {top} units has no place for as many panels"))
-            })
-        }
-        (None, LayoutKind::Circular) => layout
+    if let Some(units) = &body.panel_units {
+        let remedy = "cannot be given beside body.panels";
+        require(body.panels.is_empty(), "body.panel_units", format!("{units:?}"), remedy)?;
+        let remedy = format!("body.panel_units names {} units", units.len());
+        return if units.len() == panels { Ok(units.clone()) } else { Err(none(remedy)) };
+    }
+    check_listed(body, layout)?;
+    let (key, list) = listed(body);
+    if !list.is_empty() {
+        let units: Vec<usize> = list.iter().map(|struck| struck.unit).take(panels).collect();
+        let remedy = format!("{key} names {} panels", list.len());
+        return if units.len() == panels { Ok(units) } else { Err(none(remedy)) };
+    }
+    match body.layout {
+        LayoutKind::Planar => layout.top_panels(panels).ok_or_else(|| {
+            let top = layout.top().len();
+            none(format!("the top row of {top} units has no place for as many panels"))
+        }),
+        LayoutKind::Circular => layout
             .circular_panels(panels)
             .map(|ruled| ruled.into_iter().map(|(unit, _)| unit).collect())
             .ok_or_else(|| none("a circular body has 1, 2, 4 or 8 panels, at different units".into())),
@@ -210,7 +284,12 @@ pub fn check_units(
 const SHOWN: usize = 10;
 
 /// Refuses a starting design that cannot be cast, with the first of what it breaks.
-fn castable(body: &spec::Body, layout: &Layout, limits: Limits, initial: &[f64]) -> Result<(), Invalid> {
+pub(super) fn castable(
+    body: &spec::Body,
+    layout: &Layout,
+    limits: Limits,
+    initial: &[f64],
+) -> Result<(), Invalid> {
     let broken = Feasible::new(layout, limits, &[]).violations(initial);
     if broken.is_empty() {
         return Ok(());

@@ -7,6 +7,7 @@ use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
 use super::INSTANTS_MAX;
+use super::body::lengths;
 use crate::invalid::{Invalid, at_least, at_most, invalid, not_negative, require};
 use crate::records;
 

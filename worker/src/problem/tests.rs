@@ -1,6 +1,6 @@
 use super::*;
 use metasense_numerics::brain::Policy;
-use metasense_numerics::dynamics::Strike;
+use metasense_numerics::dynamics::{Panel, Strike};
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::{Protocol, Terms};
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
@@ -40,7 +40,7 @@ fn trial(changes: &[(&str, Value)]) -> TrialSpec {
 fn the_reference_scene_is_a_problem() {
     let problem = problem(&trial(&[])).unwrap();
     assert_eq!(problem.scene.clamped, [0, 1, 2, 3, 4, 5]);
-    assert_eq!(problem.scene.panels[1], Panel { unit: 34, direction: [0.0, -1.0] });
+    assert_eq!(problem.scene.panels[1], Panel::central(34, [0.0, -1.0]));
     assert_eq!(problem.initial.len(), 168);
     assert!((problem.limits.min_block_angle - 25f64.to_radians()).abs() < 1e-15);
 }
@@ -264,11 +264,41 @@ fn blows_miss_the_centroid_and_the_direction() {
         assert_eq!(problems[2].forces(purpose, 7, 1), both.select(&[7]));
         let blows = (0..400).filter(|&i| mixed.sample(i) != none.sample(i)).count();
         let struck = (0..400).filter(|&i| mixed.select(&[i]).strikes == both.select(&[i]).strikes).count();
-        let centred = |n: &usize| mixed.strikes[*n] == panels[n % panels.len()].central();
+        let centred = |n: &usize| mixed.strikes[*n] == panels[n % panels.len()].straight();
         assert_eq!((struck, (0..800).filter(centred).count()), (blows, 2 * (400 - blows)));
         misses.push(askew);
     }
     assert!(misses[0] != misses[1] && misses[1] != misses[2], "purposes share their draws");
+}
+
+/// A list of panels says of each where its force acts; several may act on one unit.
+#[test]
+fn forces_act_where_the_list_of_panels_says() {
+    let with = |list: Value, units: Value| {
+        problem(&trial(&[("body.panels", list), ("panel_units", units)])).map(|problem| problem.scene.panels)
+    };
+    let list = json!([
+        { "unit": 34, "node": 1, "direction": [3, -4], "at": [0.5, 0] },
+        { "unit": 34, "couple": -5 },
+    ]);
+    let node = Panel { unit: 34, direction: [0.6, -0.8], node: Some(1), moment: -0.4 };
+    let couple = Panel { moment: -5.0, ..Panel::central(34, [0.0; 2]) };
+    assert_eq!(with(list, json!([34, 34])).unwrap(), [node, couple]);
+    for (list, place, remedy) in [
+        (json!([{ "unit": 36 }]), "panels[0]", "units are 0 to 35"),
+        (json!([{ "unit": 34 }, { "unit": 34, "node": 4 }]), "panels[1]", "which has 4"),
+        (json!([{ "unit": 34, "direction": [0, 0] }]), "panels[0]", "not zero"),
+        (json!([{ "unit": 34, "couple": 0 }]), "panels[0]", "not zero"),
+        (json!([{ "unit": 34, "couple": 2, "node": 1 }]), "panels[0]", "beside it"),
+        (json!([{ "unit": 34 }, { "unit": 31 }, { "unit": 34 }]), "panels[2]", "panels[0] once more"),
+        (json!([{ "unit": 2 }, { "unit": 34 }]), "2", "is clamped"),
+    ] {
+        let units: Vec<Value> =
+            list.as_array().unwrap().iter().map(|struck| struck["unit"].clone()).collect();
+        let refused = with(list, json!(units)).unwrap_err();
+        assert_eq!((refused.key.as_str(), refused.value.as_str()), ("body.panels", place));
+        assert!(refused.remedy.contains(remedy), "{refused:?}");
+    }
 }
 
 /// From down by 90° anticlockwise is right; every panel of a circular body is turned by as much from inward.
@@ -281,10 +311,11 @@ fn panels_are_turned_by_their_angle() {
     let units: Vec<usize> = layout.circular_panels(4).unwrap().into_iter().map(|panel| panel.0).collect();
     let of = |angle: Value| {
         let body = trial(&[("body.layout", json!("circular")), ("body.panel_angle", angle)]).body;
-        directions(&body, &units, &layout)
+        panels(&body, &units, &layout)
     };
-    for ([x, y], turned) in of(Value::Null).into_iter().zip(of(json!(-90.0))) {
-        assert!(near(turned, [y, -x]), "{x} {y} {turned:?}");
+    for (straight, turned) in of(Value::Null).into_iter().zip(of(json!(-90.0))) {
+        let [x, y] = straight.direction;
+        assert!(near(turned.direction, [y, -x]), "{x} {y} {turned:?}");
     }
 }
 

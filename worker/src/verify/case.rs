@@ -185,7 +185,7 @@ impl Case {
             contact,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
-            panels: units("panels")?.into_iter().map(|unit| Panel { unit, direction }).collect(),
+            panels: units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect(),
             sensors: units("sensors")?,
             chip: None,
             mount: None,

@@ -22,7 +22,7 @@ pub fn reference() -> Scene {
         contact: None,
         linearised: false,
         clamped: layout.bottom(),
-        panels: [31, 34].map(|unit| Panel { unit, direction: [0.0, -1.0] }).to_vec(),
+        panels: [31, 34].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec(),
         sensors: vec![21],
         chip: None,
         mount: None,
@@ -52,7 +52,7 @@ fn fine() -> (Scene, Vec<f64>, Forces) {
     let mut scene = reference();
     scene.layout = Layout::planar(3, 2, 15.0, 2.25);
     scene.clamped = scene.layout.bottom();
-    scene.panels = vec![Panel { unit: 3, direction: [0.0, -1.0] }, Panel { unit: 5, direction: [0.6, -0.8] }];
+    scene.panels = vec![Panel::central(3, [0.0, -1.0]), Panel::central(5, [0.6, -0.8])];
     scene.sensors = vec![4];
     let design = scene.layout.initial_design(25f64.to_radians());
     let forces = bells(&scene, 2);

@@ -44,7 +44,7 @@ fn on(columns: usize, rows: usize) -> Extreme {
         e.design = initial(&e.scene.layout);
         e.scene.clamped = e.scene.layout.bottom();
         let panels = e.scene.layout.top_panels(2).unwrap_or_else(|| vec![columns * rows - 1]);
-        e.scene.panels = panels.into_iter().map(|unit| Panel { unit, direction: [0.0, -1.0] }).collect();
+        e.scene.panels = panels.into_iter().map(|unit| Panel::central(unit, [0.0, -1.0])).collect();
         e.scene.sensors = vec![(rows / 2).max(1) * columns + columns / 2];
         e.forces = bells(&e.scene, 2);
     })
@@ -157,7 +157,7 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
                 e.scene.layout = Layout::planar(1, 2, 15.0, 2.25);
                 e.design = initial(&e.scene.layout);
                 e.scene.clamped = vec![0];
-                e.scene.panels = vec![Panel { unit: 1, direction: [0.6, -0.8] }];
+                e.scene.panels = vec![Panel::central(1, [0.6, -0.8])];
                 e.scene.sensors = vec![1];
                 e.forces = bells(&e.scene, 2);
             }),

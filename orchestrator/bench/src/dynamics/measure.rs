@@ -49,7 +49,7 @@ impl BenchScene {
             Self::Contact => {
                 scene.layout = Layout::planar(8, 4, 15.0, 2.25);
                 scene.clamped = scene.layout.bottom();
-                scene.panels = [25, 28, 30].map(|unit| Panel { unit, direction: [0.0, -1.0] }).to_vec();
+                scene.panels = [25, 28, 30].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec();
                 scene.sensors = vec![20, 11];
                 let [min_angle, cutoff_angle] = [1.0, 30.0].map(f64::to_radians);
                 scene.contact = Some(Contact { stiffness: 1.0, min_angle, cutoff_angle });

@@ -18,23 +18,29 @@ pub struct Forces {
     pub instants: usize,
     /// (N, K, R+1) (N).
     pub values: Vec<f64>,
-    /// (N, K): how each force acts. Empty: along its panel's direction on the unit's centroid.
+    /// (N, K): how each force acts. Empty: as its panel says.
     pub strikes: Vec<Strike>,
 }
 
-/// What a force of 1 N does to its unit: (f_u, f_v, moment) (1, 1, mm), whatever way the unit has turned.
+/// What a force of 1 N does to its unit: (f_u, f_v, moment about the panel's point) (1, 1, mm), whatever way the unit has turned.
 pub type Strike = [f64; 3];
 
 impl Panel {
-    /// Along the panel's direction on the centroid.
-    pub fn central(&self) -> Strike {
-        [self.direction[0], self.direction[1], 0.0]
+    /// As the panel says.
+    pub fn straight(&self) -> Strike {
+        [self.direction[0], self.direction[1], self.moment]
     }
 
-    /// Along the direction turned by `angle` (rad), at `offset` (mm) to its left from the centroid.
+    /// Along the direction turned by `angle` (rad), at `offset` (mm) to its left from where it should act; a couple as it is.
     pub fn struck(&self, offset: f64, angle: f64) -> Strike {
         let ([x, y], (s, c)) = (self.direction, angle.sin_cos());
-        [c * x - s * y, c * y + s * x, -offset * c]
+        let missed = if self.is_couple() { 0.0 } else { -offset * c };
+        [c * x - s * y, c * y + s * x, self.moment + missed]
+    }
+
+    /// Whether it turns its unit and does not push it.
+    pub fn is_couple(&self) -> bool {
+        self.direction == [0.0; 2]
     }
 }
 
@@ -52,7 +58,7 @@ impl Forces {
 
     /// How the force on a panel acts in sample i.
     pub fn strike(&self, panels: &[Panel], i: usize, panel: usize) -> Strike {
-        self.strikes.get(i * self.panels + panel).copied().unwrap_or_else(|| panels[panel].central())
+        self.strikes.get(i * self.panels + panel).copied().unwrap_or_else(|| panels[panel].straight())
     }
 
     /// The same histories on a clock that suits the scene's: as they are where theirs does.

@@ -6,7 +6,7 @@
 
 use super::schemes::Drift;
 use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, tsit5};
-use crate::body::edges;
+use crate::body::{End, edges};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -188,9 +188,12 @@ impl<'a> Body<'a> {
         let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
         for (k, panel) in scene.panels.iter().enumerate() {
             let strike = self.forces.strike(&scene.panels, self.sample, k);
-            for d in 0..3 {
-                let push = strike[d] * self.force(k, interval, w);
-                net[panel.unit][d] = net[panel.unit][d] + push;
+            let lever = panel.node.map_or([Dual::default(); 2], |node| {
+                self.arms[scene.layout.number(End { unit: panel.unit, node })]
+            });
+            let [x, y, moment] = strike.map(|s| Dual(s, 0.0));
+            for (d, does) in [x, y, moment + cross(lever, [x, y])].into_iter().enumerate() {
+                net[panel.unit][d] = net[panel.unit][d] + does * self.force(k, interval, w);
             }
         }
         for (index, ligament) in layout.ligaments.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! A scene with a design, in the form that the kernels read.
 
-use super::{Contact, Inertia, Parameters, Parts, Scene, Stiffness};
-use crate::body::{Geometry, void_angles_vjp};
+use super::{Contact, Inertia, Panel, Parameters, Parts, Scene, Stiffness, Strike};
+use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -84,6 +84,8 @@ pub struct Model {
     pub free: Vec<usize>,
     /// The design's geometry.
     pub geometry: Geometry,
+    /// Of each panel the number, among all, of the node that it acts on.
+    pub struck: Vec<Option<usize>>,
 }
 
 /// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) of the mean undisplaced unit, so that damping does not depend on the design.
@@ -128,6 +130,7 @@ impl Model {
             }
         };
         let bars = layout.ligaments.iter().zip(&voids).enumerate().map(bar).collect();
+        let number = |panel: &Panel| panel.node.map(|node| layout.number(End { unit: panel.unit, node }));
         let own = geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [*m, *m, *j]);
         let inverse = |(unit, own): (usize, [f64; 3])| {
             let chip = Inertia::on(scene, unit);
@@ -145,7 +148,14 @@ impl Model {
             damping: damping(scene),
             free: (0..layout.units()).filter(|u| !scene.clamped.contains(u)).collect(),
             geometry,
+            struck: scene.panels.iter().map(number).collect(),
         }
+    }
+
+    /// What a strike on a panel does about the centroid of its unit.
+    pub fn about_centroid(&self, panel: usize, [x, y, moment]: Strike) -> Strike {
+        let [p, q] = self.struck[panel].map_or([0.0; 2], |node| self.geometry.arms[node]);
+        [x, y, moment + (p * y - q * x)]
     }
 
     /// Without the ligaments between held units, which never change; but for those whose contact is forbidden from the start.

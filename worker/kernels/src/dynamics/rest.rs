@@ -1,8 +1,8 @@
 //! The body's linearisation at rest: M s̈ + C ṡ + K s = f, K the Hessian of the energy there.
 
-use super::Scene;
 use super::ligaments::{ShapeCotangent, Turn, product};
 use super::model::Model;
+use super::{Scene, Strike};
 use crate::lanes::{Sse2, Vector};
 
 /// Columns of the stiffness that are found together.
@@ -19,6 +19,8 @@ pub struct Rest {
     pub damping: Vec<f64>,
     /// (row, column, value) of K by columns, both triangles, without zeros.
     pub stiffness: Vec<(usize, usize, f64)>,
+    /// What 1 N on each panel does about its unit's centroid.
+    pub pushes: Vec<Strike>,
 }
 
 impl Rest {
@@ -50,6 +52,9 @@ impl Rest {
             damping: unknowns.iter().map(|u| model.damping[u % 3]).collect(),
             free,
             stiffness,
+            pushes: (scene.panels.iter().enumerate())
+                .map(|(k, panel)| model.about_centroid(k, panel.straight()))
+                .collect(),
         }
     }
 }

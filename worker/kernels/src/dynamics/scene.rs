@@ -129,13 +129,30 @@ pub enum Frame {
     Body,
 }
 
-/// Where a force acts: at the centroid of a unit.
+/// Where and how a force acts on a unit; it keeps its direction, and its lever at rest, however the unit turns.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Panel {
     /// The unit.
     pub unit: usize,
-    /// Unit vector along which a positive force pushes.
+    /// Unit vector along which a positive force pushes; zero of a couple.
     pub direction: [f64; 2],
+    /// The unit's node that it acts on, which the design moves; none: the centroid.
+    pub node: Option<usize>,
+    /// Moment of 1 N about that point (mm): of a force beside it, or of a couple.
+    pub moment: f64,
+}
+
+impl Panel {
+    /// On the centroid of a unit.
+    pub fn central(unit: usize, direction: [f64; 2]) -> Self {
+        Self { unit, direction, node: None, moment: 0.0 }
+    }
+
+    /// Where it acts on a unit of this centroid and these corners: the foot of its line, of a couple the centroid.
+    pub fn foot(&self, centroid: [f64; 2], corners: &[[f64; 2]]) -> [f64; 2] {
+        let ([x, y], [p, q]) = (self.node.map_or(centroid, |node| corners[node]), self.direction);
+        [x + self.moment * q, y - self.moment * p]
+    }
 }
 
 /// Everything of a simulation but design and forces.

@@ -95,10 +95,8 @@ impl<'a, V: Vector> System<'a, V> {
         let n = model.units();
         let zero = V::splat(0.0);
         let mut strikes = vec![[zero; 3]; scene.panels.len()];
-        for (to, panel) in strikes.iter_mut().zip(&scene.panels) {
-            for d in 0..3 {
-                to[d] = V::splat(panel.central()[d]);
-            }
+        for (k, (to, panel)) in strikes.iter_mut().zip(&scene.panels).enumerate() {
+            *to = model.about_centroid(k, panel.straight()).map(V::splat);
         }
         Self {
             scene,
@@ -200,6 +198,25 @@ impl<'a, V: Vector> System<'a, V> {
         // SAFETY: as in `add_forces`.
         unsafe { (self.kernels.second)(self.model, &self.bars, x, w, &self.turn, g, bar_x, shape) };
         self.push(force, g);
+        self.push_vjp(force, w);
+    }
+
+    /// Whether the design moves a point that forces act on.
+    #[inline(always)]
+    pub fn levered(&self) -> bool {
+        self.model.struck.iter().any(Option::is_some)
+    }
+
+    /// Adds what forces, whose work on the units has the cotangent `w`, pass on to the arms of the nodes that they act on.
+    #[inline(always)]
+    pub fn push_vjp(&mut self, force: &[V], w: &[Unit<V>]) {
+        for (k, node) in self.model.struck.iter().enumerate() {
+            let Some(node) = *node else { continue };
+            let ([x, y, _], moment) = (self.strikes[k], w[self.scene.panels[k].unit][2] * force[k]);
+            let [p, q] = self.cotangent.arms[node];
+            // with the sign of those of ∂U/∂s
+            self.cotangent.arms[node] = [moment.mul_sub_from(y, p), moment.mul_add(x, q)];
+        }
     }
 
     #[inline(always)]
@@ -226,7 +243,7 @@ impl<'a, V: Vector> System<'a, V> {
             return;
         }
         for (k, strike) in self.strikes.iter_mut().enumerate() {
-            let own = forces.strike(&self.scene.panels, sample, k);
+            let own = self.model.about_centroid(k, forces.strike(&self.scene.panels, sample, k));
             for d in 0..3 {
                 strike[d].set_lane(lane, own[d]);
             }

@@ -15,7 +15,7 @@ pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
         contact: None,
         linearised: false,
         clamped: (0..columns).collect(),
-        panels: vec![Panel { unit: columns * rows - 1, direction: [0.6, -0.8] }],
+        panels: vec![Panel::central(columns * rows - 1, [0.6, -0.8])],
         sensors: vec![columns * rows - 1],
         chip: None,
         mount: None,

@@ -235,7 +235,7 @@ pub fn responses(
     let mut forces = Mat::<c64>::zeros(n, scene.panels.len());
     for (k, panel) in scene.panels.iter().enumerate() {
         if let Some(i) = place(panel.unit) {
-            (0..2).for_each(|d| forces[(3 * i + d, k)] = panel.direction[d].into());
+            (0..3).for_each(|d| forces[(3 * i + d, k)] = rest.pushes[k][d].into());
         }
     }
     let dynamic = |hertz: f64| {

@@ -16,10 +16,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         contact: None,
         linearised: false,
         clamped,
-        panels: vec![
-            Panel { unit: top, direction: [0.6, -0.8] },
-            Panel { unit: top - 2, direction: [0.0, -1.0] },
-        ],
+        panels: vec![Panel::central(top, [0.6, -0.8]), Panel::central(top - 2, [0.0, -1.0])],
         sensors: vec![4, top],
         chip: None,
         mount: None,

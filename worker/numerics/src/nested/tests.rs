@@ -34,7 +34,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             contact: None,
             linearised: false,
             clamped: vec![0, 1, 2, 3],
-            panels: vec![Panel { unit: 9, direction }, Panel { unit: 10, direction }],
+            panels: vec![Panel::central(9, direction), Panel::central(10, direction)],
             sensors: vec![5],
             chip: None,
             mount: None,

@@ -169,6 +169,9 @@ pub fn reverse<V: Vector<Wide = V>>(
 
             // Backwards
             for step in kept[..longest].iter().rev() {
+                for (l, &s) in lanes.iter().enumerate().filter(|_| system.levered()) {
+                    loads.load(l, forces, sweeps[s].history, step.kinks[l]);
+                }
                 for i in (0..6).rev() {
                     let later = (&curved, &weights);
                     stage_vjp(
@@ -183,6 +186,10 @@ pub fn reverse<V: Vector<Wide = V>>(
                     );
                     std::mem::swap(&mut w, &mut weights[i]);
                     system.product(&step.x[i], &weights[i], &mut curved[i]);
+                    if system.levered() {
+                        loads.at(step.parts[i], &mut force);
+                        system.push_vjp(&force, &weights[i]);
+                    }
                     if forces_asked {
                         let (w, part) = (&weights[i], step.parts[i]);
                         push_vjp(system, w, part, &step.kinks, lanes, (row, &mut pushed));
