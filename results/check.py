@@ -290,6 +290,28 @@ def elbow_law():
         yield cells, [str(-(-int(forces) // 3)), *map(votes_in_words, readings), *beside]
 
 
+def verdict(shares, law, by_elbow):
+    """By the rule at the head of elbow-law.toml."""
+    if by_elbow and law == 1:
+        return "refuted" if sum(share for m, share in shares.items() if (m or 0) >= 2) >= 0.95 else "no answer"
+    share = shares.get(law, 0)
+    return "confirmed" if share >= 0.95 else "refuted" if share <= 0.05 else "open"
+
+
+def errors_by_sensors(of):
+    means = [short(geometric(numbers([row for row in of if row["sensors"] == m], "holdout_error_optimised")))
+             for m in sorted({row["sensors"] for row in of})]
+    return ", ".join(means) + " %"
+
+
+def elbow_law_asked():
+    for forces, channels, *cells in table("elbow law asked"):
+        of, law = rows("elbow-law/trials.csv", panels=forces, channels=channels), -(-int(forces) // int(channels))
+        readings, beside = ends(of)
+        told = [f"{votes_in_words(shares)} ({verdict(shares, law, n < 2)})" for n, shares in enumerate(readings)]
+        yield cells, [errors_by_sensors(of), str(law), *told, *beside]
+
+
 def real_scale():
     scenes = [("reference", "bell"), ("real, chip", "bell"), ("reference", "irregular"), ("real, chip", "irregular"), ("real", "irregular")]
     for (body, stimuli), line in zip(scenes, table("real scale"), strict=True):
@@ -334,7 +356,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, real_scale, families, filtered, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, real_scale, families, filtered, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

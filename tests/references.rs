@@ -60,6 +60,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("linear bodies", results::linear_bodies),
     ("placed", results::placed),
     ("elbow law", elbow_law::all),
+    ("elbow law asked", elbow_law::asked),
     ("claims", results::claims),
     ("sensors", results::sensors),
     ("evaluate", results::evaluate),

@@ -1,9 +1,10 @@
-//! Where the fall of the error over the number of sensors ends, of the trials that suggested that it is at K / channels, rounded up.
+//! Where the fall of the error over the number of sensors ends: of the trials that suggested that it is at K / channels, rounded up,
+//! and of those that were run to ask it.
 
 use metasense::analysis::decision::{Decision, Terms, decide};
 use metasense::analysis::{Cluster, Height, Observation, elbow};
 
-use super::results::{number, of, rows};
+use super::results::{Row, geometric, number, of, rows};
 use super::table;
 
 /// Channels of each sensor: two accelerations and a rotation.
@@ -24,18 +25,19 @@ const BODIES: [Bodies; 5] = [
     (8, "the paper's network", "claims/eight-forces-trials.csv", &[("brain.kind", "")]),
 ];
 
-fn curve((_, _, file, wanted): Bodies) -> Vec<Observation> {
-    let all = rows(file);
+/// Errors of a body over M.
+pub(super) fn curve<'a>(rows: impl Iterator<Item = &'a Row>, body: &str) -> Vec<Observation> {
+    let error = format!("holdout_error_{body}");
     let observation = |row| {
         let whole = |name| number(row, name) as u64;
         let cluster = Cluster { placement: whole("placement"), seed: whole("seed") };
-        Observation { at: number(row, "sensors"), cluster, error: number(row, "holdout_error_optimised") }
+        Observation { at: number(row, "sensors"), cluster, error: number(row, &error) }
     };
-    of(&all, wanted).map(observation).collect()
+    rows.map(observation).collect()
 }
 
 /// Places with their shares of the votes, `None` for no place.
-type Votes = Vec<(Option<f64>, f64)>;
+pub(super) type Votes = Vec<(Option<f64>, f64)>;
 
 fn by_elbow(curve: &[Observation], height: Height) -> Votes {
     let found = elbow(curve, height).unwrap();
@@ -43,7 +45,7 @@ fn by_elbow(curve: &[Observation], height: Height) -> Votes {
     found.votes.iter().map(|&(m, share)| (Some(m), share)).chain([(None, none)]).collect()
 }
 
-fn fall(curve: &[Observation], part: f64) -> Decision {
+pub(super) fn fall(curve: &[Observation], part: f64) -> Decision {
     decide(curve, Terms { fall: part, ..Terms::default() }).unwrap().fall
 }
 
@@ -52,37 +54,93 @@ fn place(m: Option<f64>) -> String {
 }
 
 /// All votes, the most first.
-fn words(mut votes: Votes) -> String {
-    votes.retain(|vote| vote.1 > 0.004);
+pub(super) fn words(votes: &Votes) -> String {
+    let mut votes: Vec<_> = votes.iter().filter(|vote| vote.1 > 0.004).collect();
     votes.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let word = |(m, share): &(Option<f64>, f64)| {
+    let word = |(m, share): &&(Option<f64>, f64)| {
         if *share > 0.996 { place(*m) } else { format!("{}: {:.0} %", place(*m), 100.0 * share) }
     };
     votes.iter().map(word).collect::<Vec<_>>().join(", ")
 }
 
+/// Votes by the elbow in per cent and in logarithms, and by nine tenths of the fall.
+fn readings(curve: &[Observation]) -> [Votes; 3] {
+    let [percent, logarithm] = Height::ALL.map(|height| by_elbow(curve, height));
+    let fall = fall(curve, 0.9).votes.unwrap().into_iter().map(|(m, share)| (Some(m), share)).collect();
+    [percent, logarithm, fall]
+}
+
+/// Elbows where decays may be fast, and where 80 % and 95 % of the fall are done.
+fn beside(curve: &[Observation]) -> [String; 2] {
+    let any = Height::ALL.map(|height| place(elbow(curve, height).unwrap().any_decay));
+    let parts = [0.8, 0.95].map(|part| fall(curve, part).at.to_string());
+    [any.join(", "), parts.join(", ")]
+}
+
+const READINGS: [&str; 5] = [
+    "elbow in %",
+    "elbow in logarithms",
+    "nine tenths of the fall",
+    "elbows if decays may be fast",
+    "80 %, 95 % of the fall",
+];
+
 /// Where the fall ends, asked in three ways, with votes; and how that depends on the rivals of an elbow and on the part of the fall.
 pub fn all() -> String {
-    let line = |bodies: Bodies| {
-        let (curve, (forces, who, ..)) = (curve(bodies), bodies);
-        let [percent, logarithm] = Height::ALL.map(|height| words(by_elbow(&curve, height)));
-        let by_fall =
-            fall(&curve, 0.9).votes.unwrap().into_iter().map(|(m, share)| (Some(m), share)).collect();
-        let any = Height::ALL.map(|height| place(elbow(&curve, height).unwrap().any_decay));
-        let parts = [0.8, 0.95].map(|part| fall(&curve, part).at.to_string());
+    let line = |(forces, who, file, wanted): Bodies| {
+        let all = rows(file);
+        let curve = curve(of(&all, wanted), "optimised");
         let law = forces.div_ceil(CHANNELS).to_string();
-        let told = [law, percent, logarithm, words(by_fall), any.join(", "), parts.join(", ")];
-        [[forces.to_string(), who.to_owned()].as_slice(), &told].concat()
+        let told = readings(&curve).map(|votes| words(&votes));
+        [vec![forces.to_string(), who.to_owned(), law], told.to_vec(), beside(&curve).to_vec()].concat()
     };
-    let head = [
-        "forces K",
-        "read by",
-        "K / 3, rounded up",
-        "elbow in %",
-        "elbow in logarithms",
-        "nine tenths of the fall",
-        "elbows if decays may be fast",
-        "80 %, 95 % of the fall",
-    ];
-    table(&head, BODIES.map(line))
+    table(&[&["forces K", "read by", "K / 3, rounded up"][..], &READINGS].concat(), BODIES.map(line))
+}
+
+/// What the rule at the head of `elbow-law.toml` says of votes.
+pub(super) fn verdict(votes: &Votes, law: f64, elbow: bool) -> &'static str {
+    let of = |wanted: &dyn Fn(Option<f64>) -> bool| {
+        votes.iter().filter(|vote| wanted(vote.0)).map(|vote| vote.1).sum::<f64>()
+    };
+    let share = of(&|m| m == Some(law));
+    match elbow && law == 1.0 {
+        // which no stick can have
+        true if of(&|m| m.is_some_and(|m| m >= 2.0)) >= 0.95 => "refuted",
+        true => "no answer",
+        false if share >= 0.95 => "confirmed",
+        false if share <= 0.05 => "refuted",
+        false => "open",
+    }
+}
+
+/// Trained bodies of the sweep that was run to ask.
+fn of_sweep(forces: u64, channels: u64) -> Vec<Observation> {
+    let wanted = [forces, channels].map(|x| x.to_string());
+    let wanted = [("panels", &*wanted[0]), ("channels", &*wanted[1])];
+    curve(of(&rows("elbow-law/trials.csv"), &wanted), "optimised")
+}
+
+/// Where nine tenths of the fall are done there.
+pub fn fallen(forces: u64, channels: u64) -> f64 {
+    fall(&of_sweep(forces, channels), 0.9).at
+}
+
+/// The sweep that was run to ask: K forces, three channels or two, four seeds.
+pub fn asked() -> String {
+    let line = |(forces, channels): (u64, u64)| {
+        let curve = of_sweep(forces, channels);
+        let law = forces.div_ceil(channels);
+        let most = curve.iter().map(|o| o.at as u64).max().unwrap();
+        let mean = |m: u64| geometric(curve.iter().filter(|o| o.at == m as f64).map(|o| o.error));
+        let errors = (1..=most).map(mean).collect::<Vec<_>>().join(", ") + " %";
+        let told = [(0, true), (1, true), (2, false)].map(|(reading, elbow)| {
+            let votes = &readings(&curve)[reading];
+            format!("{} ({})", words(votes), verdict(votes, law as f64, elbow))
+        });
+        let begun = vec![forces.to_string(), channels.to_string(), errors, law.to_string()];
+        [begun, told.to_vec(), beside(&curve).to_vec()].concat()
+    };
+    let points = [2, 3, 4, 6].into_iter().flat_map(|forces| [3, 2].map(|channels| (forces, channels)));
+    let head = ["forces K", "channels", "error with M = 1, 2, …", "K / channels, rounded up"];
+    table(&[&head[..], &READINGS].concat(), points.map(line))
 }
