@@ -91,17 +91,19 @@ fn a_body_from_a_file_is_what_it_holds() {
     bench.output(&["casts", "s.sqlite", &mine[..8], "--casts", "2", "--variation", "v.toml"]);
 }
 
-/// A force on a node and a couple on the same unit, which no other test has together: drawn, trained, reported, and told apart by
-/// six channels.
+/// A force on a node and a couple on the same unit, and the base shaken: drawn, trained, reported, and told apart by six channels.
 #[test]
 fn forces_act_on_nodes_and_turn_units() {
     let bench = Bench::new();
-    let panels = "[{ unit = 13, node = 0, direction = [-1, 0] }, { unit = 13, couple = 5 }]";
+    let panels = "[{ unit = 13, node = 0, direction = [-1, 0] }, { unit = 13, couple = 5 }, { base = 1e-4, direction = [1, 0] }]";
     let spec = linear(&format!("{LATTICE}panels = {panels}\n")).replace("sensors = [1]", "sensors = [2]");
+    let spec = spec.replace("[sweep]\npanels = [2]", "[sweep]\npanels = [3]");
     bench.file("s.toml", &spec.replace("samples = 8", "samples = 40"));
     bench.output(&["draw", "s.toml", "--out", "a.svg"]);
     let svg = std::fs::read_to_string(bench.path("a.svg")).unwrap();
-    assert_eq!((svg.matches("panel 0: unit 13").count(), svg.matches("panel 1: unit 13").count()), (1, 1));
+    for panel in ["panel 0: unit 13", "panel 1: unit 13", "panel 2: unit 0"] {
+        assert_eq!(svg.matches(panel).count(), 1, "{panel}");
+    }
     bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
     let sql = "SELECT holdout_error_initial < 50, holdout_error_optimised < 50 FROM v_trial";
     assert_eq!(bench.output(&["query", "s.sqlite", sql, "--format", "csv"]).lines().nth(1), Some("1,1"));

@@ -74,12 +74,13 @@ pub struct Polygons {
     pub sensors: Option<Vec<usize>>,
 }
 
-/// A unit that is struck, and how.
+/// Where a force acts, and how.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Struck {
-    /// The unit.
-    pub unit: usize,
+    /// The unit. Default: must be given without `base`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<usize>,
     /// Where its force points. Default: down, on a circular body inward.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 2]>,
@@ -93,6 +94,10 @@ pub struct Struck {
     /// Default: no couple.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub couple: Option<f64>,
+    /// In place of a force on a unit, an acceleration of what the held units are fixed to: the force over this mass. Unit: Mg.
+    /// Default: the base holds still.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base: Option<f64>,
 }
 
 /// Which units are held.

@@ -377,6 +377,94 @@ fn a_blow_off_the_centroid_turns_the_unit() {
     assert_eq!(Panel::central(0, [1.0, 0.0]).struck(2.0, 0.0), [1.0, 0.0, -2.0]);
 }
 
+/// A shaken base is a force −m a_B on every unit that moves, which sensors read with a_B beside; a unit that nothing holds feels
+/// nothing. Gradients in design and forces are those of differences.
+#[test]
+fn a_shaken_base_is_felt() {
+    let mass_of_base = 3e-5;
+    let shakes = Panel { base: Some(mass_of_base), ..Panel::central(0, [0.6, 0.8]) };
+    for frame in [Frame::World, Frame::Body] {
+        for plan in [plan(Method::Tsit5, 0), plan(Method::Leapfrog, 120), plan(Method::Nystrom6, 12)] {
+            let base = small_scene();
+            let scene = Scene { frame, panels: vec![shakes, base.panels[0]], ..base };
+            let (design, forces) = (shaken(&scene), pushes(&scene, 9, 0.15));
+            let here = run(&scene, &design, &forces, &plan, true, &pool(1));
+
+            // the same by a force on each unit
+            let mass = scene.geometry(&design).mass;
+            let free: Vec<usize> = (0..mass.len()).filter(|u| !scene.clamped.contains(u)).collect();
+            let each = free.iter().map(|u| Panel::central(*u, [-0.6, -0.8])).chain([scene.panels[1]]);
+            let forced = Scene { panels: each.collect(), frame: Frame::World, ..scene.clone() };
+            let row = scene.instants + 1;
+            let values = forces.values.chunks(2 * row).flat_map(|own| {
+                let by = free.iter().map(|u| mass[*u] / mass_of_base);
+                let shaken = by.flat_map(|by| own[..row].iter().map(move |f| by * f));
+                shaken.chain(own[row..].iter().copied()).collect::<Vec<_>>()
+            });
+            let values = values.collect();
+            let all = Forces { panels: free.len() + 1, values, ..forces.clone() };
+            if frame == Frame::World {
+                let mut other = run(&forced, &design, &all, &plan, false, &pool(1)).signals;
+                for (i, own) in other.chunks_mut(6).enumerate() {
+                    let f = forces.values[i / scene.instants * 2 * row + i % scene.instants + 1];
+                    for sensor in 0..2 {
+                        own[3 * sensor] += 0.6 * f / mass_of_base;
+                        own[3 * sensor + 1] += 0.8 * f / mass_of_base;
+                    }
+                }
+                let off = relative(&here.signals, &other);
+                let least = if plan.method == Method::Tsit5 { 1e-4 } else { 1e-10 };
+                assert!(off < least, "{:?}: {off:e}", plan.method);
+            }
+
+            let size = norm(&here.signals).powi(2);
+            let cotangent: Vec<f64> = here.signals.iter().map(|s| s / size).collect();
+            let energy = |design: &[f64], forces: &Forces| {
+                0.5 * norm(&run(&scene, design, forces, &plan, true, &pool(1)).signals).powi(2) / size
+            };
+            let along = |n: usize| (0..n).map(|i| (2.3 * i as f64).cos()).collect::<Vec<f64>>();
+            let moved = |at: &[f64], along: &[f64], by: f64| -> Vec<f64> {
+                at.iter().zip(along).map(|(a, d)| a + by * d).collect()
+            };
+            let slope =
+                |gradient: &[f64], along: &[f64]| gradient.iter().zip(along).map(|(g, d)| g * d).sum::<f64>();
+            let found = here.vjp(&cotangent, Wrt::Forces, &pool(1));
+            let (shape, push) = (along(design.len()), along(forces.values.len()));
+            let by_shape = |by| energy(&moved(&design, &shape, by), &forces);
+            let by_force =
+                |by| energy(&design, &Forces { values: moved(&forces.values, &push, by), ..forces.clone() });
+            let steps = if plan.method == Method::Tsit5 { 1e-3 } else { 1e-6 };
+            for (what, difference, slope) in [
+                ("design", (by_shape(1e-4) - by_shape(-1e-4)) / 2e-4, slope(&found.design, &shape)),
+                (
+                    "forces",
+                    (by_force(1e-5) - by_force(-1e-5)) / 2e-5,
+                    slope(&found.forces.expect("asked for"), &push),
+                ),
+            ] {
+                assert!(
+                    (difference / slope - 1.0).abs() < steps,
+                    "{what}, {frame:?}, {:?}: {difference} {slope}",
+                    plan.method
+                );
+            }
+        }
+    }
+    let layout = Layout::planar(1, 1, 15.0, 2.25);
+    let loose = Scene {
+        layout,
+        clamped: Vec::new(),
+        sensors: vec![0],
+        panels: vec![shakes],
+        damping_ratio: 0.0,
+        ..small_scene()
+    };
+    let forces = pushes(&loose, 3, 0.4);
+    let run =
+        run(&loose, &loose.layout.initial_design(0.3), &forces, &plan(Method::Nystrom6, 4), false, &pool(1));
+    assert!(norm(&run.signals) < 1e-9 * 0.4 / mass_of_base, "{:e}", norm(&run.signals));
+}
+
 /// |J(f + εδ) − J(f) − ε g·δ| falls with slope 2 in the forces, J half the square of the signals' norm, with two kinks an interval.
 #[test]
 fn gradients_in_the_forces_pass_a_taylor_test() {

@@ -98,14 +98,14 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
     let by_rule = ruled.iter().map(|panel| &panel.0).eq(units.iter());
     let (sin, cos) = body.panel_angle.unwrap_or_default().to_radians().sin_cos();
-    let (_, listed) = listed(body);
-    let in_turn = listed.iter().map(|struck| &struck.unit).take(units.len()).eq(units.iter());
+    let listed = Listed::new(body, layout);
+    let in_turn = listed.begins_with(units);
     let panel = |(k, &unit): (usize, &usize)| {
         let struck = match in_turn {
-            true => Some(&listed[k]),
-            false => listed.iter().find(|struck| struck.unit == unit),
+            true => Some(&listed.panels[k]),
+            false => listed.panels.iter().find(|struck| struck.unit == Some(unit)),
         };
-        let Struck { direction, node, at, couple, .. } = struck.cloned().unwrap_or_default();
+        let Struck { direction, node, at, couple, base, .. } = struck.cloned().unwrap_or_default();
         if let Some(moment) = couple {
             return Panel { moment, ..Panel::central(unit, [0.0; 2]) };
         }
@@ -124,53 +124,97 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
             None => [x, y],
         };
         let [p, q] = at.unwrap_or_default();
-        Panel { unit, direction, node, moment: p * direction[1] - q * direction[0] + 0.0 }
+        Panel { unit, direction, node, moment: p * direction[1] - q * direction[0] + 0.0, base }
     };
     units.iter().enumerate().map(panel).collect()
 }
 
-/// Where forces act, by `body.panels` or, where this is empty, by the body's file; and the key that says so.
-fn listed(body: &spec::Body) -> (&'static str, &[Struck]) {
-    match body.polygons() {
-        Some(given) if body.panels.is_empty() => ("body.file", &given.panels),
-        _ => ("body.panels", &body.panels),
-    }
+/// Where forces act, by `body.panels` or, where this is empty, by the body's file.
+struct Listed {
+    /// The key that says so.
+    key: &'static str,
+    /// Those that shake the base at the first unit that it holds.
+    panels: Vec<Struck>,
 }
 
-/// Refuses a list of panels that name what the layout has not, or that nothing tells apart.
-fn check_listed(body: &spec::Body, layout: &Layout) -> Result<(), Invalid> {
-    let (key, list) = listed(body);
-    for (k, struck) in list.iter().enumerate() {
-        let Struck { unit, direction, node, at, couple } = struck;
-        let wrong = |remedy: String| Err(invalid(key, format!("panels[{k}]"), remedy));
-        if *unit >= layout.units() {
-            return wrong(format!("there is no unit {unit}: the units are 0 to {}", layout.units() - 1));
+impl Listed {
+    fn new(body: &spec::Body, layout: &Layout) -> Self {
+        let (key, list) = match body.polygons() {
+            Some(given) if body.panels.is_empty() => ("body.file", &given.panels),
+            _ => ("body.panels", &body.panels),
+        };
+        let mut panels = list.clone();
+        for panel in panels.iter_mut().filter(|panel| panel.base.is_some() && panel.unit.is_none()) {
+            panel.unit = clamped(body, layout).ok().and_then(|held| held.first().copied());
         }
-        let nodes = layout.shape[*unit].len();
-        if let Some(node) = node.filter(|node| *node >= nodes) {
-            return wrong(format!(
-                "there is no node {node} of unit {unit}, which has {nodes}, counted from 0"
-            ));
-        }
-        if direction.is_some_and(|way| polygons::unit_vector(way).iter().any(|x| !x.is_finite())) {
-            return wrong("its direction must be finite and not zero".into());
-        }
-        if at.is_some_and(|at| at.iter().any(|x| !x.is_finite())) {
-            return wrong("its at must be two finite numbers".into());
-        }
-        if couple.is_some_and(|arm| arm == 0.0 || !arm.is_finite()) {
-            return wrong("its couple must be finite and not zero".into());
-        }
-        if couple.is_some() && (direction.is_some() || node.is_some() || at.is_some()) {
-            return wrong(
-                "a couple turns its unit wherever it acts: no direction, node or at beside it".into(),
-            );
-        }
-        if let Some(other) = list[..k].iter().position(|other| other == struck) {
-            return wrong(format!("is panels[{other}] once more: nothing could tell their forces apart"));
-        }
+        Self { key, panels }
     }
-    Ok(())
+
+    fn units(&self, count: usize) -> Vec<usize> {
+        self.panels.iter().take(count).filter_map(|panel| panel.unit).collect()
+    }
+
+    /// Whether these are the units of its first panels.
+    fn begins_with(&self, units: &[usize]) -> bool {
+        self.panels.len() >= units.len() && self.units(units.len()) == units
+    }
+
+    /// Refuses panels that name what the layout has not, or that nothing tells apart.
+    fn check(&self, body: &spec::Body, layout: &Layout) -> Result<(), Invalid> {
+        let given =
+            if self.key == "body.file" { &body.polygons().expect("a file").panels } else { &body.panels };
+        for (k, struck) in given.iter().enumerate() {
+            let Struck { unit, direction, node, at, couple, base } = struck;
+            let wrong = |remedy: String| Err(invalid(self.key, format!("panels[{k}]"), remedy));
+            let beside =
+                [unit.is_some(), direction.is_some(), node.is_some(), at.is_some(), couple.is_some()];
+            if direction.is_some_and(|way| polygons::unit_vector(way).iter().any(|x| !x.is_finite())) {
+                return wrong("its direction must be finite and not zero".into());
+            }
+            if let Some(mass) = base {
+                if !(*mass > 0.0 && mass.is_finite()) {
+                    return wrong("its base must be a mass above 0 (Mg)".into());
+                }
+                if beside != [false, beside[1], false, false, false] {
+                    return wrong(
+                        "a base is shaken along its direction: no unit, node, at or couple beside it".into(),
+                    );
+                }
+                if clamped(body, layout)?.is_empty() {
+                    return wrong("no unit is held by the base".into());
+                }
+            } else {
+                let Some(unit) = unit else { return wrong("its unit must be given".into()) };
+                if *unit >= layout.units() {
+                    return wrong(format!(
+                        "there is no unit {unit}: the units are 0 to {}",
+                        layout.units() - 1
+                    ));
+                }
+                let nodes = layout.shape[*unit].len();
+                if let Some(node) = node.filter(|node| *node >= nodes) {
+                    return wrong(format!(
+                        "there is no node {node} of unit {unit}, which has {nodes}, counted from 0"
+                    ));
+                }
+                if at.is_some_and(|at| at.iter().any(|x| !x.is_finite())) {
+                    return wrong("its at must be two finite numbers".into());
+                }
+                if couple.is_some_and(|arm| arm == 0.0 || !arm.is_finite()) {
+                    return wrong("its couple must be finite and not zero".into());
+                }
+                if couple.is_some() && beside != [true, false, false, false, true] {
+                    return wrong(
+                        "a couple turns its unit wherever it acts: no direction, node or at beside it".into(),
+                    );
+                }
+            }
+            if let Some(other) = given[..k].iter().position(|other| other == struck) {
+                return wrong(format!("is panels[{other}] once more: nothing could tell their forces apart"));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// The panels of a trial.
@@ -179,12 +223,15 @@ fn check_listed(body: &spec::Body, layout: &Layout) -> Result<(), Invalid> {
 /// Where one is at no unit, at one that is held, or at the same as another without saying how.
 pub(super) fn struck(trial: &TrialSpec, layout: &Layout, held: &[usize]) -> Result<Vec<Panel>, Invalid> {
     let TrialSpec { body, panel_units: units, .. } = trial;
-    check_listed(body, layout)?;
-    let (key, list) = listed(body);
-    let told = list.iter().map(|struck| &struck.unit).take(units.len()).eq(units.iter());
+    let listed = Listed::new(body, layout);
+    listed.check(body, layout)?;
+    let told = listed.begins_with(units);
     for (k, unit) in units.iter().enumerate() {
+        if told && listed.panels[k].base.is_some() {
+            continue;
+        }
         let others = if told { &[][..] } else { &units[..k] };
-        let key = if told { key } else { "body.panel_units" };
+        let key = if told { listed.key } else { "body.panel_units" };
         check_units(key, &[others, &[*unit]].concat(), layout, held)?;
     }
     Ok(panels(body, units, layout))
@@ -211,11 +258,11 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
         let remedy = format!("body.panel_units names {} units", units.len());
         return if units.len() == panels { Ok(units.clone()) } else { Err(none(remedy)) };
     }
-    check_listed(body, layout)?;
-    let (key, list) = listed(body);
-    if !list.is_empty() {
-        let units: Vec<usize> = list.iter().map(|struck| struck.unit).take(panels).collect();
-        let remedy = format!("{key} names {} panels", list.len());
+    let listed = Listed::new(body, layout);
+    listed.check(body, layout)?;
+    if !listed.panels.is_empty() {
+        let (units, remedy) =
+            (listed.units(panels), format!("{} names {} panels", listed.key, listed.panels.len()));
         return if units.len() == panels { Ok(units) } else { Err(none(remedy)) };
     }
     match body.layout {

@@ -281,10 +281,17 @@ fn forces_act_where_the_list_of_panels_says() {
         { "unit": 34, "node": 1, "direction": [3, -4], "at": [0.5, 0] },
         { "unit": 34, "couple": -5 },
     ]);
-    let node = Panel { unit: 34, direction: [0.6, -0.8], node: Some(1), moment: -0.4 };
+    let node = Panel { node: Some(1), moment: -0.4, ..Panel::central(34, [0.6, -0.8]) };
     let couple = Panel { moment: -5.0, ..Panel::central(34, [0.0; 2]) };
     assert_eq!(with(list, json!([34, 34])).unwrap(), [node, couple]);
+    // the base is drawn at the first unit that it holds
+    let list = json!([{ "base": 1e-5, "direction": [1, 0] }, { "unit": 34 }]);
+    let shaken = Panel { base: Some(1e-5), ..Panel::central(0, [1.0, 0.0]) };
+    assert_eq!(with(list, json!([0, 34])).unwrap(), [shaken, Panel::central(34, [0.0, -1.0])]);
     for (list, place, remedy) in [
+        (json!([{ "direction": [1, 0] }]), "panels[0]", "unit must be given"),
+        (json!([{ "base": 0 }]), "panels[0]", "a mass above 0"),
+        (json!([{ "base": 1e-5, "unit": 34 }]), "panels[0]", "no unit, node"),
         (json!([{ "unit": 36 }]), "panels[0]", "units are 0 to 35"),
         (json!([{ "unit": 34 }, { "unit": 34, "node": 4 }]), "panels[1]", "which has 4"),
         (json!([{ "unit": 34, "direction": [0, 0] }]), "panels[0]", "not zero"),
@@ -293,8 +300,8 @@ fn forces_act_where_the_list_of_panels_says() {
         (json!([{ "unit": 34 }, { "unit": 31 }, { "unit": 34 }]), "panels[2]", "panels[0] once more"),
         (json!([{ "unit": 2 }, { "unit": 34 }]), "2", "is clamped"),
     ] {
-        let units: Vec<Value> =
-            list.as_array().unwrap().iter().map(|struck| struck["unit"].clone()).collect();
+        let unit = |struck: &Value| struck.get("unit").cloned().unwrap_or(json!(0));
+        let units: Vec<Value> = list.as_array().unwrap().iter().map(unit).collect();
         let refused = with(list, json!(units)).unwrap_err();
         assert_eq!((refused.key.as_str(), refused.value.as_str()), ("body.panels", place));
         assert!(refused.remedy.contains(remedy), "{refused:?}");

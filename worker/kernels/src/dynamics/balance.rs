@@ -19,7 +19,7 @@ const LEEWAY: f64 = 0.05;
 pub struct Balance<V> {
     /// (m, m, J), zero where clamped.
     mass: Vec<[f64; 3]>,
-    /// Of each panel: how far its unit is along the force, and the force.
+    /// Of each panel: how far its units are along the force, and the force.
     before: Vec<[V; 2]>,
     /// W, its largest value so far, and what has been dissipated.
     work: V,
@@ -50,8 +50,11 @@ impl<V: Vector> Balance<V> {
     pub fn add(&mut self, system: &System<'_, V>, x: &[Place<V>], force: &[V], lost: V) {
         self.lost = self.lost + lost;
         for (k, (before, f)) in self.before.iter_mut().zip(force).enumerate() {
-            let [p, q, r] = x[system.scene.panels[k].unit];
-            let at = system.along(k, [V::narrow(p), V::narrow(q), V::narrow(r)]);
+            let mut at = V::ZERO;
+            for &u in system.pushed(k) {
+                let [p, q, r] = x[u];
+                at = at + system.along(k, u, [V::narrow(p), V::narrow(q), V::narrow(r)]);
+            }
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];
         }

@@ -187,6 +187,14 @@ impl<'a> Body<'a> {
         let layout = &scene.layout;
         let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
         for (k, panel) in scene.panels.iter().enumerate() {
+            if let Some(shakes) = panel.shakes() {
+                for (net, mass) in net.iter_mut().zip(&self.mass) {
+                    for d in 0..2 {
+                        net[d] = net[d] - mass[d] * (shakes[d] * self.force(k, interval, w));
+                    }
+                }
+                continue;
+            }
             let strike = self.forces.strike(&scene.panels, self.sample, k);
             let lever = panel.node.map_or([Dual::default(); 2], |node| {
                 self.arms[scene.layout.number(End { unit: panel.unit, node })]
@@ -261,8 +269,16 @@ impl<'a> Body<'a> {
         net
     }
 
-    /// Adds the sensors' readings at an instant.
-    fn read(&self, x: &State, v: &State, a: &State, signals: &mut Vec<Dual>) {
+    /// Adds the sensors' readings at an instant, numbered from 1.
+    fn read(&self, x: &State, v: &State, a: &State, instant: usize, signals: &mut Vec<Dual>) {
+        let mut a = a.clone();
+        for (k, panel) in self.scene.panels.iter().enumerate() {
+            let Some(shakes) = panel.shakes() else { continue };
+            let force = self.force(k, instant * self.forces.kinks(self.scene) - 1, 1.0);
+            for &u in &self.scene.sensors {
+                (0..2).for_each(|d| a[u][d] = a[u][d] + shakes[d] * force);
+            }
+        }
         for &u in &self.scene.sensors {
             let (theta, omega, Mount { offset: r, tilt }) =
                 (x[u][2], v[u][2], self.scene.mount.unwrap_or_default());
@@ -344,7 +360,7 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
             for u in 0..a.len() {
                 (0..3).for_each(|d| a[u][d] = a[u][d] - gamma(u, d) * v[u][d]);
             }
-            body.read(&x, &v, &a, &mut signals);
+            body.read(&x, &v, &a, (step + 1) / substeps, &mut signals);
             body.meet((step + 1) / substeps, &mut x, &mut v);
         }
     }
@@ -377,7 +393,7 @@ fn adaptive(body: &Body<'_>, steps: &[f64], counts: &[u32]) -> Vec<Dual> {
             tau += h;
         }
         if (interval + 1).is_multiple_of(kinks) {
-            body.read(&x, &v, &a[0], &mut signals);
+            body.read(&x, &v, &a[0], (interval + 1) / kinks, &mut signals);
             body.meet((interval + 1) / kinks, &mut x, &mut v);
             a = vec![body.acceleration(&x, &v, body.damping, (interval, 1.0))];
         }

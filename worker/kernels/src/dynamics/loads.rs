@@ -56,10 +56,21 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
         let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
         let part = V::splat(self.part);
         for (k, of) in self.cotangent.chunks_exact_mut(self.forces.instants + 1).enumerate() {
-            let bar = system.along(k, w[system.scene.panels[k].unit]);
+            let bar = system.along_all(k, w);
             let late = part * bar;
             of[kink] = of[kink] + (bar - late);
             of[kink + 1] = of[kink + 1] + late;
+        }
+    }
+
+    /// Likewise what the forces given last, at the end of a ramp, add to readings whose accelerations have the cotangent `bar_a`.
+    #[inline(always)]
+    pub fn add_felt_vjp(&mut self, system: &System<'_, V>, bar_a: &[Unit<V>]) {
+        let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
+        for (k, of) in self.cotangent.chunks_exact_mut(self.forces.instants + 1).enumerate() {
+            if let Some(bar) = system.felt(k, bar_a) {
+                of[kink + 1] = of[kink + 1] + bar;
+            }
         }
     }
 

@@ -152,6 +152,11 @@ impl Model {
         }
     }
 
+    /// Mass of a unit that moves, its chip's with it (Mg).
+    pub fn mass(&self, unit: usize) -> f64 {
+        self.inverse_mass[unit][0].recip()
+    }
+
     /// What a strike on a panel does about the centroid of its unit.
     pub fn about_centroid(&self, panel: usize, [x, y, moment]: Strike) -> Strike {
         let [p, q] = self.struck[panel].map_or([0.0; 2], |node| self.geometry.arms[node]);

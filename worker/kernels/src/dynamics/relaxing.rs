@@ -117,7 +117,8 @@ fn block<V: Vector, const LINEAR: bool>(
             } else if !size.lane(l).is_finite() {
                 *job.outcome = Outcome::NonFinite;
             } else {
-                read_lane(scene, &x, &v, &a, l, &mut job.signals[interval * width..][..width]);
+                let base = scene.base_at(forces.sample(job.index), (interval + 1) * forces.kinks(scene));
+                read_lane(scene, (&x, &v), &a, base, l, &mut job.signals[interval * width..][..width]);
             }
         }
         if jobs.iter().all(|job| *job.outcome != Outcome::Ok) {

@@ -1,8 +1,8 @@
 //! The body's linearisation at rest: M s̈ + C ṡ + K s = f, K the Hessian of the energy there.
 
+use super::Scene;
 use super::ligaments::{ShapeCotangent, Turn, product};
 use super::model::Model;
-use super::{Scene, Strike};
 use crate::lanes::{Sse2, Vector};
 
 /// Columns of the stiffness that are found together.
@@ -19,8 +19,10 @@ pub struct Rest {
     pub damping: Vec<f64>,
     /// (row, column, value) of K by columns, both triangles, without zeros.
     pub stiffness: Vec<(usize, usize, f64)>,
-    /// What 1 N on each panel does about its unit's centroid.
-    pub pushes: Vec<Strike>,
+    /// What 1 N on each panel does to the unknowns: (unknown, N or N·mm), without zeros.
+    pub pushes: Vec<Vec<(usize, f64)>>,
+    /// The acceleration of the base under 1 N on each (mm/s²), which sensors feel beside their own.
+    pub shakes: Vec<[f64; 2]>,
 }
 
 impl Rest {
@@ -52,11 +54,25 @@ impl Rest {
             damping: unknowns.iter().map(|u| model.damping[u % 3]).collect(),
             free,
             stiffness,
-            pushes: (scene.panels.iter().enumerate())
-                .map(|(k, panel)| model.about_centroid(k, panel.straight()))
-                .collect(),
+            pushes: (0..scene.panels.len()).map(|k| pushes(&model, scene, k)).collect(),
+            shakes: scene.panels.iter().map(|panel| panel.shakes().unwrap_or_default()).collect(),
         }
     }
+}
+
+/// What 1 N on a panel does to the unknowns.
+fn pushes(model: &Model, scene: &Scene, k: usize) -> Vec<(usize, f64)> {
+    let panel = &scene.panels[k];
+    let strike = model.about_centroid(k, panel.straight());
+    let of = |(i, &unit): (usize, &usize)| {
+        let does = match panel.shakes() {
+            Some([x, y]) => [-x * model.mass(unit), -y * model.mass(unit), 0.0],
+            None if unit == panel.unit => strike,
+            None => [0.0; 3],
+        };
+        (0..3).map(move |d| (3 * i + d, does[d]))
+    };
+    model.free.iter().enumerate().flat_map(of).filter(|(_, does)| *does != 0.0).collect()
 }
 
 /// Products of the Hessian of the energy at rest with up to so many w, one a lane.

@@ -140,12 +140,20 @@ pub struct Panel {
     pub node: Option<usize>,
     /// Moment of 1 N about that point (mm): of a force beside it, or of a couple.
     pub moment: f64,
+    /// In place of a force on the unit, a held one, what all held units are fixed to is accelerated along the direction: by f over
+    /// this mass (Mg). The scene's places are then those in its frame, and sensors read what they feel, the base's motion with it.
+    pub base: Option<f64>,
 }
 
 impl Panel {
     /// On the centroid of a unit.
     pub fn central(unit: usize, direction: [f64; 2]) -> Self {
-        Self { unit, direction, node: None, moment: 0.0 }
+        Self { unit, direction, node: None, moment: 0.0, base: None }
+    }
+
+    /// The acceleration of the base under 1 N (mm/s²).
+    pub fn shakes(&self) -> Option<[f64; 2]> {
+        self.base.map(|mass| self.direction.map(|d| d / mass))
     }
 
     /// Where it acts on a unit of this centroid and these corners: the foot of its line, of a couple the centroid.
@@ -208,6 +216,17 @@ impl Scene {
         mass.iter_mut().zip(units).for_each(|(m, by)| *m *= by);
         moment.iter_mut().zip(units).for_each(|(j, by)| *j *= by);
         geometry
+    }
+
+    /// The acceleration of the base under these histories, (K, R+1), at a kink (mm/s²).
+    pub(super) fn base_at(&self, history: &[f64], kink: usize) -> [f64; 2] {
+        let row = history.len() / self.panels.len().max(1);
+        let mut base = [0.0; 2];
+        for (panel, own) in self.panels.iter().zip(history.chunks_exact(row.max(1))) {
+            let Some(shakes) = panel.shakes() else { continue };
+            (0..2).for_each(|d| base[d] += shakes[d] * own[kink]);
+        }
+        base
     }
 
     /// Whether readings depend on how units have turned.

@@ -280,7 +280,8 @@ pub fn forward<V: Vector>(
             } else if excess.lane(l) > 0.0 {
                 *job.outcome = Outcome::Unstable;
             } else {
-                read_lane(scene, &x, &v, &a, l, &mut job.signals[interval * width..][..width]);
+                let base = scene.base_at(forces.sample(job.index), (interval + 1) * forces.kinks(scene));
+                read_lane(scene, (&x, &v), &a, base, l, &mut job.signals[interval * width..][..width]);
             }
         }
         if jobs.iter().all(|s| *s.outcome != Outcome::Ok) {
@@ -425,9 +426,11 @@ pub fn reverse<V: Vector>(
                             a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(V::narrow(v[u][d]), g[u][d]);
                         }
                     }
+                    system.feel(&force, &mut a);
                 }
                 bar_a.fill([zero; 3]);
                 system.read_vjp(&x, &v, &a, &bar, &mut bars.x, &mut bars.v, &mut bar_a);
+                loads.add_felt_vjp(system, &bar_a);
                 // a = G − γ v
                 for u in moving.clone() {
                     for d in 0..3 {

@@ -201,15 +201,24 @@ impl<'a, V: Vector> System<'a, V> {
         self.push_vjp(force, w);
     }
 
-    /// Whether the design moves a point that forces act on.
+    /// Whether what forces do depends on the design: on a node that they act on, or on the masses that they shake.
     #[inline(always)]
     pub fn levered(&self) -> bool {
-        self.model.struck.iter().any(Option::is_some)
+        self.model.struck.iter().any(Option::is_some) || self.scene.panels.iter().any(|p| p.base.is_some())
     }
 
-    /// Adds what forces, whose work on the units has the cotangent `w`, pass on to the arms of the nodes that they act on.
+    /// Adds what forces, whose work on the units has the cotangent `w`, pass on to the arms of the nodes that they act on, and to the
+    /// masses that they shake.
     #[inline(always)]
     pub fn push_vjp(&mut self, force: &[V], w: &[Unit<V>]) {
+        if let Some(base) = self.base(force) {
+            for &u in &self.model.free {
+                for d in 0..2 {
+                    let mass = &mut self.cotangent.mass[u][d];
+                    *mass = w[u][d].mul_sub_from(base[d], *mass);
+                }
+            }
+        }
         for (k, node) in self.model.struck.iter().enumerate() {
             let Some(node) = *node else { continue };
             let ([x, y, _], moment) = (self.strikes[k], w[self.scene.panels[k].unit][2] * force[k]);
@@ -221,19 +230,83 @@ impl<'a, V: Vector> System<'a, V> {
 
     #[inline(always)]
     fn push(&self, force: &[V], g: &mut [Unit<V>]) {
-        for ((panel, strike), &f) in self.scene.panels.iter().zip(&self.strikes).zip(force) {
-            for d in 0..3 {
-                g[panel.unit][d] = g[panel.unit][d] - strike[d] * f;
+        for (k, &f) in force.iter().enumerate() {
+            for &u in self.pushed(k) {
+                let does = self.does(k, u);
+                for d in 0..3 {
+                    g[u][d] = g[u][d] - does[d] * f;
+                }
             }
         }
     }
 
-    /// Transpose of what a force does to its unit: the part of `y`, the panel's unit's, along it, such as the way that it went or, of
-    /// the work on the unit, the cotangent of the force.
+    /// The units that the force on a panel acts on: its own, or all that move where it shakes the base.
     #[inline(always)]
-    pub fn along(&self, panel: usize, y: Unit<V>) -> V {
-        let [p, q, r] = self.strikes[panel];
+    pub fn pushed(&self, panel: usize) -> &[usize] {
+        let at = &self.scene.panels[panel];
+        if at.base.is_some() { &self.model.free } else { std::slice::from_ref(&at.unit) }
+    }
+
+    /// What 1 N on a panel does to one of them.
+    #[inline(always)]
+    fn does(&self, panel: usize, unit: usize) -> Unit<V> {
+        match self.scene.panels[panel].shakes() {
+            None => self.strikes[panel],
+            Some([x, y]) => {
+                let mass = self.model.mass(unit);
+                [V::splat(-mass * x), V::splat(-mass * y), V::ZERO]
+            }
+        }
+    }
+
+    /// Transpose of what a force does to a unit: the part of `y`, the unit's, along it, such as the way that it went or, of the work on
+    /// the unit, the cotangent of the force.
+    #[inline(always)]
+    pub fn along(&self, panel: usize, unit: usize, y: Unit<V>) -> V {
+        let [p, q, r] = self.does(panel, unit);
         p * y[0] + q * y[1] + r * y[2]
+    }
+
+    /// The same of all the units that it acts on.
+    #[inline(always)]
+    pub fn along_all(&self, panel: usize, y: &[Unit<V>]) -> V {
+        let mut sum = V::ZERO;
+        for &u in self.pushed(panel) {
+            sum = sum + self.along(panel, u, y[u]);
+        }
+        sum
+    }
+
+    /// The acceleration of the base; none in a scene that holds still.
+    #[inline(always)]
+    pub fn base(&self, force: &[V]) -> Option<[V; 2]> {
+        let mut base = None;
+        for (panel, &f) in self.scene.panels.iter().zip(force) {
+            let Some([x, y]) = panel.shakes() else { continue };
+            let [p, q] = base.unwrap_or([V::ZERO; 2]);
+            base = Some([V::splat(x).mul_add(f, p), V::splat(y).mul_add(f, q)]);
+        }
+        base
+    }
+
+    /// Adds it to the accelerations of the units that carry sensors: what they feel.
+    #[inline(always)]
+    pub fn feel(&self, force: &[V], a: &mut [Unit<V>]) {
+        let Some(base) = self.base(force) else { return };
+        for &u in &self.scene.sensors {
+            (0..2).for_each(|d| a[u][d] = a[u][d] + base[d]);
+        }
+    }
+
+    /// Of readings whose accelerations have the cotangent `bar_a`, that of the force that shakes the base: what it adds to them.
+    #[inline(always)]
+    pub fn felt(&self, panel: usize, bar_a: &[Unit<V>]) -> Option<V> {
+        let [x, y] = self.scene.panels[panel].shakes()?;
+        let mut sum = V::ZERO;
+        for &u in &self.scene.sensors {
+            sum = V::splat(x).mul_add(bar_a[u][0], V::splat(y).mul_add(bar_a[u][1], sum));
+        }
+        Some(sum)
     }
 
     /// From now on a lane's forces act as those of a sample.
@@ -465,24 +538,29 @@ pub fn cos_sin<V: Vector>(theta: V) -> (V, V) {
     (c, s)
 }
 
-/// The readings of one lane at an instant, into (3M).
+/// The readings of one lane at an instant, into (3M), on a base of this acceleration.
 #[inline(always)]
 pub fn read_lane<V: Vector>(
     scene: &Scene,
-    x: &[Place<V>],
-    v: &[Place<V>],
+    (x, v): (&[Place<V>], &[Place<V>]),
     a: &[Unit<V>],
+    base: [f64; 2],
     lane: usize,
     out: &mut [f64],
 ) {
     for (&u, out) in scene.sensors.iter().zip(out.chunks_exact_mut(3)) {
+        let mut felt = a[u];
+        for d in (0..2).filter(|d| base[*d] != 0.0) {
+            let own = felt[d].lane(lane);
+            felt[d].set_lane(lane, own + base[d]);
+        }
         if let Some(mount) = scene.mount {
             let at = Mounted::<V>::new(mount, scene.frame, V::narrow(x[u][2]));
-            let [ax, ay] = at.read(V::narrow(v[u][2]), a[u]).map(|read| read.lane(lane));
+            let [ax, ay] = at.read(V::narrow(v[u][2]), felt).map(|read| read.lane(lane));
             out.copy_from_slice(&[ax, ay, v[u][2].lane(lane)]);
             continue;
         }
-        let (ax, ay) = (a[u][0].lane(lane), a[u][1].lane(lane));
+        let (ax, ay) = (felt[0].lane(lane), felt[1].lane(lane));
         let (s, c) = match scene.frame {
             Frame::World => (0.0, 1.0),
             Frame::Body => x[u][2].lane(lane).sin_cos(),

@@ -218,7 +218,8 @@ pub fn forward<V: Vector<Wide = V>>(
             }
             if (lane.interval + 1).is_multiple_of(kinks) {
                 let (n, len) = (lane.interval / kinks, 6 * free.len());
-                read_lane(scene, &x, &v, &a[0], l, &mut job.signals[n * width..][..width]);
+                let base = scene.base_at(forces.sample(job.index), lane.interval + 1);
+                read_lane(scene, (&x, &v), &a[0], base, l, &mut job.signals[n * width..][..width]);
                 if let Some(tape) = &mut job.tape {
                     store_lane(free, &x, &v, l, &mut tape.states[n * len..][..len]);
                 }

@@ -233,10 +233,8 @@ pub fn responses(
     let place = |unit: usize| rest.free.iter().position(|u| *u == unit);
     assert!(units.iter().all(|u| *u < scene.layout.units()), "units {units:?}");
     let mut forces = Mat::<c64>::zeros(n, scene.panels.len());
-    for (k, panel) in scene.panels.iter().enumerate() {
-        if let Some(i) = place(panel.unit) {
-            (0..3).for_each(|d| forces[(3 * i + d, k)] = rest.pushes[k][d].into());
-        }
+    for (k, pushes) in rest.pushes.iter().enumerate() {
+        pushes.iter().for_each(|&(unknown, does)| forces[(unknown, k)] = does.into());
     }
     let dynamic = |hertz: f64| {
         let omega = TAU * hertz;
@@ -251,7 +249,10 @@ pub fn responses(
         let moved = lu.solve(&forces);
         let speed = c64::new(0.0, TAU * hertz);
         let read = |k: usize, unit: usize| match place(unit) {
-            Some(i) => [0, 1, 2].map(|d| if d < 2 { speed * speed } else { speed } * moved[(3 * i + d, k)]),
+            Some(i) => [0, 1, 2].map(|d| match d {
+                2 => speed * moved[(3 * i + d, k)],
+                _ => speed * speed * moved[(3 * i + d, k)] + rest.shakes[k][d],
+            }),
             None => [c64::ZERO; 3],
         };
         (0..scene.panels.len()).map(|k| units.iter().map(|&unit| read(k, unit)).collect()).collect()

@@ -26,10 +26,12 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
     }
 }
 
-/// A 3 × 3 lattice with the initial design, shaken.
+/// A 3 × 3 lattice with the initial design, shaken; struck on a centroid and a node, and at its base.
 fn small() -> (Scene, Vec<f64>) {
     let layout = Layout::planar(3, 3, 15.0, 2.25);
-    let scene = scene(layout, vec![0, 1, 2]);
+    let mut scene = scene(layout, vec![0, 1, 2]);
+    scene.panels[1].node = Some(3);
+    scene.panels.push(Panel { base: Some(1e-4), ..Panel::central(0, [0.8, 0.6]) });
     let mut design = scene.layout.initial_design(0.4363);
     design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
     (scene, design)
@@ -144,10 +146,10 @@ fn modes_that_come_twice_are_found_twice() {
 }
 
 /// Weights b of q̇ = s q + b f: xᵀf over 2s xᵀMx + xᵀCx.
-fn weights(scene: &Scene, rest: &Rest, mode: &Mode) -> Vec<c64> {
+fn weights(rest: &Rest, mode: &Mode) -> Vec<c64> {
     let below = 2.0 * mode.s + product(rest, &mode.shape, &rest.damping, &mode.shape);
-    let push = |p: &Panel| mode.shape[p.unit][0] * p.direction[0] + mode.shape[p.unit][1] * p.direction[1];
-    scene.panels.iter().map(|p| push(p) / below).collect()
+    let part = |(i, does): &(usize, f64)| mode.shape[rest.free[i / 3]][i % 3] * *does;
+    rest.pushes.iter().map(|of| of.iter().map(part).sum::<c64>() / below).collect()
 }
 
 /// x(ω) = Σ b/(iω − s) x over all modes and their conjugates.
@@ -163,11 +165,11 @@ fn responses_are_the_sum_over_all_modes() {
             for (read, &unit) in of_panel.iter().zip(&scene.sensors) {
                 for d in 0..3 {
                     let part = |m: &Mode| {
-                        let b = weights(&scene, &rest, m)[k] * m.shape[unit][d];
+                        let b = weights(&rest, m)[k] * m.shape[unit][d];
                         b / (iw - m.s) + b.conj() / (iw - m.s.conj())
                     };
                     let moved: c64 = modes.iter().map(part).sum();
-                    let sum = if d < 2 { iw * iw } else { iw } * moved;
+                    let sum = if d < 2 { iw * iw * moved + rest.shakes[k][d] } else { iw * moved };
                     let size = read[0].norm().max(read[1].norm());
                     let size = if d < 2 { size } else { read[2].norm() };
                     assert!(
@@ -188,9 +190,9 @@ fn small_motions_of_a_simulation_are_those_of_the_modes() {
     let (scene, design) = small();
     let (rest, modes) = found(&scene, &design, 18);
     let force = |k: usize, n: usize| 1e-5 * (0.4 * n as f64 + k as f64).sin().powi(3) * (n as f64 / 20.0);
-    let sides = [1.0, -1.0].into_iter().flat_map(|sign| (0..2).map(move |k| (sign, k)));
+    let sides = [1.0, -1.0].into_iter().flat_map(|sign| (0..3).map(move |k| (sign, k)));
     let values = sides.flat_map(|(sign, k)| (0..=20).map(move |n| sign * force(k, n))).collect();
-    let forces = Forces { samples: 2, panels: 2, instants: 20, values, strikes: Vec::new() };
+    let forces = Forces { samples: 2, panels: 3, instants: 20, values, strikes: Vec::new() };
     let pool = crate::Pool::new(1).unwrap();
     let plan = Plan::equal(Method::Nystrom6, 24);
     let simulated = run(&scene, &design, &forces, &plan, false, &pool).signals;
@@ -204,7 +206,7 @@ fn small_motions_of_a_simulation_are_those_of_the_modes() {
             // ∫ exp(s(h − t)) (1, t/h) dt
             let [flat, ramp] = [(grown - 1.0) / s, (grown - 1.0 - s * h) / (s * s * h)];
             *q *= grown;
-            for (k, b) in weights(&scene, &rest, mode).into_iter().enumerate() {
+            for (k, b) in weights(&rest, mode).into_iter().enumerate() {
                 *q += b * (flat * force(k, n - 1) + ramp * (force(k, n) - force(k, n - 1)));
             }
         }
@@ -219,12 +221,15 @@ fn small_motions_of_a_simulation_are_those_of_the_modes() {
         let mut net: Vec<f64> = (0..18).map(|i| -rest.damping[i] * of(i, 1)).collect();
         rest.stiffness.iter().for_each(|&(i, j, k)| net[i] -= k * of(j, 0));
         let place = |unit: usize| rest.free.iter().position(|u| *u == unit).unwrap();
-        for (k, panel) in scene.panels.iter().enumerate() {
-            (0..2).for_each(|d| net[3 * place(panel.unit) + d] += panel.direction[d] * force(k, n));
+        for (k, pushes) in rest.pushes.iter().enumerate() {
+            pushes.iter().for_each(|(i, does)| net[*i] += does * force(k, n));
         }
+        let base =
+            [0, 1].map(|d| (0..scene.panels.len()).map(|k| rest.shakes[k][d] * force(k, n)).sum::<f64>());
         for (m, &unit) in scene.sensors.iter().enumerate() {
             let i = 3 * place(unit);
-            let exact = [net[i] / rest.mass[i], net[i + 1] / rest.mass[i + 1], of(i + 2, 1)];
+            let felt = |d: usize| net[i + d] / rest.mass[i + d] + base[d];
+            let exact = [felt(0), felt(1), of(i + 2, 1)];
             for (c, exact) in exact.into_iter().enumerate() {
                 let [up, down] = [0, 120].map(|sample| simulated[sample + (n - 1) * 6 + 3 * m + c]);
                 let read = 0.5 * (up - down);

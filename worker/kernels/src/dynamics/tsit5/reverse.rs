@@ -111,6 +111,12 @@ pub fn reverse<V: Vector<Wide = V>>(
             add_into(&mut bar_v, &weights[0]);
             if forces_asked {
                 push_vjp(system, system.weights(), one, &[last; LANES], lanes, (row, &mut pushed));
+                for k in 0..forces.panels {
+                    let Some(felt) = system.felt(k, &w) else { continue };
+                    for (l, &s) in lanes.iter().enumerate() {
+                        pushed[(s * forces.panels + k) * row + last + 1] += felt.lane(l);
+                    }
+                }
             }
 
             // The interval again, keeping the stages of every step
@@ -226,7 +232,7 @@ fn push_vjp<V: Vector<Wide = V>>(
 ) {
     let panels = system.scene.panels.len();
     for k in 0..panels {
-        let bar = system.along(k, w[system.scene.panels[k].unit]);
+        let bar = system.along_all(k, w);
         let late = part * bar;
         let early = bar - late;
         for (l, &s) in lanes.iter().enumerate() {
@@ -251,6 +257,7 @@ fn sensors_vjp<V: Vector<Wide = V>>(
     let zero = [V::splat(0.0); 3];
     if system.scene.reads_turns() {
         system.acceleration(x, v, force, a, &mut { zero[0] });
+        system.feel(force, a);
     }
     let (mut direct_x, mut direct_v) = (system.zeros(), system.zeros());
     bar_a.fill(zero);
