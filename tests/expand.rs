@@ -164,7 +164,7 @@ fn committed_specs_keep_their_hashes() {
     fig5 a3ec099760be45bd
     filtered e6c6ff4b8645bf70
     four-forces b88aef61917cde6e
-    four-forces-map 0e91c63bf27415d4
+    four-forces-map f65323b3ee3a56c2
     gradient c39bace70d622cb2
     long-training aff57803d389341f
     placed-two-core 6a5121d9e7f59190

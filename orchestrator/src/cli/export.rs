@@ -66,9 +66,21 @@ pub(super) struct Args {
     /// Clearance between the body and the mould's cavity on every side (mm), for stl
     #[arg(long, default_value_t = 0.0)]
     clearance: f64,
+    /// Size of a pocket for the chip on each sensor's unit, along, across and deep, such as 6x5x2 (mm), for stl
+    #[arg(long, value_name = "AxBxC", value_parser = size)]
+    pocket: Option<[f64; 3]>,
     /// Threads for simulating the trial again
     #[arg(long, default_value_t = 1)]
     threads: usize,
+}
+
+/// Three lengths.
+fn size(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> = text.split('x').map(|number| number.trim().parse().ok()).collect();
+    let sides: Option<[f64; 3]> = numbers.and_then(|numbers| numbers.try_into().ok());
+    let sides = sides.filter(|sides| sides.iter().all(|side| (MEASURES.0..=MEASURES.1).contains(side)));
+    sides
+        .ok_or_else(|| format!("must be three lengths of {} to {} mm, such as 6x5x2", MEASURES.0, MEASURES.1))
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -126,8 +138,20 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {
             let (width, height) = (args.ligament_width, args.height);
-            let measures = Mould { width, height, wall: args.wall, clearance: args.clearance };
-            let cavity = Outline::new(&body, &measures).map_err(|e| Error::Usage(e.to_string()))?;
+            let (clearance, pocket) = (args.clearance, args.pocket);
+            if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {
+                let what =
+                    format!("--pocket {depth} mm deep: must be less than the body's --height {height}");
+                return Err(Error::Usage(what));
+            }
+            let measures = Mould { width, height, wall: args.wall, clearance, pocket };
+            let spec = &stored.specs[which];
+            let (offset, tilt) =
+                (spec.sensors.offset.unwrap_or_default(), spec.sensors.tilt.unwrap_or_default());
+            let cavity = Outline::new(&body, &measures)
+                .and_then(|cavity| cavity.with_pockets(&body, &measures, offset, tilt.to_radians()))
+                .map_err(|e| Error::Usage(e.to_string()))?;
+            say!("note: the cavity holds {:.1} ml", 1e-3 * cavity.volume(&measures));
             if cavity.parted > 0 {
                 say!(
                     "note: ligaments {width} mm wide touch what they do not join and part {} voids: cast, the body is \

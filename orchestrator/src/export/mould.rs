@@ -1,8 +1,9 @@
 //! The mould in which a body is cast, as a closed surface (binary STL, mm).
 //!
 //! A plate with the body's shape sunk into it: floor `wall` thick, cavity `height` deep, `wall` around it. The surface
-//! is the rectangle below, its four sides, the plate's face with the cavity cut out, the cavity's sides, its bottom. All
-//! share the outline's corners, so that the surface closes by construction; it is checked nevertheless.
+//! is the rectangle below, its four sides, the plate's face with the cavity cut out, the cavity's sides, its bottom, out of which
+//! a block stands for each chip's pocket. All share the outline's corners, so that the surface closes by construction; it is
+//! checked nevertheless.
 
 use std::collections::HashMap;
 
@@ -56,22 +57,30 @@ fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
         triangles.push(corners.map(|i: usize| at(rectangle[i], 0.0)));
     }
     // A vertical rectangle over the side from a to b, seen from its right.
-    let wall = |triangles: &mut Vec<Triangle>, a: Point, b: Point, z: f64| {
-        triangles.push([at(a, z), at(b, z), at(b, face)]);
-        triangles.push([at(a, z), at(b, face), at(a, face)]);
+    let wall = |triangles: &mut Vec<Triangle>, a: Point, b: Point, [z, top]: [f64; 2]| {
+        triangles.push([at(a, z), at(b, z), at(b, top)]);
+        triangles.push([at(a, z), at(b, top), at(a, top)]);
     };
     for i in 0..4 {
-        wall(&mut triangles, rectangle[i], rectangle[(i + 1) % 4], 0.0);
+        wall(&mut triangles, rectangle[i], rectangle[(i + 1) % 4], [0.0, face]);
     }
     // The cavity: its sides look inward, its bottom upward.
     for corners in &cavity.loops {
         for (i, &a) in corners.iter().enumerate() {
-            wall(&mut triangles, corners[(i + 1) % corners.len()], a, floor);
+            wall(&mut triangles, corners[(i + 1) % corners.len()], a, [floor, face]);
         }
     }
-    // The bottom, and the face: voids' islands, and the rectangle around the outer loop.
+    // The bottom with its blocks, and the face: voids' islands, and the rectangle around the outer loop.
     let reversed = |corners: &[Point]| corners.iter().rev().copied().collect::<Vec<_>>();
-    triangles.extend(filled(&cavity.loops).map(|t| t.map(|p| at(p, floor))));
+    let block = floor + mould.pocket.map_or(0.0, |pocket| pocket[2]);
+    for corners in &cavity.pockets {
+        for (i, &a) in corners.iter().enumerate() {
+            wall(&mut triangles, a, corners[(i + 1) % corners.len()], [floor, block]);
+        }
+        triangles.extend(filled(&vec![corners.clone()]).map(|t| t.map(|p| at(p, block))));
+    }
+    let bottom = cavity.loops.iter().cloned().chain(cavity.pockets.iter().map(|corners| reversed(corners)));
+    triangles.extend(filled(&bottom.collect()).map(|t| t.map(|p| at(p, floor))));
     for void in &cavity.loops[1..] {
         triangles.extend(filled(&vec![reversed(void)]).map(|t| t.map(|p| at(p, face))));
     }

@@ -28,6 +28,8 @@ pub struct Mould {
     pub wall: f64,
     /// How much the cavity is larger than the body on every side.
     pub clearance: f64,
+    /// Of a chip's pocket along and across it, and its depth from the mould's floor.
+    pub pocket: Option<[f64; 3]>,
 }
 
 /// Loops of corners.
@@ -39,6 +41,8 @@ pub struct Outline {
     pub pitch: f64,
     /// Voids that ligaments have parted where their width makes them touch what they do not join.
     pub parted: usize,
+    /// Pockets in the body's lower side, counter-clockwise.
+    pub pockets: Vec<IntContour<i32>>,
 }
 
 /// Why there is no outline.
@@ -59,10 +63,25 @@ pub enum Invalid {
         /// Voids between units and ligaments without width.
         voids: usize,
     },
+    /// A pocket leaves too little of its unit around it.
+    #[error(
+        "a pocket of {size} mm leaves {left:.2} mm of unit {unit} around it, less than {POCKET_WALL} mm; choose a smaller one with --pocket"
+    )]
+    Pocket {
+        /// Its sides (mm).
+        size: String,
+        /// The least distance to an edge (mm), below 0 outside.
+        left: f64,
+        /// The unit.
+        unit: usize,
+    },
     /// The cavity runs into itself.
     #[error("a clearance of {0} mm closes or parts a void of the body; choose less with --clearance")]
     Closed(f64),
 }
+
+/// What a pocket leaves of its unit around it at least (mm).
+pub const POCKET_WALL: f64 = 1.0;
 
 /// What an arc's chords may be away from it (mm).
 const SAGITTA: f64 = 0.005;
@@ -88,14 +107,44 @@ impl Outline {
             return Err(Invalid::TooWide { width: mould.width, left, voids });
         };
         if mould.clearance == 0.0 {
-            return Ok(Self { loops: body, pitch, parted });
+            return Ok(Self { loops: body, pitch, parted, pockets: Vec::new() });
         }
         let loops = united(drawing, 0.5 * mould.width + mould.clearance, mould.clearance, pitch)?;
         let within = |void: &IntContour<i32>| loops[1..].iter().filter(|l| void.contains_point(l[0])).count();
         match body[1..].iter().all(|void| within(void) == 1) {
-            true => Ok(Self { loops, pitch, parted }),
+            true => Ok(Self { loops, pitch, parted, pockets: Vec::new() }),
             false => Err(Invalid::Closed(mould.clearance)),
         }
+    }
+
+    /// With a pocket for a chip on each sensor's unit, `offset` (mm) from its centroid and turned by `tilt` (rad).
+    ///
+    /// # Errors
+    /// If one would leave less than [`POCKET_WALL`] of its unit around it.
+    pub fn with_pockets(
+        mut self,
+        drawing: &Drawing,
+        mould: &Mould,
+        offset: [f64; 2],
+        tilt: f64,
+    ) -> Result<Self, Invalid> {
+        let Some([along, across, _]) = mould.pocket else { return Ok(self) };
+        let (sin, cos) = tilt.sin_cos();
+        for &unit in &drawing.sensors {
+            let [x, y] = [0, 1].map(|d| drawing.centroids[unit][d] + offset[d]);
+            let corner = |[p, q]: [f64; 2]| {
+                let (p, q) = (0.5 * along * p, 0.5 * across * q);
+                [x + cos * p - sin * q, y + sin * p + cos * q]
+            };
+            let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(corner);
+            let left =
+                corners.iter().map(|q| depth_within(&drawing.units[unit], *q)).fold(f64::INFINITY, f64::min);
+            if left < POCKET_WALL {
+                return Err(Invalid::Pocket { size: format!("{along}x{across}"), left, unit });
+            }
+            self.pockets.push(corners.iter().map(|q| onto(*q, self.pitch)).collect());
+        }
+        Ok(self)
     }
 
     /// A point of the grid in mm.
@@ -105,13 +154,22 @@ impl Outline {
 
     /// Area within (mm²).
     pub fn area(&self) -> f64 {
-        self.loops.iter().map(|l| l.area_two()).sum::<i64>() as f64 * 0.5 * self.pitch * self.pitch
+        self.mm2(&self.loops)
+    }
+
+    /// Volume that the cavity holds (mm³).
+    pub fn volume(&self, mould: &Mould) -> f64 {
+        self.area() * mould.height - self.mm2(&self.pockets) * mould.pocket.map_or(0.0, |pocket| pocket[2])
+    }
+
+    fn mm2(&self, loops: &[IntContour<i32>]) -> f64 {
+        loops.iter().map(|l| l.area_two()).sum::<i64>() as f64 * 0.5 * self.pitch * self.pitch
     }
 }
 
 /// The union of all units, each with what is within `around` of it, and of strips of `half` a width along the ligaments.
 fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntShape<i32>, Invalid> {
-    let onto = |[x, y]: [f64; 2]| Point::new((x / pitch).round() as i32, (y / pitch).round() as i32);
+    let onto = |point| onto(point, pitch);
     let mut pieces: Vec<IntContour<i32>> =
         drawing.units.iter().map(|unit| unit.iter().map(|p| onto(*p)).collect()).collect();
     let mut strip = |a, b, radius| pieces.push(strip(a, b, radius).map(onto).collect());
@@ -132,6 +190,20 @@ fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntSh
         1 => Ok(shapes.remove(0)),
         n => Err(Invalid::Apart(n)),
     }
+}
+
+/// A point (mm) on the grid.
+fn onto([x, y]: [f64; 2], pitch: f64) -> Point {
+    Point::new((x / pitch).round() as i32, (y / pitch).round() as i32)
+}
+
+/// How far a point lies within a convex unit's edges, counter-clockwise; below 0 outside.
+fn depth_within(unit: &[[f64; 2]], [x, y]: [f64; 2]) -> f64 {
+    let from_edge = |p: usize| {
+        let ([a, b], [c, d]) = (unit[p], unit[(p + 1) % unit.len()]);
+        ((c - a) * (y - b) - (d - b) * (x - a)) / (c - a).hypot(d - b)
+    };
+    (0..unit.len()).map(from_edge).fold(f64::INFINITY, f64::min)
 }
 
 /// Around all within `radius` of the line from a to b, counter-clockwise.

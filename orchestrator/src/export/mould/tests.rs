@@ -16,14 +16,16 @@ fn volume(triangles: &[Triangle]) -> f64 {
 
 /// Closed, and its volume is that of the plate less that of the cavity.
 fn check(drawing: &Drawing, mould: &Mould, what: &str) -> Outline {
-    let cavity = Outline::new(drawing, mould).unwrap_or_else(|e| panic!("{what}: {e}"));
+    let cavity =
+        Outline::new(drawing, mould).and_then(|cavity| cavity.with_pockets(drawing, mould, [0.3, -0.2], 0.4));
+    let cavity = cavity.unwrap_or_else(|e| panic!("{what}: {e}"));
     let triangles = surface(&cavity, mould);
     assert!(is_closed(&triangles), "{what}");
     let size = |k: usize| {
         let all = || cavity.loops[0].iter().map(|p| cavity.mm(*p)[k]);
         all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min) + 2.0 * mould.wall
     };
-    let expected = size(0) * size(1) * (mould.wall + mould.height) - cavity.area() * mould.height;
+    let expected = size(0) * size(1) * (mould.wall + mould.height) - cavity.volume(mould);
     let volume = volume(&triangles);
     assert!((volume / expected - 1.0).abs() < 1e-6, "{what}: {volume} {expected}");
     cavity
@@ -34,6 +36,22 @@ fn the_mould_is_closed_and_has_its_volume() {
     for clearance in [0.0, 0.15] {
         check(&squares(), &Mould { clearance, ..mould(1.0) }, &format!("clearance {clearance}"));
     }
+}
+
+/// A block of the pocket's size stands on the floor under each sensor; one that leaves too little of its unit is refused.
+#[test]
+fn chips_have_their_pockets() {
+    let drawing = Drawing { sensors: vec![0, 4], ..squares() };
+    let with = |pocket| Mould { pocket: Some(pocket), ..mould(1.0) };
+    let plain = check(&drawing, &mould(1.0), "without");
+    let [own, bare] = [(with([5.0, 4.0, 2.5]), 2), (mould(1.0), 0)].map(|(mould, pockets)| {
+        let cavity = check(&drawing, &mould, "pockets");
+        assert_eq!(cavity.pockets.len(), pockets);
+        cavity.volume(&mould)
+    });
+    assert!((bare - own - 2.0 * 5.0 * 4.0 * 2.5).abs() < 1e-3, "{own} {bare}");
+    let refused = plain.with_pockets(&drawing, &with([9.0, 4.0, 2.5]), [0.0; 2], 0.0).unwrap_err();
+    assert!(matches!(refused, super::super::outline::Invalid::Pocket { unit: 0, .. }), "{refused}");
 }
 
 /// The first unit's ligament to the right goes on along the unit's lower edge, as an optimised body has it to 0.02°.

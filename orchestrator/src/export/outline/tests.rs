@@ -5,7 +5,7 @@ use super::*;
 
 /// A mould without clearance for ligaments of a width.
 pub fn mould(width: f64) -> Mould {
-    Mould { width, height: 10.0, wall: 3.0, clearance: 0.0 }
+    Mould { width, height: 10.0, wall: 3.0, clearance: 0.0, pocket: None }
 }
 
 /// Of a unit's corners.
