@@ -312,6 +312,55 @@ def elbow_law_asked():
         yield cells, [errors_by_sensors(of), str(law), *told, *beside]
 
 
+MIDDLE = dict(noise="0.03", damping_ratio="0.02", samples="150", width="[0.06,0.25]", columns="8")
+SETTINGS = {
+    "the middle": {}, "without noise": dict(noise="0.0"), "10 % noise": dict(noise="0.1"),
+    "a quarter of the damping": dict(damping_ratio="0.005"), "60 samples in place of 150": dict(samples="60"),
+    "pulses of 20 to 80 ms": dict(width="[0.02,0.08]"), "4 columns in place of 8": dict(columns="4"),
+}
+
+
+def spread(values):
+    mean = sum(values) / len(values)
+    return math.sqrt(sum((x - mean) ** 2 for x in values) / (len(values) - 1))
+
+
+def chance_by_three(t):
+    """Of a |t| so great, with three degrees of freedom."""
+    angle = math.atan(abs(t) / math.sqrt(3))
+    return 1 - 2 / math.pi * (angle + math.sin(angle) * math.cos(angle))
+
+
+def four_forces_map():
+    lines, found = table("four forces map"), []
+    for line in lines:
+        of = rows("four-forces-map/trials.csv", **MIDDLE | SETTINGS[line[0]])
+        error = {tuple(row[k] for k in ("seed", "placement", "sensors")): row for row in of}
+        def at(seed, placement, sensors, body):
+            return float(error[str(seed), str(placement), sensors][f"holdout_error_{body}"])
+        def scatter(seed, body, shown):
+            return spread([shown(at(seed, p, "2", body)) for p in (seed - 131, 4, 5)])
+        ends_of = lambda s, one, two: at(s, s - 131, one, "initial") / at(s, s - 131, two, "optimised")
+        spreads = lambda s, shown: scatter(s, "initial", shown) / scatter(s, "optimised", shown)
+        seeds = range(131, 135)
+        found.append((of, [[ends_of(s, "6", "2") for s in seeds], [spreads(s, lambda e: e) for s in seeds],
+                           [spreads(s, math.log) for s in seeds], [ends_of(s, "2", "2") for s in seeds]]))
+    logs = [[math.log(x) for x in ratios] for _, four in found for ratios in four]
+    chances = [chance_by_three(sum(x) / 4 / (spread(x) / 2)) for x in logs]
+    order, corrected, most = sorted(range(len(chances)), key=chances.__getitem__), {}, 0
+    for rank, n in enumerate(order):
+        corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
+    for n, (line, (of, four)) in enumerate(zip(lines, found)):
+        main = [row for row in of if row["placement"] not in "45"]
+        shares = ends(main)[0][2]
+        told = {"confirmed": "holds", "refuted": "fails", "open": "open"}[verdict(shares, 2, False)]
+        cells = []
+        for q, ratios in enumerate(four):
+            rated = "open" if chances[4 * n + q] > 0.05 else "holds" if sum(logs[4 * n + q]) > 0 else "fails"
+            cells.append(f"{with_interval(ratios)}: {rated}{'*' if corrected[4 * n + q] <= 0.05 else ''}")
+        yield line[1:], [errors_by_sensors(main), f"{votes_in_words(shares)}: {told}", *cells]
+
+
 def real_scale():
     scenes = [("reference", "bell"), ("real, chip", "bell"), ("reference", "irregular"), ("real, chip", "irregular"), ("real", "irregular")]
     for (body, stimuli), line in zip(scenes, table("real scale"), strict=True):
@@ -356,7 +405,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, real_scale, families, filtered, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, real_scale, families, filtered, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

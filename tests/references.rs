@@ -5,6 +5,7 @@
 
 mod deviations;
 mod elbow_law;
+mod map;
 mod program;
 mod results;
 mod spec;
@@ -61,6 +62,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("placed", results::placed),
     ("elbow law", elbow_law::all),
     ("elbow law asked", elbow_law::asked),
+    ("four forces map", map::all),
     ("claims", results::claims),
     ("sensors", results::sensors),
     ("evaluate", results::evaluate),
