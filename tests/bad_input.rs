@@ -319,6 +319,11 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "density = 1e-8",
+        "density = 1e-8\npanels = [{ unit = 31, directoin = [1, 0] }, { unit = 34 }]",
+        "s.toml:8: body.panels.directoin = [1, 0]: unknown key; the nearest known one is \"body.panels.direction\"",
+    ),
+    (
+        "density = 1e-8",
         "density = 1e-8\npanels = [{ unit = 31 }, { unit = 31, node = 7 }]",
         "body.panels = panels[1]: there is no node 7 of unit 31",
     ),

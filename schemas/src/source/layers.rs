@@ -12,7 +12,7 @@ use super::{POINTS, Place, Source, SpecError, TABLES};
 /// The key that names the file below.
 const BASE: &str = "base";
 /// Keys that name files, from the folder of the spec that has them.
-const FILES: [&str; 2] = ["body.design", "stimuli.recorded.files"];
+const FILES: [&str; 3] = ["body.design", "body.file", "stimuli.recorded.files"];
 /// What a change is.
 const COMMAND_LINE: &str = "command line";
 
@@ -199,7 +199,7 @@ fn from_folder(value: &mut Value, path: &str, folder: &Path) {
     }
 }
 
-/// Keys with their paths; one that holds a dot keeps its quotes. Of lists those of `sweep.points` alone.
+/// Keys with their paths; one that holds a dot keeps its quotes. Of lists those of entries that are tables of known keys.
 fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec<Place>) {
     for (name, value) in table {
         let name_text = name.get_ref();

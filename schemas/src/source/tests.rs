@@ -309,7 +309,7 @@ fn files_are_taken_from_the_folder_of_the_spec_that_names_them() {
         ("a.toml", "base = \"b/b.toml\"\n[stimuli.recorded]\nfiles = [\"own.npz\"]\n"),
         (
             "b/b.toml",
-            "[body]\ndesign = \"x.npy\"\n[sweep]\n\"body.design\" = [\"y.npy\", { random = 1 }]\n\
+            "[body]\ndesign = \"x.npy\"\nfile = \"b.toml\"\n[sweep]\n\"body.design\" = [\"y.npy\", { random = 1 }]\n\
              points = [{ \"body.design\" = \"z.npy\" }]\n[stimuli]\nkind = \"x.npy\"\n",
         ),
     ]);
@@ -317,6 +317,7 @@ fn files_are_taken_from_the_folder_of_the_spec_that_names_them() {
     let from = folder.path().canonicalize().unwrap();
     let beside = |name: &str| from.join("b").join(name).to_str().unwrap().to_owned();
     assert_eq!(table["body"]["design"].as_str().unwrap(), beside("x.npy"));
+    assert_eq!(table["body"]["file"].as_str().unwrap(), beside("b.toml"));
     assert_eq!(table["sweep"]["body.design"][0].as_str().unwrap(), beside("y.npy"));
     assert_eq!(table["sweep"]["points"][0]["body.design"].as_str().unwrap(), beside("z.npy"));
     assert_eq!(table["stimuli"]["recorded"]["files"][0].as_str().unwrap(), "own.npz");
