@@ -45,8 +45,20 @@ fn by_elbow(curve: &[Observation], height: Height) -> Votes {
     found.votes.iter().map(|&(m, share)| (Some(m), share)).chain([(None, none)]).collect()
 }
 
-pub(super) fn fall(curve: &[Observation], part: f64) -> Decision {
+fn fall(curve: &[Observation], part: f64) -> Decision {
     decide(curve, Terms { fall: part, ..Terms::default() }).unwrap().fall
+}
+
+/// Votes for where nine tenths of the fall are done.
+pub(super) fn by_fall(curve: &[Observation]) -> Votes {
+    fall(curve, 0.9).votes.unwrap().into_iter().map(|(m, share)| (Some(m), share)).collect()
+}
+
+/// The mean errors with each number of sensors that there are.
+pub(super) fn errors(curve: &[Observation]) -> String {
+    let places: std::collections::BTreeSet<u64> = curve.iter().map(|o| o.at as u64).collect();
+    let mean = |m: &u64| geometric(curve.iter().filter(|o| o.at == *m as f64).map(|o| o.error));
+    places.iter().map(mean).collect::<Vec<_>>().join(", ") + " %"
 }
 
 fn place(m: Option<f64>) -> String {
@@ -66,8 +78,7 @@ pub(super) fn words(votes: &Votes) -> String {
 /// Votes by the elbow in per cent and in logarithms, and by nine tenths of the fall.
 fn readings(curve: &[Observation]) -> [Votes; 3] {
     let [percent, logarithm] = Height::ALL.map(|height| by_elbow(curve, height));
-    let fall = fall(curve, 0.9).votes.unwrap().into_iter().map(|(m, share)| (Some(m), share)).collect();
-    [percent, logarithm, fall]
+    [percent, logarithm, by_fall(curve)]
 }
 
 /// Elbows where decays may be fast, and where 80 % and 95 % of the fall are done.
@@ -130,14 +141,10 @@ pub fn asked() -> String {
     let line = |(forces, channels): (u64, u64)| {
         let curve = of_sweep(forces, channels);
         let law = forces.div_ceil(channels);
-        let most = curve.iter().map(|o| o.at as u64).max().unwrap();
-        let mean = |m: u64| geometric(curve.iter().filter(|o| o.at == m as f64).map(|o| o.error));
-        let errors = (1..=most).map(mean).collect::<Vec<_>>().join(", ") + " %";
-        let told = [(0, true), (1, true), (2, false)].map(|(reading, elbow)| {
-            let votes = &readings(&curve)[reading];
-            format!("{} ({})", words(votes), verdict(votes, law as f64, elbow))
-        });
-        let begun = vec![forces.to_string(), channels.to_string(), errors, law.to_string()];
+        let [percent, logarithm, fall] = readings(&curve);
+        let told = [(percent, true), (logarithm, true), (fall, false)]
+            .map(|(votes, elbow)| format!("{} ({})", words(&votes), verdict(&votes, law as f64, elbow)));
+        let begun = vec![forces.to_string(), channels.to_string(), errors(&curve), law.to_string()];
         [begun, told.to_vec(), beside(&curve).to_vec()].concat()
     };
     let points = [2, 3, 4, 6].into_iter().flat_map(|forces| [3, 2].map(|channels| (forces, channels)));

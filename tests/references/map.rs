@@ -4,8 +4,8 @@ use metasense::analysis::numbers::{deviation, mean};
 use metasense::analysis::resample::holm;
 use metasense_worker::chance_above;
 
-use super::elbow_law::{curve, fall, verdict, words};
-use super::results::{Row, geometric, number, rows, with_interval};
+use super::elbow_law::{by_fall, curve, errors, verdict, words};
+use super::results::{Row, number, rows, with_interval};
 use super::table;
 
 /// The columns that tell settings apart, and the scene in the middle.
@@ -77,9 +77,7 @@ pub fn all() -> String {
     let line = |(s, (words_of, rows)): (usize, &(&str, Vec<&Row>))| {
         let main = |row: &&&Row| !["4", "5"].contains(&row["placement"].as_str());
         let curve = curve(rows.iter().filter(main).copied(), "optimised");
-        let errors = ["1", "2", "3", "6"]
-            .map(|m| geometric(curve.iter().filter(|o| o.at.to_string() == m).map(|o| o.error)));
-        let votes = fall(&curve, 0.9).votes.unwrap().into_iter().map(|(m, share)| (Some(m), share)).collect();
+        let votes = by_fall(&curve);
         let told = match verdict(&votes, 2.0, false) {
             "confirmed" => "holds",
             "refuted" => "fails",
@@ -95,7 +93,7 @@ pub fn all() -> String {
             let star = if corrected[at] <= 0.05 { "*" } else { "" };
             format!("{}: {rated}{star}", with_interval(values, f64::exp))
         };
-        let mut cells = vec![(*words_of).to_owned(), errors.join(", ") + " %"];
+        let mut cells = vec![(*words_of).to_owned(), errors(&curve)];
         cells.push(format!("{}: {told}", words(&votes)));
         cells.extend((0..4).map(ratio));
         cells
