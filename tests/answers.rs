@@ -16,8 +16,7 @@ fn metasense(db: &Path, args: &[&str]) -> (bool, String, String) {
 fn database() -> (tempfile::TempDir, std::path::PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let db = folder.path().join("synthetic.sqlite");
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(synthetic::fill(&db));
+    synthetic::write(&db);
     (folder, db)
 }
 

@@ -10,6 +10,7 @@
 //! s is a factor of each placement and a little noise.
 
 use std::path::Path;
+use std::sync::OnceLock;
 
 use metasense::plan::Trial;
 use metasense::store::Store;
@@ -34,7 +35,8 @@ fn sweep(columns: usize, rows: usize, panels: usize) -> Value {
         "name": "synthetic",
         "body": {"columns": columns, "rows": rows, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
             "stiffness": {"stretch": 3.0, "shear": 0.5, "bend": 1.0}},
-        "stimuli": {"kind": "bell", "samples": 20, "test": 5, "holdout": 5},
+        "time": {"duration": 0.2, "samples": 40},
+        "stimuli": {"kind": "bell", "samples": 20, "test": 5, "holdout": 5, "width": [0.05, 0.1], "onset": [0.0, 0.1]},
         "brain": {"iterations": 20},
         "optimise": {"iterations": 5},
         "evaluation": {"seeds": 2},
@@ -126,8 +128,19 @@ fn step(step: u32, error: f64) -> StepRecord {
     }
 }
 
-/// Fills a new database; one trial of it has failed, one is still to run.
-pub async fn fill(db: &Path) {
+/// Writes the database; one trial of it has failed, one is still to run. It is made once for all tests.
+pub fn write(db: &Path) {
+    static MADE: OnceLock<Vec<u8>> = OnceLock::new();
+    let make = || {
+        let folder = tempfile::tempdir().unwrap();
+        let db = folder.path().join("made.sqlite");
+        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(fill(&db));
+        std::fs::read(db).unwrap()
+    };
+    std::fs::write(db, MADE.get_or_init(make)).unwrap();
+}
+
+async fn fill(db: &Path) {
     let mut trials: Vec<(Trial, f64, f64)> = Vec::new();
     for placement in 0..5 {
         for sensors in 1..=6 {
