@@ -3,7 +3,7 @@
 
 `python3 results/check.py` prints a line a table and exits with 1 if a number differs. Only tables whose every cell follows from rows
 of trials, samples or casts are here: a table that was printed by `metasense analyse` is an answer, not a row.
-`--power` says what a sweep like `elbow-law` could tell.
+`python3 results/check.py relaxing` looks at that table alone. `--power` says what a sweep like `elbow-law` could tell.
 """
 
 import csv
@@ -413,10 +413,13 @@ if __name__ == "__main__":
         sys.exit()
     wrong = 0
     for check in CHECKS:
+        name = check.__name__.replace("_", " ")
+        if sys.argv[1:] and name not in sys.argv[1:]:
+            continue
         pairs = list(check())
         cells = [(said, found) for line in pairs for said, found in zip(*line, strict=True)]
         differ = [pair for pair in cells if pair[0] != pair[1]]
-        print(f"{check.__name__.replace('_', ' ')}: {len(cells)} cells, {len(differ)} differ")
+        print(f"{name}: {len(cells)} cells, {len(differ)} differ")
         for said, found in differ:
             print(f"  {said!r} is said, {found!r} is found")
         wrong += len(differ) + (not cells)
