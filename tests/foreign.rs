@@ -110,7 +110,7 @@ fn no_database_makes_a_reader_panic() {
     let seeds: Vec<u64> = match roll::number("FOREIGN_SEED") {
         Some(seed) => vec![seed],
         // One that made a reader wait for ever: a name that is no text.
-        None => (0..roll::number("FOREIGN_CASES").unwrap_or(100)).chain([1102]).collect(),
+        None => (0..roll::number("FOREIGN_CASES").unwrap_or(50)).chain([1102]).collect(),
     };
     let whole = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v4.sqlite");
     // As tests/upgrade.rs has it.

@@ -178,7 +178,7 @@ fn rows(db: &Path) -> Vec<String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 16, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 8, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Any subset in any order with any repetition: at once, one after the other, and merged of merged.
     #[test]
