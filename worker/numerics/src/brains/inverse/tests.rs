@@ -138,7 +138,7 @@ fn blows_are_read_on_the_panel_that_they_strike() {
         let prior =
             Prior::new(&problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN)).expect("forces that differ");
         all.guesses = vec![Guess { seen: seen(&problem, &prior), prior, share: 0.0 }];
-        let blows = problem.forces(Purpose::Holdout, 0, 16);
+        let blows = problem.forces(Purpose::Holdout, 0, 8);
         let unseen = trial.samples(&problem.initial, None, blows).expect("samples");
         let found = own.read(&unseen.signals);
         let sums = |of: &[f64]| [0, 1].map(|panel| of[panel..].iter().step_by(2).sum::<f64>());
@@ -167,7 +167,7 @@ fn what_comes_too_late_is_not_looked_at() {
         let mut brain = brain(&trial, 40);
         let mut draw = Draw::numbered(5, 2);
         let drawn: Vec<Vec<f64>> =
-            (0..12).map(|_| normal(&mut draw, brain.guesses[0].prior.unknowns())).collect();
+            (0..8).map(|_| normal(&mut draw, brain.guesses[0].prior.unknowns())).collect();
         let forces = brain.guesses[0].prior.forces(drawn.iter().map(Vec::as_slice));
         let (solver, counters) = (&trial.problem.solver, &mut Counters::default());
         let samples = trial.simulate(&trial.problem.initial, &forces, solver, false, counters).expect("some");
@@ -185,14 +185,14 @@ fn what_comes_too_late_is_not_looked_at() {
                 sure += deviation * deviation;
             }
         }
-        (found, square, covered as f64 / (12.0 * 80.0), sure)
+        (found, square, covered as f64 / (8.0 * 80.0), sure)
     };
-    let known: Vec<_> = [0, 4, 12, 39].map(|after| read(after, None)).into();
+    let known: Vec<_> = [0, 12, 39].map(|after| read(after, None)).into();
     for pair in known.windows(2) {
         assert!(pair[1].3 < pair[0].3, "deviations {} then {}", pair[0].3, pair[1].3);
     }
     let errors: Vec<f64> = known.iter().map(|known| known.1).collect();
-    assert!(errors[3] < 0.8 * errors[0] && errors[2] < errors[0], "{errors:?}");
+    assert!(errors[2] < 0.8 * errors[0] && errors[1] < errors[0], "{errors:?}");
     for (_, square, covered, sure) in &known {
         assert!(
             (0.91..0.98).contains(covered) && (0.6..1.6).contains(&(square / sure)),
@@ -200,7 +200,7 @@ fn what_comes_too_late_is_not_looked_at() {
         );
     }
     // readings from instant 25 on are others: what is said of instants that may not see them stays
-    for (i, after) in [0, 4, 12].into_iter().enumerate() {
+    for (i, after) in [0, 12].into_iter().enumerate() {
         let cut = read(after, Some(25)).0;
         for (whole, cut) in known[i].0.iter().zip(&cut) {
             let same = 2 * (25 - after);

@@ -167,7 +167,9 @@ fn casts_are_read_on_to_the_same_bits() {
         let saved: Vec<&State> = whole.saved.iter().filter(is_there).collect();
         let first = saved.iter().position(|state| state.comparison.casts_read(1) == 1);
         assert!(first.is_some_and(|first| is_linear || first > 2), "{} saved", saved.len());
-        for state in saved {
+        // of those within a training every third
+        let every = |(n, state): &(usize, &State)| n % 3 == 0 || state.comparison.training.is_none();
+        for (_, state) in saved.into_iter().enumerate().filter(every) {
             let resumed = optimise(&problem, Some(state.clone()), &pool(3), &mut Keeper::default()).unwrap();
             let resumed = resumed.unwrap();
             assert_eq!(readings(&resumed), readings(&through));
@@ -326,6 +328,9 @@ fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
     let decoder = Decoder { lags, ..plain.decoder };
     let mut problem = Problem { disturbance: chip, variation, reader: BrainKind::Inverse, decoder, ..plain };
     (problem.optimise.iterations, problem.evaluation.casts) = (1, 1);
+    // ten records are what a twin is told by
+    problem.stimuli = Stimuli { samples: 12, test: 2, holdout: 2, ..problem.stimuli };
+    problem.scene.density *= 4.0; // fewer steps
     let through = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
     let by: Vec<CastBrain> = through.casts[1].iter().map(|reading| reading.by).collect();
     assert!(by.contains(&CastBrain::Twin(10)) && by.contains(&CastBrain::Inverse), "{by:?}");
@@ -338,7 +343,7 @@ fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
             None => {
                 state = observer.saved;
                 // a piece that needs longer than that gets it at last
-                (patience, stops) = (patience + 4, stops + 1);
+                (patience, stops) = (patience + 9, stops + 1);
             }
         }
     };
