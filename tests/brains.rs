@@ -1,6 +1,6 @@
 //! The brain as an axis: trained with and read by linear brains and networks, from the spec to what is exported.
 
-use crate::common::{Bench, TINY, results};
+use crate::common::{Bench, TINY, light, results};
 
 /// TINY read by a network and by a linear brain, each trained with either.
 fn spec() -> String {
@@ -16,7 +16,7 @@ fn spec() -> String {
 fn sensors_are_searched_for() {
     let bench = Bench::new();
     let searched = "sensors = [2]\n\"sensors.search\" = [\"random\", \"greedy\"]";
-    let spec = TINY
+    let spec = light()
         .replace("sensors = [1, 2]", searched)
         .replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"");
     bench.file("s.toml", &spec);

@@ -67,7 +67,7 @@ fn number(bench: &Bench, db: &str, sql: &str) -> u64 {
 #[test]
 fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     let bench = Bench::new();
-    bench.file("long.toml", &long("[1]", 15_000));
+    bench.file("long.toml", &long("[1]", 8000));
     bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
     let saved = || number(&bench, "s.sqlite", "SELECT length(bytes) FROM checkpoint WHERE step = 4");
     let more_than = |size| {
@@ -144,15 +144,15 @@ fn a_stop_on_request_does_not_wait_for_a_long_step() {
     assert_eq!(rows(&bench.path("s.sqlite"), "SELECT state FROM trial"), [r#"["pending"]"#]);
 }
 
-/// Six kills (`KILLS=N` for more, `KILL_SEED=N` for the same) of a worker, the run, or both, at random moments until the
+/// Four kills (`KILLS=N` for more, `KILL_SEED=N` for the same) of a worker, the run, or both, at random moments until the
 /// sweep is done: every other when something more has been saved, so that it comes to an end.
 #[test]
 fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() {
     let bench = Bench::new();
-    bench.file("long.toml", &long("[1, 2]", 7000));
+    bench.file("long.toml", &long("[1, 2]", 4000));
     bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
     let expected = results(&bench, "whole.sqlite");
-    let least = roll::number("KILLS").unwrap_or(6);
+    let least = roll::number("KILLS").unwrap_or(4);
     let (mut kills, mut within, mut sweeps, mut roll) = (0, 0, 0, Roll::new());
     while kills < least {
         let db = format!("killed-{sweeps}.sqlite");

@@ -1,6 +1,6 @@
 //! What a researcher asks of a body before any training: how it rings, what a linear model is worth, what could be known.
 
-use crate::common::{Bench, TINY};
+use crate::common::{Bench, TINY, light};
 use serde_json::Value;
 
 fn json(text: &str) -> Vec<Value> {
@@ -46,7 +46,7 @@ fn a_body_rings() {
 #[test]
 fn a_finished_trial_stands_beside_its_bounds() {
     let bench = Bench::new();
-    let spec = TINY
+    let spec = light()
         .replace("sensors = [1, 2]", "sensors = [1]\n\"brain.kind\" = [\"linear\", \"inverse\"]")
         .replace("holdout = 2", "holdout = 8")
         .replace("[brain]\niterations = 10\n", "[sensors]\nnoise = 0.1\n");

@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::processes::{eventually, kill};
-use crate::common::{Bench, SPEC, TINY, results};
+use crate::common::{Bench, SPEC, TINY, light, results};
 use metasense::fleet::{Seen, workers_of};
 use metasense::plan::Plan;
 use metasense::store::Store;
@@ -95,7 +95,7 @@ fn the_instruction_set_asked_for_is_the_one_used() {
 #[test]
 fn a_run_that_is_killed_goes_on_to_the_same_results() {
     let bench = Bench::new();
-    bench.file("tiny.toml", &TINY.replace("iterations = 4", "iterations = 40"));
+    bench.file("tiny.toml", &TINY.replace("iterations = 4", "iterations = 20"));
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     let steps = || {
         let sql = "SELECT count(*) FROM v_step";
@@ -192,7 +192,7 @@ async fn a_failed_trial_is_run_again_on_request_alone() {
 fn hopeless_trials_are_given_up_on_request_and_go_on_without_it() {
     let bench = Bench::new();
     // more steps than are done while a busy machine keeps the run from asking for its trial
-    let long = TINY.replace("iterations = 4\n", "iterations = 20\n");
+    let long = light().replace("iterations = 4\n", "iterations = 20\n");
     let seeds = long.replace("sensors = [1, 2]", "sensors = [1]\nseeds = [1, 2, 3, 4]");
     bench.file("whole.toml", &seeds);
     bench.output(&["run", "whole.toml", "--db", "whole.sqlite"]);
