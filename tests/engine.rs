@@ -426,7 +426,7 @@ fn a_worker_of_another_build_does_not_connect() {
 #[test]
 fn a_reader_that_queries_all_the_time_meets_no_lock() {
     let folder = tempfile::tempdir().unwrap();
-    let mut run = Run::start(&folder.path().join("s.sqlite"), "--trials 300 --steps 2 --workers 2");
+    let mut run = Run::start(&folder.path().join("s.sqlite"), "--trials 120 --steps 2 --workers 2");
     run.some_workers(1);
     let mut queries = 0;
     while run.child.try_wait().unwrap().is_none() {
@@ -435,7 +435,7 @@ fn a_reader_that_queries_all_the_time_meets_no_lock() {
     }
     assert_eq!(run.wait(), Some(0));
     assert!(queries > 3, "{queries} queries");
-    assert_eq!(rows(&run.db, "SELECT count(*) FROM trial WHERE state = 'done'"), ["[300]"]);
+    assert_eq!(rows(&run.db, "SELECT count(*) FROM trial WHERE state = 'done'"), ["[120]"]);
 }
 
 /// A disk that takes no more (here: a limit on file sizes): exit code 3, a message, and nothing half written.

@@ -501,12 +501,12 @@ fn prior(trial: usize, dice: &mut Dice) -> Prior {
     }
 }
 
-/// Ten thousand worlds. To see one again, put its seed in `METASENSE_SEED`.
+/// Four thousand worlds. To see one again, put its seed in `METASENSE_SEED`.
 #[test]
-fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_10_000_random_worlds() {
+fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_4000_random_worlds() {
     let seeds = match std::env::var("METASENSE_SEED").ok().and_then(|seed| seed.parse().ok()) {
         Some(seed) => seed..seed + 1_u64,
-        None => 0..10_000,
+        None => 0..4000,
     };
     let run = |world: &mut World| std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| world.run()));
     let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
@@ -528,11 +528,11 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_10_000_random_worlds() {
         *outcomes.entry(outcome.split('(').next().unwrap_or_default().to_owned()).or_default() += 1;
     }
     if seeds.end - seeds.start > 1 {
-        assert!(answers.len() == 8 && answers.values().all(|count| *count > 300), "{answers:?}");
-        assert!(pruned > 100, "{pruned} trials were given up as hopeless");
+        assert!(answers.len() == 8 && answers.values().all(|count| *count > 120), "{answers:?}");
+        assert!(pruned > 40, "{pruned} trials were given up as hopeless");
         for outcome in ["Complete", "Interrupted", "StoreBroken", "NoWorkers", "Unfit"] {
             let count = outcomes.get(outcome).copied().unwrap_or(0);
-            assert!(count > 20, "{outcome} was met in {count} worlds only: {outcomes:?}");
+            assert!(count > 8, "{outcome} was met in {count} worlds only: {outcomes:?}");
         }
     }
 }
