@@ -221,7 +221,7 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &metasense_numer
             return Row::new(name, scale, 1e-6).noted(format!("norm of the signals; {note}"));
         }
         // At the instants of T = 2 the absolute part of a wider tolerance would swallow the ringing that is left.
-        let tolerance = if scene.instants > 2 { 1e-11 } else { 1e-13 };
+        let tolerance = if scene.instants > 2 { 1e-9 } else { 1e-13 };
         let tight = Solver::tsit5(Tolerance::both(tolerance));
         let exact = simulate(scene, design, forces, &tight, false, pool);
         let error = signal_error(&run.signals, &exact.signals, 3 * scene.sensors.len());
