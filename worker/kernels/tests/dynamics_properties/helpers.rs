@@ -1,0 +1,58 @@
+//! A small scene, forces on it, and steps.
+
+use crate::common::scene;
+use metasense_kernels::dynamics::{Forces, Method, Panel, Plan, Scene, Tolerance};
+use std::f64::consts::TAU;
+
+/// A 3 × 3 lattice read for 0.1 s at 20 instants.
+pub fn small_scene() -> Scene {
+    Scene {
+        panels: vec![
+            Panel::central(6, [0.0, -1.0]),
+            Panel { node: Some(3), moment: -1.2, ..Panel::central(8, [0.6, -0.8]) },
+        ],
+        sensors: vec![4, 7],
+        ..scene(3, 3, 20)
+    }
+}
+
+/// Smooth pushes of up to `amplitude` N, another for each sample and panel.
+pub fn pushes(scene: &Scene, samples: usize, amplitude: f64) -> Forces {
+    let (panels, instants) = (scene.panels.len(), scene.instants);
+    let mut values = Vec::new();
+    for i in 0..samples {
+        for k in 0..panels {
+            for n in 0..=instants {
+                let phase = n as f64 / instants as f64 * (1.0 + 0.3 * i as f64 + 0.5 * k as f64);
+                values.push(amplitude * (0.5 * TAU * phase).sin().powi(2));
+            }
+        }
+    }
+    Forces { samples, panels, instants, values, strikes: Vec::new() }
+}
+
+/// The same forces off the centroids and their panels' directions, another way for each sample and panel.
+pub fn struck(scene: &Scene, forces: Forces) -> Forces {
+    let strike = |n: usize| {
+        let (offset, angle) = (3.0 * (1.1 * n as f64).cos(), 0.4 * (2.3 * n as f64).sin());
+        scene.panels[n % forces.panels].struck(offset, angle)
+    };
+    Forces { strikes: (0..forces.samples * forces.panels).map(strike).collect(), ..forces }
+}
+
+/// The initial design, shaken.
+pub fn shaken(scene: &Scene) -> Vec<f64> {
+    let mut design = scene.layout.initial_design(0.4363);
+    design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
+    design
+}
+
+pub fn plan(method: Method, steps: usize) -> Plan {
+    match method {
+        Method::Tsit5 => Plan::tsit5(Tolerance::both(1e-10)),
+        method => Plan::equal(method, steps),
+    }
+}
+
+pub const EQUAL_STEPS: [(Method, f64, usize); 3] =
+    [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
