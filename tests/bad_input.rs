@@ -240,6 +240,28 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[until]\npaired = 0.2\nconfidence = 1.5\n[sweep]",
         "s.toml:15: until.confidence = 1.5: must lie in [0.5, 1)",
     ),
+    ("[sweep]", "[goal]\nerror = 0.0\n[sweep]", "s.toml:14: goal.error = 0.0: must be a number above 0"),
+    (
+        "[sweep]",
+        "[goal]\nerror = 3.0\nquantile = 1.5\n[sweep]",
+        "s.toml:15: goal.quantile = 1.5: must lie above 0",
+    ),
+    (
+        "[sweep]",
+        "[goal]\nerror = 3.0\nquantile = 0.9\n[sweep]",
+        "s.toml:15: goal.quantile = 0.9: is over casts: give",
+    ),
+    ("[sweep]", "[goal]\nerror = 3.0\nfresh = 1\n[sweep]", "s.toml:15: goal.fresh = 1: must be at least 3"),
+    (
+        "[sweep]",
+        "[goal]\nerror = 3.0\nmemry = 1\n[sweep]",
+        "s.toml:15: goal.memry = 1: unknown key; the nearest",
+    ),
+    (
+        "[sweep]",
+        "[until]\npaired = 1.0\n[goal]\nerror = 3.0\n[sweep]",
+        "until: cannot be given beside [goal]",
+    ),
     ("[sweep]", "[until]\nconfidence = 0.9\n[sweep]", "s.toml:13: until: needs a question: paired, within,"),
     (
         "[sweep]",

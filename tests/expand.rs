@@ -151,6 +151,7 @@ fn committed_specs_keep_their_hashes() {
     digests.sort();
     insta::assert_snapshot!(digests.join("\n"), @r"
     brains-two-core 5eb82c6f08db37b1
+    design-two-core 5d9f5815f6f2c101
     disc 05cd48334f7ba6b8
     eight-forces d02373435aeebd1c
     elbow-law dd9ab67d59dd2124

@@ -17,6 +17,7 @@ mod evaluate;
 mod expand;
 mod exports;
 mod foreign;
+mod goal;
 mod hyperqueue;
 mod identify;
 mod measured;

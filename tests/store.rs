@@ -35,6 +35,7 @@ fn trial(order: usize) -> Trial {
         brain_parameters: 13_122,
         cost: 1.0,
         weight: 1,
+        pause: None,
     }
 }
 

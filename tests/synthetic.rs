@@ -75,6 +75,7 @@ fn trial(
         brain_parameters: 9 * sensors * 64 + 64 + 3 * 64 * 64 + 64 + 64 * panels + panels,
         cost: 10.0,
         weight: 10_000,
+        pause: None,
     }
 }
 

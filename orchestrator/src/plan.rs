@@ -8,6 +8,7 @@
 mod axes;
 mod brains;
 pub mod cost;
+pub mod goal;
 mod size;
 mod until;
 
@@ -58,6 +59,7 @@ impl Plan {
     pub fn of(source: Source) -> Result<Self, SpecError> {
         let spec = until::grid(source.parse()?, &source)?;
         check_sweep(&spec, &source)?;
+        goal::check(&spec, &source)?;
         let combinations = axes::combinations(&spec, &source)?;
         brains::refuse_unread(combinations.iter().map(|combination| &combination.spec), &source)?;
         let mut points = Vec::new();
@@ -537,6 +539,7 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                         brain_parameters: point.brain_parameters,
                         cost: point.cost,
                         weight: point.weight,
+                        pause: None,
                     });
                 }
             }

@@ -31,6 +31,8 @@ pub enum Reason {
     Cancelled,
     /// Handed back on request, or ended as that took too long; goes on with the next run.
     Stopped,
+    /// It has done the steps that were asked for, and goes on when more are.
+    Paused,
 }
 
 /// Name of `Reason::Pruned`, by which such trials are told from those that have failed.
@@ -53,6 +55,7 @@ impl fmt::Display for Reason {
             Self::Pruned => f.write_str(PRUNED),
             Self::Cancelled => f.write_str(CANCELLED),
             Self::Stopped => f.write_str("stopped"),
+            Self::Paused => f.write_str("paused"),
         }
     }
 }
@@ -97,6 +100,7 @@ impl Reason {
             Self::Pruned => "leave `prune` out of [run] to have it run to its end",
             Self::Cancelled => "run with --retry-failed to go on with it",
             Self::Stopped => "the same command goes on",
+            Self::Paused => "it goes on where a requirement needs it",
         }
     }
 

@@ -30,6 +30,9 @@ pub struct Trial {
     pub cost: f64,
     /// Work against other trials: the same number on every machine.
     pub weight: u64,
+    /// Outer steps after which it is to pause; `None`: it is run to its end.
+    #[serde(skip)]
+    pub pause: Option<u32>,
 }
 
 /// The result of a settled trial, as far as the questions of `[until]` are about it.

@@ -58,6 +58,8 @@ pub enum ToWorker {
         checkpoint: Option<Box<Checkpoint>>,
         /// Threads to use.
         threads: u32,
+        /// Hand it back after this outer step.
+        pause: Option<u32>,
         /// The trial's hash, of which the process bears the beginning as its name.
         hash: String,
     },

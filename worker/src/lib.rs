@@ -5,6 +5,7 @@ pub mod bound;
 pub mod casts;
 pub mod clock;
 pub mod convert;
+pub mod demands;
 pub mod design;
 pub mod evaluate;
 pub mod files;
@@ -28,5 +29,6 @@ pub mod twin;
 pub mod verify;
 
 pub use metasense_numerics::brain::milestones;
+pub use metasense_numerics::predict;
 pub use metasense_numerics::random::Draw;
 pub use metasense_numerics::student::{chance_above, student, student_above};

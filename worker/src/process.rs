@@ -176,9 +176,15 @@ impl Worker {
                 Some(ToWorker::Job { lease, .. }) if unwanted == Some(lease) => {
                     self.send(&ToOrchestrator::Stopped { lease })?;
                 }
-                Some(ToWorker::Job { lease, work, checkpoint, threads, hash }) => {
+                // what another attempt has done before its end was heard
+                Some(ToWorker::Job { lease, checkpoint: Some(done), pause: Some(step), .. })
+                    if done.step >= step =>
+                {
+                    self.send(&ToOrchestrator::Stopped { lease })?;
+                }
+                Some(ToWorker::Job { lease, work, checkpoint, threads, pause, hash }) => {
                     name_process(&hash);
-                    self.perform(lease, &work, checkpoint.map(|boxed| *boxed), threads as usize)?;
+                    self.perform(lease, &work, checkpoint.map(|boxed| *boxed), threads as usize, pause)?;
                     name_process(IDLE);
                 }
                 Some(ToWorker::Stop { lease }) => unwanted = Some(lease),
@@ -193,11 +199,12 @@ impl Worker {
         work: &str,
         checkpoint: Option<Checkpoint>,
         threads: usize,
+        pause: Option<u32>,
     ) -> Result<(), LinkError> {
         let heartbeat = Heartbeat::default();
         let beats = Beats { sender: &self.beats, lease, heartbeat: heartbeat.clone() };
         let mut reporter =
-            Reporter { worker: self, lease, beats: &beats, beaten: None, stop: false, broken: None };
+            Reporter { worker: self, lease, pause, beats: &beats, beaten: None, stop: false, broken: None };
         let perform = || (self.perform)(work, checkpoint, threads, heartbeat, &mut reporter);
         let done = AtomicBool::new(false);
         let ended = std::thread::scope(|scope| {
@@ -334,6 +341,8 @@ impl Beats<'_> {
 struct Reporter<'a> {
     worker: &'a Worker,
     lease: Lease,
+    /// The outer step after which no more is wanted.
+    pause: Option<u32>,
     beats: &'a Beats<'a>,
     beaten: Option<Instant>,
     stop: bool,
@@ -374,6 +383,7 @@ impl Observe for Reporter<'_> {
 
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
         let (record, checkpoint) = (Box::new(record), Box::new(checkpoint));
+        self.stop |= self.pause.is_some_and(|step| checkpoint.step >= step);
         self.tell(&ToOrchestrator::Step { lease: self.lease, record, checkpoint });
         self.wanted()
     }

@@ -188,6 +188,7 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
             design_parameters: 1,
             brain_parameters: 0,
             weight: 1,
+            pause: None,
             cost: 1.0,
         })
         .collect()

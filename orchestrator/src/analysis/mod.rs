@@ -13,6 +13,7 @@ pub mod compare;
 pub mod data;
 pub mod decision;
 pub mod elbow;
+pub mod goal;
 pub mod kinds;
 pub mod numbers;
 pub mod operator;

@@ -10,6 +10,7 @@ mod bound;
 mod casts;
 mod claims;
 mod control;
+mod design;
 mod draw;
 mod error;
 mod evaluate;
@@ -105,7 +106,7 @@ macro_rules! commands {
 }
 
 commands! {
-    "A sweep": Run run, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
+    "A sweep": Run run, Design design, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
     "A cluster": Submit submit, Merge merge, Gc gc;
     "Results": Query query, Analyse analyse, Report report, Claims claims, Export export, Remove remove;
     "Bodies": Simulate simulate, Modes modes, Bound bound, Operator operator, Casts casts, Place place, Project project, Draw draw;

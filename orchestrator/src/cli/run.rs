@@ -8,6 +8,7 @@ use metasense_schemas::source::Source;
 use metasense_schemas::spec::Run;
 use tokio::sync::oneshot;
 
+use super::design::search;
 use super::live::Live;
 use super::named::Spec;
 use super::pages::Pages;
@@ -20,6 +21,7 @@ use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Listener, WORKERS_MAX};
 use crate::engine::{self, Again, Control, EngineError, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
+use crate::plan::goal::Space;
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::scheduler::{Outcome, Settings};
 use crate::store::{RunPlan, Store};
@@ -33,25 +35,8 @@ use crate::store::{RunPlan, Store};
 pub(super) struct Args {
     #[command(flatten)]
     spec: Spec,
-    /// The database; by default results/NAME.sqlite
-    #[arg(long, value_name = "FILE")]
-    db: Option<PathBuf>,
-    /// Worker processes, each with one trial at a time; by default `run.workers` of the spec, else one per core
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    workers: Option<u16>,
-    /// Shows the run in a browser at this port (0: any free one). Prints the address with a token; its pages can steer the run.
-    /// They are served by another process and do not slow the run
-    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8017")]
-    serve: Option<u16>,
-    /// Threads per worker; by default `run.threads` of the spec, else 1
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: Option<u16>,
-    /// Runs failed trials again, from their last step
-    #[arg(long)]
-    retry_failed: bool,
-    /// Runs again, from the beginning, trials of the spec that were computed by other code; `status` names them
-    #[arg(long)]
-    redo_other_code: bool,
+    #[command(flatten)]
+    running: Running,
     /// Runs only the trials of shard I of N. Shards are balanced by estimated time; the assignment in the folder of --copy-to
     /// counts where there is one
     #[arg(long, value_name = "I/N")]
@@ -66,15 +51,39 @@ pub(super) struct Args {
     /// Stops in order after this time (s), for schedulers that do not announce the end by SIGTERM
     #[arg(long, value_name = "S", requires = "copy_to")]
     stop_after: Option<f64>,
+}
+
+/// Where and how trials are run.
+#[derive(Debug, clap::Args)]
+pub(super) struct Running {
+    /// The database; by default results/NAME.sqlite
+    #[arg(long, value_name = "FILE")]
+    pub db: Option<PathBuf>,
+    /// Worker processes, each with one trial at a time; by default `run.workers` of the spec, else one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub workers: Option<u16>,
+    /// Shows the run in a browser at this port (0: any free one). Prints the address with a token; its pages can steer the run.
+    /// They are served by another process and do not slow the run
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8017")]
+    pub serve: Option<u16>,
+    /// Threads per worker; by default `run.threads` of the spec, else 1
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Runs failed trials again, from their last step
+    #[arg(long)]
+    pub retry_failed: bool,
+    /// Runs again, from the beginning, trials of the spec that were computed by other code; `status` names them
+    #[arg(long)]
+    pub redo_other_code: bool,
     #[command(flatten)]
-    simd: Simd,
+    pub simd: Simd,
     /// The form of the final table
     #[arg(long, value_enum, default_value_t)]
-    format: Format,
+    pub format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    args.simd.choose()?;
+    args.running.simd.choose()?;
     let seconds = |name: &str, value: f64| match Duration::try_from_secs_f64(value) {
         Ok(time) if value >= 1.0 => Ok(time),
         _ => Err(Error::Usage(format!("--{name} {value} is not a time of at least 1 s"))),
@@ -94,12 +103,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         if let Some(shard) = args.shard {
             Assignment::new(&plan.trials, shard.count()).restrict(shard, &mut plan);
         }
-        let db = args.db.clone().unwrap_or_else(|| match args.shard {
+        let db = args.running.db.clone().unwrap_or_else(|| match args.shard {
             Some(shard) => plan.default_database().with_extension(format!("{}.sqlite", shard.file_stem())),
             None => plan.default_database(),
         });
-        let (outcome, plan) = run(plan, &args, &db, &log::path(&db), &mut signals).await?;
-        return end(&db, &plan, args.format, outcome).await;
+        let how = How { spec: &args.spec, running: &args.running, shard: args.shard, space: None };
+        let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals).await?;
+        return end(&db, &plan, args.running.format, outcome).await;
     };
     check_submitted(folder, &source)?;
     let plan = match trials_of(folder, shard)? {
@@ -114,7 +124,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             plan
         }
     };
-    let mut home = Home::new(&plan.spec.name, shard, folder, args.db.clone())?;
+    let mut home = Home::new(&plan.spec.name, shard, folder, args.running.db.clone())?;
     let waits =
         || say!("an earlier attempt of this shard has not ended on this node yet; this one waits for it");
     if let Some(aside) = home.take_in(waits).await? {
@@ -125,8 +135,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();
+    let how = How { spec: &args.spec, running: &args.running, shard: args.shard, space: None };
     let running = async {
-        let outcome = run(plan, &args, &db, &log, &mut signals).await;
+        let outcome = run(plan, &how, &db, &log, &mut signals).await;
         drop(stop);
         outcome
     };
@@ -134,7 +145,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     // Also after an error, the database is handed in.
     let handed_in = home.hand_in_within(Duration::from_secs(NOTICE)).await;
     let (outcome, plan) = outcome?;
-    let exit = end(&db, &plan, args.format, outcome).await?;
+    let exit = end(&db, &plan, args.running.format, outcome).await?;
     handed_in?;
     home.leave().await;
     Ok(exit)
@@ -164,17 +175,28 @@ fn check_submitted(folder: &Path, source: &Source) -> Result<(), Error> {
     }
 }
 
+/// What of a plan is run, and how.
+pub(super) struct How<'a> {
+    /// Where the plan is from.
+    pub spec: &'a Spec,
+    pub running: &'a Running,
+    /// Which part of it; none: the whole.
+    pub shard: Option<Shard>,
+    /// What is searched for in it; none: all of it is run, or what its questions need.
+    pub space: Option<&'a Space>,
+}
+
 /// Runs what is open, and closes the database; with the plan as it is by then.
-async fn run(
+pub(super) async fn run(
     plan: Plan,
-    args: &Args,
+    how: &How<'_>,
     db: &Path,
     log: &Path,
     signals: &mut Signals,
 ) -> Result<(Outcome, Plan), Error> {
     let mut store = Store::open(db).await?;
-    let control = Control::new(listener(db), reread(&plan, args));
-    let ran = run_open(&mut store, &plan, args, log, signals, &control).await;
+    let control = Control::new(listener(db), reread(&plan, how));
+    let ran = run_open(&mut store, &plan, how, log, signals, &control).await;
     let plan = control.last_plan().cloned().unwrap_or(plan);
     // The socket goes, and the database is closed in any case, and let go of when all is written.
     drop(control);
@@ -187,26 +209,27 @@ async fn run(
 async fn run_open(
     store: &mut Store,
     plan: &Plan,
-    args: &Args,
+    how: &How<'_>,
     log: &Path,
     signals: &mut Signals,
     control: &Control,
 ) -> Result<Option<Outcome>, Error> {
-    let pages = match args.serve {
+    let pages = match how.running.serve {
         Some(port) => Some(Pages::start(store.path(), port).await?),
         None => None,
     };
     // What was given up as hopeless is not, where nobody asks for that any more.
     let again = Again {
         pruned: plan.spec.run.prune.is_none(),
-        failed: args.retry_failed,
-        other_code: args.redo_other_code,
+        failed: how.running.retry_failed,
+        other_code: how.running.redo_other_code,
     };
-    let mut options = options(&plan.spec.run, args);
-    let mut round = Round { store, plan, args, log, signals, control, options: &mut options };
-    let outcome = match plan.spec.until {
-        None => round.run(&plan.trials, again).await,
-        Some(_) => rounds(round, again).await,
+    let mut options = options(&plan.spec.run, how.running);
+    let mut round = Round { store, plan, shard: how.shard, log, signals, control, options: &mut options };
+    let outcome = match (how.space, &plan.spec.until) {
+        (Some(space), _) => search(round, space, again).await,
+        (None, Some(_)) => rounds(round, again).await,
+        (None, None) => round.run(&plan.trials, again).await,
     };
     if let Some(pages) = pages {
         pages.end().await;
@@ -224,12 +247,18 @@ fn listener(db: &Path) -> Option<Listener> {
 }
 
 /// Reads the spec again, where trials can be added to what the plan says.
-fn reread(plan: &Plan, args: &Args) -> Arc<Reread> {
-    let (spec, name) = (args.spec.clone(), plan.spec.name.clone());
-    let (is_shard, asks) = (args.shard.is_some(), plan.spec.until.is_some());
+fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
+    let (spec, name) = (how.spec.clone(), plan.spec.name.clone());
+    let (is_shard, searches, asks) = (how.shard.is_some(), how.space.is_some(), plan.spec.until.is_some());
     Arc::new(move || {
         if is_shard {
             return Err("a shard's trials are assigned before it begins: submit the edited spec".into());
+        }
+        if searches {
+            return Err(
+                "[goal] decides which trials are run: stop, the same command goes on by the edited spec"
+                    .into(),
+            );
         }
         let plan = spec.plan().map_err(|error| chain(&error))?;
         if asks || plan.spec.until.is_some() {
@@ -243,10 +272,10 @@ fn reread(plan: &Plan, args: &Args) -> Arc<Reread> {
 }
 
 /// What runs some trials needs.
-struct Round<'a> {
-    store: &'a mut Store,
-    plan: &'a Plan,
-    args: &'a Args,
+pub(super) struct Round<'a> {
+    pub store: &'a mut Store,
+    pub plan: &'a Plan,
+    shard: Option<Shard>,
     log: &'a Path,
     signals: &'a mut Signals,
     control: &'a Control,
@@ -280,22 +309,22 @@ async fn rounds(mut round: Round<'_>, mut again: Again) -> Result<Option<Outcome
 
 impl Round<'_> {
     /// Runs those of some trials that are open; `None` where there are none.
-    async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {
-        let Self { store, plan, args, log, signals, control, options } = self;
+    pub async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {
+        let Self { store, plan, shard, log, signals, control, options } = self;
         let sweep = (&plan.spec, &*plan.source.text);
         let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
             say!("stopped before any trial was begun; the same command begins");
             return Ok(Some(Outcome::Interrupted));
         };
         let planned = RunPlan {
-            shard: args.shard.map_or((1, 1), |shard| (shard.index(), shard.count())),
+            shard: shard.map_or((1, 1), |shard| (shard.index(), shard.count())),
             workers: (options.settings.workers, options.threads),
             trials: open.len(),
             estimated_seconds: cost::seconds_on(&open, options.settings.workers, options.threads),
         };
         if open.is_empty() {
             // A shard without work is not a shard that is missing.
-            if args.shard.is_some() {
+            if shard.is_some() {
                 let run = store.begin_run(&planned).await?;
                 store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
             }
@@ -343,7 +372,7 @@ async fn end(db: &Path, plan: &Plan, format: Format, outcome: Outcome) -> Result
 }
 
 /// The command line goes before the spec, the spec before what the machine suggests.
-fn options(run: &Run, args: &Args) -> Options {
+fn options(run: &Run, args: &Running) -> Options {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = args.threads.map(usize::from).or(run.threads).unwrap_or(1).max(1);
     let workers = args.workers.map(usize::from).or(run.workers).unwrap_or((cores / threads).max(1));

@@ -34,6 +34,7 @@ impl Planned {
         let cost = trial.cost.max(1e-9);
         let comparison = cost::comparison(trial).clamp(0.0, cost);
         let step = (cost - comparison) / f64::from(steps);
+        let (steps, comparison) = trial.pause.map_or((steps, comparison), |pause| (pause, 0.0));
         Self { step, comparison, steps, behind: behind.min(steps), open: true }
     }
 }

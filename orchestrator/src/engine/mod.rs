@@ -300,23 +300,26 @@ impl Engine<'_> {
                 let trial = self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
                 let (hash, attempt) = (&trial.hash, lease.attempt);
-                if settled && reason.is_given_up() {
+                let in_order = matches!(reason, Reason::Stopped | Reason::Paused);
+                if in_order {
+                    tracing::debug!(hash, attempt, %reason, "the trial is handed back");
+                } else if settled && reason.is_given_up() {
                     tracing::info!(hash, attempt, %reason, "the trial is given up");
                 } else if settled {
                     tracing::error!(hash, attempt, %reason, remedy = reason.remedy(), "the trial has failed");
-                } else if reason != Reason::Stopped {
+                } else {
                     tracing::warn!(hash, attempt, %reason, "the attempt has failed; the trial is tried again");
                 }
                 let detail =
                     self.details.remove(&lease).map_or(String::new(), |detail| format!(": {detail}"));
                 let level = if reason.is_given_up() { Level::Info } else { Level::Error };
-                if reason != Reason::Stopped {
+                if !in_order {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled);
                     self.record(Write::Log(lease, level, format!("{reason}{detail}"))).await;
                 }
                 self.record_spent(lease).await;
                 self.spent.end(lease);
-                self.record(Write::Failure(lease, reason, settled)).await;
+                self.record(Write::Failure(lease, reason, settled && reason != Reason::Paused)).await;
             }
             Action::RecordCancelled(lease) => {
                 let trial = self.trials[lease.trial as usize];
@@ -385,6 +388,7 @@ impl Engine<'_> {
             work: (self.work)(trial),
             checkpoint: checkpoint.map(Box::new),
             threads: self.options.threads,
+            pause: trial.pause,
             hash: trial.hash.clone(),
         };
         let Some(link) = self.links.get_mut(&worker) else { return };
@@ -462,7 +466,13 @@ impl Engine<'_> {
                 self.details.insert(lease, detail);
                 Event::Failed(worker, lease, reason)
             }
-            ToOrchestrator::Stopped { lease } => Event::Failed(worker, lease, Reason::Stopped),
+            ToOrchestrator::Stopped { lease } => {
+                let due = self.trials.get(lease.trial as usize).and_then(|trial| trial.pause);
+                let done = self.checkpoints.get(&lease.trial).map(|checkpoint| checkpoint.step);
+                let done = done.or_else(|| self.priors.get(lease.trial as usize)?.steps);
+                let paused = due.zip(done).is_some_and(|(due, done)| done >= due);
+                Event::Failed(worker, lease, if paused { Reason::Paused } else { Reason::Stopped })
+            }
         });
     }
 

@@ -41,7 +41,7 @@ impl Watch for Silent {}
 pub struct View {
     /// Trials of this run.
     pub total: usize,
-    /// Done in this run.
+    /// Done in this run, or as far as it is to go.
     pub done: usize,
     /// Failed in this run.
     pub failed: usize,
@@ -127,7 +127,11 @@ impl View {
         self.forecast.returned(trial, false, now);
         if settled {
             self.forecast.settled(trial);
-            *if reason.is_given_up() { &mut self.given_up } else { &mut self.failed } += 1;
+            *match reason {
+                Reason::Paused => &mut self.done,
+                reason if reason.is_given_up() => &mut self.given_up,
+                _ => &mut self.failed,
+            } += 1;
         }
     }
 }

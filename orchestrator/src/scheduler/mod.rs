@@ -475,7 +475,8 @@ impl State {
     fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
         let death = reason.is_retried() || reason == Reason::OutOfMemory && !self.settings.memory_limited;
         let trial = &mut self.trials[lease.trial as usize];
-        let reason = trial.unwanted.filter(|_| death).unwrap_or(reason);
+        let back = death || reason == Reason::Paused;
+        let reason = trial.unwanted.filter(|_| back).unwrap_or(reason);
         let death = death && !reason.is_given_up();
         let by_request =
             reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && !reason.is_given_up();

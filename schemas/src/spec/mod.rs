@@ -4,6 +4,7 @@
 
 mod body;
 mod feasible;
+mod goal;
 mod gone;
 mod measured;
 mod named;
@@ -20,6 +21,7 @@ pub use body::{
     Struck,
 };
 pub use feasible::Feasible;
+pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};
 pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
 pub use named::{NotOne, position_of};
@@ -84,6 +86,9 @@ pub struct SweepSpec {
     /// Questions that end the sweep once they are answered; without them every trial is run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Until>,
+    /// A requirement: `metasense design` searches the sweep for the cheapest design that meets it. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub goal: Option<Goal>,
     /// Processes and limits of the run. They change no result and are not part of a trial's hash.
     #[serde(default)]
     pub run: Run,

@@ -1,0 +1,319 @@
+//! A plan with a requirement: which of its trials may meet it, what each costs, and where it stands in the space of settings.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use metasense_schemas::record::Trial;
+use metasense_schemas::source::{Source, SpecError};
+use metasense_schemas::spec::{
+    BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, SweepSpec, TrialSpec, flatten,
+};
+use metasense_worker::demands::{Demands, demands};
+use serde_json::Value;
+
+use super::{Plan, cost};
+use crate::analysis::goal::{Candidate, LEVELS};
+use crate::look::number;
+
+/// Refuses a requirement that no trial could be held to.
+///
+/// # Errors
+/// Names the key.
+pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
+    let Some(goal) = &spec.goal else { return Ok(()) };
+    let above = |x: Option<f64>| x.is_none_or(|x| x > 0.0 && x.is_finite());
+    let price = |x: f64| x >= 0.0 && x.is_finite();
+    let prices = goal.cost.is_none_or(|c| [c.sensor, c.operation, c.unit].into_iter().all(price));
+    let records = match goal.reader {
+        Some(GoalReader::Calibrated(of)) => [10, 30, 100].contains(&of.records),
+        _ => true,
+    };
+    let casts = spec.variation.is_some() && spec.evaluation.casts != Some(0);
+    for (key, holds, remedy) in [
+        ("goal.error", above(Some(goal.error)), "must be a number above 0"),
+        (
+            "goal.quantile",
+            goal.quantile.is_none_or(|q| q > 0.0 && q <= 1.0),
+            "must lie above 0, at most at 1",
+        ),
+        (
+            "goal.quantile",
+            goal.quantile.is_none() || casts,
+            "is over casts: give a [variation], and leave evaluation.casts above 0",
+        ),
+        (
+            "goal.reader",
+            goal.reader.is_none() || goal.quantile.is_some(),
+            "reads casts: give goal.quantile, too",
+        ),
+        ("goal.reader.records", records, "must be 10, 30 or 100"),
+        (
+            "goal.delay",
+            goal.delay.is_none_or(|s| s >= 0.0 && s.is_finite()),
+            "must be 0 or a number of seconds",
+        ),
+        ("goal.memory", above(goal.memory), "must be a number of kB above 0"),
+        ("goal.operations", goal.operations != Some(0), "must be at least 1"),
+        ("goal.cost", prices, "must hold numbers from 0 up"),
+        ("goal.confidence", (0.5..1.0).contains(&goal.confidence), "must lie in [0.5, 1)"),
+        ("goal.fresh", (3..=100).contains(&goal.fresh), "must be at least 3, at most 100"),
+        ("goal.at_a_time", (1..=10_000).contains(&goal.at_a_time), "must be at least 1, at most 10000"),
+        ("goal.hours", above(goal.hours), "must be a number above 0"),
+        ("run.prune", spec.run.prune.is_none(), "gives up trials that [goal] would go on with"),
+        ("until", spec.until.is_none(), "cannot be given beside [goal]: it has questions of its own"),
+    ] {
+        if !holds {
+            return Err(source.error(key, remedy));
+        }
+    }
+    Ok(())
+}
+
+/// A trial that may meet the requirement.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// Its place in the plan.
+    pub trial: usize,
+    /// What its brain asks of a device; `None` of a brain without a form for one.
+    pub demands: Option<Demands>,
+    /// Cost and coordinates, nothing known.
+    pub candidate: Candidate,
+}
+
+/// What leaves trials out before they run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LeftOut {
+    /// The key.
+    pub key: &'static str,
+    /// How many trials it leaves out.
+    pub trials: usize,
+    /// The least value that would leave in one of them, in words.
+    pub least: String,
+}
+
+/// The space that is searched.
+#[derive(Debug, Clone)]
+pub struct Space {
+    /// The requirement.
+    pub goal: Goal,
+    /// Its trials, in the order of the plan.
+    pub places: Vec<Place>,
+    /// What has left others out.
+    pub left_out: Vec<LeftOut>,
+    /// Keys in which its settings differ.
+    pub axes: Vec<String>,
+}
+
+impl Space {
+    /// Of a plan with a requirement.
+    ///
+    /// # Errors
+    /// If it has none, no trial may meet it, or a brain cannot read what is asked for.
+    pub fn new(plan: &Plan) -> Result<Self, SpecError> {
+        let Some(goal) = plan.spec.goal.clone() else {
+            return Err(plan.source.error("goal", "must be given: what is the design to do?"));
+        };
+        let mut places = Vec::new();
+        let mut asked: Vec<Option<Demands>> = Vec::new();
+        for trial in &plan.trials {
+            reader(&goal, &trial.spec).map_err(|remedy| plan.source.error("goal.reader", remedy))?;
+            let of = demands(&trial.spec);
+            asked.push(of.map_err(|e| plan.source.error_with(&e.key, Some(&e.value), &e.remedy))?);
+        }
+        let mut left_out = Vec::new();
+        let limits = limits(&goal);
+        for (place, (trial, demands)) in plan.trials.iter().zip(&asked).enumerate() {
+            let breaks = |limit: &&Limit| !limit.holds(&trial.spec, demands.as_ref());
+            if !limits.iter().any(|limit| breaks(&limit)) {
+                let cost = of_cost(goal.cost, trial, demands.as_ref());
+                let candidate = Candidate { cost, ..Candidate::default() };
+                places.push(Place { trial: place, demands: *demands, candidate });
+            }
+        }
+        for limit in &limits {
+            let others = plan.trials.iter().zip(&asked);
+            let beyond: Vec<f64> = others
+                .filter(|(trial, demands)| !limit.holds(&trial.spec, demands.as_ref()))
+                .map(|(trial, demands)| {
+                    demands.as_ref().map_or(f64::INFINITY, |d| (limit.of)(&trial.spec, d))
+                })
+                .collect();
+            let least = beyond.iter().copied().fold(f64::INFINITY, f64::min);
+            if !beyond.is_empty() {
+                let least = if least.is_finite() {
+                    format!("{} {}", number(least), limit.unit)
+                } else {
+                    "a brain with a form for devices".into()
+                };
+                left_out.push(LeftOut { key: limit.key, trials: beyond.len(), least });
+            }
+        }
+        if places.is_empty() {
+            let because = left_out.iter().max_by_key(|out| out.trials).expect("something has left them out");
+            let remedy = format!("no trial of the sweep keeps to it: the least one needs {}", because.least);
+            return Err(plan.source.error(because.key, &remedy));
+        }
+        let trials: Vec<&Trial> = places.iter().map(|place| &plan.trials[place.trial]).collect();
+        let (axes, coordinates) = coordinates(&trials);
+        places.iter_mut().zip(coordinates).for_each(|(place, at)| place.candidate.place = at);
+        Ok(Self { goal, places, left_out, axes })
+    }
+}
+
+/// A limit of the requirement on what is known before a trial runs.
+struct Limit {
+    key: &'static str,
+    most: f64,
+    unit: &'static str,
+    of: fn(&TrialSpec, &Demands) -> f64,
+}
+
+impl Limit {
+    fn holds(&self, trial: &TrialSpec, demands: Option<&Demands>) -> bool {
+        demands.is_some_and(|demands| (self.of)(trial, demands) <= self.most)
+    }
+}
+
+fn limits(goal: &Goal) -> Vec<Limit> {
+    let delay =
+        |trial: &TrialSpec, d: &Demands| d.delay as f64 * trial.time.duration / trial.time.samples as f64;
+    let limit = |key, most: Option<f64>, unit, of| Some(Limit { key, most: most?, unit, of });
+    let all = [
+        // what it would take with one more bit of rounding is the same
+        limit("goal.delay", goal.delay.map(|most| most * (1.0 + 1e-9)), "s", delay),
+        limit("goal.memory", goal.memory, "kB", |_, d| d.bytes() as f64 / 1e3),
+        limit("goal.operations", goal.operations.map(|most| most as f64), "multiply-adds", |_, d| {
+            d.operations as f64
+        }),
+    ];
+    all.into_iter().flatten().collect()
+}
+
+fn of_cost(cost: Option<Cost>, trial: &Trial, demands: Option<&Demands>) -> [f64; 3] {
+    let operations = demands.map_or(f64::INFINITY, |demands| demands.operations as f64);
+    let all = [trial.spec.point.sensors as f64, operations, trial.units as f64];
+    match cost {
+        None => all,
+        Some(Cost { sensor, operation, unit }) => {
+            // what costs nothing adds nothing, be it without end
+            let priced = [sensor, operation, unit].into_iter().zip(all).filter(|(price, _)| *price > 0.0);
+            [priced.map(|(price, n)| price * n).sum(), 0.0, 0.0]
+        }
+    }
+}
+
+/// By what name and on how many records of a cast its readings are stored that count; `None`: the body as designed counts.
+///
+/// # Errors
+/// Where no such brain reads casts of this trial.
+pub fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<(&'static str, u32)>, &'static str> {
+    if goal.quantile.is_none() {
+        return Ok(None);
+    }
+    let reader = goal.reader.unwrap_or(GoalReader::Named(GoalReaderName::Casts));
+    let kind = trial.brain.kind;
+    Ok(Some(match reader {
+        GoalReader::Named(GoalReaderName::Design) => match kind {
+            BrainKind::Linear => ("nominal", 0),
+            BrainKind::Inverse => ("inverse", 0),
+            BrainKind::Cnn | BrainKind::Stacked => ("network", 0),
+        },
+        GoalReader::Named(GoalReaderName::Casts) => match kind {
+            BrainKind::Linear => ("casts", 0),
+            BrainKind::Cnn | BrainKind::Stacked => ("network_casts", 0),
+            BrainKind::Inverse => {
+                return Err("an inverse brain knows no other casts: must be \"design\" or { records = 10 }");
+            }
+        },
+        GoalReader::Calibrated(of) => match kind {
+            BrainKind::Linear => ("records", of.records),
+            BrainKind::Inverse => ("twin", of.records),
+            BrainKind::Cnn | BrainKind::Stacked => {
+                return Err("a network is not fitted to records of a cast: must be \"design\" or \"casts\"");
+            }
+        },
+    }))
+}
+
+/// The keys in which settings differ, each once where several differ alike, and the settings as coordinates: numbers by their
+/// logarithm, of 0 … 1, anything else 0 or 1 each value.
+fn coordinates(trials: &[&Trial]) -> (Vec<String>, Vec<Vec<f64>>) {
+    const NOT: [&str; 2] = ["point.placement", "point.seed"];
+    let all: Vec<BTreeMap<String, Value>> = trials
+        .iter()
+        .map(|trial| {
+            let spec = TrialSpec { sensor_units: Vec::new(), panel_units: Vec::new(), ..trial.spec.clone() };
+            flatten(&serde_json::to_value(&spec).expect("a trial is JSON"))
+        })
+        .collect();
+    let paths: BTreeSet<&String> = all.iter().flat_map(BTreeMap::keys).collect();
+    let (mut axes, mut columns, mut patterns) = (Vec::new(), Vec::new(), BTreeSet::new());
+    for path in paths.into_iter().filter(|path| !NOT.contains(&path.as_str())) {
+        let values: Vec<Option<&Value>> = all.iter().map(|leaves| leaves.get(path)).collect();
+        let mut known: Vec<Option<&Value>> = Vec::new();
+        let pattern: Vec<usize> = values
+            .iter()
+            .map(|value| {
+                known.iter().position(|k| k == value).unwrap_or_else(|| {
+                    known.push(*value);
+                    known.len() - 1
+                })
+            })
+            .collect();
+        if known.len() < 2 || !patterns.insert(pattern.clone()) {
+            continue;
+        }
+        axes.push(path.clone());
+        let numbers: Option<Vec<f64>> = values.iter().map(|value| value.and_then(Value::as_f64)).collect();
+        match numbers {
+            Some(numbers) => columns.push(scaled(&numbers)),
+            // a coordinate each value, all equally far from one another
+            None => columns.extend(
+                (0..known.len())
+                    .map(|k| pattern.iter().map(|value| if *value == k { 0.7 } else { 0.0 }).collect()),
+            ),
+        }
+    }
+    (axes, (0..trials.len()).map(|i| columns.iter().map(|column: &Vec<f64>| column[i]).collect()).collect())
+}
+
+fn scaled(numbers: &[f64]) -> Vec<f64> {
+    let positive = numbers.iter().all(|x| *x > 0.0);
+    let values: Vec<f64> = numbers.iter().map(|x| if positive { x.ln() } else { *x }).collect();
+    let (low, high) =
+        values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(*x), high.max(*x)));
+    values.iter().map(|x| (x - low) / (high - low)).collect()
+}
+
+/// Outer steps at the end of the rungs of a trial, just behind a look at the test set; fewer rungs of few steps.
+#[must_use]
+pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
+    let steps = trial.optimise.steps() as u32;
+    let apart = (steps / 20).max(10);
+    let near = |part: f64| (f64::from(steps) * part / f64::from(apart)).round().max(1.0) as u32 * apart + 1;
+    let [first, second] = [near(1.0 / 9.0), near(1.0 / 3.0)];
+    let rung = |step: u32, behind: u32| (step > behind && step < steps).then_some(step);
+    [rung(first, 0), rung(second, first)]
+}
+
+/// The body of a trial on a fresh seed, the n-th: nothing is trained but what reads it.
+#[must_use]
+pub fn on_fresh_seed(plan: &Plan, trial: &Trial, body: &TrialSpec, design: &[f64], n: usize) -> Trial {
+    let last = plan.spec.sweep.seeds.iter().max().copied().unwrap_or(0);
+    let mut spec = body.clone();
+    spec.body.design = Some(Design::Shifts { shifts: design.to_vec() });
+    if spec.body.lattice.turns() {
+        spec.body.initial_angle = 0.0; // not read
+    }
+    spec.optimise.iterations = Some(0);
+    spec.sensors.search = None;
+    spec.point.seed = last.saturating_add(1 + n as u64);
+    Trial {
+        hash: spec.hash(),
+        cost: cost::of(&spec, trial.units),
+        weight: cost::weight(&spec, trial.units),
+        order: plan.trials.len() + n,
+        pause: None,
+        spec,
+        ..trial.clone()
+    }
+}

@@ -1,0 +1,108 @@
+//! How far trials have come, and with what errors: what a search for a design decides by.
+
+use std::collections::HashMap;
+
+use super::{Reader, StoreError};
+
+/// What an outer step has told of a body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Look {
+    /// Outer step, from 0.
+    pub step: u32,
+    /// Test error (%), where it looked at the test set.
+    pub test: Option<f64>,
+    /// Training error (%).
+    pub train: Option<f64>,
+}
+
+/// What is stored of a trial that a search may go on with.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Standing {
+    /// `pending`, `running`, `done`, `failed`.
+    pub state: String,
+    /// Its outer steps.
+    pub looks: Vec<Look>,
+    /// Holdout error of the optimised body (%).
+    pub holdout: Option<f64>,
+    /// Errors (%) of its casts by reader and records.
+    pub casts: HashMap<(String, u32), Vec<f64>>,
+}
+
+/// Error of a cast that could not be simulated or read (%).
+const FAILED: f64 = 100.0;
+
+impl Reader {
+    /// How all trials stand that have a step or are settled, by hash.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn standings(&mut self) -> Result<HashMap<String, Standing>, StoreError> {
+        let mut found: HashMap<String, Standing> = HashMap::new();
+        self.each("SELECT hash, state, holdout_error_optimised AS holdout FROM v_trial", |row| {
+            let (state, holdout) = (row.text("state").to_owned(), row.number("holdout"));
+            let standing = Standing { state, holdout, ..Standing::default() };
+            found.insert(row.text("hash").to_owned(), standing);
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+        let sql =
+            "SELECT t.hash, p.step, p.error_test, p.error_train FROM step p JOIN trial t ON t.id = p.trial_id
+             ORDER BY p.trial_id, p.step";
+        self.each(sql, |row| {
+            if let Some(standing) = found.get_mut(row.text("hash")) {
+                let [test, train] = [row.number("error_test"), row.number("error_train")];
+                standing.looks.push(Look { step: row.count("step") as u32, test, train });
+            }
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+        let sql = "SELECT t.hash, c.reader, c.records, c.error FROM cast_reading c JOIN trial t ON t.id = c.trial_id
+             WHERE c.body = 'optimised' ORDER BY c.trial_id, c.casting";
+        self.each(sql, |row| {
+            if let Some(standing) = found.get_mut(row.text("hash")) {
+                let reader = (row.text("reader").to_owned(), row.count("records") as u32);
+                standing.casts.entry(reader).or_default().push(row.number("error").unwrap_or(FAILED));
+            }
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+        Ok(found)
+    }
+
+    /// CPU seconds of all attempts.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn spent(&mut self) -> Result<f64, StoreError> {
+        let mut seconds = 0.0;
+        self.each("SELECT sum(cpu_seconds) AS seconds FROM attempt", |row| {
+            seconds = row.number("seconds").unwrap_or(0.0);
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+        Ok(seconds)
+    }
+}
+
+impl Standing {
+    /// Whether so many outer steps are done, and what they have told by then (%): the best test error; of steps without one
+    /// the training error of the last.
+    #[must_use]
+    pub fn after(&self, steps: u32) -> Option<Option<f64>> {
+        let until: Vec<&Look> = self.looks.iter().take_while(|look| look.step < steps).collect();
+        let reached = until.last().is_some_and(|look| look.step + 1 == steps);
+        let test = || until.iter().filter_map(|look| look.test).min_by(f64::total_cmp);
+        reached.then(|| test().or_else(|| until.iter().rev().find_map(|look| look.train)))
+    }
+
+    /// The error (%) of the body: the quantile over its casts by a reader, or where none is asked for that of the body as
+    /// designed; `None` where there is none.
+    #[must_use]
+    pub fn error(&self, casts: Option<(&(String, u32), f64)>) -> Option<f64> {
+        let Some((reader, quantile)) = casts else { return self.holdout };
+        let mut errors = self.casts.get(reader)?.clone();
+        errors.sort_by(f64::total_cmp);
+        let rank = (quantile * errors.len() as f64 - 1e-9).ceil().max(1.0) as usize;
+        errors.get(rank - 1).copied()
+    }
+}

@@ -1,0 +1,78 @@
+//! A requirement, from the spec to the design that meets it: most of the sweep is never run, and kills change no decision.
+
+use crate::common::{Bench, TINY};
+
+/// The sweep in two placements, read by a linear brain, with a requirement.
+fn spec(goal: &str) -> String {
+    let tiny = TINY.replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"");
+    let tiny = tiny.replace("iterations = 4", "iterations = 24");
+    tiny + "placements = 2\n[goal]\n" + goal
+}
+
+fn design(bench: &Bench, args: &[&str]) -> (Option<i32>, String, String) {
+    let out = bench.metasense(&[&["design", "s.toml", "--format", "csv"], args].concat());
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (out.status.code(), text(out.stdout), text(out.stderr))
+}
+
+fn trials(bench: &Bench) -> String {
+    let sql = "SELECT hash, state, reason, (SELECT count(*) FROM v_step s WHERE s.hash = t.hash) AS steps,
+        holdout_error_optimised FROM v_trial t ORDER BY hash";
+    bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"])
+}
+
+/// Anything is good enough: a first look at both numbers of sensors, then one of the cheaper ones goes on to its end and to
+/// fresh seeds; the others stay where they are. Called again nothing is run; stopped by its hours it goes on to the same end.
+#[test]
+fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
+    let bench = Bench::new();
+    bench.file("s.toml", &spec("error = 1e6\n"));
+    let (code, table, said) = design(&bench, &["--workers", "2"]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(table.starts_with("M,operations,units,error,keeps_to,meets"), "{table}");
+    let chosen: Vec<&str> = table.lines().filter(|line| line.contains(",true,")).collect();
+    assert!(
+        matches!(chosen[..], [row] if row.starts_with("1,") && row.contains("judged on 4 seeds")),
+        "{table}"
+    );
+    assert!(said.contains("the cheapest design that meets 1e6 %"), "{said}");
+    let found = trials(&bench);
+    let count = |what: &str| found.lines().filter(|line| line.contains(what)).count();
+    assert_eq!((count(",done,"), count(",paused,"), count(",done,,0,")), (5, 1, 4), "{found}");
+    assert!(found.lines().any(|line| line.contains(",pending,paused,11,")), "{found}");
+
+    let (code, again, said) = design(&bench, &[]);
+    assert_eq!((code, &again), (Some(0), &table), "{said}");
+    assert_eq!(trials(&bench), found);
+
+    let halting = Bench::new();
+    halting.file("s.toml", &spec("error = 1e6\nhours = 1e-9\n"));
+    let (code, _, said) = design(&halting, &["--workers", "1"]);
+    assert!(code == Some(1) && said.contains("goal.hours are spent"), "{said}");
+    assert_ne!(trials(&halting), found);
+    halting.file("s.toml", &spec("error = 1e6\n"));
+    assert_eq!(design(&halting, &["--workers", "1"]).1, table);
+    assert_eq!(trials(&halting), found);
+}
+
+/// Nothing is good enough: the search ends with code 1, and says by how much the requirement would have to be relaxed. Limits on
+/// the brain leave out trials before they run.
+#[test]
+fn what_cannot_be_met_is_said() {
+    let bench = Bench::new();
+    bench.file("s.toml", &spec("error = 1e-6\n"));
+    let (code, table, said) = design(&bench, &[]);
+    assert!(code == Some(1) && !table.contains(",true,"), "{said}");
+    assert!(said.contains("no design of the sweep meets") && said.contains("goal.error to "), "{said}");
+    // of one sensor: 39 lags of 3 signals for 2 forces
+    bench.file("s.toml", &spec("error = 1e6\noperations = 300\n"));
+    let (code, table, said) = design(&bench, &["--db", "few.sqlite"]);
+    assert!(code == Some(0) && table.lines().count() == 2, "{table}{said}");
+    assert!(
+        said.contains("goal.operations leaves out 2 trials; the least one needs 468 multiply-adds"),
+        "{said}"
+    );
+    bench.file("s.toml", &spec("error = 1e6\ndelay = 0.01\n"));
+    let (code, _, said) = design(&bench, &[]);
+    assert!(code == Some(2) && said.contains("goal.delay = 0.01") && said.contains("0.19"), "{said}");
+}
