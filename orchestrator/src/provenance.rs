@@ -65,9 +65,9 @@ pub fn mixed(made: &[Made]) -> Option<String> {
 }
 
 /// What is to be said of the intervals where a sweep may end as soon as it knows enough.
-const EARLY: &str = "a sweep of this database has [until]: it may have stopped because its numbers looked clear. Intervals and votes \
-    here are those of a number of trials that was fixed before, and hold the truth less often than they say; what `run` answered keeps \
-    its confidence";
+const EARLY: &str = "a sweep of this database has [until] or a [goal]: it may have stopped because its numbers looked clear. Intervals and \
+    votes here are those of a number of trials that was fixed before, and hold the truth less often than they say; what `run` or \
+    `design` answered keeps its confidence";
 
 /// What is to be said beside numbers: that different code made them, and that the sweep may have ended early.
 #[must_use]

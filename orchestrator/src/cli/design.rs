@@ -31,6 +31,9 @@ pub(super) struct Args {
     running: Running,
 }
 
+/// Why the spec is not read again during a search.
+const FIXED: &str = "[goal] decides which trials are run: stop, the same command goes on by the edited spec";
+
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.running.simd.choose()?;
     let mut signals = Signals::new()?;
@@ -40,8 +43,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         say!("{} leaves out {}; the least one needs {}", out.key, counted(out.trials, "trial"), out.least);
     }
     let db: PathBuf = args.running.db.clone().unwrap_or_else(|| plan.default_database());
-    let how = How { spec: &args.spec, running: &args.running, shard: None, space: Some(&space) };
-    let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals).await?;
+    let how = How { spec: &args.spec, running: &args.running, shard: None, fixed: Some(FIXED) };
+    let drive = async |round: Round<'_>, again| search(round, &space, again).await;
+    let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals, drive).await?;
     let known = Known::read(&db, &space, &plan, &mut HashMap::new()).await?;
     let decision = goal::follow(&space.goal, &known.candidates);
     print_rows(&table(&plan, &space, &decision), args.running.format)?;
@@ -160,11 +164,7 @@ fn fresh(
 }
 
 /// Runs what the search asks for, until it is over.
-pub(super) async fn search(
-    mut round: Round<'_>,
-    space: &Space,
-    mut again: Again,
-) -> Result<Option<Outcome>, Error> {
+async fn search(mut round: Round<'_>, space: &Space, mut again: Again) -> Result<Option<Outcome>, Error> {
     let mut bodies = Bodies::new();
     loop {
         let path = round.store.path().to_owned();

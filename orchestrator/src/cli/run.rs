@@ -8,7 +8,6 @@ use metasense_schemas::source::Source;
 use metasense_schemas::spec::Run;
 use tokio::sync::oneshot;
 
-use super::design::search;
 use super::live::Live;
 use super::named::Spec;
 use super::pages::Pages;
@@ -21,7 +20,6 @@ use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Listener, WORKERS_MAX};
 use crate::engine::{self, Again, Control, EngineError, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
-use crate::plan::goal::Space;
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::scheduler::{Outcome, Settings};
 use crate::store::{RunPlan, Store};
@@ -107,8 +105,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Some(shard) => plan.default_database().with_extension(format!("{}.sqlite", shard.file_stem())),
             None => plan.default_database(),
         });
-        let how = How { spec: &args.spec, running: &args.running, shard: args.shard, space: None };
-        let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals).await?;
+        let how = How {
+            spec: &args.spec,
+            running: &args.running,
+            shard: args.shard,
+            fixed: args.shard.map(|_| FIXED_SHARD),
+        };
+        let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals, wanted).await?;
         return end(&db, &plan, args.running.format, outcome).await;
     };
     check_submitted(folder, &source)?;
@@ -135,9 +138,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();
-    let how = How { spec: &args.spec, running: &args.running, shard: args.shard, space: None };
+    let how = How {
+        spec: &args.spec,
+        running: &args.running,
+        shard: args.shard,
+        fixed: args.shard.map(|_| FIXED_SHARD),
+    };
     let running = async {
-        let outcome = run(plan, &how, &db, &log, &mut signals).await;
+        let outcome = run(plan, &how, &db, &log, &mut signals, wanted).await;
         drop(stop);
         outcome
     };
@@ -182,21 +190,25 @@ pub(super) struct How<'a> {
     pub running: &'a Running,
     /// Which part of it; none: the whole.
     pub shard: Option<Shard>,
-    /// What is searched for in it; none: all of it is run, or what its questions need.
-    pub space: Option<&'a Space>,
+    /// Why its spec is not read again while it runs; none: it is.
+    pub fixed: Option<&'static str>,
 }
 
-/// Runs what is open, and closes the database; with the plan as it is by then.
+/// Why a shard's spec is not read again.
+const FIXED_SHARD: &str = "a shard's trials are assigned before it begins: submit the edited spec";
+
+/// Runs what `drive` wants, and closes the database; with the plan as it is by then.
 pub(super) async fn run(
     plan: Plan,
     how: &How<'_>,
     db: &Path,
     log: &Path,
     signals: &mut Signals,
+    drive: impl AsyncFnOnce(Round<'_>, Again) -> Result<Option<Outcome>, Error>,
 ) -> Result<(Outcome, Plan), Error> {
     let mut store = Store::open(db).await?;
     let control = Control::new(listener(db), reread(&plan, how));
-    let ran = run_open(&mut store, &plan, how, log, signals, &control).await;
+    let ran = run_open(&mut store, &plan, how, log, signals, &control, drive).await;
     let plan = control.last_plan().cloned().unwrap_or(plan);
     // The socket goes, and the database is closed in any case, and let go of when all is written.
     drop(control);
@@ -213,6 +225,7 @@ async fn run_open(
     log: &Path,
     signals: &mut Signals,
     control: &Control,
+    drive: impl AsyncFnOnce(Round<'_>, Again) -> Result<Option<Outcome>, Error>,
 ) -> Result<Option<Outcome>, Error> {
     let pages = match how.running.serve {
         Some(port) => Some(Pages::start(store.path(), port).await?),
@@ -225,12 +238,8 @@ async fn run_open(
         other_code: how.running.redo_other_code,
     };
     let mut options = options(&plan.spec.run, how.running);
-    let mut round = Round { store, plan, shard: how.shard, log, signals, control, options: &mut options };
-    let outcome = match (how.space, &plan.spec.until) {
-        (Some(space), _) => search(round, space, again).await,
-        (None, Some(_)) => rounds(round, again).await,
-        (None, None) => round.run(&plan.trials, again).await,
-    };
+    let round = Round { store, plan, shard: how.shard, log, signals, control, options: &mut options };
+    let outcome = drive(round, again).await;
     if let Some(pages) = pages {
         pages.end().await;
     }
@@ -249,16 +258,10 @@ fn listener(db: &Path) -> Option<Listener> {
 /// Reads the spec again, where trials can be added to what the plan says.
 fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
     let (spec, name) = (how.spec.clone(), plan.spec.name.clone());
-    let (is_shard, searches, asks) = (how.shard.is_some(), how.space.is_some(), plan.spec.until.is_some());
+    let (fixed, asks) = (how.fixed, plan.spec.until.is_some());
     Arc::new(move || {
-        if is_shard {
-            return Err("a shard's trials are assigned before it begins: submit the edited spec".into());
-        }
-        if searches {
-            return Err(
-                "[goal] decides which trials are run: stop, the same command goes on by the edited spec"
-                    .into(),
-            );
+        if let Some(why) = fixed {
+            return Err(why.into());
         }
         let plan = spec.plan().map_err(|error| chain(&error))?;
         if asks || plan.spec.until.is_some() {
@@ -281,6 +284,14 @@ pub(super) struct Round<'a> {
     control: &'a Control,
     /// As people have changed them by now.
     options: &'a mut Options,
+}
+
+/// Runs all trials of a plan, or those that its questions need.
+async fn wanted(mut round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
+    match round.plan.spec.until {
+        None => round.run(&round.plan.trials, again).await,
+        Some(_) => rounds(round, again).await,
+    }
 }
 
 /// Runs the trials that the sweep's questions need, until they are settled.

@@ -153,7 +153,10 @@ impl Space {
             return Err(plan.source.error(because.key, &remedy));
         }
         let trials: Vec<&Trial> = places.iter().map(|place| &plan.trials[place.trial]).collect();
-        let (axes, coordinates) = coordinates(&trials);
+        let sweep = &plan.spec.sweep;
+        let named: Vec<&String> =
+            sweep.axes.keys().chain(sweep.points.iter().flat_map(|point| point.keys())).collect();
+        let (axes, coordinates) = coordinates(&trials, &named);
         places.iter_mut().zip(coordinates).for_each(|(place, at)| place.candidate.place = at);
         Ok(Self { goal, places, left_out, axes })
     }
@@ -234,9 +237,9 @@ pub fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<(&'static str, u3
     }))
 }
 
-/// The keys in which settings differ, each once where several differ alike, and the settings as coordinates: numbers by their
+/// The keys in which settings differ, those that are named first, each once where several differ alike, and the settings as coordinates: numbers by their
 /// logarithm, of 0 … 1, anything else 0 or 1 each value.
-fn coordinates(trials: &[&Trial]) -> (Vec<String>, Vec<Vec<f64>>) {
+fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f64>>) {
     const NOT: [&str; 2] = ["point.placement", "point.seed"];
     let all: Vec<BTreeMap<String, Value>> = trials
         .iter()
@@ -245,7 +248,10 @@ fn coordinates(trials: &[&Trial]) -> (Vec<String>, Vec<Vec<f64>>) {
             flatten(&serde_json::to_value(&spec).expect("a trial is JSON"))
         })
         .collect();
-    let paths: BTreeSet<&String> = all.iter().flat_map(BTreeMap::keys).collect();
+    let mut paths: Vec<&String> =
+        all.iter().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().collect();
+    // what the spec names goes before what follows from it
+    paths.sort_by_key(|path| !named.contains(path));
     let (mut axes, mut columns, mut patterns) = (Vec::new(), Vec::new(), BTreeSet::new());
     for path in paths.into_iter().filter(|path| !NOT.contains(&path.as_str())) {
         let values: Vec<Option<&Value>> = all.iter().map(|leaves| leaves.get(path)).collect();

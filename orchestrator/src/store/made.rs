@@ -60,12 +60,12 @@ impl Reader {
         Ok(rows.into_iter().map(made).collect())
     }
 
-    /// Whether a sweep of the database may end as soon as it knows enough (`[until]`).
+    /// Whether a sweep of the database may end as soon as it knows enough (`[until]`, `[goal]`).
     ///
     /// # Errors
     /// Where SQLite fails.
     pub async fn may_stop_early(&mut self) -> Result<bool, StoreError> {
-        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sweep WHERE spec->'$.until' IS NOT NULL)")
+        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sweep WHERE spec->'$.until' IS NOT NULL OR spec->'$.goal' IS NOT NULL)")
             .fetch_one(&mut self.connection)
             .await
             .map_err(|e| StoreError::sql(&self.path, "reading", e))

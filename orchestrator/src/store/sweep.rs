@@ -36,16 +36,20 @@ impl Store {
         }
         // One for all: they move together.
         let first = trials.first().map(|t| serde_json::to_string(&t.spec).expect("a trial is JSON"));
+        let hashes: Vec<&str> = trials.iter().map(|t| t.hash.as_str()).collect();
         let known: Option<i64> = sqlx::query_scalar(
-            "SELECT s.id FROM sweep s WHERE s.name = ? AND s.text = ?
-             AND coalesce(?, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?)
-             AND ? = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)",
+            "SELECT s.id FROM sweep s WHERE s.name = ?1 AND s.text = ?2
+             AND coalesce(?3, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?4)
+             AND ?5 = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)
+             AND ?5 = (SELECT count(*) FROM json_each(?6) j JOIN trial t ON t.hash = j.value
+                       JOIN sweep_trial x ON x.trial_id = t.id AND x.sweep_id = s.id)",
         )
         .bind(&spec.name)
         .bind(text)
         .bind(&first)
         .bind(trials.first().map(|t| &t.hash))
         .bind(trials.len() as i64)
+        .bind(serde_json::to_string(&hashes).expect("texts are JSON"))
         .fetch_optional(&mut self.connection)
         .await
         .map_err(&at)?;

@@ -286,7 +286,8 @@ fn classes(candidates: &[Candidate]) -> Vec<Vec<usize>> {
     order.chunk_by(same).map(<[usize]>::to_vec).collect()
 }
 
-/// A first look at settings spread over all costs, one trial each.
+/// A first look at settings spread over all costs, one trial each; every third one goes on to its result, as only results tell
+/// what looks are worth.
 fn begin(classes: &[Vec<usize>], candidates: &[Candidate]) -> Vec<(usize, Work)> {
     let mut settings: Vec<usize> = Vec::new(); // the first candidate of each, by cost
     for &i in classes.iter().flatten() {
@@ -295,9 +296,12 @@ fn begin(classes: &[Vec<usize>], candidates: &[Candidate]) -> Vec<(usize, Work)>
         }
     }
     let count = settings.len().min(BEGIN);
-    let spread = (0..count).map(|n| settings[n * (settings.len() - 1) / (count - 1).max(1)]);
-    let fresh = |i: &usize| candidates[*i].reached.is_empty() && !candidates[*i].failed;
-    spread.filter(fresh).map(|i| (i, Work::Level(0))).collect()
+    let spread = (0..count).map(|n| {
+        let level = if n % 3 == 0 { LEVELS - 1 } else { 0 };
+        (settings[n * (settings.len() - 1) / (count - 1).max(1)], level)
+    });
+    let lacks = |&(i, level): &(usize, usize)| candidates[i].reached.len() <= level && !candidates[i].failed;
+    spread.filter(lacks).map(|(i, level)| (i, Work::Level(level))).collect()
 }
 
 /// All errors that candidates have told.

@@ -58,12 +58,15 @@ impl Landscape {
     /// Does some work, and says what it cost.
     fn work(&mut self, i: usize, work: Work) -> f64 {
         match work {
-            Work::Level(level) => {
-                let more = [0.5, 0.2, 0.0][level];
-                let deviation = if level + 1 < LEVELS { LOOK[level] } else { SEED };
-                let error = self.error(i, level, more, deviation);
-                self.trials[i].reached.push(Some(error));
-                PRICE[level]
+            Work::Level(last) => {
+                let first = self.trials[i].reached.len();
+                for level in first..=last {
+                    let more = [0.5, 0.2, 0.0][level];
+                    let deviation = if level + 1 < LEVELS { LOOK[level] } else { SEED };
+                    let error = self.error(i, level, more, deviation);
+                    self.trials[i].reached.push(Some(error));
+                }
+                PRICE[first..=last].iter().sum()
             }
             Work::Fresh(seeds) => {
                 let known = self.trials[i].fresh.len();
@@ -142,9 +145,7 @@ fn kills_and_other_results_change_no_decision() {
     assert_eq!((last.chosen, &halting.trials), (end.chosen, &straight.trials));
     let mut whole = Landscape::new(7);
     for i in 0..whole.trials.len() {
-        for level in 0..LEVELS {
-            whole.work(i, Work::Level(level));
-        }
+        whole.work(i, Work::Level(LEVELS - 1));
         whole.work(i, Work::Fresh(2 * goal.fresh));
     }
     assert_eq!(follow(&goal, &whole.trials), Decision { work: Vec::new(), ..end });
@@ -156,7 +157,7 @@ fn failures_end_a_search() {
     let goal = goal(8.0);
     let mut trials = vec![Candidate { cost: [1.0, 1.0, 1.0], ..Candidate::default() }; 2];
     let asked = follow(&goal, &trials).work;
-    assert_eq!(asked, [(0, Work::Level(0))]);
+    assert_eq!(asked, [(0, Work::Level(LEVELS - 1))]);
     trials[0].failed = true;
     assert_eq!(follow(&goal, &trials).work, [(1, Work::Level(0))]);
     trials[1].reached = vec![None, None, Some(4.0)];
