@@ -2,11 +2,16 @@
 
 use crate::common::{Bench, TINY};
 
-/// The sweep in two placements, read by a linear brain, with a requirement.
+/// The sweep in two placements, with a requirement.
 fn spec(goal: &str) -> String {
-    let tiny = TINY.replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"");
-    let tiny = tiny.replace("iterations = 4", "iterations = 24");
-    tiny + "placements = 2\n[goal]\n" + goal
+    TINY.replace("[optimise]\niterations = 4", "[optimise]\niterations = 24")
+        + "placements = 2\n[goal]\n"
+        + goal
+}
+
+/// The same, read by a linear brain.
+fn linear(goal: &str) -> String {
+    spec(goal).replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"")
 }
 
 fn design(bench: &Bench, args: &[&str]) -> (Option<i32>, String, String) {
@@ -65,14 +70,14 @@ fn what_cannot_be_met_is_said() {
     assert!(code == Some(1) && !table.contains(",true,"), "{said}");
     assert!(said.contains("no design of the sweep meets") && said.contains("goal.error to "), "{said}");
     // of one sensor: 39 lags of 3 signals for 2 forces
-    bench.file("s.toml", &spec("error = 1e6\noperations = 300\n"));
+    bench.file("s.toml", &linear("error = 1e6\noperations = 300\n"));
     let (code, table, said) = design(&bench, &["--db", "few.sqlite"]);
     assert!(code == Some(0) && table.lines().count() == 2, "{table}{said}");
     assert!(
         said.contains("goal.operations leaves out 2 trials; the least one needs 468 multiply-adds"),
         "{said}"
     );
-    bench.file("s.toml", &spec("error = 1e6\ndelay = 0.01\n"));
+    bench.file("s.toml", &linear("error = 1e6\ndelay = 0.01\n"));
     let (code, _, said) = design(&bench, &[]);
     assert!(code == Some(2) && said.contains("goal.delay = 0.01") && said.contains("0.19"), "{said}");
 }
