@@ -28,7 +28,7 @@ const MIDDLE: usize = 2;
 const OF_ALL: f64 = 4.0;
 const OF_LEVEL: f64 = 1.0;
 /// How much a value away from the middle must make the data likelier (nats a step of the grid, squared).
-const PULL: f64 = 0.3;
+const PULL: f64 = 0.6;
 /// Passes over the hyperparameters.
 const PASSES: usize = 2;
 

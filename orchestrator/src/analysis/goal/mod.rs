@@ -15,8 +15,9 @@ const BEGIN: usize = 8;
 /// Candidates with smaller prospects than this are not worked on. By it a search trades what it takes for how surely the design
 /// is the cheapest one; that it meets the requirement hangs on fresh seeds alone. Chosen on made-up spaces (tests).
 const WORTH: f64 = 0.15;
-/// The same as long as no design stands.
+/// The same as long as no design stands, after so many results and one more for each coordinate.
 const WORTH_LAST: f64 = 0.03;
+const LEAST_RESULTS: usize = 4;
 /// Least standard deviation of ln error from seed to seed: four seeds that agree by chance are not sure for ever.
 const DEVIATION_MIN: f64 = 0.02;
 
@@ -187,17 +188,20 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
     };
     let hopes: Vec<f64> = classes.iter().map(|class| any(class)).collect();
 
-    // candidates worth work, class by class up to the one that a design stands in, as many as leave little to hope for besides
-    let worth = |least: f64| {
-        let (mut work, mut besides) = (Vec::new(), 1.0);
+    // of equal prospects the one whose next level is nearer
+    let better = |&a: &usize, &b: &usize| {
+        let (begun, mean) = (|i: usize| candidates[i].reached.len(), &prediction.mean);
+        let nearer = begun(b).cmp(&begun(a)).then(mean[a].total_cmp(&mean[b]));
+        prospects[b].total_cmp(&prospects[a]).then(nearer).then(a.cmp(&b))
+    };
+    let mut work = begin(&classes, candidates);
+    if work.is_empty() {
+        // class by class up to the one that a design stands in, as many as leave little to hope for besides
+        let mut besides = 1.0;
         for class in classes.iter().take_while(|class| chosen.is_none_or(|c| !class.contains(&c))) {
-            let mut some: Vec<usize> =
-                class.iter().copied().filter(|&i| is_open(i) && prospects[i] >= least).collect();
-            // one that was begun goes first among equals: its next level is nearer
-            some.sort_by(|&a, &b| {
-                let begun = |i: usize| candidates[i].reached.len();
-                prospects[b].total_cmp(&prospects[a]).then(begun(b).cmp(&begun(a))).then(a.cmp(&b))
-            });
+            let worth = |i: &usize| is_open(*i) && prospects[*i] >= WORTH;
+            let mut some: Vec<usize> = class.iter().copied().filter(worth).collect();
+            some.sort_by(better);
             for i in some {
                 if work.len() < goal.at_a_time && besides > 0.05 {
                     besides *= 1.0 - prospects[i];
@@ -205,14 +209,19 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
                 }
             }
         }
-        work
-    };
-    let mut work = begin(&classes, candidates);
-    for least in [WORTH, WORTH_LAST] {
-        // that there is no design at all is said less lightly than that there is no cheaper one
-        if work.is_empty() && (least == WORTH || chosen.is_none()) {
-            work = worth(least);
-        }
+    }
+    if work.is_empty() && chosen.is_none() {
+        // that there is no design is said less lightly than that there is no cheaper one, and not by a guess of a few results
+        let results = candidates.iter().filter(|c| c.reached.len() == LEVELS).count();
+        let guess = results < LEAST_RESULTS + candidates[0].place.len();
+        let worth = |i: &usize| is_open(*i) && (guess || prospects[*i] >= WORTH_LAST);
+        let mut some: Vec<usize> = (0..candidates.len()).filter(worth).collect();
+        some.sort_by(better);
+        let result = |i: usize| match candidates[i].reached.len() {
+            LEVELS.. => next(goal, &candidates[i], judgements[i]),
+            _ => Work::Level(LEVELS - 1),
+        };
+        work = some.into_iter().take(goal.at_a_time).map(|i| (i, result(i))).collect();
     }
     let standing = |(class, any): (&Vec<usize>, &f64)| {
         let worth = |i: usize| (stands(&i), prospects[i], -prediction.mean[i]);
