@@ -247,7 +247,7 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
             stage: stage(candidate),
             error: [middle.exp(), keeps.exp()],
             meets: prospects[best],
-            any: if class.iter().any(|i| stands(i)) { any.max(goal.confidence) } else { *any },
+            any: if class.iter().any(stands) { any.max(goal.confidence) } else { *any },
             candidates: [class.len(), class.iter().filter(|&&i| !candidates[i].reached.is_empty()).count()],
         }
     };
