@@ -242,10 +242,22 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
             path => differs.contains(path),
         };
         if !told && apart {
-            parts.push(format!("{path} = {}", plain(value)));
+            parts.push(format!("{path} = {}", short(value)));
         }
     }
     parts.join(", ")
+}
+
+/// A value in a label: a design by how many numbers it has and by its name, as nobody reads them.
+fn short(value: &Value) -> String {
+    const MOST: usize = 12;
+    match value {
+        Value::Array(numbers) if numbers.len() > MOST => {
+            let name = blake3::hash(value.to_string().as_bytes()).to_hex();
+            format!("{} numbers ({})", numbers.len(), &name[..6])
+        }
+        other => plain(other),
+    }
 }
 
 /// The errors of a group's trials along an axis.

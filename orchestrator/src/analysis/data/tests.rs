@@ -70,6 +70,13 @@ fn groups_differ_in_what_their_labels_say() {
     let wider = [&kinds[..], &[struck("bell", 0.2, None)]].concat();
     let told = |width: &str| format!("{bell}, stimuli.width = [{width}]");
     assert_eq!(labels(&wider), [told("0.1"), irregular, told("0.2")]);
+    let given = |first: f64| {
+        let shifts = [vec![first], vec![0.0; 31]].concat();
+        with(trial(2, 5, 1, 0), &json!({"body": {"design": {"shifts": shifts}}}))
+    };
+    let told = labels(&[given(0.5), given(0.6)]);
+    let named = |label: &String| label.starts_with("K = 2, M = 1, body.design.shifts = 32 numbers (");
+    assert!(told.iter().all(named) && told[0] != told[1] && told[0].len() < 60, "{told:?}");
 }
 
 /// Casts that only some trials are judged by do not tell them from the others; scatter that two say differently does.
