@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::named::Spec;
 use super::run::{How, Round, Running, run};
 use super::{Error, log, print_rows};
-use crate::analysis::goal::{self, Candidate, Decision, LEVELS, Stage, Work};
+use crate::analysis::goal::{Candidate, Decision, LEVELS, Search, Stage, Standing as Class, Work};
 use crate::analysis::setting::flatten;
 use crate::engine::{Again, Signals};
 use crate::exit::Exit;
@@ -47,7 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let drive = async |round: Round<'_>, again| search(round, &space, again).await;
     let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals, drive).await?;
     let known = Known::read(&db, &space, &plan, &mut HashMap::new()).await?;
-    let decision = goal::follow(&space.goal, &known.candidates);
+    let decision = begun(&space).follow(&known.candidates);
     print_rows(&table(&plan, &space, &decision), args.running.format)?;
     say_verdict(&db, &plan, &space, &decision, &known);
     Ok(match (outcome, decision.chosen) {
@@ -163,16 +163,18 @@ fn fresh(
     Ok(errors)
 }
 
+/// The search at its beginning.
+fn begun(space: &Space) -> Search {
+    Search::new(&space.goal, space.places.iter().map(|place| place.candidate.clone()))
+}
+
 /// Runs what the search asks for, until it is over.
 async fn search(mut round: Round<'_>, space: &Space, mut again: Again) -> Result<Option<Outcome>, Error> {
-    let mut bodies = Bodies::new();
+    let (mut bodies, mut search) = (Bodies::new(), begun(space));
     loop {
         let path = round.store.path().to_owned();
-        if !path.is_file() {
-            return Ok(None);
-        }
         let known = Known::read(&path, space, round.plan, &mut bodies).await?;
-        let decision = goal::follow(&space.goal, &known.candidates);
+        let decision = search.follow(&known.candidates);
         if decision.work.is_empty() {
             return Ok(None);
         }
@@ -248,7 +250,7 @@ fn table(plan: &Plan, space: &Space, decision: &Decision) -> Table {
         "setting",
         "hash",
     ];
-    let row = |standing: &goal::Standing| -> Vec<Value> {
+    let row = |standing: &Class| -> Vec<Value> {
         let place = &space.places[standing.best];
         let trial = &plan.trials[place.trial];
         let stage = match standing.stage {

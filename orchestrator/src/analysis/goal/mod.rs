@@ -5,6 +5,8 @@
 //! still meet the requirement in, there to the candidates of the best prospects ([`Prediction`]). The first design that stands on
 //! fresh seeds, with no candidate left in a cheaper class that is worth work, is the answer.
 
+use std::cmp::Ordering;
+
 use metasense_schemas::spec::Goal;
 use metasense_worker::chance_above;
 pub use metasense_worker::predict::LEVELS;
@@ -18,6 +20,8 @@ const WORTH: f64 = 0.15;
 /// The same as long as no design stands, after so many results and one more for each coordinate.
 const WORTH_LAST: f64 = 0.03;
 const LEAST_RESULTS: usize = 4;
+/// Candidates are worked on at a time until the chance that none of them meets the requirement is as small as this.
+const LEFT: f64 = 0.05;
 /// Least standard deviation of ln error from seed to seed: four seeds that agree by chance are not sure for ever.
 const DEVIATION_MIN: f64 = 0.02;
 
@@ -122,19 +126,31 @@ fn judged(goal: &Goal, candidate: &Candidate) -> Judgement {
     if decides || fresh.len() >= 2 * goal.fresh { Judgement::Final(chance) } else { Judgement::More(chance) }
 }
 
-/// Where the search stands by what is stored, and what is to be run next. It is followed from its beginning, and sees what it has
-/// asked for alone: kills, and whatever else is stored, change no decision.
-pub fn follow(goal: &Goal, stored: &[Candidate]) -> Decision {
-    let unknown = |c: &Candidate| Candidate { reached: vec![], fresh: vec![], failed: false, ..c.clone() };
-    let mut shown: Vec<Candidate> = stored.iter().map(unknown).collect();
-    loop {
-        let mut decision = decide(goal, &shown);
-        let asked = decision.work.clone();
-        decision.work.retain(|&(i, work)| !is_known(&stored[i], work));
-        if asked.is_empty() || !decision.work.is_empty() {
-            return decision;
+/// A search, from its beginning on. It sees what it has asked for alone: kills, and whatever else is stored, change no decision.
+#[derive(Debug, Clone)]
+pub struct Search {
+    goal: Goal,
+    /// The candidates with what has been asked of them.
+    shown: Vec<Candidate>,
+}
+
+impl Search {
+    /// Of candidates of which nothing is known.
+    pub fn new(goal: &Goal, candidates: impl Iterator<Item = Candidate>) -> Self {
+        Self { goal: goal.clone(), shown: candidates.collect() }
+    }
+
+    /// Follows the search as far as what is stored goes: where it stands then, and what is to be run next.
+    pub fn follow(&mut self, stored: &[Candidate]) -> Decision {
+        loop {
+            let mut decision = decide(&self.goal, &self.shown);
+            let asked = decision.work.clone();
+            decision.work.retain(|&(i, work)| !is_known(&stored[i], work));
+            if asked.is_empty() || !decision.work.is_empty() {
+                return decision;
+            }
+            asked.into_iter().for_each(|(i, work)| show(&mut self.shown[i], &stored[i], work));
         }
-        asked.into_iter().for_each(|(i, work)| show(&mut shown[i], &stored[i], work));
     }
 }
 
@@ -158,106 +174,191 @@ fn show(shown: &mut Candidate, stored: &Candidate, work: Work) {
 
 /// Where the search stands, and what is to be run next.
 fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
-    let classes = classes(candidates);
-    let seen = seen(candidates);
-    let places: Vec<Vec<f64>> = candidates.iter().map(|c| c.place.clone()).collect();
-    let prediction = Prediction::new(&places, &seen);
-    let judgements: Vec<Judgement> = candidates.iter().map(|c| judged(goal, c)).collect();
-    let limit = goal.error.ln();
-    // its own result is the first judge
-    let falls_short = |i: usize| {
-        candidates[i].reached.get(LEVELS - 1).is_some_and(|told| told.is_none_or(|e| e > goal.error))
-    };
-    let is_open =
-        |i: usize| !candidates[i].failed && !falls_short(i) && !matches!(judgements[i], Judgement::Final(_));
-    let meets = |i: usize| match judgements[i] {
-        _ if candidates[i].failed || falls_short(i) => 0.0,
-        Judgement::Final(chance) | Judgement::More(chance) => chance,
-        Judgement::None => prediction.chance(|draw| draw[i] <= limit),
-    };
-    let prospects: Vec<f64> = (0..candidates.len()).map(meets).collect();
-    let stands = |i: &usize| matches!(judgements[*i], Judgement::Final(chance) if chance >= goal.confidence);
-
-    let chosen = classes.iter().find_map(|class| class.iter().copied().find(stands));
-    let any = |class: &[usize]| {
-        let open: Vec<usize> = class.iter().copied().filter(|&i| is_open(i)).collect();
-        let looked = |i: &usize| judgements[*i] == Judgement::None;
-        let (unjudged, judged): (Vec<usize>, Vec<usize>) = open.into_iter().partition(looked);
-        let by_draws = prediction.chance(|draw| unjudged.iter().any(|&i| draw[i] <= limit));
-        judged.iter().fold(by_draws, |any, &i| 1.0 - (1.0 - any) * (1.0 - prospects[i]))
-    };
-    let hopes: Vec<f64> = classes.iter().map(|class| any(class)).collect();
-
-    // of equal prospects the one whose next level is nearer
-    let better = |&a: &usize, &b: &usize| {
-        let (begun, mean) = (|i: usize| candidates[i].reached.len(), &prediction.mean);
-        let nearer = begun(b).cmp(&begun(a)).then(mean[a].total_cmp(&mean[b]));
-        prospects[b].total_cmp(&prospects[a]).then(nearer).then(a.cmp(&b))
-    };
-    let mut work = begin(&classes, candidates);
+    let view = View::new(goal, candidates);
+    let mut work = view.begin();
     if work.is_empty() {
-        // class by class up to the one that a design stands in, as many as leave little to hope for besides
-        let mut besides = 1.0;
-        for class in classes.iter().take_while(|class| chosen.is_none_or(|c| !class.contains(&c))) {
-            let worth = |i: &usize| is_open(*i) && prospects[*i] >= WORTH;
+        work = view.class_by_class();
+    }
+    if work.is_empty() && view.chosen().is_none() {
+        work = view.anywhere();
+    }
+    let standings = view.classes.iter().map(|class| view.standing(class)).collect();
+    let kinship = (!view.is_blind).then_some(view.prediction.kinship);
+    Decision { work, chosen: view.chosen(), standings, kinship }
+}
+
+/// What is thought of the candidates at one point of a search.
+struct View<'a> {
+    goal: &'a Goal,
+    candidates: &'a [Candidate],
+    /// Candidates by cost, the cheapest first; of a class in the order of the plan.
+    classes: Vec<Vec<usize>>,
+    prediction: Prediction,
+    judgements: Vec<Judgement>,
+    /// Probability that each meets the requirement.
+    prospects: Vec<f64>,
+    /// Nothing was seen yet.
+    is_blind: bool,
+}
+
+impl<'a> View<'a> {
+    fn new(goal: &'a Goal, candidates: &'a [Candidate]) -> Self {
+        let places: Vec<Vec<f64>> = candidates.iter().map(|c| c.place.clone()).collect();
+        let seen = seen(candidates);
+        let mut view = Self {
+            goal,
+            candidates,
+            classes: classes(candidates),
+            prediction: Prediction::new(&places, &seen),
+            judgements: candidates.iter().map(|c| judged(goal, c)).collect(),
+            prospects: Vec::new(),
+            is_blind: seen.is_empty(),
+        };
+        view.prospects = (0..candidates.len()).map(|i| view.meets(i)).collect();
+        view
+    }
+
+    fn meets(&self, i: usize) -> f64 {
+        let limit = self.goal.error.ln();
+        match self.judgements[i] {
+            _ if self.candidates[i].failed || self.falls_short(i) => 0.0,
+            Judgement::Final(chance) | Judgement::More(chance) => chance,
+            Judgement::None => self.prediction.chance(|draw| draw[i] <= limit),
+        }
+    }
+
+    /// Its own result is the first judge.
+    fn falls_short(&self, i: usize) -> bool {
+        let result = self.candidates[i].reached.get(LEVELS - 1);
+        result.is_some_and(|told| told.is_none_or(|e| e > self.goal.error))
+    }
+
+    fn is_open(&self, i: usize) -> bool {
+        let decided = matches!(self.judgements[i], Judgement::Final(_));
+        !self.candidates[i].failed && !self.falls_short(i) && !decided
+    }
+
+    fn stands(&self, i: usize) -> bool {
+        matches!(self.judgements[i], Judgement::Final(chance) if chance >= self.goal.confidence)
+    }
+
+    /// The candidate of a class with the best prospects, one that stands before all others.
+    fn best_of(&self, class: &[usize]) -> usize {
+        let worse = |&a: &usize, &b: &usize| {
+            let stands = self.stands(b).cmp(&self.stands(a));
+            stands.then(self.order(a, b))
+        };
+        class.iter().copied().min_by(worse).expect("a class has candidates")
+    }
+
+    /// The better first; of equal prospects the one whose next level is nearer.
+    fn order(&self, a: usize, b: usize) -> Ordering {
+        let (begun, mean) = (|i: usize| self.candidates[i].reached.len(), &self.prediction.mean);
+        let nearer = begun(b).cmp(&begun(a)).then(mean[a].total_cmp(&mean[b]));
+        self.prospects[b].total_cmp(&self.prospects[a]).then(nearer).then(a.cmp(&b))
+    }
+
+    /// The design that stands in the cheapest class.
+    fn chosen(&self) -> Option<usize> {
+        self.classes.iter().map(|class| self.best_of(class)).find(|&i| self.stands(i))
+    }
+
+    /// Probability that any open candidate of a class meets the requirement.
+    fn any(&self, class: &[usize]) -> f64 {
+        let limit = self.goal.error.ln();
+        let open = class.iter().copied().filter(|&i| self.is_open(i));
+        let (unjudged, judged): (Vec<usize>, Vec<usize>) =
+            open.partition(|&i| self.judgements[i] == Judgement::None);
+        let by_draws = self.prediction.chance(|draw| unjudged.iter().any(|&i| draw[i] <= limit));
+        judged.iter().fold(by_draws, |any, &i| 1.0 - (1.0 - any) * (1.0 - self.prospects[i]))
+    }
+
+    /// A first look at settings spread over all costs, one trial each; every third one goes on to its result, as only results
+    /// tell what looks are worth.
+    fn begin(&self) -> Vec<(usize, Work)> {
+        let mut settings: Vec<usize> = Vec::new(); // the first candidate of each, by cost
+        for &i in self.classes.iter().flatten() {
+            if !settings.iter().any(|&known| self.candidates[known].place == self.candidates[i].place) {
+                settings.push(i);
+            }
+        }
+        let count = settings.len().min(BEGIN);
+        let spread = (0..count).map(|n| {
+            let level = if n % 3 == 0 { LEVELS - 1 } else { 0 };
+            (settings[n * (settings.len() - 1) / (count - 1).max(1)], level)
+        });
+        let lacks = |&(i, level): &(usize, usize)| {
+            self.candidates[i].reached.len() <= level && !self.candidates[i].failed
+        };
+        spread.filter(lacks).map(|(i, level)| (i, Work::Level(level))).collect()
+    }
+
+    /// Class by class up to the one that a design stands in, as many candidates as leave little to hope for besides.
+    fn class_by_class(&self) -> Vec<(usize, Work)> {
+        let (mut work, mut besides, chosen) = (Vec::new(), 1.0, self.chosen());
+        for class in self.classes.iter().take_while(|class| chosen.is_none_or(|c| !class.contains(&c))) {
+            let worth = |i: &usize| self.is_open(*i) && self.prospects[*i] >= WORTH;
             let mut some: Vec<usize> = class.iter().copied().filter(worth).collect();
-            some.sort_by(better);
+            some.sort_by(|a, b| self.order(*a, *b));
             for i in some {
-                if work.len() < goal.at_a_time && besides > 0.05 {
-                    besides *= 1.0 - prospects[i];
-                    work.push((i, next(goal, &candidates[i], judgements[i])));
+                if work.len() < self.goal.at_a_time && besides > LEFT {
+                    besides *= 1.0 - self.prospects[i];
+                    work.push((i, self.next(i)));
                 }
             }
         }
+        work
     }
-    if work.is_empty() && chosen.is_none() {
-        // that there is no design is said less lightly than that there is no cheaper one, and not by a guess of a few results
-        let results = candidates.iter().filter(|c| c.reached.len() == LEVELS).count();
-        let guess = results < LEAST_RESULTS + candidates[0].place.len();
-        let worth = |i: &usize| is_open(*i) && (guess || prospects[*i] >= WORTH_LAST);
-        let mut some: Vec<usize> = (0..candidates.len()).filter(worth).collect();
-        some.sort_by(better);
-        let result = |i: usize| match candidates[i].reached.len() {
-            LEVELS.. => next(goal, &candidates[i], judgements[i]),
+
+    /// The best candidates of any class: that there is no design is said less lightly than that there is no cheaper one, and not
+    /// by a guess of a few results.
+    fn anywhere(&self) -> Vec<(usize, Work)> {
+        let results = self.candidates.iter().filter(|c| c.reached.len() == LEVELS).count();
+        let guess = results < LEAST_RESULTS + self.candidates[0].place.len();
+        let worth = |i: &usize| self.is_open(*i) && (guess || self.prospects[*i] >= WORTH_LAST);
+        let mut some: Vec<usize> = (0..self.candidates.len()).filter(worth).collect();
+        some.sort_by(|a, b| self.order(*a, *b));
+        let result = |i: usize| match self.candidates[i].reached.len() {
+            LEVELS.. => self.next(i),
             _ => Work::Level(LEVELS - 1),
         };
-        work = some.into_iter().take(goal.at_a_time).map(|i| (i, result(i))).collect();
+        some.into_iter().take(self.goal.at_a_time).map(|i| (i, result(i))).collect()
     }
-    let standing = |(class, any): (&Vec<usize>, &f64)| {
-        let worth = |i: usize| (stands(&i), prospects[i], -prediction.mean[i]);
-        let best = class.iter().copied().max_by(|&a, &b| {
-            let (a, b) = (worth(a), worth(b));
-            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
-        });
-        let best = best.expect("a class has candidates");
-        let candidate = &candidates[best];
-        let (middle, keeps) = match candidate.fresh.len() {
-            0 | 1 => {
-                let mut below = |e: f64| prediction.chance(|draw| draw[best] <= e);
-                (prediction.mean[best], quantile(goal.confidence, prediction.mean[best], &mut below))
-            }
-            _ => {
-                let mean = of_seeds(&candidate.fresh).0;
-                (mean, quantile(goal.confidence, mean, &mut |e: f64| chance_below(e.exp(), &candidate.fresh)))
-            }
+
+    /// The next rung of a candidate's ladder.
+    fn next(&self, i: usize) -> Work {
+        match (self.candidates[i].reached.len(), self.judgements[i]) {
+            (level, _) if level < LEVELS => Work::Level(level),
+            (_, Judgement::None) => Work::Fresh(self.goal.fresh),
+            _ => Work::Fresh(2 * self.goal.fresh),
+        }
+    }
+
+    fn standing(&self, class: &[usize]) -> Standing {
+        let best = self.best_of(class);
+        let candidate = &self.candidates[best];
+        let (middle, below): (f64, Box<dyn Fn(f64) -> f64>) = match candidate.fresh.len() {
+            0 => (self.prediction.mean[best], Box::new(|e| self.prediction.chance(|draw| draw[best] <= e))),
+            _ => (of_seeds(&candidate.fresh).0, Box::new(|e| chance_below(e.exp(), &candidate.fresh))),
         };
+        let any = self.any(class);
         Standing {
             cost: candidate.cost,
             best,
             stage: stage(candidate),
-            error: [middle.exp(), keeps.exp()],
-            meets: prospects[best],
-            any: if class.iter().any(stands) { any.max(goal.confidence) } else { *any },
-            candidates: [class.len(), class.iter().filter(|&&i| !candidates[i].reached.is_empty()).count()],
+            error: [middle.exp(), quantile(self.goal.confidence, middle, &*below).exp()],
+            meets: self.prospects[best],
+            any: if self.stands(best) { any.max(self.prospects[best]) } else { any },
+            candidates: [
+                class.len(),
+                class.iter().filter(|&&i| !self.candidates[i].reached.is_empty()).count(),
+            ],
         }
-    };
-    let standings = classes.iter().zip(&hopes).map(standing).collect();
-    let kinship = (!seen.is_empty()).then_some(prediction.kinship);
-    Decision { work, chosen, standings, kinship }
+    }
 }
 
 /// The ln error that is kept to with this probability, from a middle one on.
-fn quantile(probability: f64, middle: f64, below: &mut dyn FnMut(f64) -> f64) -> f64 {
+fn quantile(probability: f64, middle: f64, below: &dyn Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (middle - 3.0, middle + 6.0);
     for _ in 0..40 {
         let half = 0.5 * (low + high);
@@ -275,42 +376,15 @@ fn stage(candidate: &Candidate) -> Stage {
     }
 }
 
-/// The next rung of a candidate's ladder.
-fn next(goal: &Goal, candidate: &Candidate, judgement: Judgement) -> Work {
-    match (candidate.reached.len(), judgement) {
-        (level, _) if level < LEVELS => Work::Level(level),
-        (_, Judgement::None) => Work::Fresh(goal.fresh),
-        _ => Work::Fresh(2 * goal.fresh),
-    }
-}
-
 /// Candidates by cost, the cheapest first; of a class in the order of the plan.
 fn classes(candidates: &[Candidate]) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..candidates.len()).collect();
     let before = |a: &[f64; 3], b: &[f64; 3]| {
-        a.iter().zip(b).map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
+        a.iter().zip(b).map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(Ordering::Equal)
     };
     order.sort_by(|&a, &b| before(&candidates[a].cost, &candidates[b].cost).then(a.cmp(&b)));
     let same = |a: &usize, b: &usize| candidates[*a].cost == candidates[*b].cost;
     order.chunk_by(same).map(<[usize]>::to_vec).collect()
-}
-
-/// A first look at settings spread over all costs, one trial each; every third one goes on to its result, as only results tell
-/// what looks are worth.
-fn begin(classes: &[Vec<usize>], candidates: &[Candidate]) -> Vec<(usize, Work)> {
-    let mut settings: Vec<usize> = Vec::new(); // the first candidate of each, by cost
-    for &i in classes.iter().flatten() {
-        if !settings.iter().any(|&known| candidates[known].place == candidates[i].place) {
-            settings.push(i);
-        }
-    }
-    let count = settings.len().min(BEGIN);
-    let spread = (0..count).map(|n| {
-        let level = if n % 3 == 0 { LEVELS - 1 } else { 0 };
-        (settings[n * (settings.len() - 1) / (count - 1).max(1)], level)
-    });
-    let lacks = |&(i, level): &(usize, usize)| candidates[i].reached.len() <= level && !candidates[i].failed;
-    spread.filter(lacks).map(|(i, level)| (i, Work::Level(level))).collect()
 }
 
 /// All errors that candidates have told.

@@ -141,8 +141,9 @@ fn kills_and_other_results_change_no_decision() {
     let (end, _) = straight.search(&goal);
     assert!(end.chosen.is_some());
     let mut halting = few();
+    let mut search = Search::new(&goal, halting.trials.clone().into_iter());
     let last = loop {
-        let decision = follow(&goal, &halting.trials);
+        let decision = search.follow(&halting.trials);
         let Some(&(i, work)) = decision.work.last() else { break decision };
         halting.work(i, work);
     };
@@ -152,7 +153,8 @@ fn kills_and_other_results_change_no_decision() {
         whole.work(i, Work::Level(LEVELS - 1));
         whole.work(i, Work::Fresh(2 * goal.fresh));
     }
-    assert_eq!(follow(&goal, &whole.trials), Decision { work: Vec::new(), ..end });
+    let mut search = Search::new(&goal, few().trials.into_iter());
+    assert_eq!(search.follow(&whole.trials), Decision { work: Vec::new(), ..end });
 }
 
 /// A trial that has failed, one that has told nothing, and a space of one: no work is asked for twice, and the search ends.
@@ -160,16 +162,20 @@ fn kills_and_other_results_change_no_decision() {
 fn failures_end_a_search() {
     let goal = goal(8.0);
     let mut trials = vec![Candidate { cost: [1.0, 1.0, 1.0], ..Candidate::default() }; 2];
-    let asked = follow(&goal, &trials).work;
+    let follow = |trials: &[Candidate]| {
+        let unknown = |c: &Candidate| Candidate { cost: c.cost, ..Candidate::default() };
+        Search::new(&goal, trials.iter().map(unknown)).follow(trials)
+    };
+    let asked = follow(&trials).work;
     assert_eq!(asked, [(0, Work::Level(LEVELS - 1))]);
     trials[0].failed = true;
-    assert_eq!(follow(&goal, &trials).work, [(1, Work::Level(0))]);
+    assert_eq!(follow(&trials).work, [(1, Work::Level(0))]);
     trials[1].reached = vec![None, None, Some(4.0)];
-    assert_eq!(follow(&goal, &trials).work, [(1, Work::Fresh(4))]);
+    assert_eq!(follow(&trials).work, [(1, Work::Fresh(4))]);
     trials[1].fresh = vec![4.0, 100.0, 4.0, 4.0];
-    let end = follow(&goal, &trials);
+    let end = follow(&trials);
     assert_eq!((end.chosen, &end.work[..]), (None, &[(1, Work::Fresh(8))][..]));
     trials[1].fresh = vec![4.0, 100.0, 4.0, 4.0, 4.0, 4.0, 4.0, 100.0];
-    let end = follow(&goal, &trials);
+    let end = follow(&trials);
     assert_eq!((end.chosen, &end.work[..]), (None, &[][..]));
 }
