@@ -1,4 +1,5 @@
-//! A finished trial computed again from its stored design and weights: geometry, signals, predictions, motion.
+//! A finished trial computed again from its stored design and weights: geometry, signals, predictions, motion; its brain as
+//! layers, in the numbers of a device.
 
 use metasense_numerics::brains::fits;
 pub use metasense_numerics::dynamics::Panel;
@@ -8,6 +9,12 @@ use metasense_numerics::questions;
 pub use metasense_numerics::questions::{LinearReplay, Motion, Replay};
 use metasense_numerics::trial::{BrainKind, Decoder};
 use metasense_schemas::spec::TrialSpec;
+
+mod integers;
+mod layers;
+
+pub use integers::{Integers, Rescaled};
+pub use layers::{Convolution, Single, holdout_error, layers};
 
 use crate::run::{Failure, check_length, pool, prepared, with_design};
 
@@ -106,87 +113,6 @@ pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>
     }
     let found = replay.linear(&problem, &Decoder::whole(instants, channels));
     Ok(Some(found?))
-}
-
-/// A layer of a brain: y[t] = b + Σ_i x[t + i d − before] w_i, x = 0 outside a sample.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Convolution {
-    /// How many i.
-    pub taps: usize,
-    /// d.
-    pub dilation: usize,
-    /// Instants that it looks back.
-    pub before: usize,
-    /// Width of x.
-    pub inputs: usize,
-    /// Width of y.
-    pub outputs: usize,
-    /// Whether y is zero where that is negative.
-    pub rectified: bool,
-    /// w (taps, inputs, outputs).
-    pub weights: Vec<f64>,
-    /// b.
-    pub bias: Vec<f64>,
-}
-
-/// A trial's linear brain, or the network with these weights, as layers from signals (mm/s², rad/s) to forces (N), on a replay of its body.
-///
-/// # Errors
-/// If the spec stands for no trial, or the linear brain cannot be solved for.
-///
-/// # Panics
-/// If the weights are not those of the trial's network.
-pub fn layers(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec<Convolution>, Failure> {
-    let problem = prepared(trial)?;
-    let (channels, panels) = (replay.signal_scale.len(), problem.scene.panels.len());
-    let mut layers = Vec::new();
-    if weights.is_empty() {
-        let LinearReplay { lags, w, b, .. } = replay.linear(&problem, &problem.decoder)?;
-        let taps = lags.count();
-        let at = |i: usize| (i % panels * taps + i / (panels * channels)) * channels + i / panels % channels;
-        let weights = (0..w.len()).map(|i| w[at(i)]).collect();
-        let (dilation, before, inputs, outputs) = (1, lags.before, channels, panels);
-        layers.push(Convolution {
-            taps,
-            dilation,
-            before,
-            inputs,
-            outputs,
-            rectified: false,
-            weights,
-            bias: b,
-        });
-    } else {
-        let shape = problem.reader_shape();
-        let (all, count) = (shape.architecture.layers(), shape.layers());
-        let mut inputs = shape.inputs;
-        for (l, layer) in all.iter().enumerate() {
-            let reach = (layer.kernel - 1) * layer.dilation;
-            let rectified = l + 1 < count;
-            let outputs = if rectified { shape.architecture.width() } else { panels };
-            let of = |block: usize| weights[shape.range(block)].iter().map(|w| f64::from(*w)).collect();
-            layers.push(Convolution {
-                taps: layer.kernel,
-                dilation: layer.dilation,
-                before: if shape.architecture.causal() { reach } else { reach / 2 },
-                inputs: std::mem::replace(&mut inputs, outputs),
-                outputs,
-                rectified,
-                weights: of(count + l),
-                bias: of(l),
-            });
-        }
-        let last = layers.last_mut().expect("a network has layers");
-        let deviations = replay.force_deviation.iter().cycle();
-        last.weights.iter_mut().zip(deviations).for_each(|(w, deviation)| *w *= deviation);
-        let scales = replay.force_deviation.iter().zip(&replay.force_mean);
-        last.bias.iter_mut().zip(scales).for_each(|(b, (deviation, mean))| *b = *b * deviation + mean);
-    }
-    let first = &mut layers[0];
-    let outputs = first.outputs;
-    let scale = |i: usize| replay.signal_scale[i / outputs % channels];
-    first.weights.iter_mut().enumerate().for_each(|(i, w)| *w /= scale(i));
-    Ok(layers)
 }
 
 /// Motion of a body under one sample of its trial, numbered as in [`replay`].

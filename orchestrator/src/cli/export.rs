@@ -12,6 +12,7 @@ use super::query::answer_in;
 use super::{Error, write};
 use crate::analysis::Body;
 use crate::exit::Exit;
+use crate::export::device::Numbers;
 use crate::export::{Mould, Outline, device, dxf, mould, npz, replay_of, replays, series, unreadable};
 use crate::look::Format;
 use crate::report::body::sketch;
@@ -69,6 +70,9 @@ pub(super) struct Args {
     /// Size of a pocket for the chip on each sensor's unit, along, across and deep, such as 6x5x2 (mm), for stl
     #[arg(long, value_name = "AxBxC", value_parser = size)]
     pocket: Option<[f64; 3]>,
+    /// What the device computes with, for c [default: f32]
+    #[arg(long, value_enum)]
+    numbers: Option<Numbers>,
     /// Threads for simulating the trial again
     #[arg(long, default_value_t = 1)]
     threads: usize,
@@ -85,6 +89,9 @@ fn size(text: &str) -> Result<[f64; 3], String> {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { trial: Named { source: db, words, .. }, out, .. } = &args;
+    if args.numbers.is_some() && args.format != Form::C {
+        return Err(Error::Usage("--numbers is for --format c: leave it out, or write the brain".into()));
+    }
     if let Some((what, _)) = VIEWS.iter().find(|(view, _)| words.iter().any(|word| word == view)) {
         let format = match args.format {
             Form::Csv => Format::Csv,
@@ -133,7 +140,8 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
                 let what = "--format c writes linear brains and networks; this trial's brain is neither";
                 return Err(Error::Usage(what.into()));
             }
-            device::c(stored, which, &replay_of(stored, which, args.threads)?)?.into_bytes()
+            let numbers = args.numbers.unwrap_or(Numbers::F32);
+            device::c(stored, which, &replay_of(stored, which, args.threads)?, numbers)?.into_bytes()
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {

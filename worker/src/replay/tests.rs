@@ -2,7 +2,7 @@ use super::*;
 use crate::run::{Control, Observe, run_trial};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord};
 
-struct Blind;
+pub(crate) struct Blind;
 
 impl Observe for Blind {
     fn progress(&mut self) -> Control {

@@ -1,0 +1,173 @@
+//! A brain's layers in integers: weights of 8 or 16 bits, a scale for each output; what goes from layer to layer in 16 bits.
+//!
+//! ```text
+//! x = q_x s_x     w s_x = q_w s_w     y = (q_b + Σ q_w q_x) s_w     next q = min(⌊(max(Σ, 0) · factor + 2^(shift − 1)) / 2^shift⌋, 32767)
+//! s_x: HEADROOM · (greatest of the training samples)/32767, a channel each     s_w: max |w s_x|/127 or /32767, an output each
+//! ```
+//! Sums are of 32 bits where no input whatever can make them overflow, else of 64. Scales never see test set or holdout.
+
+use super::{Convolution, Replay, Single};
+
+/// Room above what the training samples reach: fresh forces are stronger than any of a hundred.
+const HEADROOM: f64 = 4.0;
+/// Scales within a layer differ by at most so much: what training never wakes may wake.
+const DORMANT: f64 = 256.0;
+/// Scales are floats of a device: not even silent channels have a smaller reading.
+const LEAST: f64 = 1e-30;
+/// Biases fit into so many bits, whatever the scale of weights.
+const BIAS_BITS: i32 = 29;
+/// The greatest reading or activation.
+const GREATEST: i64 = i16::MAX as i64;
+
+/// A layer's numbers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rescaled {
+    /// q_w, in the order of the layer's weights.
+    pub weights: Vec<i64>,
+    /// q_b.
+    pub bias: Vec<i64>,
+    /// Of each output, for what is handed on; empty in the last layer.
+    pub factor: Vec<i64>,
+    /// Likewise, 1 … 62.
+    pub shift: Vec<u32>,
+}
+
+/// A brain in integers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Integers {
+    shape: Vec<Convolution>,
+    /// Layer by layer.
+    pub layers: Vec<Rescaled>,
+    /// 2/s_x of each channel of readings: half steps, from which a step is rounded.
+    pub half_steps: Vec<f32>,
+    /// s_w of the last layer (N).
+    pub forces: Vec<f32>,
+    /// No sum is greater, whatever is read.
+    pub bound: i64,
+    greatest: i64,
+}
+
+impl Integers {
+    /// Layers with weights of −`most` … `most` (127 or 32767), scaled by the training samples of a replay.
+    ///
+    /// # Panics
+    /// If a sum could pass 2^61.
+    pub fn new(layers: &[Convolution], most: i64, replay: &Replay) -> Self {
+        Self::within(layers, most, GREATEST, HEADROOM, replay)
+    }
+
+    /// The same with readings and activations of −`greatest` … `greatest`.
+    fn within(layers: &[Convolution], most: i64, greatest: i64, headroom: f64, replay: &Replay) -> Self {
+        let reached = reached(layers, replay);
+        let steps = reached.iter().map(|channels| {
+            let most = channels.iter().copied().fold(LEAST, f64::max);
+            let step = |reached: &f64| headroom * reached.max(most / DORMANT) / greatest as f64;
+            channels.iter().map(step).collect()
+        });
+        let mut steps: Vec<Vec<f64>> = steps.collect();
+        let half_steps: Vec<f32> = steps[0].iter().map(|step| (2.0 / step) as f32).collect();
+        // as rounded: weights are to fit what a device multiplies with
+        steps[0] = half_steps.iter().map(|half| 2.0 / f64::from(*half)).collect();
+        let (mut made, mut forces, mut bound) = (Vec::new(), Vec::new(), 0);
+        for (l, layer) in layers.iter().enumerate() {
+            let of = |i: usize| layer.weights[i] * steps[l][layer.of_weight(i)[0]];
+            let output = |i: usize| layer.of_weight(i)[1];
+            let mut scale: Vec<f64> =
+                layer.bias.iter().map(|b| (b.abs() / 2f64.powi(BIAS_BITS)).max(f64::MIN_POSITIVE)).collect();
+            for i in 0..layer.weights.len() {
+                scale[output(i)] = scale[output(i)].max(of(i).abs() / most as f64);
+            }
+            if l + 1 == layers.len() {
+                forces = scale.iter().map(|scale| *scale as f32).collect();
+            }
+            let weights = (0..layer.weights.len()).map(|i| (of(i) / scale[output(i)]).round() as i64);
+            let weights: Vec<i64> = weights.collect();
+            let bias: Vec<i64> =
+                layer.bias.iter().zip(&scale).map(|(b, scale)| (b / scale).round() as i64).collect();
+            let mut sums: Vec<i64> = bias.iter().map(|b| b.abs()).collect();
+            for (i, w) in weights.iter().enumerate() {
+                let [_, o, tap] = layer.of_weight(i);
+                sums[o] += w.abs() * layer.spans[tap] as i64 * greatest;
+            }
+            let own = sums.into_iter().max().expect("a layer has outputs");
+            bound = own.max(bound);
+            let (mut factor, mut shift) = (Vec::new(), Vec::new());
+            if let Some(next) = steps.get_mut(l + 1) {
+                for (step, scale) in next.iter_mut().zip(&scale) {
+                    // no finer than the sums are
+                    *step = step.max(*scale);
+                    let (f, s) = ratio(scale / *step, own);
+                    factor.push(f);
+                    shift.push(s);
+                }
+            }
+            made.push(Rescaled { weights, bias, factor, shift });
+        }
+        Self { shape: layers.to_vec(), layers: made, half_steps, forces, bound, greatest }
+    }
+
+    /// The last layer's sums (T, K) on one sample's signals (T, channels): `forces` times these are the forces (N).
+    pub fn sums(&self, signals: &[f64]) -> Vec<i64> {
+        let mut x: Vec<i64> = signals
+            .iter()
+            .zip(self.half_steps.iter().cycle())
+            .map(|(reading, half)| self.steps(*reading as f32 * half))
+            .collect();
+        for (layer, numbers) in self.shape.iter().zip(&self.layers) {
+            x = layer.sums(&numbers.weights, &numbers.bias, &x);
+            for (i, y) in x.iter_mut().enumerate().filter(|_| !numbers.factor.is_empty()) {
+                let (factor, shift) = (numbers.factor[i % layer.outputs], numbers.shift[i % layer.outputs]);
+                *y = (((*y).max(0) * factor + (1 << (shift - 1))) >> shift).min(self.greatest);
+            }
+        }
+        x
+    }
+
+    /// Forces (T, K) (N) of one sample's signals (T, channels).
+    pub fn read(&self, signals: &[f64]) -> Vec<f32> {
+        self.forces_of(&self.sums(signals))
+    }
+
+    /// Forces (T, K) (N) of the last layer's sums.
+    pub fn forces_of(&self, sums: &[i64]) -> Vec<f32> {
+        sums.iter().zip(self.forces.iter().cycle()).map(|(sum, force)| *sum as f32 * force).collect()
+    }
+
+    /// The step next to so many half steps, by one multiplication of floats: no compiler can fuse it with a sum.
+    fn steps(&self, half: f32) -> i64 {
+        let end = 2.0 * self.greatest as f32;
+        let half = half.clamp(-end, end) as i64; // 0 of what is no number
+        (half + if half < 0 { -1 } else { 1 }) / 2
+    }
+}
+
+/// Greatest magnitude of what each layer takes in, by channel, over the training samples.
+fn reached(layers: &[Convolution], replay: &Replay) -> Vec<Vec<f64>> {
+    let single = Single::new(layers);
+    let mut reached: Vec<Vec<f64>> = layers.iter().map(|layer| vec![0.0; layer.inputs]).collect();
+    let one = replay.signals.len() / replay.split.len();
+    for (_, signals) in
+        replay.split.iter().zip(replay.signals.chunks_exact(one)).filter(|(set, _)| **set == 0)
+    {
+        single.read_by_layers(signals, &mut |l, x| {
+            for (i, x) in x.iter().enumerate() {
+                let slot = &mut reached[l][i % layers[l].inputs];
+                *slot = slot.max(f64::from(x.abs()));
+            }
+        });
+    }
+    reached
+}
+
+/// Factor (below 2^31) and shift of a ratio of at most 1, as exact as products of sums up to `bound` allow in 64 bits.
+fn ratio(ratio: f64, bound: i64) -> (i64, u32) {
+    let fits = |shift: &u32| {
+        let factor = (ratio * 2f64.powi(*shift as i32)).round();
+        factor < 2f64.powi(31) && factor * (bound as f64) < 2f64.powi(62)
+    };
+    let shift = (1..=62).rev().find(fits).expect("sums are shorter than products");
+    ((ratio * 2f64.powi(shift as i32)).round() as i64, shift)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,101 @@
+use super::*;
+use crate::replay::tests::{Blind, small_trial};
+use crate::replay::{layers, replay};
+use crate::run::{pool, run_trial};
+use metasense_schemas::spec::{BrainKind, TrialSpec};
+
+/// A trial's replay and its brain as layers.
+fn brain(trial: &TrialSpec) -> (Replay, Vec<Convolution>) {
+    let result = run_trial(trial, None, &pool(1).unwrap(), &mut Blind).unwrap();
+    let body = &result.optimised;
+    let weights = body.networks.first().map_or(&[][..], |network| &network.weights);
+    let replay = replay(trial, &body.design, weights, 0, 1).unwrap();
+    let layers = layers(trial, weights, &replay).unwrap();
+    (replay, layers)
+}
+
+/// A network, and a linear brain whose far lags share weights.
+fn brains() -> [(Replay, Vec<Convolution>); 2] {
+    let mut linear = small_trial();
+    linear.brain.kind = BrainKind::Linear;
+    linear.time.samples = 100;
+    [brain(&small_trial()), brain(&linear)]
+}
+
+/// Root mean square of what is read of the training samples less the trial's predictions, as a part of that of these.
+fn off(replay: &Replay, read: &dyn Fn(&[f64]) -> Vec<f32>) -> f64 {
+    let count = replay.split.len();
+    let [signals, forces] = [&replay.signals, &replay.predictions].map(|v| v.chunks_exact(v.len() / count));
+    let (mut difference, mut all) = (0.0, 0.0);
+    for ((signals, forces), _) in signals.zip(forces).zip(&replay.split).filter(|(_, set)| **set == 0) {
+        for (said, f) in read(signals).into_iter().zip(forces) {
+            difference += (f64::from(said) - f).powi(2);
+            all += f * f;
+        }
+    }
+    (difference / all).sqrt()
+}
+
+/// Layers in f32 say what the trial's brain says to 1e-5 of the greatest force, with 16 bits to 1e-3, with 8-bit weights to a few
+/// percent; 8-bit activations make it worse. No sum passes the bound, of readings beyond every scale either.
+#[test]
+fn integers_say_what_the_brain_says() {
+    for (replay, layers) in brains() {
+        let grouped = layers[0].spans.iter().any(|span| *span > 1);
+        assert!(grouped == (layers.len() == 1) && grouped == layers[0].by_input);
+        let single = Single::new(&layers);
+        let exact = off(&replay, &|signals| single.read(signals));
+        let [i16, i8] = [32767, 127].map(|most| Integers::new(&layers, most, &replay));
+        let coarse = Integers::within(&layers, 127, 127, 1.0, &replay);
+        let [fine, coarser, coarsest] =
+            [&i16, &i8, &coarse].map(|of| off(&replay, &|signals| of.read(signals)));
+        println!("{} layers: {exact:.1e} {fine:.1e} {coarser:.1e} {coarsest:.1e}", layers.len());
+        assert!(exact < 1e-5 && fine < 1e-3 && coarser < 0.1, "{exact} {fine} {coarser}");
+        assert!(4.0 * fine < coarser && 1.5 * coarser < coarsest, "{fine} {coarser} {coarsest}");
+        let one = replay.signals.len() / replay.split.len();
+        for (of, most) in [(&i16, 32767), (&i8, 127)] {
+            let loud: Vec<f64> = replay.signals[..one].iter().map(|x| 1e6 * x).collect();
+            let greatest = |signals: &[f64]| of.sums(signals).into_iter().map(i64::abs).max().unwrap();
+            assert!((greatest(&replay.signals[..one])..=of.bound).contains(&greatest(&loud)));
+            let weights = of.layers.iter().flat_map(|layer| &layer.weights);
+            assert_eq!(weights.map(|w| w.abs()).max(), Some(most));
+        }
+    }
+}
+
+/// Louder test and holdout samples change nothing, a louder training sample does.
+#[test]
+fn scales_are_those_of_training_samples() {
+    let (mut replay, layers) = brain(&small_trial());
+    let before = Integers::new(&layers, 127, &replay);
+    let one = replay.signals.len() / replay.split.len();
+    for set in [2, 1, 0] {
+        let split = replay.split.clone();
+        let own = replay.signals.chunks_exact_mut(one).zip(split).filter(|(_, s)| *s == set);
+        own.for_each(|(signals, _)| signals.iter_mut().for_each(|x| *x *= 3.0));
+        assert_eq!(Integers::new(&layers, 127, &replay) == before, set > 0, "set {set}");
+    }
+}
+
+/// To the nearest step, halves away from zero, no further than the last, and nothing of what is no number.
+#[test]
+fn readings_are_rounded_to_steps() {
+    let (replay, layers) = brain(&small_trial());
+    let of = Integers::new(&layers, 127, &replay);
+    let steps = [0.49, 0.5, -0.5, -0.49, 1.49, -1.5, 4e4, -4e4, f32::INFINITY, f32::NAN];
+    assert_eq!(steps.map(|x| of.steps(2.0 * x)), [0, 1, -1, 0, 1, -2, 32767, -32767, 32767, 0]);
+}
+
+/// A ratio is met to 2⁻²¹ of itself or better for sums of up to 40 bits, and no product passes 2⁶².
+#[test]
+fn a_ratio_is_a_factor_and_a_shift() {
+    for bound in [1i64 << 20, i32::MAX.into(), 1 << 40] {
+        for exact in [1.0, 0.3, 1.7e-4, 3.3e-9] {
+            let (factor, shift) = ratio(exact, bound);
+            let found = factor as f64 / 2f64.powi(shift as i32);
+            assert!((found / exact - 1.0).abs() < 2f64.powi(-21), "{exact} {bound}: {factor} {shift}");
+            assert!(factor < 1 << 31 && factor.checked_mul(bound).unwrap() <= 1 << 62);
+        }
+    }
+    assert_eq!(ratio(1e-300, 1 << 20), (0, 62));
+}

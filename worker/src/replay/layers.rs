@@ -1,0 +1,206 @@
+//! A brain as layers from signals to forces, and what they say in single precision, sum by sum as a device adds them up.
+//!
+//! ```text
+//! y[t] = b + Σ_i w_i Σ_j x[t − before + (s_i + j) d]      j = 0 … span_i − 1, s_i = Σ of the spans before i; x = 0 outside a sample
+//! ```
+//! All layers but the last hand on max(y, 0). A network's spans are 1; a linear brain's far lags share a weight by fours.
+
+use std::ops::{AddAssign, Mul};
+
+use metasense_numerics::brain::linear::Sizes;
+use metasense_numerics::stimuli::targets;
+use metasense_numerics::trial::Samples;
+use metasense_schemas::spec::TrialSpec;
+
+use super::{LinearReplay, Replay};
+use crate::run::{Failure, prepared};
+
+/// A layer of a brain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Convolution {
+    /// Instants that each tap adds up.
+    pub spans: Vec<usize>,
+    /// d (instants).
+    pub dilation: usize,
+    /// Instants that it looks back.
+    pub before: usize,
+    /// Width of x.
+    pub inputs: usize,
+    /// Width of y.
+    pub outputs: usize,
+    /// Whether w is (inputs, outputs, taps), and sums go in this order; else it is (taps, outputs, inputs).
+    pub by_input: bool,
+    /// w.
+    pub weights: Vec<f64>,
+    /// b.
+    pub bias: Vec<f64>,
+}
+
+impl Convolution {
+    /// Instants that it holds: from the first that it sees to the last.
+    pub fn slots(&self) -> usize {
+        (self.spans.iter().sum::<usize>() - 1) * self.dilation + 1
+    }
+
+    /// Instants that it looks ahead.
+    pub fn after(&self) -> usize {
+        self.slots() - 1 - self.before
+    }
+
+    /// Input, output and tap of a weight.
+    pub fn of_weight(&self, i: usize) -> [usize; 3] {
+        let (taps, inputs, outputs) = (self.spans.len(), self.inputs, self.outputs);
+        match self.by_input {
+            true => [i / (taps * outputs), i / taps % outputs, i % taps],
+            false => [i % inputs, i / inputs % outputs, i / (inputs * outputs)],
+        }
+    }
+
+    /// Its sums on one sample (T, inputs): (T, outputs). Each begins with the bias; products follow in the order of the weights.
+    pub(super) fn sums<T>(&self, weights: &[T], bias: &[T], x: &[T]) -> Vec<T>
+    where
+        T: Copy + Default + AddAssign + Mul<Output = T>,
+    {
+        let (instants, taps, inputs) = (x.len() / self.inputs, self.spans.len(), self.inputs);
+        let mut y = Vec::with_capacity(instants * self.outputs);
+        let mut seen = vec![T::default(); taps * inputs];
+        let row = if self.by_input { taps } else { inputs };
+        for t in 0..instants {
+            seen.fill(T::default());
+            // counted from `before` instants ahead of the sample
+            let mut at = t;
+            for (tap, span) in self.spans.iter().enumerate() {
+                for n in (0..*span).map(|j| at + j * self.dilation) {
+                    if (self.before..self.before + instants).contains(&n) {
+                        for (c, x) in x[(n - self.before) * inputs..][..inputs].iter().enumerate() {
+                            seen[if self.by_input { c * taps + tap } else { tap * inputs + c }] += *x;
+                        }
+                    }
+                }
+                at += span * self.dilation;
+            }
+            y.extend_from_slice(bias);
+            let y = &mut y[t * self.outputs..];
+            for (seen, w) in seen.chunks_exact(row).zip(weights.chunks_exact(row * self.outputs)) {
+                for (y, w) in y.iter_mut().zip(w.chunks_exact(row)) {
+                    w.iter().zip(seen).for_each(|(w, x)| *y += *w * *x);
+                }
+            }
+        }
+        y
+    }
+}
+
+/// A trial's linear brain, or the network with these weights, as layers from signals (mm/s², rad/s) to forces (N), on a replay of its body.
+///
+/// # Errors
+/// If the spec stands for no trial, or the linear brain cannot be solved for.
+///
+/// # Panics
+/// If the weights are not those of the trial's network.
+pub fn layers(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec<Convolution>, Failure> {
+    let problem = prepared(trial)?;
+    let (channels, panels) = (replay.signal_scale.len(), problem.scene.panels.len());
+    let mut layers = Vec::new();
+    if weights.is_empty() {
+        let LinearReplay { lags, w, b, .. } = replay.linear(&problem, &problem.decoder)?;
+        let groups = lags.groups();
+        let mut weights = Vec::with_capacity(groups.len() * panels * channels);
+        for c in 0..channels {
+            for k in 0..panels {
+                weights.extend(groups.iter().map(|group| w[(k * lags.count() + group.start) * channels + c]));
+            }
+        }
+        layers.push(Convolution {
+            spans: groups.iter().map(ExactSizeIterator::len).collect(),
+            dilation: 1,
+            before: lags.before,
+            inputs: channels,
+            outputs: panels,
+            by_input: true,
+            weights,
+            bias: b,
+        });
+    } else {
+        let shape = problem.reader_shape();
+        let (all, count) = (shape.architecture.layers(), shape.layers());
+        let mut inputs = shape.inputs;
+        for (l, layer) in all.iter().enumerate() {
+            let reach = (layer.kernel - 1) * layer.dilation;
+            let outputs = if l + 1 < count { shape.architecture.width() } else { panels };
+            let stored = &weights[shape.range(count + l)];
+            let of = |i: usize| {
+                let (tap, o, c) = (i / (inputs * outputs), i / inputs % outputs, i % inputs);
+                f64::from(stored[(tap * inputs + c) * outputs + o])
+            };
+            let turned = (0..stored.len()).map(of).collect();
+            layers.push(Convolution {
+                spans: vec![1; layer.kernel],
+                dilation: layer.dilation,
+                before: if shape.architecture.causal() { reach } else { reach / 2 },
+                inputs: std::mem::replace(&mut inputs, outputs),
+                outputs,
+                by_input: false,
+                weights: turned,
+                bias: weights[shape.range(l)].iter().map(|b| f64::from(*b)).collect(),
+            });
+        }
+        let last = layers.last_mut().expect("a network has layers");
+        let inputs = last.inputs;
+        let deviation = |i: usize| replay.force_deviation[i / inputs % panels];
+        last.weights.iter_mut().enumerate().for_each(|(i, w)| *w *= deviation(i));
+        let scales = replay.force_deviation.iter().zip(&replay.force_mean);
+        last.bias.iter_mut().zip(scales).for_each(|(b, (deviation, mean))| *b = *b * deviation + mean);
+    }
+    let first = &mut layers[0];
+    for i in 0..first.weights.len() {
+        first.weights[i] /= replay.signal_scale[first.of_weight(i)[0]];
+    }
+    Ok(layers)
+}
+
+/// Layers in single precision.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Single {
+    layers: Vec<Convolution>,
+    weights: Vec<[Vec<f32>; 2]>,
+}
+
+impl Single {
+    /// These layers, their numbers rounded.
+    pub fn new(layers: &[Convolution]) -> Self {
+        let rounded = |values: &[f64]| values.iter().map(|v| *v as f32).collect();
+        let weights = layers.iter().map(|l| [rounded(&l.weights), rounded(&l.bias)]).collect();
+        Self { layers: layers.to_vec(), weights }
+    }
+
+    /// Forces (T, K) (N) of one sample's signals (T, channels).
+    pub fn read(&self, signals: &[f64]) -> Vec<f32> {
+        self.read_by_layers(signals, &mut |_, _| {})
+    }
+
+    /// The same; `meet` is given each layer's number and what it takes in (T, inputs).
+    pub(super) fn read_by_layers(&self, signals: &[f64], meet: &mut dyn FnMut(usize, &[f32])) -> Vec<f32> {
+        let mut x: Vec<f32> = signals.iter().map(|v| *v as f32).collect();
+        for (l, (layer, [weights, bias])) in self.layers.iter().zip(&self.weights).enumerate() {
+            meet(l, &x);
+            x = layer.sums(weights, bias, &x);
+            if l + 1 < self.layers.len() {
+                x.iter_mut().for_each(|y| *y = y.max(0.0));
+            }
+        }
+        x
+    }
+}
+
+/// Mean error (%) on the holdout of what `read` says (T, K) (N) of a sample's signals (T, channels); none without a holdout.
+pub fn holdout_error(replay: &Replay, read: &dyn Fn(&[f64]) -> Vec<f32>) -> Option<f64> {
+    let (channels, outputs) = (replay.signal_scale.len(), replay.force_mean.len());
+    let instants = replay.signals.len() / replay.split.len() / channels;
+    let targets = targets(&replay.forces, instants, false);
+    let all = Samples::new(Sizes { instants, channels, outputs }, replay.signals.clone(), targets);
+    let of: Vec<usize> = (0..replay.split.len()).filter(|&i| replay.split[i] == 2).collect();
+    let holdout = all.with_failed(replay.failed.clone()).select(&of);
+    let said = holdout.signals.chunks_exact(instants * channels).flat_map(read);
+    holdout.error(&said.map(f64::from).collect::<Vec<_>>())
+}
