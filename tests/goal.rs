@@ -77,6 +77,24 @@ fn what_cannot_be_met_is_said() {
         said.contains("goal.operations leaves out 2 trials; the least one needs 468 multiply-adds"),
         "{said}"
     );
+    let row: Vec<&str> = table.lines().nth(1).unwrap().split(',').collect();
+    let brain = bench.path("brain.c");
+    let args =
+        ["export", "few.sqlite", row.last().unwrap(), "--format", "c", "--out", brain.to_str().unwrap()];
+    bench.output(&args);
+    let text = std::fs::read_to_string(&brain).unwrap();
+    let head = text.lines().find(|line| line.contains("multiply-adds a reading")).unwrap();
+    let told: Vec<f64> =
+        head.split(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse().ok()).collect();
+    assert_eq!(told[told.len() - 1], row[1].parse::<f64>().unwrap(), "{head}");
+    bench.file("s.toml", &linear("error = 1e6\nmemory = 0.001\n"));
+    let (code, _, said) = design(&bench, &[]);
+    let least = said.split("the least one needs ").nth(1).and_then(|rest| rest.split(" kB").next());
+    let bytes = told[told.len() - 3] + told[told.len() - 2];
+    assert!(
+        code == Some(2) && (least.unwrap().parse::<f64>().unwrap() - bytes / 1e3).abs() < 1e-3,
+        "{said}{head}"
+    );
     bench.file("s.toml", &linear("error = 1e6\ndelay = 0.01\n"));
     let (code, _, said) = design(&bench, &[]);
     assert!(code == Some(2) && said.contains("goal.delay = 0.01") && said.contains("0.19"), "{said}");

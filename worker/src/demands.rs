@@ -5,26 +5,19 @@ use metasense_schemas::spec::TrialSpec;
 
 use crate::problem::{Invalid, problem};
 
-/// Of one brain.
+/// Of one brain, in 32-bit numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Demands {
     /// Instants that it looks ahead.
     pub delay: usize,
-    /// Numbers that it consists of: weights and biases.
-    pub constants: usize,
-    /// Numbers of working memory: the inputs that its layers keep, two outputs, and counters.
-    pub working: usize,
+    /// Bytes of constants and of working memory.
+    pub bytes: usize,
     /// Multiply-adds a reading.
     pub operations: usize,
 }
 
-impl Demands {
-    /// Memory of 32-bit numbers (bytes).
-    #[must_use]
-    pub fn bytes(&self) -> usize {
-        4 * (self.constants + self.working)
-    }
-}
+/// A layer: instants that each tap adds up, instants between taps, instants that it looks ahead, outputs.
+type Layer = (Vec<usize>, usize, usize, usize);
 
 /// Of a trial's brain; `None` of a stacked or an inverse one, which has no form for a device.
 ///
@@ -33,35 +26,39 @@ impl Demands {
 pub fn demands(trial: &TrialSpec) -> Result<Option<Demands>, Invalid> {
     let problem = problem(trial)?;
     let (channels, panels) = (trial.signals(), problem.scene.panels.len());
-    // taps, dilation, instants ahead, outputs of each layer
-    let layers: Vec<[usize; 4]> = match problem.reader {
+    let layers: Vec<Layer> = match problem.reader {
         BrainKind::Linear => {
             let lags = problem.decoder.lags;
-            vec![[lags.count(), 1, lags.after, panels]]
+            vec![(lags.groups().iter().map(ExactSizeIterator::len).collect(), 1, lags.after, panels)]
         }
         BrainKind::Network => {
             let shape = problem.reader_shape();
             let (all, causal) = (shape.architecture.layers(), shape.architecture.causal());
-            let layer = |(l, layer): (usize, &_)| {
-                let metasense_numerics::brain::Layer { kernel, dilation } = *layer;
-                let reach = (kernel - 1) * dilation;
+            let layer = |(l, layer): (usize, &metasense_numerics::brain::Layer)| {
+                let reach = (layer.kernel - 1) * layer.dilation;
                 let outputs = if l + 1 < all.len() { shape.architecture.width() } else { panels };
-                [kernel, dilation, if causal { 0 } else { reach - reach / 2 }, outputs]
+                (vec![1; layer.kernel], layer.dilation, if causal { 0 } else { reach - reach / 2 }, outputs)
             };
             all.iter().enumerate().map(layer).collect()
         }
         BrainKind::Stacked | BrainKind::Inverse => return Ok(None),
     };
-    let mut found = Demands { delay: 0, constants: 0, working: 0, operations: 0 };
+    // the arrays that an exported file declares, in whole words
+    let linear = problem.reader == BrainKind::Linear;
+    let mut found = Demands { delay: 0, bytes: 0, operations: 0 };
     let (count, mut inputs, mut widest) = (layers.len(), channels, 0);
-    for [taps, dilation, after, outputs] in layers {
+    for (spans, dilation, after, outputs) in layers {
+        let (weights, slots) =
+            (spans.len() * inputs * outputs, (spans.iter().sum::<usize>() - 1) * dilation + 1);
         found.delay += after;
-        found.operations += taps * inputs * outputs;
-        found.constants += (taps * inputs + 1) * outputs;
-        found.working += ((taps - 1) * dilation + 1) * inputs;
+        found.operations += weights;
+        // weights, biases, a row of the table of layers; the readings that it keeps
+        found.bytes += 4 * (weights + outputs) + 36 + 4 * slots * inputs;
+        if linear {
+            found.bytes += spans.len().next_multiple_of(4) + 4 * spans.len();
+        }
         (inputs, widest) = (outputs, widest.max(outputs));
     }
-    // two outputs at a time, and three counters a layer
-    found.working += 2 * widest + 3 * count;
+    found.bytes += 12 * count + 4 * widest * count.min(2);
     Ok(Some(found))
 }

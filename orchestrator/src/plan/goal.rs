@@ -183,7 +183,7 @@ fn limits(goal: &Goal) -> Vec<Limit> {
     let all = [
         // what it would take with one more bit of rounding is the same
         limit("goal.delay", goal.delay.map(|most| most * (1.0 + 1e-9)), "s", delay),
-        limit("goal.memory", goal.memory, "kB", |_, d| d.bytes() as f64 / 1e3),
+        limit("goal.memory", goal.memory, "kB", |_, d| d.bytes as f64 / 1e3),
         limit("goal.operations", goal.operations.map(|most| most as f64), "multiply-adds", |_, d| {
             d.operations as f64
         }),
