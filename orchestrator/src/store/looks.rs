@@ -32,7 +32,7 @@ pub struct Standing {
 const FAILED: f64 = 100.0;
 
 impl Reader {
-    /// How all trials stand that have a step or are settled, by hash.
+    /// How all trials stand, by hash.
     ///
     /// # Errors
     /// Where SQLite fails.

@@ -90,6 +90,20 @@ fn a_pause_takes_trials_back_and_hands_out_none() {
     assert_eq!(actions, [Action::Assign(id(0), lease(0, 2)), Action::Assign(id(1), lease(2, 1))]);
 }
 
+/// A trial that has done the steps that were asked for is over for this run, and with the last one the run; one that somebody has
+/// cancelled meanwhile is cancelled.
+#[test]
+fn a_trial_at_its_pause_is_over_for_this_run() {
+    let mut state = run(3, 2);
+    let paused = up(&mut state, Event::Failed(id(0), lease(0, 1), Reason::Paused));
+    assert_eq!(paused, [failed(0, Reason::Paused, true), Action::Assign(id(0), lease(2, 1))]);
+    steer(&mut state, Steer::Cancel(1));
+    let cancelled = up(&mut state, Event::Failed(id(1), lease(1, 1), Reason::Paused));
+    assert_eq!(cancelled, [failed(1, Reason::Cancelled, true)]);
+    let last = up(&mut state, Event::Failed(id(0), lease(2, 1), Reason::Paused));
+    assert_eq!(last, [failed(2, Reason::Paused, true), Action::Close(id(0)), Action::Close(id(1))]);
+}
+
 /// One that waits, one that runs and stops, one whose worker dies before, one that is done before; none is given out again.
 #[test]
 fn what_is_cancelled_is_recorded_and_not_given_out_again() {
