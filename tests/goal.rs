@@ -92,7 +92,7 @@ fn what_cannot_be_met_is_said() {
     let least = said.split("the least one needs ").nth(1).and_then(|rest| rest.split(" kB").next());
     let bytes = told[told.len() - 3] + told[told.len() - 2];
     assert!(
-        code == Some(2) && (least.unwrap().parse::<f64>().unwrap() - bytes / 1e3).abs() < 1e-3,
+        code == Some(2) && (least.unwrap().parse::<f64>().unwrap() - bytes / 1e3).abs() < 5e-3,
         "{said}{head}"
     );
     bench.file("s.toml", &linear("error = 1e6\ndelay = 0.01\n"));
