@@ -109,16 +109,11 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     (log.report.counters, log.report.seconds) = (state.comparison.counters, state.comparison.seconds);
     let tuned = log.timed(|s| &mut s.simulate, |_| trial.tuned(&design));
     let bodies = [(initial, &trial.problem.solver), (&design, &tuned.solver)];
-    // a body that nothing has moved is judged once
-    let turns = if design == *initial { 1 } else { bodies.len() };
-    for (turn, (design, solver)) in bodies.into_iter().enumerate().take(turns) {
+    for (turn, (design, solver)) in bodies.into_iter().enumerate() {
         evaluate(trial, design, solver, turn, &mut state, &mut log)?;
     }
-    for (turn, (design, solver)) in bodies.into_iter().enumerate().take(turns) {
+    for (turn, (design, solver)) in bodies.into_iter().enumerate() {
         read_casts(trial, design, solver, turn, &mut state, &mut log)?;
-    }
-    if turns == 1 {
-        state.comparison.repeat();
     }
     let nonlinear = bodies.map(|(design, solver)| {
         log.timed(|s| &mut s.simulate, |report| nonlinear(trial, design, solver, &mut report.counters))

@@ -11,14 +11,6 @@ use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Problem, Ridge, Samples, Trial, Trouble};
 
 impl Comparison {
-    /// The second body is the first one.
-    pub(super) fn repeat(&mut self) {
-        let Self { bodies, casts, bands, .. } = self;
-        bodies.extend(bodies.first().cloned());
-        casts.extend(casts.first().cloned());
-        bands.extend(bands.first().cloned());
-    }
-
     /// The part of the whole trial that is done, with so many iterations of the network in training.
     pub(super) fn part(&self, iterations: usize, problem: &Problem) -> f64 {
         let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
