@@ -1,64 +1,72 @@
-//! What a brain asks of the device that it runs on, told by its trial alone: as `metasense export --format c` writes it.
+//! What a brain asks of the device that it runs on, array by array as `metasense export --format c` declares them.
 
-use metasense_numerics::trial::BrainKind;
-use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::spec::{BrainKind, TrialSpec};
 
-use crate::problem::{Invalid, problem};
+use crate::problem::{Invalid, architecture, lags};
+use crate::replay::Convolution;
 
-/// Of one brain, in 32-bit numbers.
+/// Of one brain on a 32-bit device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Demands {
     /// Instants that it looks ahead.
     pub delay: usize,
-    /// Bytes of constants and of working memory.
-    pub bytes: usize,
+    /// Bytes of constants (.rodata), each array in whole words.
+    pub constants: usize,
+    /// Bytes of memory (.bss) likewise.
+    pub memory: usize,
     /// Multiply-adds a reading.
     pub operations: usize,
 }
 
-/// A layer: instants that each tap adds up, instants between taps, instants that it looks ahead, outputs.
-type Layer = (Vec<usize>, usize, usize, usize);
+/// Bytes of a weight, of what goes from layer to layer, and of a sum, in 32-bit floats.
+const FLOATS: [usize; 3] = [4; 3];
 
-/// Of a trial's brain; `None` of a stacked or an inverse one, which has no form for a device.
-///
-/// # Errors
-/// If the spec stands for no trial.
-pub fn demands(trial: &TrialSpec) -> Result<Option<Demands>, Invalid> {
-    let problem = problem(trial)?;
-    let (channels, panels) = (trial.signals(), problem.scene.panels.len());
-    let layers: Vec<Layer> = match problem.reader {
-        BrainKind::Linear => {
-            let lags = problem.decoder.lags;
-            vec![(lags.groups().iter().map(ExactSizeIterator::len).collect(), 1, lags.after, panels)]
+impl Demands {
+    /// Of layers whose weights, values between layers, and sums have so many bytes; weights of less than four are integers.
+    #[must_use]
+    pub fn of(layers: &[Convolution], [weight, value, sum]: [usize; 3]) -> Self {
+        let integers = weight < 4;
+        let words = |bytes: usize| bytes.next_multiple_of(4);
+        let (mut constants, mut memory) = (0, 0);
+        for (l, layer) in layers.iter().enumerate() {
+            // weights, biases, a row of the table of layers
+            constants += words(weight * layer.weights.len()) + 4 * layer.bias.len();
+            constants += if integers { 44 } else { 36 };
+            if layer.by_input {
+                constants += words(layer.spans.len());
+                memory += 4 * layer.spans.len();
+            }
+            if integers && l + 1 < layers.len() {
+                constants += words(5 * layer.outputs);
+            }
+            memory += words(value * layer.slots() * layer.inputs);
         }
-        BrainKind::Network => {
-            let shape = problem.reader_shape();
-            let (all, causal) = (shape.architecture.layers(), shape.architecture.causal());
-            let layer = |(l, layer): (usize, &metasense_numerics::brain::Layer)| {
-                let reach = (layer.kernel - 1) * layer.dilation;
-                let outputs = if l + 1 < all.len() { shape.architecture.width() } else { panels };
-                (vec![1; layer.kernel], layer.dilation, if causal { 0 } else { reach - reach / 2 }, outputs)
-            };
-            all.iter().enumerate().map(layer).collect()
+        if integers {
+            constants += 4 * (layers[0].inputs + layers[layers.len() - 1].outputs);
         }
-        BrainKind::Stacked | BrainKind::Inverse => return Ok(None),
-    };
-    // the arrays that an exported file declares, in whole words
-    let linear = problem.reader == BrainKind::Linear;
-    let mut found = Demands { delay: 0, bytes: 0, operations: 0 };
-    let (count, mut inputs, mut widest) = (layers.len(), channels, 0);
-    for (spans, dilation, after, outputs) in layers {
-        let (weights, slots) =
-            (spans.len() * inputs * outputs, (spans.iter().sum::<usize>() - 1) * dilation + 1);
-        found.delay += after;
-        found.operations += weights;
-        // weights, biases, a row of the table of layers; the readings that it keeps
-        found.bytes += 4 * (weights + outputs) + 36 + 4 * slots * inputs;
-        if linear {
-            found.bytes += spans.len().next_multiple_of(4) + 4 * spans.len();
+        let widest = layers.iter().map(|layer| layer.outputs).max().unwrap_or(0);
+        memory += sum * widest + 12 * layers.len();
+        if layers.len() > 1 {
+            memory += words(value * widest);
         }
-        (inputs, widest) = (outputs, widest.max(outputs));
+        let delay = layers.iter().map(Convolution::after).sum();
+        let operations = layers.iter().map(|layer| layer.weights.len()).sum();
+        Self { delay, constants, memory, operations }
     }
-    found.bytes += 12 * count + 4 * widest * count.min(2);
-    Ok(Some(found))
+
+    /// Of a trial's brain in 32-bit floats; `None` of a stacked or an inverse one, which has no form for a device.
+    ///
+    /// # Errors
+    /// If the trial has no such network.
+    pub fn of_trial(trial: &TrialSpec) -> Result<Option<Self>, Invalid> {
+        let (inputs, outputs) = (trial.signals(), trial.point.panels);
+        let layers = match trial.brain.kind {
+            BrainKind::Linear => {
+                vec![Convolution::linear(lags(&trial.time, trial.brain.memory), inputs, outputs)]
+            }
+            BrainKind::Cnn => Convolution::network(&architecture(trial)?, inputs, outputs),
+            BrainKind::Stacked | BrainKind::Inverse => return Ok(None),
+        };
+        Ok(Some(Self::of(&layers, FLOATS)))
+    }
 }

@@ -118,7 +118,7 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
 }
 
 /// The layers of the network.
-fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
+pub(crate) fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
     let spec::Network { width, kernels, dilations, causal } = trial.brain.network();
     let instants = trial.time.samples;
     at_least("brain.width", width, 1)?;

@@ -7,7 +7,7 @@ use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
     BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, SweepSpec, TrialSpec, flatten,
 };
-use metasense_worker::demands::{Demands, demands};
+use metasense_worker::demands::Demands;
 use serde_json::Value;
 
 use super::{Plan, cost};
@@ -116,7 +116,7 @@ impl Space {
         let mut asked: Vec<Option<Demands>> = Vec::new();
         for trial in &plan.trials {
             reader(&goal, &trial.spec).map_err(|remedy| plan.source.error("goal.reader", remedy))?;
-            let of = demands(&trial.spec);
+            let of = Demands::of_trial(&trial.spec);
             asked.push(of.map_err(|e| plan.source.error_with(&e.key, Some(&e.value), &e.remedy))?);
         }
         let mut left_out = Vec::new();
@@ -183,7 +183,7 @@ fn limits(goal: &Goal) -> Vec<Limit> {
     let all = [
         // what it would take with one more bit of rounding is the same
         limit("goal.delay", goal.delay.map(|most| most * (1.0 + 1e-9)), "s", delay),
-        limit("goal.memory", goal.memory, "kB", |_, d| d.bytes as f64 / 1e3),
+        limit("goal.memory", goal.memory, "kB", |_, d| (d.constants + d.memory) as f64 / 1e3),
         limit("goal.operations", goal.operations.map(|most| most as f64), "multiply-adds", |_, d| {
             d.operations as f64
         }),

@@ -7,7 +7,8 @@
 
 use std::ops::{AddAssign, Mul};
 
-use metasense_numerics::brain::linear::Sizes;
+use metasense_numerics::brain::linear::{Lags, Sizes};
+use metasense_numerics::brain::{Architecture, Layer};
 use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::Samples;
 use metasense_schemas::spec::TrialSpec;
@@ -37,6 +38,35 @@ pub struct Convolution {
 }
 
 impl Convolution {
+    /// The one of a linear brain, its numbers 0.
+    pub fn linear(lags: Lags, inputs: usize, outputs: usize) -> Self {
+        let spans: Vec<usize> = lags.groups().iter().map(ExactSizeIterator::len).collect();
+        let weights = vec![0.0; spans.len() * inputs * outputs];
+        let (dilation, before, bias) = (1, lags.before, vec![0.0; outputs]);
+        Self { spans, dilation, before, inputs, outputs, by_input: true, weights, bias }
+    }
+
+    /// Those of a network, their numbers 0.
+    pub fn network(architecture: &Architecture, mut inputs: usize, outputs: usize) -> Vec<Self> {
+        let all = architecture.layers();
+        let layer = |(l, layer): (usize, &Layer)| {
+            let reach = (layer.kernel - 1) * layer.dilation;
+            let width = if l + 1 < all.len() { architecture.width() } else { outputs };
+            let inputs = std::mem::replace(&mut inputs, width);
+            Self {
+                spans: vec![1; layer.kernel],
+                dilation: layer.dilation,
+                before: if architecture.causal() { reach } else { reach / 2 },
+                inputs,
+                outputs: width,
+                by_input: false,
+                weights: vec![0.0; layer.kernel * inputs * width],
+                bias: vec![0.0; width],
+            }
+        };
+        all.iter().enumerate().map(layer).collect()
+    }
+
     /// Instants that it holds: from the first that it sees to the last.
     pub fn slots(&self) -> usize {
         (self.spans.iter().sum::<usize>() - 1) * self.dilation + 1
@@ -101,49 +131,28 @@ impl Convolution {
 pub fn layers(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec<Convolution>, Failure> {
     let problem = prepared(trial)?;
     let (channels, panels) = (replay.signal_scale.len(), problem.scene.panels.len());
-    let mut layers = Vec::new();
+    let mut layers;
     if weights.is_empty() {
         let LinearReplay { lags, w, b, .. } = replay.linear(&problem, &problem.decoder)?;
-        let groups = lags.groups();
-        let mut weights = Vec::with_capacity(groups.len() * panels * channels);
-        for c in 0..channels {
-            for k in 0..panels {
-                weights.extend(groups.iter().map(|group| w[(k * lags.count() + group.start) * channels + c]));
-            }
+        let mut only = Convolution::linear(lags, channels, panels);
+        let firsts: Vec<usize> = lags.groups().iter().map(|group| group.start).collect();
+        for i in 0..only.weights.len() {
+            let [c, k, tap] = only.of_weight(i);
+            only.weights[i] = w[(k * lags.count() + firsts[tap]) * channels + c];
         }
-        layers.push(Convolution {
-            spans: groups.iter().map(ExactSizeIterator::len).collect(),
-            dilation: 1,
-            before: lags.before,
-            inputs: channels,
-            outputs: panels,
-            by_input: true,
-            weights,
-            bias: b,
-        });
+        only.bias = b;
+        layers = vec![only];
     } else {
         let shape = problem.reader_shape();
-        let (all, count) = (shape.architecture.layers(), shape.layers());
-        let mut inputs = shape.inputs;
-        for (l, layer) in all.iter().enumerate() {
-            let reach = (layer.kernel - 1) * layer.dilation;
-            let outputs = if l + 1 < count { shape.architecture.width() } else { panels };
+        layers = Convolution::network(&shape.architecture, shape.inputs, panels);
+        let count = layers.len();
+        for (l, layer) in layers.iter_mut().enumerate() {
             let stored = &weights[shape.range(count + l)];
-            let of = |i: usize| {
-                let (tap, o, c) = (i / (inputs * outputs), i / inputs % outputs, i % inputs);
-                f64::from(stored[(tap * inputs + c) * outputs + o])
-            };
-            let turned = (0..stored.len()).map(of).collect();
-            layers.push(Convolution {
-                spans: vec![1; layer.kernel],
-                dilation: layer.dilation,
-                before: if shape.architecture.causal() { reach } else { reach / 2 },
-                inputs: std::mem::replace(&mut inputs, outputs),
-                outputs,
-                by_input: false,
-                weights: turned,
-                bias: weights[shape.range(l)].iter().map(|b| f64::from(*b)).collect(),
-            });
+            for i in 0..layer.weights.len() {
+                let [c, o, tap] = layer.of_weight(i);
+                layer.weights[i] = f64::from(stored[(tap * layer.inputs + c) * layer.outputs + o]);
+            }
+            layer.bias = weights[shape.range(l)].iter().map(|b| f64::from(*b)).collect();
         }
         let last = layers.last_mut().expect("a network has layers");
         let inputs = last.inputs;

@@ -2,14 +2,12 @@
 //!
 //! The C is in files beside this one: `layers.c`; `network.c` or `linear.c`; `floats.c` or `integers.c`; `readings.c`; `test.c`.
 
-mod size;
-
 use std::fmt::{Display, Write};
 
 use clap::ValueEnum;
+use metasense_worker::demands::Demands;
 use metasense_worker::replay::{Convolution, Integers, Replay, Single, holdout_error, layers};
 
-use self::size::Size;
 use super::unreadable;
 use crate::analysis::Body;
 use crate::store::{StoreError, Stored};
@@ -31,6 +29,16 @@ pub enum Numbers {
 }
 
 impl Numbers {
+    /// Bytes of a weight, of what goes from layer to layer, and of a sum, which is `wide` or not.
+    fn bytes(self, wide: bool) -> [usize; 3] {
+        let sum = if wide { 8 } else { 4 };
+        match self {
+            Self::F32 => [4, 4, sum],
+            Self::I16 => [2, 2, sum],
+            Self::I8 => [1, 2, sum],
+        }
+    }
+
     /// The greatest weight, of integers.
     fn most(self) -> Option<i64> {
         match self {
@@ -69,9 +77,7 @@ pub fn c(stored: &Stored, body: usize, replay: &Replay, numbers: Numbers) -> Res
         }
     };
     let linear = layers[0].by_input;
-    let Size { constants, memory } = Size::of(&layers, numbers, wide);
-    let products: usize = layers.iter().map(|layer| layer.weights.len()).sum();
-    let delay: usize = layers.iter().map(Convolution::after).sum();
+    let Demands { delay, constants, memory, operations } = Demands::of(&layers, numbers.bytes(wide));
     let interval = spec.time.duration / spec.time.samples as f64;
     let units = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");
     let mut text = format!(
@@ -86,7 +92,7 @@ pub fn c(stored: &Stored, body: usize, replay: &Replay, numbers: Numbers) -> Res
 
    Numbers: {said}.
    Error on the holdout: {errors}.
-   On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {products} multiply-adds a reading.
+   On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {operations} multiply-adds a reading.
    To test it: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
 ",
         name = Body::ALL[body].name(),
