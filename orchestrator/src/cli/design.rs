@@ -4,17 +4,18 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::spec::TrialSpec;
+use metasense_worker::FAILED;
 use serde_json::Value;
 
 use super::named::Spec;
 use super::run::{How, Round, Running, run};
 use super::{Error, log, print_rows};
-use crate::analysis::goal::{Candidate, Decision, LEVELS, Search, Stage, Standing as Class, Work};
+use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, Work};
 use crate::analysis::setting::flatten;
 use crate::engine::{Again, Signals};
 use crate::exit::Exit;
 use crate::look::{Table, number};
-use crate::plan::goal::{Space, on_fresh_seed, reader, rungs};
+use crate::plan::goal::{Place, Space, on_fresh_seed, rungs};
 use crate::plan::{Plan, Trial, counted};
 use crate::scheduler::Outcome;
 use crate::store::{Reader, Standing, StoreError};
@@ -79,10 +80,10 @@ impl Known {
                 let trial = &plan.trials[place.trial];
                 let mut candidate = place.candidate.clone();
                 if let Some(standing) = standings.get(&trial.hash) {
-                    known(&mut candidate, space, trial, standing)?;
+                    candidate = known(space, place, trial, standing);
                     if candidate.reached.len() == LEVELS {
                         body(bodies, reader, &trial.hash).await?;
-                        candidate.fresh = fresh(space, plan, trial, &bodies[&trial.hash], &standings)?;
+                        candidate.fresh = fresh(space, plan, place, &bodies[&trial.hash], &standings);
                     }
                 }
                 candidates.push(candidate);
@@ -95,36 +96,31 @@ impl Known {
 }
 
 /// The error that counts of what is stored of a trial (%).
-fn error(space: &Space, trial: &Trial, standing: &Standing) -> Result<Option<f64>, Error> {
-    let by =
-        reader(&space.goal, &trial.spec).map_err(|remedy| Error::Usage(format!("goal.reader: {remedy}")))?;
-    let by = by.map(|(name, records)| (name.to_owned(), records));
-    let error = standing.error(by.as_ref().zip(space.goal.quantile));
-    Ok(error.filter(|e| e.is_finite() && *e > 0.0))
+fn error(space: &Space, place: &Place, standing: &Standing) -> Option<f64> {
+    let reader = place.reader.map(|by| (by.name().to_owned(), by.records().unwrap_or(0) as u32));
+    let error = standing.error(reader.as_ref().zip(space.goal.quantile));
+    error.filter(|e| e.is_finite() && *e > 0.0)
 }
 
 /// How far a trial has come, rung by rung.
-fn known(candidate: &mut Candidate, space: &Space, trial: &Trial, standing: &Standing) -> Result<(), Error> {
-    let result = match standing.state.as_str() {
-        "done" => error(space, trial, standing)?,
-        _ => None,
-    };
+fn known(space: &Space, place: &Place, trial: &Trial, standing: &Standing) -> Candidate {
+    let mut candidate = place.candidate.clone();
+    let done = standing.state == "done";
+    let result = if done { error(space, place, standing) } else { None };
     for rung in rungs(&trial.spec) {
         let told = match rung {
             Some(steps) => standing.after(steps),
             // of so few steps the result is the next level
-            None => (standing.state == "done").then_some(None),
+            None => done.then_some(None),
         };
         let Some(told) = told else { break };
         candidate.reached.push(told);
     }
-    if candidate.reached.len() + 1 == LEVELS
-        && let Some(error) = result
-    {
-        candidate.reached.push(Some(error));
+    if candidate.reached.len() + 1 == LEVELS && result.is_some() {
+        candidate.reached.push(result);
     }
-    candidate.failed = standing.state == "failed" || standing.state == "done" && result.is_none();
-    Ok(())
+    candidate.failed = standing.state == "failed" || done && result.is_none();
+    candidate
 }
 
 /// Takes the body of a trial that is done.
@@ -138,29 +134,24 @@ async fn body(bodies: &mut Bodies, reader: &mut Reader, hash: &str) -> Result<()
     Ok(())
 }
 
-/// Error of a fresh seed on which nothing could be read (%).
-const FAILED: f64 = 100.0;
-
 /// Errors (%) of a body on fresh seeds, as many in a row as are known.
 fn fresh(
     space: &Space,
     plan: &Plan,
-    trial: &Trial,
+    place: &Place,
     (spec, design): &(TrialSpec, Vec<f64>),
     standings: &HashMap<String, Standing>,
-) -> Result<Vec<f64>, Error> {
-    let mut errors = Vec::new();
-    for n in 0..2 * space.goal.fresh {
-        let judged = on_fresh_seed(plan, trial, spec, design, n);
-        match standings.get(&judged.hash) {
-            Some(standing) if standing.state == "done" => {
-                errors.push(error(space, &judged, standing)?.unwrap_or(FAILED));
-            }
-            Some(standing) if standing.state == "failed" => errors.push(FAILED),
-            _ => break,
+) -> Vec<f64> {
+    let told = (0..2 * space.goal.fresh).map_while(|n| {
+        let judged = on_fresh_seed(plan, &plan.trials[place.trial], spec, design, n);
+        let standing = standings.get(&judged.hash)?;
+        match standing.state.as_str() {
+            "done" => Some(error(space, place, standing).unwrap_or(FAILED)),
+            "failed" => Some(FAILED),
+            _ => None,
         }
-    }
-    Ok(errors)
+    });
+    told.collect()
 }
 
 /// The search at its beginning.
@@ -222,9 +213,9 @@ fn intent(space: &Space, decision: &Decision) -> String {
     let parts: Vec<String> = parts
         .iter()
         .filter(|(n, _)| *n > 0)
-        .map(|(n, what)| format!("{what} {}", counted(*n, "body").replace("bodys", "bodies")))
+        .map(|(n, what)| format!("{what} {n} {}", if *n == 1 { "body" } else { "bodies" }))
         .collect();
-    let open = decision.standings.iter().filter(|s| s.any > 0.0).map(|s| s.any).next().unwrap_or(0.0);
+    let open = decision.classes.iter().map(|class| class.any).find(|any| *any > 0.0).unwrap_or(0.0);
     format!(
         "{} (the cheapest that may still meet {} %: {:.0} % likely)",
         parts.join(", "),
@@ -250,10 +241,10 @@ fn table(plan: &Plan, space: &Space, decision: &Decision) -> Table {
         "setting",
         "hash",
     ];
-    let row = |standing: &Class| -> Vec<Value> {
-        let place = &space.places[standing.best];
+    let row = |class: &Class| -> Vec<Value> {
+        let place = &space.places[class.best];
         let trial = &plan.trials[place.trial];
-        let stage = match standing.stage {
+        let stage = match class.stage {
             Stage::Predicted => "predicted".to_owned(),
             Stage::Looked => "looked at".to_owned(),
             Stage::Trained => "trained".to_owned(),
@@ -263,21 +254,21 @@ fn table(plan: &Plan, space: &Space, decision: &Decision) -> Table {
             trial.spec.point.sensors.into(),
             place.demands.map(|d| d.operations).into(),
             trial.units.into(),
-            standing.error[0].into(),
-            standing.error[1].into(),
-            standing.meets.into(),
-            standing.any.into(),
+            class.error[0].into(),
+            class.error[1].into(),
+            class.meets.into(),
+            class.any.into(),
             stage.into(),
-            standing.candidates[1].into(),
-            standing.candidates[0].into(),
-            (decision.chosen == Some(standing.best)).into(),
+            class.candidates[1].into(),
+            class.candidates[0].into(),
+            (decision.chosen == Some(class.best)).into(),
             setting(space, &trial.spec).into(),
             trial.hash.clone().into(),
         ]
     };
     Table {
         columns: columns.iter().map(|name| (*name).to_owned()).collect(),
-        rows: decision.standings.iter().map(row).collect(),
+        rows: decision.classes.iter().map(row).collect(),
     }
 }
 
@@ -301,13 +292,13 @@ fn say_verdict(db: &Path, plan: &Plan, space: &Space, decision: &Decision, known
     );
     if let Some(chosen) = decision.chosen {
         let trial = &plan.trials[space.places[chosen].trial];
-        let standing =
-            decision.standings.iter().find(|s| s.best == chosen).expect("it is the best of its class");
+        let class =
+            decision.classes.iter().find(|class| class.best == chosen).expect("it is the best of its class");
         say!(
             "the cheapest design that meets {} %: {}; with {:.0} % probability on a further seed",
             number(goal.error),
             trial.hash,
-            100.0 * standing.meets
+            100.0 * class.meets
         );
         for format in ["stl --out mould.stl", "c --out brain.c"] {
             say!("  metasense export {db} {} --format {format}", trial.hash);
@@ -323,7 +314,7 @@ fn say_verdict(db: &Path, plan: &Plan, space: &Space, decision: &Decision, known
         number(goal.error),
         100.0 * goal.confidence
     );
-    let nearest = decision.standings.iter().min_by(|a, b| a.error[1].total_cmp(&b.error[1]));
+    let nearest = decision.classes.iter().min_by(|a, b| a.error[1].total_cmp(&b.error[1]));
     if let Some(nearest) = nearest {
         let trial = &plan.trials[space.places[nearest.best].trial];
         say!("what would have to be relaxed: goal.error to {} % ({})", number(nearest.error[1]), trial.hash);

@@ -93,6 +93,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         end_after(time);
     }
     let source = args.spec.source()?;
+    let how = How {
+        spec: &args.spec,
+        running: &args.running,
+        shard: args.shard,
+        fixed: args.shard.map(|_| FIXED_SHARD),
+    };
     let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
         let mut plan = Plan::of(source)?;
         if args.shard.is_some() {
@@ -105,12 +111,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Some(shard) => plan.default_database().with_extension(format!("{}.sqlite", shard.file_stem())),
             None => plan.default_database(),
         });
-        let how = How {
-            spec: &args.spec,
-            running: &args.running,
-            shard: args.shard,
-            fixed: args.shard.map(|_| FIXED_SHARD),
-        };
         let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals, wanted).await?;
         return end(&db, &plan, args.running.format, outcome).await;
     };
@@ -138,12 +138,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();
-    let how = How {
-        spec: &args.spec,
-        running: &args.running,
-        shard: args.shard,
-        fixed: args.shard.map(|_| FIXED_SHARD),
-    };
     let running = async {
         let outcome = run(plan, &how, &db, &log, &mut signals, wanted).await;
         drop(stop);

@@ -8,10 +8,12 @@ use metasense_schemas::spec::{
     BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, SweepSpec, TrialSpec, flatten,
 };
 use metasense_worker::demands::Demands;
+use metasense_worker::{RECORDS, between_looks};
 use serde_json::Value;
 
 use super::{Plan, cost};
 use crate::analysis::goal::{Candidate, LEVELS};
+use crate::analysis::trial::CastBrain;
 use crate::look::number;
 
 /// Refuses a requirement that no trial could be held to.
@@ -24,7 +26,7 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
     let price = |x: f64| x >= 0.0 && x.is_finite();
     let prices = goal.cost.is_none_or(|c| [c.sensor, c.operation, c.unit].into_iter().all(price));
     let records = match goal.reader {
-        Some(GoalReader::Calibrated(of)) => [10, 30, 100].contains(&of.records),
+        Some(GoalReader::Calibrated(of)) => RECORDS.contains(&(of.records as usize)),
         _ => true,
     };
     let casts = spec.variation.is_some() && spec.evaluation.casts != Some(0);
@@ -73,6 +75,8 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
 pub struct Place {
     /// Its place in the plan.
     pub trial: usize,
+    /// Whose readings of its casts count; `None`: the body as designed counts.
+    pub reader: Option<CastBrain>,
     /// What its brain asks of a device; `None` of a brain without a form for one.
     pub demands: Option<Demands>,
     /// Cost and coordinates, nothing known.
@@ -112,38 +116,31 @@ impl Space {
         let Some(goal) = plan.spec.goal.clone() else {
             return Err(plan.source.error("goal", "must be given: what is the design to do?"));
         };
-        let mut places = Vec::new();
-        let mut asked: Vec<Option<Demands>> = Vec::new();
-        for trial in &plan.trials {
-            reader(&goal, &trial.spec).map_err(|remedy| plan.source.error("goal.reader", remedy))?;
-            let of = Demands::of_trial(&trial.spec);
-            asked.push(of.map_err(|e| plan.source.error_with(&e.key, Some(&e.value), &e.remedy))?);
-        }
-        let mut left_out = Vec::new();
         let limits = limits(&goal);
-        for (place, (trial, demands)) in plan.trials.iter().zip(&asked).enumerate() {
-            let breaks = |limit: &&Limit| !limit.holds(&trial.spec, demands.as_ref());
-            if !limits.iter().any(|limit| breaks(&limit)) {
+        let (mut places, mut asked) = (Vec::new(), Vec::new());
+        for (number, trial) in plan.trials.iter().enumerate() {
+            let reader =
+                reader(&goal, &trial.spec).map_err(|remedy| plan.source.error("goal.reader", remedy))?;
+            let demands = Demands::of_trial(&trial.spec)
+                .map_err(|e| plan.source.error_with(&e.key, Some(&e.value), &e.remedy))?;
+            let asks = limits.iter().map(|limit| limit.asked(&trial.spec, demands.as_ref()));
+            let asks: Vec<f64> = asks.collect();
+            if asks.iter().zip(&limits).all(|(asked, limit)| *asked <= limit.most) {
                 let cost = of_cost(goal.cost, trial, demands.as_ref());
                 let candidate = Candidate { cost, ..Candidate::default() };
-                places.push(Place { trial: place, demands: *demands, candidate });
+                places.push(Place { trial: number, reader, demands, candidate });
             }
+            asked.push(asks);
         }
-        for limit in &limits {
-            let others = plan.trials.iter().zip(&asked);
-            let beyond: Vec<f64> = others
-                .filter(|(trial, demands)| !limit.holds(&trial.spec, demands.as_ref()))
-                .map(|(trial, demands)| {
-                    demands.as_ref().map_or(f64::INFINITY, |d| (limit.of)(&trial.spec, d))
-                })
-                .collect();
-            let least = beyond.iter().copied().fold(f64::INFINITY, f64::min);
+        let mut left_out = Vec::new();
+        for (l, limit) in limits.iter().enumerate() {
+            let beyond: Vec<f64> =
+                asked.iter().map(|asks| asks[l]).filter(|asked| *asked > limit.most).collect();
+            let least = match beyond.iter().copied().fold(f64::INFINITY, f64::min) {
+                f64::INFINITY => "a brain with a form for devices".into(),
+                least => format!("{} {}", number(least), limit.unit),
+            };
             if !beyond.is_empty() {
-                let least = if least.is_finite() {
-                    format!("{} {}", number(least), limit.unit)
-                } else {
-                    "a brain with a form for devices".into()
-                };
                 left_out.push(LeftOut { key: limit.key, trials: beyond.len(), least });
             }
         }
@@ -171,8 +168,9 @@ struct Limit {
 }
 
 impl Limit {
-    fn holds(&self, trial: &TrialSpec, demands: Option<&Demands>) -> bool {
-        demands.is_some_and(|demands| (self.of)(trial, demands) <= self.most)
+    /// What a trial's brain asks; without end where it has no form for a device.
+    fn asked(&self, trial: &TrialSpec, demands: Option<&Demands>) -> f64 {
+        demands.map_or(f64::INFINITY, |demands| (self.of)(trial, demands))
     }
 }
 
@@ -204,41 +202,34 @@ fn of_cost(cost: Option<Cost>, trial: &Trial, demands: Option<&Demands>) -> [f64
     }
 }
 
-/// By what name and on how many records of a cast its readings are stored that count; `None`: the body as designed counts.
+/// Whose readings of a trial's casts count; `None`: the body as designed counts.
 ///
 /// # Errors
 /// Where no such brain reads casts of this trial.
-pub fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<(&'static str, u32)>, &'static str> {
+fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastBrain>, &'static str> {
     if goal.quantile.is_none() {
         return Ok(None);
     }
     let reader = goal.reader.unwrap_or(GoalReader::Named(GoalReaderName::Casts));
-    let kind = trial.brain.kind;
-    Ok(Some(match reader {
-        GoalReader::Named(GoalReaderName::Design) => match kind {
-            BrainKind::Linear => ("nominal", 0),
-            BrainKind::Inverse => ("inverse", 0),
-            BrainKind::Cnn | BrainKind::Stacked => ("network", 0),
-        },
-        GoalReader::Named(GoalReaderName::Casts) => match kind {
-            BrainKind::Linear => ("casts", 0),
-            BrainKind::Cnn | BrainKind::Stacked => ("network_casts", 0),
-            BrainKind::Inverse => {
-                return Err("an inverse brain knows no other casts: must be \"design\" or { records = 10 }");
-            }
-        },
-        GoalReader::Calibrated(of) => match kind {
-            BrainKind::Linear => ("records", of.records),
-            BrainKind::Inverse => ("twin", of.records),
-            BrainKind::Cnn | BrainKind::Stacked => {
-                return Err("a network is not fitted to records of a cast: must be \"design\" or \"casts\"");
-            }
-        },
+    Ok(Some(match (reader, trial.brain.kind) {
+        (GoalReader::Named(GoalReaderName::Design), BrainKind::Linear) => CastBrain::Nominal,
+        (GoalReader::Named(GoalReaderName::Design), BrainKind::Inverse) => CastBrain::Inverse,
+        (GoalReader::Named(GoalReaderName::Design), _) => CastBrain::Network,
+        (GoalReader::Named(GoalReaderName::Casts), BrainKind::Linear) => CastBrain::Casts,
+        (GoalReader::Named(GoalReaderName::Casts), BrainKind::Inverse) => {
+            return Err("an inverse brain knows no other casts: must be \"design\" or { records = 10 }");
+        }
+        (GoalReader::Named(GoalReaderName::Casts), _) => CastBrain::NetworkCasts,
+        (GoalReader::Calibrated(of), BrainKind::Linear) => CastBrain::Records(of.records.into()),
+        (GoalReader::Calibrated(of), BrainKind::Inverse) => CastBrain::Twin(of.records.into()),
+        (GoalReader::Calibrated(_), _) => {
+            return Err("a network is not fitted to records of a cast: must be \"design\" or \"casts\"");
+        }
     }))
 }
 
-/// The keys in which settings differ, those that are named first, each once where several differ alike, and the settings as coordinates: numbers by their
-/// logarithm, of 0 … 1, anything else 0 or 1 each value.
+/// The keys in which settings differ, those that are named first, each once where several differ alike; and the settings as
+/// coordinates of 0 … 1: numbers by their logarithm, of anything else one for each value.
 fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f64>>) {
     const NOT: [&str; 2] = ["point.placement", "point.seed"];
     let all: Vec<BTreeMap<String, Value>> = trials
@@ -294,7 +285,7 @@ fn scaled(numbers: &[f64]) -> Vec<f64> {
 #[must_use]
 pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     let steps = trial.optimise.steps() as u32;
-    let apart = (steps / 20).max(10);
+    let apart = between_looks(steps);
     let near = |part: f64| (f64::from(steps) * part / f64::from(apart)).round().max(1.0) as u32 * apart + 1;
     let [first, second] = [near(1.0 / 9.0), near(1.0 / 3.0)];
     let rung = |step: u32, behind: u32| (step > behind && step < steps).then_some(step);

@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use metasense_worker::FAILED;
+
 use super::{Reader, StoreError};
 
 /// What an outer step has told of a body.
@@ -27,9 +29,6 @@ pub struct Standing {
     /// Errors (%) of its casts by reader and records.
     pub casts: HashMap<(String, u32), Vec<f64>>,
 }
-
-/// Error of a cast that could not be simulated or read (%).
-const FAILED: f64 = 100.0;
 
 impl Reader {
     /// How all trials stand, by hash.

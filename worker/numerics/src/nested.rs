@@ -18,11 +18,12 @@ mod schedule;
 mod search;
 mod state;
 
-pub use casts::{CastBrain, CastReading, casts_of};
+pub use casts::{CastBrain, CastReading, RECORDS, casts_of};
 pub use evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
 pub use inversion::INVERTED_OF_A_CAST;
 pub use observe::{Control, Observe};
 pub use report::{Report, Seconds};
+pub use schedule::between_looks;
 pub use state::{Best, State, Waypoint};
 
 use casts::read_casts;

@@ -12,6 +12,8 @@ use metasense_worker::chance_above;
 pub use metasense_worker::predict::LEVELS;
 use metasense_worker::predict::{Prediction, Seen};
 
+use super::numbers::{deviation, mean};
+
 /// Settings that are looked at before anything is predicted.
 const BEGIN: usize = 8;
 /// Candidates with smaller prospects than this are not worked on. By it a search trades what it takes for how surely the design
@@ -51,9 +53,7 @@ pub enum Work {
 
 /// How a class stands.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Standing {
-    /// What its candidates cost.
-    pub cost: [f64; 3],
+pub struct Class {
     /// The candidate with the best prospects.
     pub best: usize,
     /// How far it has come.
@@ -89,23 +89,21 @@ pub struct Decision {
     /// The design, if one stands.
     pub chosen: Option<usize>,
     /// All classes, the cheapest first.
-    pub standings: Vec<Standing>,
+    pub classes: Vec<Class>,
     /// How far a first look tells a result: a correlation; `None` as long as nothing was seen.
     pub kinship: Option<f64>,
 }
 
 /// Probability that the error on a further seed is at most `limit`, by those on fresh ones: Student's t of ln e.
 fn chance_below(limit: f64, fresh: &[f64]) -> f64 {
-    let (mean, deviation, n) = of_seeds(fresh);
+    let ((mean, deviation), n) = (of_seeds(fresh), fresh.len() as f64);
     chance_above(fresh.len() - 1, (mean - limit.ln()) / (deviation * (1.0 + 1.0 / n).sqrt()))
 }
 
-/// Mean and standard deviation of ln e, and their number.
-fn of_seeds(fresh: &[f64]) -> (f64, f64, f64) {
-    let n = fresh.len() as f64;
-    let mean = fresh.iter().map(|e| e.ln()).sum::<f64>() / n;
-    let variance = fresh.iter().map(|e| (e.ln() - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    (mean, variance.sqrt().max(DEVIATION_MIN), n)
+/// Mean and standard deviation of ln e.
+fn of_seeds(fresh: &[f64]) -> (f64, f64) {
+    let logs: Vec<f64> = fresh.iter().map(|e| e.ln()).collect();
+    (mean(&logs).expect("it was judged"), deviation(&logs).unwrap_or(0.0).max(DEVIATION_MIN))
 }
 
 /// A candidate on fresh seeds: not judged yet, or with what probability it meets the requirement, and whether that is final.
@@ -182,9 +180,9 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
     if work.is_empty() && view.chosen().is_none() {
         work = view.anywhere();
     }
-    let standings = view.classes.iter().map(|class| view.standing(class)).collect();
+    let classes = view.classes.iter().map(|class| view.class(class)).collect();
     let kinship = (!view.is_blind).then_some(view.prediction.kinship);
-    Decision { work, chosen: view.chosen(), standings, kinship }
+    Decision { work, chosen: view.chosen(), classes, kinship }
 }
 
 /// What is thought of the candidates at one point of a search.
@@ -334,7 +332,8 @@ impl<'a> View<'a> {
         }
     }
 
-    fn standing(&self, class: &[usize]) -> Standing {
+    /// How a class stands.
+    fn class(&self, class: &[usize]) -> Class {
         let best = self.best_of(class);
         let candidate = &self.candidates[best];
         let (middle, below): (f64, Box<dyn Fn(f64) -> f64>) = match candidate.fresh.len() {
@@ -342,8 +341,7 @@ impl<'a> View<'a> {
             _ => (of_seeds(&candidate.fresh).0, Box::new(|e| chance_below(e.exp(), &candidate.fresh))),
         };
         let any = self.any(class);
-        Standing {
-            cost: candidate.cost,
+        Class {
             best,
             stage: stage(candidate),
             error: [middle.exp(), quantile(self.goal.confidence, middle, &*below).exp()],

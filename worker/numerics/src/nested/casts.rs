@@ -55,7 +55,7 @@ const KNOWN_SAMPLES: usize = 20;
 /// Its samples are numbered from here, out of the way of the outer steps'.
 const KNOWN_FIRST: u64 = 1 << 40;
 /// Samples of a cast to which a brain is fitted, where there are more, and then all.
-const RECORDS: [usize; 3] = [10, 30, 100];
+pub const RECORDS: [usize; 3] = [10, 30, 100];
 
 /// A body, and what makes casts of it.
 struct Mould<'a> {

@@ -10,6 +10,11 @@ const APART: u32 = 10;
 /// The part of the outer steps for which a coarse integrator serves.
 const COARSE: f64 = 0.9;
 
+/// Outer steps from one look at the test set to the next, of so many.
+pub fn between_looks(steps: u32) -> u32 {
+    (steps / LOOKS).max(APART)
+}
+
 impl Optimise {
     /// Adam's rate on α at an outer step (mm): constant in the paper's protocol, else falling over the second half.
     pub(super) fn rate_of(&self, step: u32) -> f64 {
@@ -39,7 +44,7 @@ impl Optimise {
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
         // a brain of its own for each cast knows too little of it for its error to choose a body by
         let each = self.casting.is_some_and(|casting| casting.reader == CastReader::Each);
-        let due = step.is_multiple_of((self.iterations / LOOKS).max(APART)) && !each;
+        let due = step.is_multiple_of(between_looks(self.iterations)) && !each;
         due || step + 1 == self.iterations
     }
 }
