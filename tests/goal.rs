@@ -50,6 +50,16 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     assert_eq!((code, &again), (Some(0), &table), "{said}");
     assert_eq!(trials(&bench), found);
 
+    // the report tells it, and takes a judgement on a fresh seed for no trained body
+    bench.output(&["report", "results/tiny.sqlite", "--out", "r.html", "--out-dir", "r"]);
+    let text = |name: &str| std::fs::read_to_string(bench.path(name)).unwrap();
+    let hashes = |table: &str| -> Vec<String> {
+        table.lines().filter_map(|row| row.rsplit(',').next().map(str::to_owned)).collect()
+    };
+    assert_eq!(hashes(&text("r/search.csv")), hashes(&table));
+    assert!(text("r.html").contains("tiny: the cheapest design that meets"));
+    assert_eq!(text("r/pairs.csv").lines().count(), 2, "one trial has trained a body to its end");
+
     let halting = Bench::new();
     halting.file("s.toml", &spec("error = 1e6\nhours = 1e-9\n"));
     let (code, _, said) = design(&halting, &["--workers", "1"]);

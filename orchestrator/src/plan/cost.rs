@@ -171,7 +171,8 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Seconds {
     } else {
         0.0
     };
-    let comparison = 2.0 * (each + trainings * train + readings + of_casts + under + inverted);
+    let bodies = if optimise.steps() == 0 { 1.0 } else { 2.0 };
+    let comparison = bodies * (each + trainings * train + readings + of_casts + under + inverted);
     Seconds { steps: GROWN * optimise.steps() as f64 * step, comparison }
 }
 

@@ -4,6 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 
 use serde_json::Value;
 
+use super::search::Sought;
 use super::{States, Story, Sweep};
 
 use crate::analysis::numbers::mean;
@@ -40,7 +41,7 @@ fn thinned(curve: &[CurvePoint]) -> Vec<CurvePoint> {
     kept
 }
 
-/// Reads every trial that is done, in the order in which the trials were planned. Rows are taken as they come; what a
+/// Reads every trial that is done but those that judge a search's designs on fresh seeds, which train no body, in the order in which the trials were planned. Rows are taken as they come; what a
 /// trial keeps of its steps and curves is what the analysis asks of them.
 ///
 /// # Errors
@@ -56,7 +57,11 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
                result->>'$.nonlinear[0][1]' AS nonlinear_rotation_initial,
                result->>'$.nonlinear[1][0]' AS nonlinear_acceleration_optimised,
                result->>'$.nonlinear[1][1]' AS nonlinear_rotation_optimised
-             FROM trial WHERE state = 'done' ORDER BY panels, design_parameters, sensors, placement, seed, hash",
+             FROM trial t WHERE state = 'done' AND NOT EXISTS (
+               SELECT 1 FROM sweep_trial x JOIN sweep s ON s.id = x.sweep_id
+               WHERE x.trial_id = t.id AND s.spec->'$.goal' IS NOT NULL
+                 AND t.seed > (SELECT max(value) FROM json_each(s.spec, '$.sweep.seeds')))
+             ORDER BY panels, design_parameters, sensors, placement, seed, hash",
             |row| {
                 let hash = row.text("hash").to_owned();
                 let spec: Value = serde_json::from_str(row.text("spec")).map_err(|e| StoreError::Unreadable {
@@ -356,7 +361,8 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
         None => None,
     };
     let (made, early) = (reader.made().await?, reader.may_stop_early().await?);
-    Ok(Story { sweeps, states, trials, made, early, stored, terms })
+    let searches = Sought::all(reader, &sweeps).await?;
+    Ok(Story { sweeps, states, trials, made, early, stored, terms, searches })
 }
 
 /// What of a trial the page shows.

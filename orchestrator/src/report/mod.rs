@@ -11,6 +11,7 @@ pub mod load;
 pub mod modes;
 pub mod records;
 pub mod samples;
+pub mod search;
 pub mod strips;
 mod transfer;
 
@@ -25,7 +26,7 @@ use crate::provenance;
 use crate::store::{Made, Stored};
 
 /// Everything that a report tells.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Story {
     /// The sweeps, with their specs.
     pub sweeps: Vec<Sweep>,
@@ -41,6 +42,8 @@ pub struct Story {
     pub stored: Option<Stored>,
     /// What a decision on M weighs.
     pub terms: Terms,
+    /// Searches for a design, or why one cannot be followed.
+    pub searches: Vec<Result<search::Sought, String>>,
 }
 
 /// How far trials are: many, of which few are shown.
@@ -75,6 +78,7 @@ pub struct Sweep {
 pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     let trials = &story.trials;
     let mut drawn: Vec<Figure> = [
+        search::figure(&story.searches),
         figures::pairs(trials),
         brains::figure(trials),
         casts::figure(trials),
@@ -109,7 +113,8 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
     names.dedup();
     let title = format!("metasense: {}", if names.is_empty() { "report".into() } else { names.join(", ") });
     let states = &story.states;
-    let said = answers::answers(&story.trials, story.terms);
+    let mut said = search::answers(&story.searches);
+    said.extend(answers::answers(&story.trials, story.terms));
     let drawn = |answer: &&Answer| figures.iter().any(|figure| figure.name == answer.figure);
     let first = said.iter().filter(|answer| !drawn(answer));
     // the data of the figures answer the other questions

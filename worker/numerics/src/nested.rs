@@ -110,26 +110,29 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     (log.report.counters, log.report.seconds) = (state.comparison.counters, state.comparison.seconds);
     let tuned = log.timed(|s| &mut s.simulate, |_| trial.tuned(&design));
     let bodies = [(initial, &trial.problem.solver), (&design, &tuned.solver)];
-    for (turn, (design, solver)) in bodies.into_iter().enumerate() {
+    let bodies = &bodies[..trial.problem.bodies_compared()];
+    for (turn, (design, solver)) in bodies.iter().enumerate() {
         evaluate(trial, design, solver, turn, &mut state, &mut log)?;
     }
-    for (turn, (design, solver)) in bodies.into_iter().enumerate() {
+    for (turn, (design, solver)) in bodies.iter().enumerate() {
         read_casts(trial, design, solver, turn, &mut state, &mut log)?;
     }
-    let nonlinear = bodies.map(|(design, solver)| {
+    let nonlinear = bodies.iter().map(|(design, solver)| {
         log.timed(|s| &mut s.simulate, |report| nonlinear(trial, design, solver, &mut report.counters))
     });
-    let under = bodies.map(|(design, solver)| {
+    let nonlinear = both(nonlinear.collect());
+    let under = bodies.iter().map(|(design, solver)| {
         log.timed(|s| &mut s.simulate, |report| under(trial, design, solver, &mut report.counters))
     });
+    let under = both(under.collect());
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += trial.pilots;
     counters.dynamics += tuned.counters;
     let solver = format!("{}. Best body: {}", trial.reason, tuned.plan.reason);
-    let [initial, optimised] = <[_; 2]>::try_from(state.comparison.bodies).expect("two turns");
-    let (mut casts, mut bands) = (state.comparison.casts.into_iter(), state.comparison.bands.into_iter());
-    let casts = [(); 2].map(|()| casts.next().unwrap_or_default());
-    let bands = [(); 2].map(|()| bands.next().unwrap_or_default());
+    let Comparison { bodies: compared, mut casts, mut bands, .. } = state.comparison;
+    casts.resize_with(compared.len(), Vec::new);
+    bands.resize_with(compared.len(), Vec::new);
+    let ([initial, optimised], casts, bands) = (both(compared), both(casts), both(bands));
     let signal_errors = [trial.error, tuned.error];
     Some(Optimised {
         initial,
@@ -144,6 +147,12 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
         counters,
         seconds,
     })
+}
+
+/// What was found of both bodies; of one that nothing has moved, it is both.
+fn both<T: Clone>(found: Vec<T>) -> [T; 2] {
+    let [first, last] = [found.first(), found.last()].map(|found| found.expect("a body was compared"));
+    [first.clone(), last.clone()]
 }
 
 /// The comparison at the end for any designs: fresh networks of the same initial weights on each, until the observer says

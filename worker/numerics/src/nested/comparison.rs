@@ -21,7 +21,7 @@ impl Comparison {
         let over_casts = self.casts.len() * problem.network_of_casts();
         let done = self.bodies.iter().map(of).chain(casts).sum::<usize>() + over_casts + iterations;
         let left = 1.0 - problem.progress(problem.optimise.iterations);
-        1.0 - left * (1.0 - done as f64 / (2 * all) as f64)
+        1.0 - left * (1.0 - done as f64 / (problem.bodies_compared() * all) as f64)
     }
 }
 

@@ -52,9 +52,15 @@ impl Optimise {
 impl Problem {
     /// The part of the work that is done after `steps` outer steps, in brain iterations.
     pub(super) fn progress(&self, steps: u32) -> f64 {
-        let evaluation = 2.0 * self.evaluation_iterations() as f64 / self.brain.iterations as f64;
+        let evaluation = self.bodies_compared() * self.evaluation_iterations();
+        let evaluation = evaluation as f64 / self.brain.iterations as f64;
         let loop_iterations = f64::from(self.optimise.iterations) * self.step_share();
         f64::from(steps) * self.step_share() / (loop_iterations + evaluation)
+    }
+
+    /// Bodies of the comparison: the initial one, and the best where a loop moves it.
+    pub(super) fn bodies_compared(&self) -> usize {
+        if self.optimise.iterations == 0 { 1 } else { 2 }
     }
 
     /// Brain iterations of the comparison at the end, a body.

@@ -1,0 +1,379 @@
+//! A search for a design as its database tells it: how far each candidate has come, how classes of equal cost stand, a figure.
+
+use std::collections::HashMap;
+
+use metasense_schemas::source::Source;
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::FAILED;
+use serde_json::Value;
+
+use super::Sweep;
+use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage};
+use crate::analysis::setting::flatten;
+use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number};
+use crate::plan::goal::{Place, Space, on_fresh_seed, rungs};
+use crate::plan::{Plan, Trial, counted};
+use crate::store::{Reader, Standing, StoreError};
+
+/// A search, as far as its database goes.
+#[derive(Debug)]
+pub struct Sought {
+    plan: Plan,
+    space: Space,
+    decision: Decision,
+    /// CPU seconds of all trials, and what the whole sweep would take, as estimated.
+    seconds: [f64; 2],
+}
+
+/// Marks by how far a class's best candidate has come, and what a legend says of them.
+const STAGES: [(&str, &str); 4] = [
+    ("initial", "predicted"),
+    ("fourth", "looked at"),
+    ("front", "trained"),
+    ("optimised", "judged on fresh seeds"),
+];
+
+impl Sought {
+    /// Follows a search.
+    ///
+    /// # Errors
+    /// Where the database cannot be read.
+    pub async fn of(reader: &mut Reader, plan: Plan, space: Space) -> Result<Self, StoreError> {
+        let known = Known::of(reader, &space, &plan, &mut HashMap::new()).await?;
+        let decision = begun(&space).follow(&known.candidates);
+        let whole = plan.trials.iter().map(|trial| trial.cost).sum();
+        Ok(Self { plan, space, decision, seconds: [known.seconds, whole] })
+    }
+
+    /// The searches among sweeps, or why one cannot be followed: its spec names files that are not here, say.
+    pub(super) async fn all(
+        reader: &mut Reader,
+        sweeps: &[Sweep],
+    ) -> Result<Vec<Result<Self, String>>, StoreError> {
+        let mut found = Vec::new();
+        for sweep in sweeps {
+            let planned = (|| {
+                let source = Source::spec(format!("{}.toml", sweep.name), sweep.text.clone(), &[])?;
+                if source.parse()?.goal.is_none() {
+                    return Ok(None);
+                }
+                let plan = Plan::of(source)?;
+                Space::new(&plan).map(|space| Some((plan, space)))
+            })();
+            found.extend(match planned {
+                Ok(Some((plan, space))) => Some(Ok(Self::of(reader, plan, space).await?)),
+                Ok(None) => None,
+                Err(e) => Some(Err(format!("The search of {} cannot be followed: {e}.", sweep.name))),
+            });
+        }
+        Ok(found)
+    }
+
+    fn trial(&self, class: &Class) -> &Trial {
+        &self.plan.trials[self.space.places[class.best].trial]
+    }
+
+    /// The design, with the probability that it meets the requirement on a further seed.
+    pub fn chosen(&self) -> Option<(&Trial, f64)> {
+        let chosen = self.decision.chosen?;
+        let class = self.decision.classes.iter().find(|class| class.best == chosen);
+        let class = class.expect("it is the best of its class");
+        Some((self.trial(class), class.meets))
+    }
+
+    /// The requirement in words.
+    fn requirement(&self) -> String {
+        let goal = &self.space.goal;
+        let of = goal
+            .quantile
+            .map_or(String::new(), |q| format!(" at the {:.0}th percentile of casts", 100.0 * q));
+        format!("{} %{of}", number(goal.error))
+    }
+
+    /// What came of it, a line each.
+    pub fn verdict(&self) -> Vec<String> {
+        let Self { space, decision, seconds: [seconds, whole], .. } = self;
+        let part = 100.0 * seconds / whole.max(f64::MIN_POSITIVE);
+        let kinship = decision.kinship;
+        let looks = kinship
+            .map_or(String::new(), |r| format!("; a first look tells a result with correlation {r:.2}"));
+        let mut lines = vec![format!(
+            "{seconds:.0} CPU s, {part:.0} % of what the whole sweep is estimated to take{looks}"
+        )];
+        let needed = self.requirement();
+        if let Some((trial, meets)) = self.chosen() {
+            lines.push(format!(
+                "the cheapest design that meets {needed}: {}; with {:.0} % probability on a further seed",
+                trial.hash,
+                100.0 * meets
+            ));
+            return lines;
+        }
+        if !decision.work.is_empty() {
+            lines.push("the search is not over; the same command goes on".into());
+            return lines;
+        }
+        let confidence = 100.0 * space.goal.confidence;
+        lines.push(format!("no design of the sweep meets {needed} with {confidence:.0} % probability"));
+        if let Some(nearest) = decision.classes.iter().min_by(|a, b| a.error[1].total_cmp(&b.error[1])) {
+            let (error, hash) = (number(nearest.error[1]), &self.trial(nearest).hash);
+            lines.push(format!("what would have to be relaxed: goal.error to {error} % ({hash})"));
+        }
+        for out in &space.left_out {
+            let more = counted(out.trials, "trial");
+            lines.push(format!("  or {} to {}, which lets in up to {more} more", out.key, out.least));
+        }
+        lines
+    }
+
+    /// The same for a report.
+    fn answer(&self) -> Answer {
+        let verdict = match (self.chosen(), self.decision.work.is_empty()) {
+            (Some(_), _) => Some(true),
+            (None, true) => Some(false),
+            (None, false) => None,
+        };
+        let lines = self.verdict();
+        let lines: Vec<&str> = lines[1..].iter().chain(&lines[..1]).map(|line| line.trim()).collect();
+        Answer::new("search", verdict, format!("{}: {}.", self.plan.spec.name, lines.join("; ")))
+    }
+
+    /// A place for each class, the cheapest first: a dot at the error that is expected of its best candidate, a line up to the
+    /// one that it keeps to.
+    fn picture(&self) -> Picture {
+        let (classes, limit) = (&self.decision.classes, self.space.goal.error);
+        let sensors = |class: &Class| self.trial(class).spec.point.sensors;
+        let begins = |i: &usize| *i == 0 || sensors(&classes[i - 1]) != sensors(&classes[*i]);
+        let ticks =
+            (0..classes.len()).filter(begins).map(|i| (i as f64, format!("M = {}", sensors(&classes[i]))));
+        let ends = [-0.5, classes.len() as f64 - 0.5];
+        let x = Axis::new("designs of equal cost, the cheapest first", Scale::Linear, ends)
+            .with_names(ticks.collect());
+        let errors = classes.iter().flat_map(|class| class.error).chain([limit]);
+        let title = format!("{}: at most {}", self.plan.spec.name, self.requirement());
+        let mut plot = Plot::new(&title, x, Axis::new("error (%)", Scale::Log, errors)).sized(640.0, 300.0);
+        plot.line("equal", ends.map(|x| (x, limit)));
+        for (i, class) in classes.iter().enumerate() {
+            let (mark, _) = STAGES[place(class.stage)];
+            let [expected, kept] = class.error;
+            plot.line(&format!("{mark} fine"), [(i as f64, expected), (i as f64, kept)]);
+            let text = format!(
+                "{}, {}: {} % expected, keeps to {} %, meets it with {:.0} %",
+                self.trial(class).hash,
+                said(class.stage),
+                number(expected),
+                number(kept),
+                100.0 * class.meets
+            );
+            plot.dots(mark, [((i as f64, expected), text.clone())]);
+            if self.decision.chosen == Some(class.best) {
+                plot.rings([((i as f64, expected), text)]);
+            }
+        }
+        plot.picture()
+    }
+
+    /// How all classes of equal cost stand.
+    pub fn table(&self) -> Table {
+        let Self { space, decision, .. } = self;
+        let columns = [
+            "M",
+            "operations",
+            "units",
+            "error",
+            "keeps_to",
+            "meets",
+            "any_meets",
+            "stage",
+            "begun",
+            "candidates",
+            "chosen",
+            "setting",
+            "hash",
+        ];
+        let row = |class: &Class| -> Vec<Value> {
+            let place = &space.places[class.best];
+            let trial = self.trial(class);
+            vec![
+                trial.spec.point.sensors.into(),
+                place.demands.map(|d| d.operations).into(),
+                trial.units.into(),
+                class.error[0].into(),
+                class.error[1].into(),
+                class.meets.into(),
+                class.any.into(),
+                said(class.stage).into(),
+                class.candidates[1].into(),
+                class.candidates[0].into(),
+                (decision.chosen == Some(class.best)).into(),
+                setting(space, &trial.spec).into(),
+                trial.hash.clone().into(),
+            ]
+        };
+        Table {
+            columns: columns.iter().map(|name| (*name).to_owned()).collect(),
+            rows: decision.classes.iter().map(row).collect(),
+        }
+    }
+}
+
+/// In what a trial differs from others of the space.
+fn setting(space: &Space, spec: &TrialSpec) -> String {
+    let leaves = flatten(&serde_json::to_value(spec).expect("a trial is JSON"));
+    let told = space.axes.iter().filter(|path| *path != "point.sensors");
+    let told = told.filter_map(|path| Some(format!("{path} = {}", leaves.get(path.as_str())?)));
+    told.collect::<Vec<_>>().join(", ")
+}
+
+/// How far a class has come, as a place in [`STAGES`].
+fn place(stage: Stage) -> usize {
+    match stage {
+        Stage::Predicted => 0,
+        Stage::Looked => 1,
+        Stage::Trained => 2,
+        Stage::Judged(_) => 3,
+    }
+}
+
+/// The same in words.
+fn said(stage: Stage) -> String {
+    match stage {
+        Stage::Judged(seeds) => format!("judged on {seeds} seeds"),
+        _ => STAGES[place(stage)].1.to_owned(),
+    }
+}
+
+/// A picture for each search that can be followed.
+pub(super) fn figure(searches: &[Result<Sought, String>]) -> Option<Figure> {
+    let found: Vec<&Sought> = searches.iter().flatten().collect();
+    let tables = || {
+        let mut tables = found.iter().map(|found| found.table());
+        let mut all = tables.next().expect("one is drawn");
+        tables.for_each(|table| all.rows.extend(table.rows));
+        all
+    };
+    Figure::some(
+        "search",
+        "Which design meets the requirement?",
+        "A place for each class of designs of equal cost, the cheapest first. Dots: the error that is expected of its best candidate, \
+         predicted from others or measured on fresh seeds; lines: up to the one that it keeps to with the confidence that [goal] asks for. \
+         Dotted: what is required. Ringed: the design that was chosen.",
+        legend(&STAGES),
+        found.iter().map(|found| found.picture()).collect(),
+        tables,
+    )
+}
+
+/// What came of each search.
+pub(super) fn answers(searches: &[Result<Sought, String>]) -> Vec<Answer> {
+    let said = |search: &Result<Sought, String>| match search {
+        Ok(found) => found.answer(),
+        Err(why) => Answer::new("", Some(false), why.clone()),
+    };
+    searches.iter().map(said).collect()
+}
+
+/// Bodies with their sensors, by the hash of the trial that has trained them.
+pub type Bodies = HashMap<String, (TrialSpec, Vec<f64>)>;
+
+/// What is stored of a space.
+#[derive(Debug)]
+pub struct Known {
+    /// How far each candidate has come.
+    pub candidates: Vec<Candidate>,
+    /// CPU seconds of all trials.
+    pub seconds: f64,
+}
+
+impl Known {
+    /// Reads it; bodies that are trained are kept for the next time.
+    ///
+    /// # Errors
+    /// Where the database cannot be read.
+    pub async fn of(
+        reader: &mut Reader,
+        space: &Space,
+        plan: &Plan,
+        bodies: &mut Bodies,
+    ) -> Result<Self, StoreError> {
+        let standings = reader.standings().await?;
+        let mut candidates = Vec::with_capacity(space.places.len());
+        for place in &space.places {
+            let trial = &plan.trials[place.trial];
+            let mut candidate = place.candidate.clone();
+            if let Some(standing) = standings.get(&trial.hash) {
+                candidate = known(space, place, trial, standing);
+                if candidate.reached.len() == LEVELS {
+                    body(bodies, reader, &trial.hash).await?;
+                    candidate.fresh = fresh(space, plan, place, &bodies[&trial.hash], &standings);
+                }
+            }
+            candidates.push(candidate);
+        }
+        Ok(Self { candidates, seconds: reader.spent().await? })
+    }
+}
+
+/// The error that counts of what is stored of a trial (%).
+fn error(space: &Space, place: &Place, standing: &Standing) -> Option<f64> {
+    let reader = place.reader.map(|by| (by.name().to_owned(), by.records().unwrap_or(0) as u32));
+    let error = standing.error(reader.as_ref().zip(space.goal.quantile));
+    error.filter(|e| e.is_finite() && *e > 0.0)
+}
+
+/// How far a trial has come, rung by rung.
+fn known(space: &Space, place: &Place, trial: &Trial, standing: &Standing) -> Candidate {
+    let mut candidate = place.candidate.clone();
+    let done = standing.state == "done";
+    let result = if done { error(space, place, standing) } else { None };
+    for rung in rungs(&trial.spec) {
+        let told = match rung {
+            Some(steps) => standing.after(steps),
+            // of so few steps the result is the next level
+            None => done.then_some(None),
+        };
+        let Some(told) = told else { break };
+        candidate.reached.push(told);
+    }
+    if candidate.reached.len() + 1 == LEVELS && result.is_some() {
+        candidate.reached.push(result);
+    }
+    candidate.failed = standing.state == "failed" || done && result.is_none();
+    candidate
+}
+
+/// Takes the body of a trial that is done.
+async fn body(bodies: &mut Bodies, reader: &mut Reader, hash: &str) -> Result<(), StoreError> {
+    if !bodies.contains_key(hash)
+        && let Some(stored) = reader.stored(hash).await?
+    {
+        let ([_, spec], [_, design]) = (stored.specs, stored.designs);
+        bodies.insert(hash.to_owned(), (spec, design));
+    }
+    Ok(())
+}
+
+/// Errors (%) of a body on fresh seeds, as many in a row as are known.
+fn fresh(
+    space: &Space,
+    plan: &Plan,
+    place: &Place,
+    (spec, design): &(TrialSpec, Vec<f64>),
+    standings: &HashMap<String, Standing>,
+) -> Vec<f64> {
+    let told = (0..2 * space.goal.fresh).map_while(|n| {
+        let judged = on_fresh_seed(plan, &plan.trials[place.trial], spec, design, n);
+        let standing = standings.get(&judged.hash)?;
+        match standing.state.as_str() {
+            "done" => Some(error(space, place, standing).unwrap_or(FAILED)),
+            "failed" => Some(FAILED),
+            _ => None,
+        }
+    });
+    told.collect()
+}
+
+/// A search at its beginning.
+pub fn begun(space: &Space) -> Search {
+    Search::new(&space.goal, space.places.iter().map(|place| place.candidate.clone()))
+}
