@@ -273,3 +273,40 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(refused.status.code() == Some(2) && said.contains("--format c"), "{said}");
 }
+
+/// What is built from a trial: a folder whose brain is the one for all casts, another than that of the body as designed, and holds.
+#[test]
+fn a_device_is_a_folder_with_all_that_is_built() {
+    let bench = Bench::new();
+    let scatter = "[variation]\nstretch = 0.2\nnodes = 0.1\n[evaluation]\ncasts = 1\n";
+    let kinds = "points = [{ \"brain.kind\" = \"linear\" }, { \"brain.kind\" = \"cnn\" }]\n";
+    bench.file("s.toml", &(TINY.replace("sensors = [1, 2]", "sensors = [1]") + kinds + scatter));
+    bench.output(&["run", "s.toml", "--workers", "2"]);
+    let sql = "SELECT hash FROM v_trial";
+    for hash in bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"]).lines().skip(1) {
+        let [casts, design] = ["casts", "design"].map(|reader| {
+            let call = ["export", "results/tiny.sqlite", hash, "--format", "device", "--reader", reader];
+            bench.output(&[&call[..], &["--pocket", "3x2x1", "--out", reader]].concat());
+            let read = |name: &str| std::fs::read_to_string(bench.path(&format!("{reader}/{name}"))).unwrap();
+            let (notes, source) = (read("README.md"), read("brain.c"));
+            assert!(notes.contains("The cavity holds ") && notes.contains("| chip 0 |"), "{notes}");
+            for name in ["mould.stl", "body.dxf", "body.svg", "design.npy"] {
+                assert!(notes.contains(name) && bench.path(&format!("{reader}/{name}")).is_file());
+            }
+            let (good, said) = holds("cc", &source, &bench.path(""));
+            assert!(good, "{said}");
+            source
+        });
+        assert!(casts.contains("The brain for all casts of the optimised body"));
+        assert_ne!(between(&casts, "W0[]", "}"), between(&design, "W0[]", "}"));
+    }
+    bench.file("s.toml", TINY);
+    bench.output(&["run", "s.toml", "--db", "plain.sqlite"]);
+    let hash = bench.output(&["query", "plain.sqlite", sql, "--format", "csv"]);
+    let hash = hash.lines().nth(1).unwrap();
+    let call = ["export", "plain.sqlite", hash, "--format", "device", "--reader", "casts", "--out", "d"];
+    let refused = bench.metasense(&call);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && said.contains("no [variation]"), "{said}");
+    assert!(!bench.path("d").exists());
+}

@@ -4,10 +4,11 @@
 use metasense_numerics::brains::fits;
 pub use metasense_numerics::dynamics::Panel;
 use metasense_numerics::feasible::{Active, Feasible};
+use metasense_numerics::nested::{ForCasts, brain_for_casts};
 use metasense_numerics::place::placed;
 use metasense_numerics::questions;
 pub use metasense_numerics::questions::{LinearReplay, Motion, Replay};
-use metasense_numerics::trial::{BrainKind, Decoder};
+use metasense_numerics::trial::{BrainKind, Decoder, Failure as OfMaths, Trial};
 use metasense_schemas::spec::TrialSpec;
 
 mod integers;
@@ -99,6 +100,51 @@ pub fn replay(
         replay.invert(&problem, design, inverse, &pool)?;
     }
     Ok(replay)
+}
+
+/// A trial's brain.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Own {
+    /// A linear one.
+    Linear(LinearReplay),
+    /// Weights of a network.
+    Network(Vec<f32>),
+}
+
+/// The brain of a replay: the network with these weights, or the linear one fitted to its training samples.
+///
+/// # Errors
+/// If the spec stands for no trial, or the linear brain cannot be solved for.
+pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, Failure> {
+    if !weights.is_empty() {
+        return Ok(Own::Network(weights.to_vec()));
+    }
+    let problem = prepared(trial)?;
+    Ok(Own::Linear(replay.linear(&problem, &problem.decoder)?))
+}
+
+/// As [`replay`] of a linear brain or a network that is fitted to casts of the design once more, as the trial's comparison does; with
+/// this brain.
+///
+/// # Errors
+/// If nothing scatters, as [`replay`], or if it cannot be fitted.
+pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Result<(Replay, Own), Failure> {
+    let (problem, pool) = (with_design(trial, design)?, pool(threads)?);
+    if problem.variation.is_none() {
+        return Err(Failure::Rejected("the trial has no [variation] that says how casts scatter".into()));
+    }
+    let (problem, _) = placed(&problem, &pool)?;
+    Ok(match brain_for_casts(&Trial::new(&problem, &pool)?, design).map_err(OfMaths::Initial)? {
+        ForCasts::Linear(fitted) => {
+            let mut replay = questions::replay(&problem, design, &[], &pool)?;
+            let brain = replay.by(&problem, &fitted);
+            (replay.predictions, replay.errors) = (brain.predictions.clone(), brain.errors.clone());
+            (replay, Own::Linear(brain))
+        }
+        ForCasts::Network(weights) => {
+            (questions::replay(&problem, design, &weights, &pool)?, Own::Network(weights))
+        }
+    })
 }
 
 /// The linear brain of the whole sample on a replay's signals: what every body is read by. None where it is too large.

@@ -47,9 +47,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     found.verdict().iter().for_each(|line| say!("{line}"));
     let chosen = found.chosen();
     if let Some((trial, _)) = chosen {
-        for format in ["stl --out mould.stl", "c --out brain.c"] {
-            say!("  metasense export {} {} --format {format}", db.display(), trial.hash);
-        }
+        let reader = if found.reads_all_casts() { " --reader casts" } else { "" };
+        say!("  metasense export {} {} --format device{reader} --out device", db.display(), trial.hash);
     }
     Ok(match (outcome, chosen) {
         (Outcome::Interrupted, _) => Exit::Interrupted,

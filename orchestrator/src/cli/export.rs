@@ -5,15 +5,16 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
 use metasense_schemas::spec::BrainKind;
-use metasense_worker::replay::drawing;
+use metasense_worker::replay::{Drawing, drawing};
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;
-use super::{Error, write};
+use super::{Error, make_folder, write};
 use crate::analysis::Body;
 use crate::exit::Exit;
 use crate::export::device::Numbers;
-use crate::export::{Mould, Outline, device, dxf, mould, npz, replay_of, replays, series, unreadable};
+use crate::export::notes::notes;
+use crate::export::{Fit, Mould, Outline, brain_of, device, dxf, mould, npz, replays, series, unreadable};
 use crate::look::Format;
 use crate::report::body::sketch;
 use crate::store::{Reader, Stored, npy_bytes};
@@ -37,9 +38,11 @@ enum Form {
     Stl,
     /// The linear brain or the network as C99 source for a device, with its test
     C,
+    /// A folder with what one builds: mould, outline, design, brain, and notes on casting and reading
+    Device,
 }
 
-/// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL, C
+/// Writes a trial or a view for other programs, or to be built: NumPy, CSV, Parquet, SVG, DXF, STL, C
 ///
 /// A view's name goes in place of the hash: DB VIEW. Of a SPEC, the trial is taken from the database that it writes to.
 #[derive(Debug, clap::Args)]
@@ -49,30 +52,33 @@ pub(super) struct Args {
     /// The form
     #[arg(long, value_enum)]
     format: Form,
-    /// The file to write
+    /// The file to write; of a device the folder
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Which body, for npy, svg, dxf, stl and c
+    /// Which body, for npy, svg, dxf, stl, c and device
     #[arg(long, value_enum, default_value = "optimised")]
     body: Which,
-    /// Width of a ligament (mm), for dxf and stl
+    /// Width of a ligament (mm), for dxf, stl and device
     #[arg(long, default_value_t = 1.0)]
     ligament_width: f64,
-    /// Height of the cast body (mm), for stl
+    /// Height of the cast body (mm), for stl and device
     #[arg(long, default_value_t = 10.0)]
     height: f64,
-    /// Thickness of the mould's floor and rim (mm), for stl
+    /// Thickness of the mould's floor and rim (mm), for stl and device
     #[arg(long, default_value_t = 3.0)]
     wall: f64,
-    /// Clearance between the body and the mould's cavity on every side (mm), for stl
+    /// Clearance between the body and the mould's cavity on every side (mm), for stl and device
     #[arg(long, default_value_t = 0.0)]
     clearance: f64,
-    /// Size of a pocket for the chip on each sensor's unit, along, across and deep, such as 6x5x2 (mm), for stl
+    /// Size of a pocket for the chip on each sensor's unit, along, across and deep, such as 6x5x2 (mm), for stl and device
     #[arg(long, value_name = "AxBxC", value_parser = size)]
     pocket: Option<[f64; 3]>,
-    /// What the device computes with, for c [default: f32]
+    /// What the device computes with, for c and device [default: f32]
     #[arg(long, value_enum)]
     numbers: Option<Numbers>,
+    /// What the brain is fitted to, for c and device [default: design]
+    #[arg(long, value_enum)]
+    reader: Option<Fit>,
     /// Threads for simulating the trial again
     #[arg(long, default_value_t = 1)]
     threads: usize,
@@ -89,8 +95,12 @@ fn size(text: &str) -> Result<[f64; 3], String> {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { trial: Named { source: db, words, .. }, out, .. } = &args;
-    if args.numbers.is_some() && args.format != Form::C {
-        return Err(Error::Usage("--numbers is for --format c: leave it out, or write the brain".into()));
+    let of_brains = [("numbers", args.numbers.is_some()), ("reader", args.reader.is_some())];
+    if let Some((name, _)) = of_brains.iter().find(|(_, given)| *given)
+        && !matches!(args.format, Form::C | Form::Device)
+    {
+        let what = format!("--{name} is for --format c and device: leave it out, or write the brain");
+        return Err(Error::Usage(what));
     }
     if let Some((what, _)) = VIEWS.iter().find(|(view, _)| words.iter().any(|word| word == view)) {
         let format = match args.format {
@@ -102,13 +112,48 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Reader::asked(Database::at(db).await?, async |reader| answer_in(reader, &sql, out, format).await)
             .await?;
     } else {
-        write(out, trial(&args.trial.stored().await?, &args)?)?;
+        let stored = args.trial.stored().await?;
+        match args.format {
+            Form::Device => device(&stored, &args)?,
+            form => write(out, trial(&stored, form, &args)?)?,
+        }
     }
     print_line!("{}", out.display())?;
     Ok(Exit::Done)
 }
 
-fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
+/// The folder of a device: nothing of it is written unless all can be.
+fn device(stored: &Stored, args: &Args) -> Result<(), Error> {
+    let which = args.body as usize;
+    let forms = [
+        ("mould.stl", Form::Stl),
+        ("body.dxf", Form::Dxf),
+        ("body.svg", Form::Svg),
+        ("design.npy", Form::Npy),
+        ("brain.c", Form::C),
+    ];
+    let mut files = Vec::new();
+    for (name, form) in forms.into_iter().filter(|(_, form)| *form != Form::C || has_form(stored, which)) {
+        files.push((name, trial(stored, form, args)?));
+    }
+    let drawing = drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
+    let (cavity, measures) = cavity(stored, &drawing, args)?;
+    let brain = files.iter().find(|(name, _)| *name == "brain.c");
+    let text = brain.map(|(_, source)| String::from_utf8_lossy(source).into_owned());
+    let head = text.as_deref().and_then(|text| text.split_once("*/")).map(|(head, _)| &head[2..]);
+    let fit = args.reader.unwrap_or(Fit::Design);
+    let notes = notes(stored, which, &drawing, (&cavity, &measures), (head, fit));
+    files.push(("README.md", notes.into_bytes()));
+    make_folder(&args.out)?;
+    files.iter().try_for_each(|(name, bytes)| write(&args.out.join(name), bytes))
+}
+
+/// Whether a brain can be written in C.
+fn has_form(stored: &Stored, which: usize) -> bool {
+    matches!(stored.specs[which].brain.kind, BrainKind::Linear | BrainKind::Cnn)
+}
+
+fn trial(stored: &Stored, form: Form, args: &Args) -> Result<Vec<u8>, Error> {
     let which = args.body as usize;
     let body = drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
     for (name, value, least) in [
@@ -121,10 +166,11 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
             return Err(Error::Usage(format!("--{name} {value}: must be {least} to {} mm", MEASURES.1)));
         }
     }
-    Ok(match args.format {
+    Ok(match form {
+        Form::Device => unreachable!("a folder"),
         Form::Npz => npz::of_trial(stored, args.threads, &mut |what| say!("note: {what}"))?,
         Form::Csv | Form::Parquet => {
-            let format = if args.format == Form::Csv { Format::Csv } else { Format::Parquet };
+            let format = if form == Form::Csv { Format::Csv } else { Format::Parquet };
             series::table(stored, &replays(stored, args.threads)?).written(format)
         }
         Form::Npy => {
@@ -136,29 +182,21 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
             sketch(&body, &[]).file(&title).into_bytes()
         }
         Form::C => {
-            if matches!(stored.specs[which].brain.kind, BrainKind::Stacked | BrainKind::Inverse) {
+            if !has_form(stored, which) {
                 let what = "--format c writes linear brains and networks; this trial's brain is neither";
                 return Err(Error::Usage(what.into()));
             }
-            let numbers = args.numbers.unwrap_or(Numbers::F32);
-            device::c(stored, which, &replay_of(stored, which, args.threads)?, numbers)?.into_bytes()
+            let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
+            if fit == Fit::Casts && stored.specs[which].variation.is_none() {
+                let what = "--reader casts: the trial has no [variation] that says how casts scatter";
+                return Err(Error::Usage(what.into()));
+            }
+            device::c(stored, which, fit, &brain_of(stored, which, fit, args.threads)?, numbers)?.into_bytes()
         }
         Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
         Form::Stl => {
-            let (width, height) = (args.ligament_width, args.height);
-            let (clearance, pocket) = (args.clearance, args.pocket);
-            if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {
-                let what =
-                    format!("--pocket {depth} mm deep: must be less than the body's --height {height}");
-                return Err(Error::Usage(what));
-            }
-            let measures = Mould { width, height, wall: args.wall, clearance, pocket };
-            let spec = &stored.specs[which];
-            let (offset, tilt) =
-                (spec.sensors.offset.unwrap_or_default(), spec.sensors.tilt.unwrap_or_default());
-            let cavity = Outline::new(&body, &measures)
-                .and_then(|cavity| cavity.with_pockets(&body, &measures, offset, tilt.to_radians()))
-                .map_err(|e| Error::Usage(e.to_string()))?;
+            let (cavity, measures) = cavity(stored, &body, args)?;
+            let width = measures.width;
             say!("note: the cavity holds {:.1} ml", 1e-3 * cavity.volume(&measures));
             if cavity.parted > 0 {
                 say!(
@@ -170,6 +208,23 @@ fn trial(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
             mould::stl(&cavity, &measures)
         }
     })
+}
+
+/// What of a mould is left for the body.
+fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Mould), Error> {
+    let (width, height) = (args.ligament_width, args.height);
+    let (clearance, pocket) = (args.clearance, args.pocket);
+    if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {
+        let what = format!("--pocket {depth} mm deep: must be less than the body's --height {height}");
+        return Err(Error::Usage(what));
+    }
+    let measures = Mould { width, height, wall: args.wall, clearance, pocket };
+    let spec = &stored.specs[args.body as usize];
+    let (offset, tilt) = (spec.sensors.offset.unwrap_or_default(), spec.sensors.tilt.unwrap_or_default());
+    let cavity = Outline::new(body, &measures)
+        .and_then(|cavity| cavity.with_pockets(body, &measures, offset, tilt.to_radians()))
+        .map_err(|e| Error::Usage(e.to_string()))?;
+    Ok((cavity, measures))
 }
 
 /// The least and the largest measure of something cast (mm).

@@ -1,8 +1,9 @@
-//! A trial in the forms of other programs: arrays (npz), tables (csv, parquet), designs (svg, dxf), the mould (stl), the brain (c).
+//! A trial in the forms of other programs: arrays (npz), tables (csv, parquet), designs (svg, dxf), the mould (stl), the brain (c), what is built (device).
 
 pub mod device;
 pub mod dxf;
 pub mod mould;
+pub mod notes;
 pub mod npz;
 pub mod outline;
 pub mod series;
@@ -12,7 +13,9 @@ pub(crate) mod tests;
 
 pub use outline::{Mould, Outline};
 
-use metasense_worker::replay::{Replay, replay};
+use clap::ValueEnum;
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::replay::{Own, Replay, own, replay, replay_for_casts};
 use metasense_worker::run::Failure;
 
 use crate::store::{StoreError, Stored};
@@ -51,10 +54,41 @@ pub fn replays(stored: &Stored, threads: usize) -> Result<[Replay; 2], StoreErro
 /// # Errors
 /// Likewise.
 pub fn replay_of(stored: &Stored, body: usize, threads: usize) -> Result<Replay, StoreError> {
+    let (design, weights) = (&stored.designs[body], &stored.weights[body]);
+    replay(&exact(stored, body), design, weights, usize::MAX, threads).map_err(unreadable(stored))
+}
+
+/// Whom a brain is fitted to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Fit {
+    /// The body as designed: the trial's brain
+    Design,
+    /// Casts of it: one brain for all, fitted once more as the trial's comparison did
+    Casts,
+}
+
+/// A body with a linear brain or a network.
+///
+/// # Errors
+/// Likewise, or if the trial has no casts.
+pub fn brain_of(stored: &Stored, body: usize, fit: Fit, threads: usize) -> Result<(Replay, Own), StoreError> {
+    match fit {
+        Fit::Design => {
+            let replay = replay_of(stored, body, threads)?;
+            let own = own(&stored.specs[body], &stored.weights[body], &replay).map_err(unreadable(stored))?;
+            Ok((replay, own))
+        }
+        Fit::Casts => {
+            replay_for_casts(&exact(stored, body), &stored.designs[body], threads).map_err(unreadable(stored))
+        }
+    }
+}
+
+/// A trial, its signals as good as exports are.
+fn exact(stored: &Stored, body: usize) -> TrialSpec {
     let mut spec = stored.specs[body].clone();
     spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
-    let (design, weights) = (&stored.designs[body], &stored.weights[body]);
-    replay(&spec, design, weights, usize::MAX, threads).map_err(unreadable(stored))
+    spec
 }
 
 /// A trial that the database holds and that cannot be computed again.

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use metasense_schemas::source::Source;
-use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::spec::{GoalReader, GoalReaderName, TrialSpec};
 use metasense_worker::FAILED;
 use serde_json::Value;
 
@@ -79,6 +79,12 @@ impl Sought {
         let class = self.decision.classes.iter().find(|class| class.best == chosen);
         let class = class.expect("it is the best of its class");
         Some((self.trial(class), class.meets))
+    }
+
+    /// Whether one brain for all casts is to meet the requirement.
+    pub fn reads_all_casts(&self) -> bool {
+        let reader = self.space.goal.reader.unwrap_or(GoalReader::Named(GoalReaderName::Casts));
+        self.space.goal.quantile.is_some() && reader == GoalReader::Named(GoalReaderName::Casts)
     }
 
     /// The requirement in words.

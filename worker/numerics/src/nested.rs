@@ -18,7 +18,7 @@ mod schedule;
 mod search;
 mod state;
 
-pub use casts::{CastBrain, CastReading, RECORDS, casts_of};
+pub use casts::{CastBrain, CastReading, ForCasts, RECORDS, brain_for_casts, casts_of};
 pub use evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
 pub use inversion::INVERTED_OF_A_CAST;
 pub use observe::{Control, Observe};

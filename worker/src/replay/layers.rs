@@ -13,7 +13,7 @@ use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::Samples;
 use metasense_schemas::spec::TrialSpec;
 
-use super::{LinearReplay, Replay};
+use super::{LinearReplay, Own, Replay};
 use crate::run::{Failure, prepared};
 
 /// A layer of a brain.
@@ -121,45 +121,46 @@ impl Convolution {
     }
 }
 
-/// A trial's linear brain, or the network with these weights, as layers from signals (mm/s², rad/s) to forces (N), on a replay of its body.
+/// A brain as layers from signals (mm/s², rad/s) to forces (N), on a replay of its body.
 ///
 /// # Errors
-/// If the spec stands for no trial, or the linear brain cannot be solved for.
+/// If the spec stands for no trial.
 ///
 /// # Panics
 /// If the weights are not those of the trial's network.
-pub fn layers(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec<Convolution>, Failure> {
-    let problem = prepared(trial)?;
-    let (channels, panels) = (replay.signal_scale.len(), problem.scene.panels.len());
+pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
+    let (channels, panels) = (replay.signal_scale.len(), replay.force_mean.len());
     let mut layers;
-    if weights.is_empty() {
-        let LinearReplay { lags, w, b, .. } = replay.linear(&problem, &problem.decoder)?;
-        let mut only = Convolution::linear(lags, channels, panels);
-        let firsts: Vec<usize> = lags.groups().iter().map(|group| group.start).collect();
-        for i in 0..only.weights.len() {
-            let [c, k, tap] = only.of_weight(i);
-            only.weights[i] = w[(k * lags.count() + firsts[tap]) * channels + c];
-        }
-        only.bias = b;
-        layers = vec![only];
-    } else {
-        let shape = problem.reader_shape();
-        layers = Convolution::network(&shape.architecture, shape.inputs, panels);
-        let count = layers.len();
-        for (l, layer) in layers.iter_mut().enumerate() {
-            let stored = &weights[shape.range(count + l)];
-            for i in 0..layer.weights.len() {
-                let [c, o, tap] = layer.of_weight(i);
-                layer.weights[i] = f64::from(stored[(tap * layer.inputs + c) * layer.outputs + o]);
+    match own {
+        Own::Linear(LinearReplay { lags, w, b, .. }) => {
+            let mut only = Convolution::linear(*lags, channels, panels);
+            let firsts: Vec<usize> = lags.groups().iter().map(|group| group.start).collect();
+            for i in 0..only.weights.len() {
+                let [c, k, tap] = only.of_weight(i);
+                only.weights[i] = w[(k * lags.count() + firsts[tap]) * channels + c];
             }
-            layer.bias = weights[shape.range(l)].iter().map(|b| f64::from(*b)).collect();
+            only.bias.clone_from(b);
+            layers = vec![only];
         }
-        let last = layers.last_mut().expect("a network has layers");
-        let inputs = last.inputs;
-        let deviation = |i: usize| replay.force_deviation[i / inputs % panels];
-        last.weights.iter_mut().enumerate().for_each(|(i, w)| *w *= deviation(i));
-        let scales = replay.force_deviation.iter().zip(&replay.force_mean);
-        last.bias.iter_mut().zip(scales).for_each(|(b, (deviation, mean))| *b = *b * deviation + mean);
+        Own::Network(weights) => {
+            let shape = prepared(trial)?.reader_shape();
+            layers = Convolution::network(&shape.architecture, shape.inputs, panels);
+            let count = layers.len();
+            for (l, layer) in layers.iter_mut().enumerate() {
+                let stored = &weights[shape.range(count + l)];
+                for i in 0..layer.weights.len() {
+                    let [c, o, tap] = layer.of_weight(i);
+                    layer.weights[i] = f64::from(stored[(tap * layer.inputs + c) * layer.outputs + o]);
+                }
+                layer.bias = weights[shape.range(l)].iter().map(|b| f64::from(*b)).collect();
+            }
+            let last = layers.last_mut().expect("a network has layers");
+            let inputs = last.inputs;
+            let deviation = |i: usize| replay.force_deviation[i / inputs % panels];
+            last.weights.iter_mut().enumerate().for_each(|(i, w)| *w *= deviation(i));
+            let scales = replay.force_deviation.iter().zip(&replay.force_mean);
+            last.bias.iter_mut().zip(scales).for_each(|(b, (deviation, mean))| *b = *b * deviation + mean);
+        }
     }
     let first = &mut layers[0];
     for i in 0..first.weights.len() {

@@ -6,9 +6,9 @@ use std::fmt::{Display, Write};
 
 use clap::ValueEnum;
 use metasense_worker::demands::Demands;
-use metasense_worker::replay::{Convolution, Integers, Replay, Single, holdout_error, layers};
+use metasense_worker::replay::{Convolution, Integers, Own, Replay, Single, holdout_error, layers};
 
-use super::unreadable;
+use super::{Fit, unreadable};
 use crate::analysis::Body;
 use crate::store::{StoreError, Stored};
 
@@ -49,13 +49,19 @@ impl Numbers {
     }
 }
 
-/// The C99 source of a body's brain.
+/// The C99 source of a body's brain, fitted to the body or to casts of it.
 ///
 /// # Errors
 /// If the trial cannot be computed again.
-pub fn c(stored: &Stored, body: usize, replay: &Replay, numbers: Numbers) -> Result<String, StoreError> {
-    let (spec, weights) = (&stored.specs[body], &stored.weights[body]);
-    let layers = layers(spec, weights, replay).map_err(unreadable(stored))?;
+pub fn c(
+    stored: &Stored,
+    body: usize,
+    fit: Fit,
+    (replay, own): &(Replay, Own),
+    numbers: Numbers,
+) -> Result<String, StoreError> {
+    let spec = &stored.specs[body];
+    let layers = layers(spec, own, replay).map_err(unreadable(stored))?;
     let [channels, panels] = [layers[0].inputs, layers[layers.len() - 1].outputs];
     let single = Single::new(&layers);
     let integers = numbers.most().map(|most| Integers::new(&layers, most, replay));
@@ -81,7 +87,7 @@ pub fn c(stored: &Stored, body: usize, replay: &Replay, numbers: Numbers) -> Res
     let interval = spec.time.duration / spec.time.samples as f64;
     let units = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");
     let mut text = format!(
-        "/* The brain of the {name} body of trial {hash}, by metasense {version}: C99, no heap, no library.
+        "/* The brain {of}the {name} body of trial {hash}, by metasense {version}: C99, no heap, no library.
 
    Every {interval} s one reading: {units} of each sensor, one sensor after the other, in mm/s^2 and rad/s.
    It answers with the forces (N) on {panels} panels, {delay} readings ({late:.3} s) later.
@@ -91,10 +97,11 @@ pub fn c(stored: &Stored, body: usize, replay: &Replay, numbers: Numbers) -> Res
      int brain_end(float *force);                      after the last reading, until it returns 0: those that are left
 
    Numbers: {said}.
-   Error on the holdout: {errors}.
+   Error on the holdout of the body as designed: {errors}.
    On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {operations} multiply-adds a reading.
    To test it: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
 ",
+        of = if fit == Fit::Casts { "for all casts of " } else { "of " },
         name = Body::ALL[body].name(),
         hash = stored.hash,
         version = env!("CARGO_PKG_VERSION"),

@@ -7,7 +7,7 @@
 use super::comparison::{first_judge, paused, read, save};
 use super::evaluation::BandReading;
 use super::inversion::invert_cast;
-use super::observe::Log;
+use super::observe::{Log, Nobody};
 use super::state::State;
 use crate::brains::{Band, Beside, Fitted, Fresh, Reader, reader};
 use crate::dynamics::Solver;
@@ -162,16 +162,8 @@ fn networks<'a>(
     log: &mut Log,
 ) -> Option<Vec<Result<Box<dyn Reader + 'a>, Trouble>>> {
     let (recipe, [nominal, casts]) = (trial.problem.recipe(), known);
-    let trained = casts.and_then(|known| {
-        let scales = [trial.scales.clone(), trial.scales.with_rms_of(&known.signals)];
-        Ok((known, reader(recipe, known, scales, trial.pool)?))
-    });
-    let casts = match trained {
-        Ok((known, mut reader)) => {
-            let (sets, iterations) = ([(); 3].map(|()| known.select(&[])), trial.problem.brain.iterations);
-            let found = read(trial, &mut *reader, &sets, None, (0, iterations, false), state, log)?;
-            found.trouble.map_or(Ok((known, found.weights)), Err)
-        }
+    let casts = match casts {
+        Ok(known) => weights_for(trial, known, state, log)?.map(|weights| (known, weights)),
         Err(trouble) => Err(trouble),
     };
     let first = state.comparison.bodies[turn].networks.first();
@@ -187,6 +179,50 @@ fn networks<'a>(
         Ok(reader)
     });
     Some(ready.into())
+}
+
+/// Weights of a network of the comparison's initial weights and iterations, trained on samples of casts; `None` if the observer
+/// said stop.
+fn weights_for(
+    trial: &Trial,
+    known: &Samples,
+    state: &mut State,
+    log: &mut Log,
+) -> Option<Result<Vec<f32>, Trouble>> {
+    let scales = [trial.scales.clone(), trial.scales.with_rms_of(&known.signals)];
+    let mut reader = match reader(trial.problem.recipe(), known, scales, trial.pool) {
+        Ok(reader) => reader,
+        Err(trouble) => return Some(Err(trouble)),
+    };
+    let (sets, iterations) = ([(); 3].map(|()| known.select(&[])), trial.problem.brain.iterations);
+    let found = read(trial, &mut *reader, &sets, None, (0, iterations, false), state, log)?;
+    Some(found.trouble.map_or(Ok(found.weights), Err))
+}
+
+/// A brain for all casts of a body.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ForCasts {
+    /// A linear one.
+    Linear(Fitted),
+    /// Weights of a network, for inputs at the trial's scales.
+    Network(Vec<f32>),
+}
+
+/// Fits the brain of the trial's kind for all casts of a design once more, as the comparison does: to casts that are known, none
+/// of those that it then reads.
+///
+/// # Errors
+/// If these casts cannot be simulated, or it cannot be fitted to them.
+pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Trouble> {
+    let solver = &trial.tuned(design).solver;
+    let [_, casts] = Mould { trial, design, solver }.known(&mut Counters::default());
+    if !trial.problem.reader.is_network() {
+        return Fitted::of(trial, &casts?).map(ForCasts::Linear);
+    }
+    let (mut state, mut observer) = (State::new(&trial.problem), Nobody);
+    let known = thinned(&casts?, trial.train.samples);
+    let weights = weights_for(trial, &known, &mut state, &mut Log::new(0, &mut observer));
+    weights.expect("nobody says stop").map(ForCasts::Network)
 }
 
 /// How the first `count` casts of a design are read by linear brains; `progress` is told how many have been.

@@ -26,6 +26,25 @@ pub enum Control {
     Stop,
 }
 
+/// Watches nothing.
+pub(super) struct Nobody;
+
+impl Observe for Nobody {
+    fn seconds(&mut self) -> f64 {
+        0.0
+    }
+
+    fn progress(&mut self, _: f64) -> Control {
+        Control::Continue
+    }
+
+    fn step(&mut self, _: &Report, _: &State) -> Control {
+        Control::Continue
+    }
+
+    fn save(&mut self, _: &State) {}
+}
+
 /// The report under way, and the clock.
 pub(super) struct Log<'a> {
     pub(super) report: Report,

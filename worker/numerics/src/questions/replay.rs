@@ -3,7 +3,7 @@
 //! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
 
 use crate::brain::linear::{Lags, Sizes};
-use crate::brains::{Fresh, Inverse, TO_EACH_SIDE, reader};
+use crate::brains::{Fitted, Fresh, Inverse, TO_EACH_SIDE, reader};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
@@ -169,11 +169,20 @@ impl Replay {
         let training: Vec<usize> = (0..self.split.len()).filter(|&i| self.split[i] == 0).collect();
         let scale = Some(self.signal_scale.clone());
         let fitted = decoder.fit(problem.seed, &all.select(&training), scale).map_err(Failure::Initial)?;
-        let predictions = fitted.predict(&all.signals);
-        let errors = all.errors(&predictions);
-        let [w, b] = fitted.weights();
-        Ok(LinearReplay { lags: decoder.lags, ridge: fitted.ridge, w, b, predictions, errors })
+        Ok(said(&all, decoder.lags, &fitted))
     }
+
+    /// What a linear brain of the trial's memory says, fitted to whatever samples.
+    pub fn by(&self, problem: &Problem, fitted: &Fitted) -> LinearReplay {
+        said(&self.samples(problem), problem.decoder.lags, fitted)
+    }
+}
+
+fn said(all: &Samples, lags: Lags, fitted: &Fitted) -> LinearReplay {
+    let predictions = fitted.predict(&all.signals);
+    let errors = all.errors(&predictions);
+    let [w, b] = fitted.weights();
+    LinearReplay { lags, ridge: fitted.ridge, w, b, predictions, errors }
 }
 
 fn all_forces(problem: &Problem) -> Forces {

@@ -1,6 +1,6 @@
 use super::*;
 use crate::replay::tests::{Blind, small_trial};
-use crate::replay::{layers, replay};
+use crate::replay::{layers, own, replay};
 use crate::run::{pool, run_trial};
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 
@@ -10,7 +10,7 @@ fn brain(trial: &TrialSpec) -> (Replay, Vec<Convolution>) {
     let body = &result.optimised;
     let weights = body.networks.first().map_or(&[][..], |network| &network.weights);
     let replay = replay(trial, &body.design, weights, 0, 1).unwrap();
-    let layers = layers(trial, weights, &replay).unwrap();
+    let layers = layers(trial, &own(trial, weights, &replay).unwrap(), &replay).unwrap();
     (replay, layers)
 }
 

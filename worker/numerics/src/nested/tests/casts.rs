@@ -4,7 +4,7 @@ use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
 use crate::brain::linear::Lags;
-use crate::brains::{Plain, solve};
+use crate::brains::{Fresh, Plain, reader, solve};
 use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
 use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size};
 use crate::variation::{Casts, Variation};
@@ -175,6 +175,36 @@ fn casts_are_read_on_to_the_same_bits() {
             assert_eq!(readings(&resumed), readings(&through));
             assert_eq!(resumed.counters, through.counters);
         }
+    }
+}
+
+/// The brain for all casts that is fitted once more reads a cast as the comparison's did.
+#[test]
+fn the_brain_for_all_casts_can_be_had_again() {
+    for mut problem in loops().into_iter().take(2) {
+        (problem.optimise.iterations, problem.evaluation.casts) = (1, 1);
+        (problem.evaluation.seeds, problem.brain.iterations) = (1, 6);
+        problem.solver.accuracy = Accuracy(3e-2);
+        let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+        let (pool, design) = (pool(2), &found.optimised.design);
+        let trial = Trial::new(&problem, &pool).unwrap();
+        let (solver, cast) = (trial.tuned(design).solver, trial.cast(Casts::Unseen, 0));
+        let of = |forces| {
+            let counters = &mut Counters::default();
+            trial.simulate_cast(cast.as_ref(), design, forces, &solver, false, counters).unwrap().samples
+        };
+        let holdout = of(problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout));
+        let (by, said) = match brain_for_casts(&trial, design).unwrap() {
+            ForCasts::Linear(fitted) => (CastBrain::Casts, fitted.predict(&holdout.signals)),
+            ForCasts::Network(weights) => {
+                let scales = [(); 2].map(|()| trial.scales.clone());
+                let mut reader = reader(problem.recipe(), &holdout, scales, &pool).unwrap();
+                *reader.training().unwrap() = Some(Fresh::of(weights));
+                (CastBrain::NetworkCasts, reader.predict(&holdout.signals))
+            }
+        };
+        let reading = found.casts[1].iter().find(|reading| reading.by == by).unwrap();
+        assert_eq!(holdout.error(&said), reading.error, "{by:?}");
     }
 }
 
