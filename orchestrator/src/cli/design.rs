@@ -117,11 +117,10 @@ fn intent(space: &Space, decision: &Decision) -> String {
         .filter(|(n, _)| *n > 0)
         .map(|(n, what)| format!("{what} {n} {}", if *n == 1 { "body" } else { "bodies" }))
         .collect();
-    let open = decision.classes.iter().map(|class| class.any).find(|any| *any > 0.0).unwrap_or(0.0);
     format!(
         "{} (the cheapest that may still meet {} %: {:.0} % likely)",
         parts.join(", "),
         number(space.goal.error),
-        100.0 * open
+        100.0 * decision.open
     )
 }

@@ -21,6 +21,7 @@ pub struct Sought {
     plan: Plan,
     space: Space,
     decision: Decision,
+    classes: Vec<Class>,
     /// CPU seconds of all trials, and what the whole sweep would take, as estimated.
     seconds: [f64; 2],
 }
@@ -40,9 +41,10 @@ impl Sought {
     /// Where the database cannot be read.
     pub async fn of(reader: &mut Reader, plan: Plan, space: Space) -> Result<Self, StoreError> {
         let known = Known::of(reader, &space, &plan, &mut HashMap::new()).await?;
-        let decision = begun(&space).follow(&known.candidates);
+        let mut search = begun(&space);
+        let (decision, classes) = (search.follow(&known.candidates), search.classes());
         let whole = plan.trials.iter().map(|trial| trial.cost).sum();
-        Ok(Self { plan, space, decision, seconds: [known.seconds, whole] })
+        Ok(Self { plan, space, decision, classes, seconds: [known.seconds, whole] })
     }
 
     /// The searches among sweeps, or why one cannot be followed: its spec names files that are not here, say.
@@ -76,7 +78,7 @@ impl Sought {
     /// The design, with the probability that it meets the requirement on a further seed.
     pub fn chosen(&self) -> Option<(&Trial, f64)> {
         let chosen = self.decision.chosen?;
-        let class = self.decision.classes.iter().find(|class| class.best == chosen);
+        let class = self.classes.iter().find(|class| class.best == chosen);
         let class = class.expect("it is the best of its class");
         Some((self.trial(class), class.meets))
     }
@@ -121,7 +123,7 @@ impl Sought {
         }
         let confidence = 100.0 * space.goal.confidence;
         lines.push(format!("no design of the sweep meets {needed} with {confidence:.0} % probability"));
-        if let Some(nearest) = decision.classes.iter().min_by(|a, b| a.error[1].total_cmp(&b.error[1])) {
+        if let Some(nearest) = self.classes.iter().min_by(|a, b| a.error[1].total_cmp(&b.error[1])) {
             let (error, hash) = (number(nearest.error[1]), &self.trial(nearest).hash);
             lines.push(format!("what would have to be relaxed: goal.error to {error} % ({hash})"));
         }
@@ -147,7 +149,7 @@ impl Sought {
     /// A place for each class, the cheapest first: a dot at the error that is expected of its best candidate, a line up to the
     /// one that it keeps to.
     fn picture(&self) -> Picture {
-        let (classes, limit) = (&self.decision.classes, self.space.goal.error);
+        let (classes, limit) = (&self.classes, self.space.goal.error);
         let sensors = |class: &Class| self.trial(class).spec.point.sensors;
         let begins = |i: &usize| *i == 0 || sensors(&classes[i - 1]) != sensors(&classes[*i]);
         let ticks =
@@ -218,7 +220,7 @@ impl Sought {
         };
         Table {
             columns: columns.iter().map(|name| (*name).to_owned()).collect(),
-            rows: decision.classes.iter().map(row).collect(),
+            rows: self.classes.iter().map(row).collect(),
         }
     }
 }

@@ -8,9 +8,9 @@
 use std::cmp::Ordering;
 
 use metasense_schemas::spec::Goal;
-use metasense_worker::chance_above;
 pub use metasense_worker::predict::LEVELS;
 use metasense_worker::predict::{Prediction, Seen};
+use metasense_worker::{chance_above, student_above};
 
 use super::numbers::{deviation, mean};
 
@@ -26,6 +26,9 @@ const LEAST_RESULTS: usize = 4;
 const LEFT: f64 = 0.05;
 /// Least standard deviation of ln error from seed to seed: four seeds that agree by chance are not sure for ever.
 const DEVIATION_MIN: f64 = 0.02;
+/// What is thought of seeds before any body was judged: that deviation, as surely as by so many degrees of freedom.
+const DEVIATION: f64 = 0.1;
+const FREEDOM: usize = 3;
 
 /// A trial of the plan as the search sees it.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -88,8 +91,8 @@ pub struct Decision {
     pub work: Vec<(usize, Work)>,
     /// The design, if one stands.
     pub chosen: Option<usize>,
-    /// All classes, the cheapest first.
-    pub classes: Vec<Class>,
+    /// Probability that any of the cheapest class meets the requirement that may still.
+    pub open: f64,
     /// How far a first look tells a result: a correlation; `None` as long as nothing was seen.
     pub kinship: Option<f64>,
 }
@@ -104,6 +107,51 @@ fn chance_below(limit: f64, fresh: &[f64]) -> f64 {
 fn of_seeds(fresh: &[f64]) -> (f64, f64) {
     let logs: Vec<f64> = fresh.iter().map(|e| e.ln()).collect();
     (mean(&logs).expect("it was judged"), deviation(&logs).unwrap_or(0.0).max(DEVIATION_MIN))
+}
+
+/// What a body's own result tells of fresh seeds, learnt from those that were judged.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Seeds {
+    /// Mean ln error on fresh seeds, less that of the result: a body may owe part of it to its own seed.
+    shift: f64,
+    /// Standard deviation of that, and of ln error from seed to seed.
+    about: f64,
+    between: f64,
+    /// Degrees of freedom of the former.
+    freedom: usize,
+    /// The greatest mean ln error with which a body stands.
+    limit: f64,
+}
+
+impl Seeds {
+    fn of(goal: &Goal, candidates: &[Candidate]) -> Self {
+        let (mut shifts, mut squares, mut freedom) = (Vec::new(), 0.0, 0);
+        for candidate in candidates.iter().filter(|c| !c.fresh.is_empty()) {
+            let logs: Vec<f64> = candidate.fresh.iter().map(|e| e.ln()).collect();
+            let middle = mean(&logs).expect("it was judged");
+            squares += logs.iter().map(|e| (e - middle).powi(2)).sum::<f64>();
+            freedom += logs.len() - 1;
+            shifts.extend(candidate.reached.last().copied().flatten().map(|own| middle - own.ln()));
+        }
+        let shift = shifts.iter().sum::<f64>() / (shifts.len() + 1) as f64;
+        let before = FREEDOM as f64 * DEVIATION * DEVIATION;
+        let pooled = |squares: f64, freedom: usize| ((before + squares) / (FREEDOM + freedom) as f64).sqrt();
+        let about = pooled(shifts.iter().map(|s| (s - shift).powi(2)).sum(), shifts.len());
+        let (between, most) = (pooled(squares, freedom), 2 * goal.fresh);
+        let sure = if goal.confidence > 0.5 { student_above(most - 1, 1.0 - goal.confidence) } else { 0.0 };
+        let limit = goal.error.ln() - sure * between * (1.0 + 1.0 / most as f64).sqrt();
+        Self { shift, about, between, freedom: FREEDOM + shifts.len(), limit }
+    }
+
+    /// Probability that a body of this ln result has a mean on fresh seeds with which it stands.
+    fn stands(&self, result: f64) -> f64 {
+        1.0 - chance_above(self.freedom, (self.limit - self.shift - result) / self.about)
+    }
+
+    /// Probability that it has at most this ln error on a further seed.
+    fn below(&self, limit: f64, result: f64) -> f64 {
+        1.0 - chance_above(self.freedom, (limit - self.shift - result) / self.about.hypot(self.between))
+    }
 }
 
 /// A candidate on fresh seeds: not judged yet, or with what probability it meets the requirement, and whether that is final.
@@ -136,6 +184,12 @@ impl Search {
     /// Of candidates of which nothing is known.
     pub fn new(goal: &Goal, candidates: impl Iterator<Item = Candidate>) -> Self {
         Self { goal: goal.clone(), shown: candidates.collect() }
+    }
+
+    /// How all classes stand, the cheapest first.
+    pub fn classes(&self) -> Vec<Class> {
+        let view = View::new(&self.goal, &self.shown);
+        view.classes.iter().map(|class| view.class(class)).collect()
     }
 
     /// Follows the search as far as what is stored goes: where it stands then, and what is to be run next.
@@ -180,9 +234,9 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
     if work.is_empty() && view.chosen().is_none() {
         work = view.anywhere();
     }
-    let classes = view.classes.iter().map(|class| view.class(class)).collect();
+    let open = view.classes.iter().map(|class| view.any(class)).find(|any| *any > 0.0).unwrap_or(0.0);
     let kinship = (!view.is_blind).then_some(view.prediction.kinship);
-    Decision { work, chosen: view.chosen(), classes, kinship }
+    Decision { work, chosen: view.chosen(), open, kinship }
 }
 
 /// What is thought of the candidates at one point of a search.
@@ -192,8 +246,9 @@ struct View<'a> {
     /// Candidates by cost, the cheapest first; of a class in the order of the plan.
     classes: Vec<Vec<usize>>,
     prediction: Prediction,
+    seeds: Seeds,
     judgements: Vec<Judgement>,
-    /// Probability that each meets the requirement.
+    /// Probability that each meets the requirement; of one that was not judged, that it would stand.
     prospects: Vec<f64>,
     /// Nothing was seen yet.
     is_blind: bool,
@@ -208,6 +263,7 @@ impl<'a> View<'a> {
             candidates,
             classes: classes(candidates),
             prediction: Prediction::new(&places, &seen),
+            seeds: Seeds::of(goal, candidates),
             judgements: candidates.iter().map(|c| judged(goal, c)).collect(),
             prospects: Vec::new(),
             is_blind: seen.is_empty(),
@@ -217,11 +273,10 @@ impl<'a> View<'a> {
     }
 
     fn meets(&self, i: usize) -> f64 {
-        let limit = self.goal.error.ln();
         match self.judgements[i] {
             _ if self.candidates[i].failed || self.falls_short(i) => 0.0,
             Judgement::Final(chance) | Judgement::More(chance) => chance,
-            Judgement::None => self.prediction.chance(|draw| draw[i] <= limit),
+            Judgement::None => self.prediction.chance(|draw| self.seeds.stands(draw[i])),
         }
     }
 
@@ -249,11 +304,12 @@ impl<'a> View<'a> {
         class.iter().copied().min_by(worse).expect("a class has candidates")
     }
 
-    /// The better first; of equal prospects the one whose next level is nearer.
+    /// The better first; of equal prospects, in whole per cent, the one whose next level is nearer.
     fn order(&self, a: usize, b: usize) -> Ordering {
         let (begun, mean) = (|i: usize| self.candidates[i].reached.len(), &self.prediction.mean);
         let nearer = begun(b).cmp(&begun(a)).then(mean[a].total_cmp(&mean[b]));
-        self.prospects[b].total_cmp(&self.prospects[a]).then(nearer).then(a.cmp(&b))
+        let prospects = |i: usize| (100.0 * self.prospects[i]).round();
+        prospects(b).total_cmp(&prospects(a)).then(nearer).then(a.cmp(&b))
     }
 
     /// The design that stands in the cheapest class.
@@ -263,11 +319,12 @@ impl<'a> View<'a> {
 
     /// Probability that any open candidate of a class meets the requirement.
     fn any(&self, class: &[usize]) -> f64 {
-        let limit = self.goal.error.ln();
         let open = class.iter().copied().filter(|&i| self.is_open(i));
         let (unjudged, judged): (Vec<usize>, Vec<usize>) =
             open.partition(|&i| self.judgements[i] == Judgement::None);
-        let by_draws = self.prediction.chance(|draw| unjudged.iter().any(|&i| draw[i] <= limit));
+        let by_draws = self
+            .prediction
+            .chance(|draw| 1.0 - unjudged.iter().map(|&i| 1.0 - self.seeds.stands(draw[i])).product::<f64>());
         judged.iter().fold(by_draws, |any, &i| 1.0 - (1.0 - any) * (1.0 - self.prospects[i]))
     }
 
@@ -337,7 +394,10 @@ impl<'a> View<'a> {
         let best = self.best_of(class);
         let candidate = &self.candidates[best];
         let (middle, below): (f64, Box<dyn Fn(f64) -> f64>) = match candidate.fresh.len() {
-            0 => (self.prediction.mean[best], Box::new(|e| self.prediction.chance(|draw| draw[best] <= e))),
+            0 => (
+                self.prediction.mean[best] + self.seeds.shift,
+                Box::new(|e| self.prediction.chance(|draw| self.seeds.below(e, draw[best]))),
+            ),
             _ => (of_seeds(&candidate.fresh).0, Box::new(|e| chance_below(e.exp(), &candidate.fresh))),
         };
         let any = self.any(class);
