@@ -305,9 +305,9 @@ pub struct TrialResult {
     pub optimised: BodyEvaluation,
     /// The outer step whose design is the best, by the test set.
     pub best_step: u32,
-    /// CPU seconds of the two evaluations, simulation included.
+    /// CPU seconds of the evaluations, simulation included: of one, where nothing has moved the body.
     pub seconds_evaluation: f64,
-    /// Counts of work of the two evaluations.
+    /// Counts of work of the evaluations.
     pub counters: Counters,
     /// Instruction set of the hot kernels: `avx512`, `avx2`, `baseline`.
     pub simd: String,

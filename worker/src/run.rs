@@ -168,7 +168,7 @@ pub fn evaluate_designs(
 ) -> Result<Vec<BodyEvaluation>, Failure> {
     let pool = pool(threads)?;
     let trial = Trial::new(&placed(trial, &pool)?, &pool)?;
-    let bodies = nested::evaluate_designs(&trial, designs, &mut Alone);
+    let bodies = nested::evaluate_designs(&trial, designs, &mut nested::Nobody);
     Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }
 
@@ -226,22 +226,6 @@ fn control(control: Control) -> nested::Control {
     match control {
         Control::Continue => nested::Control::Continue,
         Control::Stop => nested::Control::Stop,
-    }
-}
-
-/// Nobody watches, and time does not count.
-struct Alone;
-
-impl nested::Observe for Alone {
-    fn seconds(&mut self) -> f64 {
-        0.0
-    }
-    fn progress(&mut self, _: f64) -> nested::Control {
-        nested::Control::Continue
-    }
-    fn save(&mut self, _: &State) {}
-    fn step(&mut self, _: &nested::Report, _: &State) -> nested::Control {
-        nested::Control::Continue
     }
 }
 

@@ -42,7 +42,7 @@ enum Form {
     Device,
 }
 
-/// Writes a trial or a view for other programs, or to be built: NumPy, CSV, Parquet, SVG, DXF, STL, C
+/// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL, C
 ///
 /// A view's name goes in place of the hash: DB VIEW. Of a SPEC, the trial is taken from the database that it writes to.
 #[derive(Debug, clap::Args)]
@@ -125,6 +125,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 /// The folder of a device: nothing of it is written unless all can be.
 fn device(stored: &Stored, args: &Args) -> Result<(), Error> {
     let which = args.body as usize;
+    let brain = has_form(stored, which);
+    if !brain && (args.numbers.is_some() || args.reader.is_some()) {
+        return Err(no_form("with --numbers or --reader, --format device"));
+    }
     let forms = [
         ("mould.stl", Form::Stl),
         ("body.dxf", Form::Dxf),
@@ -133,7 +137,7 @@ fn device(stored: &Stored, args: &Args) -> Result<(), Error> {
         ("brain.c", Form::C),
     ];
     let mut files = Vec::new();
-    for (name, form) in forms.into_iter().filter(|(_, form)| *form != Form::C || has_form(stored, which)) {
+    for (name, form) in forms.into_iter().filter(|(_, form)| *form != Form::C || brain) {
         files.push((name, trial(stored, form, args)?));
     }
     let drawing = drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
@@ -146,6 +150,11 @@ fn device(stored: &Stored, args: &Args) -> Result<(), Error> {
     files.push(("README.md", notes.into_bytes()));
     make_folder(&args.out)?;
     files.iter().try_for_each(|(name, bytes)| write(&args.out.join(name), bytes))
+}
+
+/// What has no form in C is not left out in silence.
+fn no_form(what: &str) -> Error {
+    Error::Usage(format!("{what} writes linear brains and networks; this trial's brain is neither"))
 }
 
 /// Whether a brain can be written in C.
@@ -183,8 +192,7 @@ fn trial(stored: &Stored, form: Form, args: &Args) -> Result<Vec<u8>, Error> {
         }
         Form::C => {
             if !has_form(stored, which) {
-                let what = "--format c writes linear brains and networks; this trial's brain is neither";
-                return Err(Error::Usage(what.into()));
+                return Err(no_form("--format c"));
             }
             let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
             if fit == Fit::Casts && stored.specs[which].variation.is_none() {

@@ -78,8 +78,9 @@ pub fn brain_of(stored: &Stored, body: usize, fit: Fit, threads: usize) -> Resul
             let own = own(&stored.specs[body], &stored.weights[body], &replay).map_err(unreadable(stored))?;
             Ok((replay, own))
         }
+        // by the trial's own integrator: to the bit what read its casts
         Fit::Casts => {
-            replay_for_casts(&exact(stored, body), &stored.designs[body], threads).map_err(unreadable(stored))
+            replay_for_casts(&stored.specs[body], &stored.designs[body], threads).map_err(unreadable(stored))
         }
     }
 }

@@ -79,10 +79,16 @@ pub fn notes(
             + &list(&drawing.clamped)
             + ".\n\n| what | unit | x | y | |\n|---|---|---|---|---|",
     );
+    let [off, across] = spec.sensors.offset.unwrap_or_default();
+    let place = match [off, across] {
+        [0.0, 0.0] => "at the centroid".to_owned(),
+        [x, y] => format!("({}, {}) from the centroid", number(x), number(y)),
+    };
     let turned = spec.sensors.tilt.map_or(String::new(), |tilt| format!(", turned by {}°", number(tilt)));
     for (n, &unit) in drawing.sensors.iter().enumerate() {
-        let [x, y] = drawing.centroids[unit].map(number);
-        write(&mut text, format!("| chip {n} | {unit} | {x} | {y} | at the centroid{turned} |"));
+        let [x, y] = drawing.centroids[unit];
+        let (x, y) = (number(x + off), number(y + across));
+        write(&mut text, format!("| chip {n} | {unit} | {x} | {y} | {place}{turned} |"));
     }
     for (n, (panel, at)) in drawing.panels.iter().enumerate() {
         let ([x, y], [a, b]) = (at.map(number), panel.direction.map(number));
@@ -99,14 +105,20 @@ pub fn notes(
         }
         None => write(&mut text, "The trial's brain has no form for a device.".into()),
     }
-    let hash = &stored.hash;
+    let (hash, name) = (&stored.hash, Body::ALL[body].name());
+    // a model of the material knows no other channels
+    let material = match spec.sensors.channels {
+        Some(_) => format!("metasense twin DB {hash} --body {name} --records records.toml --out twin.toml"),
+        None => {
+            format!("metasense identify DB {hash} --body {name} --records records.toml --out-dir material")
+        }
+    };
     write(
         &mut text,
         format!(
             "\nWith some thirty blows whose forces you measure, as a file of records (schemas/README.md, Measured signals), DB being the \
-             database of the trial:\n\n    metasense evaluate DB {hash} --records optimised=records.toml --out-dir measured   # how well \
-             brains fitted to this cast read it\n    metasense identify DB {hash} --records records.toml --out-dir material          # what \
-             the cast is made of"
+             database of the trial: how well brains fitted to this cast read it, and what the cast is made of.\n\n    \
+             metasense evaluate DB {hash} --records {name}=records.toml --out-dir measured\n    {material}"
         ),
     );
     text

@@ -41,8 +41,9 @@ fn thinned(curve: &[CurvePoint]) -> Vec<CurvePoint> {
     kept
 }
 
-/// Reads every trial that is done but those that judge a search's designs on fresh seeds, which train no body, in the order in which the trials were planned. Rows are taken as they come; what a
-/// trial keeps of its steps and curves is what the analysis asks of them.
+/// Reads every trial that is done, in the order in which the trials were planned. Those that judge a search's designs on fresh seeds
+/// train no body, and are left out. Rows are taken as they come; what a trial keeps of its steps and curves is what the analysis asks
+/// of them.
 ///
 /// # Errors
 /// Where the database cannot be read, or holds what this program cannot.
@@ -344,12 +345,16 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
     let trials = finished_trials(reader).await?;
     let mut sweeps = Vec::new();
     reader
-        .each("SELECT name, text, version, created_at FROM sweep ORDER BY created_at, name", |row| {
-            let columns = ["name", "text", "version", "created_at"];
-            let [name, text, version, created_at] = columns.map(|column| row.text(column).to_owned());
-            sweeps.push(Sweep { name, text, version, created_at });
-            Ok::<_, StoreError>(())
-        })
+        .each(
+            "SELECT name, text, version, created_at, spec->'$.goal' IS NOT NULL AS searched
+             FROM sweep ORDER BY created_at, name",
+            |row| {
+                let columns = ["name", "text", "version", "created_at"];
+                let [name, text, version, created_at] = columns.map(|column| row.text(column).to_owned());
+                sweeps.push(Sweep { name, text, version, created_at, searched: row.count("searched") == 1 });
+                Ok::<_, StoreError>(())
+            },
+        )
         .await?;
     let states = states(reader, &odd(trials.iter().map(|trial| &trial.setting))).await?;
     let chosen = match trial {
@@ -361,7 +366,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
         None => None,
     };
     let (made, early) = (reader.made().await?, reader.may_stop_early().await?);
-    let searches = Sought::all(reader, &sweeps).await?;
+    let searches = Sought::all(reader, &sweeps).await;
     Ok(Story { sweeps, states, trials, made, early, stored, terms, searches })
 }
 

@@ -72,6 +72,8 @@ pub struct Sweep {
     pub version: String,
     /// When.
     pub created_at: String,
+    /// Whether it has a `[goal]`.
+    pub searched: bool,
 }
 
 /// The figures of a story, and why some are missing.

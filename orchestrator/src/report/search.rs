@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use metasense_schemas::source::Source;
+use metasense_schemas::source::SpecError;
 use metasense_schemas::spec::{GoalReader, GoalReaderName, TrialSpec};
 use metasense_worker::FAILED;
 use serde_json::Value;
@@ -22,7 +22,7 @@ pub struct Sought {
     space: Space,
     decision: Decision,
     classes: Vec<Class>,
-    /// CPU seconds of all trials, and what the whole sweep would take, as estimated.
+    /// CPU seconds of the trials that were asked for, and what the whole sweep would take, as estimated.
     seconds: [f64; 2],
 }
 
@@ -48,27 +48,17 @@ impl Sought {
     }
 
     /// The searches among sweeps, or why one cannot be followed: its spec names files that are not here, say.
-    pub(super) async fn all(
-        reader: &mut Reader,
-        sweeps: &[Sweep],
-    ) -> Result<Vec<Result<Self, String>>, StoreError> {
+    pub(super) async fn all(reader: &mut Reader, sweeps: &[Sweep]) -> Vec<Result<Self, String>> {
         let mut found = Vec::new();
-        for sweep in sweeps {
-            let planned = (|| {
-                let source = Source::spec(format!("{}.toml", sweep.name), sweep.text.clone(), &[])?;
-                if source.parse()?.goal.is_none() {
-                    return Ok(None);
-                }
-                let plan = Plan::of(source)?;
-                Space::new(&plan).map(|space| Some((plan, space)))
-            })();
-            found.extend(match planned {
-                Ok(Some((plan, space))) => Some(Ok(Self::of(reader, plan, space).await?)),
-                Ok(None) => None,
-                Err(e) => Some(Err(format!("The search of {} cannot be followed: {e}.", sweep.name))),
-            });
+        for sweep in sweeps.iter().filter(|sweep| sweep.searched) {
+            let followed = match planned(sweep) {
+                Ok((plan, space)) => Self::of(reader, plan, space).await.map_err(|e| e.to_string()),
+                Err(e) => Err(e.to_string()),
+            };
+            found
+                .push(followed.map_err(|e| format!("The search of {} cannot be followed: {e}.", sweep.name)));
         }
-        Ok(found)
+        found
     }
 
     fn trial(&self, class: &Class) -> &Trial {
@@ -83,10 +73,12 @@ impl Sought {
         Some((self.trial(class), class.meets))
     }
 
-    /// Whether one brain for all casts is to meet the requirement.
+    /// Whether the design is read by one brain for all casts, which a device can have.
     pub fn reads_all_casts(&self) -> bool {
+        let on_a_device = |i: usize| self.space.places[i].demands.is_some();
         let reader = self.space.goal.reader.unwrap_or(GoalReader::Named(GoalReaderName::Casts));
-        self.space.goal.quantile.is_some() && reader == GoalReader::Named(GoalReaderName::Casts)
+        let casts = self.space.goal.quantile.is_some() && reader == GoalReader::Named(GoalReaderName::Casts);
+        casts && self.decision.chosen.is_some_and(on_a_device)
     }
 
     /// The requirement in words.
@@ -118,7 +110,7 @@ impl Sought {
             return lines;
         }
         if !decision.work.is_empty() {
-            lines.push("the search is not over; the same command goes on".into());
+            lines.push("the search is not over; `metasense design` goes on".into());
             return lines;
         }
         let confidence = 100.0 * space.goal.confidence;
@@ -225,6 +217,13 @@ impl Sought {
     }
 }
 
+/// The space of a sweep with a requirement.
+fn planned(sweep: &Sweep) -> Result<(Plan, Space), SpecError> {
+    let plan = Plan::new(format!("{}.toml", sweep.name), sweep.text.clone())?;
+    let space = Space::new(&plan)?;
+    Ok((plan, space))
+}
+
 /// In what a trial differs from others of the space.
 fn setting(space: &Space, spec: &TrialSpec) -> String {
     let leaves = flatten(&serde_json::to_value(spec).expect("a trial is JSON"));
@@ -255,7 +254,14 @@ fn said(stage: Stage) -> String {
 pub(super) fn figure(searches: &[Result<Sought, String>]) -> Option<Figure> {
     let found: Vec<&Sought> = searches.iter().flatten().collect();
     let tables = || {
-        let mut tables = found.iter().map(|found| found.table());
+        let mut tables = found.iter().map(|search| {
+            let mut table = search.table();
+            if found.len() > 1 {
+                table.columns.insert(0, "requirement".into());
+                table.rows.iter_mut().for_each(|row| row.insert(0, search.requirement().into()));
+            }
+            table
+        });
         let mut all = tables.next().expect("one is drawn");
         tables.for_each(|table| all.rows.extend(table.rows));
         all
@@ -276,7 +282,7 @@ pub(super) fn figure(searches: &[Result<Sought, String>]) -> Option<Figure> {
 pub(super) fn answers(searches: &[Result<Sought, String>]) -> Vec<Answer> {
     let said = |search: &Result<Sought, String>| match search {
         Ok(found) => found.answer(),
-        Err(why) => Answer::new("", Some(false), why.clone()),
+        Err(why) => Answer::new("", None, why.clone()),
     };
     searches.iter().map(said).collect()
 }
@@ -289,7 +295,7 @@ pub type Bodies = HashMap<String, (TrialSpec, Vec<f64>)>;
 pub struct Known {
     /// How far each candidate has come.
     pub candidates: Vec<Candidate>,
-    /// CPU seconds of all trials.
+    /// CPU seconds of the trials that were asked for.
     pub seconds: f64,
 }
 
@@ -313,12 +319,15 @@ impl Known {
                 candidate = known(space, place, trial, standing);
                 if candidate.reached.len() == LEVELS {
                     body(bodies, reader, &trial.hash).await?;
-                    candidate.fresh = fresh(space, plan, place, &bodies[&trial.hash], &standings);
+                    // it may have been opened again since
+                    if let Some(body) = bodies.get(&trial.hash) {
+                        candidate.fresh = fresh(space, plan, place, body, &standings);
+                    }
                 }
             }
             candidates.push(candidate);
         }
-        Ok(Self { candidates, seconds: reader.spent().await? })
+        Ok(Self { candidates, seconds: reader.spent(&plan.source.text).await? })
     }
 }
 

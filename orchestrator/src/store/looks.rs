@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use metasense_worker::FAILED;
 
-use super::{Reader, StoreError};
+use super::{Reader, StoreError, quoted};
 
 /// What an outer step has told of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,13 +68,18 @@ impl Reader {
         Ok(found)
     }
 
-    /// CPU seconds of all attempts.
+    /// CPU seconds of all attempts at the trials of a sweep with this text.
     ///
     /// # Errors
     /// Where SQLite fails.
-    pub async fn spent(&mut self) -> Result<f64, StoreError> {
+    pub async fn spent(&mut self, text: &str) -> Result<f64, StoreError> {
         let mut seconds = 0.0;
-        self.each("SELECT sum(cpu_seconds) AS seconds FROM attempt", |row| {
+        let sql = format!(
+            "SELECT sum(cpu_seconds) AS seconds FROM attempt WHERE trial_id IN
+               (SELECT x.trial_id FROM sweep_trial x JOIN sweep s ON s.id = x.sweep_id WHERE s.text = {})",
+            quoted(text)
+        );
+        self.each(&sql, |row| {
             seconds = row.number("seconds").unwrap_or(0.0);
             Ok::<_, StoreError>(())
         })

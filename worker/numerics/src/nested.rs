@@ -21,7 +21,7 @@ mod state;
 pub use casts::{CastBrain, CastReading, ForCasts, RECORDS, brain_for_casts, casts_of};
 pub use evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
 pub use inversion::INVERTED_OF_A_CAST;
-pub use observe::{Control, Observe};
+pub use observe::{Control, Nobody, Observe};
 pub use report::{Report, Seconds};
 pub use schedule::between_looks;
 pub use state::{Best, State, Waypoint};
@@ -54,11 +54,11 @@ pub struct Optimised {
     pub under: [Vec<UnderReading>; 2],
     /// What the solvers came to, and why.
     pub solver: String,
-    /// Relative error of the signals of the two evaluations' pilots, initial body and best, where measured.
+    /// Relative error of the signals of both pilots, initial body and best, where measured.
     pub signal_errors: [Option<f64>; 2],
-    /// Counts of work of the pilot that tuned them and of the two evaluations.
+    /// Counts of work of the pilot that tuned them and of the evaluations: of one, where nothing has moved the body.
     pub counters: Counters,
-    /// Seconds of the two evaluations.
+    /// Seconds of the evaluations.
     pub seconds: Seconds,
 }
 
@@ -111,6 +111,14 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     let tuned = log.timed(|s| &mut s.simulate, |_| trial.tuned(&design));
     let bodies = [(initial, &trial.problem.solver), (&design, &tuned.solver)];
     let bodies = &bodies[..trial.problem.bodies_compared()];
+    // earlier versions compared a body that nothing has moved twice
+    if state.comparison.bodies.len() > bodies.len() {
+        let Comparison { bodies: compared, casts, bands, training, .. } = &mut state.comparison;
+        compared.truncate(bodies.len());
+        casts.truncate(bodies.len());
+        bands.truncate(bodies.len());
+        *training = None;
+    }
     for (turn, (design, solver)) in bodies.iter().enumerate() {
         evaluate(trial, design, solver, turn, &mut state, &mut log)?;
     }

@@ -1,8 +1,9 @@
 use super::*;
 use metasense_worker::Draw;
+use serde_json::json;
 
 fn goal(error: f64) -> Goal {
-    serde_json::from_value(serde_json::json!({ "error": error })).unwrap()
+    serde_json::from_value(json!({ "error": error })).unwrap()
 }
 
 /// A made-up space: four M, four sizes of the body, two brains, two rates; two placements each. What is true of each
@@ -20,7 +21,9 @@ const WORLDS: u64 = 8;
 /// Standard deviations of ln error: of a trial in its setting, from seed to seed, of what a look tells.
 const OWN: f64 = 0.2;
 const SEED: f64 = 0.08;
-const LOOK: [f64; 2] = [0.35, 0.2];
+const DEVIATIONS: [f64; LEVELS] = [0.35, 0.2, SEED];
+/// What looks are above the result, of ln error.
+const MORE: [f64; LEVELS] = [0.5, 0.2, 0.0];
 /// What the levels cost, of a whole trial, and what a fresh seed does.
 const PRICE: [f64; LEVELS] = [0.2, 0.2, 0.6];
 const PRICE_FRESH: f64 = 0.4;
@@ -49,6 +52,23 @@ impl Landscape {
         Self { number, trials, truth }
     }
 
+    /// All that can be asked of it, and what is true: for other searches (bench/searches.py).
+    fn told(&self) -> serde_json::Value {
+        let level = |i: usize, level: usize| self.error(i, level, MORE[level], DEVIATIONS[level]);
+        let trial = |i: usize| {
+            json!({
+                "cost": self.trials[i].cost,
+                "place": self.trials[i].place,
+                "truth": self.truth[i],
+                "levels": (0..LEVELS).map(|l| level(i, l)).collect::<Vec<_>>(),
+                "fresh": (0..8).map(|n| self.error(i, LEVELS + n, 0.0, SEED)).collect::<Vec<_>>(),
+                "further": self.error(i, 99, 0.0, SEED),
+            })
+        };
+        let trials: Vec<_> = (0..self.trials.len()).map(trial).collect();
+        json!({ "number": self.number, "seed": SEED, "prices": PRICE, "price_fresh": PRICE_FRESH, "trials": trials, "found": [] })
+    }
+
     /// What a trial tells at its n-th reading: the same, whenever it is asked.
     fn error(&self, i: usize, n: usize, more: f64, deviation: f64) -> f64 {
         let mut draw = Draw::numbered(12, ((self.number * 1000) + i as u64) * 100 + n as u64);
@@ -61,9 +81,7 @@ impl Landscape {
             Work::Level(last) => {
                 let first = self.trials[i].reached.len();
                 for level in first..=last {
-                    let more = [0.5, 0.2, 0.0][level];
-                    let deviation = if level + 1 < LEVELS { LOOK[level] } else { SEED };
-                    let error = self.error(i, level, more, deviation);
+                    let error = self.error(i, level, MORE[level], DEVIATIONS[level]);
                     self.trials[i].reached.push(Some(error));
                 }
                 PRICE[first..=last].iter().sum()
@@ -100,6 +118,7 @@ impl Landscape {
 #[expect(clippy::print_stdout, reason = "the table of schemas/README.md")]
 fn what_is_chosen_meets_the_requirement_and_is_cheap() {
     let worlds = std::env::var("SPACES").map_or(WORLDS, |count| count.parse().unwrap());
+    let mut spaces: Vec<_> = (FIRST..FIRST + worlds).map(|number| Landscape::new(number).told()).collect();
     let mut of_all = [0; 2];
     for error in [12.0, 8.0, 5.0] {
         let goal = goal(error);
@@ -113,6 +132,8 @@ fn what_is_chosen_meets_the_requirement_and_is_cheap() {
             let surely = |i: &usize| world.truth[*i] + 1.2816 * SEED <= error.ln();
             let cheapest =
                 (0..world.trials.len()).filter(surely).map(|i| world.trials[i].cost[0]).fold(9.0, f64::min);
+            let of_space = spaces[(number - FIRST) as usize]["found"].as_array_mut().unwrap();
+            of_space.push(json!({ "error": error, "chosen": decision.chosen, "took": took }));
             match decision.chosen {
                 Some(i) => {
                     chosen += 1;
@@ -132,6 +153,9 @@ fn what_is_chosen_meets_the_requirement_and_is_cheap() {
         assert!(more <= 0.3 && cost <= 0.17, "{more}, {cost}");
     }
     assert!(10 * of_all[0] >= 9 * of_all[1], "{} of {} meet it", of_all[0], of_all[1]);
+    if let Ok(file) = std::env::var("SPACES_FILE") {
+        std::fs::write(file, serde_json::to_string(&spaces).unwrap()).unwrap();
+    }
 }
 
 /// A search that is stopped within every round, and one whose database holds more than it has asked for: the same design.
@@ -179,4 +203,9 @@ fn failures_end_a_search() {
     trials[1].fresh = vec![4.0, 100.0, 4.0, 4.0, 4.0, 4.0, 4.0, 100.0];
     let end = follow(&trials);
     assert_eq!((end.chosen, &end.work[..]), (None, &[][..]));
+    // failures of one body are held against no other
+    trials.push(Candidate { reached: vec![None, None, Some(4.0)], ..trials[0].clone() });
+    trials[2].failed = false;
+    let asked: Vec<usize> = follow(&trials).work.iter().map(|(i, _)| *i).collect();
+    assert_eq!(asked, [2]);
 }

@@ -26,8 +26,9 @@ pub enum Control {
     Stop,
 }
 
-/// Watches nothing.
-pub(super) struct Nobody;
+/// Nobody watches, and time does not count.
+#[derive(Debug)]
+pub struct Nobody;
 
 impl Observe for Nobody {
     fn seconds(&mut self) -> f64 {
