@@ -383,6 +383,20 @@ def filtered():
         yield line[1:], found
 
 
+def designs():
+    for limit, seed, *cells in table("designs"):
+        of = {"requirement": limit.removesuffix(" %"), "seed": seed}
+        [row] = rows("design/searches.csv", **of)
+        errors = numbers(rows("design/further.csv", **of), "error")
+        found = [f"{row['cpu_seconds']} s ({row['part']} %)"]
+        found.append(f"{row['M']}, {row['operations']}, {row['units']}" if row["code"] == "0" else "none")
+        found.append(f"{short(float(row['error']))}, {short(float(row['keeps_to']))} %")
+        found.append(f"{100 * float(row['cheaper']):.0f} %" if row["code"] == "0" else "")
+        met = sum(error <= float(of["requirement"]) for error in errors)
+        found.append(f"{short(geometric(errors))}, {short(max(errors))} %; {met} of {len(errors)}" if errors else "")
+        yield cells, found
+
+
 def families():
     lattices = {"squares": "square", "squares, chiral": "chiral", "Kagome's triangles": "kagome", "hexagons": "triangular"}
     for words, *cells in table("families"):
@@ -405,7 +419,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, real_scale, families, filtered, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, real_scale, families, filtered, designs, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -57,6 +57,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("why correlated", results::why_correlated),
     ("families", results::families),
     ("filtered", results::filtered),
+    ("designs", results::designs),
     ("brains", results::brains),
     ("linear bodies", results::linear_bodies),
     ("placed", results::placed),

@@ -374,6 +374,48 @@ pub fn filtered() -> String {
     table(&["low-pass", "without noise", "gain", "with noise", "gain"], lines)
 }
 
+/// Searches for a design, and what their designs do on further seeds.
+pub fn designs() -> String {
+    let (searches, further) = (rows("design/searches.csv"), rows("design/further.csv"));
+    let line = |row: &Row| {
+        let wanted = [("requirement", row["requirement"].as_str()), ("seed", row["seed"].as_str())];
+        let errors: Vec<f64> = of(&further, &wanted).map(|row| number(row, "error")).collect();
+        let limit = number(row, "requirement");
+        let found = row["code"] == "0";
+        let design = match found {
+            true => format!("{}, {}, {}", row["M"], row["operations"], row["units"]),
+            false => "none".into(),
+        };
+        let judged = match errors.iter().copied().reduce(f64::max) {
+            Some(worst) => {
+                let met = errors.iter().filter(|error| **error <= limit).count();
+                let worst = short(&worst.to_string());
+                format!("{}, {worst} %; {met} of {}", geometric(errors.iter().copied()), errors.len())
+            }
+            None => String::new(),
+        };
+        vec![
+            format!("{} %", row["requirement"]),
+            row["seed"].clone(),
+            format!("{} s ({} %)", row["cpu_seconds"], row["part"]),
+            design,
+            format!("{}, {} %", short(&row["error"]), short(&row["keeps_to"])),
+            if found { format!("{:.0} %", 100.0 * number(row, "cheaper")) } else { String::new() },
+            judged,
+        ]
+    };
+    let head = [
+        "at most",
+        "seed",
+        "CPU time (of the grid's)",
+        "M, multiply-adds, units",
+        "expected, kept to",
+        "a cheaper class holds one",
+        "8 further seeds: mean, worst; meet it",
+    ];
+    table(&head, searches.iter().map(line))
+}
+
 /// Lattices of one outline and mass.
 pub fn families() -> String {
     let all = rows("families/trials.csv");
