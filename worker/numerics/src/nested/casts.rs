@@ -215,7 +215,7 @@ pub enum ForCasts {
 /// If these casts cannot be simulated, or it cannot be fitted to them.
 pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Trouble> {
     let solver = &trial.tuned(design).solver;
-    let [_, casts] = Mould { trial, design, solver }.known(&mut Counters::default());
+    let casts = Mould { trial, design, solver }.casts(&mut Counters::default());
     if !trial.problem.reader.is_network() {
         return Fitted::of(trial, &casts?).map(ForCasts::Linear);
     }
@@ -257,6 +257,12 @@ impl Mould<'_> {
         let &Self { trial, design, solver } = self;
         let [train, _] = trial.problem.known();
         let nominal = trial.simulate_most(design, train, solver, false, counters).map(|found| found.samples);
+        [nominal, self.casts(counters)]
+    }
+
+    /// Samples of many casts.
+    fn casts(&self, counters: &mut Counters) -> Result<Samples, Trouble> {
+        let &Self { trial, design, solver } = self;
         let mut all = Vec::with_capacity(KNOWN_CASTS);
         for number in 0..KNOWN_CASTS {
             let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
@@ -265,13 +271,11 @@ impl Mould<'_> {
             match trial.simulate_cast(cast.as_ref(), design, forces, solver, false, counters) {
                 Ok(found) => all.push(found.samples),
                 // one that fails teaches nothing
-                Err(trouble) if number + 1 == KNOWN_CASTS && all.is_empty() => {
-                    return [nominal, Err(trouble)];
-                }
+                Err(trouble) if number + 1 == KNOWN_CASTS && all.is_empty() => return Err(trouble),
                 Err(_) => {}
             }
         }
-        [nominal, Ok(Samples::joined(&all.iter().collect::<Vec<_>>()))]
+        Ok(Samples::joined(&all.iter().collect::<Vec<_>>()))
     }
 
     /// Training and holdout samples of a cast.
