@@ -1,6 +1,7 @@
 //! A finished trial computed again from its stored design and weights: geometry, signals, predictions, motion; its brain as
 //! layers, in the numbers of a device.
 
+use metasense_numerics::body::moments;
 use metasense_numerics::brains::fits;
 pub use metasense_numerics::dynamics::Panel;
 use metasense_numerics::feasible::{Active, Feasible};
@@ -42,6 +43,13 @@ pub struct Drawing {
     pub spacing: f64,
     /// Instants (s) of signals and motion.
     pub clock: Vec<f64>,
+}
+
+impl Drawing {
+    /// Area of all units (mm²).
+    pub fn area(&self) -> f64 {
+        self.units.iter().map(|unit| moments(unit).area).sum()
+    }
 }
 
 /// Where everything of a body lies.

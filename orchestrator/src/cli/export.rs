@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
-use metasense_schemas::spec::BrainKind;
+use metasense_worker::demands::Demands;
 use metasense_worker::replay::{Drawing, drawing};
 
 use super::named::{Database, Named, Which};
@@ -112,59 +112,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Reader::asked(Database::at(db).await?, async |reader| answer_in(reader, &sql, out, format).await)
             .await?;
     } else {
-        let stored = args.trial.stored().await?;
-        match args.format {
-            Form::Device => device(&stored, &args)?,
-            form => write(out, trial(&stored, form, &args)?)?,
-        }
+        trial(&args.trial.stored().await?, &args)?;
     }
     print_line!("{}", out.display())?;
     Ok(Exit::Done)
 }
 
-/// The folder of a device: nothing of it is written unless all can be.
-fn device(stored: &Stored, args: &Args) -> Result<(), Error> {
+fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
     let which = args.body as usize;
-    let brain = has_form(stored, which);
-    if !brain && (args.numbers.is_some() || args.reader.is_some()) {
-        return Err(no_form("with --numbers or --reader, --format device"));
-    }
-    let forms = [
-        ("mould.stl", Form::Stl),
-        ("body.dxf", Form::Dxf),
-        ("body.svg", Form::Svg),
-        ("design.npy", Form::Npy),
-        ("brain.c", Form::C),
-    ];
-    let mut files = Vec::new();
-    for (name, form) in forms.into_iter().filter(|(_, form)| *form != Form::C || brain) {
-        files.push((name, trial(stored, form, args)?));
-    }
-    let drawing = drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
-    let (cavity, measures) = cavity(stored, &drawing, args)?;
-    let brain = files.iter().find(|(name, _)| *name == "brain.c");
-    let text = brain.map(|(_, source)| String::from_utf8_lossy(source).into_owned());
-    let head = text.as_deref().and_then(|text| text.split_once("*/")).map(|(head, _)| &head[2..]);
-    let fit = args.reader.unwrap_or(Fit::Design);
-    let notes = notes(stored, which, &drawing, (&cavity, &measures), (head, fit));
-    files.push(("README.md", notes.into_bytes()));
-    make_folder(&args.out)?;
-    files.iter().try_for_each(|(name, bytes)| write(&args.out.join(name), bytes))
-}
-
-/// What has no form in C is not left out in silence.
-fn no_form(what: &str) -> Error {
-    Error::Usage(format!("{what} writes linear brains and networks; this trial's brain is neither"))
-}
-
-/// Whether a brain can be written in C.
-fn has_form(stored: &Stored, which: usize) -> bool {
-    matches!(stored.specs[which].brain.kind, BrainKind::Linear | BrainKind::Cnn)
-}
-
-fn trial(stored: &Stored, form: Form, args: &Args) -> Result<Vec<u8>, Error> {
-    let which = args.body as usize;
-    let body = drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
+    let body = &drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
     for (name, value, least) in [
         ("ligament-width", args.ligament_width, MEASURES.0),
         ("height", args.height, MEASURES.0),
@@ -175,50 +131,89 @@ fn trial(stored: &Stored, form: Form, args: &Args) -> Result<Vec<u8>, Error> {
             return Err(Error::Usage(format!("--{name} {value}: must be {least} to {} mm", MEASURES.1)));
         }
     }
-    Ok(match form {
-        Form::Device => unreachable!("a folder"),
+    let bytes = match args.format {
         Form::Npz => npz::of_trial(stored, args.threads, &mut |what| say!("note: {what}"))?,
-        Form::Csv | Form::Parquet => {
-            let format = if form == Form::Csv { Format::Csv } else { Format::Parquet };
-            series::table(stored, &replays(stored, args.threads)?).written(format)
-        }
-        Form::Npy => {
-            let design = &stored.designs[args.body as usize];
-            npy_bytes(&[design.len()], design)
-        }
-        Form::Svg => {
-            let title = format!("{} body of trial {}", Body::ALL[args.body as usize].name(), stored.hash);
-            sketch(&body, &[]).file(&title).into_bytes()
-        }
-        Form::C => {
-            if !has_form(stored, which) {
-                return Err(no_form("--format c"));
-            }
-            let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
-            if fit == Fit::Casts && stored.specs[which].variation.is_none() {
-                let what = "--reader casts: the trial has no [variation] that says how casts scatter";
-                return Err(Error::Usage(what.into()));
-            }
-            device::c(stored, which, fit, &brain_of(stored, which, fit, args.threads)?, numbers)?.into_bytes()
-        }
-        Form::Dxf => dxf::dxf(&body, args.ligament_width, 0.17 * body.spacing).into_bytes(),
+        Form::Csv => series::table(stored, &replays(stored, args.threads)?).written(Format::Csv),
+        Form::Parquet => series::table(stored, &replays(stored, args.threads)?).written(Format::Parquet),
+        Form::Npy => design(stored, args),
+        Form::Svg => picture(stored, body, args),
+        Form::C => brain(stored, args)?,
+        Form::Dxf => outlines(body, args),
         Form::Stl => {
-            let (cavity, measures) = cavity(stored, &body, args)?;
-            let width = measures.width;
-            say!("note: the cavity holds {:.1} ml", 1e-3 * cavity.volume(&measures));
-            if cavity.parted > 0 {
-                say!(
-                    "note: ligaments {width} mm wide touch what they do not join and part {} voids: cast, the body is \
-                     stiffer there than simulated; make them narrower with --ligament-width",
-                    cavity.parted
-                );
-            }
+            let (cavity, measures) = cavity(stored, body, args)?;
             mould::stl(&cavity, &measures)
         }
-    })
+        Form::Device => return device(stored, body, args),
+    };
+    write(&args.out, bytes)
 }
 
-/// What of a mould is left for the body.
+/// The folder of a device: nothing of it is written unless all can be.
+fn device(stored: &Stored, body: &Drawing, args: &Args) -> Result<(), Error> {
+    let which = args.body as usize;
+    let (cavity, measures) = cavity(stored, body, args)?;
+    let brain = match has_form(stored, which) {
+        true => Some(brain(stored, args)?),
+        false if args.numbers.is_some() || args.reader.is_some() => {
+            return Err(no_form("with --numbers or --reader, --format device"));
+        }
+        false => None,
+    };
+    let text = brain.as_deref().map(String::from_utf8_lossy);
+    let head = text.as_deref().and_then(|text| text.split_once("*/")).map(|(head, _)| &head[2..]);
+    let fit = args.reader.unwrap_or(Fit::Design);
+    let notes = notes(stored, which, body, (&cavity, &measures), (head, fit));
+    let mut files = vec![
+        ("mould.stl", mould::stl(&cavity, &measures)),
+        ("body.dxf", outlines(body, args)),
+        ("body.svg", picture(stored, body, args)),
+        ("design.npy", design(stored, args)),
+        ("README.md", notes.into_bytes()),
+    ];
+    files.extend(brain.map(|brain| ("brain.c", brain)));
+    make_folder(&args.out)?;
+    files.iter().try_for_each(|(name, bytes)| write(&args.out.join(name), bytes))
+}
+
+fn design(stored: &Stored, args: &Args) -> Vec<u8> {
+    let design = &stored.designs[args.body as usize];
+    npy_bytes(&[design.len()], design)
+}
+
+fn picture(stored: &Stored, body: &Drawing, args: &Args) -> Vec<u8> {
+    let title = format!("{} body of trial {}", Body::ALL[args.body as usize].name(), stored.hash);
+    sketch(body, &[]).file(&title).into_bytes()
+}
+
+fn outlines(body: &Drawing, args: &Args) -> Vec<u8> {
+    dxf::dxf(body, args.ligament_width, 0.17 * body.spacing).into_bytes()
+}
+
+/// The brain in C.
+fn brain(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
+    let which = args.body as usize;
+    if !has_form(stored, which) {
+        return Err(no_form("--format c"));
+    }
+    let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
+    if fit == Fit::Casts && stored.specs[which].variation.is_none() {
+        let what = "--reader casts: the trial has no [variation] that says how casts scatter";
+        return Err(Error::Usage(what.into()));
+    }
+    Ok(device::c(stored, which, fit, &brain_of(stored, which, fit, args.threads)?, numbers)?.into_bytes())
+}
+
+/// What has no form in C is not left out in silence.
+fn no_form(what: &str) -> Error {
+    Error::Usage(format!("{what} writes linear brains and networks; this trial's brain is neither"))
+}
+
+/// Whether a brain can be written in C.
+fn has_form(stored: &Stored, which: usize) -> bool {
+    matches!(Demands::of_trial(&stored.specs[which]), Ok(Some(_)))
+}
+
+/// What of a mould is left for the body; says what to know of it.
 fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Mould), Error> {
     let (width, height) = (args.ligament_width, args.height);
     let (clearance, pocket) = (args.clearance, args.pocket);
@@ -232,6 +227,14 @@ fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Moul
     let cavity = Outline::new(body, &measures)
         .and_then(|cavity| cavity.with_pockets(body, &measures, offset, tilt.to_radians()))
         .map_err(|e| Error::Usage(e.to_string()))?;
+    say!("note: the cavity holds {:.1} ml", 1e-3 * cavity.volume(&measures));
+    if cavity.parted > 0 {
+        say!(
+            "note: ligaments {width} mm wide touch what they do not join and part {} voids: cast, the body is \
+             stiffer there than simulated; make them narrower with --ligament-width",
+            cavity.parted
+        );
+    }
     Ok((cavity, measures))
 }
 

@@ -1,7 +1,5 @@
 //! What goes with the files of a device: its measures, where chips and forces go, what to do with them.
 
-use std::fmt::Write;
-
 use metasense_worker::replay::Drawing;
 
 use super::{Fit, Mould, Outline};
@@ -17,68 +15,53 @@ pub fn notes(
     (cavity, mould): (&Outline, &Mould),
     (brain, fit): (Option<&str>, Fit),
 ) -> String {
-    let spec = &stored.specs[body];
-    let area: f64 = drawing.units.iter().map(|unit| area(unit)).sum();
-    let (volume, mass) = (cavity.volume(mould), spec.body.density.map(|density| 1e6 * density * area));
-    let mut text = format!(
-        "# The {name} body of trial {hash}\n\nFor a device, by metasense {version}. Lengths in mm, x to the right, y upwards.\n\n\
-         | file | is |\n|---|---|\n| mould.stl | the mould, open above |\n| body.dxf, body.svg | its outline with chips and \
-         panels |\n| design.npy | α, for `--design` and `body.design` |\n",
-        name = Body::ALL[body].name(),
-        hash = stored.hash,
-        version = env!("CARGO_PKG_VERSION"),
-    );
-    if brain.is_some() {
-        text.push_str(
-            "| brain.c | the brain, C99; its head says how it is called, tested, and what it needs |\n",
-        );
-    }
-    let write = |text: &mut String, line: String| writeln!(text, "{line}").expect("text");
-    write(&mut text, "\n## Cast\n".into());
-    write(
-        &mut text,
+    let (spec, hash, name) = (&stored.specs[body], &stored.hash, Body::ALL[body].name());
+    let mut lines = vec![
+        format!("# The {name} body of trial {hash}\n"),
         format!(
-            "- The cavity holds {} ml at a height of {} mm; ligaments are {} mm wide, walls {} mm thick.",
-            number(1e-3 * volume),
-            number(mould.height),
-            number(mould.width),
-            number(mould.wall)
+            "For a device, by metasense {}. Lengths in mm, x to the right, y upwards.\n",
+            env!("CARGO_PKG_VERSION")
         ),
-    );
-    if let Some(mass) = mass {
-        write(
-            &mut text,
-            format!(
-                "- The model's units weigh {} g in all: of a material of {} g/ml. Another one, or another height, is another body: \
-                 put its numbers into `[body]` (`body.material`) and train again, or identify it (below).",
-                number(mass),
-                number(1e3 * mass / (area * mould.height))
-            ),
+        "| file | is |\n|---|---|".into(),
+        "| mould.stl | the mould, open above |".into(),
+        "| body.dxf, body.svg | its outline with chips and panels |".into(),
+        "| design.npy | α, for `--design` and `body.design` |".into(),
+    ];
+    if brain.is_some() {
+        lines.push(
+            "| brain.c | the brain, C99; its head says how it is called, tested, and what it needs |".into(),
         );
     }
-    match mould.pocket {
-        Some([a, b, c]) => {
-            write(
-                &mut text,
-                format!(
-                    "- Each chip has a pocket of {a} × {b} mm, {c} mm deep, open below: its cable leaves there."
-                ),
-            );
-        }
-        None => {
-            write(&mut text, "- The mould has no pockets; `--pocket 6x5x2` makes one for each chip.".into())
-        }
+    lines.push("\n## Cast\n".into());
+    lines.push(format!(
+        "- The cavity holds {} ml at a height of {} mm; ligaments are {} mm wide, walls {} mm thick.",
+        number(1e-3 * cavity.volume(mould)),
+        number(mould.height),
+        number(mould.width),
+        number(mould.wall)
+    ));
+    if let Some(density) = spec.body.density {
+        let grams = 1e6 * density * drawing.area();
+        lines.push(format!(
+            "- The model's units weigh {} g in all: of a material of {} g/ml. Another one, or another height, is another body: \
+             put its numbers into `[body]` (`body.material`) and train again, or identify it (below).",
+            number(grams),
+            number(1e3 * grams / (drawing.area() * mould.height))
+        ));
     }
-    write(
-        &mut text,
+    lines.push(match mould.pocket {
+        Some([a, b, c]) => {
+            format!(
+                "- Each chip has a pocket of {a} × {b} mm, {c} mm deep, open below: its cable leaves there."
+            )
+        }
+        None => "- The mould has no pockets; `--pocket 6x5x2` makes one for each chip.".into(),
+    });
+    lines.push(
         "- Cure as the rubber's data sheet says: pot life ____ min, cure time ____ h, shore ____.".into(),
     );
-    write(
-        &mut text,
-        "- Units that are held: ".to_owned()
-            + &list(&drawing.clamped)
-            + ".\n\n| what | unit | x | y | |\n|---|---|---|---|---|",
-    );
+    lines.push(format!("- Units that are held: {}.\n", list(&drawing.clamped)));
+    lines.push("| what | unit | x | y | |\n|---|---|---|---|---|".into());
     let [off, across] = spec.sensors.offset.unwrap_or_default();
     let place = match [off, across] {
         [0.0, 0.0] => "at the centroid".to_owned(),
@@ -88,46 +71,43 @@ pub fn notes(
     for (n, &unit) in drawing.sensors.iter().enumerate() {
         let [x, y] = drawing.centroids[unit];
         let (x, y) = (number(x + off), number(y + across));
-        write(&mut text, format!("| chip {n} | {unit} | {x} | {y} | {place}{turned} |"));
+        lines.push(format!("| chip {n} | {unit} | {x} | {y} | {place}{turned} |"));
     }
     for (n, (panel, at)) in drawing.panels.iter().enumerate() {
         let ([x, y], [a, b]) = (at.map(number), panel.direction.map(number));
-        write(&mut text, format!("| force {n} | {} | {x} | {y} | along ({a}, {b}) |", panel.unit));
+        lines.push(format!("| force {n} | {} | {x} | {y} | along ({a}, {b}) |", panel.unit));
     }
-    write(&mut text, "\n## Read\n".into());
-    match brain {
-        Some(head) => {
-            let whom = match fit {
-                Fit::Design => "fitted to the body as designed: a cast that scatters reads worse",
-                Fit::Casts => "one for all casts that scatter as `[variation]` says",
-            };
-            write(&mut text, format!("The brain is {whom}. Its file says:\n\n```text\n{}\n```", head.trim()));
+    lines.push("\n## Read\n".into());
+    lines.push(match (brain, fit) {
+        (None, _) => "The trial's brain has no form for a device.".into(),
+        (Some(head), Fit::Design) => {
+            told("fitted to the body as designed: a cast that scatters reads worse", head)
         }
-        None => write(&mut text, "The trial's brain has no form for a device.".into()),
-    }
-    let (hash, name) = (&stored.hash, Body::ALL[body].name());
-    // a model of the material knows no other channels
-    let material = match spec.sensors.channels {
-        Some(_) => format!("metasense twin DB {hash} --body {name} --records records.toml --out twin.toml"),
-        None => {
-            format!("metasense identify DB {hash} --body {name} --records records.toml --out-dir material")
-        }
-    };
-    write(
-        &mut text,
-        format!(
-            "\nWith some thirty blows whose forces you measure, as a file of records (schemas/README.md, Measured signals), DB being the \
-             database of the trial: how well brains fitted to this cast read it, and what the cast is made of.\n\n    \
-             metasense evaluate DB {hash} --records {name}=records.toml --out-dir measured\n    {material}"
-        ),
+        (Some(head), Fit::Casts) => told("one for all casts that scatter as `[variation]` says", head),
+    });
+    lines.push(
+        "\nWith some thirty blows whose forces you measure, as a file of records (schemas/README.md, Measured signals), DB being the \
+         database of the trial: how well brains fitted to this cast read it, and what the cast is made of.\n"
+            .into(),
     );
-    text
+    lines.push(format!("    metasense evaluate DB {hash} --records {name}=records.toml --out-dir measured"));
+    // a model of the material knows no other channels
+    lines.push(match spec.sensors.channels {
+        Some(_) => {
+            format!("    metasense twin DB {hash} --body {name} --records records.toml --out twin.toml")
+        }
+        None => {
+            format!(
+                "    metasense identify DB {hash} --body {name} --records records.toml --out-dir material"
+            )
+        }
+    });
+    lines.join("\n") + "\n"
 }
 
-/// By the shoelace formula (mm²).
-fn area(corners: &[[f64; 2]]) -> f64 {
-    let next = corners.iter().cycle().skip(1);
-    0.5 * corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum::<f64>()
+/// Whose brain it is, and the head of its file.
+fn told(whom: &str, head: &str) -> String {
+    format!("The brain is {whom}. Its file says:\n\n```text\n{}\n```", head.trim())
 }
 
 fn list(units: &[usize]) -> String {

@@ -52,8 +52,8 @@ impl Landscape {
         Self { number, trials, truth }
     }
 
-    /// All that can be asked of it, and what is true: for other searches (bench/searches.py).
-    fn told(&self) -> serde_json::Value {
+    /// All that can be asked of it, what is true, and what was found: for other searches (bench/searches.py).
+    fn told(&self, found: Vec<serde_json::Value>) -> serde_json::Value {
         let level = |i: usize, level: usize| self.error(i, level, MORE[level], DEVIATIONS[level]);
         let trial = |i: usize| {
             json!({
@@ -66,7 +66,7 @@ impl Landscape {
             })
         };
         let trials: Vec<_> = (0..self.trials.len()).map(trial).collect();
-        json!({ "number": self.number, "seed": SEED, "prices": PRICE, "price_fresh": PRICE_FRESH, "trials": trials, "found": [] })
+        json!({ "number": self.number, "seed": SEED, "prices": PRICE, "price_fresh": PRICE_FRESH, "trials": trials, "found": found })
     }
 
     /// What a trial tells at its n-th reading: the same, whenever it is asked.
@@ -118,7 +118,7 @@ impl Landscape {
 #[expect(clippy::print_stdout, reason = "the table of schemas/README.md")]
 fn what_is_chosen_meets_the_requirement_and_is_cheap() {
     let worlds = std::env::var("SPACES").map_or(WORLDS, |count| count.parse().unwrap());
-    let mut spaces: Vec<_> = (FIRST..FIRST + worlds).map(|number| Landscape::new(number).told()).collect();
+    let mut found = vec![Vec::new(); worlds as usize];
     let mut of_all = [0; 2];
     for error in [12.0, 8.0, 5.0] {
         let goal = goal(error);
@@ -132,7 +132,7 @@ fn what_is_chosen_meets_the_requirement_and_is_cheap() {
             let surely = |i: &usize| world.truth[*i] + 1.2816 * SEED <= error.ln();
             let cheapest =
                 (0..world.trials.len()).filter(surely).map(|i| world.trials[i].cost[0]).fold(9.0, f64::min);
-            let of_space = spaces[(number - FIRST) as usize]["found"].as_array_mut().unwrap();
+            let of_space = &mut found[(number - FIRST) as usize];
             of_space.push(json!({ "error": error, "chosen": decision.chosen, "took": took }));
             match decision.chosen {
                 Some(i) => {
@@ -154,6 +154,8 @@ fn what_is_chosen_meets_the_requirement_and_is_cheap() {
     }
     assert!(10 * of_all[0] >= 9 * of_all[1], "{} of {} meet it", of_all[0], of_all[1]);
     if let Ok(file) = std::env::var("SPACES_FILE") {
+        let told = |(number, found)| Landscape::new(number).told(found);
+        let spaces: Vec<_> = (FIRST..).zip(found).map(told).collect();
         std::fs::write(file, serde_json::to_string(&spaces).unwrap()).unwrap();
     }
 }

@@ -120,6 +120,16 @@ fn loops() -> [Problem; 5] {
     [network, cast(MEAN), cast(WORST), each, worst]
 }
 
+/// The first two of them in one quick step, read on so many casts.
+fn quick(casts: usize) -> impl Iterator<Item = Problem> {
+    loops().into_iter().take(2).map(move |mut problem| {
+        (problem.optimise.iterations, problem.evaluation.casts) = (1, casts);
+        (problem.evaluation.seeds, problem.brain.iterations) = (1, 6);
+        problem.solver.accuracy = Accuracy(3e-2);
+        problem
+    })
+}
+
 /// Stopped after its first step and resumed, on another number of threads: the same bits.
 #[test]
 fn a_loop_over_casts_goes_on_to_the_same_bits() {
@@ -139,10 +149,7 @@ fn a_loop_over_casts_goes_on_to_the_same_bits() {
 /// Stopped between two casts and resumed, on another number of threads: the same bits, and every cast once.
 #[test]
 fn casts_are_read_on_to_the_same_bits() {
-    for mut problem in loops().into_iter().take(2) {
-        (problem.optimise.iterations, problem.evaluation.casts) = (1, 2);
-        (problem.evaluation.seeds, problem.brain.iterations) = (1, 6);
-        problem.solver.accuracy = Accuracy(3e-2);
+    for problem in quick(2) {
         let mut whole = Keeper::default();
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
         let brains = [CastBrain::Network, CastBrain::NetworkCasts, CastBrain::Nominal, CastBrain::Casts];
@@ -181,10 +188,7 @@ fn casts_are_read_on_to_the_same_bits() {
 /// The brain for all casts that is fitted once more reads a cast as the comparison's did.
 #[test]
 fn the_brain_for_all_casts_can_be_had_again() {
-    for mut problem in loops().into_iter().take(2) {
-        (problem.optimise.iterations, problem.evaluation.casts) = (1, 1);
-        (problem.evaluation.seeds, problem.brain.iterations) = (1, 6);
-        problem.solver.accuracy = Accuracy(3e-2);
+    for problem in quick(1) {
         let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
         let (pool, design) = (pool(2), &found.optimised.design);
         let trial = Trial::new(&problem, &pool).unwrap();
