@@ -25,6 +25,7 @@ fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
         contact: None,
         linearised: false,
         clamped: layout.bottom(),
+        pressed: Vec::new(),
         panels: struck.into_iter().map(|unit| Panel::central(unit, [0.0, -1.0])).collect(),
         sensors: vec![columns * (rows - 1)],
         chip: None,

@@ -185,6 +185,7 @@ impl Case {
             contact,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
+            pressed: Vec::new(),
             panels: units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect(),
             sensors: units("sensors")?,
             chip: None,

@@ -22,6 +22,7 @@ pub fn reference() -> Scene {
         contact: None,
         linearised: false,
         clamped: layout.bottom(),
+        pressed: Vec::new(),
         panels: [31, 34].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec(),
         sensors: vec![21],
         chip: None,

@@ -1,13 +1,12 @@
 //! Whether equal steps still integrate anything: no motion has energy that no force has put in.
 //!
 //! ```text
-//! ½ v·M v + U + dissipated = W,   W = U(rest) + ∫ f·dx     (contact may act at rest)
+//! ½ v·M v + U + dissipated = W,   W = U(rest) + ∫ f·dx     (contact may act at rest, or held units have been moved)
 //! ```
 //! Steps too long for the highest mode feed energy into it that nobody has put in; signals can then be finite and huge.
 
 use super::energy::contact_energy;
 use super::ligaments::Place;
-use super::model::Model;
 use super::system::System;
 use crate::lanes::Vector;
 
@@ -30,15 +29,21 @@ pub struct Balance<V> {
 }
 
 impl<V: Vector> Balance<V> {
-    /// At rest, under the forces at the beginning.
+    /// At the beginning `x`, which the system is prepared for, under the forces there.
     #[inline(always)]
-    pub fn new(model: &Model, force: &[V]) -> Self {
-        let zero = V::splat(0.0);
+    pub fn new(system: &System<'_, V>, x: &[Place<V>], force: &[V]) -> Self {
+        let (model, zero) = (system.model, V::splat(0.0));
         let mass = model.inverse_mass.iter().map(|m| m.map(|m| if m > 0.0 { 1.0 / m } else { 0.0 }));
-        let before = force.iter().map(|f| [zero, *f]).collect();
+        let mut before = Vec::with_capacity(force.len());
+        for (k, f) in force.iter().enumerate() {
+            before.push([way(system, k, x), *f]);
+        }
         let touching =
             |c| model.bars.iter().flat_map(|bar| bar.voids).map(|psi| contact_energy(c, psi)).sum();
-        let work = V::splat(model.contact.map_or(0.0, touching));
+        let work = match model.start().is_empty() {
+            true => V::splat(model.contact.map_or(0.0, touching)),
+            false => system.energy(x),
+        };
         let epsilon = if V::SINGLE { f64::from(f32::EPSILON) } else { f64::EPSILON };
         let floors = model.bars.iter().map(|bar| epsilon * bar.stiffness[0] * bar.length * bar.length);
         let floor = floors.fold(0.0, f64::max);
@@ -50,11 +55,7 @@ impl<V: Vector> Balance<V> {
     pub fn add(&mut self, system: &System<'_, V>, x: &[Place<V>], force: &[V], lost: V) {
         self.lost = self.lost + lost;
         for (k, (before, f)) in self.before.iter_mut().zip(force).enumerate() {
-            let mut at = V::ZERO;
-            for &u in system.pushed(k) {
-                let [p, q, r] = x[u];
-                at = at + system.along(k, u, [V::narrow(p), V::narrow(q), V::narrow(r)]);
-            }
+            let at = way(system, k, x);
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];
         }
@@ -74,4 +75,15 @@ impl<V: Vector> Balance<V> {
         }
         kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(self.most, V::splat(self.floor))
     }
+}
+
+/// How far the units that a panel's force acts on are along it.
+#[inline(always)]
+fn way<V: Vector>(system: &System<'_, V>, panel: usize, x: &[Place<V>]) -> V {
+    let mut at = V::ZERO;
+    for &u in system.pushed(panel) {
+        let [p, q, r] = x[u];
+        at = at + system.along(panel, u, [V::narrow(p), V::narrow(q), V::narrow(r)]);
+    }
+    at
 }

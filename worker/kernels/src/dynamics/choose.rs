@@ -1,10 +1,10 @@
 //! Which integrator and how many steps: from the scene's own highest frequency and the accuracy asked.
 
 use super::model::Model;
-use super::rest::hessian_at_rest;
+use super::rest::hessian;
 use super::{Accuracy, Method, Plan, Precision, Scene, Solver, Tolerance};
 
-/// Highest angular frequency of small motions about rest (rad/s), undamped: the largest eigenvalue of M^-½ H M^-½ by
+/// Highest angular frequency of small motions about where samples begin (rad/s), undamped: the largest eigenvalue of M^-½ H M^-½ by
 /// Lanczos' method, whose estimate is good to a per mille long before its vectors lose orthogonality. Ligaments that relax are as stiff
 /// as they are at once.
 pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
@@ -13,7 +13,7 @@ pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
     let n = root.len();
     let apply = |y: &[f64]| -> Vec<f64> {
         let w: Vec<f64> = y.iter().zip(&root).map(|(y, r)| y * r).collect();
-        let [curved, ..] = hessian_at_rest(&model, scene, &[w]);
+        let [curved, ..] = hessian(&model, scene, model.start(), &[w]);
         curved.iter().zip(&root).map(|(h, r)| h * r).collect()
     };
     let norm = |y: &[f64]| y.iter().map(|y| y * y).sum::<f64>().sqrt();

@@ -6,7 +6,7 @@ use super::model::{Model, ModelCotangent};
 use super::simulation::SampleTape;
 use super::{
     Counters, Forces, Gradient, Method, Outcome, Plan, Scene, Simulation, Solver, Steps, Tape, Wrt, choose,
-    splitting,
+    equilibrium, splitting,
 };
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -65,12 +65,13 @@ pub fn run(
     };
     let mut tapes: Vec<SampleTape> = Vec::new();
     if keep_tape {
-        let states = scene.instants * parts * 6 * model.free.len();
-        tapes.resize_with(n, || SampleTape {
-            states: vec![0.0; states],
-            refined: 1,
-            ..SampleTape::default()
+        // until its first force a sample is where it begins
+        let rest = model.free.iter().flat_map(|&u| {
+            let [x, y, turn] = model.start().get(u).copied().unwrap_or_default();
+            [x, y, turn, 0.0, 0.0, 0.0]
         });
+        let rest = rest.collect::<Vec<f64>>().repeat(scene.instants * parts);
+        tapes.resize_with(n, || SampleTape { states: rest.clone(), refined: 1, ..SampleTape::default() });
     }
     let mut kept: Vec<Option<&mut SampleTape>> = tapes.iter_mut().map(Some).collect();
     kept.resize_with(n, || None);
@@ -86,6 +87,9 @@ pub fn run(
     if !adaptive {
         // Lanes that begin together wait together.
         jobs.sort_by_key(|s| forces.onset(scene, forces.sample(s.index)));
+    }
+    if let Err(outcome) = model.start {
+        jobs.drain(..).for_each(|job| *job.outcome = outcome);
     }
     let mut total = integrate(&machine, scene, &model, forces, plan, parts, &mut jobs, pool);
     // Equal steps that one sample's motion or contact is too quick for are halved for it alone, and again.
@@ -224,6 +228,7 @@ impl Simulation {
                 }
             }
         }
+        equilibrium::pull_back(scene, &model, &mut total);
         let parameters = (wrt == Wrt::Parameters).then(|| total.parameters(&model, scene));
         let parts = (wrt == Wrt::Parameters).then(|| total.parts(&model, scene));
         let design = total.design(&model, scene);

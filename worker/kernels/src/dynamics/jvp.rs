@@ -4,8 +4,9 @@
 //! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
 //! that signals which agree to rounding check those too.
 
+use super::model::Model;
 use super::schemes::Drift;
-use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, tsit5};
+use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5};
 use crate::body::{End, edges};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -160,6 +161,33 @@ impl<'a> Body<'a> {
 
     fn still(&self) -> State {
         vec![[Dual::default(); 3]; self.mass.len()]
+    }
+
+    /// Where the sample begins, and how that follows the design and the parameters.
+    fn start(&self) -> State {
+        let Tape { scene, design, forces, .. } = self.tape;
+        let mut x = self.still();
+        if scene.pressed.is_empty() {
+            return x;
+        }
+        let model = Model::new(scene, design);
+        x.iter_mut().zip(model.start()).for_each(|(x, start)| *x = start.map(|start| Dual(start, 0.0)));
+        let unforced = vec![0.0; forces.sample(self.sample).len()];
+        let still = Body {
+            history: &unforced,
+            along: &[],
+            arms: self.arms.clone(),
+            mass: self.mass.clone(),
+            ..*self
+        };
+        let pulled = still.acceleration(&x, &self.still(), [Dual::default(); 3], (0, 0.0));
+        // less the forces' derivative: they are zero, and so is that of the masses by which they are divided
+        let rate = |(a, m): (&[Dual; 3], &[Dual; 3])| std::array::from_fn(|d| -(m[d].0 * a[d].1));
+        let rate: Vec<[f64; 3]> = pulled.iter().zip(&self.mass).map(rate).collect();
+        for (x, moved) in x.iter_mut().zip(equilibrium::follow(scene, &model, &rate)) {
+            (0..3).for_each(|d| x[d].1 = moved[d]);
+        }
+        x
     }
 
     /// Gives the state at instant n the values that `vjp` starts from: own rounding, much amplified in
@@ -335,7 +363,7 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
         true => Dual::default(),
         false => body.damping[d] / body.mass[u][d],
     };
-    let (mut x, mut v, mut signals) = (body.still(), body.still(), Vec::new());
+    let (mut x, mut v, mut signals) = (body.start(), body.still(), Vec::new());
     let mut g = body.acceleration(&x, &v, [Dual::default(); 3], (0, 0.0));
     for step in 0..scene.instants * substeps {
         add(&mut v, &scaled(scheme.kicks[0] * h, &g));
@@ -369,7 +397,7 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
 
 fn adaptive(body: &Body<'_>, steps: &[f64], counts: &[u32]) -> Vec<Dual> {
     let (kinks, delta) = (body.forces.kinks(body.scene), body.scene.duration / counts.len() as f64);
-    let (mut x, mut v, mut signals) = (body.still(), body.still(), Vec::new());
+    let (mut x, mut v, mut signals) = (body.start(), body.still(), Vec::new());
     let mut a = vec![body.acceleration(&x, &v, body.damping, (0, 0.0))];
     let mut steps = steps.iter();
     for (interval, &count) in counts.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! A scene with a design, in the form that the kernels read.
 
-use super::{Contact, Inertia, Panel, Parameters, Parts, Scene, Stiffness, Strike};
+use super::{Contact, Inertia, Outcome, Panel, Parameters, Parts, Scene, Stiffness, Strike, equilibrium};
 use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -86,6 +86,8 @@ pub struct Model {
     pub geometry: Geometry,
     /// Of each panel the number, among all, of the node that it acts on.
     pub struck: Vec<Option<usize>>,
+    /// Where each unit is when a sample begins; empty where none has been moved. Or why there is no such place.
+    pub start: Result<Vec<[f64; 3]>, Outcome>,
 }
 
 /// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) of the mean undisplaced unit, so that damping does not depend on the design.
@@ -140,7 +142,7 @@ impl Model {
         for &u in &scene.clamped {
             inverse_mass[u] = [0.0; 3];
         }
-        Self {
+        let mut model = Self {
             bars,
             ligaments: layout.ligaments.len(),
             contact: scene.contact,
@@ -149,7 +151,17 @@ impl Model {
             free: (0..layout.units()).filter(|u| !scene.clamped.contains(u)).collect(),
             geometry,
             struck: scene.panels.iter().map(number).collect(),
+            start: Ok(Vec::new()),
+        };
+        if !scene.pressed.is_empty() {
+            model.start = equilibrium::find(scene, &model);
         }
+        model
+    }
+
+    /// Where each unit is when a sample begins; empty: as cast. So is a body that has no such place, whose samples all fail.
+    pub fn start(&self) -> &[[f64; 3]] {
+        self.start.as_deref().unwrap_or(&[])
     }
 
     /// Mass of a unit that moves, its chip's with it (Mg).
@@ -171,8 +183,11 @@ impl Model {
         self
     }
 
-    /// Whether contact may act at rest.
+    /// Whether contact may act at rest, against which nothing holds the body as it is cast.
     pub fn touches(&self) -> bool {
+        if !self.start().is_empty() {
+            return false;
+        }
         let cutoff = self.contact.map_or(f64::NEG_INFINITY, |c| c.cutoff_angle);
         self.bars.iter().any(|b| b.voids.iter().any(|psi| *psi < cutoff))
     }
@@ -203,6 +218,8 @@ pub struct ModelCotangent {
     pub contact: f64,
     /// Of C, where asked for.
     pub damping: [f64; 3],
+    /// Of where units are when a sample begins.
+    pub start: Vec<[f64; 3]>,
 }
 
 impl ModelCotangent {
@@ -216,6 +233,7 @@ impl ModelCotangent {
             stiffness: vec![[0.0; 3]; model.ligaments],
             contact: 0.0,
             damping: [0.0; 3],
+            start: vec![[0.0; 3]; n],
         }
     }
 
@@ -228,6 +246,7 @@ impl ModelCotangent {
         add(self.stiffness.as_flattened_mut(), other.stiffness.as_flattened());
         self.contact += other.contact;
         add(&mut self.damping, &other.damping);
+        add(self.start.as_flattened_mut(), other.start.as_flattened());
     }
 
     /// Gradient in the parameters, where it was asked for: C ∝ ζ √ρ (√k_s, √k_s, √k_θ), masses ∝ ρ.

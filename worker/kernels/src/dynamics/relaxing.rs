@@ -64,12 +64,14 @@ fn block<V: Vector, const LINEAR: bool>(
         .collect();
     let memory: Vec<Drift> = scheme.kicks.iter().map(|b| Drift::new(1.0 / time, b * h)).collect();
 
-    let (mut x, mut v, mut g, mut pull) = (system.places(), system.places(), system.zeros(), system.zeros());
+    let (mut x, mut v, mut g, mut pull) = (system.start(), system.places(), system.zeros(), system.zeros());
     let mut past = vec![[V::ZERO; 3]; model.bars.len()];
     let mut force = vec![V::ZERO; forces.panels];
     let mut margin = V::splat(1.0);
     loads.at(0, 0.0, &mut force);
     system.prepare(&x, &mut g);
+    // what held units have been moved by is relaxed
+    relax::<V, LINEAR>(system.bars(), &x, &system.turn, (0.0, 0.0), &mut past, &mut pull);
     system.add_forces(&x, &force, &mut g, &mut margin);
     for interval in 0..scene.instants {
         heartbeat.beat();

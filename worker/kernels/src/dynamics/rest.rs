@@ -1,7 +1,7 @@
-//! The body's linearisation at rest: M s̈ + C ṡ + K s = f, K the Hessian of the energy there.
+//! The body's linearisation where samples begin: M s̈ + C ṡ + K s = f, K the Hessian of the energy there.
 
 use super::Scene;
-use super::ligaments::{ShapeCotangent, Turn, product};
+use super::ligaments::{ShapeCotangent, Turn, product, turns};
 use super::model::Model;
 use crate::lanes::{Sse2, Vector};
 
@@ -34,21 +34,8 @@ impl Rest {
         assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
         let model = Model::new(scene, design);
         let free = model.free.clone();
-        let unknowns: Vec<usize> = free.iter().flat_map(|u| 3 * u..3 * u + 3).collect();
-        let mut stiffness = Vec::new();
-        for (block, columns) in unknowns.chunks(COLUMNS).enumerate() {
-            let unit = |&column: &usize| {
-                let mut w = vec![0.0; 3 * model.units()];
-                w[column] = 1.0;
-                w
-            };
-            let directions: Vec<Vec<f64>> = columns.iter().map(unit).collect();
-            let products = hessian_at_rest(&model, scene, &directions);
-            for (j, product) in products[..columns.len()].iter().enumerate() {
-                let rows = unknowns.iter().enumerate().filter(|(_, u)| product[**u] != 0.0);
-                stiffness.extend(rows.map(|(i, u)| (i, COLUMNS * block + j, product[*u])));
-            }
-        }
+        let unknowns = unknowns(&free);
+        let stiffness = columns(&model, |w| hessian(&model, scene, model.start(), w));
         Self {
             mass: unknowns.iter().map(|u| model.inverse_mass[u / 3][u % 3].recip()).collect(),
             damping: unknowns.iter().map(|u| model.damping[u % 3]).collect(),
@@ -58,6 +45,33 @@ impl Rest {
             shakes: scene.panels.iter().map(|panel| panel.shakes().unwrap_or_default()).collect(),
         }
     }
+}
+
+/// Of each unknown its number among the displacements of all units.
+fn unknowns(free: &[usize]) -> Vec<usize> {
+    free.iter().flat_map(|u| 3 * u..3 * u + 3).collect()
+}
+
+/// (row, column, value) of a matrix of the unknowns by columns, without zeros, from its products with up to so many directions.
+pub(super) fn columns(
+    model: &Model,
+    products: impl Fn(&[Vec<f64>]) -> [Vec<f64>; COLUMNS],
+) -> Vec<(usize, usize, f64)> {
+    let unknowns = unknowns(&model.free);
+    let mut entries = Vec::new();
+    for (block, columns) in unknowns.chunks(COLUMNS).enumerate() {
+        let unit = |&column: &usize| {
+            let mut w = vec![0.0; 3 * model.units()];
+            w[column] = 1.0;
+            w
+        };
+        let directions: Vec<Vec<f64>> = columns.iter().map(unit).collect();
+        for (j, product) in products(&directions)[..columns.len()].iter().enumerate() {
+            let rows = unknowns.iter().enumerate().filter(|(_, u)| product[**u] != 0.0);
+            entries.extend(rows.map(|(i, u)| (i, COLUMNS * block + j, product[*u])));
+        }
+    }
+    entries
 }
 
 /// What 1 N on a panel does to the unknowns.
@@ -75,16 +89,18 @@ fn pushes(model: &Model, scene: &Scene, k: usize) -> Vec<(usize, f64)> {
     model.free.iter().enumerate().flat_map(of).filter(|(_, does)| *does != 0.0).collect()
 }
 
-/// Products of the Hessian of the energy at rest with up to so many w, one a lane.
-pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [Vec<f64>; COLUMNS] {
+/// Products of the Hessian of the energy at places of all units, or as cast where there are none, with up to so many w, one a lane.
+pub(super) fn hessian(model: &Model, scene: &Scene, at: &[[f64; 3]], w: &[Vec<f64>]) -> [Vec<f64>; COLUMNS] {
     let zero = Sse2::splat(0.0);
     let units = model.units();
     let lanes = |i: usize| {
         Sse2::gather(&std::array::from_fn::<f64, COLUMNS, _>(|lane| w.get(lane).map_or(0.0, |w| w[i])))
     };
     let direction: Vec<[Sse2; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
-    let x = vec![[zero; 3]; units];
-    let (turn, mut h) = (vec![Turn::NONE; units], x.clone());
+    let mut x = vec![[zero; 3]; units];
+    let (mut turn, mut h) = (vec![Turn::NONE; units], x.clone());
+    x.iter_mut().zip(at).for_each(|(x, at)| *x = at.map(Sse2::splat));
+    turns::<Sse2>(&x, &mut turn);
     let (mut arms, mut voids) =
         (vec![[zero; 2]; model.geometry.arms.len()], vec![[zero; 2]; model.ligaments]);
     let kernel = match (scene.linearised, scene.contact.is_some()) {

@@ -184,6 +184,9 @@ pub struct Scene {
     pub linearised: bool,
     /// Held units.
     pub clamped: Vec<usize>,
+    /// By how much each of them has been moved before a sample (mm), which begins where the others then are at rest; empty: by
+    /// nothing, and the body is as cast.
+    pub pressed: Vec<[f64; 2]>,
     /// K input panels.
     pub panels: Vec<Panel>,
     /// Units of the M sensors.

@@ -20,17 +20,23 @@ pub enum Outcome {
     ForbiddenContact,
     /// Steps too long for the highest mode made kinetic energy out of nothing.
     Unstable,
+    /// Before the sample the body lost its stability while its held units were moved: from there on it may be in several places.
+    Buckled,
+    /// While these were moved it came to rest nowhere.
+    NoEquilibrium,
 }
 
 impl Outcome {
     /// Each of them.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 8] = [
         Self::Ok,
         Self::StepLimit,
         Self::StepTooSmall,
         Self::NonFinite,
         Self::ForbiddenContact,
         Self::Unstable,
+        Self::Buckled,
+        Self::NoEquilibrium,
     ];
 
     /// The name by which records know it.
@@ -42,6 +48,8 @@ impl Outcome {
             Self::NonFinite => "non_finite",
             Self::ForbiddenContact => "forbidden_contact",
             Self::Unstable => "unstable",
+            Self::Buckled => "buckled",
+            Self::NoEquilibrium => "no_equilibrium",
         }
     }
 }
@@ -88,6 +96,7 @@ impl Tape {
     pub fn state(&self, sample: usize, n: usize) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
         let units = self.scene.layout.units();
         let (mut x, mut v) = (vec![[0.0; 3]; units], vec![[0.0; 3]; units]);
+        self.scene.clamped.iter().zip(&self.scene.pressed).for_each(|(u, by)| x[*u][..2].copy_from_slice(by));
         let free: Vec<usize> = (0..units).filter(|u| !self.scene.clamped.contains(u)).collect();
         let state = &self.samples[sample].states[(n * self.parts - 1) * 6 * free.len()..][..6 * free.len()];
         for (i, &u) in free.iter().enumerate() {

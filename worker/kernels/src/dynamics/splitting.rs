@@ -17,7 +17,7 @@ use super::ligaments::Place;
 use super::loads::LockstepForces;
 use super::model::Model;
 use super::schemes::{Drift, Scheme};
-use super::system::{Cotangent, System, Unit, load_lanes, read_lane, store_lane};
+use super::system::{Cotangent, System, Unit, add_into, load_lanes, read_lane, store_lane};
 use super::{Counters, Forces, Outcome, Scene};
 use crate::Heartbeat;
 use crate::lanes::{MOST, Scalar, Vector};
@@ -214,15 +214,15 @@ pub fn forward<V: Vector>(
     let begin = Begin::new(scene, model, forces, &histories, false);
     let Course { ready, stages, first, last, mut loads, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
-    let (mut x, mut v, mut g, mut a) = (system.places(), system.places(), system.zeros(), system.zeros());
+    let (mut x, mut v, mut g, mut a) = (system.start(), system.places(), system.zeros(), system.zeros());
     let mut margin = V::splat(1.0);
     if begin.first == instants {
         return Counters::default();
     }
 
     loads.at(begin.first * substeps, 0.0, &mut force);
-    let mut balance = Balance::new(model, &force);
     system.prepare(&x, &mut g);
+    let mut balance = Balance::new(system, &x, &force);
     system.add_forces(&x, &force, &mut g, &mut margin);
     for interval in begin.first..instants {
         heartbeat.beat();
@@ -380,7 +380,7 @@ pub fn reverse<V: Vector>(
     if forces_asked {
         loads.ask();
     }
-    let (mut x, mut v, mut g, mut a) = (system.places(), system.places(), system.zeros(), system.zeros());
+    let (mut x, mut v, mut g, mut a) = (system.start(), system.places(), system.zeros(), system.zeros());
     let mut bars = Bars { x: system.zeros(), v: system.zeros(), w: system.zeros() };
     let mut bar_a = system.zeros();
     let mut bar = vec![zero; width];
@@ -400,7 +400,7 @@ pub fn reverse<V: Vector>(
             let states = std::array::from_fn(|l| {
                 sweeps.get(l).map(|s| &s.tape.states[(interval * parts + part) * len..][..len])
             });
-            load_lanes(free, &states, &mut x, &mut v);
+            load_lanes(free, model.start(), &states, &mut x, &mut v);
             loads.at(interval * substeps + step - 1, 1.0, &mut force);
             let instant = part + 1 == parts;
             let follows: V = match instant {
@@ -487,7 +487,7 @@ pub fn reverse<V: Vector>(
         }
     }
     // The first kick, from rest
-    x.fill([V::Wide::ZERO; 3]);
+    x = system.start();
     loads.at(begin.first * substeps, 0.0, &mut force);
     let b = begin.awake::<V>(begin.first) * V::splat(first);
     for u in moving.clone() {
@@ -505,6 +505,7 @@ pub fn reverse<V: Vector>(
             *mass = bars.w[u][d].mul_add(pull, *mass);
         }
     }
+    add_into(&mut system.cotangent.start, &bars.x);
     let lanes = sweeps.len() as u64;
     let counters = Counters {
         force_evaluations: lanes * evaluations,

@@ -48,6 +48,8 @@ pub struct Cotangent<V> {
     stiffness: Vec<[V; 3]>,
     contact: V,
     pub(super) damping: [V; 3],
+    /// Of where units are when a sample begins.
+    pub(super) start: Vec<Unit<V>>,
 }
 
 /// What makes cotangents of accelerations into weights of the forces' derivatives.
@@ -117,6 +119,7 @@ impl<'a, V: Vector> System<'a, V> {
                 stiffness: vec![[zero; 3]; model.ligaments],
                 contact: zero,
                 damping: [zero; 3],
+                start: vec![[zero; 3]; n],
             },
         }
     }
@@ -137,6 +140,18 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn places(&self) -> Vec<Place<V>> {
         vec![[V::Wide::ZERO; 3]; self.model.units()]
+    }
+
+    /// The places at which samples begin.
+    #[inline(always)]
+    pub fn start(&self) -> Vec<Place<V>> {
+        let mut x = self.places();
+        for (x, start) in x.iter_mut().zip(self.model.start()) {
+            for d in 0..3 {
+                x[d] = V::Wide::splat(start[d]);
+            }
+        }
+        x
     }
 
     /// Overwrites `a` by M⁻¹(−∂U/∂s − C v + f) and lowers `margin` to the least ψ − ψ_min.
@@ -468,6 +483,9 @@ impl<'a, V: Vector> System<'a, V> {
         for (to, from) in sum.stiffness.iter_mut().zip(&mut self.cotangent.stiffness) {
             *to = std::array::from_fn(|k| -total(&mut from[k]));
         }
+        for (to, from) in sum.start.iter_mut().zip(&mut self.cotangent.start) {
+            *to = std::array::from_fn(|d| total(&mut from[d]));
+        }
         let Cotangent { contact, damping, .. } = &mut self.cotangent;
         sum.contact = -total(contact);
         sum.damping = std::array::from_fn(|d| total(&mut damping[d]));
@@ -580,17 +598,18 @@ pub fn store_lane<W: Vector>(free: &[usize], x: &[Unit<W>], v: &[Unit<W>], lane:
     }
 }
 
-/// Reads the lanes' states, each (free units, 6), or zero where there is none.
+/// Reads the lanes' states, each (free units, 6); a lane that has none is still where units are at `rest`, or at zero if this is empty.
 #[inline(always)]
 pub fn load_lanes<W: Vector>(
     free: &[usize],
+    rest: &[[f64; 3]],
     states: &[Option<&[f64]>; MOST],
     x: &mut [Unit<W>],
     v: &mut [Unit<W>],
 ) {
     for (i, &u) in free.iter().enumerate() {
         for d in 0..3 {
-            (x[u][d], v[u][d]) = (W::ZERO, W::ZERO);
+            (x[u][d], v[u][d]) = (rest.get(u).map_or(W::ZERO, |rest| W::splat(rest[d])), W::ZERO);
             for lane in 0..W::LANES {
                 if let Some(state) = states[lane] {
                     x[u][d].set_lane(lane, state[6 * i + d]);

@@ -62,7 +62,8 @@ pub fn forward<V: Vector<Wide = V>>(
     let scale = 1.0 / (6 * free.len().max(1)) as f64;
     let zero = V::splat(0.0);
     let one = V::splat(1.0);
-    let (mut x, mut v, mut xs, mut vs) = (system.zeros(), system.zeros(), system.zeros(), system.zeros());
+    let (mut x, mut v, mut xs, mut vs) = (system.start(), system.zeros(), system.start(), system.zeros());
+    let start = system.start();
     let mut a: [Vec<Unit<V>>; 7] = std::array::from_fn(|_| system.zeros());
     let mut force = vec![zero; scene.panels.len()];
     let mut loads = FreeForces::new(scene.panels.len());
@@ -83,7 +84,7 @@ pub fn forward<V: Vector<Wide = V>>(
         // Idle lanes take up the next samples, at rest.
         for (l, lane) in lanes.iter_mut().enumerate() {
             if lane.job.is_none() {
-                clear_lane(&mut x, l);
+                copy_lane(&mut x, &start, l);
                 clear_lane(&mut v, l);
                 lane.h = 0.0;
                 if let Some(job) = take(queue, 1).first_mut() {
@@ -93,10 +94,11 @@ pub fn forward<V: Vector<Wide = V>>(
                     for (f, history) in force.iter_mut().zip(history.chunks(instants + 1)) {
                         *f = V::splat(history[0]);
                     }
-                    xs.fill([zero; 3]);
+                    xs.copy_from_slice(&start);
                     vs.fill([zero; 3]);
                     system.acceleration(&xs, &vs, &force, &mut a[1], &mut { one });
-                    copy_lane(&mut a, l);
+                    let [to, from, ..] = &mut a;
+                    copy_lane(to, from, l);
                     counters.force_evaluations += 1;
                     *lane = Lane {
                         job: Some(job),
@@ -193,12 +195,12 @@ pub fn forward<V: Vector<Wide = V>>(
             a.swap(0, 6);
         } else {
             let accept = V::gather(&accepted);
-            let (start, end) = a.split_at_mut(6);
+            let (first, end) = a.split_at_mut(6);
             for u in within.clone() {
                 for d in 0..3 {
                     x[u][d] = xs[u][d].where_less(zero, accept, x[u][d]);
                     v[u][d] = vs[u][d].where_less(zero, accept, v[u][d]);
-                    start[0][u][d] = end[0][u][d].where_less(zero, accept, start[0][u][d]);
+                    first[0][u][d] = end[0][u][d].where_less(zero, accept, first[0][u][d]);
                 }
             }
         }
@@ -249,9 +251,7 @@ fn clear_lane<V: Vector>(x: &mut [Unit<V>], lane: usize) {
     }
 }
 
-/// A lane of the second stage's accelerations to the first's.
-fn copy_lane<V: Vector>(a: &mut [Vec<Unit<V>>; 7], lane: usize) {
-    let [to, from, ..] = a;
+fn copy_lane<V: Vector>(to: &mut [Unit<V>], from: &[Unit<V>], lane: usize) {
     for (to, from) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {
         to.set_lane(lane, from.lane(lane));
     }

@@ -15,6 +15,7 @@ pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
         contact: None,
         linearised: false,
         clamped: (0..columns).collect(),
+        pressed: Vec::new(),
         panels: vec![Panel::central(columns * rows - 1, [0.6, -0.8])],
         sensors: vec![columns * rows - 1],
         chip: None,

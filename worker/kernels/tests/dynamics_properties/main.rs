@@ -4,6 +4,7 @@
 mod common;
 mod forces;
 mod helpers;
+mod pressed;
 
 use common::{norm, pool, relative, scene};
 use helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};

@@ -35,6 +35,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             contact: None,
             linearised: false,
             clamped: vec![0, 1, 2, 3],
+            pressed: Vec::new(),
             panels: vec![Panel::central(9, direction), Panel::central(10, direction)],
             sensors: vec![5],
             chip: None,

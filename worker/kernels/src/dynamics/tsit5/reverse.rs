@@ -57,7 +57,8 @@ pub fn reverse<V: Vector<Wide = V>>(
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     let mut counters = Counters::default();
     let (mut bar_x, mut bar_v) = (system.zeros(), system.zeros());
-    let (mut xs, mut vs) = (system.zeros(), system.zeros());
+    let (mut xs, mut vs) = (system.start(), system.zeros());
+    let start = system.model.start();
     let (mut w, mut acceleration) = (system.zeros(), system.zeros());
     // −∂²U w and w of each stage
     let mut curved: Stages<V> = std::array::from_fn(|_| system.zeros());
@@ -86,10 +87,10 @@ pub fn reverse<V: Vector<Wide = V>>(
                 })
             };
             let given = std::array::from_fn(|l| lanes.get(l).map(|&s| bars[s].as_slice()));
-            load_lanes(free, &given, &mut bar_x, &mut bar_v);
+            load_lanes(free, &[], &given, &mut bar_x, &mut bar_v);
 
             // The sensors at the interval's end
-            load_lanes(free, &state(interval + 1), &mut xs, &mut vs);
+            load_lanes(free, start, &state(interval + 1), &mut xs, &mut vs);
             for (k, b) in bar.iter_mut().enumerate() {
                 let at = |l: usize| lanes.get(l).map_or(0.0, |&s| sweeps[s].cotangent[interval * width + k]);
                 *b = V::gather(&std::array::from_fn::<f64, LANES, _>(at));
@@ -129,11 +130,11 @@ pub fn reverse<V: Vector<Wide = V>>(
                 counters.force_evaluations += 2 + 12 * left as u64;
             }
             let longest = places.iter().map(|p| p.left).max().unwrap_or(0);
-            load_lanes(free, &state(interval), &mut xs, &mut vs);
+            load_lanes(free, start, &state(interval), &mut xs, &mut vs);
             for n in 0..longest {
                 if kept.len() == n {
-                    let stages = || std::array::from_fn(|_| system.zeros());
-                    let (x, v, a) = (stages(), system.zeros(), stages());
+                    let (x, v) = (std::array::from_fn(|_| system.start()), system.zeros());
+                    let a = std::array::from_fn(|_| system.zeros());
                     kept.push(Step { x, v, a, h: zero, parts: [zero; 6], kinks: [0; LANES] });
                 }
                 let step = &mut kept[n];
@@ -214,6 +215,11 @@ pub fn reverse<V: Vector<Wide = V>>(
             for (l, &s) in lanes.iter().enumerate() {
                 store_lane(free, &bar_x, &bar_v, l, &mut bars[s]);
             }
+        }
+    }
+    for (i, &u) in free.iter().enumerate() {
+        for d in 0..3 {
+            system.cotangent.start[u][d].set_lane(0, bars.iter().map(|bar| bar[6 * i + d]).sum());
         }
     }
     (pushed, counters)

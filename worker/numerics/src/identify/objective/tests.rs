@@ -15,6 +15,7 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
         contact: None,
         linearised: false,
         clamped: layout.bottom(),
+        pressed: Vec::new(),
         panels: vec![Panel::central(4, [0.0, -1.0])],
         sensors: vec![3],
         chip: None,

@@ -1,0 +1,220 @@
+//! Bodies whose held units have been moved before a sample: where they begin, and how that follows the design.
+
+use crate::common::pool;
+use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene};
+use metasense_kernels::body::Layout;
+use metasense_kernels::dynamics::{
+    Contact, Forces, Frame, Method, Mount, Outcome, Panel, Parameters, Relaxation, Rest, Scene, Tangent, Wrt,
+    energy_gradient, run, start,
+};
+
+/// Held below and at one unit of the top, which comes down by this part of the way between them.
+fn pressed(strain: f64) -> Scene {
+    let base = small_scene();
+    let clamped = vec![0, 1, 2, 7];
+    let panels = vec![Panel::central(6, [0.0, -1.0]), Panel { node: Some(3), ..base.panels[1] }];
+    let pressed = vec![[0.0; 2], [0.0; 2], [0.0; 2], [0.3, -30.0 * strain]];
+    Scene { clamped, pressed, panels, sensors: vec![4, 8], ..base }
+}
+
+fn half_sum_of_squares(signals: &[f64]) -> f64 {
+    0.5 * signals.iter().map(|a| a * a).sum::<f64>()
+}
+
+/// Nothing pulls at a unit that moves, held ones are where they were moved to, and a body that nobody strikes reads nothing until
+/// somebody does.
+#[test]
+fn a_sample_begins_at_rest() {
+    for (strain, linearised) in [(0.08, false), (-0.08, false), (0.08, true)] {
+        let scene = Scene { linearised, ..pressed(strain) };
+        let design = shaken(&scene);
+        let start = start(&scene, &design).unwrap();
+        let pull = energy_gradient(&scene, &design, &start);
+        let held = |u: usize| scene.clamped.iter().position(|c| *c == u);
+        let [free, reaction] = [false, true].map(|of_held| {
+            let own = (0..9).filter(|u| held(*u).is_some() == of_held);
+            own.flat_map(|u| pull[u]).fold(0.0, |most: f64, g| most.max(g.abs()))
+        });
+        assert!(free < 1e-12 * reaction && reaction > 0.1, "{strain}: {free:e} of {reaction}");
+        for (unit, by) in scene.clamped.iter().zip(&scene.pressed) {
+            assert_eq!(start[*unit], [by[0], by[1], 0.0]);
+        }
+        let mut forces = pushes(&scene, 1, 0.3);
+        forces.values.chunks_exact_mut(21).for_each(|history| history[..9].fill(0.0));
+        for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom6, 24), (Method::Leapfrog, 60)] {
+            let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
+            assert_eq!(run.outcomes, [Outcome::Ok]);
+            let (before, after) = run.signals.split_at(8 * 6);
+            let most = |signals: &[f64]| signals.iter().fold(0.0, |most: f64, s| most.max(s.abs()));
+            assert!(most(before) < 1e-6 * most(after), "{method:?}: {:e} {:e}", most(before), most(after));
+            let (x, _) = run.tape.unwrap().state(0, 1);
+            for (x, at) in x.as_flattened().iter().zip(start.as_flattened()) {
+                assert!((x - at).abs() < 1e-9, "{method:?}: {x} {at}");
+            }
+        }
+    }
+}
+
+/// Gradients in the design, in parameters and in parts are those of differences, by every method, with contact, of readings that
+/// turn with their units and of a shaken base.
+#[test]
+fn gradients_follow_the_start() {
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let base = pressed(0.08);
+    let shaken_base = Panel { base: Some(1e-4), ..Panel::central(0, [0.6, 0.8]) };
+    let scenes = [
+        Scene { frame: Frame::Body, mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }), ..base.clone() },
+        Scene { contact, ..base.clone() },
+        Scene { linearised: true, ..base.clone() },
+        Scene { panels: vec![base.panels[0], shaken_base], ..base },
+    ];
+    for (i, scene) in scenes.iter().enumerate() {
+        let (design, mut forces) = (shaken(scene), pushes(scene, 3, 0.3));
+        // the second begins when the others move
+        forces.values[42..84].chunks_exact_mut(21).for_each(|history| history[..9].fill(0.0));
+        let methods = EQUAL_STEPS.map(|(method, ..)| (method, 36));
+        for (method, steps) in methods.into_iter().chain([(Method::Tsit5, 0)]) {
+            let plan = plan(method, steps);
+            let simulation = run(scene, &design, &forces, &plan, true, &pool(2));
+            assert!(simulation.outcomes.iter().all(|o| *o == Outcome::Ok), "{i} {:?}", simulation.outcomes);
+            let gradient = simulation.vjp(&simulation.signals, Wrt::Parameters, &pool(2));
+            let direction: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
+            let energy = |by: f64| {
+                let moved: Vec<f64> = design.iter().zip(&direction).map(|(a, d)| a + by * d).collect();
+                half_sum_of_squares(&run(scene, &moved, &forces, &plan, false, &pool(2)).signals)
+            };
+            let h = 1e-4;
+            let difference =
+                (8.0 * (energy(h) - energy(-h)) - (energy(2.0 * h) - energy(-2.0 * h))) / (12.0 * h);
+            let slope: f64 = gradient.design.iter().zip(&direction).map(|(g, d)| g * d).sum();
+            assert!((difference / slope - 1.0).abs() < 1e-5, "{i} {method:?}: {difference} {slope}");
+
+            let at = Parameters::of(scene).array();
+            for (k, own) in gradient.parameters.unwrap().array().into_iter().enumerate() {
+                if at[k] == 0.0 {
+                    continue;
+                }
+                let energy = |by: f64| {
+                    let mut moved = at;
+                    moved[k] *= 1.0 + by;
+                    let scene = Parameters::from_array(moved).set(scene);
+                    half_sum_of_squares(&run(&scene, &design, &forces, &plan, false, &pool(2)).signals)
+                };
+                let difference = (energy(1e-4) - energy(-1e-4)) / 2e-4;
+                let slope = own * at[k];
+                let scale = slope.abs().max(1e-3 * half_sum_of_squares(&simulation.signals));
+                assert!(
+                    (difference - slope).abs() < 1e-4 * scale,
+                    "{i} {method:?} {k}: {difference} {slope}"
+                );
+            }
+        }
+    }
+}
+
+/// What a direction does to the signals, by dual numbers of their own, is the transpose of the gradient.
+#[test]
+fn the_two_derivatives_are_transposes() {
+    let scene = pressed(0.08);
+    let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.3));
+    let direction: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
+    let parameters = Parameters { stretch: 0.7, shear: -0.1, bend: 0.4, ..Parameters::default() };
+    for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom6, 24)] {
+        let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
+        let cotangent: Vec<f64> = (0..run.signals.len()).map(|i| (0.7 * i as f64).sin()).collect();
+        let gradient = run.vjp(&cotangent, Wrt::Parameters, &pool(1));
+        let back: f64 = gradient.design.iter().zip(&direction).map(|(g, d)| g * d).sum::<f64>()
+            + gradient
+                .parameters
+                .unwrap()
+                .array()
+                .iter()
+                .zip(parameters.array())
+                .map(|(g, d)| g * d)
+                .sum::<f64>();
+        let along = Tangent { design: &direction, parameters, forces: &[] };
+        let of = |sample: usize| {
+            let (signals, tangent) = run.jvp(sample, along);
+            let own = &run.signals[sample * signals.len()..][..signals.len()];
+            for (a, b) in signals.iter().zip(own) {
+                assert!((a - b).abs() < 1e-6 * (1.0 + b.abs()), "{method:?}: {a} {b}");
+            }
+            let cotangent = &cotangent[sample * signals.len()..][..signals.len()];
+            tangent.iter().zip(cotangent).map(|(t, c)| t * c).sum::<f64>()
+        };
+        let forth = of(0) + of(1);
+        assert!((forth / back - 1.0).abs() < 1e-7, "{method:?}: {forth} {back}");
+    }
+}
+
+/// Small motions are those about where samples begin.
+#[test]
+fn the_linearisation_is_about_the_start() {
+    let scene = pressed(0.08);
+    let design = shaken(&scene);
+    let (rest, start) = (Rest::new(&scene, &design), start(&scene, &design).unwrap());
+    let unknown = |i: usize| (rest.free[i / 3], i % 3);
+    let mut dense = vec![0.0; rest.mass.len().pow(2)];
+    rest.stiffness.iter().for_each(|&(i, j, k)| dense[i * rest.mass.len() + j] = k);
+    for j in 0..rest.mass.len() {
+        let [above, below] = [1e-5, -1e-5].map(|by| {
+            let mut moved = start.clone();
+            moved[unknown(j).0][unknown(j).1] += by;
+            energy_gradient(&scene, &design, &moved)
+        });
+        for i in 0..rest.mass.len() {
+            let (unit, d) = unknown(i);
+            let (own, difference) =
+                (dense[i * rest.mass.len() + j], (above[unit][d] - below[unit][d]) / 2e-5);
+            assert!((own - difference).abs() < 1e-6, "{i} {j}: {own} {difference}");
+        }
+    }
+}
+
+/// A lattice of squares that are not turned stands straight under a press until it buckles; so does every sample. One that is turned
+/// gives way from the beginning.
+#[test]
+fn a_straight_body_buckles() {
+    let layout = Layout::planar(3, 5, 15.0, 2.25);
+    let clamped: Vec<usize> = [layout.bottom(), layout.top()].concat();
+    let with = |strain: f64| Scene {
+        pressed: [[[0.0; 2]; 3], [[0.0, -60.0 * strain]; 3]].concat(),
+        clamped: clamped.clone(),
+        panels: vec![Panel::central(6, [1.0, 0.0])],
+        sensors: vec![7],
+        layout: layout.clone(),
+        ..small_scene()
+    };
+    let straight = layout.initial_design(0.0);
+    assert_eq!(start(&with(0.1), &straight), Err(Outcome::Buckled));
+    assert!(start(&with(-0.1), &straight).is_ok());
+    assert!(start(&with(0.1), &layout.initial_design(0.4363)).is_ok());
+    let scene = with(0.1);
+    let forces: Forces = pushes(&scene, 3, 0.3);
+    let run = run(&scene, &straight, &forces, &plan(Method::Nystrom6, 24), true, &pool(1));
+    assert_eq!(run.outcomes, [Outcome::Buckled; 3]);
+    assert!(run.signals.iter().all(|s| *s == 0.0));
+    let gradient = run.vjp(&vec![1.0; run.signals.len()], Wrt::Design, &pool(1));
+    assert!(gradient.design.iter().all(|g| *g == 0.0));
+}
+
+/// Contact that nothing can keep open has no equilibrium.
+#[test]
+fn a_press_that_closes_a_void_comes_to_no_rest() {
+    let contact = Some(Contact { stiffness: 1e-6, min_angle: 0.5, cutoff_angle: 0.6 });
+    let scene = Scene { contact, ..pressed(0.5) };
+    let ended = start(&scene, &scene.layout.initial_design(0.4363)).unwrap_err();
+    assert!([Outcome::NoEquilibrium, Outcome::Buckled].contains(&ended), "{ended:?}");
+}
+
+/// Ligaments that relax have done so when a sample begins.
+#[test]
+fn a_press_is_relaxed_when_a_sample_begins() {
+    let scene = Scene { relaxation: Some(Relaxation { share: 0.3, time: 0.01 }), ..pressed(0.08) };
+    let (design, mut forces) = (shaken(&scene), pushes(&scene, 1, 0.3));
+    forces.values.chunks_exact_mut(21).for_each(|history| history[..9].fill(0.0));
+    let run = run(&scene, &design, &forces, &plan(Method::Nystrom4, 36), false, &pool(1));
+    let (before, after) = run.signals.split_at(8 * 6);
+    let most = |signals: &[f64]| signals.iter().fold(0.0, |most: f64, s| most.max(s.abs()));
+    assert!(most(before) < 1e-6 * most(after), "{:e} {:e}", most(before), most(after));
+}
