@@ -21,6 +21,12 @@ fn half_sum_of_squares(signals: &[f64]) -> f64 {
     0.5 * signals.iter().map(|a| a * a).sum::<f64>()
 }
 
+/// Of fourth order.
+fn slope_at_zero(f: impl Fn(f64) -> f64) -> f64 {
+    let h = 1e-4;
+    (8.0 * (f(h) - f(-h)) - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
+}
+
 /// Nothing pulls at a unit that moves, held ones are where they were moved to, and a body that nobody strikes reads nothing until
 /// somebody does.
 #[test]
@@ -83,9 +89,7 @@ fn gradients_follow_the_start() {
                 let moved: Vec<f64> = design.iter().zip(&direction).map(|(a, d)| a + by * d).collect();
                 half_sum_of_squares(&run(scene, &moved, &forces, &plan, false, &pool(2)).signals)
             };
-            let h = 1e-4;
-            let difference =
-                (8.0 * (energy(h) - energy(-h)) - (energy(2.0 * h) - energy(-2.0 * h))) / (12.0 * h);
+            let difference = slope_at_zero(energy);
             let slope: f64 = gradient.design.iter().zip(&direction).map(|(g, d)| g * d).sum();
             assert!((difference / slope - 1.0).abs() < 1e-5, "{i} {method:?}: {difference} {slope}");
 
@@ -100,7 +104,7 @@ fn gradients_follow_the_start() {
                     let scene = Parameters::from_array(moved).set(scene);
                     half_sum_of_squares(&run(&scene, &design, &forces, &plan, false, &pool(2)).signals)
                 };
-                let difference = (energy(1e-4) - energy(-1e-4)) / 2e-4;
+                let difference = slope_at_zero(energy);
                 let slope = own * at[k];
                 let scale = slope.abs().max(1e-3 * half_sum_of_squares(&simulation.signals));
                 assert!(
