@@ -91,7 +91,9 @@ fn gradients_follow_the_start() {
             };
             let difference = slope_at_zero(energy);
             let slope: f64 = gradient.design.iter().zip(&direction).map(|(g, d)| g * d).sum();
-            assert!((difference / slope - 1.0).abs() < 1e-5, "{i} {method:?}: {difference} {slope}");
+            // Tsit5's differences have other steps
+            let near = if method == Method::Tsit5 { 1e-4 } else { 1e-5 };
+            assert!((difference / slope - 1.0).abs() < near, "{i} {method:?}: {difference} {slope}");
 
             let at = Parameters::of(scene).array();
             for (k, own) in gradient.parameters.unwrap().array().into_iter().enumerate() {
