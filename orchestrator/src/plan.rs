@@ -464,6 +464,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     body.panel_units = None;
     body.panels.truncate(panels);
     body.panel_angle = body.panel_angle.filter(|angle| *angle != 0.0);
+    body.compression = body.compression.filter(|parts| *parts != [0.0; 2]);
     body.rows = body.rows.or(body.columns);
     body.clamp = Some(problem::clamp(&body));
     if body.file.is_some() || matches!(body.design, Some(Design::Shifts { .. })) && body.lattice.turns() {

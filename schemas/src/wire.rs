@@ -105,6 +105,10 @@ causes! {
     ForbiddenContact = "forbidden_contact",
     /// Steps too long for the highest mode made energy of nothing.
     Unstable = "unstable",
+    /// The body lost its stability while `body.compression` moved its held units.
+    Buckled = "buckled",
+    /// Under `body.compression` it came to rest nowhere.
+    NoEquilibrium = "no_equilibrium",
     /// No unit of a hidden layer fires.
     DeadLayer = "dead_layer",
     /// The training loss grew without bound.

@@ -334,6 +334,7 @@ fn scene(
             cutoff_angle: angle(c.cutoff_angle),
         }),
         linearised: body.linearised,
+        pressed: body::pressed(body, &layout, &clamped)?,
         clamped,
         panels,
         sensors,

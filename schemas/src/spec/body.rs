@@ -104,7 +104,8 @@ pub struct Struck {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Clamp {
-    /// `"bottom"`, the lowest units (planar), or `"hub"`, the innermost units (circular).
+    /// `"bottom"`, the lowest units, `"ends"`, these and the topmost, `"sides"`, the leftmost and rightmost ones (planar), or `"hub"`,
+    /// the innermost units (circular).
     Rule(ClampRule),
     /// a list of units.
     Units(Vec<usize>),
@@ -116,6 +117,10 @@ pub enum Clamp {
 pub enum ClampRule {
     /// The lowest units of a planar body.
     Bottom,
+    /// The lowest and the topmost units of a planar body.
+    Ends,
+    /// The leftmost and the rightmost units of a planar body.
+    Sides,
     /// The innermost 2 × 2 units, or the one, of a circular body.
     Hub,
 }
@@ -154,6 +159,10 @@ pub struct Body {
     /// Units that are held. Default: `"bottom"` for a planar body, `"hub"` for a circular one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Clamp>,
+    /// By how much held units are brought together along x and y before a sample, as parts of the way between the outermost of them;
+    /// below 0: drawn apart. The sample begins where the body then is at rest. Unit: 1. Default: `[0, 0]`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compression: Option<[f64; 2]>,
     /// Whether ligaments have linear strain measures; displacements of nodes stay exact.
     #[serde(default)]
     pub linearised: bool,

@@ -293,15 +293,48 @@ pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid
             )?;
             Ok(units)
         }
-        Clamp::Rule(ClampRule::Bottom) if body.layout == LayoutKind::Planar => Ok(layout.bottom()),
-        Clamp::Rule(ClampRule::Hub) if body.layout == LayoutKind::Circular => Ok(layout.hub()),
-        Clamp::Rule(ClampRule::Bottom) => {
-            Err(invalid("body.clamp", "bottom", "must be \"hub\" or units where circular"))
-        }
-        Clamp::Rule(ClampRule::Hub) => {
-            Err(invalid("body.clamp", "hub", "must be \"bottom\" or units where planar"))
+        Clamp::Rule(rule) => {
+            let circular = body.layout == LayoutKind::Circular;
+            let (name, units) = match rule {
+                ClampRule::Bottom => ("bottom", layout.bottom()),
+                ClampRule::Ends => ("ends", [layout.bottom(), layout.top()].concat()),
+                ClampRule::Sides => ("sides", layout.sides()),
+                ClampRule::Hub => ("hub", layout.hub()),
+            };
+            let remedy = match circular {
+                true => "must be \"hub\" or units where circular",
+                false => "must be \"bottom\", \"ends\", \"sides\" or units where planar",
+            };
+            require(circular == (rule == ClampRule::Hub), "body.clamp", name, remedy)?;
+            require(units.len() < layout.units(), "body.clamp", name, "must leave a unit free to move")?;
+            Ok(units)
         }
     }
+}
+
+/// Parts of the way between held units that one may take, or add.
+const COMPRESSION_MAX: f64 = 0.5;
+
+/// By how much each held unit is moved before a sample (mm): towards the middle between the outermost of them. None where none is.
+pub(super) fn pressed(body: &spec::Body, layout: &Layout, held: &[usize]) -> Result<Vec<[f64; 2]>, Invalid> {
+    let Some(parts) = body.compression.filter(|parts| *parts != [0.0; 2]) else { return Ok(Vec::new()) };
+    let (key, shown) = ("body.compression", format!("{parts:?}"));
+    let sound = parts.iter().all(|part| part.abs() <= COMPRESSION_MAX);
+    let remedy = format!("must be two parts from -{COMPRESSION_MAX} to {COMPRESSION_MAX}");
+    require(sound, key, &shown, &remedy)?;
+    let mut by = vec![[0.0; 2]; held.len()];
+    for d in 0..2 {
+        let at = |unit: &usize| layout.centres[*unit][d];
+        let least = held.iter().map(at).fold(f64::INFINITY, f64::min);
+        let most = held.iter().map(at).fold(f64::NEG_INFINITY, f64::max);
+        let apart = most - least > 1e-6 * layout.spacing;
+        let axis = ["x", "y"][d];
+        let remedy = format!("all held units are at one {axis}: body.clamp must name some that lie apart");
+        require(parts[d] == 0.0 || apart, key, &shown, &remedy)?;
+        let middle = 0.5 * (least + most);
+        by.iter_mut().zip(held).for_each(|(by, unit)| by[d] = parts[d] * (middle - at(unit)));
+    }
+    Ok(by)
 }
 
 /// The units as they are, if each is one of the layout's, appears once and is not held.

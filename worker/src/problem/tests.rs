@@ -326,6 +326,37 @@ fn panels_are_turned_by_their_angle() {
     }
 }
 
+/// Held units come together about the middle of the outermost of them; those in it stay.
+#[test]
+fn compression_moves_what_is_held() {
+    let with = |keys: &[(&'static str, Value)]| problem(&trial(keys)).map(|problem| problem.scene);
+    let sides = ("body.clamp", json!("sides"));
+    let scene = with(&[sides.clone(), ("body.compression", json!([0.1, -0.02]))]).unwrap();
+    assert_eq!(scene.clamped, [0, 5, 6, 11, 12, 17, 18, 23, 24, 29, 30, 35]);
+    let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-12;
+    assert!(near(scene.pressed[0], [3.75, -0.75]) && near(scene.pressed[11], [-3.75, 0.75]), "{scene:?}");
+    let ends = with(&[("body.clamp", json!("ends")), ("panel_units", json!([6, 23]))]);
+    assert!(ends.is_ok_and(|scene| scene.clamped.len() == 12 && scene.pressed.is_empty()));
+    let refused = [
+        (vec![("body.compression", json!([0.0, 0.1]))], "body.compression", "all held units are at one y"),
+        (
+            vec![sides.clone(), ("body.compression", json!([0.6, 0.0]))],
+            "body.compression",
+            "from -0.5 to 0.5",
+        ),
+        (vec![("body.clamp", json!("ends"))], "body.panel_units", "is clamped"),
+        (
+            vec![("body.layout", json!("circular")), ("body.rows", Value::Null), sides],
+            "body.clamp",
+            "where circular",
+        ),
+    ];
+    for (keys, key, remedy) in refused {
+        let fault = with(&keys).unwrap_err();
+        assert!(fault.key == key && fault.remedy.contains(remedy), "{fault:?}");
+    }
+}
+
 /// Every sample of a mixture, of every purpose, is that of one kind alone under its number; kinds come as often as their weights
 /// say, and whoever else is drawn with it, a sample stays the same.
 #[test]

@@ -407,6 +407,17 @@ impl Layout {
         self.level(self.centres.iter().map(|c| c[1]).fold(f64::INFINITY, f64::min))
     }
 
+    /// The leftmost and the rightmost units of a planar body.
+    pub fn sides(&self) -> Vec<usize> {
+        let at = |u: usize| self.centres[u][0];
+        let (left, right) = (0..self.units())
+            .map(at)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, r), x| (l.min(x), r.max(x)));
+        // rows of some lattices begin half a cell to the right
+        let near = |u: &usize| at(*u) < left + 0.6 * self.spacing || at(*u) > right - 0.6 * self.spacing;
+        (0..self.units()).filter(near).collect()
+    }
+
     /// The innermost unit of a circular body, or the innermost four.
     pub fn hub(&self) -> Vec<usize> {
         let radius = |u: usize| self.centres[u][0].hypot(self.centres[u][1]);

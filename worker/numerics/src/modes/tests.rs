@@ -16,6 +16,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         contact: None,
         linearised: false,
         clamped,
+        pressed: Vec::new(),
         panels: vec![Panel::central(top, [0.6, -0.8]), Panel::central(top - 2, [0.0, -1.0])],
         sensors: vec![4, top],
         chip: None,
