@@ -125,18 +125,25 @@ def cases(name, body, alpha, rng, clamped, panels, sensors):
 def motion(name, body, alpha, rng, scene):
     params, elastic = body.params(alpha), body.energies()[0]
     held = jnp.array([[unit, d] for unit in scene["clamped"] for d in range(3)])
+    ways = jnp.array([way for x, y in scene.get("pressed", np.zeros((len(scene["clamped"]), 2))) for way in (x, y, 0.0)])
     units, (steps, duration) = body.shape[0], (scene["T"], scene["duration"])
     free, _, _ = geometry.DOFsInfo(units, held)
     fixed = energy.constrain_energy(elastic, dynamics.build_constrained_kinematics(
-        types.SimpleNamespace(n_blocks=units), held))
+        types.SimpleNamespace(n_blocks=units), held, lambda pressed: pressed * ways))
     rhs = dynamics.build_RHS(lambda x, t, p: fixed(x, t, p), lambda state, t, load, damping: load["f"] - damping * state[1])
     damping = np.tile(body.damping(), units)[np.asarray(free)]
     inertia = np.asarray(geometry.compute_inertia(params.geometrical_params.centroid_node_vectors, DENSITY)).reshape(-1)[np.asarray(free)]
     params = params._replace(mechanical_params=params.mechanical_params._replace(damping=jnp.asarray(damping)))
     slot = {int(d): i for i, d in enumerate(np.asarray(free))}
     struck = [slot[3 * unit + 1] for unit in scene["panels"]]
-    energy_of = jax.jit(lambda x: fixed(x, 0.0, params))
-    right = jax.jit(lambda y, f: rhs(y, 0.0, params._replace(loading_params={"f": f}), inertia))
+    energy_of = jax.jit(lambda x, pressed=1.0: fixed(x, pressed, params))
+    slopes = jax.jit(jax.grad(energy_of)), jax.jit(jax.hessian(energy_of))
+    rest = np.zeros(len(free))
+    for part in np.linspace(0.0, 1.0, 11)[1:] if "pressed" in scene else []:  # held units go a tenth of their way, the others follow
+        for _ in range(8):
+            rest = rest - np.linalg.solve(slopes[1](rest, part), slopes[0](rest, part))
+        assert np.abs(slopes[0](rest, part)).max() < 1e-12 and np.linalg.eigvalsh(slopes[1](rest, part)).min() > 0
+    right = jax.jit(lambda y, f: rhs(y, 1.0, params._replace(loading_params={"f": f}), inertia))
 
     def load(forces):
         vector = np.zeros(len(free))
@@ -158,7 +165,7 @@ def motion(name, body, alpha, rng, scene):
             return np.concatenate([v, a, [damping @ (v * v), f @ v]]), a
 
         def solve(rtol):
-            y, all_of = np.zeros(2 * n + 2), []
+            y, all_of = np.concatenate([rest, np.zeros(n + 2)]), []
             for from_, to in zip(times, times[1:]):
                 y = solve_ivp(lambda t, y: slope(y, t)[0], (from_, to), y, method="DOP853", rtol=rtol, atol=rtol * 1e-3).y[:, -1]
                 all_of.append(y)
@@ -177,11 +184,13 @@ def motion(name, body, alpha, rng, scene):
         read.append(at)
         ends.append(fine[-1])
     whole = lambda part: np.array([np.bincount(np.asarray(free), end[part], 3 * units).reshape(units, 3) for end in ends])
+    moved = np.bincount(3 * np.repeat(scene["clamped"], 3) + np.tile(range(3), len(scene["clamped"])), ways, 3 * units).reshape(units, 3)
+    start = {"start": moved + np.bincount(np.asarray(free), rest, 3 * units).reshape(units, 3)} if "pressed" in scene else {}
     about = {"kind": "trajectory", "scene": scene, "N": samples,
              "self_consistency": {"methods": "DOP853 rtol 1e-11 (kept) against 1e-9", "sensors_relative_l2": apart,
                                   "final_state_relative_l2": apart}}
     save(f"trajectory_difflexmm_{name}", about, {
-        "alpha": alpha, "forces": forces, "sensors": np.array(read), "final_displacement": whole(slice(0, n)),
+        "alpha": alpha, "forces": forces, "sensors": np.array(read), "final_displacement": whole(slice(0, n)) + moved, **start,
         "final_velocity": whole(slice(n, 2 * n)), **{key: np.array(value).reshape(samples, steps) for key, value in kept.items()}})
     print(name, "trajectories apart by", apart)
 
@@ -202,3 +211,12 @@ if __name__ == "__main__":
     body = Body(quads, [horizontal, vertical], 15.0, 0.6)
     alpha = 0.6 * rng.standard_normal(2 * (body.group.max() + 1))
     cases("quads", body, jnp.asarray(alpha), rng, [0, 1, 2, 3], [9, 10], [5, 6])
+    # bottom and top come together by a twelfth of the way between them, as in DifFlexMM's quads_kinetic_energy_static_tuning
+    quads = geometry.QuadGeometry(4, 5, spacing=1.0, bond_length=0.15)
+    horizontal = np.array([[[0.0, -tan * sign(i, j)] for j in range(5)] for i in range(5)])
+    vertical = np.array([[[tan * sign(i, j), 0.0] for j in range(4)] for i in range(6)])
+    body = Body(quads, [horizontal, vertical], 15.0, 0.6)
+    alpha = 0.6 * rng.standard_normal(2 * (body.group.max() + 1))
+    held = [*range(4), *range(16, 20)]
+    motion("quads_pressed", body, jnp.asarray(alpha), rng, body.scene(
+        clamped=held, pressed=4 * [[0.0, 2.5]] + 4 * [[0.0, -2.5]], panels=[13, 8], sensors=[6, 9]))

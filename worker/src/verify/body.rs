@@ -3,8 +3,8 @@
 use super::case::{Case, CaseError};
 use super::{DEFAULT, Row, relative};
 use metasense_numerics::dynamics::{
-    Forces, Outcome, Scene, Simulation, Solver, Tolerance, Wrt, energy, energy_design_gradient,
-    energy_gradient, run, signal_error, simulate, tune,
+    Energy, Forces, Outcome, Scene, Simulation, Solver, Tolerance, Wrt, energy, energy_design_gradient,
+    energy_gradient, run, signal_error, simulate, start, tune,
 };
 use metasense_numerics::stimuli::resample;
 
@@ -105,8 +105,10 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
     let allowed = tolerance(own("final_state_relative_l2")?);
     let less = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(&b).map(|(a, b)| a - b).collect::<Vec<f64>>();
     let stays = less(case.array("external_work")?, case.array("dissipated_work")?);
-    // Voids that are narrow at rest hold energy from the start.
-    let start = energy(&scene, &design, &vec![[0.0; 3]; scene.layout.units()]).contact;
+    // Voids that are narrow at rest hold energy from the start, and so do ligaments where held units have been moved.
+    let places = start(&scene, &design).map_err(|outcome| case.wrong(outcome.name()))?;
+    let Energy { elastic, contact } = energy(&scene, &design, &places);
+    let start = elastic + contact;
     let gained: Vec<f64> = states.kinetic.iter().zip(&states.elastic).map(|(k, e)| k + e - start).collect();
     rows.extend([
         Row::new("final state", relative(&states.last, &theirs), allowed),
@@ -114,6 +116,9 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         case.row("elastic energy", &states.elastic, "elastic_energy", allowed)?,
         Row::new("work in less dissipated", relative(&gained, &stays), allowed.max(1e-6)),
     ]);
+    if !scene.pressed.is_empty() {
+        rows.push(case.row("where samples begin", places.as_flattened(), "start", ROUNDING)?);
+    }
     if let Ok(dt) = case.number("record_dt") {
         let record = case.array("record")?;
         let samples = record.len() / (forces.samples * forces.panels).max(1);

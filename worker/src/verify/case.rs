@@ -163,6 +163,10 @@ impl Case {
             ),
         };
         let units = |key: &str| self.units(&format!("scene.{key}"), layout.units());
+        let pressed = match self.about.pointer("/scene/pressed") {
+            Some(ways) => serde_json::from_value(ways.clone()).map_err(|e| self.wrong(e))?,
+            None => Vec::new(),
+        };
         let direction = [number("force_direction.0")?, number("force_direction.1")?];
         let contact = match self.flag("scene.contact")? {
             true => Some(Contact {
@@ -185,7 +189,7 @@ impl Case {
             contact,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
-            pressed: Vec::new(),
+            pressed,
             panels: units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect(),
             sensors: units("sensors")?,
             chip: None,
