@@ -169,6 +169,7 @@ fn committed_specs_keep_their_hashes() {
     gradient c39bace70d622cb2
     long-training aff57803d389341f
     placed-two-core 6a5121d9e7f59190
+    pressed db1612c5ed646b46
     quickstart 932ec372654c30ed
     random 1fc0dbba48090cf1
     real-scale a24e0292c7de791c
