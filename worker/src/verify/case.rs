@@ -183,6 +183,7 @@ impl Case {
             relaxation: None,
             damping_ratio: number("zeta")?,
             contact,
+            hinge: None,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
             panels: units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect(),

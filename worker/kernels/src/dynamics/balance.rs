@@ -72,6 +72,8 @@ impl<V: Vector> Balance<V> {
                 kinetic = (V::splat(0.5 * mass[d]) * v).mul_add(v, kinetic);
             }
         }
-        kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(self.most, V::splat(self.floor))
+        // Hinges that have snapped to an energy below that at rest have put in as much as work has.
+        let most = self.most + (-elastic).max(V::splat(0.0));
+        kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(most, V::splat(self.floor))
     }
 }

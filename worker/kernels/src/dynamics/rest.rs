@@ -87,6 +87,7 @@ pub(super) fn hessian_at_rest(model: &Model, scene: &Scene, w: &[Vec<f64>]) -> [
     let (turn, mut h) = (vec![Turn::NONE; units], x.clone());
     let (mut arms, mut voids) =
         (vec![[zero; 2]; model.geometry.arms.len()], vec![[zero; 2]; model.ligaments]);
+    // At rest the moment of a hinge has the slope k_θ that it has without.
     let kernel = match (scene.linearised, scene.contact.is_some()) {
         (false, false) => product::<Sse2, false, false, false, false>,
         (false, true) => product::<Sse2, false, true, false, false>,

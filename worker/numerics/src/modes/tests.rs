@@ -14,6 +14,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         relaxation: None,
         damping_ratio: 0.02,
         contact: None,
+        hinge: None,
         linearised: false,
         clamped,
         panels: vec![Panel::central(top, [0.6, -0.8]), Panel::central(top - 2, [0.0, -1.0])],
