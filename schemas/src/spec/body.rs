@@ -219,6 +219,11 @@ pub struct Body {
     /// Contact between the edges of neighbouring units. Default: no contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
+    /// Moment k_θ δ (1 + a δ + b δ²) of a ligament that bends by δ, in place of k_θ δ; two rests where a² > 4b. δ is above 0 where
+    /// its units turn on as `initial_angle` turns them; where it turns none against another, or `file` gives the body, where the
+    /// unit at the ligament's second end turns anticlockwise. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hinge: Option<Hinge>,
 }
 
 fn planar() -> LayoutKind {
@@ -309,6 +314,17 @@ pub struct Material {
     pub thickness: f64,
     /// Width of a ligament in the plane, across its length. Unit: mm.
     pub ligament_width: f64,
+}
+
+/// The law by which ligaments bend: k_θ δ (1 + a δ + b δ²).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Hinge {
+    /// a. The second rest is the root of 1 + a δ + b δ² that is farther from 0, δ > 0 where a < 0. Unit: 1/rad.
+    #[serde(default)]
+    pub quadratic: f64,
+    /// b, above 0. Unit: 1/rad².
+    pub cubic: f64,
 }
 
 /// Contact between the edges that face each other across a ligament.

@@ -28,6 +28,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
         relaxation: None,
         damping_ratio: 0.02,
         contact: None,
+        hinge: None,
         linearised: false,
         clamped: vec![0, 1, 2],
         pressed: Vec::new(),

@@ -23,6 +23,7 @@ fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
         relaxation: None,
         damping_ratio: 0.03,
         contact: None,
+        hinge: None,
         linearised: false,
         clamped: layout.bottom(),
         pressed: Vec::new(),

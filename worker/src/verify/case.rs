@@ -187,6 +187,7 @@ impl Case {
             relaxation: None,
             damping_ratio: number("zeta")?,
             contact,
+            hinge: None,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
             pressed,

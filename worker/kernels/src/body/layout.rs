@@ -298,6 +298,13 @@ impl Layout {
         self.turning.iter().flat_map(|turn| turn.map(|t| t * tangent + 0.0)).collect()
     }
 
+    /// The sign of θ_b − θ_a where the units at a ligament's ends turn as they do in `initial_design`; 1 where they do not.
+    pub fn sense(&self, ligament: &Ligament) -> f64 {
+        let End { unit, node } = ligament.a;
+        let ([x, y], [p, q]) = (self.shape[unit][node], self.turning[self.groups[unit][node]]);
+        if x * q - y * p > 0.0 { -1.0 } else { 1.0 }
+    }
+
     /// Position of a node relative to its unit's reference point (mm).
     pub fn node(&self, design: &[f64], unit: usize, node: usize) -> [f64; 2] {
         let base = self.shape[unit][node];

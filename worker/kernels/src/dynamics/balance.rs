@@ -1,8 +1,9 @@
 //! Whether equal steps still integrate anything: no motion has energy that no force has put in.
 //!
 //! ```text
-//! ½ v·M v + U + dissipated = W,   W = U(rest) + ∫ f·dx     (contact may act at rest, or held units have been moved)
+//! ½ v·M v + U + dissipated = W,   W = U(rest) + ∫ f·dx     (contact may act at rest)
 //! ```
+//! Where held units have been moved U is what it exceeds that at the beginning by: nothing of that comes back but by a snap.
 //! Steps too long for the highest mode feed energy into it that nobody has put in; signals can then be finite and huge.
 
 use super::energy::contact_energy;
@@ -24,6 +25,8 @@ pub struct Balance<V> {
     work: V,
     most: V,
     lost: V,
+    /// Energy of ligaments and contacts at the beginning, where held units have been moved.
+    pressed: V,
     /// What rounding alone may move.
     floor: f64,
 }
@@ -40,14 +43,14 @@ impl<V: Vector> Balance<V> {
         }
         let touching =
             |c| model.bars.iter().flat_map(|bar| bar.voids).map(|psi| contact_energy(c, psi)).sum();
-        let work = match model.start().is_empty() {
-            true => V::splat(model.contact.map_or(0.0, touching)),
-            false => system.energy(x),
+        let (work, pressed) = match model.start().is_empty() {
+            true => (V::splat(model.contact.map_or(0.0, touching)), zero),
+            false => (zero, system.energy(x)),
         };
         let epsilon = if V::SINGLE { f64::from(f32::EPSILON) } else { f64::EPSILON };
         let floors = model.bars.iter().map(|bar| epsilon * bar.stiffness[0] * bar.length * bar.length);
-        let floor = floors.fold(0.0, f64::max);
-        Self { mass: mass.collect(), before, work, most: work, lost: zero, floor }
+        let floor = floors.fold(epsilon * pressed.lane(0), f64::max);
+        Self { mass: mass.collect(), before, work, most: work, lost: zero, pressed, floor }
     }
 
     /// Adds the work on the way to the places `x`, where `force` acts, and the energy that was `lost` on it.
@@ -73,7 +76,10 @@ impl<V: Vector> Balance<V> {
                 kinetic = (V::splat(0.5 * mass[d]) * v).mul_add(v, kinetic);
             }
         }
-        kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(self.most, V::splat(self.floor))
+        let elastic = elastic - self.pressed;
+        // Hinges that have snapped to an energy below that at rest have put in as much as work has.
+        let most = self.most + (-elastic).max(V::splat(0.0));
+        kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(most, V::splat(self.floor))
     }
 }
 

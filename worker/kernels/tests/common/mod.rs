@@ -13,6 +13,7 @@ pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
         relaxation: None,
         damping_ratio: 0.02,
         contact: None,
+        hinge: None,
         linearised: false,
         clamped: (0..columns).collect(),
         pressed: Vec::new(),

@@ -1,7 +1,7 @@
 //! A small scene, forces on it, and steps.
 
 use crate::common::scene;
-use metasense_kernels::dynamics::{Forces, Method, Panel, Plan, Scene, Tolerance};
+use metasense_kernels::dynamics::{Forces, Hinge, Method, Panel, Plan, Scene, Tolerance};
 use std::f64::consts::TAU;
 
 /// A 3 × 3 lattice read for 0.1 s at 20 instants.
@@ -15,6 +15,9 @@ pub fn small_scene() -> Scene {
         ..scene(3, 3, 20)
     }
 }
+
+/// With a second rest at ½ rad, beyond a hill at ⅕, where its energy is lower than at 0.
+pub const BISTABLE: Hinge = Hinge { quadratic: -7.0, cubic: 10.0 };
 
 /// Smooth pushes of up to `amplitude` N, another for each sample and panel.
 pub fn pushes(scene: &Scene, samples: usize, amplitude: f64) -> Forces {

@@ -4,10 +4,11 @@
 mod common;
 mod forces;
 mod helpers;
+mod hinges;
 mod pressed;
 
 use common::{norm, pool, relative, scene};
-use helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};
+use helpers::{BISTABLE, EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
     Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters, Parts,
@@ -27,6 +28,7 @@ fn every_width_computes_the_same() {
     for scene in [
         base.clone(),
         Scene { linearised: true, ..base.clone() },
+        Scene { hinge: Some(BISTABLE), ..base.clone() },
         Scene { frame: Frame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), struck(&scene, pushes(&scene, 11, 0.4)));
@@ -67,6 +69,7 @@ fn steps_in_single_precision_are_those_in_double() {
     for scene in [
         base.clone(),
         Scene { linearised: true, ..base.clone() },
+        Scene { hinge: Some(BISTABLE), ..base.clone() },
         Scene { frame: Frame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 19, 0.4));
@@ -135,7 +138,13 @@ fn rounding_of_forces_keeps_its_law() {
 fn parts_that_are_alike_are_the_material() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = small_scene();
-    for scene in [base.clone(), Scene { contact, ..base.clone() }, Scene { linearised: true, ..base }] {
+    let hinge = Some(BISTABLE);
+    for scene in [
+        base.clone(),
+        Scene { contact, ..base.clone() },
+        Scene { hinge, ..base.clone() },
+        Scene { linearised: true, ..base },
+    ] {
         let (ligaments, units) = (scene.layout.ligaments.len(), scene.layout.units());
         let with = |by: [f64; 4]| {
             let [stretch, shear, bend, density] = by;
@@ -188,7 +197,13 @@ fn parts_that_are_alike_are_the_material() {
 fn gradients_in_parts_are_those_of_differences() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
-    for scene in [base.clone(), Scene { contact, ..base.clone() }, Scene { linearised: true, ..base }] {
+    let hinge = Some(BISTABLE);
+    for scene in [
+        base.clone(),
+        Scene { contact, ..base.clone() },
+        Scene { hinge, ..base.clone() },
+        Scene { linearised: true, ..base },
+    ] {
         let (ligaments, units) = (scene.layout.ligaments.len(), scene.layout.units());
         let direction = |i: usize| (2.3 * i as f64 + 0.7).cos();
         let with = |by: f64| {
@@ -256,6 +271,7 @@ fn a_pilot_keeps_the_accuracy_asked() {
         ("stiff", Scene { stiffness: Stiffness { stretch: 300.0, ..base.stiffness }, ..base.clone() }),
         ("damped", Scene { damping_ratio: 0.5, ..base.clone() }),
         ("contact", Scene { contact, ..base.clone() }),
+        ("hinge", Scene { hinge: Some(BISTABLE), ..base.clone() }),
         ("body frame", Scene { frame: Frame::Body, ..base.clone() }),
         ("linearised", Scene { linearised: true, ..base }),
     ] {

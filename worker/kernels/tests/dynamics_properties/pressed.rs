@@ -1,7 +1,7 @@
 //! Bodies whose held units have been moved before a sample: where they begin, and how that follows the design.
 
 use crate::common::pool;
-use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene};
+use crate::helpers::{BISTABLE, EQUAL_STEPS, plan, pushes, shaken, small_scene};
 use metasense_kernels::body::Layout;
 use metasense_kernels::dynamics::{
     Contact, Forces, Frame, Method, Mount, Outcome, Panel, Parameters, Relaxation, Rest, Scene, Tangent, Wrt,
@@ -72,6 +72,7 @@ fn gradients_follow_the_start() {
         Scene { frame: Frame::Body, mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }), ..base.clone() },
         Scene { contact, ..base.clone() },
         Scene { linearised: true, ..base.clone() },
+        Scene { hinge: Some(BISTABLE), ..base.clone() },
         Scene { panels: vec![base.panels[0], shaken_base], ..base },
     ];
     for (i, scene) in scenes.iter().enumerate() {
@@ -121,7 +122,7 @@ fn gradients_follow_the_start() {
 /// What a direction does to the signals, by dual numbers of their own, is the transpose of the gradient.
 #[test]
 fn the_two_derivatives_are_transposes() {
-    let scene = pressed(0.08);
+    let scene = Scene { hinge: Some(BISTABLE), ..pressed(0.08) };
     let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.3));
     let direction: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
     let parameters = Parameters { stretch: 0.7, shear: -0.1, bend: 0.4, ..Parameters::default() };
@@ -156,7 +157,7 @@ fn the_two_derivatives_are_transposes() {
 /// Small motions are those about where samples begin.
 #[test]
 fn the_linearisation_is_about_the_start() {
-    let scene = pressed(0.08);
+    let scene = Scene { hinge: Some(BISTABLE), ..pressed(0.08) };
     let design = shaken(&scene);
     let (rest, start) = (Rest::new(&scene, &design), start(&scene, &design).unwrap());
     let unknown = |i: usize| (rest.free[i / 3], i % 3);

@@ -14,6 +14,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         relaxation: None,
         damping_ratio: 0.02,
         contact: None,
+        hinge: None,
         linearised: false,
         clamped,
         pressed: Vec::new(),

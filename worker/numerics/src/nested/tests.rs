@@ -33,6 +33,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             relaxation: None,
             damping_ratio: 0.02,
             contact: None,
+            hinge: None,
             linearised: false,
             clamped: vec![0, 1, 2, 3],
             pressed: Vec::new(),

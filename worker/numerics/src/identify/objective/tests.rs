@@ -13,6 +13,7 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
         relaxation: None,
         damping_ratio: 0.02,
         contact: None,
+        hinge: None,
         linearised: false,
         clamped: layout.bottom(),
         pressed: Vec::new(),
