@@ -411,6 +411,20 @@ def families():
         yield cells, found
 
 
+def pressed():
+    presses = {"as cast": "0.0", "5 % narrower": "0.05", "5 % wider": "-0.05"}
+    for words, *cells in table("pressed"):
+        press, found = presses[words], []
+        own, cast = ([numbers(rows("pressed/trials.csv", press=p), of) for of in ("initial", "optimised")] for p in (press, "0.0"))
+        read = {p: numbers(rows("pressed/read.csv", trained=press, read=p), "error") for p in presses.values()}
+        found += [short(geometric(errors)) + " %" for errors in own]
+        for mine, theirs in zip(own, cast, strict=True):
+            found.append("1" if press == "0.0" else with_interval([a / b for a, b in zip(mine, theirs, strict=True)]))
+        others = [math.sqrt(a * b) for a, b in zip(*(errors for p, errors in read.items() if p != press), strict=True)]
+        found += [short(geometric(others)) + " %", with_interval([a / b for a, b in zip(others, read[press], strict=True)])]
+        yield cells, found
+
+
 def relaxing():
     for line in table("relaxing"):
         def cell(reader, records):
@@ -419,7 +433,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, real_scale, families, filtered, designs, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, real_scale, families, pressed, filtered, designs, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

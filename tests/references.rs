@@ -56,6 +56,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("why", results::why),
     ("why correlated", results::why_correlated),
     ("families", results::families),
+    ("pressed", results::pressed),
     ("filtered", results::filtered),
     ("designs", results::designs),
     ("brains", results::brains),

@@ -463,6 +463,50 @@ pub fn families() -> String {
     table(&[&["lattice"][..], &head].concat(), lattices.map(line))
 }
 
+/// Bodies whose held units come together before a sample, and each read under the other presses.
+pub fn pressed() -> String {
+    let (trials, readings) = (rows("pressed/trials.csv"), rows("pressed/read.csv"));
+    let column = |of: &[Row], wanted: &[(&str, &str)], name: &str| -> Vec<f64> {
+        self::of(of, wanted).map(|row| number(row, name)).collect()
+    };
+    let interval = |above: &[f64], below: &[f64]| {
+        let ratios: Vec<f64> = above.iter().zip(below).map(|(a, b)| (a / b).ln()).collect();
+        with_interval(&ratios, f64::exp)
+    };
+    let percent = |errors: &[f64]| format!("{} %", geometric(errors.iter().copied()));
+    let presses = [("0.0", "as cast"), ("0.05", "5 % narrower"), ("-0.05", "5 % wider")];
+    let line = |(press, words): (&str, &str)| {
+        let [(initial, first), (optimised, best)] = ["initial", "optimised"].map(|name| {
+            (column(&trials, &[("press", press)], name), column(&trials, &[("press", "0.0")], name))
+        });
+        let read = |at: &str| column(&readings, &[("trained", press), ("read", at)], "error");
+        let own = read(press);
+        let others: Vec<Vec<f64>> = presses.iter().filter(|p| p.0 != press).map(|p| read(p.0)).collect();
+        let otherwise: Vec<f64> = others[0].iter().zip(&others[1]).map(|(a, b)| (a * b).sqrt()).collect();
+        let as_cast =
+            |own: &[f64], cast: &[f64]| if press == "0.0" { "1".to_owned() } else { interval(own, cast) };
+        vec![
+            words.to_owned(),
+            percent(&initial),
+            percent(&optimised),
+            as_cast(&initial, &first),
+            as_cast(&optimised, &best),
+            percent(&otherwise),
+            interval(&otherwise, &own),
+        ]
+    };
+    let head = [
+        "a body",
+        "untouched",
+        "trained",
+        "untouched, by as cast",
+        "trained, by as cast",
+        "trained, read under the others",
+        "that by its own",
+    ];
+    table(&head, presses.map(line))
+}
+
 /// Robust bodies in a world that the model does not contain.
 pub fn relaxing() -> String {
     let all = rows("robust-two-core/relaxing.csv");
