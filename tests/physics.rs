@@ -153,3 +153,39 @@ fn hinges_are_trained() {
     let specs = json(&bench.output(&["query", "s.sqlite", specs, "--format", "json"]));
     assert!(specs[0]["n"] == 3 && specs[0]["hinged"] == 2, "{specs:?}");
 }
+
+/// A press before every sample is an axis of a sweep: other readings, other modes. A straight body that buckles under it is named, with
+/// what to do.
+#[test]
+fn a_press_is_an_axis() {
+    let bench = Bench::new();
+    let linear = light()
+        .replace("iterations = 10\n", "kind = \"linear\"\n")
+        .replace("sensors = [1, 2]", "sensors = [1]")
+        .replacen("[time]", "clamp = \"sides\"\n[time]", 1);
+    let pressed =
+        linear.replace("sensors = [1]", "sensors = [1]\n\"body.compression\" = [[0.0, 0.0], [0.05, 0.0]]");
+    bench.file("s.toml", &pressed);
+    let rows = json(&bench.output(&["run", "s.toml", "--workers", "1", "--format", "json"]));
+    let error = |row: usize, body: &str| rows[row][format!("holdout_error_{body}")].as_f64().unwrap();
+    assert!(rows.len() == 2 && rows.iter().all(|row| row["state"] == "done"), "{rows:?}");
+    assert!(
+        ["initial", "optimised"].iter().all(|body| (error(0, body) / error(1, body) - 1.0).abs() > 1e-2),
+        "{rows:?}"
+    );
+
+    bench.file("cast.toml", &linear);
+    bench.file("pressed.toml", &linear.replacen("[time]", "compression = [0.05, 0.0]\n[time]", 1));
+    let slowest = ["cast.toml", "pressed.toml"].map(|spec| {
+        let modes = json(&bench.output(&["modes", spec, "--count", "1", "--format", "json"]));
+        modes[0]["frequency"].as_f64().unwrap()
+    });
+    assert!((slowest[0] / slowest[1] - 1.0).abs() > 1e-2, "{slowest:?}");
+
+    let straight = "clamp = \"ends\"\npanel_units = [4, 11]\ninitial_angle = 0\ncompression = [0.0, 0.1]";
+    bench.file("straight.toml", &linear.replacen("clamp = \"sides\"", straight, 1));
+    let output = bench.metasense(&["run", "straight.toml", "--workers", "1", "--db", "straight.sqlite"]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() != Some(0) && said.contains("buckled"), "{said}");
+    assert!(said.contains("a smaller `body.compression` may help"), "{said}");
+}

@@ -93,6 +93,9 @@ impl Reason {
                 "raise `range` in [sensors] (mm/s², rad/s) or take a chip that reads further, strike more gently, or put the \
                  sensors elsewhere"
             }
+            Self::Numerical(Cause::Buckled | Cause::NoEquilibrium) => {
+                "a smaller `body.compression` may help, or units that are turned more to begin with (`body.initial_angle`)"
+            }
             Self::Numerical(_) => {
                 "see `metasense trial SPEC --hash HASH`; a smaller `solver.tolerance` or learning rate may help"
             }
