@@ -3,7 +3,7 @@
 use super::{Row, relative};
 use crate::{files, polygons};
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Contact, Forces, Frame, Panel, Parts, Scene, Stiffness};
+use metasense_numerics::dynamics::{Contact, Forces, Frame, Moves, Panel, Parts, Scene, Stiffness};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -164,6 +164,13 @@ impl Case {
         };
         let units = |key: &str| self.units(&format!("scene.{key}"), layout.units());
         let direction = [number("force_direction.0")?, number("force_direction.1")?];
+        let mut panels: Vec<Panel> =
+            units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect();
+        if self.about.pointer("/scene/driven").is_some() {
+            for k in self.units("scene.driven", panels.len())? {
+                panels[k].moves = Some(Moves::Unit(number("driven_mass")?));
+            }
+        }
         let contact = match self.flag("scene.contact")? {
             true => Some(Contact {
                 stiffness: number("k_contact")?,
@@ -185,7 +192,7 @@ impl Case {
             contact,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
-            panels: units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect(),
+            panels,
             sensors: units("sensors")?,
             chip: None,
             mount: None,

@@ -37,7 +37,9 @@ pub use integrate::{planned, run, simulate};
 pub use jvp::Tangent;
 pub use model::damping;
 pub use rest::Rest;
-pub use scene::{Contact, Frame, Inertia, Mount, Panel, Parameters, Parts, Relaxation, Scene, Stiffness};
+pub use scene::{
+    Contact, Frame, Inertia, Mount, Moves, Panel, Parameters, Parts, Relaxation, Scene, Stiffness,
+};
 pub use simulation::{Counters, Gradient, Outcome, Simulation, Tape, Wrt};
 pub use solver::{Accuracy, Method, Plan, Precision, Solver, Steps, Tolerance};
 pub use tune::{Tuned, signal_error, tune};

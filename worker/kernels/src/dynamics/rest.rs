@@ -29,8 +29,9 @@ impl Rest {
     /// Of a scene with a design.
     ///
     /// # Panics
-    /// If the design's length is not that of the scene's layout.
+    /// If the design's length is not that of the scene's layout, or a unit is driven, which is no part of such a system.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
+        assert!(scene.panels.iter().all(|panel| panel.drives().is_none()), "a driven unit");
         assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
         let model = Model::new(scene, design);
         let free = model.free.clone();
