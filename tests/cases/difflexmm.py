@@ -6,7 +6,7 @@
 
 Geometries, kinematics, strain and contact energies, inertia and the right-hand side are DifFlexMM's own functions. Ours are: the random
 shifts of nodes (the ends of a ligament alike), the forces, which are linear between instants, and SciPy's DOP853 in the place of odeint,
-whose accuracy can be asked for.
+whose accuracy can be asked for. A driven unit is one of DifFlexMM's constrained ones: its place, ∬ f/M, is integrated beside the others'.
 """
 import json, pathlib, sys, types
 import numpy as np
@@ -124,48 +124,57 @@ def cases(name, body, alpha, rng, clamped, panels, sensors):
 
 def motion(name, body, alpha, rng, scene):
     params, elastic = body.params(alpha), body.energies()[0]
-    held = jnp.array([[unit, d] for unit in scene["clamped"] for d in range(3)])
+    driven = [scene["panels"][k] for k in scene.get("driven", [])]
+    held = jnp.array([[unit, d] for unit in scene["clamped"] + driven for d in range(3)])
     ways = jnp.array([way for x, y in scene.get("pressed", np.zeros((len(scene["clamped"]), 2))) for way in (x, y, 0.0)])
     units, (steps, duration) = body.shape[0], (scene["T"], scene["duration"])
     free, _, _ = geometry.DOFsInfo(units, held)
     fixed = energy.constrain_energy(elastic, dynamics.build_constrained_kinematics(
-        types.SimpleNamespace(n_blocks=units), held, lambda pressed: pressed * ways))
+        types.SimpleNamespace(n_blocks=units), held, lambda pressed, along: jnp.concatenate([
+            pressed * ways, jnp.outer(along, jnp.array([*scene["force_direction"], 0.0])).ravel()])))
     rhs = dynamics.build_RHS(lambda x, t, p: fixed(x, t, p), lambda state, t, load, damping: load["f"] - damping * state[1])
+    every = np.asarray(geometry.compute_inertia(params.geometrical_params.centroid_node_vectors, DENSITY))
     damping = np.tile(body.damping(), units)[np.asarray(free)]
-    inertia = np.asarray(geometry.compute_inertia(params.geometrical_params.centroid_node_vectors, DENSITY)).reshape(-1)[np.asarray(free)]
+    inertia = every.reshape(-1)[np.asarray(free)]
+    own, drag = every[driven, 0], body.damping()[0]
     params = params._replace(mechanical_params=params.mechanical_params._replace(damping=jnp.asarray(damping)))
     slot = {int(d): i for i, d in enumerate(np.asarray(free))}
-    struck = [slot[3 * unit + 1] for unit in scene["panels"]]
-    energy_of = jax.jit(lambda x, pressed=1.0: fixed(x, pressed, params))
+    struck = [(k, slot[3 * unit + 1]) for k, unit in enumerate(scene["panels"]) if unit not in driven]
+    at_places = lambda along: params._replace(constraint_params={"along": along})
+    energy_of = jax.jit(lambda x, along, pressed=1.0: fixed(x, pressed, at_places(along)))
+    needs = jax.jit(jax.grad(energy_of, argnums=1))
+    right = jax.jit(lambda y, f, along: rhs(y, 1.0, at_places(along)._replace(loading_params={"f": f}), inertia))
     slopes = jax.jit(jax.grad(energy_of)), jax.jit(jax.hessian(energy_of))
-    rest = np.zeros(len(free))
+    rest, still = np.zeros(len(free)), np.zeros(len(driven))
     for part in np.linspace(0.0, 1.0, 11)[1:] if "pressed" in scene else []:  # held units go a tenth of their way, the others follow
         for _ in range(8):
-            rest = rest - np.linalg.solve(slopes[1](rest, part), slopes[0](rest, part))
-        assert np.abs(slopes[0](rest, part)).max() < 1e-12 and np.linalg.eigvalsh(slopes[1](rest, part)).min() > 0
-    right = jax.jit(lambda y, f: rhs(y, 1.0, params._replace(loading_params={"f": f}), inertia))
+            rest = rest - np.linalg.solve(slopes[1](rest, still, part), slopes[0](rest, still, part))
+        assert np.abs(slopes[0](rest, still, part)).max() < 1e-12 and np.linalg.eigvalsh(slopes[1](rest, still, part)).min() > 0
 
     def load(forces):
         vector = np.zeros(len(free))
-        for at, f in zip(struck, forces):
-            vector[at] -= f
+        for k, at in struck:
+            vector[at] -= forces[k]
         return vector
 
-    samples, times = 2, np.linspace(0.0, duration, steps + 1)
-    onset, width = rng.uniform(0.0, 0.05, (samples, len(struck))), rng.uniform(0.05, 0.1, (samples, len(struck)))
+    panels, samples, times = len(scene["panels"]), 2, np.linspace(0.0, duration, steps + 1)
+    onset, width = rng.uniform(0.0, 0.05, (samples, panels)), rng.uniform(0.05, 0.1, (samples, panels))
     bell = lambda t, o, w: np.where((t > o) & (t < o + w), np.sin(np.pi * np.clip((t - o) / w, 0, 1)) ** 2, 0.0)
     forces = np.array([[rng.uniform(0.1, 0.3) * bell(times, o, w) for o, w in zip(*each)] for each in zip(onset, width)])
     read, ends, kept = [], [], {key: [] for key in ("kinetic_energy", "elastic_energy", "dissipated_work", "external_work")}
-    n, apart = len(free), 0.0
+    n, d, apart = len(free), len(driven), 0.0
     for sample in forces:
         def slope(y, t, forces=sample):
-            f = load([np.interp(t, times, row) for row in forces])
-            x, v = y[:n], y[n:2 * n]
-            _, a = np.asarray(right(np.array([x, v]), f))
-            return np.concatenate([v, a, [damping @ (v * v), f @ v]]), a
+            now = [np.interp(t, times, row) for row in forces]
+            f, given = load(now), np.array([now[k] / scene["driven_mass"] for k in scene.get("driven", [])])
+            x, v, along, speed = np.split(y[:-2], [n, 2 * n, 2 * n + d])
+            _, a = np.asarray(right(np.array([x, v]), f, along))
+            lost = drag * speed @ speed
+            done = speed @ (own * given + np.asarray(needs(x, along))) + lost
+            return np.concatenate([v, a, speed, given, [damping @ (v * v) + lost, f @ v + done]]), a
 
         def solve(rtol):
-            y, all_of = np.concatenate([rest, np.zeros(n + 2)]), []
+            y, all_of = np.concatenate([rest, np.zeros(n + 2 * d + 2)]), []
             for from_, to in zip(times, times[1:]):
                 y = solve_ivp(lambda t, y: slope(y, t)[0], (from_, to), y, method="DOP853", rtol=rtol, atol=rtol * 1e-3).y[:, -1]
                 all_of.append(y)
@@ -177,21 +186,28 @@ def motion(name, body, alpha, rng, scene):
         for t, y in zip(times[1:], fine):
             a = slope(y, t)[1]
             at.append(np.concatenate([[a[slot[3 * u]], a[slot[3 * u + 1]], y[n + slot[3 * u + 2]]] for u in scene["sensors"]]))
-            kept["kinetic_energy"].append(0.5 * inertia @ y[n:2 * n] ** 2)
-            kept["elastic_energy"].append(float(energy_of(y[:n])))
+            kept["kinetic_energy"].append(0.5 * inertia @ y[n:2 * n] ** 2 + 0.5 * own @ y[2 * n + d:-2] ** 2)
+            kept["elastic_energy"].append(float(energy_of(y[:n], y[2 * n:2 * n + d])))
             kept["dissipated_work"].append(y[-2])
             kept["external_work"].append(y[-1])
         read.append(at)
         ends.append(fine[-1])
-    whole = lambda part: np.array([np.bincount(np.asarray(free), end[part], 3 * units).reshape(units, 3) for end in ends])
+
+    def whole(part, given):
+        state = np.array([np.bincount(np.asarray(free), end[part], 3 * units).reshape(units, 3) for end in ends])
+        for i, end in enumerate(ends):
+            state[i][driven] = np.outer(end[given], [*scene["force_direction"], 0.0])
+        return state
+
     moved = np.bincount(3 * np.repeat(scene["clamped"], 3) + np.tile(range(3), len(scene["clamped"])), ways, 3 * units).reshape(units, 3)
     start = {"start": moved + np.bincount(np.asarray(free), rest, 3 * units).reshape(units, 3)} if "pressed" in scene else {}
     about = {"kind": "trajectory", "scene": scene, "N": samples,
              "self_consistency": {"methods": "DOP853 rtol 1e-11 (kept) against 1e-9", "sensors_relative_l2": apart,
                                   "final_state_relative_l2": apart}}
     save(f"trajectory_difflexmm_{name}", about, {
-        "alpha": alpha, "forces": forces, "sensors": np.array(read), "final_displacement": whole(slice(0, n)) + moved, **start,
-        "final_velocity": whole(slice(n, 2 * n)), **{key: np.array(value).reshape(samples, steps) for key, value in kept.items()}})
+        "alpha": alpha, "forces": forces, "sensors": np.array(read), **start,
+        "final_displacement": whole(slice(0, n), slice(2 * n, 2 * n + d)) + moved,
+        "final_velocity": whole(slice(n, 2 * n), slice(2 * n + d, 2 * n + 2 * d)), **{key: np.array(value).reshape(samples, steps) for key, value in kept.items()}})
     print(name, "trajectories apart by", apart)
 
 
@@ -203,6 +219,9 @@ if __name__ == "__main__":
     body = Body(kagome, shifts, 25.0, 2.3)
     alpha = 0.6 * rng.standard_normal(2 * (body.group.max() + 1))
     cases("kagome", body, jnp.asarray(alpha), rng, [0, 2, 4], [7, 11], [5, 9])
+    # so heavy that it goes some 1 mm
+    driven = body.scene(clamped=[0, 2, 4], panels=[7, 11], sensors=[5, 9], driven=[0], driven_mass=1e-3)
+    motion("kagome_driven", body, jnp.asarray(alpha), np.random.default_rng(42), driven)
     quads = geometry.QuadGeometry(4, 3, spacing=1.0, bond_length=0.15)
     tan = 0.5 * 0.85 * np.tan(turn)
     sign = lambda i, j: (-1.0) ** (i + j)

@@ -1,6 +1,6 @@
 //! Eigenmodes of a trial's body at rest, and how its panels move its units there.
 
-use metasense_numerics::dynamics::Rest;
+use metasense_numerics::dynamics::{Rest, Scene};
 use metasense_numerics::modes;
 pub use metasense_numerics::modes::{Mode, Response};
 use metasense_schemas::spec::TrialSpec;
@@ -17,6 +17,7 @@ pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mo
     let loose = || {
         Failure::Rejected("body.clamp = []: nothing holds the body; its modes need a clamped unit".to_owned())
     };
+    undriven(scene)?;
     if scene.clamped.is_empty() {
         return Err(loose());
     }
@@ -35,6 +36,7 @@ pub fn responses(
 ) -> Result<Vec<Vec<Response>>, Failure> {
     let problem = with_design(trial, design)?;
     let (scene, units) = (&problem.scene, problem.scene.layout.units());
+    undriven(scene)?;
     if unit >= units || scene.clamped.contains(&unit) {
         let why = if unit >= units {
             format!("the body has units 0 … {}", units - 1)
@@ -45,4 +47,16 @@ pub fn responses(
     }
     let found = modes::responses(scene, &Rest::new(scene, design), &[unit], frequencies);
     Ok(found.into_iter().map(|panels| panels.into_iter().flatten().collect()).collect())
+}
+
+/// Refuses a scene whose linearisation is no body's under forces.
+pub(crate) fn undriven(scene: &Scene) -> Result<(), Failure> {
+    match scene.panels.iter().find(|panel| panel.drives().is_some()) {
+        None => Ok(()),
+        Some(panel) => Err(Failure::Rejected(format!(
+            "body.panels: unit {} is driven, and small motions are those of held units under forces: clamp it, and shake the base or \
+             strike other units",
+            panel.unit
+        ))),
+    }
 }

@@ -78,7 +78,7 @@ pub struct Polygons {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Struck {
-    /// The unit. Default: must be given without `base`.
+    /// The unit. Default: must be given without `base`; with one, all that are held.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<usize>,
     /// Where its force points. Default: down, on a circular body inward.
@@ -94,8 +94,8 @@ pub struct Struck {
     /// Default: no couple.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub couple: Option<f64>,
-    /// In place of a force on a unit, an acceleration of what the held units are fixed to: the force over this mass. Unit: Mg.
-    /// Default: the base holds still.
+    /// In place of a force, an acceleration along the direction, the force over this mass: of what the held units are fixed to; or of the
+    /// `unit` alone, which then moves so whatever the ligaments pull, and does not turn. Unit: Mg. Default: a force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<f64>,
 }

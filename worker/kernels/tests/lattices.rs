@@ -4,7 +4,9 @@ mod common;
 
 use common::{norm, pool, relative, scene};
 use metasense_kernels::body::{End, Geometry, Layout, Pattern};
-use metasense_kernels::dynamics::{Contact, Forces, Frame, Method, Panel, Plan, Scene, Tangent, Wrt, run};
+use metasense_kernels::dynamics::{
+    Contact, Forces, Frame, Method, Moves, Panel, Plan, Scene, Tangent, Wrt, run,
+};
 
 /// A square above a triangle and a hexagon, which is below another triangle.
 fn mixed() -> Layout {
@@ -46,7 +48,7 @@ fn struck(layout: Layout) -> (Scene, Forces) {
     let base = scene(3, 3, 20);
     let panels = vec![
         Panel { node: Some(1), moment: 0.5, ..Panel::central(last, [0.6, -0.8]) },
-        Panel { base: Some(1e-4), ..Panel::central(clamped[0], [0.8, 0.6]) },
+        Panel { moves: Some(Moves::Base(1e-4)), ..Panel::central(clamped[0], [0.8, 0.6]) },
     ];
     let scene = Scene { clamped, panels, sensors: vec![free, last], frame: Frame::Body, layout, ..base };
     let values = (0..6 * 21).map(|i| 0.3 * (0.15 * f64::from(i % 21) + f64::from(i / 21)).sin().powi(2));

@@ -1,7 +1,7 @@
 //! A body from its spec: units and ligaments, what holds it, where it is struck, and the design that it starts from.
 
 use metasense_numerics::body::{Layout, Pattern};
-use metasense_numerics::dynamics::Panel;
+use metasense_numerics::dynamics::{Moves, Panel};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Struck, TrialSpec};
 
@@ -100,6 +100,7 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
     let (sin, cos) = body.panel_angle.unwrap_or_default().to_radians().sin_cos();
     let listed = Listed::new(body, layout);
     let in_turn = listed.begins_with(units);
+    let held = clamped(body, layout).unwrap_or_default();
     let panel = |(k, &unit): (usize, &usize)| {
         let struck = match in_turn {
             true => Some(&listed.panels[k]),
@@ -124,7 +125,8 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
             None => [x, y],
         };
         let [p, q] = at.unwrap_or_default();
-        Panel { unit, direction, node, moment: p * direction[1] - q * direction[0] + 0.0, base }
+        let moves = base.map(|mass| if held.contains(&unit) { Moves::Base(mass) } else { Moves::Unit(mass) });
+        Panel { unit, direction, node, moment: p * direction[1] - q * direction[0] + 0.0, moves }
     };
     units.iter().enumerate().map(panel).collect()
 }
@@ -175,20 +177,33 @@ impl Listed {
                 if !(*mass > 0.0 && mass.is_finite()) {
                     return wrong("its base must be a mass above 0 (Mg)".into());
                 }
-                if beside != [false, beside[1], false, false, false] {
+                if beside[2..] != [false; 3] {
                     return wrong(
-                        "a base is shaken along its direction: no unit, node, at or couple beside it".into(),
+                        "a base moves along its direction and does not turn: no node, at or couple beside it"
+                            .into(),
                     );
                 }
-                if clamped(body, layout)?.is_empty() {
+                let held = clamped(body, layout)?;
+                if unit.is_none() && held.is_empty() {
                     return wrong("no unit is held by the base".into());
                 }
-            } else {
-                let Some(unit) = unit else { return wrong("its unit must be given".into()) };
+                if let Some(unit) = unit.filter(|unit| held.contains(unit)) {
+                    return wrong(format!("unit {unit} is clamped: leave it out of body.clamp to drive it"));
+                }
+            } else if unit.is_none() {
+                return wrong("its unit must be given".into());
+            }
+            if let Some(unit) = unit {
                 if *unit >= layout.units() {
                     return wrong(format!(
                         "there is no unit {unit}: the units are 0 to {}",
                         layout.units() - 1
+                    ));
+                }
+                let driven = |other: &Struck| other.unit == Some(*unit) && other.base.is_some();
+                if let Some(other) = given.iter().position(driven).filter(|_| base.is_none()) {
+                    return wrong(format!(
+                        "unit {unit} moves as panels[{other}] says: no force changes that"
                     ));
                 }
                 let nodes = layout.shape[*unit].len();

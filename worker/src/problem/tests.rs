@@ -1,6 +1,7 @@
 use super::*;
+use crate::{modes::slowest, operator::told};
 use metasense_numerics::brain::Policy;
-use metasense_numerics::dynamics::{Panel, Strike};
+use metasense_numerics::dynamics::{Moves, Panel, Strike};
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::{Protocol, Terms};
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
@@ -288,12 +289,23 @@ fn forces_act_where_the_list_of_panels_says() {
     assert_eq!(with(list, json!([34, 34])).unwrap(), [node, couple]);
     // the base is drawn at the first unit that it holds
     let list = json!([{ "base": 1e-5, "direction": [1, 0] }, { "unit": 34 }]);
-    let shaken = Panel { base: Some(1e-5), ..Panel::central(0, [1.0, 0.0]) };
+    let shaken = Panel { moves: Some(Moves::Base(1e-5)), ..Panel::central(0, [1.0, 0.0]) };
     assert_eq!(with(list, json!([0, 34])).unwrap(), [shaken, Panel::central(34, [0.0, -1.0])]);
+    let list = json!([{ "base": 1e-5, "unit": 31, "direction": [1, 0] }, { "unit": 34 }]);
+    let driven = Panel { moves: Some(Moves::Unit(1e-5)), ..Panel::central(31, [1.0, 0.0]) };
+    assert_eq!(with(list.clone(), json!([31, 34])).unwrap(), [driven, Panel::central(34, [0.0, -1.0])]);
+    let moved = trial(&[("body.panels", list), ("panel_units", json!([31, 34]))]);
+    let design = problem(&moved).unwrap().initial;
+    for refused in [slowest(&moved, &design, 3).err(), told(&moved, &design).err()] {
+        assert!(refused.expect("driven").to_string().contains("body.panels: unit 31 is driven"));
+    }
     for (list, place, remedy) in [
         (json!([{ "direction": [1, 0] }]), "panels[0]", "unit must be given"),
         (json!([{ "base": 0 }]), "panels[0]", "a mass above 0"),
-        (json!([{ "base": 1e-5, "unit": 34 }]), "panels[0]", "no unit, node"),
+        (json!([{ "base": 1e-5, "unit": 34, "node": 1 }]), "panels[0]", "no node"),
+        (json!([{ "base": 1e-5, "unit": 2 }]), "panels[0]", "leave it out of body.clamp"),
+        (json!([{ "base": 1e-5, "unit": 36 }]), "panels[0]", "there is no unit 36"),
+        (json!([{ "unit": 34 }, { "base": 1e-5, "unit": 34 }]), "panels[0]", "moves as panels[1] says"),
         (json!([{ "unit": 36 }]), "panels[0]", "units are 0 to 35"),
         (json!([{ "unit": 34 }, { "unit": 34, "node": 4 }]), "panels[1]", "which has 4"),
         (json!([{ "unit": 34, "direction": [0, 0] }]), "panels[0]", "not zero"),

@@ -3,7 +3,7 @@
 use super::{Row, relative};
 use crate::{files, polygons};
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Contact, Forces, Frame, Panel, Parts, Scene, Stiffness};
+use metasense_numerics::dynamics::{Contact, Forces, Frame, Moves, Panel, Parts, Scene, Stiffness};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -168,6 +168,13 @@ impl Case {
             None => Vec::new(),
         };
         let direction = [number("force_direction.0")?, number("force_direction.1")?];
+        let mut panels: Vec<Panel> =
+            units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect();
+        if self.about.pointer("/scene/driven").is_some() {
+            for k in self.units("scene.driven", panels.len())? {
+                panels[k].moves = Some(Moves::Unit(number("driven_mass")?));
+            }
+        }
         let contact = match self.flag("scene.contact")? {
             true => Some(Contact {
                 stiffness: number("k_contact")?,
@@ -191,7 +198,7 @@ impl Case {
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
             pressed,
-            panels: units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect(),
+            panels,
             sensors: units("sensors")?,
             chip: None,
             mount: None,

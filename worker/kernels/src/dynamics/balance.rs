@@ -4,11 +4,12 @@
 //! ½ v·M v + U + dissipated = W,   W = U(rest) + ∫ f·dx     (contact may act at rest)
 //! ```
 //! Where held units have been moved U is what it exceeds that at the beginning by: nothing of that comes back but by a snap.
+//! A driven unit is outside: what it does to the body is the work of the forces ∂U/∂x that it needs against its ligaments.
 //! Steps too long for the highest mode feed energy into it that nobody has put in; signals can then be finite and huge.
 
 use super::energy::contact_energy;
 use super::ligaments::Place;
-use super::system::System;
+use super::system::{System, Unit};
 use crate::lanes::Vector;
 
 /// Part of the most work done so far by which the left side may exceed the right: 0.001 by steps that follow the motion, 0.03 where
@@ -17,10 +18,13 @@ const LEEWAY: f64 = 0.05;
 
 /// Work done by the panels' forces on up to eight samples.
 pub struct Balance<V> {
-    /// (m, m, J), zero where clamped.
+    /// (m, m, J), zero where clamped or driven.
     mass: Vec<[f64; 3]>,
     /// Of each panel: how far its units are along the force, and the force.
     before: Vec<[V; 2]>,
+    /// Of each driven unit: where it is and what it needs; and what it needs now.
+    driven: Vec<[Unit<V>; 2]>,
+    needs: Vec<Unit<V>>,
     /// W, its largest value so far, and what has been dissipated.
     work: V,
     most: V,
@@ -34,12 +38,23 @@ pub struct Balance<V> {
 impl<V: Vector> Balance<V> {
     /// At the beginning `x`, which the system is prepared for, under the forces there.
     #[inline(always)]
-    pub fn new(system: &System<'_, V>, x: &[Place<V>], force: &[V]) -> Self {
+    pub fn new(system: &mut System<'_, V>, x: &[Place<V>], force: &[V]) -> Self {
         let (model, zero) = (system.model, V::splat(0.0));
-        let mass = model.inverse_mass.iter().map(|m| m.map(|m| if m > 0.0 { 1.0 / m } else { 0.0 }));
+        let inverse = |m: &[f64; 3]| m.map(|m| if m > 0.0 { 1.0 / m } else { 0.0 });
+        let mut mass: Vec<[f64; 3]> = model.inverse_mass.iter().map(inverse).collect();
+        model.driven.iter().for_each(|u| mass[*u] = [0.0; 3]);
         let mut before = Vec::with_capacity(force.len());
         for (k, f) in force.iter().enumerate() {
             before.push([way(system, k, x), *f]);
+        }
+        let mut needs = vec![[zero; 3]; model.driven.len()];
+        if !needs.is_empty() {
+            system.react(x, &mut needs);
+        }
+        let mut driven = Vec::with_capacity(needs.len());
+        for (needs, &u) in needs.iter().zip(&model.driven) {
+            let [p, q, r] = x[u];
+            driven.push([[V::narrow(p), V::narrow(q), V::narrow(r)], *needs]);
         }
         let touching =
             |c| model.bars.iter().flat_map(|bar| bar.voids).map(|psi| contact_energy(c, psi)).sum();
@@ -50,17 +65,32 @@ impl<V: Vector> Balance<V> {
         let epsilon = if V::SINGLE { f64::from(f32::EPSILON) } else { f64::EPSILON };
         let floors = model.bars.iter().map(|bar| epsilon * bar.stiffness[0] * bar.length * bar.length);
         let floor = floors.fold(epsilon * pressed.lane(0), f64::max);
-        Self { mass: mass.collect(), before, work, most: work, lost: zero, pressed, floor }
+        Self { mass, before, driven, needs, work, most: work, lost: zero, pressed, floor }
     }
 
     /// Adds the work on the way to the places `x`, where `force` acts, and the energy that was `lost` on it.
     #[inline(always)]
-    pub fn add(&mut self, system: &System<'_, V>, x: &[Place<V>], force: &[V], lost: V) {
+    pub fn add(&mut self, system: &mut System<'_, V>, x: &[Place<V>], force: &[V], lost: V) {
         self.lost = self.lost + lost;
         for (k, (before, f)) in self.before.iter_mut().zip(force).enumerate() {
+            if system.model.drives[k].is_some() {
+                continue;
+            }
             let at = way(system, k, x);
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];
+        }
+        if !self.driven.is_empty() {
+            system.react(x, &mut self.needs);
+        }
+        for ((before, needs), &u) in self.driven.iter_mut().zip(&self.needs).zip(&system.model.driven) {
+            let [p, q, r] = x[u];
+            let at = [V::narrow(p), V::narrow(q), V::narrow(r)];
+            for d in 0..3 {
+                let mean = V::splat(0.5) * (before[1][d] + needs[d]);
+                self.work = mean.mul_add(at[d] - before[0][d], self.work);
+            }
+            *before = [at, *needs];
         }
         self.most = self.most.max(self.work);
     }

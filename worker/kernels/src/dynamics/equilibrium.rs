@@ -94,7 +94,7 @@ fn settle(scene: &Scene, model: &Model, mut x: Places, short: f64) -> Result<Pla
     Err(Outcome::NoEquilibrium)
 }
 
-/// The energy of all units at some places, and its gradient in those of the units that move, zero of others.
+/// The energy of all units at some places, and its gradient in those of the units that nothing holds, zero of others.
 struct Slope {
     energy: f64,
     gradient: Places,
@@ -117,7 +117,7 @@ impl Slope {
             energy::<Sse2, false, true>(model, bars, &places, &turn)
         };
         let mut gradient = vec![[0.0; 3]; x.len()];
-        for &u in &model.free {
+        for u in loose(model) {
             gradient[u] = g[u].map(|g| g.lane(0));
         }
         let finite = gradient.as_flattened().iter().all(|g| g.is_finite());
@@ -129,19 +129,26 @@ impl Slope {
     }
 }
 
+/// The units that nothing holds: a driven one stays where it is until a sample drives it.
+fn loose(model: &Model) -> Vec<usize> {
+    model.free.iter().copied().filter(|u| !model.driven.contains(u)).collect()
+}
+
 /// The factor of K at some places; nothing where it is not positive definite.
 fn stiffness(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Llt<usize, f64>> {
-    let entries = columns(model, |w| hessian(model, scene, x, w));
+    let loose = loose(model);
+    let entries = columns(&loose, model.units(), |w| hessian(model, scene, x, w));
     let triplets: Vec<_> = entries.iter().map(|&(i, j, k)| Triplet::new(i, j, k)).collect();
-    let n = 3 * model.free.len();
+    let n = 3 * loose.len();
     let k = SparseColMat::try_new_from_triplets(n, n, &triplets).expect("unknowns of the units that move");
     k.sp_cholesky(Side::Lower).ok()
 }
 
 /// K⁻¹ y; zero of held units.
 fn solve(factor: &Llt<usize, f64>, model: &Model, y: &[[f64; 3]]) -> Places {
-    let of = |i: usize| (model.free[i / 3], i % 3);
-    let right = Mat::from_fn(3 * model.free.len(), 1, |i, _| y[of(i).0][of(i).1]);
+    let loose = loose(model);
+    let of = |i: usize| (loose[i / 3], i % 3);
+    let right = Mat::from_fn(3 * loose.len(), 1, |i, _| y[of(i).0][of(i).1]);
     let solved = factor.solve(&right);
     let mut whole = vec![[0.0; 3]; y.len()];
     for i in 0..solved.nrows() {

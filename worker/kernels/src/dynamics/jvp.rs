@@ -4,7 +4,7 @@
 //! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
 //! that signals which agree to rounding check those too.
 
-use super::model::Model;
+use super::model::{Model, heavy};
 use super::schemes::Drift;
 use super::{
     Forces, Frame, Hinge, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5,
@@ -142,7 +142,10 @@ impl<'a> Body<'a> {
             let by = scene.parts.units.get(u).copied().unwrap_or(1.0);
             let own = [by * m, by * m, by / 12.0 * density * polar];
             let chip = Inertia::on(scene, u);
-            mass.push([0, 1, 2].map(|d| own[d] + Dual(chip[d], 0.0)));
+            mass.push(match scene.is_driven(u) {
+                true => heavy(scene).map(|m| Dual(m, 0.0)),
+                false => [0, 1, 2].map(|d| own[d] + Dual(chip[d], 0.0)),
+            });
         }
         let (area, round) = layout.mean_unit();
         let shift = 2.0 * ratio * (area * density * shear).sqrt();
@@ -217,6 +220,13 @@ impl<'a> Body<'a> {
         let layout = &scene.layout;
         let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
         for (k, panel) in scene.panels.iter().enumerate() {
+            if let Some(drives) = panel.drives() {
+                for d in 0..2 {
+                    let pull = self.mass[panel.unit][d] * (drives[d] * self.force(k, interval, w));
+                    net[panel.unit][d] = net[panel.unit][d] + pull;
+                }
+                continue;
+            }
             if let Some(shakes) = panel.shakes() {
                 for (net, mass) in net.iter_mut().zip(&self.mass) {
                     for d in 0..2 {

@@ -7,6 +7,10 @@ use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+/// Mass of a driven unit by that of the mean one. Ligaments pull 1e3 times as hard as accelerates a unit slowly driven: they change its
+/// motion by 1e-9. What moves it is far from the limits of f32.
+const HEAVY: f64 = 1e12;
+
 /// A ligament with what the kernel needs of its ends.
 #[derive(Debug, Clone, Copy)]
 pub struct Bar<S = f64> {
@@ -98,12 +102,16 @@ pub struct Model {
     pub contact: Option<Contact>,
     /// How hinges bend.
     pub hinge: Option<Hinge>,
-    /// 1/(m, m, J) of each unit; zero where clamped.
+    /// 1/(m, m, J) of each unit; zero where clamped, next to it where driven.
     pub inverse_mass: Vec<[f64; 3]>,
     /// C (N·s/mm, N·s/mm, N·mm·s).
     pub damping: [f64; 3],
     /// Units that move, in order.
     pub free: Vec<usize>,
+    /// Units whose motion is given, in order; they are among the free ones.
+    pub driven: Vec<usize>,
+    /// Of each panel that drives its unit what 1 N does to it.
+    pub drives: Vec<Option<Strike>>,
     /// The design's geometry.
     pub geometry: Geometry,
     /// Of each panel the number, among all, of the node that it acts on.
@@ -119,6 +127,13 @@ pub fn damping(scene: &Scene) -> [f64; 3] {
     let shift = 2.0 * scene.damping_ratio * (mass * scene.stiffness.shear).sqrt();
     let turn = 2.0 * scene.damping_ratio * (moment * scene.stiffness.bend).sqrt();
     [shift, shift, turn]
+}
+
+/// (m, m, J) of a driven unit, of no design.
+pub(super) fn heavy(scene: &Scene) -> [f64; 3] {
+    let (area, round) = scene.layout.mean_unit();
+    let mass = HEAVY * scene.density * area;
+    [mass, mass, mass * area / 6.0 * round]
 }
 
 impl Model {
@@ -165,6 +180,12 @@ impl Model {
         for &u in &scene.clamped {
             inverse_mass[u] = [0.0; 3];
         }
+        let driven: Vec<usize> = (0..layout.units()).filter(|u| scene.is_driven(*u)).collect();
+        let heavy = heavy(scene);
+        for &u in &driven {
+            inverse_mass[u] = heavy.map(f64::recip);
+        }
+        let drives = |panel: &Panel| panel.drives().map(|[x, y]| [heavy[0] * x, heavy[1] * y, 0.0]);
         let mut model = Self {
             bars,
             ligaments: layout.ligaments.len(),
@@ -172,6 +193,8 @@ impl Model {
             hinge: scene.hinge,
             inverse_mass,
             damping: damping(scene),
+            driven,
+            drives: scene.panels.iter().map(drives).collect(),
             free: (0..layout.units()).filter(|u| !scene.clamped.contains(u)).collect(),
             geometry,
             struck: scene.panels.iter().map(number).collect(),
@@ -193,8 +216,11 @@ impl Model {
         self.inverse_mass[unit][0].recip()
     }
 
-    /// What a strike on a panel does about the centroid of its unit.
+    /// What a strike on a panel does about the centroid of its unit; one that drives it strikes nowhere else.
     pub fn about_centroid(&self, panel: usize, [x, y, moment]: Strike) -> Strike {
+        if let Some(drives) = self.drives[panel] {
+            return drives;
+        }
         let [p, q] = self.struck[panel].map_or([0.0; 2], |node| self.geometry.arms[node]);
         [x, y, moment + (p * y - q * x)]
     }

@@ -29,13 +29,14 @@ impl Rest {
     /// Of a scene with a design.
     ///
     /// # Panics
-    /// If the design's length is not that of the scene's layout.
+    /// If the design's length is not that of the scene's layout, or a unit is driven, which is no part of such a system.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
+        assert!(scene.panels.iter().all(|panel| panel.drives().is_none()), "a driven unit");
         assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
         let model = Model::new(scene, design);
         let free = model.free.clone();
         let unknowns = unknowns(&free);
-        let stiffness = columns(&model, |w| hessian(&model, scene, model.start(), w));
+        let stiffness = columns(&free, model.units(), |w| hessian(&model, scene, model.start(), w));
         Self {
             mass: unknowns.iter().map(|u| model.inverse_mass[u / 3][u % 3].recip()).collect(),
             damping: unknowns.iter().map(|u| model.damping[u % 3]).collect(),
@@ -52,16 +53,18 @@ fn unknowns(free: &[usize]) -> Vec<usize> {
     free.iter().flat_map(|u| 3 * u..3 * u + 3).collect()
 }
 
-/// (row, column, value) of a matrix of the unknowns by columns, without zeros, from its products with up to so many directions.
+/// (row, column, value) of a matrix of the unknowns of some of so many units, by columns, without zeros, from its products with
+/// directions.
 pub(super) fn columns(
-    model: &Model,
+    free: &[usize],
+    units: usize,
     products: impl Fn(&[Vec<f64>]) -> [Vec<f64>; COLUMNS],
 ) -> Vec<(usize, usize, f64)> {
-    let unknowns = unknowns(&model.free);
+    let unknowns = unknowns(free);
     let mut entries = Vec::new();
     for (block, columns) in unknowns.chunks(COLUMNS).enumerate() {
         let unit = |&column: &usize| {
-            let mut w = vec![0.0; 3 * model.units()];
+            let mut w = vec![0.0; 3 * units];
             w[column] = 1.0;
             w
         };

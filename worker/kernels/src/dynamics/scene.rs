@@ -151,20 +151,40 @@ pub struct Panel {
     pub node: Option<usize>,
     /// Moment of 1 N about that point (mm): of a force beside it, or of a couple.
     pub moment: f64,
-    /// In place of a force on the unit, a held one, what all held units are fixed to is accelerated along the direction: by f over
-    /// this mass (Mg). The scene's places are then those in its frame, and sensors read what they feel, the base's motion with it.
-    pub base: Option<f64>,
+    /// What is accelerated along the direction in place of a force on the unit; none: nothing.
+    pub moves: Option<Moves>,
+}
+
+/// What a panel moves as its history says, whatever the ligaments pull: its acceleration is f over this mass (Mg).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Moves {
+    /// What all held units are fixed to; the panel's unit is one of them. The scene's places are then those in its frame, and sensors
+    /// read what they feel, the base's motion with it.
+    Base(f64),
+    /// The panel's unit alone, which does not turn. No panel pushes it, and it is none of the held ones.
+    Unit(f64),
 }
 
 impl Panel {
     /// On the centroid of a unit.
     pub fn central(unit: usize, direction: [f64; 2]) -> Self {
-        Self { unit, direction, node: None, moment: 0.0, base: None }
+        Self { unit, direction, node: None, moment: 0.0, moves: None }
     }
 
     /// The acceleration of the base under 1 N (mm/s²).
     pub fn shakes(&self) -> Option<[f64; 2]> {
-        self.base.map(|mass| self.direction.map(|d| d / mass))
+        match self.moves {
+            Some(Moves::Base(mass)) => Some(self.direction.map(|d| d / mass)),
+            _ => None,
+        }
+    }
+
+    /// The acceleration of the unit under 1 N (mm/s²), where it is the panel that moves it.
+    pub fn drives(&self) -> Option<[f64; 2]> {
+        match self.moves {
+            Some(Moves::Unit(mass)) => Some(self.direction.map(|d| d / mass)),
+            _ => None,
+        }
     }
 
     /// Where it acts on a unit of this centroid and these corners: the foot of its line, of a couple the centroid.
@@ -237,6 +257,11 @@ impl Scene {
     /// Whether moments follow more than k_θ Δθ.
     pub(super) fn has_laws(&self) -> bool {
         self.contact.is_some() || self.hinge.is_some()
+    }
+
+    /// Whether a unit's motion is given.
+    pub fn is_driven(&self, unit: usize) -> bool {
+        self.panels.iter().any(|panel| panel.unit == unit && panel.drives().is_some())
     }
 
     /// The acceleration of the base under these histories, (K, R+1), at a kink (mm/s²).

@@ -63,7 +63,10 @@ impl<S: Scalar> Ready<S> {
                     S::from_f64(if m[d] > 0.0 { part / m[d] } else { 0.0 })
                 })
             };
-            model.inverse_mass.iter().zip(&gamma).map(of).collect()
+            let mut losses: Vec<[S; 2]> = model.inverse_mass.iter().zip(&gamma).map(of).collect();
+            // whatever moves a driven unit pays for its damping
+            model.driven.iter().for_each(|u| losses[*u] = [S::from_f64(0.0); 2]);
+            losses
         };
         let clock = scheme.drifts.iter().scan(0.0, |t, a| {
             *t += a;

@@ -74,6 +74,8 @@ pub struct System<'a, V: Vector> {
     /// Whether `damping` is the model's and its cotangent asked for.
     pub damping_asked: bool,
     bars: Vec<Bar<V::Scalar>>,
+    /// Those of driven units.
+    held: Vec<Bar<V::Scalar>>,
     /// How each panel's force acts.
     strikes: Vec<Unit<V>>,
     pub(super) inverse_mass: Vec<[V::Scalar; 3]>,
@@ -100,6 +102,7 @@ impl<'a, V: Vector> System<'a, V> {
         for (k, (to, panel)) in strikes.iter_mut().zip(&scene.panels).enumerate() {
             *to = model.about_centroid(k, panel.straight()).map(V::splat);
         }
+        let driven = |bar: &&Bar| [bar.a, bar.b].iter().any(|u| model.driven.contains(u));
         Self {
             scene,
             model,
@@ -107,6 +110,7 @@ impl<'a, V: Vector> System<'a, V> {
             damping: if damped { model.damping } else { [0.0; 3] },
             damping_asked: damped && parameters,
             bars: model.bars.iter().map(Bar::rounded).collect(),
+            held: model.bars.iter().filter(driven).map(Bar::rounded).collect(),
             strikes,
             inverse_mass: model.inverse_mass.iter().map(|m| m.map(Scalar::from_f64)).collect(),
             turn: vec![Turn::NONE; n],
@@ -190,6 +194,23 @@ impl<'a, V: Vector> System<'a, V> {
         unsafe { (self.kernels.energy)(self.model, &self.bars, x, &self.turn) }
     }
 
+    /// Overwrites `reaction` by ∂U/∂s at `x`, the one prepared, of each driven unit.
+    #[inline(always)]
+    pub fn react(&mut self, x: &[Place<V>], reaction: &mut [Unit<V>]) {
+        for bar in &self.held {
+            (self.h[bar.a], self.h[bar.b]) = ([V::ZERO; 3], [V::ZERO; 3]);
+        }
+        // SAFETY: as in `add_forces`.
+        unsafe {
+            (self.kernels.gradient)(self.model, &self.held, x, &self.turn, &mut self.h, &mut {
+                V::splat(1.0)
+            })
+        };
+        for (to, &u) in reaction.iter_mut().zip(&self.model.driven) {
+            *to = self.h[u];
+        }
+    }
+
     /// Adds ∂U/∂s − f at `x`, the one prepared, to `g` and lowers `margin` to the least ψ − ψ_min.
     #[inline(always)]
     pub fn add_forces(&mut self, x: &[Place<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
@@ -219,7 +240,8 @@ impl<'a, V: Vector> System<'a, V> {
     /// Whether what forces do depends on the design: on a node that they act on, or on the masses that they shake.
     #[inline(always)]
     pub fn levered(&self) -> bool {
-        self.model.struck.iter().any(Option::is_some) || self.scene.panels.iter().any(|p| p.base.is_some())
+        self.model.struck.iter().any(Option::is_some)
+            || self.scene.panels.iter().any(|p| p.shakes().is_some())
     }
 
     /// Adds what forces, whose work on the units has the cotangent `w`, pass on to the arms of the nodes that they act on, and to the
@@ -259,7 +281,7 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn pushed(&self, panel: usize) -> &[usize] {
         let at = &self.scene.panels[panel];
-        if at.base.is_some() { &self.model.free } else { std::slice::from_ref(&at.unit) }
+        if at.shakes().is_some() { &self.model.free } else { std::slice::from_ref(&at.unit) }
     }
 
     /// What 1 N on a panel does to one of them.
@@ -480,6 +502,8 @@ impl<'a, V: Vector> System<'a, V> {
         for (to, from) in sum.mass.iter_mut().zip(&mut self.cotangent.mass) {
             *to = std::array::from_fn(|d| total(&mut from[d]));
         }
+        // a driven unit moves as it does whatever its mass
+        self.model.driven.iter().for_each(|u| sum.mass[*u] = [0.0; 3]);
         for (to, from) in sum.stiffness.iter_mut().zip(&mut self.cotangent.stiffness) {
             *to = std::array::from_fn(|k| -total(&mut from[k]));
         }

@@ -2,6 +2,7 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod driven;
 mod forces;
 mod helpers;
 mod hinges;

@@ -4,8 +4,8 @@ use crate::common::pool;
 use crate::helpers::{BISTABLE, EQUAL_STEPS, plan, pushes, shaken, small_scene};
 use metasense_kernels::body::Layout;
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Mount, Outcome, Panel, Parameters, Relaxation, Rest, Scene, Tangent, Wrt,
-    energy_gradient, run, start,
+    Contact, Forces, Frame, Method, Mount, Moves, Outcome, Panel, Parameters, Relaxation, Rest, Scene,
+    Tangent, Wrt, energy_gradient, run, start,
 };
 
 /// Held below and at one unit of the top, which comes down by this part of the way between them.
@@ -62,17 +62,20 @@ fn a_sample_begins_at_rest() {
 }
 
 /// Gradients in the design, in parameters and in parts are those of differences, by every method, with contact, of readings that
-/// turn with their units and of a shaken base.
+/// turn with their units, of a shaken base and a driven unit.
 #[test]
 fn gradients_follow_the_start() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = pressed(0.08);
-    let shaken_base = Panel { base: Some(1e-4), ..Panel::central(0, [0.6, 0.8]) };
+    let moving = |moves, unit, way| Panel { moves: Some(moves), ..Panel::central(unit, way) };
+    let (shaken_base, driven) =
+        (moving(Moves::Base(1e-4), 0, [0.6, 0.8]), moving(Moves::Unit(1e-4), 6, [1.0, 0.0]));
     let scenes = [
         Scene { frame: Frame::Body, mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }), ..base.clone() },
         Scene { contact, ..base.clone() },
         Scene { linearised: true, ..base.clone() },
         Scene { hinge: Some(BISTABLE), ..base.clone() },
+        Scene { panels: vec![driven, base.panels[1]], ..base.clone() },
         Scene { panels: vec![base.panels[0], shaken_base], ..base },
     ];
     for (i, scene) in scenes.iter().enumerate() {

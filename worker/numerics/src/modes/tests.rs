@@ -1,6 +1,6 @@
 use super::*;
 use crate::body::Layout;
-use crate::dynamics::{Forces, Frame, Method, Panel, Parts, Plan, Stiffness, highest_frequency, run};
+use crate::dynamics::{Forces, Frame, Method, Moves, Panel, Parts, Plan, Stiffness, highest_frequency, run};
 use nalgebra::DMatrix;
 use std::f64::consts::PI;
 
@@ -33,7 +33,7 @@ fn small() -> (Scene, Vec<f64>) {
     let layout = Layout::planar(3, 3, 15.0, 2.25);
     let mut scene = scene(layout, vec![0, 1, 2]);
     scene.panels[1].node = Some(3);
-    scene.panels.push(Panel { base: Some(1e-4), ..Panel::central(0, [0.8, 0.6]) });
+    scene.panels.push(Panel { moves: Some(Moves::Base(1e-4)), ..Panel::central(0, [0.8, 0.6]) });
     let mut design = scene.layout.initial_design(0.4363);
     design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
     (scene, design)
