@@ -224,9 +224,11 @@ fn add_points(
         ..spec.clone()
     };
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
+    // a driven unit tells its own history, whatever the body does
+    let silent = [&clamped[..], &problem::driven(&spec.body)].concat();
     let searched = spec.sensors.search.is_some_and(|search| search != Search::Random);
     let seeded: Vec<Vec<usize>> =
-        (0..sweep.sweep.placements).map(|p| layout.placement(p as u64, &clamped)).collect();
+        (0..sweep.sweep.placements).map(|p| layout.placement(p as u64, &silent)).collect();
     for &panels in &spec.sweep.panels {
         let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
         for &sensors in &spec.sweep.sensors {
@@ -410,7 +412,10 @@ impl OneBody {
         let sensors = first.sweep.sensors.first().copied().unwrap_or(0);
         let placed = match &first.sensors.placements {
             Some(lists) => lists.iter().find(|list| list.len() == sensors).cloned().unwrap_or_default(),
-            None => layout.placement(0, &clamped).into_iter().take(sensors).collect(),
+            None => {
+                let silent = [&clamped[..], &problem::driven(&body)].concat();
+                layout.placement(0, &silent).into_iter().take(sensors).collect()
+            }
         };
         let units = problem::panel_units(&body, &layout, panels).unwrap_or_default();
         Ok(Some(Self {

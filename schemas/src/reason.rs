@@ -94,7 +94,7 @@ impl Reason {
                  sensors elsewhere"
             }
             Self::Numerical(Cause::Buckled | Cause::NoEquilibrium) => {
-                "a smaller `body.compression` may help, or units that are turned more to begin with (`body.initial_angle`)"
+                "`body.compression` nearer to 0 may help, or units that are turned more to begin with (`body.initial_angle`)"
             }
             Self::Numerical(_) => {
                 "see `metasense trial SPEC --hash HASH`; a smaller `solver.tolerance` or learning rate may help"

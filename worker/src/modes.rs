@@ -1,6 +1,6 @@
 //! Eigenmodes of a trial's body at rest, and how its panels move its units there.
 
-use metasense_numerics::dynamics::{Rest, Scene};
+use metasense_numerics::dynamics::{Rest, Scene, start};
 use metasense_numerics::modes;
 pub use metasense_numerics::modes::{Mode, Response};
 use metasense_schemas::spec::TrialSpec;
@@ -17,7 +17,7 @@ pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mo
     let loose = || {
         Failure::Rejected("body.clamp = []: nothing holds the body; its modes need a clamped unit".to_owned())
     };
-    undriven(scene)?;
+    check_rest(scene, design)?;
     if scene.clamped.is_empty() {
         return Err(loose());
     }
@@ -36,7 +36,7 @@ pub fn responses(
 ) -> Result<Vec<Vec<Response>>, Failure> {
     let problem = with_design(trial, design)?;
     let (scene, units) = (&problem.scene, problem.scene.layout.units());
-    undriven(scene)?;
+    check_rest(scene, design)?;
     if unit >= units || scene.clamped.contains(&unit) {
         let why = if unit >= units {
             format!("the body has units 0 … {}", units - 1)
@@ -49,14 +49,20 @@ pub fn responses(
     Ok(found.into_iter().map(|panels| panels.into_iter().flatten().collect()).collect())
 }
 
-/// Refuses a scene whose linearisation is no body's under forces.
-pub(crate) fn undriven(scene: &Scene) -> Result<(), Failure> {
-    match scene.panels.iter().find(|panel| panel.drives().is_some()) {
-        None => Ok(()),
-        Some(panel) => Err(Failure::Rejected(format!(
+/// Refuses a scene whose linearisation is no body's under forces, and a body that is nowhere to linearise about.
+pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), Failure> {
+    if let Some(panel) = scene.panels.iter().find(|panel| panel.drives().is_some()) {
+        return Err(Failure::Rejected(format!(
             "body.panels: unit {} is driven, and small motions are those of held units under forces: clamp it, and shake the base or \
              strike other units",
             panel.unit
+        )));
+    }
+    match start(scene, design) {
+        Ok(_) => Ok(()),
+        Err(outcome) => Err(Failure::Rejected(format!(
+            "body.compression: {}: under it the body has no place to move about",
+            outcome.name()
         ))),
     }
 }

@@ -4,7 +4,7 @@ use metasense_numerics::questions;
 pub use metasense_numerics::questions::Told;
 use metasense_schemas::spec::TrialSpec;
 
-use crate::modes::undriven;
+use crate::modes::check_rest;
 use crate::run::{Failure, with_design};
 
 /// What the sensors of a body can tell of a trial's forces, by small motions.
@@ -17,6 +17,6 @@ pub fn told(trial: &TrialSpec, design: &[f64]) -> Result<Told, Failure> {
         let why = "sensors.placement: its sensors are still to be searched for".to_owned();
         return Err(Failure::Rejected(why));
     }
-    undriven(&problem.scene)?;
+    check_rest(&problem.scene, design)?;
     Ok(questions::told(&problem, design))
 }

@@ -24,7 +24,7 @@ mod stimuli;
 
 pub use crate::invalid::Invalid;
 use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
-pub use body::{check_units, clamp, clamped, initial_design, layout, panel_units, panels};
+pub use body::{check_units, clamp, clamped, driven, initial_design, layout, panel_units, panels};
 pub use metasense_numerics::brains::READINGS_MAX;
 pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
 
@@ -366,7 +366,9 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let spacing = spacing.unwrap_or(0.0);
     not_negative("sensors.spacing", spacing)?;
     let inside = from.unwrap_or(spec::SearchFrom::Interior) == spec::SearchFrom::Interior;
-    let open = |unit: &usize| !(scene.clamped.contains(unit) || inside && !scene.layout.carriers[*unit]);
+    // a driven unit tells its own history, whatever the body does
+    let told = |unit: &usize| scene.clamped.contains(unit) || scene.is_driven(*unit);
+    let open = |unit: &usize| !(told(unit) || inside && !scene.layout.carriers[*unit]);
     let candidates: Vec<usize> = (0..scene.layout.units()).filter(open).collect();
     let Point { sensors, placement, .. } = trial.point;
     let remedy = format!("the body has {} units where sensors.search may put one", candidates.len());

@@ -220,7 +220,7 @@ pub struct Body {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
     /// Moment k_θ δ (1 + a δ + b δ²) of a ligament that bends by δ, in place of k_θ δ; two rests where a² > 4b. δ is above 0 where
-    /// its units turn on as `initial_angle` turns them; where it turns none against another, or `file` gives the body, where the
+    /// its units turn on as a positive `initial_angle` turns them; where it turns none against another, or `file` gives the body, where the
     /// unit at the ligament's second end turns anticlockwise. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hinge: Option<Hinge>,

@@ -99,8 +99,7 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
     let by_rule = ruled.iter().map(|panel| &panel.0).eq(units.iter());
     let (sin, cos) = body.panel_angle.unwrap_or_default().to_radians().sin_cos();
     let listed = Listed::new(body, layout);
-    let in_turn = listed.begins_with(units);
-    let held = clamped(body, layout).unwrap_or_default();
+    let (in_turn, driven) = (listed.begins_with(units), driven(body));
     let panel = |(k, &unit): (usize, &usize)| {
         let struck = match in_turn {
             true => Some(&listed.panels[k]),
@@ -125,10 +124,24 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
             None => [x, y],
         };
         let [p, q] = at.unwrap_or_default();
-        let moves = base.map(|mass| if held.contains(&unit) { Moves::Base(mass) } else { Moves::Unit(mass) });
+        let moves =
+            base.map(|mass| if driven.contains(&unit) { Moves::Unit(mass) } else { Moves::Base(mass) });
         Panel { unit, direction, node, moment: p * direction[1] - q * direction[0] + 0.0, moves }
     };
     units.iter().enumerate().map(panel).collect()
+}
+
+/// The units that panels of a body drive, of however many panels.
+pub fn driven(body: &spec::Body) -> Vec<usize> {
+    listed(body).1.iter().filter(|panel| panel.base.is_some()).filter_map(|panel| panel.unit).collect()
+}
+
+/// What a spec says of where forces act, and its key.
+fn listed(body: &spec::Body) -> (&'static str, &[Struck]) {
+    match body.polygons() {
+        Some(given) if body.panels.is_empty() => ("body.file", &given.panels),
+        _ => ("body.panels", &body.panels),
+    }
 }
 
 /// Where forces act, by `body.panels` or, where this is empty, by the body's file.
@@ -141,11 +154,8 @@ struct Listed {
 
 impl Listed {
     fn new(body: &spec::Body, layout: &Layout) -> Self {
-        let (key, list) = match body.polygons() {
-            Some(given) if body.panels.is_empty() => ("body.file", &given.panels),
-            _ => ("body.panels", &body.panels),
-        };
-        let mut panels = list.clone();
+        let (key, list) = listed(body);
+        let mut panels = list.to_vec();
         for panel in panels.iter_mut().filter(|panel| panel.base.is_some() && panel.unit.is_none()) {
             panel.unit = clamped(body, layout).ok().and_then(|held| held.first().copied());
         }
@@ -163,8 +173,7 @@ impl Listed {
 
     /// Refuses panels that name what the layout has not, or that nothing tells apart.
     fn check(&self, body: &spec::Body, layout: &Layout) -> Result<(), Invalid> {
-        let given =
-            if self.key == "body.file" { &body.polygons().expect("a file").panels } else { &body.panels };
+        let given = listed(body).1;
         for (k, struck) in given.iter().enumerate() {
             let Struck { unit, direction, node, at, couple, base } = struck;
             let wrong = |remedy: String| Err(invalid(self.key, format!("panels[{k}]"), remedy));
@@ -312,7 +321,7 @@ pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid
             let circular = body.layout == LayoutKind::Circular;
             let (name, units) = match rule {
                 ClampRule::Bottom => ("bottom", layout.bottom()),
-                ClampRule::Ends => ("ends", [layout.bottom(), layout.top()].concat()),
+                ClampRule::Ends => ("ends", layout.ends()),
                 ClampRule::Sides => ("sides", layout.sides()),
                 ClampRule::Hub => ("hub", layout.hub()),
             };

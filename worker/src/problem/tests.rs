@@ -349,6 +349,20 @@ fn compression_moves_what_is_held() {
     assert_eq!(scene.clamped, [0, 5, 6, 11, 12, 17, 18, 23, 24, 29, 30, 35]);
     let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-12;
     assert!(near(scene.pressed[0], [3.75, -0.75]) && near(scene.pressed[11], [-3.75, 0.75]), "{scene:?}");
+    // of every row, whether it begins half a cell to the right or not
+    for (lattice, rows) in [("kagome", 3), ("triangular", 4), ("chiral", 4)] {
+        let sheet = [
+            sides.clone(),
+            ("body.lattice", json!(lattice)),
+            ("body.rows", json!(rows)),
+            ("body.initial_angle", json!(12.0)),
+        ];
+        let body = trial(&sheet).body;
+        let layout = layout(&body).unwrap();
+        let held = clamped(&body, &layout).unwrap();
+        let of_row = |row: i32| held.iter().filter(|unit| layout.grid[**unit][1] == row).count();
+        assert!((0..rows).all(|row| of_row(row) == 2), "{lattice}: {held:?}");
+    }
     let ends = with(&[("body.clamp", json!("ends")), ("panel_units", json!([6, 23]))]);
     assert!(ends.is_ok_and(|scene| scene.clamped.len() == 12 && scene.pressed.is_empty()));
     let refused = [

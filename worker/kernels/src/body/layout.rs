@@ -414,15 +414,28 @@ impl Layout {
         self.level(self.centres.iter().map(|c| c[1]).fold(f64::INFINITY, f64::min))
     }
 
-    /// The leftmost and the rightmost units of a planar body.
+    /// The lowest and the topmost units of a planar body, in order.
+    pub fn ends(&self) -> Vec<usize> {
+        let (bottom, top) = (self.bottom(), self.top());
+        (0..self.units()).filter(|u| bottom.contains(u) || top.contains(u)).collect()
+    }
+
+    /// The leftmost and the rightmost unit of every row of a lattice; of a body from a file those as far to a side as neighbours of
+    /// the outermost are not.
     pub fn sides(&self) -> Vec<usize> {
-        let at = |u: usize| self.centres[u][0];
-        let (left, right) = (0..self.units())
-            .map(at)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, r), x| (l.min(x), r.max(x)));
-        // rows of some lattices begin half a cell to the right
-        let near = |u: &usize| at(*u) < left + 0.6 * self.spacing || at(*u) > right - 0.6 * self.spacing;
-        (0..self.units()).filter(near).collect()
+        let is_lattice = self.grid.iter().any(|cell| *cell != self.grid[0]);
+        let (row, leeway) = (|u: usize| self.grid[u][1], if is_lattice { 1e-6 } else { 0.6 } * self.spacing);
+        let mut ends: BTreeMap<i32, [f64; 2]> = BTreeMap::new();
+        for u in 0..self.units() {
+            let x = self.centres[u][0];
+            let [left, right] = ends.entry(row(u)).or_insert([x; 2]);
+            (*left, *right) = (left.min(x), right.max(x));
+        }
+        let is_end = |u: &usize| {
+            let ([left, right], x) = (ends[&row(*u)], self.centres[*u][0]);
+            x < left + leeway || x > right - leeway
+        };
+        (0..self.units()).filter(is_end).collect()
     }
 
     /// The innermost unit of a circular body, or the innermost four.

@@ -73,9 +73,6 @@ impl<V: Vector> Balance<V> {
     pub fn add(&mut self, system: &mut System<'_, V>, x: &[Place<V>], force: &[V], lost: V) {
         self.lost = self.lost + lost;
         for (k, (before, f)) in self.before.iter_mut().zip(force).enumerate() {
-            if system.model.drives[k].is_some() {
-                continue;
-            }
             let at = way(system, k, x);
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];
@@ -113,11 +110,14 @@ impl<V: Vector> Balance<V> {
     }
 }
 
-/// How far the units that a panel's force acts on are along it.
+/// How far the units that a panel's force acts on are along it, but for driven ones, which are outside.
 #[inline(always)]
 fn way<V: Vector>(system: &System<'_, V>, panel: usize, x: &[Place<V>]) -> V {
     let mut at = V::ZERO;
     for &u in system.pushed(panel) {
+        if system.model.driven.contains(&u) {
+            continue;
+        }
         let [p, q, r] = x[u];
         at = at + system.along(panel, u, [V::narrow(p), V::narrow(q), V::narrow(r)]);
     }

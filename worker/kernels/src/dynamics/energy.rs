@@ -16,7 +16,7 @@ pub struct Energy {
 
 /// Energy of a displacement (u, v, θ) of every unit, with the standard library's trigonometry.
 pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energy {
-    let model = Model::new(scene, design);
+    let model = Model::cast(scene, design);
     let mut sum = Energy { elastic: 0.0, contact: 0.0 };
     for bar in &model.bars {
         let (xa, xb) = (displacement[bar.a], displacement[bar.b]);
@@ -70,7 +70,7 @@ pub fn energy_design_gradient(scene: &Scene, design: &[f64], displacement: &[[f6
 }
 
 fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 3]>, Vec<f64>) {
-    let model = Model::new(scene, design);
+    let model = Model::cast(scene, design);
     let n = model.units();
     let zero = Sse2::splat(0.0);
     let x: Vec<[Sse2; 3]> = displacement.iter().map(|d| d.map(Sse2::splat)).collect();

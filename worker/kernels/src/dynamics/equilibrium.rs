@@ -23,7 +23,7 @@ const SMALLEST: f64 = PART / 64.0;
 /// Newton steps of a part, and how often one is halved.
 const STEPS: usize = 30;
 const HALVED: i32 = 12;
-/// The step after one as short as this, in lengths of a ligament, is below rounding.
+/// The step after one as short as this, in lengths of a ligament or rad, is below rounding.
 const SHORT: f64 = 1e-8;
 
 type Places = Vec<[f64; 3]>;
@@ -48,7 +48,7 @@ pub fn start(scene: &Scene, design: &[f64]) -> Result<Vec<[f64; 3]>, Outcome> {
 pub fn find(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
     assert_eq!(scene.pressed.len(), scene.clamped.len(), "ways of held units");
     let lengths = model.bars.iter().map(|bar| bar.length);
-    let length = lengths.sum::<f64>() / model.bars.len().max(1) as f64;
+    let length = if model.bars.is_empty() { 1.0 } else { lengths.sum::<f64>() / model.bars.len() as f64 };
     let way = scene.pressed.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) / length;
     let (mut x, mut gone, mut part) = (vec![[0.0; 3]; model.units()], 0.0, PART);
     while gone < way {
@@ -78,7 +78,8 @@ fn settle(scene: &Scene, model: &Model, mut x: Places, short: f64) -> Result<Pla
             x.iter().zip(&step).map(own).collect()
         };
         if longest <= short {
-            return Ok(moved(1.0));
+            let found = moved(1.0);
+            return stiffness(scene, model, &found).map(|_| found).ok_or(Outcome::Buckled);
         }
         let slope: f64 = at.gradient.as_flattened().iter().zip(step.as_flattened()).map(|(g, s)| g * s).sum();
         let steps = (0..HALVED).map(|half| 0.5_f64.powi(half));
@@ -171,8 +172,7 @@ pub fn pull_back(scene: &Scene, model: &Model, cotangent: &mut ModelCotangent) {
         return;
     }
     // less λᵀ ∂²U/∂s∂α, λ = K⁻¹ of it
-    let w: Vec<[Sse2; 3]> =
-        follow(scene, model, &cotangent.start).iter().map(|w| w.map(|w| one_lane(w))).collect();
+    let w: Vec<[Sse2; 3]> = follow(scene, model, &cotangent.start).iter().map(|w| w.map(one_lane)).collect();
     let zero = Sse2::splat(0.0);
     let x: Vec<[Sse2; 3]> = model.start().iter().map(|x| x.map(Sse2::splat)).collect();
     let mut turn = vec![Turn::NONE; x.len()];

@@ -128,6 +128,7 @@ pub fn run(
             scene: scene.clone(),
             design: design.to_vec(),
             forces: forces.clone(),
+            start: model.start().to_vec(),
             parts,
             samples: tapes,
         }),
@@ -167,10 +168,10 @@ impl Simulation {
     /// If the simulation kept no tape, or the length is another.
     pub fn vjp(&self, cotangent: &[f64], wrt: Wrt, pool: &crate::Pool) -> Gradient {
         let tape = self.tape.as_ref().expect("the simulation kept its tape");
-        let Tape { scene, design, forces, parts, samples } = tape;
+        let Tape { scene, forces, parts, samples, .. } = tape;
         let len = scene.instants * 3 * scene.sensors.len();
         assert_eq!(cotangent.len(), forces.samples * len, "length of the cotangent");
-        let model = Model::new(scene, design).moving();
+        let model = tape.model().moving();
         let plan = &self.plan;
         let machine = machine(self.width, plan.precision);
         let sweeps: Vec<Backward<'_>> = (0..forces.samples)

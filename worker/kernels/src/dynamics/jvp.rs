@@ -4,7 +4,7 @@
 //! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
 //! that signals which agree to rounding check those too.
 
-use super::model::{Model, heavy};
+use super::model::heavy;
 use super::schemes::Drift;
 use super::{
     Forces, Frame, Hinge, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5,
@@ -170,12 +170,12 @@ impl<'a> Body<'a> {
 
     /// Where the sample begins, and how that follows the design and the parameters.
     fn start(&self) -> State {
-        let Tape { scene, design, forces, .. } = self.tape;
+        let Tape { scene, forces, .. } = self.tape;
         let mut x = self.still();
         if scene.pressed.is_empty() {
             return x;
         }
-        let model = Model::new(scene, design);
+        let model = self.tape.model();
         x.iter_mut().zip(model.start()).for_each(|(x, start)| *x = start.map(|start| Dual(start, 0.0)));
         let unforced = vec![0.0; forces.sample(self.sample).len()];
         let still = Body {

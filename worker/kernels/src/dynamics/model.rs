@@ -7,8 +7,8 @@ use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Mass of a driven unit by that of the mean one. Ligaments pull 1e3 times as hard as accelerates a unit slowly driven: they change its
-/// motion by 1e-9. What moves it is far from the limits of f32.
+/// Mass of a driven unit by that of the mean one. Ligaments pull at most a thousand times as hard as it takes to accelerate a mean unit
+/// so: the driven one's motion is off by 1e-9. What moves it is far from the limits of f32.
 const HEAVY: f64 = 1e12;
 
 /// A ligament with what the kernel needs of its ends.
@@ -139,6 +139,15 @@ pub(super) fn heavy(scene: &Scene) -> [f64; 3] {
 impl Model {
     /// The model of `scene` with `design`.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
+        let cast = Self::cast(scene, design);
+        match scene.pressed.is_empty() {
+            true => cast,
+            false => Self { start: equilibrium::find(scene, &cast), ..cast },
+        }
+    }
+
+    /// The same as cast, whatever its held units are moved by.
+    pub fn cast(scene: &Scene, design: &[f64]) -> Self {
         let layout = &scene.layout;
         let geometry = scene.geometry(design);
         let voids = geometry.void_angles(layout);
@@ -186,7 +195,7 @@ impl Model {
             inverse_mass[u] = heavy.map(f64::recip);
         }
         let drives = |panel: &Panel| panel.drives().map(|[x, y]| [heavy[0] * x, heavy[1] * y, 0.0]);
-        let mut model = Self {
+        Self {
             bars,
             ligaments: layout.ligaments.len(),
             contact: scene.contact,
@@ -199,11 +208,7 @@ impl Model {
             geometry,
             struck: scene.panels.iter().map(number).collect(),
             start: Ok(Vec::new()),
-        };
-        if !scene.pressed.is_empty() {
-            model.start = equilibrium::find(scene, &model);
         }
-        model
     }
 
     /// Where each unit is when a sample begins; empty: as cast. So is a body that has no such place, whose samples all fail.

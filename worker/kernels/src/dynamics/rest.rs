@@ -23,6 +23,8 @@ pub struct Rest {
     pub pushes: Vec<Vec<(usize, f64)>>,
     /// The acceleration of the base under 1 N on each (mm/s²), which sensors feel beside their own.
     pub shakes: Vec<[f64; 2]>,
+    /// By how much each unit is turned there (rad); empty where none is.
+    pub turned: Vec<f64>,
 }
 
 impl Rest {
@@ -44,6 +46,7 @@ impl Rest {
             stiffness,
             pushes: (0..scene.panels.len()).map(|k| pushes(&model, scene, k)).collect(),
             shakes: scene.panels.iter().map(|panel| panel.shakes().unwrap_or_default()).collect(),
+            turned: model.start().iter().map(|[.., turn]| *turn).collect(),
         }
     }
 }

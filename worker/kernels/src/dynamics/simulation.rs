@@ -1,6 +1,7 @@
 //! What a simulation and a reverse sweep give, and what the sweep starts from.
 
 use super::forces::Forces;
+use super::model::Model;
 use super::scene::{Parameters, Parts, Scene};
 use super::solver::Plan;
 use crate::simd::Width;
@@ -79,6 +80,8 @@ pub struct Tape {
     pub(super) scene: Scene,
     pub(super) design: Vec<f64>,
     pub(super) forces: Forces,
+    /// Where units are when a sample begins; empty: as cast.
+    pub(super) start: Vec<[f64; 3]>,
     /// Checkpoints an interval.
     pub(super) parts: usize,
     /// One a sample.
@@ -90,6 +93,11 @@ impl Tape {
     pub fn bytes(&self) -> usize {
         let of = |s: &SampleTape| 8 * s.states.capacity() + s.steps.capacity() + 4 * s.counts.capacity();
         self.samples.iter().map(of).sum()
+    }
+
+    /// The model that was simulated; where its samples begin is kept.
+    pub(super) fn model(&self) -> Model {
+        Model { start: Ok(self.start.clone()), ..Model::cast(&self.scene, &self.design) }
     }
 
     /// Displacement (u, v, θ) and velocity of every unit of a sample at instant n = 1…T.

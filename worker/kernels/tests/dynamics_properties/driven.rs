@@ -150,8 +150,12 @@ fn gradients_beside_a_driven_unit_are_those_of_differences() {
 fn a_driven_unit_hides_no_instability() {
     let (mut named, mut refined, mut worst) = (0, 0, 0.0f64);
     let quick = Panel { moves: Some(Moves::Unit(0.01 * MASS)), ..drives(6) };
-    let panels = vec![quick, small_scene().panels[1]];
-    let base = Scene { sensors: vec![4, 7], panels, duration: 0.02, ..scene() };
+    let base = Scene {
+        sensors: vec![4, 7],
+        panels: vec![quick, small_scene().panels[1]],
+        duration: 0.02,
+        ..scene()
+    };
     for stretch in [3.0, 300.0, 3e5] {
         let scene = Scene { stiffness: Stiffness { stretch, ..base.stiffness }, ..base.clone() };
         let scene = Scene { panels: vec![scene.panels[0]], ..scene };
@@ -172,7 +176,11 @@ fn a_driven_unit_hides_no_instability() {
         "{named} unstable, {refined} refined, {worst} times the truth"
     );
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
-    for (scene, amplitude) in [(base.clone(), 4.0), (Scene { contact, ..base.clone() }, 0.4), (base, 0.04)] {
+    let base_too = Panel { moves: Some(Moves::Base(MASS)), ..Panel::central(0, [0.6, 0.8]) };
+    let both = Scene { panels: vec![base.panels[0], base_too], ..base.clone() };
+    for (scene, amplitude) in
+        [(both, 0.4), (base.clone(), 4.0), (Scene { contact, ..base.clone() }, 0.4), (base, 0.04)]
+    {
         for precision in [Precision::Double, Precision::Single] {
             let (design, forces) = (shaken(&scene), pushes(&scene, 3, amplitude));
             let plan = Plan { precision, ..plan(Method::Nystrom4, 200) };

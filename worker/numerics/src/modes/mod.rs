@@ -9,7 +9,7 @@
 
 pub mod bound;
 
-use crate::dynamics::{Rest, Scene};
+use crate::dynamics::{Frame, Rest, Scene};
 pub use faer::c64;
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::{Llt, Lu, SymbolicLu};
@@ -216,7 +216,7 @@ impl Subspace {
     }
 }
 
-/// Of a motion under a force of 1 N on a panel at one frequency: a_x, a_y (mm/s²/N) and ω (rad/s/N) of a unit.
+/// Of a motion under a force of 1 N on a panel at one frequency: a_x, a_y (mm/s²/N) and ω (rad/s/N) of a unit, in the scene's frame.
 pub type Response = [c64; 3];
 
 /// Responses at these frequencies (Hz), of each unit to each panel: (frequencies, panels, units).
@@ -236,6 +236,10 @@ pub fn responses(
     for (k, pushes) in rest.pushes.iter().enumerate() {
         pushes.iter().for_each(|&(unknown, does)| forces[(unknown, k)] = does.into());
     }
+    let turned = |unit: usize| match scene.frame {
+        Frame::World => 0.0,
+        Frame::Body => rest.turned.get(unit).copied().unwrap_or(0.0),
+    };
     let dynamic = |hertz: f64| {
         let omega = TAU * hertz;
         let own = (0..n).map(|i| (i, i, c64::new(-omega * omega * rest.mass[i], omega * rest.damping[i])));
@@ -249,10 +253,11 @@ pub fn responses(
         let moved = lu.solve(&forces);
         let speed = c64::new(0.0, TAU * hertz);
         let read = |k: usize, unit: usize| match place(unit) {
-            Some(i) => [0, 1, 2].map(|d| match d {
-                2 => speed * moved[(3 * i + d, k)],
-                _ => speed * speed * moved[(3 * i + d, k)] + rest.shakes[k][d],
-            }),
+            Some(i) => {
+                let [x, y] = [0, 1].map(|d| speed * speed * moved[(3 * i + d, k)] + rest.shakes[k][d]);
+                let (s, c) = turned(unit).sin_cos();
+                [x * c + y * s, y * c - x * s, speed * moved[(3 * i + 2, k)]]
+            }
             None => [c64::ZERO; 3],
         };
         (0..scene.panels.len()).map(|k| units.iter().map(|&unit| read(k, unit)).collect()).collect()

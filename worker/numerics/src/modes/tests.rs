@@ -154,6 +154,26 @@ fn weights(rest: &Rest, mode: &Mode) -> Vec<c64> {
     rest.pushes.iter().map(|of| of.iter().map(part).sum::<c64>() / below).collect()
 }
 
+/// A press turns units before anything moves, and with them the axes of chips that are glued to them.
+#[test]
+fn responses_of_a_pressed_body_are_along_its_chips() {
+    let (scene, design) = small();
+    let (last, held) = (scene.layout.units() - 1, scene.clamped.len());
+    let clamped = [&scene.clamped[..], &[last]].concat();
+    let pressed = [vec![[0.0; 2]; held], vec![[0.0, -2.0]]].concat();
+    let panels = vec![Panel::central(last - 1, [0.0, -1.0])];
+    let world = Scene { clamped, pressed, panels, sensors: vec![last - 1], ..scene };
+    let body = Scene { frame: Frame::Body, ..world.clone() };
+    let rest = Rest::new(&world, &design);
+    let turn = rest.turned[last - 1];
+    let [a, b] = [&world, &body].map(|scene| responses(scene, &rest, &scene.sensors, &[40.0])[0][0][0]);
+    let along = [a[0] * turn.cos() + a[1] * turn.sin(), a[1] * turn.cos() - a[0] * turn.sin(), a[2]];
+    assert!(
+        turn.abs() > 1e-3 && along.iter().zip(b).all(|(x, y)| (x - y).norm() < 1e-12 * y.norm()),
+        "{turn}"
+    );
+}
+
 /// x(ω) = Σ b/(iω − s) x over all modes and their conjugates.
 #[test]
 fn responses_are_the_sum_over_all_modes() {
