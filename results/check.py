@@ -420,8 +420,10 @@ def pressed():
         found += [short(geometric(errors)) + " %" for errors in own]
         for mine, theirs in zip(own, cast, strict=True):
             found.append("1" if press == "0.0" else with_interval([a / b for a, b in zip(mine, theirs, strict=True)]))
-        others = [math.sqrt(a * b) for a, b in zip(*(errors for p, errors in read.items() if p != press), strict=True)]
-        found += [short(geometric(others)) + " %", with_interval([a / b for a, b in zip(others, read[press], strict=True)])]
+        untouched = {p: numbers(rows("pressed/trials.csv", press=p), "initial") for p in read}
+        others, there = ([math.sqrt(a * b) for a, b in zip(*(of[p] for p in read if p != press), strict=True)] for of in (read, untouched))
+        found.append(short(geometric(others)) + " %")
+        found += [with_interval([a / b for a, b in zip(others, base, strict=True)]) for base in (read[press], there)]
         yield cells, found
 
 

@@ -481,8 +481,13 @@ pub fn pressed() -> String {
         });
         let read = |at: &str| column(&readings, &[("trained", press), ("read", at)], "error");
         let own = read(press);
-        let others: Vec<Vec<f64>> = presses.iter().filter(|p| p.0 != press).map(|p| read(p.0)).collect();
-        let otherwise: Vec<f64> = others[0].iter().zip(&others[1]).map(|(a, b)| (a * b).sqrt()).collect();
+        let others = presses.iter().map(|p| p.0).filter(|other| *other != press);
+        let both = |of: &dyn Fn(&str) -> Vec<f64>| -> Vec<f64> {
+            let ends: Vec<Vec<f64>> = others.clone().map(of).collect();
+            ends[0].iter().zip(&ends[1]).map(|(a, b)| (a * b).sqrt()).collect()
+        };
+        let untouched = both(&|other| column(&trials, &[("press", other)], "initial"));
+        let otherwise = both(&read);
         let as_cast =
             |own: &[f64], cast: &[f64]| if press == "0.0" { "1".to_owned() } else { interval(own, cast) };
         vec![
@@ -493,6 +498,7 @@ pub fn pressed() -> String {
             as_cast(&optimised, &best),
             percent(&otherwise),
             interval(&otherwise, &own),
+            interval(&otherwise, &untouched),
         ]
     };
     let head = [
@@ -502,7 +508,8 @@ pub fn pressed() -> String {
         "untouched, by as cast",
         "trained, by as cast",
         "trained, read under the others",
-        "that by its own",
+        "that by its own reading",
+        "that by untouched bodies there",
     ];
     table(&head, presses.map(line))
 }
