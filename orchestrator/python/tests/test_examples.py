@@ -66,3 +66,22 @@ def test_elbow(spec, tmp_path):
     answer = load("elbow").main(database.path, tmp_path / "elbow.png")
     assert (tmp_path / "elbow.png").read_bytes().startswith(b"\x89PNG")
     assert "verdict" in answer.columns
+
+
+@pytest.mark.parametrize("kind", ["quads", "kagome"])
+def test_focusing(kind):
+    jax = pytest.importorskip("jax")
+    pytest.importorskip("nlopt")
+    focusing = load("focusing")
+    sizes = {"quads": (5, 6), "kagome": (4, 6)}[kind]
+    shape, held, driven, targets, _, *others = getattr(focusing, kind)(sizes, (0, 0))
+    # 1 mm: so small a body is pushed into chaos by more
+    body, objective, limits = focusing.setup(shape, held, driven, targets, 1.0, *others, tolerance=0.1)
+    assert max(limits(body.alpha)) <= 0
+    found = jax.jit(jax.value_and_grad(objective))
+    value, gradient = found(body.alpha)
+    slope = np.linalg.norm(gradient)
+    sides = [found(body.alpha + by * gradient / slope)[0] for by in (1e-2, -1e-2)]
+    assert np.isclose((sides[0] - sides[1]) / 2e-2, slope, rtol=1e-2) and value > 0
+    values, _ = focusing.ascend(found, limits, body.alpha, 4)
+    assert sorted(values) == values and values[0] < values[-1], values

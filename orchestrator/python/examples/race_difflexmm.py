@@ -1,0 +1,131 @@
+"""focusing.py and DifFlexMM's own problem in turn, from one start: `taskset -c 0 python race_difflexmm.py CLONE kagome|quads [EVALUATIONS]`.
+
+CLONE is a clone of github.com/bertoldi-collab/DifFlexMM. Settings are those of its notebooks *_focusing_3dp_pla_shims; MMA and the limits
+are focusing.py's for both. Times are CPU seconds of a value with its gradient, without compilation, all threads together.
+"""
+
+import sys
+import time
+import types
+
+import focusing
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+# of jax_md, which needs much else, DifFlexMM takes a sum over bonds and minus a gradient
+SMAP, QUANTITY, JAX_MD = (types.ModuleType(f"jax_md{part}") for part in (".smap", ".quantity", ""))
+SMAP.bond = lambda energy, metric, static_bonds, static_bond_types=None: (
+    lambda nodes, **params: energy(metric(nodes[static_bonds[:, 0]], nodes[static_bonds[:, 1]]), **params).sum()
+)
+QUANTITY.force = lambda energy: lambda x, *rest: -jax.grad(energy)(x, *rest)
+JAX_MD.smap, JAX_MD.quantity = SMAP, QUANTITY
+sys.modules |= {"jax_md": JAX_MD, "jax_md.smap": SMAP, "jax_md.quantity": QUANTITY}
+
+KINDS = {
+    # sizes, target, name of a length, that length, its share of half a cell, mass and moment of the mean unit
+    "quads": ((24, 16), (4, 5), "spacing", 15.0, 2, 0.36125, 0.02175026),
+    "kagome": ((20, 12), (3, 2), "cell_size", 20.0, 3, 0.070175913225, 0.0009477510275),
+}
+
+
+def theirs(kind):
+    """DifFlexMM's problem and its start."""
+    sizes, target, length, size, periods, mass, moment = KINDS[kind]
+    damping = [2 * (mass * focusing.DENSITY * size**2 * 1.19) ** 0.5] * 2
+    damping += [2 * (moment * focusing.DENSITY * size**4 * 1.5) ** 0.5]
+    if kind == "quads":
+        from difflexmm.geometry import QuadGeometry
+        from problems import quads_focusing as problem
+
+        own = {"n1_blocks": sizes[0], "n2_blocks": sizes[1]}
+        lattice = QuadGeometry(*sizes, spacing=size, bond_length=focusing.BOND)
+        start, units = lattice.get_design_from_rotated_square(angle=np.radians(25)), sizes[0] * sizes[1]
+    else:
+        from problems import kagome_focusing as problem
+
+        own = {"n1_cells": sizes[0], "n2_cells": sizes[1], "cell_angle": jnp.pi / 3}
+        (m, n), units = sizes, 2 * sizes[0] * sizes[1]
+        start = tuple(jnp.zeros(shape) for shape in ((m + 1, n, 2), (m, n + 1, 2), (m, n, 2)))
+    forward = problem.ForwardProblem(
+        **own,
+        **{length: size},
+        bond_length=focusing.BOND,
+        **{f"k_{name}": k for name, k in zip(("stretch", "shear", "rot"), focusing.STIFFNESS.values())},
+        density=focusing.DENSITY,
+        damping=0.0186 * jnp.array(damping) * jnp.ones((units, 3)),
+        use_contact=True,
+        k_contact=1.5,
+        min_angle=np.radians(-15),
+        cutoff_angle=np.radians(-10),
+        amplitude=size / 2,
+        loading_rate=focusing.FREQUENCY,
+        input_delay=0.1 / focusing.FREQUENCY,
+        n_excited_blocks=2,
+        loaded_side="left",
+        input_shift=0,
+        simulation_time=periods / focusing.FREQUENCY,
+        n_timepoints=focusing.INSTANTS + 1,
+        atol=1e-4,
+    )
+    optimisation = problem.OptimizationProblem(forward_problem=forward, target_size=(2, 2), target_shift=target)
+    optimisation.setup_objective()
+    return optimisation, start
+
+
+def in_alpha(optimisation, start, body):
+    """Their objective and its gradient in our α."""
+    flat, tree = ravel_pytree(start)
+    place = lambda x: np.asarray(optimisation.forward_problem.geometry.get_reference_geometry(*tree(x)))
+    number = lambda of, step, size: ((of(step * np.arange(size)) - of(np.zeros(size))) / step).round().astype(int)
+    each, ours = number(place, 1e-6, flat.size), number(body.vertices, 1.0, body.alpha.size)
+    back = np.empty(flat.size, int)
+    back[each.ravel()] = ours.ravel()
+    apart = place(flat) - body.vertices(body.alpha)
+    assert np.ptp(apart, axis=(0, 1)).max() < 1e-9, "another body"
+    found = jax.jit(jax.value_and_grad(lambda x: optimisation.objective_fn(tree(x)) / (focusing.INSTANTS + 1)))
+
+    def value_and_gradient(alpha):
+        value, gradient = found(alpha[back])
+        in_ours = np.zeros(alpha.size)
+        in_ours[back] = gradient
+        return value, in_ours
+
+    return value_and_gradient
+
+
+def timed(function, seconds):
+    """The function, which adds to `seconds` what a call took."""
+
+    def call(alpha):
+        begin = time.process_time()
+        value, gradient = jax.block_until_ready(function(alpha))
+        seconds.append(time.process_time() - begin)
+        return value, gradient
+
+    return call
+
+
+def main(kind, evaluations=10):
+    body, objective, limits = focusing.setup(*{"quads": focusing.quads, "kagome": focusing.kagome}[kind]())
+    both = {"DifFlexMM": in_alpha(*theirs(kind), body), "metasense": jax.jit(jax.value_and_grad(objective))}
+    first = {name: function(body.alpha)[1] for name, function in both.items()}
+    apart = np.linalg.norm(first["metasense"] - first["DifFlexMM"]) / np.linalg.norm(first["DifFlexMM"])
+    print(f"gradients at the start are {apart:.1e} apart", flush=True)
+    values, ends, seconds = {}, {}, {name: [] for name in both}
+    for name, function in both.items():
+        values[name], ends[name] = focusing.ascend(timed(function, seconds[name]), limits, body.alpha, evaluations)
+    for n, pair in enumerate(zip(*values.values()), 1):
+        print(f"evaluation {n:3}: {pair[0]:.6f} mJ by DifFlexMM, {pair[1]:.6f} by metasense, {100 * (pair[1] / pair[0] - 1):+.2f} %")
+    mean = {name: np.mean(own) for name, own in seconds.items()}
+    ratio = mean["DifFlexMM"] / mean["metasense"]
+    print(f"CPU s a value and gradient: {mean['DifFlexMM']:.2f} and {mean['metasense']:.3f}, {ratio:.0f} times")
+    cross = [float(both[name](ends["metasense"])[0]) for name in both]
+    print(f"our last design: {cross[0]:.6f} mJ by DifFlexMM, {cross[1]:.6f} by metasense")
+    return values, mean
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, sys.argv[1])
+    main(sys.argv[2], *map(int, sys.argv[3:]))
