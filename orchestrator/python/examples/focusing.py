@@ -15,6 +15,8 @@ import numpy as np
 from metasense.jax import signals
 
 jax.config.update("jax_enable_x64", True)
+# with one core, a callback's arrays wait for the thread that runs the callback
+jax.config.update("jax_cpu_enable_async_dispatch", False)
 BOND, DENSITY, STIFFNESS, FREQUENCY, INSTANTS = 2.25, 6.18e-9, {"stretch": 120.0, "shear": 1.19, "bend": 1.5}, 30.0, 199
 
 
@@ -125,6 +127,7 @@ def ascend(value_and_gradient, limits, start, evaluations):
     def objective(x, gradient):
         value, found = value_and_gradient(x)
         values.append(float(value))
+        print(f"evaluation {len(values)}: {values[-1]:.6f} mJ", flush=True)
         gradient[:] = found
         return values[-1]
 
@@ -144,9 +147,7 @@ def ascend(value_and_gradient, limits, start, evaluations):
 
 def main(kind, evaluations=30):
     body, objective, limits = setup(*{"quads": quads, "kagome": kagome}[kind]())
-    values, alpha = ascend(jax.jit(jax.value_and_grad(objective)), limits, body.alpha, evaluations)
-    print("\n".join(f"evaluation {n}: {value:.6f} mJ" for n, value in enumerate(values, 1)))
-    return values, alpha
+    return ascend(jax.jit(jax.value_and_grad(objective)), limits, body.alpha, evaluations)
 
 
 if __name__ == "__main__":

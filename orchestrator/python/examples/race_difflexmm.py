@@ -24,7 +24,7 @@ JAX_MD.smap, JAX_MD.quantity = SMAP, QUANTITY
 sys.modules |= {"jax_md": JAX_MD, "jax_md.smap": SMAP, "jax_md.quantity": QUANTITY}
 
 KINDS = {
-    # sizes, target, name of a length, that length, its share of half a cell, mass and moment of the mean unit
+    # sizes, target, name of a length, that length, periods, mass and moment of the mean unit
     "quads": ((24, 16), (4, 5), "spacing", 15.0, 2, 0.36125, 0.02175026),
     "kagome": ((20, 12), (3, 2), "cell_size", 20.0, 3, 0.070175913225, 0.0009477510275),
 }
