@@ -15,8 +15,6 @@ import numpy as np
 from metasense.jax import signals
 
 jax.config.update("jax_enable_x64", True)
-# with one core, a callback's arrays wait for the thread that runs the callback
-jax.config.update("jax_cpu_enable_async_dispatch", False)
 BOND, DENSITY, STIFFNESS, FREQUENCY, INSTANTS = 2.25, 6.18e-9, {"stretch": 120.0, "shear": 1.19, "bend": 1.5}, 30.0, 199
 
 

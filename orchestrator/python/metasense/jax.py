@@ -4,6 +4,7 @@ Single precision unless `jax_enable_x64` is set: the body itself always computes
 """
 
 import itertools
+import os
 import threading
 from collections import OrderedDict
 from functools import partial
@@ -14,6 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from metasense._metasense import Body, Simulation
+
+# On one core JAX may wait for ever: the thread that is to hand a callback its arguments waits for the callback (jax-ml/jax#25861).
+if len(os.sched_getaffinity(0)) == 1:
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 # Simulations that were run forward and may be asked for their gradient, by the number that stands for them in a trace.
 _KEPT: OrderedDict[int, Simulation] = OrderedDict()
