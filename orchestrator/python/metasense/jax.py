@@ -18,7 +18,7 @@ from metasense._metasense import Body, Simulation
 
 # On one core JAX may wait for ever: the thread that is to hand a callback its arguments waits for the callback (jax-ml/jax#25861).
 if len(os.sched_getaffinity(0)) == 1:
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    jax.config.update("jax_cpu_enable_async_dispatch", False)  # type: ignore[no-untyped-call, unused-ignore]
 
 # Simulations that were run forward and may be asked for their gradient, by the number that stands for them in a trace.
 _KEPT: OrderedDict[int, Simulation] = OrderedDict()
