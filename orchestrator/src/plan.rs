@@ -224,11 +224,9 @@ fn add_points(
         ..spec.clone()
     };
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
-    // a driven unit tells its own history, whatever the body does
-    let silent = [&clamped[..], &problem::driven(&spec.body)].concat();
     let searched = spec.sensors.search.is_some_and(|search| search != Search::Random);
     let seeded: Vec<Vec<usize>> =
-        (0..sweep.sweep.placements).map(|p| layout.placement(p as u64, &silent)).collect();
+        (0..sweep.sweep.placements).map(|p| placement(&spec.body, &layout, p as u64, &clamped)).collect();
     for &panels in &spec.sweep.panels {
         let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
         for &sensors in &spec.sweep.sensors {
@@ -343,6 +341,11 @@ fn with_design(body: &Body, layout: &Layout, source: &Source) -> Result<Body, Sp
     Ok(body)
 }
 
+/// Placement `p` of a body; a driven unit tells its own history, whatever the body does, and carries no sensor.
+fn placement(body: &Body, layout: &Layout, p: u64, clamped: &[usize]) -> Vec<usize> {
+    layout.placement(p, &[clamped, &problem::driven(body)].concat())
+}
+
 /// The stimuli with the files of their records where a worker finds them, and the digest of what these hold.
 fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError> {
     let mut stimuli = stimuli.clone();
@@ -412,10 +415,7 @@ impl OneBody {
         let sensors = first.sweep.sensors.first().copied().unwrap_or(0);
         let placed = match &first.sensors.placements {
             Some(lists) => lists.iter().find(|list| list.len() == sensors).cloned().unwrap_or_default(),
-            None => {
-                let silent = [&clamped[..], &problem::driven(&body)].concat();
-                layout.placement(0, &silent).into_iter().take(sensors).collect()
-            }
+            None => placement(&body, &layout, 0, &clamped).into_iter().take(sensors).collect(),
         };
         let units = problem::panel_units(&body, &layout, panels).unwrap_or_default();
         Ok(Some(Self {

@@ -9,12 +9,11 @@
 
 use super::ligaments::{ShapeCotangent, Turn, energy, gradient, product, turns};
 use super::model::{Model, ModelCotangent};
-use super::rest::{columns, hessian};
+use super::rest::{columns, hessian, sparse};
 use super::{Outcome, Scene};
 use crate::lanes::{Sse2, Vector};
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
-use faer::sparse::{SparseColMat, Triplet};
 use faer::{Mat, Side};
 
 /// Way of held units in a part, in lengths of a ligament, and into how many smaller ones it may be cut.
@@ -139,10 +138,7 @@ fn loose(model: &Model) -> Vec<usize> {
 fn stiffness(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Llt<usize, f64>> {
     let loose = loose(model);
     let entries = columns(&loose, model.units(), |w| hessian(model, scene, x, w));
-    let triplets: Vec<_> = entries.iter().map(|&(i, j, k)| Triplet::new(i, j, k)).collect();
-    let n = 3 * loose.len();
-    let k = SparseColMat::try_new_from_triplets(n, n, &triplets).expect("unknowns of the units that move");
-    k.sp_cholesky(Side::Lower).ok()
+    sparse(3 * loose.len(), &entries).sp_cholesky(Side::Lower).ok()
 }
 
 /// K⁻¹ y; zero of held units.

@@ -66,12 +66,15 @@ pub fn run(
     let mut tapes: Vec<SampleTape> = Vec::new();
     if keep_tape {
         // until its first force a sample is where it begins
-        let rest = model.free.iter().flat_map(|&u| {
-            let [x, y, turn] = model.start().get(u).copied().unwrap_or_default();
-            [x, y, turn, 0.0, 0.0, 0.0]
-        });
-        let rest = rest.collect::<Vec<f64>>().repeat(scene.instants * parts);
-        tapes.resize_with(n, || SampleTape { states: rest.clone(), refined: 1, ..SampleTape::default() });
+        let states = || {
+            let mut states = vec![0.0; scene.instants * parts * 6 * model.free.len()];
+            if !model.start().is_empty() {
+                let of_units = states.chunks_exact_mut(6).zip(model.free.iter().cycle());
+                of_units.for_each(|(state, &u)| state[..3].copy_from_slice(&model.start()[u]));
+            }
+            states
+        };
+        tapes.resize_with(n, || SampleTape { states: states(), refined: 1, ..SampleTape::default() });
     }
     let mut kept: Vec<Option<&mut SampleTape>> = tapes.iter_mut().map(Some).collect();
     kept.resize_with(n, || None);

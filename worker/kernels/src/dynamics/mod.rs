@@ -38,7 +38,7 @@ pub use forces::{Forces, Strike};
 pub use integrate::{planned, run, simulate};
 pub use jvp::Tangent;
 pub use model::damping;
-pub use rest::Rest;
+pub use rest::{Rest, sparse};
 pub use scene::{
     Contact, Frame, Hinge, Inertia, Mount, Moves, Panel, Parameters, Parts, Relaxation, Scene, Stiffness,
 };

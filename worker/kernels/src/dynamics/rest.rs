@@ -4,6 +4,8 @@ use super::Scene;
 use super::ligaments::{ShapeCotangent, Turn, product, turns};
 use super::model::Model;
 use crate::lanes::{Sse2, Vector};
+use faer::sparse::{SparseColMat, Triplet};
+use faer::traits::ComplexField;
 
 /// Columns of the stiffness that are found together.
 const COLUMNS: usize = <Sse2 as Vector>::LANES;
@@ -78,6 +80,12 @@ pub(super) fn columns(
         }
     }
     entries
+}
+
+/// The n × n matrix of these (row, column, value).
+pub fn sparse<T: ComplexField>(n: usize, entries: &[(usize, usize, T)]) -> SparseColMat<usize, T> {
+    let entries: Vec<_> = entries.iter().map(|(i, j, value)| Triplet::new(*i, *j, value.clone())).collect();
+    SparseColMat::try_new_from_triplets(n, n, &entries).expect("entries of an n × n matrix")
 }
 
 /// What 1 N on a panel does to the unknowns.

@@ -103,8 +103,8 @@ impl Tape {
     /// Displacement (u, v, θ) and velocity of every unit of a sample at instant n = 1…T.
     pub fn state(&self, sample: usize, n: usize) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
         let units = self.scene.layout.units();
-        let (mut x, mut v) = (vec![[0.0; 3]; units], vec![[0.0; 3]; units]);
-        self.scene.clamped.iter().zip(&self.scene.pressed).for_each(|(u, by)| x[*u][..2].copy_from_slice(by));
+        let (mut x, mut v) = (self.start.clone(), vec![[0.0; 3]; units]);
+        x.resize(units, [0.0; 3]);
         let free: Vec<usize> = (0..units).filter(|u| !self.scene.clamped.contains(u)).collect();
         let state = &self.samples[sample].states[(n * self.parts - 1) * 6 * free.len()..][..6 * free.len()];
         for (i, &u) in free.iter().enumerate() {

@@ -1,7 +1,9 @@
 //! A small scene, forces on it, and steps.
 
-use crate::common::scene;
-use metasense_kernels::dynamics::{Forces, Hinge, Method, Panel, Plan, Scene, Tolerance};
+use crate::common::{norm, pool, scene};
+use metasense_kernels::dynamics::{
+    Accuracy, Contact, Forces, Hinge, Method, Outcome, Panel, Plan, Scene, Solver, Tolerance, run, simulate,
+};
 use std::f64::consts::TAU;
 
 /// A 3 × 3 lattice read for 0.1 s at 20 instants.
@@ -59,3 +61,43 @@ pub fn plan(method: Method, steps: usize) -> Plan {
 
 pub const EQUAL_STEPS: [(Method, f64, usize); 3] =
     [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
+
+/// The scene plain, in contact, with hinges and of linear measures.
+pub fn of_every_law(base: Scene) -> [Scene; 4] {
+    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    [
+        base.clone(),
+        Scene { contact, ..base.clone() },
+        Scene { hinge: Some(BISTABLE), ..base.clone() },
+        Scene { linearised: true, ..base },
+    ]
+}
+
+/// What runs at and beyond the limit of stability come to.
+pub struct TooFew {
+    /// Samples that ended as unstable.
+    pub named: usize,
+    /// Samples that were tried again.
+    pub refined: u64,
+    /// The greatest signals, by the true ones.
+    pub worst: f64,
+}
+
+/// Runs of three samples by every method of equal steps, an interval in 1 to 21 of them.
+pub fn by_too_few_steps(scene: &Scene) -> TooFew {
+    let (design, forces) = (shaken(scene), pushes(scene, 3, 0.4));
+    let tight = Solver::new(Method::Nystrom6, Accuracy(1e-4));
+    let truth = norm(&simulate(scene, &design, &forces, &tight, false, &pool(2)).signals);
+    let mut found = TooFew { named: 0, refined: 0, worst: 0.0 };
+    for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
+        for steps in [1, 2, 3, 5, 8, 13, 21] {
+            let run = run(scene, &design, &forces, &plan(method, steps), false, &pool(1));
+            let size = norm(&run.signals) / truth;
+            assert!(size.is_finite(), "{method:?} {steps}: {size}");
+            found.worst = found.worst.max(size);
+            found.named += run.outcomes.iter().filter(|o| **o == Outcome::Unstable).count();
+            found.refined += run.counters.rejected;
+        }
+    }
+    found
+}

@@ -9,7 +9,9 @@ mod hinges;
 mod pressed;
 
 use common::{norm, pool, relative, scene};
-use helpers::{BISTABLE, EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};
+use helpers::{
+    BISTABLE, EQUAL_STEPS, by_too_few_steps, of_every_law, plan, pushes, shaken, small_scene, struck,
+};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
     Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters, Parts,
@@ -137,15 +139,7 @@ fn rounding_of_forces_keeps_its_law() {
 /// their gradient in the design and in the logarithms of the parameters; where they differ by 1, to the bit.
 #[test]
 fn parts_that_are_alike_are_the_material() {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
-    let base = small_scene();
-    let hinge = Some(BISTABLE);
-    for scene in [
-        base.clone(),
-        Scene { contact, ..base.clone() },
-        Scene { hinge, ..base.clone() },
-        Scene { linearised: true, ..base },
-    ] {
+    for scene in of_every_law(small_scene()) {
         let (ligaments, units) = (scene.layout.ligaments.len(), scene.layout.units());
         let with = |by: [f64; 4]| {
             let [stretch, shear, bend, density] = by;
@@ -196,15 +190,8 @@ fn parts_that_are_alike_are_the_material() {
 /// material, C held.
 #[test]
 fn gradients_in_parts_are_those_of_differences() {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
-    let hinge = Some(BISTABLE);
-    for scene in [
-        base.clone(),
-        Scene { contact, ..base.clone() },
-        Scene { hinge, ..base.clone() },
-        Scene { linearised: true, ..base },
-    ] {
+    for scene in of_every_law(base) {
         let (ligaments, units) = (scene.layout.ligaments.len(), scene.layout.units());
         let direction = |i: usize| (2.3 * i as f64 + 0.7).cos();
         let with = |by: f64| {
@@ -437,18 +424,10 @@ fn steps_that_make_energy_of_nothing_are_unstable() {
     for stretch in [3.0, 300.0, 3e5] {
         let base = small_scene();
         let scene = Scene { stiffness: Stiffness { stretch, ..base.stiffness }, ..base };
-        let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
-        let tight = Solver::new(Method::Nystrom6, Accuracy(1e-4));
-        let truth = norm(&simulate(&scene, &design, &forces, &tight, false, &pool(2)).signals);
-        for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
-            for steps in [1, 2, 3, 5, 8, 13, 21] {
-                let run = run(&scene, &design, &forces, &plan(method, steps), false, &pool(1));
-                let size = norm(&run.signals);
-                assert!(size < 3.0 * truth, "{method:?} {steps} {stretch}: {size:.1e} for {truth:.1e}");
-                named += run.outcomes.iter().filter(|o| **o == Outcome::Unstable).count();
-                refined += run.counters.rejected;
-            }
-        }
+        let found = by_too_few_steps(&scene);
+        assert!(found.worst < 3.0, "{stretch}: {:.1} times the truth", found.worst);
+        named += found.named;
+        refined += found.refined;
     }
     assert!(named > 0 && refined > 0, "{named} unstable, {refined} refined");
 

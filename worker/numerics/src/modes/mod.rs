@@ -9,11 +9,10 @@
 
 pub mod bound;
 
-use crate::dynamics::{Frame, Rest, Scene};
+use crate::dynamics::{Frame, Rest, Scene, sparse};
 pub use faer::c64;
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::{Llt, Lu, SymbolicLu};
-use faer::sparse::{SparseColMat, Triplet};
 use faer::{Mat, Side};
 use nalgebra::DVector;
 use std::f64::consts::TAU;
@@ -263,11 +262,6 @@ pub fn responses(
         (0..scene.panels.len()).map(|k| units.iter().map(|&unit| read(k, unit)).collect()).collect()
     };
     frequencies.iter().map(at).collect()
-}
-
-fn sparse<T: faer::traits::ComplexField>(n: usize, entries: &[(usize, usize, T)]) -> SparseColMat<usize, T> {
-    let entries: Vec<_> = entries.iter().map(|(i, j, value)| Triplet::new(*i, *j, value.clone())).collect();
-    SparseColMat::try_new_from_triplets(n, n, &entries).expect("entries of an n × n matrix")
 }
 
 /// z ↦ A⁻¹ z of ż = A z, z = (Ω x, ẋ): x ↦ −K⁻¹ (C x + M ẋ), ẋ ↦ x.
