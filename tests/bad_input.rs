@@ -325,6 +325,16 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("density = 1e-8", "density = 1e-8\nclamp = [99]", "s.toml:8: body.clamp = 99: "),
     (
         "density = 1e-8",
+        "density = 1e-8\nguides = [{ units = \"sides\", holds = [\"z\"] }]",
+        "must be a list of tables { holds, units }; holds: a list of \"x\", \"y\" or \"turn\"; units: \"bottom\", ",
+    ),
+    (
+        "density = 1e-8",
+        "density = 1e-8\nguides = [{ units = [99], holds = [\"x\"] }]",
+        "s.toml:8: body.guides = 99: the layout's units are 0 to 35",
+    ),
+    (
+        "density = 1e-8",
         "density = 1e-8\npanel_angle = 200",
         "s.toml:8: body.panel_angle = 200: must lie between -180 and 180 degrees",
     ),

@@ -38,7 +38,7 @@ fn a_body_rings() {
     refused(&bench, &["modes", "s.toml", "--response", "0"], "unit 0: it is held");
     refused(&bench, &["modes", "s.toml", "--hash", "zz"], "trial zz: no trial begins so");
     bench.file("loose.toml", &TINY.replacen("[time]", "clamp = []\n[time]", 1));
-    refused(&bench, &["modes", "loose.toml"], "body.clamp = []: ");
+    refused(&bench, &["modes", "loose.toml"], "body.clamp: nothing holds");
 }
 
 /// Every trial says what a linear model leaves of its signals; bounds of its two bodies stand beside what brains have achieved, an

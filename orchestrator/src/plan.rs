@@ -380,6 +380,8 @@ pub struct OneBody {
     pub initial: Vec<f64>,
     /// Clamped units.
     pub clamped: Vec<usize>,
+    /// Units that are held in part.
+    pub guided: Vec<usize>,
     /// Input panels of the sweep's first K; none where there are no such panels.
     pub panels: Vec<Panel>,
     /// Sensors of the sweep's first M in the first placement.
@@ -418,10 +420,12 @@ impl OneBody {
             None => placement(&body, &layout, 0, &clamped).into_iter().take(sensors).collect(),
         };
         let units = problem::panel_units(&body, &layout, panels).unwrap_or_default();
+        let held = problem::held(&body, &layout).map_err(located)?;
         Ok(Some(Self {
-            kept: problem::kept(&first.feasible, &units, &clamped),
+            kept: problem::kept(&first.feasible, &units, &held),
             limits,
             initial,
+            guided: held[clamped.len()..].to_vec(),
             clamped,
             panels: problem::panels(&body, &units, &layout),
             sensors: placed,
@@ -437,11 +441,12 @@ impl OneBody {
     pub fn of_trial(trial: &TrialSpec) -> Result<Self, Invalid> {
         let layout = problem::layout(&trial.body)?;
         let limits = problem::limits(&trial.feasible)?;
-        let clamped = problem::clamped(&trial.body, &layout)?;
+        let (clamped, held) = (problem::clamped(&trial.body, &layout)?, problem::held(&trial.body, &layout)?);
         Ok(Self {
-            kept: problem::kept(&trial.feasible, &trial.panel_units, &clamped),
+            kept: problem::kept(&trial.feasible, &trial.panel_units, &held),
             limits,
             initial: problem::initial_design(&trial.body, &layout, limits)?,
+            guided: held[clamped.len()..].to_vec(),
             clamped,
             panels: problem::panels(&trial.body, &trial.panel_units, &layout),
             sensors: trial.sensor_units.clone(),

@@ -125,8 +125,11 @@ def cases(name, body, alpha, rng, clamped, panels, sensors):
 def motion(name, body, alpha, rng, scene):
     params, elastic = body.params(alpha), body.energies()[0]
     driven = [scene["panels"][k] for k in scene.get("driven", [])]
-    held = jnp.array([[unit, d] for unit in scene["clamped"] + driven for d in range(3)])
-    ways = jnp.array([way for x, y in scene.get("pressed", np.zeros((len(scene["clamped"]), 2))) for way in (x, y, 0.0)])
+    parts = [(unit, 3 * [True]) for unit in scene["clamped"]] + [tuple(guided) for guided in scene.get("guided", [])]
+    pressed = scene.get("pressed", np.zeros((len(parts), 2)))
+    given = [(3 * unit + d, [*way, 0.0][d]) for (unit, own), way in zip(parts, pressed) for d in range(3) if own[d]]
+    held = jnp.array([divmod(place, 3) for place, _ in given] + [[unit, d] for unit in driven for d in range(3)])
+    ways = jnp.array([way for _, way in given])
     units, (steps, duration) = body.shape[0], (scene["T"], scene["duration"])
     free, _, _ = geometry.DOFsInfo(units, held)
     fixed = energy.constrain_energy(elastic, dynamics.build_constrained_kinematics(
@@ -199,7 +202,7 @@ def motion(name, body, alpha, rng, scene):
             state[i][driven] = np.outer(end[given], [*scene["force_direction"], 0.0])
         return state
 
-    moved = np.bincount(3 * np.repeat(scene["clamped"], 3) + np.tile(range(3), len(scene["clamped"])), ways, 3 * units).reshape(units, 3)
+    moved = np.bincount([place for place, _ in given], ways, 3 * units).reshape(units, 3)
     start = {"start": moved + np.bincount(np.asarray(free), rest, 3 * units).reshape(units, 3)} if "pressed" in scene else {}
     about = {"kind": "trajectory", "scene": scene, "N": samples,
              "self_consistency": {"methods": "DOP853 rtol 1e-11 (kept) against 1e-9", "sensors_relative_l2": apart,
@@ -239,3 +242,9 @@ if __name__ == "__main__":
     held = [*range(4), *range(16, 20)]
     motion("quads_pressed", body, jnp.asarray(alpha), rng, body.scene(
         clamped=held, pressed=4 * [[0.0, 2.5]] + 4 * [[0.0, -2.5]], panels=[13, 8], sensors=[6, 9]))
+    # sides come together on rollers, and slide along them but for one corner; a unit inside does not turn
+    sides = [unit for row in range(5) for unit in (4 * row, 4 * row + 3) if unit > 0]
+    guided = [[unit, [True, False, False]] for unit in sides] + [[10, [False, False, True]]]
+    ways = [[1.2 if unit % 4 == 0 else -1.2, 0.0] for unit in [0, *sides]] + [[0.0, 0.0]]
+    motion("quads_guided", body, jnp.asarray(alpha), np.random.default_rng(43), body.scene(
+        clamped=[0], guided=guided, pressed=ways, panels=[17, 18], sensors=[6, 10]))

@@ -15,10 +15,13 @@ pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mo
     let problem = with_design(trial, design)?;
     let scene = &problem.scene;
     let loose = || {
-        Failure::Rejected("body.clamp = []: nothing holds the body; its modes need a clamped unit".to_owned())
+        Failure::Rejected(
+            "body.clamp: nothing holds the body as a whole; its modes need a clamped unit, or guides that do"
+                .to_owned(),
+        )
     };
     check_rest(scene, design)?;
-    if scene.clamped.is_empty() {
+    if scene.is_loose() {
         return Err(loose());
     }
     modes::modes(&Rest::new(scene, design), scene.layout.units(), count).map_err(|modes::Loose| loose())

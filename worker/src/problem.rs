@@ -24,7 +24,9 @@ mod stimuli;
 
 pub use crate::invalid::Invalid;
 use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
-pub use body::{check_units, clamp, clamped, driven, initial_design, layout, panel_units, panels};
+pub use body::{
+    check_units, clamp, clamped, driven, guided, held, initial_design, layout, panel_units, panels,
+};
 pub use metasense_numerics::brains::READINGS_MAX;
 pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
 
@@ -59,7 +61,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let scene = scene(trial, layout, material)?;
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     Ok(Problem {
-        kept: kept(&trial.feasible, &trial.panel_units, &scene.clamped),
+        kept: kept(&trial.feasible, &trial.panel_units, &held(&trial.body, &scene.layout)?),
         frozen: frozen(&trial.optimise, &scene.layout)?,
         tie: tie(&trial.optimise)?,
         initial,
@@ -259,8 +261,8 @@ pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
 }
 
 /// Units that keep their initial shape.
-pub fn kept(feasible: &spec::Feasible, panels: &[usize], clamped: &[usize]) -> Vec<usize> {
-    let asked = [(feasible.keep_panels, panels), (feasible.keep_clamped, clamped)];
+pub fn kept(feasible: &spec::Feasible, panels: &[usize], held: &[usize]) -> Vec<usize> {
+    let asked = [(feasible.keep_panels, panels), (feasible.keep_clamped, held)];
     asked.into_iter().filter(|(keep, _)| *keep).flat_map(|(_, units)| units).copied().collect()
 }
 
@@ -305,7 +307,17 @@ fn scene(
 ) -> Result<Scene, Invalid> {
     let body = &trial.body;
     let clamped = clamped(body, &layout)?;
+    let guided = guided(body, &layout)?;
     let panels = struck(trial, &layout, &clamped)?;
+    for panel in panels.iter().filter(|panel| panel.moves.is_none()) {
+        let [x, y] = panel.direction;
+        let acts = [x, y, if panel.node.is_some() { 1.0 } else { panel.moment }];
+        let idle = |(unit, held): &(usize, [bool; 3])| {
+            *unit == panel.unit && (0..3).all(|d| held[d] || acts[d] == 0.0)
+        };
+        let remedy = "holds what alone the force on this unit would move";
+        require(!guided.iter().any(idle), "body.guides", panel.unit, remedy)?;
+    }
     require(
         panels.len() == trial.point.panels && !panels.is_empty(),
         "sweep.panels",
@@ -324,7 +336,7 @@ fn scene(
     let remedy = "must lie between -180 and 180 degrees";
     require((-180.0..=180.0).contains(&turned), "body.panel_angle", turned, remedy)?;
     let angle = f64::to_radians;
-    Ok(Scene {
+    let scene = Scene {
         density,
         stiffness,
         parts: Parts::default(),
@@ -337,8 +349,9 @@ fn scene(
         }),
         hinge: body.hinge.map(|h| Hinge { quadratic: h.quadratic, cubic: h.cubic }),
         linearised: body.linearised,
-        pressed: body::pressed(body, &layout, &clamped)?,
+        pressed: body::pressed(body, &layout, &clamped, &guided)?,
         clamped,
+        guided,
         panels,
         sensors,
         chip: inertia(&trial.sensors)?,
@@ -350,7 +363,14 @@ fn scene(
         duration: trial.time.duration,
         instants: trial.time.samples,
         layout,
-    })
+    };
+    if scene.is_loose() {
+        let remedy = "needs a body that cannot move as a whole: body.clamp and body.guides leave it free";
+        require(scene.pressed.is_empty(), "body.compression", format!("{:?}", body.compression), remedy)?;
+        let shaken = scene.panels.iter().any(|panel| panel.shakes().is_some());
+        require(!shaken, "body.panels", "base", remedy)?;
+    }
+    Ok(scene)
 }
 
 /// How the sensors are placed that are not given.

@@ -37,6 +37,8 @@ pub struct Drawing {
     pub sensors: Vec<usize>,
     /// Units that are held.
     pub clamped: Vec<usize>,
+    /// Units that are held in part.
+    pub guided: Vec<usize>,
     /// Constraints at their limit.
     pub active: Vec<Active>,
     /// Pitch of the grid (mm).
@@ -74,6 +76,7 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
         centroids: geometry.centroids,
         sensors: scene.sensors.clone(),
         clamped: scene.clamped.clone(),
+        guided: scene.guided.iter().map(|guided| guided.0).collect(),
         // the initial body may be given beyond a limit: then it is not at it
         active: Feasible::new(&scene.layout, problem.limits, &[])
             .active(design)

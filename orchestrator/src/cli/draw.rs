@@ -66,6 +66,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         joints: Vec::new(),
         sensors: body.sensors,
         clamped: body.clamped,
+        guided: body.guided,
         // a broken constraint is beyond its limit, not at it
         active: active.iter().copied().filter(|a| a.slack >= 0.0).collect(),
         spacing: body.layout.spacing,

@@ -61,6 +61,9 @@ pub fn notes(
         "- Cure as the rubber's data sheet says: pot life ____ min, cure time ____ h, shore ____.".into(),
     );
     lines.push(format!("- Units that are held: {}.\n", list(&drawing.clamped)));
+    if !drawing.guided.is_empty() {
+        lines.push(format!("- Units that are held in part: {}.\n", list(&drawing.guided)));
+    }
     lines.push("| what | unit | x | y | |\n|---|---|---|---|---|".into());
     let [off, across] = spec.sensors.offset.unwrap_or_default();
     let place = match [off, across] {

@@ -47,6 +47,7 @@ pub fn squares_moved(shift: impl Fn(usize, usize) -> [f64; 2]) -> Drawing {
         panels: vec![(Panel::central(7, [0.0, -1.0]), [0.0; 2])],
         sensors: vec![4],
         clamped: vec![0, 1, 2],
+        guided: vec![],
         active: vec![],
         spacing: pitch,
         clock: vec![],

@@ -28,6 +28,8 @@ pub struct Sketch {
     pub sensors: Vec<usize>,
     /// Units that are held.
     pub clamped: Vec<usize>,
+    /// Units that are held in part.
+    pub guided: Vec<usize>,
     /// Constraints at their limit.
     pub held: Vec<Mark>,
     /// Broken constraints.
@@ -86,8 +88,12 @@ impl Sketch {
     /// The body. `numbers`: units, their nodes and sensors are numbered.
     pub fn drawn(&self, view: Frame, title: &str, numbers: bool, unit: impl Fn(usize) -> Unit) -> Picture {
         let class = |u: usize| {
-            let clamped = if self.clamped.contains(&u) { " clamped" } else { "" };
-            format!("unit{clamped}{}", if self.wrong.contains(&u) { " broken" } else { "" })
+            let held = match (self.clamped.contains(&u), self.guided.contains(&u)) {
+                (true, _) => " clamped",
+                (_, true) => " guided",
+                _ => "",
+            };
+            format!("unit{held}{}", if self.wrong.contains(&u) { " broken" } else { "" })
         };
         let marks = html! {
             @for [[ax, ay], [bx, by]] in &self.ligaments {
@@ -128,6 +134,7 @@ impl Sketch {
     pub fn legend(&self) -> Legend {
         let kinds = [
             (self.clamped.len(), "unit clamped", "clamped unit", "clamped units"),
+            (self.guided.len(), "unit guided", "unit held in part", "units held in part"),
             (self.panels.len(), "arrow", "input panel", "input panels"),
             (self.sensors.len(), "dot sensor", "sensor", "sensors"),
             (self.held.len(), "active", "constraint at its limit", "constraints at their limit"),

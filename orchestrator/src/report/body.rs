@@ -8,7 +8,8 @@ use crate::look::{Figure, Table, legend, row};
 
 /// The body with its constraints at their limit, and those that are broken.
 pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
-    let Drawing { units, centroids, ligaments, joints, panels, sensors, clamped, spacing, .. } = drawing;
+    let Drawing { units, centroids, ligaments, joints, panels, sensors, clamped, guided, spacing, .. } =
+        drawing;
     let held = |a: &Active| mark(a.kind, a.units, Some(a.node), units);
     let broken = |v: &Violation| mark(v.kind, v.units, v.node, units);
     Sketch {
@@ -19,6 +20,7 @@ pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
         panels: panels.clone(),
         sensors: sensors.clone(),
         clamped: clamped.clone(),
+        guided: guided.clone(),
         held: drawing.active.iter().map(held).collect(),
         broken: violations.iter().map(broken).collect(),
         wrong: violations.iter().filter(|v| v.node.is_none()).flat_map(|v| v.units).collect(),

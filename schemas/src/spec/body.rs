@@ -125,6 +125,28 @@ pub enum ClampRule {
     Hub,
 }
 
+/// Units that are held in part, as on a roller or in a slot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Guide {
+    /// Which units: a list, or a rule of `body.clamp`.
+    pub units: Clamp,
+    /// What is held of each: its ways along x and y, and its turning.
+    pub holds: Vec<Way>,
+}
+
+/// A way in which a unit can move.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Way {
+    /// Along x.
+    X,
+    /// Along y.
+    Y,
+    /// About its centroid.
+    Turn,
+}
+
 /// The design that a body starts from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, deny_unknown_fields)]
@@ -159,6 +181,9 @@ pub struct Body {
     /// Units that are held. Default: `"bottom"` for a planar body, `"hub"` for a circular one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Clamp>,
+    /// Units that are held in part, as on a roller or in a slot: `[{ units = "sides", holds = ["x"] }]`. Default: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub guides: Vec<Guide>,
     /// By how much held units are brought together along x and y before a sample, as parts of the way between the outermost of them;
     /// below 0: drawn apart. The sample begins where the body then is at rest. Unit: 1. Default: `[0, 0]`.
     #[serde(default, skip_serializing_if = "Option::is_none")]

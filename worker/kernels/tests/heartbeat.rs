@@ -31,6 +31,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
         hinge: None,
         linearised: false,
         clamped: vec![0, 1, 2],
+        guided: Vec::new(),
         pressed: Vec::new(),
         panels: vec![Panel::central(7, [0.0, -1.0])],
         sensors: vec![4],

@@ -26,6 +26,7 @@ fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
         hinge: None,
         linearised: false,
         clamped: layout.bottom(),
+        guided: Vec::new(),
         pressed: Vec::new(),
         panels: struck.into_iter().map(|unit| Panel::central(unit, [0.0, -1.0])).collect(),
         sensors: vec![columns * (rows - 1)],

@@ -3,7 +3,8 @@
 use metasense_numerics::body::{Layout, Pattern};
 use metasense_numerics::dynamics::{Moves, Panel};
 use metasense_numerics::feasible::{Feasible, Limits};
-use metasense_schemas::spec::{self, Clamp, ClampRule, Design, LayoutKind, Struck, TrialSpec};
+use metasense_schemas::spec::{self, Clamp, ClampRule, Design, Guide, LayoutKind, Struck, TrialSpec};
+use std::collections::BTreeMap;
 
 use crate::invalid::{Invalid, at_least, at_most, invalid, positive, require};
 use crate::polygons;
@@ -157,7 +158,7 @@ impl Listed {
         let (key, list) = listed(body);
         let mut panels = list.to_vec();
         for panel in panels.iter_mut().filter(|panel| panel.base.is_some() && panel.unit.is_none()) {
-            panel.unit = clamped(body, layout).ok().and_then(|held| held.first().copied());
+            panel.unit = held(body, layout).ok().and_then(|held| held.first().copied());
         }
         Self { key, panels }
     }
@@ -192,12 +193,13 @@ impl Listed {
                             .into(),
                     );
                 }
-                let held = clamped(body, layout)?;
+                let held = held(body, layout)?;
                 if unit.is_none() && held.is_empty() {
                     return wrong("no unit is held by the base".into());
                 }
                 if let Some(unit) = unit.filter(|unit| held.contains(unit)) {
-                    return wrong(format!("unit {unit} is clamped: leave it out of body.clamp to drive it"));
+                    let remedy = "leave it out of body.clamp and body.guides to drive it";
+                    return wrong(format!("unit {unit} is held: {remedy}"));
                 }
             } else if unit.is_none() {
                 return wrong("its unit must be given".into());
@@ -306,57 +308,112 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
 /// # Errors
 /// Where the layout has no such units, or none would be left.
 pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
-    match clamp(body) {
-        Clamp::Units(units) => {
-            let units = check_units("body.clamp", &units, layout, &[])?;
-            require(
-                units.len() < layout.units(),
-                "body.clamp",
-                format!("{units:?}"),
-                "must leave a unit free to move",
-            )?;
-            Ok(units)
+    let clamp = clamp(body);
+    let units = named("body.clamp", &clamp, body, layout)?;
+    let shown = match clamp {
+        Clamp::Units(units) => format!("{units:?}"),
+        Clamp::Rule(rule) => name(rule).into(),
+    };
+    require(units.len() < layout.units(), "body.clamp", shown, "must leave a unit free to move")?;
+    Ok(units)
+}
+
+fn name(rule: ClampRule) -> &'static str {
+    match rule {
+        ClampRule::Bottom => "bottom",
+        ClampRule::Ends => "ends",
+        ClampRule::Sides => "sides",
+        ClampRule::Hub => "hub",
+    }
+}
+
+/// The units that a key names.
+fn named(key: &str, clamp: &Clamp, body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
+    let rule = match clamp {
+        Clamp::Units(units) => return check_units(key, units, layout, &[]),
+        Clamp::Rule(rule) => *rule,
+    };
+    let circular = body.layout == LayoutKind::Circular;
+    let remedy = match circular {
+        true => "must be \"hub\" or units where circular",
+        false => "must be \"bottom\", \"ends\", \"sides\" or units where planar",
+    };
+    require(circular == (rule == ClampRule::Hub), key, name(rule), remedy)?;
+    Ok(match rule {
+        ClampRule::Bottom => layout.bottom(),
+        ClampRule::Ends => layout.ends(),
+        ClampRule::Sides => layout.sides(),
+        ClampRule::Hub => layout.hub(),
+    })
+}
+
+/// The units that are held, and after them those that are in part.
+///
+/// # Errors
+/// As those of `clamped` and `guided`.
+pub fn held(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
+    let guided = guided(body, layout)?;
+    Ok(clamped(body, layout)?.into_iter().chain(guided.into_iter().map(|guided| guided.0)).collect())
+}
+
+/// The units that are held in part, in order, and whether each of u, v, θ is. Those that a rule names and a clamp holds are left out.
+///
+/// # Errors
+/// Where the layout has no such units, a list names a clamped one, or nothing or all of a unit is held.
+pub fn guided(body: &spec::Body, layout: &Layout) -> Result<Vec<(usize, [bool; 3])>, Invalid> {
+    let (clamped, mut guided) = (clamped(body, layout)?, BTreeMap::new());
+    for (k, Guide { units, holds }) in body.guides.iter().enumerate() {
+        let key = "body.guides";
+        let wrong = |remedy: &str| Err(invalid(key, format!("guides[{k}]"), remedy));
+        let mut held = [false; 3];
+        holds.iter().for_each(|way| held[*way as usize] = true);
+        if held == [false; 3] {
+            return wrong("its holds must name \"x\", \"y\" or \"turn\"");
         }
-        Clamp::Rule(rule) => {
-            let circular = body.layout == LayoutKind::Circular;
-            let (name, units) = match rule {
-                ClampRule::Bottom => ("bottom", layout.bottom()),
-                ClampRule::Ends => ("ends", layout.ends()),
-                ClampRule::Sides => ("sides", layout.sides()),
-                ClampRule::Hub => ("hub", layout.hub()),
-            };
-            let remedy = match circular {
-                true => "must be \"hub\" or units where circular",
-                false => "must be \"bottom\", \"ends\", \"sides\" or units where planar",
-            };
-            require(circular == (rule == ClampRule::Hub), "body.clamp", name, remedy)?;
-            require(units.len() < layout.units(), "body.clamp", name, "must leave a unit free to move")?;
-            Ok(units)
+        if held == [true; 3] {
+            return wrong("holds all of its units: name them in body.clamp");
+        }
+        let of = named(key, units, body, layout)?;
+        if matches!(units, Clamp::Units(_)) {
+            check_units(key, &of, layout, &clamped)?;
+        }
+        for unit in of.into_iter().filter(|unit| !clamped.contains(unit)) {
+            let all: &mut [bool; 3] = guided.entry(unit).or_default();
+            (0..3).for_each(|d| all[d] |= held[d]);
         }
     }
+    Ok(guided.into_iter().collect())
 }
 
 /// Parts of the way between held units that one may take, or add.
 const COMPRESSION_MAX: f64 = 0.5;
 
-/// By how much each held unit is moved before a sample (mm): towards the middle between the outermost of them. None where none is.
-pub(super) fn pressed(body: &spec::Body, layout: &Layout, held: &[usize]) -> Result<Vec<[f64; 2]>, Invalid> {
+/// By how much each clamped unit, and then each guided one where it is held, is moved before a sample (mm): towards the middle between
+/// the outermost of them. None where none is.
+pub(super) fn pressed(
+    body: &spec::Body,
+    layout: &Layout,
+    clamped: &[usize],
+    guided: &[(usize, [bool; 3])],
+) -> Result<Vec<[f64; 2]>, Invalid> {
     let Some(parts) = body.compression.filter(|parts| *parts != [0.0; 2]) else { return Ok(Vec::new()) };
     let (key, shown) = ("body.compression", format!("{parts:?}"));
     let sound = parts.iter().all(|part| part.abs() <= COMPRESSION_MAX);
     let remedy = format!("must be two parts from -{COMPRESSION_MAX} to {COMPRESSION_MAX}");
     require(sound, key, &shown, &remedy)?;
+    let held: Vec<_> = clamped.iter().map(|unit| (*unit, [true; 3])).chain(guided.iter().copied()).collect();
     let mut by = vec![[0.0; 2]; held.len()];
     for d in 0..2 {
-        let at = |unit: &usize| layout.centres[*unit][d];
-        let least = held.iter().map(at).fold(f64::INFINITY, f64::min);
-        let most = held.iter().map(at).fold(f64::NEG_INFINITY, f64::max);
+        let at = |unit: usize| layout.centres[unit][d];
+        let own = || held.iter().filter(|(_, held)| held[d]).map(|(unit, _)| at(*unit));
+        let (least, most) = (own().fold(f64::INFINITY, f64::min), own().fold(f64::NEG_INFINITY, f64::max));
         let apart = most - least > 1e-6 * layout.spacing;
         let axis = ["x", "y"][d];
         let remedy = format!("all held units are at one {axis}: body.clamp must name some that lie apart");
         require(parts[d] == 0.0 || apart, key, &shown, &remedy)?;
         let middle = 0.5 * (least + most);
-        by.iter_mut().zip(held).for_each(|(by, unit)| by[d] = parts[d] * (middle - at(unit)));
+        let moving = by.iter_mut().zip(&held).filter(|(_, (_, held))| held[d]);
+        moving.for_each(|(by, (unit, _))| by[d] = parts[d] * (middle - at(*unit)));
     }
     Ok(by)
 }

@@ -385,6 +385,53 @@ fn compression_moves_what_is_held() {
     }
 }
 
+/// Guides hold what a clamp leaves, once; with them a press moves each unit along what is held of it.
+#[test]
+fn guides_hold_units_in_part() {
+    let with = |keys: &[(&'static str, Value)]| problem(&trial(keys)).map(|problem| problem.scene);
+    let sides = json!([{ "units": "sides", "holds": ["x"] }, { "units": [6, 14], "holds": ["turn"] }]);
+    let scene = with(&[("body.guides", sides.clone())]).unwrap();
+    let side = |unit: usize| [true, false, unit == 6];
+    let mut known: Vec<_> = [6, 11, 12, 17, 18, 23, 24, 29, 30, 35].map(|unit| (unit, side(unit))).to_vec();
+    known.insert(3, (14, [false, false, true]));
+    assert_eq!((scene.guided.clone(), scene.clamped.len()), (known, 6));
+    // clamped units go with those that are held along x, and the middle one nowhere
+    let free = [("body.guides", sides), ("body.clamp", json!([2])), ("body.compression", json!([0.1, 0.0]))];
+    let scene = with(&free).unwrap();
+    let ways: Vec<f64> = scene.pressed.iter().map(|way| way[0]).collect();
+    let near = |k: usize, way: f64| (ways[k] - way).abs() < 1e-12;
+    assert!(near(0, 0.75) && near(1, 3.75) && near(2, -3.75) && near(6, 0.0), "{ways:?} {:?}", scene.guided);
+    assert!(scene.pressed.iter().all(|way| way[1] == 0.0));
+    let none = ("body.clamp", json!([]));
+    let rollers = |units: Value, holds: Value| ("body.guides", json!([{ "units": units, "holds": holds }]));
+    let press = ("body.compression", json!([0.1, 0.0]));
+    let base = json!([{ "base": 1e-5, "direction": [1, 0] }, { "unit": 34 }]);
+    let shaken = [("body.panels", base), ("panel_units", json!([0, 34]))];
+    for (keys, key, remedy) in [
+        (vec![rollers(json!([9]), json!([]))], "body.guides", "must name"),
+        (vec![rollers(json!([9]), json!(["x", "y", "turn"]))], "body.guides", "body.clamp"),
+        (vec![rollers(json!([0]), json!(["x"]))], "body.guides", "is clamped"),
+        (vec![rollers(json!([99]), json!(["x"]))], "body.guides", "units are 0 to 35"),
+        (vec![rollers(json!("hub"), json!(["x"]))], "body.guides", "where planar"),
+        (vec![rollers(json!([31]), json!(["y"]))], "body.guides", "the force on this unit"),
+        (vec![none.clone(), rollers(json!("sides"), json!(["x"])), press], "body.compression", "as a whole"),
+        (
+            [vec![none.clone(), rollers(json!("sides"), json!(["x"]))], shaken.to_vec()].concat(),
+            "body.panels",
+            "as a whole",
+        ),
+    ] {
+        let fault = with(&keys).unwrap_err();
+        assert!(fault.key == key && fault.remedy.contains(remedy), "{fault:?}");
+    }
+    // two rollers and a slot hold a body as a clamp does
+    let three = json!([{ "units": [0], "holds": ["x", "y"] }, { "units": [5], "holds": ["y"] }]);
+    let scene = with(&[none.clone(), ("body.guides", three)]).unwrap();
+    assert!(!scene.is_loose() && scene.clamped.is_empty());
+    let parallel = json!([{ "units": [0, 5, 12], "holds": ["y"] }]);
+    assert!(with(&[none, ("body.guides", parallel)]).unwrap().is_loose());
+}
+
 /// Every sample of a mixture, of every purpose, is that of one kind alone under its number; kinds come as often as their weights
 /// say, and whoever else is drawn with it, a sample stays the same.
 #[test]

@@ -167,6 +167,10 @@ impl Case {
             Some(ways) => serde_json::from_value(ways.clone()).map_err(|e| self.wrong(e))?,
             None => Vec::new(),
         };
+        let guided = match self.about.pointer("/scene/guided") {
+            Some(guided) => serde_json::from_value(guided.clone()).map_err(|e| self.wrong(e))?,
+            None => Vec::new(),
+        };
         let direction = [number("force_direction.0")?, number("force_direction.1")?];
         let mut panels: Vec<Panel> =
             units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect();
@@ -197,6 +201,7 @@ impl Case {
             hinge: None,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
+            guided,
             pressed,
             panels,
             sensors: units("sensors")?,

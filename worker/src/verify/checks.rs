@@ -23,6 +23,7 @@ pub fn reference() -> Scene {
         hinge: None,
         linearised: false,
         clamped: layout.bottom(),
+        guided: Vec::new(),
         pressed: Vec::new(),
         panels: [31, 34].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec(),
         sensors: vec![21],

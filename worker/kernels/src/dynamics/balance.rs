@@ -18,7 +18,7 @@ const LEEWAY: f64 = 0.05;
 
 /// Work done by the panels' forces on up to eight samples.
 pub struct Balance<V> {
-    /// (m, m, J), zero where clamped or driven.
+    /// (m, m, J), zero where held or driven.
     mass: Vec<[f64; 3]>,
     /// Of each panel: how far its units are along the force, and the force.
     before: Vec<[V; 2]>,

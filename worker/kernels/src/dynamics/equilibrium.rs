@@ -9,7 +9,7 @@
 
 use super::ligaments::{ShapeCotangent, Turn, energy, gradient, product, turns};
 use super::model::{Model, ModelCotangent};
-use super::rest::{columns, hessian, sparse};
+use super::rest::{columns, hessian, sparse, unknowns};
 use super::{Outcome, Scene};
 use crate::lanes::{Sse2, Vector};
 use faer::linalg::solvers::Solve;
@@ -45,7 +45,7 @@ pub fn start(scene: &Scene, design: &[f64]) -> Result<Vec<[f64; 3]>, Outcome> {
 /// # Errors
 /// Likewise.
 pub fn find(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
-    assert_eq!(scene.pressed.len(), scene.clamped.len(), "ways of held units");
+    assert_eq!(scene.pressed.len(), scene.clamped.len() + scene.guided.len(), "ways of held units");
     let lengths = model.bars.iter().map(|bar| bar.length);
     let length = if model.bars.is_empty() { 1.0 } else { lengths.sum::<f64>() / model.bars.len() as f64 };
     let way = scene.pressed.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) / length;
@@ -53,8 +53,9 @@ pub fn find(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
     while gone < way {
         let to = way.min(gone + part);
         let mut next = x.clone();
-        for (&unit, by) in scene.clamped.iter().zip(&scene.pressed) {
-            (0..2).for_each(|d| next[unit][d] = by[d] * (to / way));
+        for (unit, by) in scene.ways() {
+            let held = scene.holds(unit);
+            (0..2).filter(|d| held[*d]).for_each(|d| next[unit][d] = by[d] * (to / way));
         }
         match settle(scene, model, next, SHORT * length) {
             Ok(found) => (x, gone) = (found, to),
@@ -94,7 +95,7 @@ fn settle(scene: &Scene, model: &Model, mut x: Places, short: f64) -> Result<Pla
     Err(Outcome::NoEquilibrium)
 }
 
-/// The energy of all units at some places, and its gradient in those of the units that nothing holds, zero of others.
+/// The energy of all units at some places, and its gradient in those that nothing holds, zero in others.
 struct Slope {
     energy: f64,
     gradient: Places,
@@ -117,8 +118,8 @@ impl Slope {
             energy::<Sse2, false, true>(model, bars, &places, &turn)
         };
         let mut gradient = vec![[0.0; 3]; x.len()];
-        for u in loose(model) {
-            gradient[u] = g[u].map(|g| g.lane(0));
+        for (u, d) in loose(model).into_iter().map(|i| (i / 3, i % 3)) {
+            gradient[u][d] = g[u][d].lane(0);
         }
         let finite = gradient.as_flattened().iter().all(|g| g.is_finite());
         (finite && margin.lane(0) >= 0.0).then(|| Self { energy: energy.lane(0), gradient })
@@ -129,23 +130,25 @@ impl Slope {
     }
 }
 
-/// The units that nothing holds: a driven one stays where it is until a sample drives it.
+/// The displacements that nothing holds, among all: a driven unit stays where it is until a sample drives it.
 fn loose(model: &Model) -> Vec<usize> {
-    model.free.iter().copied().filter(|u| !model.driven.contains(u)).collect()
+    let mut loose = unknowns(model);
+    loose.retain(|i| !model.driven.contains(&(i / 3)));
+    loose
 }
 
 /// The factor of K at some places; nothing where it is not positive definite.
 fn stiffness(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Llt<usize, f64>> {
     let loose = loose(model);
     let entries = columns(&loose, model.units(), |w| hessian(model, scene, x, w));
-    sparse(3 * loose.len(), &entries).sp_cholesky(Side::Lower).ok()
+    sparse(loose.len(), &entries).sp_cholesky(Side::Lower).ok()
 }
 
-/// K⁻¹ y; zero of held units.
+/// K⁻¹ y; zero where units are held.
 fn solve(factor: &Llt<usize, f64>, model: &Model, y: &[[f64; 3]]) -> Places {
     let loose = loose(model);
-    let of = |i: usize| (loose[i / 3], i % 3);
-    let right = Mat::from_fn(3 * loose.len(), 1, |i, _| y[of(i).0][of(i).1]);
+    let of = |i: usize| (loose[i] / 3, loose[i] % 3);
+    let right = Mat::from_fn(loose.len(), 1, |i, _| y[of(i).0][of(i).1]);
     let solved = factor.solve(&right);
     let mut whole = vec![[0.0; 3]; y.len()];
     for i in 0..solved.nrows() {

@@ -213,7 +213,7 @@ impl<'a> Body<'a> {
         start + w * (end - start)
     }
 
-    /// M⁻¹(−∂U/∂s − C v + f), zero where clamped.
+    /// M⁻¹(−∂U/∂s − C v + f), zero where held.
     fn acceleration(&self, x: &State, v: &State, damping: [Dual; 3], (interval, w): (usize, f64)) -> State {
         let Self { scene, arms, stiffness: [stretch, shearing, bending, touch], .. } = self;
         let (stretch, shearing, bending, touch) = (*stretch, *shearing, *bending, *touch);
@@ -307,8 +307,10 @@ impl<'a> Body<'a> {
         }
         for (u, net) in net.iter_mut().enumerate() {
             for (net, m) in net.iter_mut().zip(self.mass[u]) {
-                *net = if scene.clamped.contains(&u) { Dual::default() } else { *net / m };
+                *net = *net / m;
             }
+            let held = scene.holds(u);
+            (0..3).filter(|d| held[*d]).for_each(|d| net[d] = Dual::default());
         }
         net
     }
@@ -375,7 +377,7 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
     let scheme = method.scheme().expect("a splitting scheme");
     let h = scene.duration / (scene.instants * substeps) as f64;
     let span = substeps / forces.kinks(scene);
-    let gamma = |u: usize, d: usize| match scene.clamped.contains(&u) {
+    let gamma = |u: usize, d: usize| match scene.holds(u)[d] {
         true => Dual::default(),
         false => body.damping[d] / body.mass[u][d],
     };

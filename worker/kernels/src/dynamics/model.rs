@@ -102,7 +102,7 @@ pub struct Model {
     pub contact: Option<Contact>,
     /// How hinges bend.
     pub hinge: Option<Hinge>,
-    /// 1/(m, m, J) of each unit; zero where clamped, next to it where driven.
+    /// 1/(m, m, J) of each unit; zero where held, next to it where driven.
     pub inverse_mass: Vec<[f64; 3]>,
     /// C (N·s/mm, N·s/mm, N·mm·s).
     pub damping: [f64; 3],
@@ -186,8 +186,9 @@ impl Model {
             std::array::from_fn(|d| 1.0 / (own[d] + chip[d]))
         };
         let mut inverse_mass: Vec<[f64; 3]> = own.enumerate().map(inverse).collect();
-        for &u in &scene.clamped {
-            inverse_mass[u] = [0.0; 3];
+        for (u, inverse) in inverse_mass.iter_mut().enumerate() {
+            let held = scene.holds(u);
+            (0..3).filter(|d| held[*d]).for_each(|d| inverse[d] = 0.0);
         }
         let driven: Vec<usize> = (0..layout.units()).filter(|u| scene.is_driven(*u)).collect();
         let heavy = heavy(scene);
@@ -216,9 +217,10 @@ impl Model {
         self.start.as_deref().unwrap_or(&[])
     }
 
-    /// Mass of a unit that moves, its chip's with it (Mg).
+    /// Mass of a unit that moves, its chip's with it (Mg); 0 of one that does but turn.
     pub fn mass(&self, unit: usize) -> f64 {
-        self.inverse_mass[unit][0].recip()
+        let [x, y, _] = self.inverse_mass[unit];
+        if x == 0.0 && y == 0.0 { 0.0 } else { x.max(y).recip() }
     }
 
     /// What a strike on a panel does about the centroid of its unit; one that drives it strikes nowhere else.

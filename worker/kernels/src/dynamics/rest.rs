@@ -10,11 +10,11 @@ use faer::traits::ComplexField;
 /// Columns of the stiffness that are found together.
 const COLUMNS: usize = <Sse2 as Vector>::LANES;
 
-/// Masses, damping and stiffness of the units that move. Unknown 3i + d is displacement d = u, v, θ of the i-th of them.
+/// Masses, damping and stiffness of what moves.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rest {
-    /// The units that move, in order.
-    pub free: Vec<usize>,
+    /// Of each unknown its number among the displacements of all units, 3·unit + d, d = u, v, θ; in order.
+    pub unknowns: Vec<usize>,
     /// Diagonal of M: m, m, J of each (Mg, Mg, Mg·mm²).
     pub mass: Vec<f64>,
     /// Diagonal of C (N·s/mm, N·s/mm, N·mm·s).
@@ -38,34 +38,33 @@ impl Rest {
         assert!(scene.panels.iter().all(|panel| panel.drives().is_none()), "a driven unit");
         assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
         let model = Model::new(scene, design);
-        let free = model.free.clone();
-        let unknowns = unknowns(&free);
-        let stiffness = columns(&free, model.units(), |w| hessian(&model, scene, model.start(), w));
+        let unknowns = unknowns(&model);
+        let stiffness = columns(&unknowns, model.units(), |w| hessian(&model, scene, model.start(), w));
         Self {
             mass: unknowns.iter().map(|u| model.inverse_mass[u / 3][u % 3].recip()).collect(),
             damping: unknowns.iter().map(|u| model.damping[u % 3]).collect(),
-            free,
             stiffness,
-            pushes: (0..scene.panels.len()).map(|k| pushes(&model, scene, k)).collect(),
+            pushes: (0..scene.panels.len()).map(|k| pushes(&model, scene, &unknowns, k)).collect(),
+            unknowns,
             shakes: scene.panels.iter().map(|panel| panel.shakes().unwrap_or_default()).collect(),
             turned: model.start().iter().map(|[.., turn]| *turn).collect(),
         }
     }
 }
 
-/// Of each unknown its number among the displacements of all units.
-fn unknowns(free: &[usize]) -> Vec<usize> {
-    free.iter().flat_map(|u| 3 * u..3 * u + 3).collect()
+/// What moves, among the displacements of all units.
+pub(super) fn unknowns(model: &Model) -> Vec<usize> {
+    let inverse = model.inverse_mass.as_flattened();
+    (0..inverse.len()).filter(|i| inverse[*i] != 0.0).collect()
 }
 
-/// (row, column, value) of a matrix of the unknowns of some of so many units, by columns, without zeros, from its products with
+/// (row, column, value) of a matrix of some displacements of so many units, by columns, without zeros, from its products with
 /// directions.
 pub(super) fn columns(
-    free: &[usize],
+    unknowns: &[usize],
     units: usize,
     products: impl Fn(&[Vec<f64>]) -> [Vec<f64>; COLUMNS],
 ) -> Vec<(usize, usize, f64)> {
-    let unknowns = unknowns(free);
     let mut entries = Vec::new();
     for (block, columns) in unknowns.chunks(COLUMNS).enumerate() {
         let unit = |&column: &usize| {
@@ -89,18 +88,18 @@ pub fn sparse<T: ComplexField>(n: usize, entries: &[(usize, usize, T)]) -> Spars
 }
 
 /// What 1 N on a panel does to the unknowns.
-fn pushes(model: &Model, scene: &Scene, k: usize) -> Vec<(usize, f64)> {
+fn pushes(model: &Model, scene: &Scene, unknowns: &[usize], k: usize) -> Vec<(usize, f64)> {
     let panel = &scene.panels[k];
     let strike = model.about_centroid(k, panel.straight());
-    let of = |(i, &unit): (usize, &usize)| {
-        let does = match panel.shakes() {
-            Some([x, y]) => [-x * model.mass(unit), -y * model.mass(unit), 0.0],
-            None if unit == panel.unit => strike,
-            None => [0.0; 3],
-        };
-        (0..3).map(move |d| (3 * i + d, does[d]))
+    let does = |unknown: &usize| {
+        let (unit, d) = (unknown / 3, unknown % 3);
+        match panel.shakes() {
+            Some([x, y]) => [-x * model.mass(unit), -y * model.mass(unit), 0.0][d],
+            None if unit == panel.unit => strike[d],
+            None => 0.0,
+        }
     };
-    model.free.iter().enumerate().flat_map(of).filter(|(_, does)| *does != 0.0).collect()
+    unknowns.iter().map(does).enumerate().filter(|(_, does)| *does != 0.0).collect()
 }
 
 /// Products of the Hessian of the energy at places of all units, or as cast where there are none, with up to so many w, one a lane.

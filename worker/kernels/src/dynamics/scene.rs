@@ -217,8 +217,10 @@ pub struct Scene {
     pub linearised: bool,
     /// Held units.
     pub clamped: Vec<usize>,
-    /// By how much each of them has been moved before a sample (mm), which begins where the others then are at rest; empty: by
-    /// nothing, and the body is as cast.
+    /// Units that are held in part, as on a roller or in a guide, and whether each of u, v, θ is.
+    pub guided: Vec<(usize, [bool; 3])>,
+    /// By how much the clamped units, and after them the guided ones where they are held, have been moved before a sample (mm), which
+    /// begins where the others then are at rest; empty: by nothing, and the body is as cast.
     pub pressed: Vec<[f64; 2]>,
     /// K input panels.
     pub panels: Vec<Panel>,
@@ -257,6 +259,48 @@ impl Scene {
     /// Whether moments follow more than k_θ Δθ.
     pub(super) fn has_laws(&self) -> bool {
         self.contact.is_some() || self.hinge.is_some()
+    }
+
+    /// Whether each of u, v, θ of a unit is held.
+    pub fn holds(&self, unit: usize) -> [bool; 3] {
+        let guided = self.guided.iter().find(|(other, _)| *other == unit);
+        if self.clamped.contains(&unit) { [true; 3] } else { guided.map_or([false; 3], |(_, held)| *held) }
+    }
+
+    /// Whether the body as a whole can move or turn against nothing that is held.
+    pub fn is_loose(&self) -> bool {
+        let (mut free, mut pivots) = (vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], 0);
+        // of each held displacement what a shift along x, along y and a turn by a pitch do to it
+        let held = (0..self.layout.units()).flat_map(|unit| {
+            let [x, y] = self.layout.centres[unit].map(|x| x / self.layout.spacing);
+            let rows = [[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]];
+            self.holds(unit).into_iter().zip(rows).filter(|(held, _)| *held).map(|(_, row)| row)
+        });
+        for row in held {
+            let along = |way: &[f64; 3]| (0..3).map(|d| way[d] * row[d]).sum::<f64>();
+            let Some(most) =
+                (0..free.len()).max_by(|a, b| along(&free[*a]).abs().total_cmp(&along(&free[*b]).abs()))
+            else {
+                return false;
+            };
+            if along(&free[most]).abs() < 1e-9 {
+                continue;
+            }
+            // what is left of the others moves without that one
+            let by = free.swap_remove(most);
+            for way in &mut free {
+                let part = along(way) / along(&by);
+                (0..3).for_each(|d| way[d] -= part * by[d]);
+            }
+            pivots += 1;
+        }
+        pivots < 3
+    }
+
+    /// Every unit that is held somehow with its way before a sample.
+    pub(super) fn ways(&self) -> impl Iterator<Item = (usize, [f64; 2])> {
+        let held = self.clamped.iter().copied().chain(self.guided.iter().map(|guided| guided.0));
+        held.zip(self.pressed.iter().copied())
     }
 
     /// Whether a unit's motion is given.

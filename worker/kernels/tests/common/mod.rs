@@ -16,6 +16,7 @@ pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
         hinge: None,
         linearised: false,
         clamped: (0..columns).collect(),
+        guided: Vec::new(),
         pressed: Vec::new(),
         panels: vec![Panel::central(columns * rows - 1, [0.6, -0.8])],
         sensors: vec![columns * rows - 1],

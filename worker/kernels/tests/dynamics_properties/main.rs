@@ -4,6 +4,7 @@
 mod common;
 mod driven;
 mod forces;
+mod guided;
 mod helpers;
 mod hinges;
 mod pressed;

@@ -17,6 +17,13 @@ fn pressed(strain: f64) -> Scene {
     Scene { clamped, pressed, panels, sensors: vec![4, 8], ..base }
 }
 
+/// The same; two units have guides, one of which is moved along.
+fn guided(strain: f64) -> Scene {
+    let base = pressed(strain);
+    let guided = vec![(5, [true, false, true]), (6, [false, true, false])];
+    Scene { pressed: [&base.pressed[..], &[[-20.0 * strain, 0.0], [0.0, 0.0]]].concat(), guided, ..base }
+}
+
 fn half_sum_of_squares(signals: &[f64]) -> f64 {
     0.5 * signals.iter().map(|a| a * a).sum::<f64>()
 }
@@ -31,19 +38,20 @@ fn slope_at_zero(f: impl Fn(f64) -> f64) -> f64 {
 /// somebody does.
 #[test]
 fn a_sample_begins_at_rest() {
-    for (strain, linearised) in [(0.08, false), (-0.08, false), (0.08, true)] {
-        let scene = Scene { linearised, ..pressed(strain) };
+    for scene in [pressed(0.08), pressed(-0.08), Scene { linearised: true, ..pressed(0.08) }, guided(0.05)] {
         let design = shaken(&scene);
         let start = start(&scene, &design).unwrap();
         let pull = energy_gradient(&scene, &design, &start);
-        let held = |u: usize| scene.clamped.iter().position(|c| *c == u);
         let [free, reaction] = [false, true].map(|of_held| {
-            let own = (0..9).filter(|u| held(*u).is_some() == of_held);
-            own.flat_map(|u| pull[u]).fold(0.0, |most: f64, g| most.max(g.abs()))
+            let own = (0..27).filter(|i| scene.holds(i / 3)[i % 3] == of_held);
+            own.map(|i| pull[i / 3][i % 3]).fold(0.0, |most: f64, g| most.max(g.abs()))
         });
-        assert!(free < 1e-12 * reaction && reaction > 0.1, "{strain}: {free:e} of {reaction}");
-        for (unit, by) in scene.clamped.iter().zip(&scene.pressed) {
-            assert_eq!(start[*unit], [by[0], by[1], 0.0]);
+        assert!(free < 1e-12 * reaction && reaction > 0.1, "{free:e} of {reaction}");
+        let held = scene.clamped.iter().chain(scene.guided.iter().map(|(unit, _)| unit));
+        for (&unit, by) in held.zip(&scene.pressed) {
+            for d in (0..3).filter(|d| scene.holds(unit)[*d]) {
+                assert_eq!(start[unit][d], [by[0], by[1], 0.0][d]);
+            }
         }
         let mut forces = pushes(&scene, 1, 0.3);
         forces.values.chunks_exact_mut(21).for_each(|history| history[..9].fill(0.0));
@@ -77,6 +85,7 @@ fn gradients_follow_the_start() {
         Scene { hinge: Some(BISTABLE), ..base.clone() },
         Scene { panels: vec![driven, base.panels[1]], ..base.clone() },
         Scene { panels: vec![base.panels[0], shaken_base], ..base },
+        Scene { panels: vec![Panel { node: Some(1), ..base.panels[0] }, shaken_base], ..guided(0.05) },
     ];
     for (i, scene) in scenes.iter().enumerate() {
         let (design, mut forces) = (shaken(scene), pushes(scene, 3, 0.3));
@@ -114,7 +123,7 @@ fn gradients_follow_the_start() {
                 let slope = own * at[k];
                 let scale = slope.abs().max(1e-3 * half_sum_of_squares(&simulation.signals));
                 assert!(
-                    (difference - slope).abs() < 1e-4 * scale,
+                    (difference - slope).abs() < if method == Method::Tsit5 { 3e-4 } else { 1e-4 } * scale,
                     "{i} {method:?} {k}: {difference} {slope}"
                 );
             }
@@ -125,7 +134,7 @@ fn gradients_follow_the_start() {
 /// What a direction does to the signals, by dual numbers of their own, is the transpose of the gradient.
 #[test]
 fn the_two_derivatives_are_transposes() {
-    let scene = Scene { hinge: Some(BISTABLE), ..pressed(0.08) };
+    let scene = Scene { hinge: Some(BISTABLE), ..guided(0.05) };
     let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.3));
     let direction: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
     let parameters = Parameters { stretch: 0.7, shear: -0.1, bend: 0.4, ..Parameters::default() };
@@ -160,10 +169,10 @@ fn the_two_derivatives_are_transposes() {
 /// Small motions are those about where samples begin.
 #[test]
 fn the_linearisation_is_about_the_start() {
-    let scene = Scene { hinge: Some(BISTABLE), ..pressed(0.08) };
+    let scene = Scene { hinge: Some(BISTABLE), ..guided(0.05) };
     let design = shaken(&scene);
     let (rest, start) = (Rest::new(&scene, &design), start(&scene, &design).unwrap());
-    let unknown = |i: usize| (rest.free[i / 3], i % 3);
+    let unknown = |i: usize| (rest.unknowns[i] / 3, rest.unknowns[i] % 3);
     let mut dense = vec![0.0; rest.mass.len().pow(2)];
     rest.stiffness.iter().for_each(|&(i, j, k)| dense[i * rest.mass.len() + j] = k);
     for j in 0..rest.mass.len() {

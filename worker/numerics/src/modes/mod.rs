@@ -67,7 +67,9 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, Loose
         if size == 2 * n || (found && pairs.len() == count) {
             let whole = |x: Vec<c64>| {
                 let mut shape = vec![[c64::ZERO; 3]; units];
-                x.into_iter().enumerate().for_each(|(i, x)| shape[rest.free[i / 3]][i % 3] = x);
+                x.into_iter()
+                    .enumerate()
+                    .for_each(|(i, x)| shape[rest.unknowns[i] / 3][rest.unknowns[i] % 3] = x);
                 shape
             };
             return Ok(pairs.into_iter().map(|(s, x)| Mode { s, shape: whole(x) }).collect());
@@ -229,7 +231,7 @@ pub fn responses(
     frequencies: &[f64],
 ) -> Vec<Vec<Vec<Response>>> {
     let n = rest.mass.len();
-    let place = |unit: usize| rest.free.iter().position(|u| *u == unit);
+    let place = |unit: usize, d: usize| rest.unknowns.binary_search(&(3 * unit + d)).ok();
     assert!(units.iter().all(|u| *u < scene.layout.units()), "units {units:?}");
     let mut forces = Mat::<c64>::zeros(n, scene.panels.len());
     for (k, pushes) in rest.pushes.iter().enumerate() {
@@ -251,13 +253,15 @@ pub fn responses(
             .expect("damping leaves no zero");
         let moved = lu.solve(&forces);
         let speed = c64::new(0.0, TAU * hertz);
-        let read = |k: usize, unit: usize| match place(unit) {
-            Some(i) => {
-                let [x, y] = [0, 1].map(|d| speed * speed * moved[(3 * i + d, k)] + rest.shakes[k][d]);
-                let (s, c) = turned(unit).sin_cos();
-                [x * c + y * s, y * c - x * s, speed * moved[(3 * i + 2, k)]]
+        let read = |k: usize, unit: usize| {
+            let moves = [0, 1, 2].map(|d| place(unit, d));
+            if moves == [None; 3] {
+                return [c64::ZERO; 3];
             }
-            None => [c64::ZERO; 3],
+            let [u, v, turn] = moves.map(|i| i.map_or(c64::ZERO, |i| moved[(i, k)]));
+            let [x, y] = [(u, 0), (v, 1)].map(|(moved, d)| speed * speed * moved + rest.shakes[k][d]);
+            let (s, c) = turned(unit).sin_cos();
+            [x * c + y * s, y * c - x * s, speed * turn]
         };
         (0..scene.panels.len()).map(|k| units.iter().map(|&unit| read(k, unit)).collect()).collect()
     };

@@ -36,6 +36,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             hinge: None,
             linearised: false,
             clamped: vec![0, 1, 2, 3],
+            guided: Vec::new(),
             pressed: Vec::new(),
             panels: vec![Panel::central(9, direction), Panel::central(10, direction)],
             sensors: vec![5],

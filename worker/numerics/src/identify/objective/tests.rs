@@ -16,6 +16,7 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
         hinge: None,
         linearised: false,
         clamped: layout.bottom(),
+        guided: Vec::new(),
         pressed: Vec::new(),
         panels: vec![Panel::central(4, [0.0, -1.0])],
         sensors: vec![3],

@@ -18,6 +18,7 @@ fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Prob
         initial: layout.initial_design(25f64.to_radians()),
         scene: Scene {
             clamped: layout.bottom(),
+            guided: Vec::new(),
             pressed: Vec::new(),
             panels: struck.into_iter().map(|unit| Panel::central(unit, [0.0, -1.0])).collect(),
             sensors: vec![columns * (rows / 2) + columns / 2],

@@ -1,0 +1,57 @@
+//! Units that are held in part.
+
+use crate::common::{pool, relative};
+use crate::helpers::{plan, pushes, small_scene};
+use metasense_kernels::body::Layout;
+use metasense_kernels::dynamics::{
+    Contact, Method, Moves, Outcome, Panel, Precision, Scene, Wrt, highest_frequency, run,
+};
+
+/// Upright squares, three in a row, struck in the middle and shaken along it: a mirror keeps the units of the middle column from going
+/// aside and from turning. So do guides there.
+fn mirrored(guided: bool) -> Scene {
+    let layout = Layout::planar(3, 4, 15.0, 2.25);
+    let guides = if guided { vec![1, 4, 7, 10] } else { Vec::new() };
+    let shaken = Panel { moves: Some(Moves::Base(1e-4)), ..Panel::central(0, [0.0, 1.0]) };
+    Scene {
+        clamped: vec![0, 2],
+        guided: guides.into_iter().map(|unit| (unit, [true, false, true])).collect(),
+        panels: vec![Panel::central(10, [0.0, -1.0]), shaken],
+        sensors: vec![3, 4, 8],
+        contact: Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 1.6 }),
+        layout,
+        ..small_scene()
+    }
+}
+
+/// Signals and forces' gradients are those of the mirror, by every kind of step.
+#[test]
+fn guides_on_a_mirror_change_nothing() {
+    let scenes = [mirrored(false), mirrored(true)];
+    let forces = pushes(&scenes[0], 2, 0.3);
+    let design = scenes[0].layout.initial_design(0.0);
+    let highest = [&scenes[0], &scenes[1]].map(|scene| highest_frequency(scene, &design));
+    assert!(highest[1] <= highest[0] * (1.0 + 1e-9), "{highest:?}");
+    for (method, steps) in [(Method::Leapfrog, 60), (Method::Nystrom6, 24), (Method::Tsit5, 0)] {
+        for precision in [Precision::Double, Precision::Single] {
+            if method == Method::Tsit5 && precision == Precision::Single {
+                continue;
+            }
+            let [free, held] = [&scenes[0], &scenes[1]].map(|scene| {
+                let plan = metasense_kernels::dynamics::Plan { precision, ..plan(method, steps) };
+                let run = run(scene, &design, &forces, &plan, true, &pool(1));
+                assert_eq!(run.outcomes, [Outcome::Ok; 2]);
+                let gradient = run.vjp(&run.signals, Wrt::Forces, &pool(1));
+                let (x, v) = run.tape.as_ref().unwrap().state(1, 20);
+                (run.signals, gradient.forces.expect("asked for"), x, v)
+            });
+            let near = if precision == Precision::Single { 1e-4 } else { 1e-7 };
+            let off = [relative(&held.0, &free.0), relative(&held.1, &free.1)];
+            assert!(off.iter().all(|off| *off < near), "{method:?} {precision:?}: {off:?}");
+            for unit in [1, 4, 7, 10] {
+                assert!([0, 2].iter().all(|d| held.2[unit][*d] == 0.0 && held.3[unit][*d] == 0.0));
+                assert!(held.2[unit][1] != 0.0);
+            }
+        }
+    }
+}
