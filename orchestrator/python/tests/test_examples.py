@@ -85,3 +85,12 @@ def test_focusing(kind):
     assert np.isclose((sides[0] - sides[1]) / 2e-2, slope, rtol=1e-2) and value > 0
     values, _ = focusing.ascend(found, limits, body.alpha, 4)
     assert sorted(values) == values and values[0] < values[-1], values
+
+
+def test_reprogram():
+    pytest.importorskip("jax")
+    reprogram = load("reprogram")
+    alpha, parts = reprogram.main(12)
+    assert reprogram.body(0.0).feasible(alpha)
+    apart = [cast - pressed for cast, pressed in parts]
+    assert abs(apart[0]) < 0.1 and apart[-1] > apart[0] + 0.1, apart
