@@ -188,7 +188,8 @@ def motion(name, body, alpha, rng, scene):
         at = []
         for t, y in zip(times[1:], fine):
             a = slope(y, t)[1]
-            at.append(np.concatenate([[a[slot[3 * u]], a[slot[3 * u + 1]], y[n + slot[3 * u + 2]]] for u in scene["sensors"]]))
+            here = lambda part, place: part[slot[place]] if place in slot else 0.0
+            at.append([here(*each) for u in scene["sensors"] for each in ((a, 3 * u), (a, 3 * u + 1), (y[n:], 3 * u + 2))])
             kept["kinetic_energy"].append(0.5 * inertia @ y[n:2 * n] ** 2 + 0.5 * own @ y[2 * n + d:-2] ** 2)
             kept["elastic_energy"].append(float(energy_of(y[:n], y[2 * n:2 * n + d])))
             kept["dissipated_work"].append(y[-2])

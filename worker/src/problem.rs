@@ -366,7 +366,12 @@ fn scene(
     };
     if scene.is_loose() {
         let remedy = "needs a body that cannot move as a whole: body.clamp and body.guides leave it free";
-        require(scene.pressed.is_empty(), "body.compression", format!("{:?}", body.compression), remedy)?;
+        require(
+            scene.pressed.is_empty(),
+            "body.compression",
+            format!("{:?}", body.compression.unwrap_or_default()),
+            remedy,
+        )?;
         let shaken = scene.panels.iter().any(|panel| panel.shakes().is_some());
         require(!shaken, "body.panels", "base", remedy)?;
     }

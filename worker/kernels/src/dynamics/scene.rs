@@ -1,6 +1,7 @@
 //! What is simulated, but for design and forces: body, material, contact, where it is struck and where it is read.
 
 use crate::body::{Geometry, Layout};
+use nalgebra::{MatrixXx3, RowVector3};
 
 /// Stiffnesses of a ligament.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -269,32 +270,14 @@ impl Scene {
 
     /// Whether the body as a whole can move or turn against nothing that is held.
     pub fn is_loose(&self) -> bool {
-        let (mut free, mut pivots) = (vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], 0);
         // of each held displacement what a shift along x, along y and a turn by a pitch do to it
         let held = (0..self.layout.units()).flat_map(|unit| {
             let [x, y] = self.layout.centres[unit].map(|x| x / self.layout.spacing);
             let rows = [[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]];
-            self.holds(unit).into_iter().zip(rows).filter(|(held, _)| *held).map(|(_, row)| row)
+            self.holds(unit).into_iter().zip(rows).filter(|(held, _)| *held).map(|(_, row)| row.into())
         });
-        for row in held {
-            let along = |way: &[f64; 3]| (0..3).map(|d| way[d] * row[d]).sum::<f64>();
-            let Some(most) =
-                (0..free.len()).max_by(|a, b| along(&free[*a]).abs().total_cmp(&along(&free[*b]).abs()))
-            else {
-                return false;
-            };
-            if along(&free[most]).abs() < 1e-9 {
-                continue;
-            }
-            // what is left of the others moves without that one
-            let by = free.swap_remove(most);
-            for way in &mut free {
-                let part = along(way) / along(&by);
-                (0..3).for_each(|d| way[d] -= part * by[d]);
-            }
-            pivots += 1;
-        }
-        pivots < 3
+        let rows: Vec<RowVector3<f64>> = held.collect();
+        rows.is_empty() || MatrixXx3::from_rows(&rows).rank(1e-9) < 3
     }
 
     /// Every unit that is held somehow with its way before a sample.
