@@ -15,7 +15,7 @@ fn export(db: &Path, what: &str, format: &str, out: &Path) {
     assert!(run.status.success(), "{what} {format}: {}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// numpy, pyarrow, ezdxf and trimesh where Python has them; the arrays by npyz wherever the test runs.
+/// numpy, pyarrow, ezdxf, trimesh and onnxruntime where Python has them; the arrays by npyz wherever the test runs.
 #[test]
 fn what_is_exported_is_read_back_by_others() {
     let folder = tempfile::tempdir().unwrap();
@@ -24,7 +24,7 @@ fn what_is_exported_is_read_back_by_others() {
     // The second trial: K = 4, M = 2, 8 × 6 units.
     let trial = format!("{:032x}", 1);
     let file = |name: &str| folder.path().join(name);
-    for format in ["npz", "csv", "parquet", "svg", "dxf", "stl"] {
+    for format in ["npz", "csv", "parquet", "svg", "dxf", "stl", "onnx"] {
         export(&db, &trial, format, &file(&format!("t.{format}")));
     }
     export(&db, "v_trial", "parquet", &file("v.parquet"));
@@ -64,6 +64,9 @@ fn what_is_exported_is_read_back_by_others() {
     let readers = String::from_utf8_lossy(&run.stdout);
     let ours = |name: &str| content(Path::new(name), &std::fs::read(file(name)).unwrap()).unwrap();
     assert!(ours("t.npz") == ours("packed.npz"), "what numpy.savez_compressed wrote reads otherwise");
+    if !in_onnxruntime(folder.path()) {
+        skip::skipped(test, "there is no Python with onnxruntime");
+    }
     for reader in ["numpy", "pyarrow", "ezdxf", "trimesh"] {
         if !readers.lines().any(|line| line == reader) {
             skip::skipped(test, &format!("there is no {reader}"));
@@ -81,6 +84,17 @@ fn npz_arrays(bytes: &[u8]) -> Vec<(String, Vec<u64>)> {
         (name, npyz::NpyFile::new(file).unwrap().shape().to_vec())
     };
     (0..files).map(&mut array).collect()
+}
+
+/// Whether there is an ONNX Runtime; a graph then says in it what the trial's brain said.
+fn in_onnxruntime(folder: &Path) -> bool {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/onnx.py");
+    match Command::new("python3").args(["-c", "import numpy, onnxruntime"]).output() {
+        Ok(run) if run.status.success() => {}
+        _ => return false,
+    }
+    Command::new("python3").arg(script).arg(folder).succeed();
+    true
 }
 
 /// Compiles an exported brain with its test, with nothing to warn of, and runs it: whether it says what the trial's brain says.
@@ -261,6 +275,12 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
             }
             found.push((kind.to_owned(), numbers, state("#define BRAIN_DELAY ", "\n")));
         }
+        for (format, file) in [("npz", "t.npz"), ("onnx", "t.onnx")] {
+            bench.output(&["export", "results/tiny.sqlite", hash, "--format", format, "--out", file]);
+        }
+        if !in_onnxruntime(&folder) {
+            skip::skipped(test, "there is no Python with onnxruntime");
+        }
     }
     found.sort();
     let expected = [("cnn", [0, 2]), ("linear", [3, 59])].into_iter().flat_map(|(kind, delays)| {
@@ -290,7 +310,7 @@ fn a_device_is_a_folder_with_all_that_is_built() {
             let read = |name: &str| std::fs::read_to_string(bench.path(&format!("{reader}/{name}"))).unwrap();
             let (notes, source) = (read("README.md"), read("brain.c"));
             assert!(notes.contains("The cavity holds ") && notes.contains("| chip 0 |"), "{notes}");
-            for name in ["mould.stl", "body.dxf", "body.svg", "design.npy"] {
+            for name in ["mould.stl", "body.dxf", "body.svg", "design.npy", "brain.onnx"] {
                 assert!(notes.contains(name) && bench.path(&format!("{reader}/{name}")).is_file());
             }
             let (good, said) = holds("cc", &source, &bench.path(""));

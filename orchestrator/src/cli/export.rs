@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
 use metasense_worker::demands::Demands;
-use metasense_worker::replay::{Drawing, drawing};
+use metasense_worker::replay::{Drawing, Own, Replay, drawing};
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;
@@ -14,7 +14,9 @@ use crate::analysis::Body;
 use crate::exit::Exit;
 use crate::export::device::Numbers;
 use crate::export::notes::notes;
-use crate::export::{Fit, Mould, Outline, brain_of, device, dxf, mould, npz, replays, series, unreadable};
+use crate::export::{
+    Fit, Mould, Outline, brain_of, device, dxf, mould, npz, onnx, replays, series, unreadable,
+};
 use crate::look::Format;
 use crate::report::body::sketch;
 use crate::store::{Reader, Stored, npy_bytes};
@@ -38,11 +40,13 @@ enum Form {
     Stl,
     /// The linear brain or the network as C99 source for a device, with its test
     C,
+    /// The same as an ONNX graph, from signals of whole samples to forces
+    Onnx,
     /// A folder with what one builds: mould, outline, design, brain, and notes on casting and reading
     Device,
 }
 
-/// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL, C
+/// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL, C, ONNX
 ///
 /// A view's name goes in place of the hash: DB VIEW. Of a SPEC, the trial is taken from the database that it writes to.
 #[derive(Debug, clap::Args)]
@@ -55,7 +59,7 @@ pub(super) struct Args {
     /// The file to write; of a device the folder
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Which body, for npy, svg, dxf, stl, c and device
+    /// Which body, for npy, svg, dxf, stl, c, onnx and device
     #[arg(long, value_enum, default_value = "optimised")]
     body: Which,
     /// Width of a ligament (mm), for dxf, stl and device
@@ -76,7 +80,7 @@ pub(super) struct Args {
     /// What the device computes with, for c and device [default: f32]
     #[arg(long, value_enum)]
     numbers: Option<Numbers>,
-    /// What the brain is fitted to, for c and device [default: design]
+    /// What the brain is fitted to, for c, onnx and device [default: design]
     #[arg(long, value_enum)]
     reader: Option<Fit>,
     /// Threads for simulating the trial again
@@ -95,11 +99,13 @@ fn size(text: &str) -> Result<[f64; 3], String> {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { trial: Named { source: db, words, .. }, out, .. } = &args;
-    let of_brains = [("numbers", args.numbers.is_some()), ("reader", args.reader.is_some())];
-    if let Some((name, _)) = of_brains.iter().find(|(_, given)| *given)
-        && !matches!(args.format, Form::C | Form::Device)
-    {
-        let what = format!("--{name} is for --format c and device: leave it out, or write the brain");
+    let is_c = matches!(args.format, Form::C | Form::Device);
+    let of_brains = [
+        ("numbers", "c", args.numbers.is_some() && !is_c),
+        ("reader", "c, onnx", args.reader.is_some() && !is_c && args.format != Form::Onnx),
+    ];
+    if let Some((name, forms, _)) = of_brains.iter().find(|(.., wrong)| *wrong) {
+        let what = format!("--{name} is for --format {forms} and device: leave it out, or write the brain");
         return Err(Error::Usage(what));
     }
     if let Some((what, _)) = VIEWS.iter().find(|(view, _)| words.iter().any(|word| word == view)) {
@@ -137,7 +143,8 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
         Form::Parquet => series::table(stored, &replays(stored, args.threads)?).written(Format::Parquet),
         Form::Npy => design(stored, args),
         Form::Svg => picture(stored, body, args),
-        Form::C => brain(stored, args)?,
+        Form::C => in_c(stored, args, &brain(stored, args)?)?,
+        Form::Onnx => onnx::onnx(stored, which, &brain(stored, args)?)?,
         Form::Dxf => outlines(body, args),
         Form::Stl => {
             let (cavity, measures) = cavity(stored, body, args)?;
@@ -159,7 +166,11 @@ fn device(stored: &Stored, body: &Drawing, args: &Args) -> Result<(), Error> {
         }
         false => None,
     };
-    let text = brain.as_deref().map(String::from_utf8_lossy);
+    let brain = match &brain {
+        Some(brain) => Some((in_c(stored, args, brain)?, onnx::onnx(stored, which, brain)?)),
+        None => None,
+    };
+    let text = brain.as_ref().map(|(c, _)| String::from_utf8_lossy(c));
     let head = text.as_deref().and_then(|text| text.split_once("*/")).map(|(head, _)| &head[2..]);
     let fit = args.reader.unwrap_or(Fit::Design);
     let notes = notes(stored, which, body, (&cavity, &measures), (head, fit));
@@ -170,7 +181,7 @@ fn device(stored: &Stored, body: &Drawing, args: &Args) -> Result<(), Error> {
         ("design.npy", design(stored, args)),
         ("README.md", notes.into_bytes()),
     ];
-    files.extend(brain.map(|brain| ("brain.c", brain)));
+    files.extend(brain.into_iter().flat_map(|(c, onnx)| [("brain.c", c), ("brain.onnx", onnx)]));
     make_folder(&args.out)?;
     files.iter().try_for_each(|(name, bytes)| write(&args.out.join(name), bytes))
 }
@@ -189,18 +200,23 @@ fn outlines(body: &Drawing, args: &Args) -> Vec<u8> {
     dxf::dxf(body, args.ligament_width, 0.17 * body.spacing).into_bytes()
 }
 
-/// The brain in C.
-fn brain(stored: &Stored, args: &Args) -> Result<Vec<u8>, Error> {
+/// The brain, and its body read once more.
+fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
     let which = args.body as usize;
     if !has_form(stored, which) {
-        return Err(no_form("--format c"));
+        return Err(no_form("--format c or onnx"));
     }
-    let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
+    let fit = args.reader.unwrap_or(Fit::Design);
     if fit == Fit::Casts && stored.specs[which].variation.is_none() {
         let what = "--reader casts: the trial has no [variation] that says how casts scatter";
         return Err(Error::Usage(what.into()));
     }
-    Ok(device::c(stored, which, fit, &brain_of(stored, which, fit, args.threads)?, numbers)?.into_bytes())
+    Ok(brain_of(stored, which, fit, args.threads)?)
+}
+
+fn in_c(stored: &Stored, args: &Args, brain: &(Replay, Own)) -> Result<Vec<u8>, Error> {
+    let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
+    Ok(device::c(stored, args.body as usize, fit, brain, numbers)?.into_bytes())
 }
 
 /// What has no form in C is not left out in silence.
@@ -208,7 +224,7 @@ fn no_form(what: &str) -> Error {
     Error::Usage(format!("{what} writes linear brains and networks; this trial's brain is neither"))
 }
 
-/// Whether a brain can be written in C.
+/// Whether a brain can be written in C, and as a graph.
 fn has_form(stored: &Stored, which: usize) -> bool {
     matches!(Demands::of_trial(&stored.specs[which]), Ok(Some(_)))
 }

@@ -1,10 +1,11 @@
-//! A trial in the forms of other programs: arrays (npz), tables (csv, parquet), designs (svg, dxf), the mould (stl), the brain (c), what is built (device).
+//! A trial in the forms of other programs: arrays (npz), tables (csv, parquet), designs (svg, dxf), the mould (stl), the brain (c, onnx), what is built (device).
 
 pub mod device;
 pub mod dxf;
 pub mod mould;
 pub mod notes;
 pub mod npz;
+pub mod onnx;
 pub mod outline;
 pub mod series;
 

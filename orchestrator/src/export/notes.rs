@@ -31,6 +31,7 @@ pub fn notes(
         lines.push(
             "| brain.c | the brain, C99; its head says how it is called, tested, and what it needs |".into(),
         );
+        lines.push("| brain.onnx | the same as an ONNX graph in 32-bit floats, for whole samples |".into());
     }
     lines.push("\n## Cast\n".into());
     lines.push(format!(
