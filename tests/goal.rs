@@ -105,6 +105,16 @@ fn what_cannot_be_met_is_said() {
         code == Some(2) && (least.unwrap().parse::<f64>().unwrap() - bytes / 1e3).abs() < 5e-3,
         "{said}{head}"
     );
+    // 4 × 4 squares of half a diagonal h/cos 25°, h = (15 − 2.25)/2, whose corners are h from their middle lines
+    let (h, turn) = (6.375, 25f64.to_radians());
+    let grams = 16.0 * 4e-8 * 2.0 * (h / turn.cos()).powi(2) * 1e6;
+    for (key, least, unit) in [("mass", grams, "g"), ("size", 45.0 + 2.0 * h, "mm")] {
+        bench.file("s.toml", &linear(&format!("error = 1e6\n{key} = 0.001\n")));
+        let (code, _, said) = design(&bench, &[]);
+        let told = said.split("the least one needs ").nth(1).and_then(|rest| rest.split(unit).next());
+        let told: f64 = told.unwrap_or_else(|| panic!("{said}")).trim().parse().unwrap();
+        assert!(code == Some(2) && (told / least - 1.0).abs() < 5e-3, "{told} {least}: {said}");
+    }
     bench.file("s.toml", &linear("error = 1e6\ndelay = 0.01\n"));
     let (code, _, said) = design(&bench, &[]);
     assert!(code == Some(2) && said.contains("goal.delay = 0.01") && said.contains("0.19"), "{said}");

@@ -104,6 +104,19 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     })
 }
 
+/// Mass of units and chips (g) of the body that a trial starts from, and the longer side of the box around it (mm).
+///
+/// # Errors
+/// As `problem`.
+pub fn measures(trial: &TrialSpec) -> Result<[f64; 2], Invalid> {
+    let Problem { scene, initial, .. } = problem(trial)?;
+    let units: f64 = scene.geometry(&initial).mass.iter().sum();
+    let chips = trial.point.sensors as f64 * scene.chip.map_or(0.0, |chip| chip.mass);
+    let at = |d: usize| scene.layout.vertices(&initial).into_iter().flatten().map(move |node| node[d]);
+    let side = |d: usize| at(d).fold(f64::NEG_INFINITY, f64::max) - at(d).fold(f64::INFINITY, f64::min);
+    Ok([1e6 * (units + chips), side(0).max(side(1))])
+}
+
 fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     positive("time.duration", trial.time.duration)?;
     at_least("time.samples", trial.time.samples, 3)?;

@@ -8,6 +8,7 @@ use metasense_schemas::spec::{
     BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, SweepSpec, TrialSpec, flatten,
 };
 use metasense_worker::demands::Demands;
+use metasense_worker::problem::{self, Invalid};
 use metasense_worker::{RECORDS, between_looks};
 use serde_json::Value;
 
@@ -55,6 +56,8 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
         ),
         ("goal.memory", above(goal.memory), "must be a number of kB above 0"),
         ("goal.operations", goal.operations != Some(0), "must be at least 1"),
+        ("goal.mass", above(goal.mass), "must be a number of g above 0"),
+        ("goal.size", above(goal.size), "must be a number of mm above 0"),
         ("goal.cost", prices, "must hold numbers from 0 up"),
         ("goal.confidence", (0.5..1.0).contains(&goal.confidence), "must lie in [0.5, 1)"),
         ("goal.fresh", (3..=100).contains(&goal.fresh), "must be at least 3, at most 100"),
@@ -121,9 +124,11 @@ impl Space {
         for (number, trial) in plan.trials.iter().enumerate() {
             let reader =
                 reader(&goal, &trial.spec).map_err(|remedy| plan.source.error("goal.reader", remedy))?;
-            let demands = Demands::of_trial(&trial.spec)
-                .map_err(|e| plan.source.error_with(&e.key, Some(&e.value), &e.remedy))?;
-            let asks = limits.iter().map(|limit| limit.asked(&trial.spec, demands.as_ref()));
+            let wrong = |e: Invalid| plan.source.error_with(&e.key, Some(&e.value), &e.remedy);
+            let demands = Demands::of_trial(&trial.spec).map_err(wrong)?;
+            let weighed = goal.mass.is_some() || goal.size.is_some();
+            let measures = if weighed { problem::measures(&trial.spec).map_err(wrong)? } else { [0.0; 2] };
+            let asks = limits.iter().map(|limit| (limit.of)(&trial.spec, demands.as_ref(), measures));
             let asks: Vec<f64> = asks.collect();
             if asks.iter().zip(&limits).all(|(asked, limit)| *asked <= limit.most) {
                 let cost = of_cost(goal.cost, trial, demands.as_ref());
@@ -164,27 +169,33 @@ struct Limit {
     key: &'static str,
     most: f64,
     unit: &'static str,
-    of: fn(&TrialSpec, &Demands) -> f64,
-}
-
-impl Limit {
-    /// What a trial's brain asks; without end where it has no form for a device.
-    fn asked(&self, trial: &TrialSpec, demands: Option<&Demands>) -> f64 {
-        demands.map_or(f64::INFINITY, |demands| (self.of)(trial, demands))
-    }
+    /// Of a trial, what its brain asks, and mass and size of its body; without end of a brain that has no form for a device.
+    of: Box<dyn Fn(&TrialSpec, Option<&Demands>, [f64; 2]) -> f64>,
 }
 
 fn limits(goal: &Goal) -> Vec<Limit> {
-    let delay =
-        |trial: &TrialSpec, d: &Demands| d.delay as f64 * trial.time.duration / trial.time.samples as f64;
-    let limit = |key, most: Option<f64>, unit, of| Some(Limit { key, most: most?, unit, of });
+    let of_brain = |key, most: Option<f64>, unit, of: fn(&TrialSpec, &Demands) -> f64| {
+        let of = move |trial: &TrialSpec, demands: Option<&Demands>, _: [f64; 2]| {
+            demands.map_or(f64::INFINITY, |demands| of(trial, demands))
+        };
+        Some(Limit { key, most: most?, unit, of: Box::new(of) })
+    };
+    let of_body = |key, most: Option<f64>, unit, which: usize| {
+        let of = move |_: &TrialSpec, _: Option<&Demands>, measures: [f64; 2]| measures[which];
+        Some(Limit { key, most: most?, unit, of: Box::new(of) })
+    };
+    // what would take more by rounding alone is the same
+    let nearly = |most: Option<f64>| most.map(|most| most * (1.0 + 1e-9));
     let all = [
-        // what it would take with one more bit of rounding is the same
-        limit("goal.delay", goal.delay.map(|most| most * (1.0 + 1e-9)), "s", delay),
-        limit("goal.memory", goal.memory, "kB", |_, d| (d.constants + d.memory) as f64 / 1e3),
-        limit("goal.operations", goal.operations.map(|most| most as f64), "multiply-adds", |_, d| {
+        of_brain("goal.delay", nearly(goal.delay), "s", |trial, d| {
+            d.delay as f64 * trial.time.duration / trial.time.samples as f64
+        }),
+        of_brain("goal.memory", goal.memory, "kB", |_, d| (d.constants + d.memory) as f64 / 1e3),
+        of_brain("goal.operations", goal.operations.map(|most| most as f64), "multiply-adds", |_, d| {
             d.operations as f64
         }),
+        of_body("goal.mass", nearly(goal.mass), "g", 0),
+        of_body("goal.size", nearly(goal.size), "mm", 1),
     ];
     all.into_iter().flatten().collect()
 }

@@ -28,6 +28,12 @@ pub struct Goal {
     /// The most multiply-adds of the brain a reading. Unit: 1. Default: no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operations: Option<u64>,
+    /// The most mass that the body may have as it starts, its chips with it. Unit: g. Default: no limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mass: Option<f64>,
+    /// The longest that a side of the box around the body may be as it starts. Unit: mm. Default: no limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size: Option<f64>,
     /// What a design costs. Default: the design with fewer sensors is cheaper, of equal ones that with fewer multiply-adds a
     /// reading, then that with fewer units.
     #[serde(default, skip_serializing_if = "Option::is_none")]
