@@ -3,11 +3,16 @@
 //! A block stands between `<!-- generated: NAME -->` and `<!-- end -->`. To write all blocks anew:
 //! `METASENSE_UPDATE=1 cargo test -p metasense --test program -- references::`.
 
+mod bodies;
+mod brains;
+mod casts;
+mod claims;
 mod deviations;
 mod elbow_law;
 mod map;
 mod program;
 mod results;
+mod rows;
 mod spec;
 mod who_senses;
 
@@ -44,32 +49,32 @@ const BLOCKS: &[(&str, Render)] = &[
     ("views", program::views),
     ("tests", program::tests),
     ("quickstart", results::quickstart),
-    ("quickstart casts", results::quickstart_casts),
+    ("quickstart casts", casts::quickstart_casts),
     ("findings", results::findings),
     ("who senses", who_senses::all),
-    ("casts", results::casts),
-    ("relaxing", results::relaxing),
-    ("transfer", results::transfer),
-    ("transfer networks", results::transfer_networks),
-    ("transfer recorded", results::transfer_recorded),
-    ("real scale", results::real_scale),
-    ("why", results::why),
-    ("why correlated", results::why_correlated),
-    ("families", results::families),
-    ("pressed", results::pressed),
-    ("filtered", results::filtered),
-    ("designs", results::designs),
-    ("brains", results::brains),
-    ("linear bodies", results::linear_bodies),
-    ("placed", results::placed),
+    ("casts", casts::casts),
+    ("relaxing", casts::relaxing),
+    ("transfer", casts::transfer),
+    ("transfer networks", casts::transfer_networks),
+    ("transfer recorded", casts::transfer_recorded),
+    ("real scale", casts::real_scale),
+    ("why", bodies::why),
+    ("why correlated", bodies::why_correlated),
+    ("families", bodies::families),
+    ("pressed", bodies::pressed),
+    ("filtered", bodies::filtered),
+    ("designs", bodies::designs),
+    ("brains", brains::brains),
+    ("linear bodies", brains::linear_bodies),
+    ("placed", brains::placed),
     ("elbow law", elbow_law::all),
     ("elbow law asked", elbow_law::asked),
     ("four forces map", map::all),
-    ("claims", results::claims),
-    ("sensors", results::sensors),
-    ("evaluate", results::evaluate),
-    ("protocols", results::protocols),
-    ("downhill", results::downhill),
+    ("claims", claims::claims),
+    ("sensors", brains::sensors),
+    ("evaluate", claims::evaluate),
+    ("protocols", claims::protocols),
+    ("downhill", claims::downhill),
     ("deviations", deviations::deviations),
 ];
 

@@ -4,7 +4,7 @@
 use metasense::analysis::decision::{Decision, Terms, decide};
 use metasense::analysis::{Cluster, Height, Observation, elbow};
 
-use super::results::{Row, geometric, number, of, rows};
+use super::rows::{Row, geometric, number, of, rows};
 use super::table;
 
 /// Channels of each sensor: two accelerations and a rotation.

@@ -5,7 +5,7 @@ use metasense::analysis::resample::holm;
 use metasense_worker::chance_above;
 
 use super::elbow_law::{by_fall, curve, errors, verdict, words};
-use super::results::{Row, number, rows, with_interval};
+use super::rows::{Row, number, rows, with_interval};
 use super::table;
 
 /// The columns that tell settings apart, and the scene in the middle.

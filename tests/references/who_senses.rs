@@ -3,7 +3,7 @@
 use metasense::analysis::numbers::{geometric_mean, median};
 use metasense::look::{Axis, Plot, Scale, file, legend};
 
-use super::results::{number, of, one, rows, short};
+use super::rows::{number, of, one, rows, short};
 use super::table;
 
 /// Decoders of who-senses in words, from the humblest on: the brain of their trials, their name, and records.

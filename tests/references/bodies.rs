@@ -1,0 +1,218 @@
+//! The tables of bodies: why training helps, lattices, a press, low-pass and designs.
+
+use metasense::analysis::operator::MEASURES;
+
+use super::rows::{Row, geometric, number, of, one, ratio, rows, short, with_interval};
+use super::table;
+
+/// What the sensors of initial and trained bodies can tell, in geometric means over seeds.
+pub fn why() -> String {
+    let all = rows("why/rows.csv");
+    let line = |(words, body, trained): (&str, &str, Option<&str>)| {
+        let values = |trained: Option<&str>, column: &str, by: f64| {
+            let own = all
+                .iter()
+                .filter(|row| row["body"] == body && trained.is_none_or(|t| row["trained_with"] == t));
+            geometric(own.map(|row| by * number(row, column)))
+        };
+        let mean = |trained: Option<&str>, column: &str| values(trained, column, 1.0);
+        let errors = match trained {
+            Some(brain) => format!("{} %", mean(Some(brain), "error")),
+            None => format!("{}, {} %", mean(Some("linear"), "error"), mean(Some("cnn"), "error")),
+        };
+        let left = format!("{} %", mean(trained, "wiener_error"));
+        let told = ["forces_told", "condition", "bits"].map(|column| mean(trained, column));
+        let memory = format!("{} ms", values(trained, "memory", 1e3));
+        [vec![words.to_owned(), errors, left], told.to_vec(), vec![memory]].concat()
+    };
+    let bodies = [
+        ("initial", "initial", None),
+        ("trained with a linear brain", "optimised", Some("linear")),
+        ("trained with the paper's network", "optimised", Some("cnn")),
+    ];
+    let head = [
+        "body",
+        "error by its own brain",
+        "left by Wiener's filter",
+        "forces told apart",
+        "condition",
+        "bits a second",
+        "memory",
+    ];
+    table(&head, bodies.map(line))
+}
+
+/// Rank correlations of what changes with what is gained.
+pub fn why_correlated() -> String {
+    let all = rows("why/operator.csv");
+    let line = |measure: &str| {
+        let cell = |setting: &str| {
+            let row = one(&all, &[("setting", setting), ("measure", measure)]);
+            ratio(row, "correlation", "correlation_low", "correlation_high")
+        };
+        vec![measure.to_owned(), cell("K = 2, M = 1, linear"), cell("K = 2, M = 1, cnn")]
+    };
+    table(&["measure", "linear brain", "the paper's network"], MEASURES.map(line))
+}
+
+/// Bodies whose chip reads through a low-pass.
+pub fn filtered() -> String {
+    let all = rows("filtered/trials.csv");
+    let line = |(bandwidth, words): (&str, &str)| {
+        let errors = |noise: &str| {
+            let wanted = [("bandwidth", bandwidth), ("noise", noise)];
+            let seeds: Vec<&Row> = of(&all, &wanted).collect();
+            let gains: Vec<f64> =
+                seeds.iter().map(|row| number(row, "initial") / number(row, "optimised")).collect();
+            let [least, most] = [f64::min, f64::max].map(|end| gains.iter().copied().reduce(end).unwrap());
+            let [initial, optimised] =
+                ["initial", "optimised"].map(|name| geometric(seeds.iter().map(|row| number(row, name))));
+            let [gain, least, most] =
+                [geometric(gains.iter().copied()), short(&least.to_string()), short(&most.to_string())];
+            [format!("{initial} → {optimised} %"), format!("{gain} ({least} … {most})")]
+        };
+        [vec![words.to_owned()], errors("0").to_vec(), errors("1").to_vec()].concat()
+    };
+    let lines = [("", "none"), ("50.0", "50 Hz"), ("20.0", "20 Hz")].map(line);
+    table(&["low-pass", "without noise", "gain", "with noise", "gain"], lines)
+}
+
+/// Searches for a design, and what their designs do on further seeds.
+pub fn designs() -> String {
+    let (searches, further) = (rows("design/searches.csv"), rows("design/further.csv"));
+    let line = |row: &Row| {
+        let wanted = [("requirement", row["requirement"].as_str()), ("seed", row["seed"].as_str())];
+        let errors: Vec<f64> = of(&further, &wanted).map(|row| number(row, "error")).collect();
+        let limit = number(row, "requirement");
+        let found = row["code"] == "0";
+        let design = match found {
+            true => format!("{}, {}, {}", row["M"], row["operations"], row["units"]),
+            false => "none".into(),
+        };
+        let judged = match errors.iter().copied().reduce(f64::max) {
+            Some(worst) => {
+                let met = errors.iter().filter(|error| **error <= limit).count();
+                let worst = short(&worst.to_string());
+                format!("{}, {worst} %; {met} of {}", geometric(errors.iter().copied()), errors.len())
+            }
+            None => String::new(),
+        };
+        vec![
+            format!("{} %", row["requirement"]),
+            row["seed"].clone(),
+            format!("{} s ({} %)", row["cpu_seconds"], row["part"]),
+            design,
+            format!("{}, {} %", short(&row["error"]), short(&row["keeps_to"])),
+            if found { format!("{:.0} %", 100.0 * number(row, "cheaper")) } else { String::new() },
+            judged,
+        ]
+    };
+    let head = [
+        "at most",
+        "seed",
+        "CPU time (of the grid's)",
+        "M, multiply-adds, units",
+        "expected, kept to",
+        "a cheaper class holds one",
+        "8 further seeds: mean, worst; meet it",
+    ];
+    table(&head, searches.iter().map(line))
+}
+
+/// Lattices of one outline and mass.
+pub fn families() -> String {
+    let all = rows("families/trials.csv");
+    let interval = |ratios: Vec<f64>| {
+        with_interval(&ratios.iter().map(|ratio| ratio.ln()).collect::<Vec<_>>(), f64::exp)
+    };
+    let column = |lattice: &str, name: &str| -> Vec<f64> {
+        of(&all, &[("lattice", lattice)]).map(|row| number(row, name)).collect()
+    };
+    let by = |ends: [Vec<f64>; 2]| ends[0].iter().zip(&ends[1]).map(|(a, b)| a / b).collect::<Vec<_>>();
+    let line = |(lattice, words): (&str, &str)| {
+        let [initial, optimised] = ["initial", "optimised"].map(|name| column(lattice, name));
+        let wanted = [("lattice", lattice)];
+        let first = of(&all, &wanted).next().unwrap();
+        let other = |body: &str, own: &[f64]| match lattice {
+            "square" => "1".to_owned(),
+            _ => interval(by([own.to_vec(), column("square", body)])),
+        };
+        vec![
+            words.to_owned(),
+            first["units"].clone(),
+            first["design_parameters"].clone(),
+            format!("{} %", geometric(initial.iter().copied())),
+            format!("{} %", geometric(optimised.iter().copied())),
+            interval(by([initial.clone(), optimised.clone()])),
+            other("initial", &initial),
+            other("optimised", &optimised),
+        ]
+    };
+    let lattices = [
+        ("square", "squares"),
+        ("chiral", "squares, chiral"),
+        ("kagome", "Kagome's triangles"),
+        ("triangular", "hexagons"),
+    ];
+    let head = [
+        "units",
+        "parameters",
+        "untouched",
+        "trained",
+        "gain",
+        "untouched, by squares",
+        "trained, by squares",
+    ];
+    table(&[&["lattice"][..], &head].concat(), lattices.map(line))
+}
+
+/// Bodies whose held units come together before a sample, and each read under the other presses.
+pub fn pressed() -> String {
+    let (trials, readings) = (rows("pressed/trials.csv"), rows("pressed/read.csv"));
+    let column = |of: &[Row], wanted: &[(&str, &str)], name: &str| -> Vec<f64> {
+        self::of(of, wanted).map(|row| number(row, name)).collect()
+    };
+    let interval = |above: &[f64], below: &[f64]| {
+        let ratios: Vec<f64> = above.iter().zip(below).map(|(a, b)| (a / b).ln()).collect();
+        with_interval(&ratios, f64::exp)
+    };
+    let percent = |errors: &[f64]| format!("{} %", geometric(errors.iter().copied()));
+    let presses = [("0.0", "as cast"), ("0.05", "5 % narrower"), ("-0.05", "5 % wider")];
+    let line = |(press, words): (&str, &str)| {
+        let [(initial, first), (optimised, best)] = ["initial", "optimised"].map(|name| {
+            (column(&trials, &[("press", press)], name), column(&trials, &[("press", "0.0")], name))
+        });
+        let read = |at: &str| column(&readings, &[("trained", press), ("read", at)], "error");
+        let own = read(press);
+        let others = presses.iter().map(|p| p.0).filter(|other| *other != press);
+        let both = |of: &dyn Fn(&str) -> Vec<f64>| -> Vec<f64> {
+            let ends: Vec<Vec<f64>> = others.clone().map(of).collect();
+            ends[0].iter().zip(&ends[1]).map(|(a, b)| (a * b).sqrt()).collect()
+        };
+        let untouched = both(&|other| column(&trials, &[("press", other)], "initial"));
+        let otherwise = both(&read);
+        let as_cast =
+            |own: &[f64], cast: &[f64]| if press == "0.0" { "1".to_owned() } else { interval(own, cast) };
+        vec![
+            words.to_owned(),
+            percent(&initial),
+            percent(&optimised),
+            as_cast(&initial, &first),
+            as_cast(&optimised, &best),
+            percent(&otherwise),
+            interval(&otherwise, &own),
+            interval(&otherwise, &untouched),
+        ]
+    };
+    let head = [
+        "a body",
+        "untouched",
+        "trained",
+        "untouched, by as cast",
+        "trained, by as cast",
+        "trained, read under the others",
+        "that by its own reading",
+        "that by untouched bodies there",
+    ];
+    table(&head, presses.map(line))
+}

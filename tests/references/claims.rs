@@ -1,0 +1,115 @@
+//! The tables of the paper's claims and protocols.
+
+use serde_json::Value;
+
+use super::brains::with;
+use super::rows::{Row, lines, one, percent, ratio, rows, short};
+use super::table;
+
+/// The verdict of a brain on a claim: the ratio, or what the row says in words.
+fn verdict(row: &Row) -> String {
+    let note = row["note"].split([';', '(']).next().unwrap().trim();
+    let ratio = ratio(row, "found", "low", "high");
+    let words = match note {
+        note if note.is_empty() || note.starts_with("worst over best") => ratio,
+        note if ratio == "–" => note.to_owned(),
+        note => format!("{ratio}, {note}"),
+    };
+    format!("{words}: {}", row["rating"])
+}
+
+pub fn claims() -> String {
+    let evidence = rows("claims/evidence.csv");
+    let mut lines = Vec::new();
+    for claim in rows("claims/claims.csv") {
+        let of_claim: Vec<&Row> = evidence
+            .iter()
+            .filter(|row| row["claim"] == claim["claim"])
+            .filter(|row| row["set"].starts_with("holdout"))
+            .collect();
+        let kinds = |row: &&Row| with(&row["with"]).map(|(_, kind)| kind.to_owned());
+        let mut found: Vec<String> = Vec::new();
+        for kind in of_claim.iter().filter_map(kinds) {
+            if !found.contains(&kind) {
+                found.push(kind);
+            }
+        }
+        // Single networks count where there are no others.
+        if found.len() > 1 {
+            found.retain(|kind| kind != "one network a body");
+        }
+        for kind in found {
+            let cell = |name: &str| {
+                let row = of_claim.iter().find(|row| with(&row["with"]) == Some((name, &kind)));
+                row.map_or(String::new(), |row| verdict(row))
+            };
+            let says = if kind.is_empty() { String::new() } else { format!(" ({kind})") };
+            let mut cells = vec![format!("{}{says}", claim["says"]), claim["source"].clone()];
+            cells.extend(["cnn", "long", "linear"].map(cell));
+            lines.push(cells);
+        }
+    }
+    table(&["claim", "in the paper", "the paper's network", "long network", "linear brain"], lines)
+}
+
+pub fn evaluate() -> String {
+    let all = rows("evaluate/table.csv");
+    let line = |body: &str| {
+        let [measured, simulated] =
+            ["measured", "simulated"].map(|signals| one(&all, &[("body", body), ("signals", signals)]));
+        let interval = ratio(measured, "error_test", "test_low", "test_high");
+        let gain = |row: &Row| ratio(row, "ratio", "ratio_low", "ratio_high");
+        vec![body.to_owned(), interval, percent(simulated, "error_test"), gain(measured), gain(simulated)]
+    };
+    table(
+        &[
+            "body",
+            "error on unseen records (%, 95 % interval over records)",
+            "expected from the model",
+            "initial error over this one",
+            "expected from the model",
+        ],
+        ["initial", "optimised"].map(line),
+    )
+}
+
+/// Error against run time, protocol by protocol.
+pub fn protocols() -> String {
+    let line = |row: &Value| {
+        let protocol = match row["protocol"].as_str().unwrap() {
+            "initial" => "(initial body)".into(),
+            "warm" => "`warm`, since removed".into(),
+            other => format!("`{other}`"),
+        };
+        let seconds = format!("{:.0}", row["cpu_seconds"].as_f64().unwrap());
+        let error = short(&row["holdout_error_percent"].to_string());
+        vec![protocol, seconds, row["step"].to_string(), format!("{error} %")]
+    };
+    table(
+        &["protocol", "CPU seconds of outer steps", "outer steps", "holdout error"],
+        lines("protocols.jsonl").iter().map(line),
+    )
+}
+
+/// The change of the loss on the holdout by a step against each gradient.
+pub fn downhill() -> String {
+    let all = lines("implicit.jsonl");
+    let names = [
+        ("random", "random direction"),
+        ("direct", "direct term of the test loss"),
+        ("truncate", "with the implicit term after 20 products"),
+        ("gauss_newton", "the same with Gauss–Newton products"),
+        ("training", "training loss at fixed weights"),
+    ];
+    let line = |(name, words): (&str, &str)| {
+        let cell = |network: u64| {
+            let row = all.iter().find(|row| row["gradient"] == name && row["network"] == network).unwrap();
+            let change = row["holdout_change_percent"].as_f64().unwrap();
+            let sign = if change < 0.0 { "−" } else { "+" };
+            let residual = row["residual"].as_f64().map(|r| format!(" (residual {r:.2})"));
+            format!("{sign}{:.1} %{}", change.abs(), residual.unwrap_or_default())
+        };
+        [vec![words.to_owned()], (0..3).map(cell).collect()].concat()
+    };
+    table(&["gradient", "network 0", "network 1", "network 2"], names.map(line))
+}

@@ -1,0 +1,103 @@
+//! The rows that are committed, and their numbers in words. A number is rounded once, here.
+
+use std::collections::BTreeMap;
+
+use metasense::analysis::numbers::{deviation, geometric_mean, mean};
+use metasense_worker::student;
+use serde_json::Value;
+
+use super::root;
+
+pub(super) type Row = BTreeMap<String, String>;
+
+pub(super) fn rows(file: &str) -> Vec<Row> {
+    let path = root().join("results/committed").join(file);
+    let mut reader = csv::Reader::from_path(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let names = reader.headers().unwrap().clone();
+    let pair = |row: csv::StringRecord| {
+        names.iter().zip(row.iter()).map(|(name, cell)| (name.to_owned(), cell.to_owned())).collect()
+    };
+    reader.records().map(|row| pair(row.unwrap())).collect()
+}
+
+/// Rows whose cells are these.
+pub(super) fn of<'a>(rows: &'a [Row], wanted: &'a [(&str, &str)]) -> impl Iterator<Item = &'a Row> {
+    rows.iter().filter(|row| wanted.iter().all(|(name, cell)| row[*name] == *cell))
+}
+
+/// The only row whose cells are these.
+pub(super) fn one<'a>(rows: &'a [Row], wanted: &[(&str, &str)]) -> &'a Row {
+    let mut found = rows.iter().filter(|row| wanted.iter().all(|(name, cell)| row[*name] == *cell));
+    let row = found.next().unwrap_or_else(|| panic!("no row has {wanted:?}"));
+    // A trial's own brain may be one of the readers of every body: both rows then say the same.
+    assert!(found.all(|other| other == row), "rows that have {wanted:?} differ");
+    row
+}
+
+/// Two significant digits, three after a leading 1.
+pub(super) fn short(text: &str) -> String {
+    let x: f64 = text.parse().unwrap_or_else(|_| panic!("{text:?} is no number"));
+    let digits = |count: i32| {
+        let magnitude = x.abs().log10().floor() as i32;
+        format!("{x:.*}", (count - 1 - magnitude).max(0) as usize)
+    };
+    let two = digits(2);
+    if two.trim_start_matches(['0', '.', '-']).starts_with('1') { digits(3) } else { two }
+}
+
+pub(super) fn percent(row: &Row, name: &str) -> String {
+    format!("{} %", short(&row[name]))
+}
+
+/// Initial → optimised.
+pub(super) fn change(row: &Row) -> String {
+    format!("{} → {} %", short(&row["initial"]), short(&row["optimised"]))
+}
+
+/// A ratio with its interval, where it has one.
+pub(super) fn ratio(row: &Row, value: &str, low: &str, high: &str) -> String {
+    match row[value].as_str() {
+        "" => "–".into(),
+        value if row[low].is_empty() => short(value),
+        value => format!("{} ({} … {})", short(value), short(&row[low]), short(&row[high])),
+    }
+}
+
+pub(super) fn brain(name: &str) -> &'static str {
+    match name {
+        "cnn" => "the paper's network",
+        "long" => "long network",
+        "linear" => "linear brain",
+        "stacked" => "stacked network",
+        "stacked, long" => "stacked long network",
+        other => panic!("no words for the brain {other:?}"),
+    }
+}
+
+/// Median and 90th percentile over casts.
+pub(super) fn spread(row: &Row) -> String {
+    format!("{} [{}] %", short(&row["median"]), short(&row["percentile_90"]))
+}
+
+pub(super) fn number(row: &Row, name: &str) -> f64 {
+    row[name].parse().unwrap_or_else(|_| panic!("{:?} is no number", row[name]))
+}
+
+/// The mean and Student's interval of 95 %, as they are shown.
+pub(super) fn with_interval(values: &[f64], shown: fn(f64) -> f64) -> String {
+    let half = student(values.len() - 1) * deviation(values).unwrap() / (values.len() as f64).sqrt();
+    let centre = mean(values).unwrap();
+    let [at, low, high] = [0.0, -half, half].map(|by| short(&shown(centre + by).to_string()));
+    format!("{at} ({low} … {high})")
+}
+
+/// The geometric mean.
+pub(super) fn geometric(values: impl Iterator<Item = f64>) -> String {
+    short(&geometric_mean(&values.collect::<Vec<_>>()).to_string())
+}
+
+/// The rows that a bench has written, a JSON object a line.
+pub(super) fn lines(file: &str) -> Vec<Value> {
+    let text = super::read(&format!("results/committed/{file}"));
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
