@@ -123,7 +123,8 @@ def cases(name, body, alpha, rng, clamped, panels, sensors):
 
 
 def motion(name, body, alpha, rng, scene):
-    params, elastic = body.params(alpha), body.energies()[0]
+    params, (bonds, touch) = body.params(alpha), body.energies()
+    elastic = (lambda x, p: bonds(x, p) + touch(x, p)) if scene["contact"] else bonds
     driven = [scene["panels"][k] for k in scene.get("driven", [])]
     parts = [(unit, 3 * [True]) for unit in scene["clamped"]] + [tuple(guided) for guided in scene.get("guided", [])]
     pressed = scene.get("pressed", np.zeros((len(parts), 2)))
@@ -226,6 +227,12 @@ if __name__ == "__main__":
     # so heavy that it goes some 1 mm
     driven = body.scene(clamped=[0, 2, 4], panels=[7, 11], sensors=[5, 9], driven=[0], driven_mass=1e-3)
     motion("kagome_driven", body, jnp.asarray(alpha), np.random.default_rng(42), driven)
+    motion("kagome_contact", body, jnp.asarray(alpha), np.random.default_rng(44), body.scene(
+        clamped=[0, 2, 4], panels=[7, 11], sensors=[5, 9], contact=True))
+    # the uppermost units come down in slots
+    motion("kagome_pressed", body, jnp.asarray(alpha), np.random.default_rng(45), body.scene(
+        clamped=[0, 2, 4], guided=[[unit, [False, True, False]] for unit in (7, 9, 11)], panels=[8, 3], sensors=[5, 9],
+        pressed=3 * [[0.0, 0.0]] + 3 * [[0.0, -1.5]]))
     quads = geometry.QuadGeometry(4, 3, spacing=1.0, bond_length=0.15)
     tan = 0.5 * 0.85 * np.tan(turn)
     sign = lambda i, j: (-1.0) ** (i + j)
@@ -234,6 +241,8 @@ if __name__ == "__main__":
     body = Body(quads, [horizontal, vertical], 15.0, 0.6)
     alpha = 0.6 * rng.standard_normal(2 * (body.group.max() + 1))
     cases("quads", body, jnp.asarray(alpha), rng, [0, 1, 2, 3], [9, 10], [5, 6])
+    motion("quads_contact", body, jnp.asarray(alpha), np.random.default_rng(46), body.scene(
+        clamped=[0, 1, 2, 3], panels=[9, 10], sensors=[5, 6], contact=True))
     # bottom and top come together by a twelfth of the way between them, as in DifFlexMM's quads_kinetic_energy_static_tuning
     quads = geometry.QuadGeometry(4, 5, spacing=1.0, bond_length=0.15)
     horizontal = np.array([[[0.0, -tan * sign(i, j)] for j in range(5)] for i in range(5)])
