@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-pub use metasense_numerics::body::Layout;
+pub use metasense_numerics::body::{Layout, Pattern};
 pub use metasense_numerics::feasible::{
     Active, Feasible, Kind, Limits, Projection, Stage, Status, Violation,
 };

@@ -70,7 +70,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         stimuli: stimuli(trial)?,
         channels: channels(&trial.sensors)?,
         disturbance: disturbance(&trial.sensors, &trial.time)?,
-        variation: variation(trial)?,
+        variation: variation(trial, scene.layout.units())?,
         reader: kind(trial.brain.kind),
         decoder: decoder(trial)?,
         brain: Training {

@@ -9,7 +9,9 @@ use metasense::cli::{Error, Format, print_rows};
 use metasense::exit::Exit;
 use metasense::look::Table;
 use metasense::row;
-use metasense_worker::design::{Feasible, Layout, Limits, Projection, Purpose, Stage, Status, Stream};
+use metasense_worker::design::{
+    Feasible, Layout, Limits, Pattern, Projection, Purpose, Stage, Status, Stream,
+};
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -151,7 +153,7 @@ fn one(number: u64) -> (Status, usize) {
     let mut draw: Stream = stream(3, number);
     let (columns, rows) = (2 + draw.below(7), 2 + draw.below(7));
     let layout = match draw.below(3) {
-        0 => Layout::circular(columns.max(3), SPACING, LIGAMENT),
+        0 => Layout::circular(&Pattern::square(), columns.max(3), SPACING, LIGAMENT),
         _ => Layout::planar(columns, rows, SPACING, LIGAMENT),
     };
     let mut feasible = Feasible::new(&layout, Limits::default(), &[]);

@@ -271,10 +271,13 @@ fn text<'a>(trial: &'a Trial, path: &str) -> Option<&'a str> {
     trial.setting.get(path).and_then(Value::as_str)
 }
 
-/// Whether a trial is of the paper's kind: sensors at random units that are perfect, no random body, all shifts free.
+/// Whether a trial is of the paper's kind: a body of squares that is not random, its shifts not frozen, perfect sensors at random units.
 fn plain(trial: &Trial) -> bool {
-    let extra =
-        |path: &str| path == "optimise.frozen" || path.starts_with("sensors.") && path != "sensors.frame";
+    let extra = |path: &str| {
+        ["optimise.frozen", "body.lattice"].contains(&path)
+            || path.starts_with("body.file")
+            || path.starts_with("sensors.") && path != "sensors.frame"
+    };
     !trial.starts_random() && !trial.setting.leaves().keys().any(|path| extra(path))
 }
 

@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 pub enum LayoutKind {
     /// `rows` rows of `columns` units, or what `file` gives: the topmost units are struck downwards, the lowest held.
     Planar,
-    /// The units of a square lattice whose centres lie inside a disc, `columns` across.
+    /// The units of a lattice whose centres lie in a disc, `columns` spacings across: about a unit where that is odd, about a void where even.
     Circular,
 }
 
-/// How the units of a sheet repeat.
+/// How the units of a body repeat.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Lattice {
@@ -121,7 +121,7 @@ pub enum ClampRule {
     Ends,
     /// The leftmost and the rightmost units of a planar body.
     Sides,
-    /// The innermost 2 × 2 units, or the one, of a circular body.
+    /// The innermost unit of a circular body, or those around the void in its middle.
     Hub,
 }
 
@@ -172,7 +172,7 @@ pub struct Body {
     /// Where the units are.
     #[serde(default = "planar")]
     pub layout: LayoutKind,
-    /// How the units of a planar body repeat. Default: `"square"`.
+    /// How the units repeat. Default: `"square"`.
     #[serde(default, skip_serializing_if = "Lattice::is_square")]
     pub lattice: Lattice,
     /// A body of any polygons, in place of `columns`, `rows`, `spacing`, `ligament_length` and `initial_angle`. Default: none.
@@ -202,7 +202,7 @@ pub struct Body {
     /// one. Unit: degrees. Default: 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_angle: Option<f64>,
-    /// Units in a row; of a circular body across its diameter. Default: must be given without `file`.
+    /// Units in a row; of a circular body its diameter in spacings. Default: must be given without `file`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub columns: Option<usize>,
     /// Rows of units; must be left out of a circular body. Default: must be given for a planar body.

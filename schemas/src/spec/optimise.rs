@@ -303,7 +303,7 @@ pub struct Optimise {
     /// `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,
-    /// `[p, q]`: the nodes of p × q cells move together, horizontal and vertical ones apart, which leaves fewer design
+    /// `[p, q]`: the nodes of p × q cells move together, those of each direction of ligaments apart, which leaves fewer design
     /// parameters at the same size. Default: `[1, 1]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tie: Option<[usize; 2]>,

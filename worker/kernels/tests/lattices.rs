@@ -25,9 +25,18 @@ fn mixed() -> Layout {
     Layout::of_polygons(&units, &joints, &[vec![End { unit: 1, node: 4 }, End { unit: 1, node: 5 }]])
 }
 
+/// Turned by an angle where a lattice's units turn alike.
+const PATTERNS: [(&str, fn(f64) -> Pattern); 4] = [
+    ("square", |_| Pattern::square()),
+    ("kagome", |_| Pattern::kagome()),
+    ("triangular", Pattern::triangular),
+    ("chiral", Pattern::chiral),
+];
+
 fn bodies() -> Vec<(&'static str, Layout)> {
     let sheet = |pattern: Pattern| Layout::sheet(&pattern, 4, 3, 15.0, 2.25);
     vec![
+        ("disc of kagome", Layout::circular(&Pattern::kagome(), 4, 15.0, 2.25)),
         ("square", sheet(Pattern::square())),
         ("kagome", sheet(Pattern::kagome())),
         ("triangular", sheet(Pattern::triangular(0.4))),
@@ -102,6 +111,75 @@ fn units_have_the_neighbours_of_their_lattice() {
         };
         let pairs = layout.ligaments.iter().map(|l| turned(l.a.unit) * turned(l.b.unit));
         assert!(pairs.into_iter().all(|product| (product - turn * 0.09).abs() < 1e-12), "{nodes}");
+    }
+}
+
+/// Of whatever lattice: all units in the disc and none beyond, joined to one piece, and itself when turned. The hub is the unit in its middle
+/// or those around its void; from five across on panels of all eight directions are units of their own.
+#[test]
+fn discs_are_whole_and_turn_into_themselves() {
+    for (name, pattern) in PATTERNS {
+        let upright = pattern(0.0);
+        for across in 4..14 {
+            let layout = Layout::circular(&upright, across, 15.0, 2.25);
+            let rim = 7.5 * across as f64 + 1e-9;
+            let radius = |[x, y]: [f64; 2]| x.hypot(y);
+            assert!(layout.centres.iter().all(|c| radius(*c) <= rim), "{name}, {across}");
+            let at = |place: [f64; 2]| {
+                layout.centres.iter().position(|c| radius([c[0] - place[0], c[1] - place[1]]) < 1e-9)
+            };
+            // what a free node would lead to is outside; all others lead to a unit
+            let mut reached = vec![layout.hub()[0]];
+            for n in 0..layout.units() {
+                let unit = *reached.get(n).unwrap_or_else(|| panic!("{name}, {across}: in pieces"));
+                for (node, [x, y]) in layout.shape[unit].iter().enumerate() {
+                    let [p, q] = layout.centres[unit];
+                    let beyond = [p + 15.0 * x, q + 15.0 * y];
+                    let ends = layout.ligaments.iter().map(|l| [l.a, l.b]);
+                    let joined = ends
+                        .flat_map(|[a, b]| [(a, b), (b, a)])
+                        .find(|(a, _)| (a.unit, a.node) == (unit, node));
+                    assert_eq!(joined.map(|(_, b)| b.unit), at(beyond), "{name}, {across}: {unit}, {node}");
+                    assert!(joined.is_some() || radius(beyond) > rim, "{name}, {across}: {unit}, {node}");
+                    let next = joined.map(|(_, b)| b.unit).filter(|next| !reached.contains(next));
+                    reached.extend(next);
+                }
+            }
+            assert_eq!(layout.group_count, layout.nodes() - layout.ligaments.len(), "{name}, {across}");
+
+            let odd = across % 2 == 1;
+            let (hub, turns) = match name {
+                "kagome" => (6, if odd { 3.0 } else { 6.0 }),
+                "triangular" => (3, if odd { 6.0 } else { 3.0 }),
+                _ => (4, 4.0),
+            };
+            assert_eq!(layout.hub().len(), if odd { 1 } else { hub }, "{name}, {across}");
+            let (sin, cos) = (std::f64::consts::TAU / turns).sin_cos();
+            let turned = |[x, y]: [f64; 2]| [cos * x - sin * y, sin * x + cos * y];
+            assert!(layout.centres.iter().all(|c| at(turned(*c)).is_some()), "{name}, {across}");
+            let panels = layout.circular_panels(8);
+            assert!(across < 5 || panels.is_some(), "{name}, {across}");
+            for (unit, [x, y]) in panels.into_iter().flatten() {
+                let [p, q] = layout.centres[unit];
+                assert!(
+                    layout.boundary[unit] && p * x + q * y < -0.8 * radius([p, q]),
+                    "{name}, {across}: {unit}"
+                );
+            }
+        }
+    }
+}
+
+/// A lattice made with longer ligaments is the one whose ligaments have been made longer.
+#[test]
+fn longer_ligaments_make_the_lattice_of_their_length() {
+    for (name, pattern) in PATTERNS {
+        for of in [
+            |p: &Pattern, l| Layout::sheet(p, 4, 3, 15.0, l),
+            |p: &Pattern, l| Layout::circular(p, 5, 15.0, l),
+        ] {
+            assert_eq!(of(&pattern(0.4), 2.25).with_ligament_length(2.5), of(&pattern(0.4), 2.5), "{name}");
+        }
     }
 }
 

@@ -9,7 +9,7 @@ mod steps;
 #[path = "../src/dynamics/trigonometry.rs"]
 mod trigonometry;
 
-use metasense_kernels::body::{Freedom, Layout};
+use metasense_kernels::body::{Freedom, Layout, Pattern};
 use metasense_kernels::brain::{SolveOutcome, conjugate_gradient};
 use metasense_kernels::random::{Purpose, Stream};
 
@@ -17,16 +17,22 @@ use metasense_kernels::random::{Purpose, Stream};
 /// of the horizontal groups, 2 · 4 of the vertical ones.
 #[test]
 fn what_is_pulled_back_is_the_transpose_of_what_is_spread() {
-    let layout = Layout::planar(4, 3, 15.0, 2.25);
+    let planar = Layout::planar(4, 3, 15.0, 2.25);
+    let kagome = Layout::sheet(&Pattern::kagome(), 4, 3, 15.0, 2.25);
+    let hexagons = Layout::circular(&Pattern::triangular(0.4), 5, 15.0, 2.25);
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
-    for (tie, frozen, parameters) in [
-        ([1, 1], &[][..], layout.design_len()),
-        ([2, 1], &[], 2 * (3 * 3 + 2 * 4)),
-        ([9, 9], &[], 4),
-        ([1, 1], &[5], layout.design_len() - 8),
-        ([9, 9], &[5], 4),
+    for (layout, tie, frozen, parameters) in [
+        (&planar, [1, 1], &[][..], planar.design_len()),
+        (&planar, [2, 1], &[], 2 * (3 * 3 + 2 * 4)),
+        (&planar, [9, 9], &[], 4),
+        (&planar, [1, 1], &[5], planar.design_len() - 8),
+        (&planar, [9, 9], &[5], 4),
+        // one shift a kind of ligament, whichever way rows slant
+        (&kagome, [9, 9], &[], 6),
+        (&hexagons, [9, 9], &[], 6),
+        (&hexagons, [1, 1], &[9], hexagons.design_len() - 12),
     ] {
-        let freedom = Freedom::new(&layout, tie, frozen);
+        let freedom = Freedom::new(layout, tie, frozen);
         assert_eq!(freedom.parameters(), parameters, "{tie:?} {frozen:?}");
         let mut draw = || -> Vec<f64> { (0..layout.design_len()).map(|_| stream.normal()).collect() };
         let (w, initial, mut z) = (draw(), draw(), vec![0.0; layout.design_len()]);

@@ -13,7 +13,7 @@ fn somewhere(name: &str) -> (tempfile::TempDir, PathBuf) {
 /// NPY keeps every bit; CSV of nodes keeps them to rounding.
 #[test]
 fn a_design_comes_back_from_its_file() {
-    for layout in [Layout::planar(3, 2, 15.0, 2.25), Layout::circular(5, 12.0, 1.8)] {
+    for layout in [Layout::planar(3, 2, 15.0, 2.25), Layout::circular(&Pattern::square(), 5, 12.0, 1.8)] {
         let mut design = layout.initial_design(0.4);
         design[3] = 0.1 + 0.2;
         let (_folder, npy) = somewhere("a.npy");

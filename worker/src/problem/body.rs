@@ -38,6 +38,13 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
         body.initial_angle,
         "must lie between -45 and 45 degrees",
     )?;
+    let angle = body.initial_angle.to_radians();
+    let pattern = match body.lattice {
+        spec::Lattice::Square => Pattern::square(),
+        spec::Lattice::Kagome => Pattern::kagome(),
+        spec::Lattice::Triangular => Pattern::triangular(angle),
+        spec::Lattice::Chiral => Pattern::chiral(angle),
+    };
     match body.layout {
         LayoutKind::Planar => {
             let rows = body.rows.ok_or_else(|| invalid("body.rows", "", "must be given where planar"))?;
@@ -47,23 +54,10 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
                 rows,
                 "must be at least 2: the bottom row is clamped, the top row struck",
             )?;
-            let angle = body.initial_angle.to_radians();
-            let pattern = match body.lattice {
-                spec::Lattice::Square => Pattern::square(),
-                spec::Lattice::Kagome => Pattern::kagome(),
-                spec::Lattice::Triangular => Pattern::triangular(angle),
-                spec::Lattice::Chiral => Pattern::chiral(angle),
-            };
             Ok(Layout::sheet(&pattern, columns, rows, spacing, ligament_length))
         }
         LayoutKind::Circular => {
             let rows = body.rows();
-            require(
-                body.lattice.is_square(),
-                "body.lattice",
-                format!("{:?}", body.lattice).to_lowercase(),
-                "is a planar body's; a circular one is of squares",
-            )?;
             require(
                 rows == columns,
                 "body.rows",
@@ -71,7 +65,7 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
                 "must equal body.columns, or be left out, where circular",
             )?;
             at_least("body.columns", columns, 4)?;
-            Ok(Layout::circular(columns, spacing, ligament_length))
+            Ok(Layout::circular(&pattern, columns, spacing, ligament_length))
         }
     }
 }

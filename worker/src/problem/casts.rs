@@ -24,8 +24,8 @@ const ALIKE_MAX: usize = 2000;
 /// More casts than this are taken for a mistake.
 const CASTS_MAX: usize = 10_000;
 
-/// How casts scatter.
-pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid> {
+/// How casts of a body of so many units scatter.
+pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variation>, Invalid> {
     let Some(given) = &trial.variation else { return Ok(None) };
     let spec::Variation { stretch, shear, bend, damping, density, contact, .. } = *given;
     let spec::Variation { nodes, gain, misalignment, ligament_length, relaxation, .. } = *given;
@@ -52,8 +52,6 @@ pub(super) fn variation(trial: &TrialSpec) -> Result<Option<Variation>, Invalid>
         correlation,
         "must lie between 0 and 10000 mm",
     )?;
-    let lattice = trial.body.columns() * trial.body.rows();
-    let units = trial.body.polygons().map_or(lattice, |given| given.units.len());
     let remedy = format!("the body has {units} units; nodes scatter alike on at most {ALIKE_MAX}");
     require(correlation == 0.0 || units <= ALIKE_MAX, "variation.nodes.correlation", correlation, &remedy)?;
     let [stretch, shear, bend] = [

@@ -1,5 +1,6 @@
 use super::*;
 use crate::{modes::slowest, operator::told};
+use metasense_numerics::body::Pattern;
 use metasense_numerics::brain::Policy;
 use metasense_numerics::dynamics::{Moves, Panel, Strike};
 use metasense_numerics::random::Purpose;
@@ -199,26 +200,42 @@ fn what_is_gone_is_refused_with_what_to_write_instead() {
     }
 }
 
-/// A circular body is clamped at its hub and struck inward.
+/// A circular body of whatever lattice is clamped at its hub and struck inward, and sensors are searched for elsewhere.
 #[test]
 fn a_circular_body_is_struck_inward() {
-    let layout = Layout::circular(7, 15.0, 2.25);
-    let panels: Vec<usize> = layout.circular_panels(4).unwrap().iter().map(|p| p.0).collect();
-    let sensor = layout.placement(0, &layout.hub())[0];
-    let problem = problem(&trial(&[
-        ("body.layout", json!("circular")),
-        ("body.columns", json!(7)),
-        ("body.rows", Value::Null),
-        ("point.panels", json!(4)),
-        ("panel_units", json!(panels)),
-        ("sensor_units", json!([sensor])),
-    ]))
-    .unwrap();
-    assert_eq!(problem.scene.clamped, layout.hub());
-    for panel in &problem.scene.panels {
-        let [x, y] = problem.scene.layout.centres[panel.unit];
-        let inward = -(x * panel.direction[0] + y * panel.direction[1]) / x.hypot(y);
-        assert!(inward > 0.9, "unit {}: {inward}", panel.unit);
+    let angle = 25f64.to_radians();
+    let patterns = [
+        ("square", Pattern::square()),
+        ("kagome", Pattern::kagome()),
+        ("triangular", Pattern::triangular(angle)),
+        ("chiral", Pattern::chiral(angle)),
+    ];
+    for ((lattice, pattern), across) in patterns.iter().flat_map(|of| [(of, 6), (of, 7)]) {
+        let layout = Layout::circular(pattern, across, 15.0, 2.25);
+        let panels: Vec<usize> = layout.circular_panels(4).unwrap().iter().map(|p| p.0).collect();
+        let problem = problem(&trial(&[
+            ("body.layout", json!("circular")),
+            ("body.lattice", json!(lattice)),
+            ("body.columns", json!(across)),
+            ("body.rows", Value::Null),
+            ("point.panels", json!(4)),
+            ("panel_units", json!(panels)),
+            ("sensor_units", json!([])),
+            ("sensors.search", json!("greedy")),
+            ("sensors.from", json!("free")),
+        ]))
+        .unwrap();
+        let what = format!("{lattice}, {across}");
+        assert_eq!(problem.scene.clamped, layout.hub(), "{what}");
+        let candidates = problem.search.unwrap().candidates;
+        assert_eq!(candidates.len(), layout.units() - layout.hub().len(), "{what}");
+        assert!(layout.hub().iter().all(|unit| !candidates.contains(unit)), "{what}");
+        assert_eq!(problem.scene.layout, layout, "{what}");
+        for panel in &problem.scene.panels {
+            let [x, y] = layout.centres[panel.unit];
+            let inward = -(x * panel.direction[0] + y * panel.direction[1]) / x.hypot(y);
+            assert!(inward > 0.9, "{what}, unit {}: {inward}", panel.unit);
+        }
     }
 }
 
@@ -328,7 +345,7 @@ fn panels_are_turned_by_their_angle() {
     let at = |angle: f64| problem(&trial(&[("body.panel_angle", json!(angle))])).unwrap().scene.panels;
     let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-15;
     assert!(at(90.0).iter().all(|panel| near(panel.direction, [1.0, 0.0])), "{:?}", at(90.0));
-    let layout = Layout::circular(8, 15.0, 2.25);
+    let layout = Layout::circular(&Pattern::square(), 8, 15.0, 2.25);
     let units: Vec<usize> = layout.circular_panels(4).unwrap().into_iter().map(|panel| panel.0).collect();
     let of = |angle: Value| {
         let body = trial(&[("body.layout", json!("circular")), ("body.panel_angle", angle)]).body;

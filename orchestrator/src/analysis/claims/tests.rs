@@ -56,6 +56,11 @@ fn a_factor_is_held_against_its_interval() {
     let both = [of("linear", 2.5, 5), of("cnn", 0.7, 5)].concat();
     assert_eq!(rated(0, &both), ("depends: holds with linear · fails with cnn".into(), None));
     assert_eq!(rated(3, &both), ("not tried".into(), None));
+    // of other lattices than the paper's nothing follows for its claims
+    let mut others = of("linear", 2.5, 5);
+    let own = json!({"body": {"layout": "planar", "lattice": "kagome"}, "stimuli": {"kind": "bell"}});
+    others.iter_mut().for_each(|t| t.setting = flatten(&own).into_iter().collect());
+    assert_eq!(rated(0, &others), ("not tried".into(), None));
 }
 
 /// Of two findings that each might be chance with 4 % the pair might with 8 %; one of a tenth of a per cent stands beside them.

@@ -26,8 +26,11 @@ impl Freedom {
         let mut frozen = vec![false; layout.group_count];
         frozen_units.iter().flat_map(|&unit| &layout.groups[unit]).for_each(|&group| frozen[group] = true);
         let mut first: BTreeMap<GroupCell, usize> = BTreeMap::new();
+        // blocks begin at the body's own corner, which in slanting rows is left of cell 0
+        let least = |d: usize| layout.group_cells.iter().map(|(_, cell)| cell[d]).min().unwrap_or(0);
+        let [left, low] = [least(0), least(1)];
         let leader = layout.group_cells.iter().enumerate().map(|(group, &(kind, [i, j]))| {
-            let block = (kind, [i.div_euclid(p as i32), j.div_euclid(q as i32)]);
+            let block = (kind, [(i - left) / p as i32, (j - low) / q as i32]);
             if frozen[group] { group } else { *first.entry(block).or_insert(group) }
         });
         Self { leader: leader.collect(), frozen }

@@ -92,15 +92,11 @@ impl Layout {
         Self::of_pattern(pattern, units, [0.0, 0.0], spacing, ligament_length)
     }
 
-    /// The squares of an `across` × `across` grid whose centres lie in the disc of diameter `across`·spacing, centred on 0.
-    pub fn circular(across: usize, spacing: f64, ligament_length: f64) -> Self {
-        let n = across as i32;
-        // In half pitches from the disc's centre; no centre lies on the rim, as odd and even squares differ mod 8.
-        let inside = |&[i, j]: &[i32; 2]| (2 * i - n + 1).pow(2) + (2 * j - n + 1).pow(2) <= n * n;
-        let cells = (0..n).flat_map(|j| (0..n).map(move |i| [i, j])).filter(inside);
-        let origin = -0.5 * (n - 1) as f64 * spacing;
-        let units = cells.map(|cell| (cell, 0)).collect();
-        Self::of_pattern(&Pattern::square(), units, [origin, origin], spacing, ligament_length)
+    /// The units of a lattice whose reference points lie in the disc of diameter `across`·spacing about 0, row by row from the left. In the
+    /// middle is a unit where `across` is odd, a void where it is even.
+    pub fn circular(pattern: &Pattern, across: usize, spacing: f64, ligament_length: f64) -> Self {
+        let (units, centre) = pattern.in_disc(across as i32);
+        Self::of_pattern(pattern, units, centre.map(|c| -c * spacing), spacing, ligament_length)
     }
 
     /// Units of a pattern by cell and place in it, in the order given.
@@ -438,7 +434,7 @@ impl Layout {
         (0..self.units()).filter(is_end).collect()
     }
 
-    /// The innermost unit of a circular body, or the innermost four.
+    /// The innermost unit of a circular body, or those around the void in its middle.
     pub fn hub(&self) -> Vec<usize> {
         let radius = |u: usize| self.centres[u][0].hypot(self.centres[u][1]);
         let least = (0..self.units()).map(radius).fold(f64::INFINITY, f64::min);

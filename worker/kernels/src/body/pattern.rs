@@ -35,6 +35,8 @@ pub struct Pattern {
     pub units: Vec<Member>,
     /// Ligaments, by kind.
     pub links: Vec<Link>,
+    /// Where the middle of a void is in the cell (pitches), of the largest ones.
+    pub void: [f64; 2],
     /// How units turn in the initial design.
     turns: Turns,
 }
@@ -88,6 +90,7 @@ impl Pattern {
             steps: [[1.0, 0.0], [0.0, 1.0]],
             units: vec![Member { at: [0.0; 2], nodes: regular(4, angle.to_degrees()) }],
             links: vec![link([0, 0], [0, 2], [1, 0]), link([0, 1], [0, 3], [0, 1])],
+            void: [0.5, 0.5],
             turns,
         }
     }
@@ -107,6 +110,7 @@ impl Pattern {
                 link([0, 2], [1, 0], [-1, 0]),
                 link([0, 1], [1, 2], [-1, 1]),
             ],
+            void: [half, 0.5],
             turns: Turns::Members,
         }
     }
@@ -121,14 +125,19 @@ impl Pattern {
                 link([0, 1], [0, 4], [0, 1]),
                 link([0, 2], [0, 5], [-1, 1]),
             ],
+            void: [0.5, 3f64.sqrt() / 6.0],
             turns: Turns::Alike,
         }
     }
 
     /// Where a unit of a cell is (pitches).
-    pub fn centre(&self, [i, j]: [i32; 2], member: usize) -> [f64; 2] {
+    pub fn centre(&self, cell: [i32; 2], member: usize) -> [f64; 2] {
+        self.place(cell, self.units[member].at)
+    }
+
+    fn place(&self, [i, j]: [i32; 2], at: [f64; 2]) -> [f64; 2] {
         let (i, j) = (f64::from(i), f64::from(j));
-        [0, 1].map(|d| i * self.steps[0][d] + j * self.steps[1][d] + self.units[member].at[d])
+        [0, 1].map(|d| i * self.steps[0][d] + j * self.steps[1][d] + at[d])
     }
 
     /// Unit n of row j of a sheet, from the left: its cell and its place there. Odd rows of slanting cells are half a cell to the right.
@@ -136,6 +145,24 @@ impl Pattern {
         let back = if self.steps[1][0] == 0.0 { 0 } else { j.div_euclid(2) };
         let count = self.units.len() as i32;
         ([n.div_euclid(count) - back, j], n.rem_euclid(count) as usize)
+    }
+
+    /// The units whose reference points lie in a disc, by cells (j outer, i inner), and its centre (pitches): where the diameter `across` is odd
+    /// at a unit, where it is even in the middle of a void.
+    pub fn in_disc(&self, across: i32) -> (Vec<([i32; 2], usize)>, [f64; 2]) {
+        let middle = (across - 1).div_euclid(2);
+        let centre = self.place([middle; 2], if across % 2 == 0 { self.void } else { self.units[0].at });
+        // Squares of distances and of the radius are multiples of a twelfth: what lies on the rim is inside, whatever rounding says.
+        let most = 0.25 * f64::from(across).powi(2) + 0.01;
+        let is_inside = |&(cell, member): &([i32; 2], usize)| {
+            let [x, y] = self.centre(cell, member);
+            (x - centre[0]).powi(2) + (y - centre[1]).powi(2) < most
+        };
+        let near = middle - across..=middle + across;
+        let members = self.units.len();
+        let units = near.clone().flat_map(|j| near.clone().map(move |i| [i, j]));
+        let units = units.flat_map(|cell| (0..members).map(move |member| (cell, member)));
+        (units.filter(is_inside).collect(), centre)
     }
 
     /// Which way a unit of a cell turns in the initial design, or 0.

@@ -2,7 +2,7 @@
 
 use crate::common::{pool, relative, scene};
 use crate::helpers::{BISTABLE, plan, pushes, shaken, small_scene};
-use metasense_kernels::body::{Geometry, Layout};
+use metasense_kernels::body::{Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
     Contact, Forces, Hinge, Method, Outcome, Panel, Scene, Simulation, Wrt, energy, energy_design_gradient,
     energy_gradient, run,
@@ -16,7 +16,7 @@ fn bent(units: usize) -> Vec<[f64; 3]> {
 /// Turned as the initial design is, ligaments of lattices have all the energy of their polynomial at +2ε, against it at −2ε.
 #[test]
 fn the_two_senses_are_those_of_the_initial_design() {
-    for layout in [Layout::planar(4, 3, 15.0, 2.25), Layout::circular(4, 15.0, 2.25)] {
+    for layout in [Layout::planar(4, 3, 15.0, 2.25), Layout::circular(&Pattern::square(), 4, 15.0, 2.25)] {
         let plain = Scene { layout, clamped: vec![], panels: vec![], sensors: vec![], ..scene(4, 3, 1) };
         let hinged = Scene { hinge: Some(BISTABLE), ..plain.clone() };
         let design = plain.layout.initial_design(0.4);

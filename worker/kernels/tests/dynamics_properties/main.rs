@@ -13,7 +13,7 @@ use common::{norm, pool, relative, scene};
 use helpers::{
     BISTABLE, EQUAL_STEPS, by_too_few_steps, of_every_law, plan, pushes, shaken, small_scene, struck,
 };
-use metasense_kernels::body::{Geometry, Layout};
+use metasense_kernels::body::{Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
     Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters, Parts,
     Plan, Precision, Scene, Solver, Stiffness, Tolerance, Wrt, choose, energy, energy_design_gradient,
@@ -468,7 +468,7 @@ fn contact_that_acts_at_rest_moves_the_body_from_the_start() {
 #[test]
 fn circular_bodies_are_bodies() {
     for across in 3..12 {
-        let layout = Layout::circular(across, 15.0, 2.25);
+        let layout = Layout::circular(&Pattern::square(), across, 15.0, 2.25);
         let radius = 0.5 * across as f64 * 15.0;
         assert!(layout.centres.iter().all(|c| c[0].hypot(c[1]) <= radius));
         let ends: usize =

@@ -5,6 +5,8 @@ use crate::body::Pattern;
 use crate::random::{Purpose, Stream};
 use proptest::prelude::*;
 
+const PATTERNS: [fn(f64) -> Pattern; 4] =
+    [|_| Pattern::square(), |_| Pattern::kagome(), Pattern::triangular, Pattern::chiral];
 const ANGLE: f64 = 25.0 * std::f64::consts::PI / 180.0;
 
 fn body(columns: usize, rows: usize) -> (Layout, Vec<f64>, Feasible) {
@@ -46,6 +48,26 @@ fn what_comes_back_satisfies_every_constraint() {
             let broken = feasible.violations(&out.design);
             assert!(broken.is_empty() && out.status.is_feasible(), "{size}: {:?} {}", out.status, broken[0]);
             assert!(size > 4.0 || out.status != Status::Kept, "{columns}×{rows}, ±{size} mm: kept");
+        }
+    }
+}
+
+/// Of every lattice, in a sheet and in discs: the initial design can be cast, and so can what random steps from it are projected to.
+#[test]
+fn every_lattice_starts_castable_and_stays_so() {
+    for (number, pattern) in PATTERNS.into_iter().enumerate() {
+        let of = |columns: usize| Layout::circular(&pattern(ANGLE), columns, 15.0, 2.25);
+        for layout in [Layout::sheet(&pattern(ANGLE), 4, 3, 15.0, 2.25), of(4), of(5)] {
+            let start = layout.initial_design(ANGLE);
+            let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
+            let what = format!("lattice {number}, {} units", layout.units());
+            assert_eq!(feasible.violations(&start), [], "{what}");
+            for (seed, size) in [(1, 1.0), (2, 2.5), (3, 4.0)] {
+                let out = feasible.project(&start, &noisy(&start, size, seed), None);
+                assert_eq!(feasible.violations(&out.design), [], "{what}, ±{size} mm");
+                let moved = matches!(out.status, Status::Untouched | Status::Projected);
+                assert!(moved, "{what}, ±{size} mm: {:?}", out.status);
+            }
         }
     }
 }
@@ -153,7 +175,7 @@ fn the_judge_names_what_is_broken() {
 /// Random designs are feasible, equal for equal seeds, and far from each other.
 #[test]
 fn random_designs_are_feasible_and_named_by_their_seed() {
-    let layout = Layout::circular(5, 15.0, 2.25);
+    let layout = Layout::circular(&Pattern::square(), 5, 15.0, 2.25);
     let start = layout.initial_design(ANGLE);
     let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
     let designs: Vec<Vec<f64>> =
@@ -250,7 +272,7 @@ proptest! {
         size in 0.05..12.0_f64, seed in 0_u64..1000, fixed in proptest::option::of(0_usize..4),
     ) {
         let layout = match family {
-            0 => Layout::circular(columns, 15.0, ligament),
+            0 => Layout::circular(&PATTERNS[rows % 4](angle), columns, 15.0, ligament),
             1 => Layout::planar(columns, rows, 15.0, ligament),
             2 => Layout::sheet(&Pattern::kagome(), columns, rows, 15.0, ligament),
             3 => Layout::sheet(&Pattern::triangular(angle), columns, rows, 15.0, ligament),
