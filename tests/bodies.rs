@@ -3,6 +3,8 @@
 use crate::common::{Bench, TINY};
 
 const LATTICE: &str = "columns = 4\nrows = 4\nspacing = 15.0\nligament_length = 2.25\n";
+const DISC: &str =
+    "layout = \"circular\"\ncolumns = 5\ndiameter = 75.0\nspacing = 15.0\nligament_length = 2.25\n";
 
 /// A triangle that is held, a square that is read and a square that is struck.
 const MINE: &str = "units = [
@@ -21,13 +23,25 @@ fn linear(body: &str) -> String {
     spec.replace("sensors = [1, 2]", "sensors = [1]")
 }
 
-/// Each lattice is drawn, trained, reported and exported; its trained design can be cast; it has its own hash.
+/// Each lattice, in a sheet and in a disc, is drawn, trained, reported, exported and asked all that a body is asked; its trained design can
+/// be cast; it has its own hash.
 #[test]
 fn every_lattice_runs_from_the_spec_to_the_mould() {
     let bench = Bench::new();
     let mut hashes = std::collections::BTreeSet::new();
-    for (lattice, corners) in [("square", 4), ("kagome", 3), ("triangular", 6), ("chiral", 4)] {
-        bench.file("s.toml", &linear(&format!("lattice = \"{lattice}\"\n{LATTICE}")));
+    bench.file("v.toml", "[variation]\nnodes = 0.05\n");
+    for (lattice, outline, units, corners) in [
+        ("square", LATTICE, 16, 4),
+        ("kagome", LATTICE, 16, 3),
+        ("triangular", LATTICE, 16, 6),
+        ("chiral", LATTICE, 16, 4),
+        ("kagome", DISC, 13, 3),
+        ("triangular", DISC, 19, 6),
+        ("chiral", DISC, 21, 4),
+    ] {
+        let own = format!("lattice = \"{lattice}\"\n{outline}");
+        let tied = linear(&own).replace("[optimise]\n", "[optimise]\ntie = [2, 1]\n");
+        bench.file("s.toml", &if outline == DISC { tied } else { linear(&own) });
         let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
         let trial = csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned();
         bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
@@ -39,11 +53,23 @@ fn every_lattice_runs_from_the_spec_to_the_mould() {
         let points = |polygon: &str| {
             polygon.split("points=\"").nth(1).unwrap().split('"').next().unwrap().split(' ').count()
         };
-        let units: Vec<usize> = svg.split("<polygon class=\"unit").skip(1).map(points).collect();
-        assert_eq!(units, vec![corners; 16], "{lattice}");
+        let drawn: Vec<usize> = svg.split("<polygon class=\"unit").skip(1).map(points).collect();
+        assert_eq!(drawn, vec![corners; units], "{own}");
+        bench.output(&["casts", "s.sqlite", &trial[..8], "--casts", "2", "--variation", "v.toml"]);
+        for asked in [
+            &["place", "s.toml", "--out", "p.svg"][..],
+            &["modes", "s.toml", "--count", "3", "--out", "m.svg"],
+            &["bound", "s.toml", "--samples", "1", "--noise", "0.05"],
+        ] {
+            bench.output(asked);
+        }
         hashes.insert(trial);
     }
-    assert_eq!(hashes.len(), 4, "{hashes:?}");
+    assert_eq!(hashes.len(), 7, "{hashes:?}");
+    assert_eq!(
+        bench.output(&["operator", "s.sqlite", "--rows", "--format", "csv"]).lines().count(),
+        1 + 2 * 7
+    );
     bench.output(&["report", "s.sqlite", "--out", "report.html"]);
     let done = bench.output(&[
         "query",
@@ -52,7 +78,7 @@ fn every_lattice_runs_from_the_spec_to_the_mould() {
         "--format",
         "csv",
     ]);
-    assert!(done.contains('4'), "{done}");
+    assert!(done.contains('7'), "{done}");
 }
 
 /// A body from a file is a trial of what the file holds: another name changes nothing, another corner does, and the file may go.
