@@ -1,5 +1,5 @@
 use super::*;
-use crate::body::Layout;
+use crate::body::{Layout, Pattern};
 use crate::brain::linear::Lags;
 use crate::brain::{self, Architecture, Data, TrainOutcome, Workspace};
 use crate::brains::Fresh;
@@ -82,6 +82,33 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
         evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, batch: Some(5), long: None, casts: 0 },
         seed: 3,
     }
+}
+
+/// A problem on a sheet and on a disc of every lattice but squares: two panels, the first sensor of placement 0.
+pub(crate) fn on_lattices(problem: &Problem) -> Vec<(String, Problem)> {
+    let angle = 25f64.to_radians();
+    let patterns = [
+        ("kagome", Pattern::kagome()),
+        ("triangular", Pattern::triangular(angle)),
+        ("chiral", Pattern::chiral(angle)),
+    ];
+    let mut found = Vec::new();
+    for (name, pattern) in patterns {
+        let sheet = Layout::sheet(&pattern, 4, 3, 15.0, 2.25);
+        let down = sheet.top_panels(2).expect("panels").into_iter().map(|unit| (unit, [0.0, -1.0]));
+        let disc = Layout::circular(&pattern, 5, 15.0, 2.25);
+        let inward = disc.circular_panels(2).expect("panels");
+        let bodies = [("sheet", sheet.bottom(), down.collect(), sheet), ("disc", disc.hub(), inward, disc)];
+        for (outline, clamped, struck, layout) in bodies {
+            let panels =
+                struck.into_iter().map(|(unit, direction)| Panel::central(unit, direction)).collect();
+            let sensors = layout.placement(0, &clamped)[..1].to_vec();
+            let initial = layout.initial_design(angle);
+            let scene = Scene { clamped, panels, sensors, layout, ..problem.scene.clone() };
+            found.push((format!("{outline} of {name}"), Problem { scene, initial, ..problem.clone() }));
+        }
+    }
+    found
 }
 
 pub(crate) const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
@@ -379,8 +406,12 @@ fn kept_units_keep_their_shape() {
 /// the limits keep stay, others move.
 #[test]
 fn tied_shifts_stay_tied_and_castable() {
-    for protocol in PROTOCOLS {
-        let mut problem = Problem { tie: [2, 1], frozen: vec![6], kept: vec![9], ..small(protocol) };
+    let squares = PROTOCOLS.map(|protocol| (format!("{protocol:?}"), small(protocol)));
+    let others = on_lattices(&small(Protocol::Envelope(GOING)));
+    for (what, problem) in squares.into_iter().chain(others) {
+        let (protocol, last) = (problem.optimise.protocol, problem.scene.panels[0].unit);
+        let other = (0..last).rev().find(|unit| !problem.scene.clamped.contains(unit)).expect("a unit");
+        let mut problem = Problem { tie: [2, 1], frozen: vec![other], kept: vec![last], ..problem };
         let search = matches!(protocol, Protocol::Random(_) | Protocol::Cmaes(_));
         (problem.optimise.rate, problem.optimise.iterations) = (if search { 5.0 } else { 2.0 }, 6);
         let mut keeper = Keeper::default();
@@ -390,15 +421,15 @@ fn tied_shifts_stay_tied_and_castable() {
         let mut projected = 0;
         for (state, report) in keeper.states.iter().zip(&keeper.reports) {
             let design = &state.design;
-            assert_eq!(&freedom.snap(&problem.initial, design.clone()), design, "{protocol:?}");
-            assert_eq!(limits.violations(design), [], "{protocol:?}, step {}", state.step);
+            assert_eq!(&freedom.snap(&problem.initial, design.clone()), design, "{what}");
+            assert_eq!(limits.violations(design), [], "{what}, step {}", state.step);
             let moved =
                 |unit: usize| layout.vertices(design)[unit] != layout.vertices(&problem.initial)[unit];
-            assert!(!moved(6) && !moved(9), "{protocol:?}");
+            assert!(!moved(other) && !moved(last), "{what}");
             projected += usize::from(report.projection == Some(crate::feasible::Status::Projected));
         }
         let statuses: Vec<_> = keeper.reports.iter().map(|r| (r.projection, r.projection_distance)).collect();
-        assert!(projected > 0 && keeper.states[5].design != problem.initial, "{protocol:?} {statuses:?}");
+        assert!(projected > 0 && keeper.states[5].design != problem.initial, "{what} {statuses:?}");
     }
 }
 

@@ -131,7 +131,7 @@ fn memory(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::nested::tests::{GOING, small};
+    use crate::nested::tests::{GOING, on_lattices, small};
     use crate::trial::{Disturbance, Protocol};
 
     /// Forces' power is their mean square about their means; of K panels read by as many independent channels of equal power the rank is K and the
@@ -163,11 +163,18 @@ mod tests {
     /// More sensors and less noise never tell less; one body told twice is the same.
     #[test]
     fn more_sensors_tell_more() {
-        let mut problem = small(Protocol::Joint(GOING));
+        let small = small(Protocol::Joint(GOING));
+        for (what, problem) in on_lattices(&small).into_iter().chain([("squares".into(), small.clone())]) {
+            check_sensors(&what, problem);
+        }
+    }
+
+    fn check_sensors(what: &str, mut problem: Problem) {
         let of = |problem: &Problem| told(problem, &problem.initial);
-        problem.scene.sensors = vec![4];
+        let units = problem.scene.layout.placement(0, &problem.scene.clamped)[..2].to_vec();
+        problem.scene.sensors = units[..1].to_vec();
         let (one, again) = (of(&problem), of(&problem));
-        problem.scene.sensors = vec![4, 7];
+        problem.scene.sensors = units;
         let two = of(&problem);
         let noise = Size::Relative(1e-3);
         problem.disturbance = Some(Disturbance { noise, ..Disturbance::NONE });
@@ -175,7 +182,7 @@ mod tests {
         assert_eq!(one, again);
         assert!(
             one.error > two.error && two.error > quiet.error && quiet.error > 0.0,
-            "{one:?} {two:?} {quiet:?}"
+            "{what}: {one:?} {two:?} {quiet:?}"
         );
         assert!(one.bits < two.bits && two.bits < quiet.bits);
         assert!((1.0..=2.0).contains(&one.rank) && one.condition >= 1.0);

@@ -7,7 +7,10 @@ use nalgebra::{DMatrix, DVector};
 
 /// The small problem with forces of so many times the usual amplitude.
 fn with_amplitude(times: f64) -> Problem {
-    let mut problem = small(PROTOCOLS[3]);
+    of_amplitude(small(PROTOCOLS[3]), times)
+}
+
+fn of_amplitude(mut problem: Problem, times: f64) -> Problem {
     if let Source::Bell(bell) = &mut problem.stimuli.source {
         bell.amplitude = bell.amplitude.map(|a| times * a);
     }
@@ -53,13 +56,20 @@ fn the_nonlinear_part_does_not_depend_on_the_integrator() {
 /// by normal equations over simulated signals and by drawn noise.
 #[test]
 fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
+    let problem = small(PROTOCOLS[3]);
+    check_the_bound(problem.clone(), 400);
+    on_lattices(&problem).into_iter().for_each(|(_, problem)| check_the_bound(problem, 0));
+}
+
+/// With so many draws of noise, or none.
+fn check_the_bound(problem: Problem, draws: usize) {
     let disturbance = Disturbance {
         noise: Size::Relative(0.2),
         bias: Size::Relative(0.3),
         delay: 0.0075,
         ..Disturbance::NONE
     };
-    let problem = Problem { disturbance: Some(disturbance), ..with_amplitude(1e-5) };
+    let problem = Problem { disturbance: Some(disturbance), ..of_amplitude(problem, 1e-5) };
     let found = bound(&problem, &problem.initial, 4, &pool(2)).unwrap().unwrap();
 
     let all = problem.forces(Purpose::Stimulus, 0, 16);
@@ -98,7 +108,7 @@ fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
     assert!(found.mean < 0.9 * found.deaf && found.mean > 0.1, "{found:?}");
 
     let mut stream = Stream::new(Purpose::Chip, 5, [7, 7]);
-    let (draws, mut sum) = (400, 0.0);
+    let mut sum = 0.0;
     for _ in 0..draws {
         let mut heard = late.clone();
         for i in 0..n {
@@ -111,7 +121,7 @@ fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
         }
     }
     let drawn = sum / (draws * n) as f64;
-    assert!((drawn / found.mean - 1.0).abs() < 0.03, "{drawn} {}", found.mean);
+    assert!(draws == 0 || (drawn / found.mean - 1.0).abs() < 0.03, "{drawn} {}", found.mean);
 
     // a linear body answers every sample alike
     let unseen = problem.forces(Purpose::Holdout, 0, 4);
@@ -120,7 +130,8 @@ fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
     };
     let left: Vec<f64> =
         power(&unseen).iter().zip(&found.samples).map(|(p, error)| p * error.unwrap()).collect();
-    assert!(left.iter().all(|l| (l / left[0] - 1.0).abs() < 1e-4), "{left:?}");
+    // softer bodies are a little less linear
+    assert!(left.iter().all(|l| (l / left[0] - 1.0).abs() < 1e-3), "{left:?}");
     let silent = Problem { disturbance: None, ..problem };
     assert_eq!(bound(&silent, &silent.initial, 4, &pool(1)).unwrap(), None);
 }
